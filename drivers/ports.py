@@ -1,0 +1,204 @@
+"""The one interface behind which every drive stands: SI units, joint side, names of joints.
+
+A `DrivePort` is one machine: all the axes that one connection reaches. An adapter is registered by entry point
+(group ``sweepid.drives``) as ``factory(profile: Mapping[str, object]) -> DrivePort``; `drivers.registry` loads it.
+
+Rules that every adapter keeps (tests/contract):
+
+- Nothing energises an axis but `enable`. A fault is cleared by `acknowledge` alone, and that never energises.
+- Leaving `run_sweep` early, for whatever reason (error, ``aclose``, cancellation), stops the axis.
+- `stop` may be called at any time, from any task, and twice.
+- Whatever a drive cannot enforce itself is enforced here before the command is sent (`Capabilities`).
+"""
+
+from collections.abc import AsyncGenerator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class SweepMode(Enum):
+    """Who generates the motion of a sweep."""
+
+    DRIVE_SIDE = "drive_side"
+    """The drive's measuring function: parameters in, samples of the drive's own clock out."""
+    HOST_STREAMED = "host_streamed"
+    """The host sends a velocity set-point every cycle (CiA 402 cyclic synchronous velocity)."""
+
+
+class AxisState(Enum):
+    """What an operator needs to know of an axis."""
+
+    UNKNOWN = "unknown"  # no word from the drive
+    DISABLED = "disabled"  # no torque, brake closed
+    ENABLED = "enabled"  # in closed loop, at standstill unless commanded
+    STOPPING = "stopping"  # quick stop or fault reaction under way
+    FAULT = "fault"  # waits for a person's acknowledgement
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """What the machine behind a port really can do. Told honestly: what is False is done by the host or refused."""
+
+    sweep_modes: frozenset[SweepMode]
+    load_encoder: bool  # `load_position` comes with the samples of drive-side sweeps
+    velocity_limit_in_drive: bool
+    effort_limit_in_drive: bool
+    position_limits_in_drive: bool
+    host_watchdog_in_drive: bool  # the drive stops by itself when the host falls silent
+    set_point_timing: str  # "thread", "bcm", "none"
+
+
+@dataclass(frozen=True, slots=True)
+class AxisIdentity:
+    """What the device says of itself; shown to the operator and stored with every recording."""
+
+    joint: str
+    address: str  # e.g. "node 1"
+    vendor: int
+    product: int
+    revision: int
+    serial: int
+    dictionary_sha256: str  # of the EDS or register profile in use
+
+
+@dataclass(frozen=True, slots=True)
+class AxisStatus:
+    """One reading of an axis. Position rad (m), velocity rad/s (m/s), effort N m (N)."""
+
+    joint: str
+    state: AxisState
+    position: float
+    velocity: float
+    effort: float
+    fault: "Fault | None"
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A fault as the drive reports it."""
+
+    joint: str
+    code: int  # CiA 402 error code (603Fh) or the maker's
+    text: str
+    emergency_stop: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Sine:
+    """``amplitude * sin(2 pi frequency (t - t0) + phase)``; Hz, rad/s (m/s), rad; t0 = start of the window."""
+
+    frequency: float
+    amplitude: float
+    phase: float
+
+
+@dataclass(frozen=True, slots=True)
+class SweepCommand:
+    """One sweep of one axis from standstill to standstill.
+
+    Velocity set-point: ``e(t) (offset_velocity + sum of sines)`` with the envelope e rising as a raised cosine over
+    `ramp`, one during `settle` and the measured window of ``periods * period``, falling over another `ramp`.
+    The measured window starts at ``t0 = ramp + settle``. The limits are those of the envelope check on the
+    host; an adapter also puts them into the drive where the drive has them.
+    """
+
+    joint: str
+    mode: SweepMode
+    offset_velocity: float  # rad/s (m/s), signed
+    sines: tuple[Sine, ...]
+    period: float  # s
+    periods: int
+    ramp: float  # s
+    settle: float  # s
+    sample_rate: float  # Hz, wanted; the blocks' time column tells what was got
+    velocity_limit: float  # rad/s (m/s), absolute
+    effort_limit: float  # N m (N), absolute
+    position_window: tuple[float, float]  # rad (m), absolute joint positions never to be left
+
+    @property
+    def measure_from(self) -> float:
+        """Start of the measured window, s."""
+        return self.ramp + self.settle
+
+    @property
+    def duration(self) -> float:
+        """From standstill to standstill, s."""
+        return 2 * self.ramp + self.settle + self.period * self.periods
+
+
+@dataclass(frozen=True, slots=True)
+class SampleBlock:
+    """Consecutive samples of one sweep on the drive's clock; arrays of one length, joint side.
+
+    `index` counts the drive's samples from the start of the sweep; a jump means that samples were lost. Blocks
+    arrive in order; a block never overlaps the one before. `time` is index / rate of the drive's clock, s.
+    """
+
+    joint: str
+    index: NDArray[np.int64]
+    time: Array
+    effort: Array
+    velocity: Array
+    position: Array
+    velocity_setpoint: Array
+    load_position: Array | None = None
+
+
+class DrivePort(Protocol):
+    """One machine. Every method raises a `drivers.errors.DriveError`; times out by itself; is safe to cancel."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The joints this port reaches, in the profile's order."""
+        ...
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Known after `connect`."""
+        ...
+
+    async def connect(self) -> tuple[AxisIdentity, ...]:
+        """Open the bus, check every node's identity, configure and read back. Leaves every axis disabled."""
+        ...
+
+    async def close(self) -> None:
+        """Disable every axis and release the bus. Safe to call twice, and after any error."""
+        ...
+
+    async def status(self) -> Mapping[str, AxisStatus]:
+        """The state of every axis by joint name."""
+        ...
+
+    async def enable(self, joint: str) -> None:
+        """Energise one axis at standstill. Refused while a fault is pending or another axis is enabled."""
+        ...
+
+    async def disable(self, joint: str) -> None:
+        """Bring the axis to standstill and take its energy away."""
+        ...
+
+    async def move_to(self, joint: str, position: float, velocity: float) -> None:
+        """Move one enabled axis to `position` rad (m) at most at `velocity`; returns at standstill there."""
+        ...
+
+    def run_sweep(self, command: SweepCommand) -> AsyncGenerator[SampleBlock, None]:
+        """Run one sweep on an enabled axis, yielding samples as they come; ends at standstill."""
+        ...
+
+    async def stop(self) -> None:
+        """Stop every axis now, by the stop ladder, and disable. Never raises for an axis already still."""
+        ...
+
+    async def faults(self) -> tuple[Fault, ...]:
+        """Pending faults of all axes."""
+        ...
+
+    async def acknowledge(self, joint: str) -> None:
+        """Clear the fault of one axis after a person looked. The axis stays disabled."""
+        ...

@@ -1,0 +1,69 @@
+"""A sweep: what was commanded and what was recorded (BUNDLE format `sweepid-bundle/1`, section "sweeps")."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+Array = NDArray[np.float64]
+
+REQUIRED_COLUMNS = ("time", "effort", "velocity", "position")
+OPTIONAL_COLUMNS = ("velocity_setpoint", "excitation_effort", "load_velocity", "load_position", "temperature")
+
+
+class Sine(BaseModel):
+    """``amplitude * sin(2 pi frequency (t - measure_from) + phase)``; Hz, rad/s (m/s), rad."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    frequency: float = Field(gt=0)
+    amplitude: float = Field(ge=0)
+    phase: float = 0.0
+
+
+class SweepSpec(BaseModel):
+    """One sweep as planned and as written to a bundle; all times in s, all quantities SI on the joint side."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    id: str = Field(min_length=1)
+    axis: str
+    pose: tuple[float, ...]
+    offset_velocity: float
+    excitation: Literal["multisine", "noise", "trajectory", "standstill"] = "multisine"
+    sines: tuple[Sine, ...] = ()
+    period: float | None = Field(default=None, gt=0)
+    periods: int | None = Field(default=None, ge=1)
+    measure_from: float = Field(default=0.0, ge=0)
+    sample_rate: float = Field(gt=0)
+    started_at: float = 0.0
+    repeat: int = Field(default=0, ge=0)
+    block: str = ""
+
+    @property
+    def periodic(self) -> bool:
+        """True when a window of whole periods with known lines was measured."""
+        return bool(self.sines) and self.period is not None and self.periods is not None
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """Samples of one sweep, arrays (n,) on one drive clock, SI on the joint side; columns as in BUNDLE.md."""
+
+    time: Array
+    effort: Array
+    velocity: Array
+    position: Array
+    velocity_setpoint: Array | None = None
+    excitation_effort: Array | None = None
+    load_velocity: Array | None = None
+    load_position: Array | None = None
+    temperature: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """What was commanded together with what was recorded."""
+
+    spec: SweepSpec
+    recording: Recording

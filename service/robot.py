@@ -1,0 +1,150 @@
+"""The robot as the service knows it: a serial chain read from URDF, plus what URDF lacks (BUNDLE format, "robot").
+
+Frames. Moving joint k (0-based, URDF order) carries link k, whose frame is the joint's frame; fixed joints are folded
+away. With R_k, p_k the pose of frame k in the base and z_k its axis in base coordinates,
+
+    R_k = R_{k-1} Rt_k rot(axis_k, q_k),   p_k = p_{k-1} + R_{k-1} pt_k            (revolute)
+
+The ten inertial parameters of a link are taken at its frame's origin, in the order of Pinocchio and of
+Atkeson, An and Hollerbach (1986): [m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz].
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.errors import BadInput
+from service.urdf import Chain, read_chain
+
+Array = NDArray[np.float64]
+
+INERTIAL_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+
+
+class Axis(BaseModel):
+    """What the drive train of one joint is made of; SI on the joint side unless said otherwise."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    joint: str
+    gear_ratio: float  # motor revolutions per joint revolution; prismatic: rad per m; signed
+    motor_inertia: float | None = Field(default=None, ge=0)  # kg m^2 on the motor side
+    rated_effort: float = Field(gt=0)  # N m (N)
+    viscous_friction: float | None = Field(default=None, ge=0)  # N m s/rad (N s/m)
+    cogging_orders: tuple[float, ...] = ()  # periods per motor revolution
+    transmission_orders: tuple[float, ...] = ()
+
+    @property
+    def reflected_motor_inertia(self) -> float | None:
+        """u^2 Jm of the paper's equation (4): kg m^2 (kg) on the joint side, None if unknown."""
+        return None if self.motor_inertia is None else self.gear_ratio**2 * self.motor_inertia
+
+
+class Prior(BaseModel):
+    """How far the nominal model may be off: one sigma, relative."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    inertia: float = Field(default=0.3, gt=0)
+    gravity: float = Field(default=0.3, gt=0)
+    viscous_friction: float = Field(default=0.5, gt=0)
+    motor_inertia: float = Field(default=0.1, gt=0)
+    effort_gain: float = Field(default=0.05, ge=0)
+
+
+class RobotDescription(BaseModel):
+    """The "robot" object of a bundle: names, gravity in the base frame (m/s^2), axes in URDF order, prior."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    name: str = Field(min_length=1)
+    urdf: str
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    axes: tuple[Axis, ...] = Field(min_length=1)
+    prior: Prior = Prior()
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A described robot with its chain. Immutable; `urdf_text` is kept so that a bundle gets back what it gave."""
+
+    description: RobotDescription
+    urdf_text: str
+
+    @cached_property
+    def chain(self) -> Chain:
+        """The kinematic chain and the nominal inertial parameters."""
+        return read_chain(self.urdf_text)
+
+    @property
+    def name(self) -> str:
+        return self.description.name
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        return self.description.axes
+
+    @property
+    def prior(self) -> Prior:
+        return self.description.prior
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the moving joints, base to tip."""
+        return tuple(axis.joint for axis in self.axes)
+
+    @property
+    def gravity(self) -> Array:
+        """Gravity in the base frame, (3,), m/s^2."""
+        return np.array(self.description.gravity)
+
+    def index(self, joint: str) -> int:
+        """Number of a joint in the pose; BadInput names the joints there are."""
+        try:
+            return self.joints.index(joint)
+        except ValueError:
+            raise BadInput(joint, f"unknown joint; robot {self.name} has {', '.join(self.joints)}") from None
+
+    def axis(self, joint: str) -> Axis:
+        return self.axes[self.index(joint)]
+
+
+def build_robot(description: RobotDescription, urdf_text: str, place: str = "robot") -> Robot:
+    """A robot whose axes are the chain's moving joints, in order; BadInput where they differ."""
+    robot = Robot(description, urdf_text)
+    moving = tuple(joint.name for joint in robot.chain.joints)
+    if moving != robot.joints:
+        raise BadInput(
+            f"{place}.axes",
+            f"joints {list(robot.joints)} differ from the URDF's moving joints {list(moving)}",
+        )
+    return robot
+
+
+def link_frames(chain: Chain, poses: Array) -> tuple[Array, Array]:
+    """Rotations (..., n, 3, 3) and origins (..., n, 3) of all link frames in the base, for poses (..., n)."""
+    poses = np.asarray(poses, dtype=float)
+    lead = poses.shape[:-1]
+    rotations = np.empty((*lead, len(chain.joints), 3, 3))
+    origins = np.empty((*lead, len(chain.joints), 3))
+    rotation = np.broadcast_to(np.eye(3), (*lead, 3, 3))
+    origin = np.zeros((*lead, 3))
+    for k, joint in enumerate(chain.joints):
+        q = poses[..., k]
+        origin = origin + rotation @ joint.translation
+        rotation = rotation @ joint.rotation
+        if joint.kind == "prismatic":
+            origin = origin + (rotation @ joint.axis) * q[..., None]
+        else:
+            rotation = rotation @ rotation_about(joint.axis, q)
+        rotations[..., k, :, :] = rotation
+        origins[..., k, :] = origin
+    return rotations, origins
+
+
+def rotation_about(axis: Array, angle: Array) -> Array:
+    """Rodrigues: rotation matrices (..., 3, 3) about a unit `axis` (3,) by `angle` (...), rad."""
+    x, y, z = axis
+    skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = np.asarray(angle)[..., None, None]
+    return np.eye(3) + np.sin(angle) * skew + (1 - np.cos(angle)) * (skew @ skew)

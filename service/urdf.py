@@ -1,0 +1,219 @@
+"""Reads a URDF into a serial chain: joint frames, limits and the links' ten inertial parameters.
+
+Meshes, transmissions and visuals are not looked at. Source: the URDF XML specification (ROS wiki, "urdf/XML");
+rpy are fixed-axis angles, R = Rz(yaw) Ry(pitch) Rx(roll).
+"""
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.errors import BadInput
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One moving joint and the link it carries (fixed children folded in)."""
+
+    name: str
+    kind: Literal["revolute", "prismatic"]
+    link: str
+    rotation: Array  # (3, 3) of this frame in the previous moving link's frame at q = 0
+    translation: Array  # (3,) m
+    axis: Array  # (3,) unit vector in this frame
+    lower: float  # rad (m); -inf for a continuous joint
+    upper: float
+    velocity: float  # rad/s (m/s)
+    effort: float  # N m (N)
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Moving joints from base to tip, with the nominal inertial parameters of their links, (n, 10)."""
+
+    joints: tuple[Joint, ...]
+    inertial: Array
+
+
+def read_chain(text: str, place: str = "urdf") -> Chain:
+    """The serial chain of a URDF; BadInput where it branches, has loops or lacks a number."""
+    try:
+        root = ET.fromstring(text)
+    except ET.ParseError as error:
+        raise BadInput(place, f"not XML: {error}") from None
+    links = {element.get("name", ""): element for element in root.findall("link")}
+    joints = root.findall("joint")
+    children: dict[str, list[ET.Element]] = {}
+    for element in joints:
+        children.setdefault(_ref(element, "parent", place), []).append(element)
+    carried = {_ref(element, "child", place) for element in joints}
+    roots = [name for name in links if name not in carried]
+    if len(roots) != 1:
+        raise BadInput(place, f"needs one base link, has {len(roots)}: {roots}")
+
+    chain: list[Joint] = []
+    inertial: list[Array] = []
+
+    def walk(link: str, rotation: Array, translation: Array) -> None:
+        # rotation, translation: of `link` in the frame of the last moving link
+        if link not in links:
+            raise BadInput(place, f"link {link!r} of a joint is not defined")
+        if inertial:
+            inertial[-1] = inertial[-1] + transform_inertial(_inertial(links[link], place), rotation, translation)
+        moving_children = 0
+        for element in children.get(link, []):
+            own_rotation, own_translation = _origin(element, f"{place} joint {element.get('name')}")
+            joint_rotation = rotation @ own_rotation
+            joint_translation = translation + rotation @ own_translation
+            child = _ref(element, "child", place)
+            if element.get("type") == "fixed":
+                walk(child, joint_rotation, joint_translation)
+                continue
+            moving_children += 1
+            if moving_children > 1:
+                raise BadInput(place, f"link {link!r} carries two moving joints; only serial chains are supported")
+            chain.append(_joint(element, child, joint_rotation, joint_translation, place))
+            inertial.append(np.zeros(10))
+            walk(child, np.eye(3), np.zeros(3))
+
+    walk(roots[0], np.eye(3), np.zeros(3))
+    if not chain:
+        raise BadInput(place, "has no moving joint")
+    return Chain(tuple(chain), np.array(inertial))
+
+
+def transform_inertial(parameters: Array, rotation: Array, translation: Array) -> Array:
+    """Ten parameters of a body given in frame B, expressed in frame A, where (R, t) is the pose of B in A."""
+    mass, moment, inertia = parameters[0], parameters[1:4], inertia_matrix(parameters)
+    moved = rotation @ moment
+    cross = moved @ translation
+    # Huygens-Steiner about a frame that is not the centre of mass, c' = R mc:
+    # I_A = R I R' + 2 (c'.t) 1 - (c' t^T + t c'^T) + m (t.t 1 - t t^T)
+    shifted = (
+        rotation @ inertia @ rotation.T
+        + 2 * cross * np.eye(3)
+        - np.outer(moved, translation)
+        - np.outer(translation, moved)
+        + mass * (translation @ translation * np.eye(3) - np.outer(translation, translation))
+    )
+    return np.concatenate([[mass], moved + mass * translation, inertia_vector(shifted)])
+
+
+def inertia_matrix(parameters: Array) -> Array:
+    """(..., 10) parameters -> inertia (..., 3, 3) at the frame's origin."""
+    xx, xy, yy, xz, yz, zz = np.moveaxis(parameters[..., 4:10], -1, 0)
+    return np.stack([np.stack(row, -1) for row in ([xx, xy, xz], [xy, yy, yz], [xz, yz, zz])], -2)
+
+
+def inertia_vector(matrix: Array) -> Array:
+    """Inertia (3, 3) -> [Ixx, Ixy, Iyy, Ixz, Iyz, Izz]."""
+    return matrix[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+
+
+def rotation_rpy(rpy: Array) -> Array:
+    """Rz(yaw) Ry(pitch) Rx(roll), (3, 3)."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def _joint(element: ET.Element, link: str, rotation: Array, translation: Array, place: str) -> Joint:
+    name = element.get("name", "")
+    here = f"{place} joint {name}"
+    kind = element.get("type")
+    if kind not in ("revolute", "continuous", "prismatic"):
+        raise BadInput(here, f"type {kind!r} is not supported; revolute, continuous, prismatic or fixed is")
+    axis_element = element.find("axis")
+    axis = np.array([1.0, 0.0, 0.0]) if axis_element is None else _vector(axis_element, "xyz", here)
+    norm = float(np.linalg.norm(axis))
+    if norm < 1e-9:
+        raise BadInput(here, "axis has no direction")
+    limit = element.find("limit")
+    if limit is None and kind != "continuous":
+        raise BadInput(here, "has no <limit>")
+    lower, upper = (
+        (-np.inf, np.inf) if kind == "continuous" else (_limit(limit, "lower", here), _limit(limit, "upper", here))
+    )
+    if lower >= upper:
+        raise BadInput(here, f"lower limit {lower} is not below upper limit {upper}")
+    return Joint(
+        name=name,
+        kind="prismatic" if kind == "prismatic" else "revolute",
+        link=link,
+        rotation=rotation,
+        translation=translation,
+        axis=axis / norm,
+        lower=lower,
+        upper=upper,
+        velocity=_limit(limit, "velocity", here),
+        effort=_limit(limit, "effort", here),
+    )
+
+
+def _inertial(link: ET.Element, place: str) -> Array:
+    element = link.find("inertial")
+    if element is None:
+        return np.zeros(10)
+    here = f"{place} link {link.get('name')}"
+    mass_element, inertia_element = element.find("mass"), element.find("inertia")
+    if mass_element is None or inertia_element is None:
+        raise BadInput(here, "<inertial> needs <mass> and <inertia>")
+    mass = _number(mass_element, "value", here)
+    tensor = [_number(inertia_element, name, here) for name in ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")]
+    rotation, translation = _origin(element, here)
+    return transform_inertial(np.array([mass, 0.0, 0.0, 0.0, *tensor]), rotation, translation)
+
+
+def _origin(element: ET.Element, here: str) -> tuple[Array, Array]:
+    origin = element.find("origin")
+    if origin is None:
+        return np.eye(3), np.zeros(3)
+    return rotation_rpy(_vector(origin, "rpy", here)), _vector(origin, "xyz", here)
+
+
+def _ref(element: ET.Element, tag: str, place: str) -> str:
+    child = element.find(tag)
+    name = None if child is None else child.get("link")
+    if name is None:
+        raise BadInput(f"{place} joint {element.get('name')}", f"has no <{tag} link=...>")
+    return name
+
+
+def _limit(element: ET.Element | None, name: str, here: str) -> float:
+    if element is None:
+        return float("inf")
+    if name in ("lower", "upper") and element.get(name) is None:
+        return 0.0  # the specification's default
+    return _number(element, name, here)
+
+
+def _number(element: ET.Element, name: str, here: str) -> float:
+    text = element.get(name)
+    try:
+        value = float(text or "")
+    except ValueError:
+        raise BadInput(here, f"{element.tag} {name}={text!r} is not a number") from None
+    if not np.isfinite(value):
+        raise BadInput(here, f"{element.tag} {name}={text!r} is not finite")
+    return value
+
+
+def _vector(element: ET.Element, name: str, here: str) -> Array:
+    text = element.get(name, "0 0 0")
+    try:
+        values = np.array([float(part) for part in text.split()])
+    except ValueError:
+        raise BadInput(here, f"{element.tag} {name}={text!r} is not three numbers") from None
+    if values.shape != (3,) or not np.isfinite(values).all():
+        raise BadInput(here, f"{element.tag} {name}={text!r} is not three finite numbers")
+    return values
