@@ -51,7 +51,10 @@ def read_chain(text: str, place: str = "urdf") -> Chain:
     children: dict[str, list[ET.Element]] = {}
     for element in joints:
         children.setdefault(_ref(element, "parent", place), []).append(element)
-    carried = {_ref(element, "child", place) for element in joints}
+    _once([element.get("name", "") for element in root.findall("link")], place, "link {!r} stands twice")
+    _once([element.get("name", "") for element in joints], place, "joint {!r} stands twice")
+    carried = [_ref(element, "child", place) for element in joints]
+    _once(carried, place, "link {!r} is carried by two joints")
     roots = [name for name in links if name not in carried]
     if len(roots) != 1:
         raise BadInput(place, f"needs one base link, has {len(roots)}: {roots}")
@@ -187,6 +190,12 @@ def _ref(element: ET.Element, tag: str, place: str) -> str:
     if name is None:
         raise BadInput(f"{place} joint {element.get('name')}", f"has no <{tag} link=...>")
     return name
+
+
+def _once(names: list[str], place: str, complaint: str) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise BadInput(place, complaint.format(name))
 
 
 def _limit(element: ET.Element | None, name: str, here: str) -> float:

@@ -1,0 +1,104 @@
+r"""Which combinations of inertial parameters the inertias about the axes can tell apart: the base parameters.
+
+With W (rows of all measured axes over the workspace, columns scaled to unit length) of rank r, r columns span the rest,
+
+    W = W_b [1  R1^-1 R2] P^T     so     W x = W_b beta,   beta = K x                    (Gautier 1991, QR)
+
+The independent columns are taken greedily in the order of the parameters, base to tip, so that a dependent parameter is
+regrouped into the ones before it, as the symbolic rules of Gautier and Khalil (1990) do. Rank: eigenvalues of the Gram
+matrix (fast, but squaring halves the digits), confirmed by the singular values of the columns chosen.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.errors import BadInput
+from service.identification.regressor import axis_rows, parameter_names
+from service.urdf import Chain
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1e-9  # of a unit column that its part outside the span of the chosen columns must exceed
+SAMPLES = 400  # random poses that stand for the workspace
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """The base set of a chain for a choice of measured axes.
+
+    names (r,); `columns` (r,) of the parameter vector that are kept; `combination` (r, 11 n) with beta = K x.
+    """
+
+    names: tuple[str, ...]
+    columns: tuple[int, ...]
+    combination: Array
+
+    def rows(self, chain: Chain, joint: int, poses: Array) -> Array:
+        """Rows (m, r) of axis `joint` in the base parameters."""
+        return axis_rows(chain, joint, poses)[:, list(self.columns)]
+
+
+def base_parameters(chain: Chain, axes: tuple[int, ...], seed: int = 0) -> BaseParameters:
+    """The base parameters that the inertias about `axes` hold, over the chain's whole joint range."""
+    rng = np.random.default_rng(seed)
+    lower = np.array([max(joint.lower, -np.pi) for joint in chain.joints])
+    upper = np.array([min(joint.upper, np.pi) for joint in chain.joints])
+    poses = rng.uniform(lower, upper, (SAMPLES, len(lower)))
+    rows = np.vstack([axis_rows(chain, axis, poses) for axis in axes])
+    return reduce_columns(rows, parameter_names(chain))
+
+
+def reduce_columns(rows: Array, names: tuple[str, ...]) -> BaseParameters:
+    """The base set of an observation matrix (m, p) whose columns bear `names`."""
+    length = np.linalg.norm(rows, axis=0)
+    scale = np.where(length > TOLERANCE * length.max(initial=0.0), length, 1.0)
+    scaled = rows / scale
+    chosen = _independent(scaled)
+    singular = np.linalg.svd(scaled[:, chosen], compute_uv=False)
+    if singular[-1] < TOLERANCE:
+        raise BadInput("base parameters", f"the chosen columns are dependent to {singular[-1]:.1e}")
+    combination = np.linalg.lstsq(scaled[:, chosen], scaled, rcond=None)[0] * scale / scale[chosen][:, None]
+    combination[np.abs(combination) < 1e-7 * np.abs(combination).max(initial=1.0)] = 0.0
+    return BaseParameters(
+        tuple(_name(row, names, column) for row, column in zip(combination, chosen, strict=True)),
+        tuple(chosen),
+        combination,
+    )
+
+
+def condition_number(rows: Array) -> float:
+    """Condition number of an observation matrix (m, r) with columns scaled to unit length; inf if rank deficient."""
+    length = np.linalg.norm(rows, axis=0)
+    if len(rows) < rows.shape[1] or not length.all():
+        return float("inf")
+    singular = np.linalg.svd(rows / length, compute_uv=False)
+    return float(singular[0] / singular[-1]) if singular[-1] > TOLERANCE * singular[0] else float("inf")
+
+
+def _independent(scaled: Array) -> list[int]:
+    """Columns, first to last, that do not lie in the span of the ones chosen before (Gram-Schmidt, twice)."""
+    span = np.zeros((len(scaled), 0))
+    chosen: list[int] = []
+    for column in range(scaled.shape[1]):
+        rest = scaled[:, column]
+        for _ in range(2):
+            rest = rest - span @ (span.T @ rest)
+        length = np.linalg.norm(rest)
+        if length > 1e3 * TOLERANCE:
+            span = np.hstack([span, (rest / length)[:, None]])
+            chosen.append(column)
+    return chosen
+
+
+def _name(row: Array, names: tuple[str, ...], leader: int) -> str:
+    """``Izz(link_2) + Jm(joint_2) + 1.44 m(link_3)``: the kept parameter first, then what is regrouped into it."""
+    parts = [names[leader]]
+    for column in np.flatnonzero(row):
+        if column == leader:
+            continue
+        size = abs(row[column])
+        factor = "" if abs(size - 1) < 1e-6 else f"{size:.4g} "
+        parts.append(f"{'-' if row[column] < 0 else '+'} {factor}{names[column]}")
+    return " ".join(parts)

@@ -1,0 +1,137 @@
+r"""Designs one sweep: a slow turn with sines on top, within a few degrees of travel.
+
+The set-point is e(t) (v0 + sum a_i sin(2 pi f_i (t - t0) + phi_i)) with a raised-cosine envelope e over `ramp`.
+
+Three rules fix it (FRF measurement practice: Pintelon and Schoukens, System Identification, 2012, ch. 2 and 5):
+
+Cogging. Torque ripple of order o (per motor revolution) appears at o u v0 / 2 pi Hz, and because the sines modulate the
+motor angle also at whole-Hz distances from it. With a window of P whole seconds and  g u v0 P / 2 pi = n, g the common
+divisor of the orders, every ripple line falls on (o/g) n / P Hz: orthogonal to the whole-Hz sines as long as no
+(o/g) n is a multiple of the prime P.
+
+No reversal. Friction is a constant only while nothing reverses, so  sum a_i max(1, |T_i|) < v0, where
+T = 1 / (1 - (f/f_lr)^2) is how much more the load moves than the motor below the locked-rotor frequency f_lr.
+
+Travel. v0 (ramp + settle + P) stays within the travel; at fixed travel the standard deviation of J goes with
+1 / (v0 sqrt(P)), so the fastest and shortest window that the first rule allows is taken.
+
+Schroeder phases (1970), phi_i = -pi i (i - 1) / n, keep the crest factor low.
+"""
+
+from dataclasses import dataclass
+from functools import reduce
+from math import gcd
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.errors import BadInput
+from service.recording import Sine
+from service.robot import Robot
+
+Array = NDArray[np.float64]
+
+LINES = (2.0, 3.0, 4.0, 5.0)  # Hz, the paper's sweep frequencies
+WINDOWS = (3, 5, 7)  # whole periods of 1 s; prime by the cogging rule
+RAMP = 0.5  # s
+SETTLE = 0.5  # s
+LOAD_MARGIN = 0.8  # of the offset that the sines may use on motor and load
+LINE_MARGIN = 0.75  # of the locked-rotor frequency: no line above
+
+
+@dataclass(frozen=True, slots=True)
+class Excitation:
+    """One sweep from standstill to standstill; SI on the joint side (see the module's header)."""
+
+    offset_velocity: float  # rad/s (m/s), signed
+    sines: tuple[Sine, ...]
+    period: float  # s
+    periods: int
+    ramp: float  # s
+    settle: float  # s
+
+    @property
+    def measure_from(self) -> float:
+        """Start of the measured window, s."""
+        return self.ramp + self.settle
+
+    @property
+    def duration(self) -> float:
+        """From standstill to standstill, s."""
+        return 2 * self.ramp + self.settle + self.periods * self.period
+
+    @property
+    def travel(self) -> float:
+        """Signed way from start to end, rad (m): the sines cancel over whole periods."""
+        return self.offset_velocity * (self.ramp + self.settle + self.periods * self.period)
+
+
+def design_sweep(
+    robot: Robot,
+    joint: str,
+    pose: Array,
+    *,
+    load_inertia: float,
+    locked_rotor_frequency: float | None = None,
+    direction: int = 1,
+    travel: float = np.radians(4.0),
+    velocity_limit: float = np.inf,
+    effort_limit: float = np.inf,
+) -> Excitation:
+    """The sweep of `joint` in `pose` within `travel` rad (m); BadInput when limits leave no room for one.
+
+    `load_inertia` is the predicted inertia behind the spring, kg m^2 (kg); `locked_rotor_frequency` the predicted one
+    at that inertia, Hz (None: the drive train is taken as stiff). `effort_limit` bounds the effort of the sines
+    alone, N m (N): what gravity and friction leave over.
+    """
+    axis = robot.axis(joint)
+    highest = np.inf if locked_rotor_frequency is None else LINE_MARGIN * locked_rotor_frequency
+    lines = np.array([line for line in LINES if line <= highest] or LINES[:1])
+    gain = np.ones_like(lines)
+    if locked_rotor_frequency is not None:
+        gain = np.maximum(1.0, 1.0 / np.abs(1.0 - (lines / locked_rotor_frequency) ** 2))
+    share = LOAD_MARGIN / len(lines) / gain  # amplitude of each line as a part of the offset
+
+    orders = tuple(round(order) for order in axis.cogging_orders)
+    speed_limit = velocity_limit / (1.0 + float(share.sum()))
+    periods, offset = max(
+        ((periods, _offset(periods, travel, speed_limit, abs(axis.gear_ratio), orders)) for periods in WINDOWS),
+        key=lambda choice: choice[1] ** 2 * choice[0],
+    )
+    if offset <= 0:
+        raise BadInput(
+            f"{joint}", f"no sweep fits into a travel of {travel:.4g} and a velocity of {velocity_limit:.4g}"
+        )
+    inertia = load_inertia * gain + (axis.reflected_motor_inertia or 0.0)
+    effort = float(np.sum(2 * np.pi * lines * inertia * share)) * offset
+    amplitudes = share * offset * min(1.0, effort_limit / effort)
+    phases = -np.pi * np.arange(len(lines)) * (np.arange(len(lines)) + 1) / len(lines)
+    sines = tuple(
+        Sine(frequency=float(f), amplitude=float(a), phase=float(p % (2 * np.pi)))
+        for f, a, p in zip(lines, amplitudes, phases, strict=True)
+    )
+    return Excitation(direction * offset, sines, 1.0, periods, RAMP, SETTLE)
+
+
+def velocity_setpoint(excitation: Excitation, time: Array) -> Array:
+    """Velocity set-point at `time` (n,), s from standstill; rad/s (m/s)."""
+    rise = np.clip(time / excitation.ramp, 0.0, 1.0)
+    fall = np.clip((excitation.duration - time) / excitation.ramp, 0.0, 1.0)
+    envelope = (1 - np.cos(np.pi * np.minimum(rise, fall))) / 2
+    shape = np.full_like(time, excitation.offset_velocity)
+    for sine in excitation.sines:
+        shape += sine.amplitude * np.sin(2 * np.pi * sine.frequency * (time - excitation.measure_from) + sine.phase)
+    return envelope * shape
+
+
+def _offset(periods: int, travel: float, speed_limit: float, gear: float, orders: tuple[int, ...]) -> float:
+    """The fastest offset for a window of `periods` seconds that keeps every cogging order off the lines."""
+    fastest = min(travel / (RAMP + SETTLE + periods), speed_limit)
+    if not orders:
+        return fastest
+    common = reduce(gcd, orders)
+    step = 2 * np.pi / (common * gear * periods)
+    for n in range(int(fastest / step), 0, -1):
+        if all((order // common) * n % periods for order in orders):
+            return n * step
+    return 0.0

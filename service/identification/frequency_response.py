@@ -1,0 +1,221 @@
+r"""From the samples of one sweep to its lines: DFT of effort, velocity and of everything else that may explain effort.
+
+A measured window of P whole periods has bins at multiples of 1/(P period). The excited bins carry the answer; the bins
+between them carry what must not get into it: the swing-out of the elastic load, gravity changing along the way, torque
+ripple. So all bins between `LOW` and the last line plus `MARGIN` are kept, and of each candidate regressor x(t) its own
+DFT over the same window (never a formula for it): nothing has to be periodic for the equation
+
+    effort = sum theta_j x_j     =>     DFT[effort] = sum theta_j DFT[x_j]
+
+to hold bin by bin. X = 1/N sum_n x_n exp(-2 pi i f n / rate): a sine of amplitude a gives |X| = a/2, white noise of
+standard deviation s gives real and imaginary parts of variance s^2 / (2 N).
+
+Records without lines (a plain trajectory) use the trapezoidal rule, which approximates the integral over the record to
+second order also when its ends differ, and keep the bins from 0 Hz to `FREE_BAND`.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.errors import BadInput
+from service.recording import Array, Recording, Sweep, SweepSpec
+from service.robot import Axis, Robot
+
+Complex = NDArray[np.complex128]
+
+LOW = 1.0  # Hz: below, load- and position-dependent friction takes over
+MARGIN = 3.0  # Hz above the last line
+FREE_BAND = 20.0  # Hz
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """What identification keeps of one sweep: b bins of the window's DFT; SI on the joint side.
+
+    `regressors` (r, b): DFTs of the signals named by `names`: "gravity_torque" cos d and "gravity_stiffness" sin d of
+    the way d since the start pose (revolute), "ripple" cos and sin of each cogging and transmission order of the motor
+    angle, "coulomb" sign of the velocity where it reverses. A free record also has "acceleration" and "offset".
+    """
+
+    spec: SweepSpec
+    samples: int
+    frequency: Array  # (b,) Hz
+    line: NDArray[np.bool_]  # (b,) excited
+    effort: Complex  # (b,)
+    velocity: Complex  # (b,)
+    load_velocity: Complex | None  # (b,) direct encoder
+    names: tuple[str, ...]
+    regressors: Complex  # (r, b)
+
+    def named(self, name: str) -> Complex:
+        """All regressors of one name, (r', b)."""
+        return self.regressors[[k for k, own in enumerate(self.names) if own == name]]
+
+    def to_document(self) -> dict[str, Any]:
+        """As JSON-able data; floats survive exactly."""
+        return {
+            "spec": self.spec.model_dump(mode="json"),
+            "samples": self.samples,
+            "frequency": self.frequency.tolist(),
+            "line": self.line.tolist(),
+            "effort": _pairs(self.effort),
+            "velocity": _pairs(self.velocity),
+            "load_velocity": None if self.load_velocity is None else _pairs(self.load_velocity),
+            "names": list(self.names),
+            "regressors": [_pairs(row) for row in self.regressors],
+        }
+
+    @classmethod
+    def from_document(cls, document: dict[str, Any]) -> "Spectrum":
+        """The inverse of `to_document`."""
+        load = document["load_velocity"]
+        bins = len(document["frequency"])
+        return cls(
+            spec=SweepSpec.model_validate(document["spec"]),
+            samples=document["samples"],
+            frequency=np.array(document["frequency"]),
+            line=np.array(document["line"], dtype=bool),
+            effort=_complex(document["effort"]),
+            velocity=_complex(document["velocity"]),
+            load_velocity=None if load is None else _complex(load),
+            names=tuple(document["names"]),
+            regressors=np.array([_complex(row) for row in document["regressors"]]).reshape(-1, bins),
+        )
+
+
+def spectrum(robot: Robot, sweep: Sweep) -> Spectrum:
+    """The spectrum of one sweep of an axis of `robot`; BadInput where the record cannot hold it."""
+    spec, record = sweep.spec, sweep.recording
+    index = robot.index(spec.axis)
+    return (_periodic if spec.periodic else _free)(robot, index, spec, record)
+
+
+def _periodic(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> Spectrum:
+    first, count = window(spec, record.time)
+    time = np.arange(count) / spec.sample_rate
+    frequency, line = _bins(spec, count)
+    kernel = _rotation(frequency, time) / count
+    part = slice(first, first + count)
+    names, signals = _signals(robot, index, spec, record, part)
+    return Spectrum(
+        spec=spec,
+        samples=count,
+        frequency=frequency,
+        line=line,
+        effort=kernel @ record.effort[part],
+        velocity=kernel @ record.velocity[part],
+        load_velocity=_load_velocity(record, part, frequency, kernel),
+        names=names,
+        regressors=signals @ kernel.T,
+    )
+
+
+def _free(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> Spectrum:
+    first = int(np.searchsorted(record.time, spec.measure_from - 0.5 / spec.sample_rate))
+    time = record.time[first:] - record.time[first]
+    if len(time) < 8:
+        raise BadInput(f"sweep {spec.id}", f"only {len(time)} samples after measure_from {spec.measure_from} s")
+    length = float(time[-1])
+    frequency = np.arange(int(min(FREE_BAND, 0.4 * spec.sample_rate) * length) + 1) / length
+    weight = np.full(len(time), 1.0 / (len(time) - 1))
+    weight[[0, -1]] /= 2
+    kernel = _rotation(frequency, time) * weight
+    part = slice(first, None)
+    names, signals = _signals(robot, index, spec, record, part)
+    speed = record.velocity[part]
+    velocity = kernel @ speed
+    # by parts: DFT[dv/dt] = [v e^(-iwt)]/T + iw DFT[v]; at the bins e^(-iwT) = 1. No differentiation, no noise gain
+    acceleration = 2j * np.pi * frequency * velocity + (speed[-1] - speed[0]) / length
+    offset = kernel @ np.ones(len(time))
+    return Spectrum(
+        spec=spec,
+        samples=len(time),
+        frequency=frequency,
+        line=np.zeros(len(frequency), dtype=bool),
+        effort=kernel @ record.effort[part],
+        velocity=velocity,
+        load_velocity=None,
+        names=("acceleration", "offset", *names),
+        regressors=np.vstack([acceleration, offset, signals @ kernel.T]),
+    )
+
+
+def window(spec: SweepSpec, time: Array) -> tuple[int, int]:
+    """First sample and number of samples of the measured window; BadInput where the record is too short for it."""
+    if spec.period is None or spec.periods is None:
+        raise BadInput(f"sweep {spec.id}", "has no whole periods")
+    wanted = spec.period * spec.periods * spec.sample_rate
+    count = round(wanted)
+    if abs(wanted - count) > 1e-6 * wanted:
+        raise BadInput(
+            f"sweep {spec.id}",
+            f"{spec.periods} periods of {spec.period} s are not whole samples at {spec.sample_rate} Hz",
+        )
+    first = int(np.searchsorted(time, spec.measure_from - 0.5 / spec.sample_rate))
+    if first + count > len(time):
+        raise BadInput(
+            f"sweep {spec.id}",
+            f"window of {count} samples from {spec.measure_from} s leaves the record of {len(time)} samples",
+        )
+    return first, count
+
+
+def _rotation(frequency: Array, time: Array) -> Complex:
+    return np.exp(np.multiply.outer(-2j * np.pi * frequency, time)).astype(np.complex128)
+
+
+def _bins(spec: SweepSpec, count: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Frequencies of the bins in use and which of them are excited; BadInput for a line between two bins."""
+    step = spec.sample_rate / count
+    number = np.array([sine.frequency for sine in spec.sines]) / step
+    if np.any(np.abs(number - np.round(number)) > 1e-6 * number):
+        raise BadInput(f"sweep {spec.id}", f"a sine is not a whole multiple of {step:.6g} Hz, the window's resolution")
+    lines = np.round(number).astype(int)
+    highest = int(lines.max())
+    last = max(highest, min(highest + round(MARGIN / step), int(0.4 * count)))
+    first = max(1, min(round(LOW / step), int(lines.min())))
+    bins = np.arange(first, last + 1)
+    return np.asarray(bins * step, dtype=float), np.isin(bins, lines)
+
+
+def _signals(
+    robot: Robot, index: int, spec: SweepSpec, record: Recording, part: slice
+) -> tuple[tuple[str, ...], Array]:
+    axis, joint = robot.axes[index], robot.chain.joints[index]
+    position, velocity = record.position[part], record.velocity[part]
+    names: list[str] = []
+    rows: list[Array] = []
+    if joint.kind == "revolute" and np.any(robot.gravity):
+        way = position - spec.pose[index]
+        names += ["gravity_torque", "gravity_stiffness"]
+        rows += [np.cos(way), np.sin(way)]
+    for order in _ripple_orders(axis):
+        angle = order * axis.gear_ratio * position
+        names += ["ripple", "ripple"]
+        rows += [np.cos(angle), np.sin(angle)]
+    if velocity.min() < 0 < velocity.max():
+        names.append("coulomb")
+        rows.append(np.sign(velocity))
+    return tuple(names), np.array(rows).reshape(len(rows), len(position))
+
+
+def _ripple_orders(axis: Axis) -> tuple[float, ...]:
+    return tuple(sorted({*axis.cogging_orders, *axis.transmission_orders}))
+
+
+def _load_velocity(record: Recording, part: slice, frequency: Array, kernel: Complex) -> Complex | None:
+    """From the direct encoder: its velocity, or its position differentiated exactly in the frequency domain."""
+    if record.load_velocity is not None:
+        return kernel @ record.load_velocity[part]
+    return None
+
+
+def _pairs(values: Complex) -> list[list[float]]:
+    return [[value.real, value.imag] for value in values.tolist()]
+
+
+def _complex(pairs: list[list[float]]) -> Complex:
+    return np.array([complex(re, im) for re, im in pairs], dtype=complex)

@@ -1,0 +1,108 @@
+r"""Rows that are linear in the inertial parameters: the inertia about an axis and the gravity torque on it.
+
+When only joint k turns, at unit speed, body i >= k moves with the twist (v, w), expressed in its own frame i,
+
+    w = R_i^T z_k,   v = R_i^T (z_k x (p_i - p_k))      (revolute)        w = 0,  v = R_i^T z_k      (prismatic)
+
+and twice its kinetic energy is its share of the axis inertia (the paper's equation (4), without the sums written out):
+
+    J_k(q) = sum_i  m v.v + 2 mc.(v x w) + w^T I w   + u_k^2 Jm_k
+
+The parameter vector is [ten parameters of link 1, ..., ten of link n, u_1^2 Jm_1, ..., u_n^2 Jm_n], (11 n,).
+Joints that never move in a campaign are folded away first (`lock`), as the paper does with the last three axes.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.robot import INERTIAL_NAMES, link_frames, rotation_about
+from service.urdf import Chain, Joint, transform_inertial
+
+Array = NDArray[np.float64]
+
+
+def inertia_rows(chain: Chain, joint: int, poses: Array) -> Array:
+    """Rows (m, 10 n) with ``rows @ link parameters`` = inertia of the links about axis `joint`, kg m^2 (kg)."""
+    poses = np.atleast_2d(poses)
+    rotations, origins = link_frames(chain, poses)
+    count = len(chain.joints)
+    axis = rotations[:, joint] @ chain.joints[joint].axis
+    rows = np.zeros((len(poses), count, 10))
+    for body in range(joint, count):
+        to_body = np.swapaxes(rotations[:, body], -1, -2)
+        if chain.joints[joint].kind == "prismatic":
+            v, w = _apply(to_body, axis), np.zeros_like(axis)
+        else:
+            v = _apply(to_body, np.cross(axis, origins[:, body] - origins[:, joint]))
+            w = _apply(to_body, axis)
+        wx, wy, wz = w.T
+        rows[:, body, 0] = np.sum(v * v, -1)
+        rows[:, body, 1:4] = 2 * np.cross(v, w)
+        rows[:, body, 4:10] = np.stack([wx * wx, 2 * wx * wy, wy * wy, 2 * wx * wz, 2 * wy * wz, wz * wz], -1)
+    return rows.reshape(len(poses), -1)
+
+
+def axis_rows(chain: Chain, joint: int, poses: Array) -> Array:
+    """Rows (m, 11 n) of the whole parameter vector: links, then reflected motor inertias."""
+    links = inertia_rows(chain, joint, poses)
+    motors = np.zeros((len(links), len(chain.joints)))
+    motors[:, joint] = 1.0
+    return np.hstack([links, motors])
+
+
+def gravity_terms(chain: Chain, parameters: Array, gravity: Array, joint: int, poses: Array) -> Array:
+    """(m, 2): [torque, stiffness] of gravity about axis `joint` at each pose, N m and N m/rad.
+
+    Turned by d from the pose, the axis needs ``torque cos d + stiffness sin d``: with S the first moment of all that
+    hangs on the axis, taken from its origin, torque = -g.(z x S), stiffness = -g.(z x (z x S)). Zero for prismatic
+    axes, whose gravity force does not change along the way.
+    """
+    poses = np.atleast_2d(poses)
+    if chain.joints[joint].kind == "prismatic":
+        return np.zeros((len(poses), 2))
+    links = parameters[: 10 * len(chain.joints)].reshape(-1, 10)
+    rotations, origins = link_frames(chain, poses)
+    axis = rotations[:, joint] @ chain.joints[joint].axis
+    moment = np.zeros_like(axis)
+    for body in range(joint, len(chain.joints)):
+        arm = origins[:, body] - origins[:, joint]
+        moment += links[body, 0] * arm + rotations[:, body] @ links[body, 1:4]
+    turned = np.cross(axis, moment)
+    return np.stack([-turned @ gravity, -np.cross(axis, turned) @ gravity], -1)
+
+
+def lock(chain: Chain, fixed: dict[int, float]) -> Chain:
+    """The chain with the joints of `fixed` frozen at the given positions, their links folded into the one before.
+
+    Links before the first joint left belong to the base and drop out. The result has one link for each joint left.
+    """
+    joints: list[Joint] = []
+    inertial: list[Array] = []
+    rotation, translation = np.eye(3), np.zeros(3)  # of the present frame in the last frame kept
+    for k, joint in enumerate(chain.joints):
+        translation = translation + rotation @ joint.translation
+        rotation = rotation @ joint.rotation
+        if k not in fixed:
+            joints.append(replace(joint, rotation=rotation, translation=translation))
+            inertial.append(chain.inertial[k])
+            rotation, translation = np.eye(3), np.zeros(3)
+            continue
+        if joint.kind == "prismatic":
+            translation = translation + rotation @ joint.axis * fixed[k]
+        else:
+            rotation = rotation @ rotation_about(joint.axis, np.asarray(fixed[k]))
+        if inertial:
+            inertial[-1] = inertial[-1] + transform_inertial(chain.inertial[k], rotation, translation)
+    return Chain(tuple(joints), np.array(inertial).reshape(-1, 10))
+
+
+def parameter_names(chain: Chain) -> tuple[str, ...]:
+    """Names of the 11 n parameters: ``Izz(link_2)``, ..., ``Jm(joint_2)``; a folded body goes by its first link."""
+    links = [f"{name}({joint.link})" for joint in chain.joints for name in INERTIAL_NAMES]
+    return (*links, *(f"Jm({joint.name})" for joint in chain.joints))
+
+
+def _apply(matrices: Array, vectors: Array) -> Array:
+    return np.einsum("mij,mj->mi", matrices, vectors)

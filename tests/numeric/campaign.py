@@ -1,0 +1,86 @@
+"""Simulated campaigns for the numeric tests: scenario -> sweeps -> spectra, with the truth kept apart."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from service.identification import Spectrum, spectrum
+from service.identification.excitation import design_sweep
+from service.identification.regressor import inertia_rows, lock
+from service.recording import Recording, Sweep, SweepSpec
+from service.robot import Robot, RobotDescription, build_robot
+from simulator import Scenario, SweepRun, load_scenario, run_sweeps, true_inertia
+
+CONFIG = Path(__file__).parents[2] / "config"
+AXES = ("joint_1", "joint_2", "joint_3")
+# data-sheet stiffness of the gears, N m/rad: only the design of the sweeps uses it
+STIFFNESS = {"joint_1": 7e5, "joint_2": 1.8e6, "joint_3": 4e5}
+
+
+@dataclass(frozen=True)
+class SimulatedCampaign:
+    robot: Robot
+    scenario: Scenario
+    sweeps: tuple[Sweep, ...]
+
+    @property
+    def spectra(self) -> list[Spectrum]:
+        return [spectrum(self.robot, sweep) for sweep in self.sweeps]
+
+    def truth(self, joint: str) -> np.ndarray:
+        """True inertia in the poses of an axis' sweeps."""
+        poses = [sweep.spec.pose for sweep in self.sweeps if sweep.spec.axis == joint]
+        return true_inertia(self.scenario, joint, np.array(poses))
+
+
+def max100() -> Robot:
+    """The representative robot as its users get it."""
+    description = RobotDescription.model_validate(yaml.safe_load((CONFIG / "robots/max100-class.yaml").read_text()))
+    return build_robot(description, (CONFIG / "robots" / description.urdf).read_text())
+
+
+def measure(name: str, seed: int, poses: int = 24, sample_rate: float = 1000.0) -> SimulatedCampaign:
+    """`poses` random poses of axes 2 and 3, each measured on axes 1 to 3 of scenario `name`."""
+    robot, scenario = max100(), load_scenario(CONFIG / f"scenarios/{name}.yaml")
+    rng = np.random.default_rng(seed)
+    grid = np.zeros((poses, 6))
+    grid[:, 1], grid[:, 2] = rng.uniform(-1.2, 1.2, poses), rng.uniform(-2.0, 1.2, poses)
+    locked = lock(robot.chain, {3: 0.0, 4: 0.0, 5: 0.0})
+    specs: list[SweepSpec] = []
+    runs: list[SweepRun] = []
+    for number, joint in enumerate(AXES):
+        loads = inertia_rows(locked, number, grid[:, :3]) @ locked.inertial.ravel()
+        for pose, load in zip(grid, loads, strict=True):
+            stiff = name.endswith("rigid")
+            resonance = None if stiff else float(np.sqrt(STIFFNESS[joint] / load) / (2 * np.pi))
+            sweep = design_sweep(robot, joint, pose, load_inertia=float(load), locked_rotor_frequency=resonance)
+            specs.append(
+                SweepSpec(
+                    id=f"{len(specs) + 1:04}",
+                    axis=joint,
+                    pose=tuple(pose.tolist()),
+                    offset_velocity=sweep.offset_velocity,
+                    sines=sweep.sines,
+                    period=sweep.period,
+                    periods=sweep.periods,
+                    measure_from=sweep.measure_from,
+                    sample_rate=sample_rate,
+                )
+            )
+            runs.append(
+                SweepRun(
+                    axis=joint,
+                    pose=specs[-1].pose,
+                    offset_velocity=sweep.offset_velocity,
+                    sines=tuple((sine.frequency, sine.amplitude, sine.phase) for sine in sweep.sines),
+                    period=sweep.period,
+                    periods=sweep.periods,
+                    ramp=sweep.ramp,
+                    settle=sweep.settle,
+                    sample_rate=sample_rate,
+                )
+            )
+    recordings = [Recording(**columns) for columns in run_sweeps(scenario, runs, seed)]
+    return SimulatedCampaign(robot, scenario, tuple(map(Sweep, specs, recordings)))

@@ -1,0 +1,95 @@
+"""From spectra to the estimate's document: order does not matter, rank is honest, numbers are JSON."""
+
+import json
+
+import numpy as np
+import pytest
+
+from service.errors import BadInput
+from service.identification import Spectrum, identify, spectrum
+from service.identification.excitation import design_sweep, velocity_setpoint
+from service.identification.regressor import gravity_terms, inertia_rows
+from service.recording import Recording, Sweep, SweepSpec
+from service.robot import Robot
+
+
+def _spectra(robot: Robot, poses: list[tuple[float, float]]) -> list[Spectrum]:
+    """Rigid, noise-free sweeps of both axes by formula: effort = J dv/dt + mu v + gravity."""
+    spectra = []
+    for joint in robot.joints:
+        for pose in poses:
+            k = robot.index(joint)
+            inertia = (inertia_rows(robot.chain, k, np.array([pose])) @ (1.1 * robot.chain.inertial.ravel()))[0] + 60.0
+            torque, stiffness = gravity_terms(
+                robot.chain, 1.1 * robot.chain.inertial.ravel(), robot.gravity, k, np.array([pose])
+            )[0]
+            excitation = design_sweep(robot, joint, np.array(pose), load_inertia=300.0)
+            time = np.arange(round(excitation.duration * 1000)) / 1000
+            velocity = velocity_setpoint(excitation, time)
+            way = np.concatenate([[0.0], np.cumsum((velocity[1:] + velocity[:-1]) / 2000)])
+            effort = (
+                inertia * np.gradient(velocity, 1e-3, edge_order=2)
+                + 150 * velocity
+                + torque * np.cos(way)
+                + stiffness * np.sin(way)
+            )
+            spec = SweepSpec(
+                id=f"{len(spectra) + 1:04}",
+                axis=joint,
+                pose=pose,
+                offset_velocity=excitation.offset_velocity,
+                sines=excitation.sines,
+                period=1.0,
+                periods=excitation.periods,
+                measure_from=excitation.measure_from,
+                sample_rate=1000.0,
+            )
+            spectra.append(spectrum(robot, Sweep(spec, Recording(time, effort, velocity, pose[k] + way))))
+    return spectra
+
+
+POSES = [(0.0, -1.2), (0.0, -0.5), (0.0, 0.1), (0.0, 0.7), (0.0, 1.3)]
+
+
+def test_the_document_holds_the_contract(robot: Robot) -> None:
+    document = identify(robot, _spectra(robot, POSES)).to_document()
+    assert json.loads(json.dumps(document)) == document
+    assert set(document) == {"axes", "base_parameters", "condition_number", "standard_parameters"}
+    axis = document["axes"]["lift"]
+    assert set(axis["rmse_percent"]) == {"reference_measured", "identified_measured", "reference_identified"}
+    entry = axis["inertia"][0]
+    assert {"sweep", "value", "std", "std_total", "paper_value", "viscous_friction", "frequency_response"} <= set(entry)
+    assert entry["std_total"] == pytest.approx(np.hypot(entry["std"], 0.05 * entry["value"]))
+    assert entry["viscous_friction"] == pytest.approx(150, rel=0.02)
+    # the links are 10 % heavier than the nominal model and the motors 60 against 57.8
+    arm = 1.1 * (40 + 150 * 1.2**2) + 60
+    assert entry["value"] == pytest.approx(arm, rel=1e-4)
+    assert entry["paper_value"] == pytest.approx(arm, rel=0.05)
+
+
+def test_the_order_of_arrival_does_not_matter(robot: Robot) -> None:
+    spectra = _spectra(robot, POSES)
+    forward, backward = identify(robot, spectra).to_document(), identify(robot, spectra[::-1]).to_document()
+    assert forward == backward
+
+
+def test_too_few_poses_are_told(robot: Robot) -> None:
+    document = identify(robot, _spectra(robot, POSES[:2])).to_document()
+    assert document["condition_number"] is None
+    assert any(parameter["std"] is None for parameter in document["base_parameters"])
+    complete = identify(robot, _spectra(robot, POSES)).to_document()
+    assert complete["condition_number"] is not None
+    assert all(parameter["std"] is not None for parameter in complete["base_parameters"])
+
+
+def test_standard_parameters_reproduce_the_base_parameters(robot: Robot) -> None:
+    estimate = identify(robot, _spectra(robot, POSES))
+    standard = estimate.to_document()["standard_parameters"]
+    values = [value for link in standard["links"].values() for value in link.values()]
+    parameters = np.array(values + list(standard["motor_inertias"].values()))
+    np.testing.assert_allclose(estimate.base.combination @ parameters, estimate.solution.values, rtol=1e-6, atol=1e-6)
+
+
+def test_nothing_to_identify_from(robot: Robot) -> None:
+    with pytest.raises(BadInput, match="no sweep"):
+        identify(robot, [])

@@ -1,0 +1,104 @@
+import json
+
+import numpy as np
+import pytest
+
+from service.errors import BadInput
+from service.identification.frequency_response import Spectrum, spectrum
+from service.identification.time_domain import fit_record
+from service.recording import Recording, Sine, Sweep, SweepSpec
+from service.robot import Robot
+
+RATE = 250.0
+
+
+def _sweep(**changes: object) -> Sweep:
+    """2 and 5 Hz on an offset, three periods of 1 s; effort = 300 dv/dt + 40 v + 7 exactly."""
+    fields: dict[str, object] = {
+        "id": "0001",
+        "axis": "lift",
+        "pose": (0.0, 0.2),
+        "offset_velocity": 0.02,
+        "sines": (Sine(frequency=2, amplitude=0.004), Sine(frequency=5, amplitude=0.002, phase=1.0)),
+        "period": 1.0,
+        "periods": 3,
+        "measure_from": 0.4,
+        "sample_rate": RATE,
+        **changes,
+    }
+    spec = SweepSpec.model_validate(fields)
+    time = np.arange(int(4.4 * RATE)) / RATE
+    velocity = np.full_like(time, spec.offset_velocity)
+    acceleration, position = np.zeros_like(time), 0.2 + spec.offset_velocity * time
+    for sine in spec.sines:
+        w = 2 * np.pi * sine.frequency
+        angle = w * (time - spec.measure_from) + sine.phase
+        velocity += sine.amplitude * np.sin(angle)
+        acceleration += sine.amplitude * w * np.cos(angle)
+        position -= sine.amplitude / w * np.cos(angle)
+    return Sweep(spec, Recording(time, 300 * acceleration + 40 * velocity + 7, velocity, position))
+
+
+def test_lines_carry_amplitude_phase_and_impedance(robot: Robot) -> None:
+    result = spectrum(robot, _sweep())
+    assert result.samples == 750
+    np.testing.assert_allclose(result.frequency[result.line], [2.0, 5.0])
+    np.testing.assert_allclose(np.abs(result.velocity[result.line]), [0.002, 0.001], rtol=1e-9)
+    expected = 40 + 2j * np.pi * np.array([2.0, 5.0]) * 300
+    np.testing.assert_allclose((result.effort / result.velocity)[result.line], expected, rtol=1e-9)
+    assert np.abs(result.velocity[~result.line]).max() < 1e-12
+    assert np.diff(result.frequency) == pytest.approx(1 / 3)
+
+
+def test_regressors_are_the_dfts_of_the_signals(robot: Robot) -> None:
+    sweep = _sweep()
+    result = spectrum(robot, sweep)
+    part = slice(100, 850)
+    way = sweep.recording.position[part] - 0.2
+    row = int(np.flatnonzero(np.isclose(result.frequency, 3.0))[0])
+    kernel = np.exp(-2j * np.pi * 3.0 * np.arange(750) / RATE) / 750
+    assert result.named("gravity_stiffness")[0, row] == pytest.approx(kernel @ np.sin(way))
+    assert result.named("ripple")[2, row] == pytest.approx(kernel @ np.cos(48 * 170.0 * sweep.recording.position[part]))
+    assert not len(result.named("coulomb"))
+
+
+def test_a_spectrum_survives_json_exactly(robot: Robot) -> None:
+    result = spectrum(robot, _sweep())
+    back = Spectrum.from_document(json.loads(json.dumps(result.to_document())))
+    assert back.spec == result.spec
+    for field in ("frequency", "line", "effort", "velocity", "regressors"):
+        assert np.array_equal(getattr(back, field), getattr(result, field))
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"periods": 5}, "sweep 0001: window of 1250 samples from 0.4 s leaves the record of 1100 samples"),
+        ({"sines": ({"frequency": 2.1, "amplitude": 0.1},)}, "not a whole multiple of 0.333333 Hz"),
+        ({"period": 0.9999}, "not whole samples at 250.0 Hz"),
+        ({"axis": "elbow"}, "elbow: unknown joint; robot pair has swing, lift"),
+    ],
+)
+def test_what_cannot_be_analysed_is_refused(robot: Robot, changes: dict[str, object], reason: str) -> None:
+    good = _sweep()
+    sweep = Sweep(SweepSpec.model_validate({**good.spec.model_dump(), **changes}), good.recording)
+    with pytest.raises(BadInput, match=reason):
+        spectrum(robot, sweep)
+
+
+def test_a_free_record_gives_inertia_and_friction_without_differentiation(robot: Robot) -> None:
+    rate, rng = 500.0, np.random.default_rng(4)
+    time = np.arange(int(8 * rate)) / rate
+    velocity = 0.3 * np.sin(2 * np.pi * 0.4 * time) + 0.1 * np.sin(2 * np.pi * 1.1 * time)
+    acceleration = 0.3 * 0.8 * np.pi * np.cos(0.8 * np.pi * time) + 0.1 * 2.2 * np.pi * np.cos(2.2 * np.pi * time)
+    position = -0.3 / (0.8 * np.pi) * np.cos(0.8 * np.pi * time) - 0.1 / (2.2 * np.pi) * np.cos(2.2 * np.pi * time)
+    effort = 250 * acceleration + 90 * velocity + 35 * np.sign(velocity) - 4 + rng.normal(0, 2.0, len(time))
+    spec = SweepSpec(
+        id="1", axis="swing", pose=(0.0, 0.0), offset_velocity=0, excitation="trajectory", sample_rate=rate
+    )
+    fit = fit_record(spectrum(robot, Sweep(spec, Recording(time, effort, velocity, position))))
+    assert abs(fit.inertia - 250) < 4 * fit.inertia_std
+    assert fit.inertia_std < 0.5
+    for term, truth in (("viscous_friction", 90), ("coulomb_friction", 35)):
+        value, std = fit.terms[term]
+        assert abs(value - truth) < max(4 * std, 0.01 * truth)

@@ -1,0 +1,107 @@
+"""The joint fit on an exact linear two-mass plant (scipy's lsim, no code of ours), and its derivatives."""
+
+import numpy as np
+import pytest
+from scipy.signal import lsim
+
+from service.identification.axis_inertia import DriveTrain
+from service.identification.excitation import design_sweep, velocity_setpoint
+from service.identification.frequency_response import Spectrum, spectrum
+from service.identification.joint_fit import PosePrior, SharedPrior, _residual, fit_axis
+from service.recording import Recording, Sweep, SweepSpec
+from service.robot import Robot
+
+TRAIN = DriveTrain(60.0, 130.0, 80.0, 1 / 6e5, 1e-3)
+LOADS = np.linspace(110.0, 560.0, 8)
+NOMINAL_MOTOR = 57.0
+
+
+def _measure(robot: Robot, number: int, load: float, noise: float, rng: np.random.Generator) -> Spectrum:
+    """A speed-controlled two-mass axis with gravity stiffness, started at rest, sampled at 1 kHz."""
+    excitation = design_sweep(
+        robot,
+        "lift",
+        np.zeros(2),
+        load_inertia=load,
+        locked_rotor_frequency=TRAIN.locked_rotor_frequency(load),
+    )
+    k, gravity = 1 / TRAIN.compliance, 400.0 * np.cos(number)
+    d = TRAIN.damping_time * k
+    proportional = 2 * np.pi * 20 * (TRAIN.motor_inertia + load)
+    integral = 20 * proportional
+    jm, mm, ml = TRAIN.motor_inertia, TRAIN.motor_friction, TRAIN.load_friction
+    # states: motor speed, load speed, twist, control integral, load angle, motor angle
+    a = np.array(
+        [
+            [-(mm + d + proportional) / jm, d / jm, -k / jm, integral / jm, 0, 0],
+            [d / load, -(ml + d) / load, k / load, 0, -gravity / load, 0],
+            [1, -1, 0, 0, 0, 0],
+            [-1, 0, 0, 0, 0, 0],
+            [0, 1, 0, 0, 0, 0],
+            [1, 0, 0, 0, 0, 0],
+        ]
+    )
+    b = np.array([[proportional / jm], [0], [0], [1], [0], [0]])
+    c = np.array([[-proportional, 0, 0, integral, 0, 0], [1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 1]])
+    time = np.arange(round(excitation.duration * 4000)) / 4000
+    _, out, _ = lsim((a, b, c, [[proportional], [0], [0]]), velocity_setpoint(excitation, time), time)
+    effort, velocity, position = out[::4].T
+    spec = SweepSpec(
+        id=f"{number:04}",
+        axis="lift",
+        pose=(0.0, 0.0),
+        offset_velocity=excitation.offset_velocity,
+        sines=excitation.sines,
+        period=excitation.period,
+        periods=excitation.periods,
+        measure_from=excitation.measure_from,
+        sample_rate=1000.0,
+    )
+    effort = effort + rng.normal(0, noise, len(effort))
+    return spectrum(robot, Sweep(spec, Recording(time[::4], effort, velocity, position)))
+
+
+def _priors() -> tuple[SharedPrior, list[PosePrior]]:
+    shared = SharedPrior(np.array([NOMINAL_MOTOR, 100.0, 100.0, 0.0, 1e-3]), np.array([5.7, 100.0, 100.0, 1e-5, 2e-3]))
+    return shared, [PosePrior(np.array([1.15 * load, 0.0, 0.0]), np.array([load, 500.0, 500.0])) for load in LOADS]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_recovers_the_inertia_of_an_elastic_axis(robot: Robot, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    spectra = [_measure(robot, number, load, 6.0, rng) for number, load in enumerate(LOADS)]
+    fit = fit_axis(spectra, *_priors(), noise_guess=6.0)
+    truth = LOADS + TRAIN.motor_inertia
+    error, std = fit.inertia / truth - 1, np.sqrt(np.diag(fit.covariance)) / truth
+    assert np.median(np.abs(error)) < 0.006
+    assert np.abs(error).max() < 0.02
+    assert np.all(np.abs(error) < 4.5 * std)
+    assert fit.noise * np.sqrt(2 * 3000) == pytest.approx(np.full(len(LOADS), 6.0), rel=0.15)
+    resonance = [fit.train.locked_rotor_frequency(load) for load in fit.load_inertia]
+    np.testing.assert_allclose(resonance, [TRAIN.locked_rotor_frequency(load) for load in LOADS], rtol=0.03)
+
+
+def test_without_noise_nothing_is_left(robot: Robot) -> None:
+    spectra = [_measure(robot, number, load, 0.0, np.random.default_rng(0)) for number, load in enumerate(LOADS)]
+    fit = fit_axis(spectra, *_priors(), noise_guess=6.0)
+    np.testing.assert_allclose(fit.inertia, LOADS + TRAIN.motor_inertia, rtol=2e-4)
+
+
+def test_derivatives_equal_difference_quotients(robot: Robot) -> None:
+    spectrum_ = _measure(robot, 1, 300.0, 5.0, np.random.default_rng(0))
+    shared = TRAIN.as_array()
+    own = np.concatenate([[310.0, 250.0, -120.0, 0.4, 0.02], np.full(len(spectrum_.named("ripple")), 1.5)])
+    _, by_shared, by_own = _residual(spectrum_, shared, own)
+    for analytic, values, of_shared in ((by_shared, shared, True), (by_own, own, False)):
+        for k, value in enumerate(values):
+            step = 1e-5 * abs(value)
+            up, down = values.copy(), values.copy()
+            up[k] += step
+            down[k] -= step
+            pair = [
+                _residual(spectrum_, side, own)[0] if of_shared else _residual(spectrum_, shared, side)[0]
+                for side in (up, down)
+            ]
+            quotient = -(pair[0] - pair[1]) / (2 * step)
+            scale = np.abs(quotient).max()
+            np.testing.assert_allclose(analytic[:, k] / scale, quotient / scale, atol=2e-6)
