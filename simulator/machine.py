@@ -1,0 +1,134 @@
+"""The live virtual machine: axes with brakes that take velocity set-points and give samples, one cycle a row."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.moving_axis import MovingAxis, moving_axis
+from simulator.noise import measure
+from simulator.plant import Plant, Samples
+from simulator.rigid_body import RigidBody
+from simulator.scenario import CYCLE, Scenario, ScenarioError
+
+Array = NDArray[np.float64]
+
+_MOVED = 1e-3  # rad; further than that, inertia and gravity are taken anew
+
+
+@dataclass(frozen=True, slots=True)
+class AxisInfo:
+    """What the dictionary of an axis' drive is made of; joint side, motor inertia on the motor side."""
+
+    joint: str
+    gear_ratio: float
+    motor_inertia: float  # nominal, kg m^2
+    rated_effort: float  # N m
+    effort_limit: float  # N m
+    load_encoder: bool
+    locked: bool  # its brake cannot be opened
+
+
+class Machine:
+    """Every joint of the robot, base to tip; all brakes closed and all positions zero at first. Not thread-safe."""
+
+    cycle = CYCLE
+
+    def __init__(self, scenario: Scenario, seed: int) -> None:
+        self.scenario = scenario
+        self.joints = scenario.joints
+        self.axes = tuple(_info(scenario, joint) for joint in self.joints)
+        self._body = RigidBody(scenario)
+        self._driven = tuple(k for k, axis in enumerate(self.axes) if not axis.locked)
+        self._row = {joint: row for row, joint in enumerate(scenario.joints[k] for k in self._driven)}
+        self._pose = np.zeros(len(self.joints))
+        self._loaded = self._pose.copy()  # the pose whose inertia and gravity the plant has
+        self._plant = Plant(
+            self._moving_axes(self._pose),
+            [scenario.axes[joint].control for joint in self._row],
+            scenario.measurement.effort_delay,
+        )
+        self._rated = np.array([self.axes[k].rated_effort for k in self._driven])
+        self._random = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(len(self._driven))]
+
+    def energise(self, joint: str, on: bool) -> None:
+        """Open the brake of a joint in closed loop at standstill, or close it; ScenarioError if it is locked."""
+        self.scenario.driven(joint)
+        row = self._row[joint]
+        if not on:
+            self._plant.brake(row)
+        elif not self._plant.trains.free[row]:
+            self._load_pose(self.positions())
+            self._plant.release(row)
+
+    def energised(self, joint: str) -> bool:
+        return joint in self._row and bool(self._plant.trains.free[self._row[joint]])
+
+    def set_position(self, joint: str, position: float) -> None:
+        """Put a braked joint elsewhere, rad: the start pose. ScenarioError if it is energised."""
+        self.scenario.nominal(joint)
+        if self.energised(joint):
+            raise ScenarioError(f"joint {joint}: cannot be put elsewhere while it is energised")
+        self._pose[self.joints.index(joint)] = position
+        if joint in self._row:
+            self._plant.trains.position[:, self._row[joint]] = position
+
+    def set_effort_limit(self, joint: str, limit: float) -> None:
+        """Torque limit of a joint, N m on the joint side."""
+        self.scenario.driven(joint)
+        if not limit >= 0:
+            raise ScenarioError(f"joint {joint}: torque limit {limit} N m is negative")
+        self._plant.effort_limit[self._row[joint]] = limit
+
+    def positions(self) -> Array:
+        """Motor positions referred to the joints, (n,) rad."""
+        self._pose[list(self._driven)] = self._plant.trains.position[0]
+        return self._pose.copy()
+
+    def advance(self, setpoints: Array) -> Samples:
+        """Run m cycles under velocity set-points (m, n) rad/s; measured samples (m, n). Braked joints stay put."""
+        if setpoints.ndim != 2 or setpoints.shape[1] != len(self.joints):
+            raise ValueError(f"set-points {setpoints.shape} must be (cycles, {len(self.joints)})")
+        driven = list(self._driven)
+        pose = self.positions()
+        if np.abs(pose - self._loaded).max() > _MOVED:  # an axis' own motion changes nothing for itself
+            self._load_pose(pose)
+        clean = self._plant.advance(setpoints[:, driven] * self._plant.trains.free)
+        measured = measure(clean, self.scenario.measurement, self._rated, self._random)
+
+        def whole(part: Array, locked: Array) -> Array:
+            """Columns of all joints: `part` of the driven ones, `locked` (n,) of the others."""
+            columns = np.tile(locked, (len(setpoints), 1))
+            columns[:, driven] = part
+            return columns
+
+        nothing = np.zeros(len(self.joints))
+        return Samples(
+            effort=whole(measured.effort, nothing),
+            velocity=whole(measured.velocity, nothing),
+            position=whole(measured.position, self._pose),
+            load_position=whole(measured.load_position, self._pose),
+            load_velocity=whole(measured.load_velocity, nothing),
+            velocity_setpoint=whole(measured.velocity_setpoint, nothing),
+            torque_limited=whole(measured.torque_limited.astype(float), nothing) > 0,
+        )
+
+    def _load_pose(self, pose: Array) -> None:
+        self._plant.trains.load(self._moving_axes(pose))
+        self._loaded = pose
+
+    def _moving_axes(self, pose: Array) -> list[MovingAxis]:
+        return [moving_axis(self.scenario, self._body, joint, pose.tolist()) for joint in self._row]
+
+
+def _info(scenario: Scenario, joint: str) -> AxisInfo:
+    nominal, driven = scenario.nominal(joint), scenario.axes.get(joint)
+    return AxisInfo(
+        joint=joint,
+        gear_ratio=nominal.gear_ratio,
+        motor_inertia=nominal.motor_inertia,
+        rated_effort=nominal.rated_effort,
+        effort_limit=driven.control.effort_limit if driven else nominal.rated_effort,
+        load_encoder=driven.load_encoder if driven else False,
+        locked=driven is None,
+    )

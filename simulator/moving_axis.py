@@ -1,0 +1,35 @@
+"""One axis of a scenario in one pose: everything the plant needs to know of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from simulator.rigid_body import Gravity, RigidBody
+from simulator.scenario import DriveTrain, Scenario, ScenarioError
+
+
+@dataclass(frozen=True, slots=True)
+class MovingAxis:
+    """A row of the plant. Load inertia in kg m^2 about the joint, motor not counted."""
+
+    train: DriveTrain
+    gear_ratio: float  # motor revolutions per joint revolution
+    load_inertia: float
+    gravity: Gravity
+
+    @property
+    def motor_inertia(self) -> float:
+        """Reflected to the joint, kg m^2."""
+        return self.train.motor_inertia * self.gear_ratio**2
+
+
+def moving_axis(scenario: Scenario, body: RigidBody, joint: str, pose: Sequence[float]) -> MovingAxis:
+    """A joint with the whole robot in `pose` (n,) rad; ScenarioError if it is locked or the pose does not fit."""
+    if len(pose) != len(scenario.joints):
+        raise ScenarioError(f"{joint}: pose has {len(pose)} positions, the robot {len(scenario.joints)} joints")
+    driven, number = scenario.driven(joint), scenario.joints.index(joint)
+    return MovingAxis(
+        train=driven.train,
+        gear_ratio=scenario.nominal(joint).gear_ratio,
+        load_inertia=float(body.inertia(pose)[number]),
+        gravity=body.gravity(number, pose),
+    )

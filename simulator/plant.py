@@ -1,0 +1,121 @@
+"""The plant under cascade control: drive trains, PI speed controllers, and what happens within each 1 ms cycle.
+
+A cycle has `SUBSTEPS` steps of control and mechanics. The set-point runs straight from the last cycle's value to the
+new one (the drive's fine interpolator; a staircase would alias into the torque). Every channel of a sample is the mean
+over the same instants of the cycle, so any linear relation between torque and motion holds between the samples too.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.drive_train import DriveTrains
+from simulator.moving_axis import MovingAxis
+from simulator.scenario import CYCLE, SpeedControl
+
+Array = NDArray[np.float64]
+
+SUBSTEPS = 4
+STEP = CYCLE / SUBSTEPS
+_CHUNK = 256  # cycles whose steps are kept before they are averaged
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """One value a cycle, arrays (cycles, rows), joint side: N m, rad/s, rad."""
+
+    effort: Array
+    velocity: Array
+    position: Array
+    load_position: Array
+    load_velocity: Array
+    velocity_setpoint: Array
+    torque_limited: NDArray[np.bool_]
+
+
+class Plant:
+    """Many axes in closed loop, one row each."""
+
+    def __init__(self, axes: Sequence[MovingAxis], controls: Sequence[SpeedControl], effort_delay: float) -> None:
+        rows = len(axes)
+        self.trains = DriveTrains(axes, STEP)
+        self.effort_limit = np.array([c.effort_limit for c in controls])
+        self._gain = np.array([c.gain for c in controls])
+        self._reset = np.array([STEP / c.reset_time for c in controls]) * self._gain
+        self._integral = np.zeros(rows)
+        self._setpoint = np.zeros(rows)
+        delay = round(effort_delay / STEP)
+        if abs(delay * STEP - effort_delay) > 1e-9:
+            raise ValueError(f"effort delay {effort_delay} s is not a multiple of the plant step {STEP} s")
+        self._late_effort = np.zeros((delay, rows))
+
+    def release(self, row: int) -> None:
+        """Open the brake of a standing row with the torque that holds gravity."""
+        self._integral[row] = self.trains.settle(row)
+        self._late_effort[:, row] = self._integral[row]
+        self._setpoint[row] = 0.0
+        self.trains.free[row] = 1.0
+
+    def brake(self, row: int) -> None:
+        """Close the brake of a row: it stands at once and its motor has no torque."""
+        self.trains.free[row] = 0.0
+        self.trains.velocity[:, row] = 0.0
+        self._setpoint[row] = 0.0
+
+    def advance(self, setpoints: Array) -> Samples:
+        """Run ``len(setpoints)`` cycles; set-points (cycles, rows) rad/s are reached at the end of their cycles."""
+        parts = [self._chunk(setpoints[k : k + _CHUNK]) for k in range(0, len(setpoints), _CHUNK)]
+        if not parts:
+            raise ValueError("nothing to advance: no set-points")
+        return Samples(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Samples)))
+
+    def _chunk(self, setpoints: Array) -> Samples:
+        cycles, rows = setpoints.shape
+        steps = cycles * SUBSTEPS
+        before = np.concatenate([self._setpoint[None], setpoints[:-1]])
+        part = np.arange(1, SUBSTEPS + 1)[:, None] / SUBSTEPS
+        wanted = (before[:, None] + part * (setpoints - before)[:, None]).reshape(steps, rows)
+        self._setpoint = setpoints[-1].copy()
+
+        trains, masses = self.trains, len(self.trains.position)
+        effort = np.empty((steps, rows))
+        position = np.empty((steps, masses, rows))
+        velocity = np.empty((steps + 1, masses, rows))
+        velocity[0] = trains.velocity
+        for n in range(steps):
+            effort[n] = torque = self._control(wanted[n], trains.velocity[0])
+            position[n] = trains.position
+            trains.step(torque)
+            velocity[n + 1] = trains.velocity
+        velocity = (velocity[1:] + velocity[:-1]) / 2
+        limited = np.abs(effort) >= self.effort_limit
+        delayed = np.concatenate([self._late_effort, effort])
+        self._late_effort = delayed[steps:]
+        return Samples(
+            effort=_means(delayed[:steps]),
+            velocity=_means(velocity[:, 0]),
+            position=_means(position[:, 0]),
+            load_position=_means(position[:, -1]),
+            load_velocity=_means(velocity[:, -1]),
+            velocity_setpoint=_means(wanted),
+            torque_limited=limited.reshape(cycles, SUBSTEPS, rows).max(axis=1),
+        )
+
+    def _control(self, setpoint: Array, velocity: Array) -> Array:
+        """PI with torque limit; the integrator gives way while the limit holds (back-calculation)."""
+        error = setpoint - velocity
+        integral = self._integral
+        integral += self._reset * error
+        wanted = self._gain * error
+        wanted += integral
+        effort = np.minimum(np.maximum(wanted, -self.effort_limit), self.effort_limit)
+        integral += effort
+        integral -= wanted
+        effort *= self.trains.free
+        return effort
+
+
+def _means(steps: Array) -> Array:
+    return steps.reshape(-1, SUBSTEPS, steps.shape[-1]).mean(axis=1)

@@ -1,0 +1,157 @@
+"""Inertia and gravity of the real links, from MuJoCo (no rigid-body code of this project is used in the plant).
+
+The scenario's link inertials are written into the URDF text, MuJoCo compiles that; J_k(pose) is the diagonal of its
+joint-space inertia matrix. With the other joints held, gravity about revolute joint k is A cos q_k + B sin q_k: two
+evaluations of MuJoCo's bias force, at q_k = 0 and pi/2, give A and B exactly.
+"""
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from typing import Any, cast
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from simulator.scenario import AddedBody, LinkDeviation, Scenario, ScenarioError
+
+Array = NDArray[np.float64]
+
+_mujoco = cast(Any, mujoco)  # a binary module without type stubs
+
+
+@dataclass(frozen=True, slots=True)
+class Gravity:
+    """Torque the drive needs to hold the axis: ``cosine cos q + sine sin q + constant``, N m."""
+
+    cosine: float = 0.0
+    sine: float = 0.0
+    constant: float = 0.0
+
+    def at(self, position: float) -> float:
+        return float(self.cosine * np.cos(position) + self.sine * np.sin(position) + self.constant)
+
+
+class RigidBody:
+    """The real robot as a chain of rigid links. Not thread-safe (one MuJoCo state)."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        text = real_urdf(scenario)
+        try:
+            self._model = _mujoco.MjModel.from_xml_string(text)
+        except ValueError as error:
+            raise ScenarioError(f"scenario {scenario.name}: MuJoCo refuses the robot: {error}") from None
+        self._model.opt.gravity[:] = scenario.robot.gravity
+        self._data = _mujoco.MjData(self._model)
+        self._matrix = np.zeros((self._model.nv, self._model.nv))
+        names = tuple(self._model.joint(k).name for k in range(self._model.njnt))
+        if names != scenario.joints:
+            raise ScenarioError(f"scenario {scenario.name}: URDF joints {names} differ from axes {scenario.joints}")
+        if any(self._model.jnt_type != _mujoco.mjtJoint.mjJNT_HINGE):
+            raise ScenarioError(f"scenario {scenario.name}: only revolute joints can be simulated")
+
+    def inertia(self, pose: ArrayLike) -> Array:
+        """Load inertia about every joint in one pose (n,): (n,) kg m^2, motors not counted."""
+        self._data.qpos[:] = pose
+        _mujoco.mj_kinematics(self._model, self._data)
+        _mujoco.mj_comPos(self._model, self._data)
+        _mujoco.mj_crb(self._model, self._data)
+        _mujoco.mj_fullM(self._model, self._data, self._matrix)
+        return np.diag(self._matrix).copy()
+
+    def gravity(self, joint: int, pose: ArrayLike) -> Gravity:
+        """Gravity about joint number `joint` as a function of its own angle, the others held at `pose` (n,)."""
+        turned = np.array(pose, dtype=float)
+        turned[joint] = 0.0
+        cosine = self._bias(turned)[joint]
+        turned[joint] = np.pi / 2
+        return Gravity(cosine=float(cosine), sine=float(self._bias(turned)[joint]))
+
+    def _bias(self, pose: Array) -> Array:
+        self._data.qpos[:] = pose
+        self._data.qvel[:] = 0.0
+        _mujoco.mj_kinematics(self._model, self._data)
+        _mujoco.mj_comPos(self._model, self._data)
+        _mujoco.mj_comVel(self._model, self._data)
+        force = np.zeros(self._model.nv)
+        _mujoco.mj_rne(self._model, self._data, 0, force)
+        return force
+
+
+def real_urdf(scenario: Scenario) -> str:
+    """The robot's URDF with the inertials of the real links; collision and visual shapes left out."""
+    try:
+        root = ET.fromstring(scenario.robot.urdf)
+    except ET.ParseError as error:
+        raise ScenarioError(
+            f"scenario {scenario.name}: the URDF of {scenario.robot.name} is not XML: {error}"
+        ) from None
+    links = {element.get("name", ""): element for element in root.findall("link")}
+    unknown = sorted(set(scenario.links) - set(links))
+    if unknown:
+        raise ScenarioError(f"scenario {scenario.name}: links {unknown} are not in the URDF: {sorted(links)}")
+    for name, link in links.items():
+        for shape in link.findall("collision") + link.findall("visual"):
+            link.remove(shape)
+        if name in scenario.links:
+            _deviate(link, scenario.links[name])
+    return ET.tostring(root, encoding="unicode")
+
+
+def _deviate(link: ET.Element, deviation: LinkDeviation) -> None:
+    mass, centre, inertia = _read_inertial(link)
+    mass, centre, inertia = mass * deviation.mass, centre + deviation.shift, inertia * deviation.inertia
+    for body in deviation.added:
+        mass, centre, inertia = _join((mass, centre, inertia), _bar(body))
+    old = link.find("inertial")
+    if old is not None:
+        link.remove(old)
+    element = ET.SubElement(link, "inertial")
+    ET.SubElement(element, "origin", xyz=" ".join(repr(float(x)) for x in centre), rpy="0 0 0")
+    ET.SubElement(element, "mass", value=repr(float(mass)))
+    entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+    ET.SubElement(element, "inertia", {key: repr(float(inertia[place])) for key, place in entries.items()})
+
+
+def _read_inertial(link: ET.Element) -> tuple[float, Array, Array]:
+    """Mass, centre of mass and inertia about it, in the link's frame."""
+    name = link.get("name")
+    element = link.find("inertial")
+    if element is None:
+        return 0.0, np.zeros(3), np.zeros((3, 3))
+    origin, mass, tensor = element.find("origin"), element.find("mass"), element.find("inertia")
+    if mass is None or tensor is None:
+        raise ScenarioError(f"URDF link {name}: <inertial> needs <mass> and <inertia>")
+    centre = np.zeros(3)
+    if origin is not None:
+        centre = np.array([float(x) for x in origin.get("xyz", "0 0 0").split()])
+        if any(float(x) for x in origin.get("rpy", "0 0 0").split()):
+            raise ScenarioError(f"URDF link {name}: a turned <inertial> frame cannot be simulated")
+    try:
+        xx, xy, xz, yy, yz, zz = (float(tensor.attrib[key]) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+        return float(mass.attrib["value"]), centre, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    except (KeyError, ValueError) as error:
+        raise ScenarioError(f"URDF link {name}: <inertial> lacks a number: {error}") from None
+
+
+def _bar(body: AddedBody) -> tuple[float, Array, Array]:
+    start, end = np.array(body.start), np.array(body.end)
+    length = float(np.linalg.norm(end - start))
+    if length == 0:
+        raise ScenarioError(f"added body {body.name}: start and end are the same point")
+    along = np.outer(end - start, end - start) / length**2
+    across = np.eye(3) - along
+    inertia = body.mass * (body.radius**2 / 2 * along + (3 * body.radius**2 + length**2) / 12 * across)
+    return body.mass, (start + end) / 2, inertia
+
+
+def _join(a: tuple[float, Array, Array], b: tuple[float, Array, Array]) -> tuple[float, Array, Array]:
+    mass = a[0] + b[0]
+    centre = (a[0] * a[1] + b[0] * b[1]) / mass
+    return mass, centre, _about(a, centre) + _about(b, centre)
+
+
+def _about(body: tuple[float, Array, Array], point: Array) -> Array:
+    """Huygens-Steiner: inertia of (mass, centre, inertia about it) about another point."""
+    arm = body[1] - point
+    return body[2] + body[0] * (arm @ arm * np.eye(3) - np.outer(arm, arm))

@@ -1,0 +1,110 @@
+"""The live machine: brakes, closed loop, limits, noise, seeds."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from simulator import Scenario, ScenarioError
+from simulator.machine import Machine
+
+STILL = np.zeros((500, 6))
+
+
+@pytest.mark.parametrize("name", ["full", "rigid", "misfit"])
+def test_an_axis_stands_under_gravity_braked_and_in_closed_loop(
+    noise_free: Callable[[str], Scenario], name: str
+) -> None:
+    machine = Machine(noise_free(name), seed=1)
+    machine.set_position("joint_2", 0.9)
+    braked = machine.advance(STILL)
+    assert np.ptp(braked.position[:, 1]) == 0
+    assert np.all(braked.effort == 0)
+    machine.energise("joint_2", True)
+    held = machine.advance(STILL)
+    assert np.ptp(held.position[:, 1]) < 1e-5
+    assert np.abs(held.velocity[-100:, 1]).max() < 1e-6
+    assert held.effort[-1, 1] == pytest.approx(-2720, rel=0.01)  # the arm leans forward
+
+
+def test_positions_follow_the_setpoint_and_the_brake_stops(noise_free: Callable[[str], Scenario]) -> None:
+    machine = Machine(noise_free("full"), seed=1)
+    machine.energise("joint_1", True)
+    setpoints = np.zeros((2000, 6))
+    setpoints[:1000, 0] = 0.1 * np.sin(np.pi * np.arange(1000) / 1000) ** 2
+    moved = machine.advance(setpoints)
+    assert machine.positions()[0] == pytest.approx(0.05, abs=1e-3)  # dry friction holds it near
+    assert moved.position[-1, 0] == pytest.approx(machine.positions()[0], abs=1e-6)
+    machine.advance(np.full((300, 6), 0.05))
+    machine.energise("joint_1", False)
+    stopped = machine.advance(np.full((100, 6), 0.05))
+    assert np.ptp(stopped.position[:, 0]) == 0
+    assert not stopped.velocity.any()
+
+
+def test_small_calls_equal_one_large_call(noise_free: Callable[[str], Scenario]) -> None:
+    setpoints = np.zeros((200, 6))
+    setpoints[:, 2] = np.linspace(0, 0.02, 200)
+    whole, pieces = (Machine(noise_free("misfit"), seed=1) for _ in range(2))
+    whole.energise("joint_3", True)
+    pieces.energise("joint_3", True)
+    expected = whole.advance(setpoints)
+    parts = [pieces.advance(setpoints[k : k + 4]) for k in range(0, 200, 4)]
+    np.testing.assert_allclose(np.concatenate([p.effort for p in parts]), expected.effort, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(np.concatenate([p.position for p in parts]), expected.position, rtol=1e-12)
+
+
+def test_the_pose_of_the_others_changes_the_torque(noise_free: Callable[[str], Scenario]) -> None:
+    def effort(q3: float) -> float:
+        machine = Machine(noise_free("full"), seed=1)
+        machine.set_position("joint_2", 0.8)
+        machine.set_position("joint_3", q3)
+        machine.energise("joint_2", True)
+        return float(machine.advance(STILL).effort[-1, 1])
+
+    assert effort(1.0) - effort(-0.8) > 300
+
+
+def test_torque_limit_holds_and_is_reported(noise_free: Callable[[str], Scenario]) -> None:
+    machine = Machine(noise_free("full"), seed=1)
+    machine.set_effort_limit("joint_1", 400.0)
+    machine.energise("joint_1", True)
+    step = np.zeros((300, 6))
+    step[:, 0] = 0.3
+    samples = machine.advance(step)
+    assert np.abs(samples.effort[:, 0]).max() <= 400.0
+    assert samples.torque_limited[:50, 0].any()
+    assert not samples.torque_limited[:, 1:].any()
+    with pytest.raises(ScenarioError, match="negative"):
+        machine.set_effort_limit("joint_1", -1.0)
+
+
+def test_noise_and_steps_of_the_torque(scenario: Callable[[str], Scenario]) -> None:
+    machine = Machine(scenario("full"), seed=5)
+    samples = machine.advance(np.zeros((4000, 6)))
+    rated = np.array([axis.rated_effort for axis in machine.axes[:3]])
+    np.testing.assert_allclose(samples.effort[:, :3].std(axis=0), 0.002 * rated, rtol=0.05)
+    steps = samples.effort[:, :3] / (0.001 * rated)
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
+    np.testing.assert_allclose(samples.velocity[:, :3].std(axis=0), 5e-6, rtol=0.05)
+
+
+def test_the_seed_decides_the_noise(scenario: Callable[[str], Scenario]) -> None:
+    def effort(seed: int) -> np.ndarray:
+        return Machine(scenario("full"), seed).advance(np.zeros((50, 6))).effort
+
+    np.testing.assert_array_equal(effort(1), effort(1))
+    assert np.any(effort(1) != effort(2))
+
+
+def test_what_cannot_be_done_is_refused(scenario: Callable[[str], Scenario]) -> None:
+    machine = Machine(scenario("full"), seed=1)
+    assert [axis.locked for axis in machine.axes] == [False] * 3 + [True] * 3
+    with pytest.raises(ScenarioError, match="joint_5"):
+        machine.energise("joint_5", True)
+    machine.energise("joint_1", True)
+    assert machine.energised("joint_1")
+    with pytest.raises(ScenarioError, match="energised"):
+        machine.set_position("joint_1", 0.1)
+    with pytest.raises(ValueError, match=r"\(cycles, 6\)"):
+        machine.advance(np.zeros((3, 2)))

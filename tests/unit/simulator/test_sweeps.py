@@ -1,0 +1,102 @@
+"""Sweeps of the plant: columns, seeds, batches, sample rates, cogging, delay."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from simulator import Measurement, Scenario, ScenarioError, SweepRun, run_sweeps
+
+Make = Callable[..., SweepRun]
+Load = Callable[[str], Scenario]
+
+
+def line(columns: dict[str, np.ndarray], name: str, frequency: float, sweep: SweepRun) -> complex:
+    """Complex amplitude of one channel over the measured window."""
+    time = columns["time"]
+    start = sweep.waveform.measure_from
+    inside = (time >= start - 1e-9) & (time < start + sweep.period * sweep.periods - 1e-9)
+    return complex(2 * np.mean(columns[name][inside] * np.exp(-2j * np.pi * frequency * time[inside])))
+
+
+def test_columns(scenario: Load, sweep: Make) -> None:
+    (columns,) = run_sweeps(scenario("full"), [sweep("joint_1")], seed=1)
+    assert list(columns) == [
+        "time", "effort", "velocity", "position", "velocity_setpoint", "load_position", "load_velocity"
+    ]  # fmt: skip
+    assert {len(values) for values in columns.values()} == {4000}
+    np.testing.assert_allclose(columns["time"], np.arange(4000) / 1000)
+    assert columns["position"][0] == pytest.approx(0.1, abs=1e-6)
+
+
+def test_the_seed_decides_and_repeats_differ(scenario: Load, sweep: Make) -> None:
+    twice = [sweep("joint_3"), sweep("joint_3")]
+    one, again = run_sweeps(scenario("full"), twice, seed=7), run_sweeps(scenario("full"), twice, seed=7)
+    np.testing.assert_array_equal(one[1]["effort"], again[1]["effort"])
+    assert np.any(one[0]["effort"] != one[1]["effort"])
+    other = run_sweeps(scenario("full"), twice, seed=8)
+    assert np.any(one[0]["effort"] != other[0]["effort"])
+
+
+@pytest.mark.parametrize("name", ["rigid", "full", "misfit"])
+def test_a_sweep_alone_equals_the_same_sweep_in_a_batch(noise_free: Load, sweep: Make, name: str) -> None:
+    wanted = sweep("joint_2", q2=-0.4, periods=1)
+    others = [sweep("joint_1"), sweep("joint_3", offset=-0.02), wanted, sweep("joint_2", q2=1.0)]
+    (alone,) = run_sweeps(noise_free(name), [wanted], seed=1)
+    together = run_sweeps(noise_free(name), others, seed=1)[2]
+    for column, values in alone.items():
+        np.testing.assert_allclose(together[column], values, rtol=1e-10, atol=1e-12, err_msg=column)
+
+
+def test_a_lower_rate_keeps_the_ratio_of_torque_and_speed(noise_free: Load, sweep: Make) -> None:
+    runs = [sweep("joint_1", sample_rate=rate) for rate in (1000.0, 250.0)]
+    fast, slow = run_sweeps(noise_free("rigid"), runs, seed=1)
+    np.testing.assert_allclose(slow["time"], np.arange(1000) / 250)
+    for frequency in (2.0, 5.0):
+        ratios = [
+            line(columns, "effort", frequency, run) / line(columns, "velocity", frequency, run)
+            for columns, run in zip((fast, slow), runs, strict=True)
+        ]
+        assert ratios[1] == pytest.approx(ratios[0], rel=2e-5)
+
+
+def test_cogging_appears_at_its_order(noise_free: Load) -> None:
+    # 24 periods a motor revolution, 171 motor revolutions a joint revolution: 7 Hz at this speed, sines left out
+    speed = 2 * np.pi * 7.0 / (24 * 171.0)
+    run = SweepRun("joint_1", (0.0, 0.4, -0.9, 0.0, 0.0, 0.0), speed, (), 1.0, 3, 0.5, 1.5)
+    (columns,) = run_sweeps(noise_free("full"), [run], seed=1)
+    lines = {f: abs(line(columns, "effort", f, run)) for f in (3.0, 5.0, 7.0, 9.0, 11.0, 14.0)}
+    assert min(lines[7.0], lines[14.0]) > 1.0
+    assert max(lines[3.0], lines[5.0], lines[9.0], lines[11.0]) < 0.05
+
+
+def test_torque_noise_is_that_of_the_scenario(scenario: Load, noise_free: Load, sweep: Make) -> None:
+    noisy = run_sweeps(scenario("full"), [sweep("joint_1")], seed=3)[0]
+    clean = run_sweeps(noise_free("full"), [sweep("joint_1")], seed=3)[0]
+    assert np.std(noisy["effort"] - clean["effort"]) == pytest.approx(0.002 * 3000, rel=0.05)
+    assert np.std(noisy["velocity"] - clean["velocity"]) == pytest.approx(5e-6, rel=0.05)
+
+
+def test_effort_delay_shifts_the_torque_alone(noise_free: Load, sweep: Make) -> None:
+    rigid = noise_free("rigid")
+    late = rigid.model_copy(update={"measurement": Measurement(effort_delay=0.0005)})
+    run = sweep("joint_1")
+    (prompt,), (delayed,) = run_sweeps(rigid, [run], seed=1), run_sweeps(late, [run], seed=1)
+    np.testing.assert_array_equal(prompt["velocity"], delayed["velocity"])
+    turn = line(delayed, "effort", 5.0, run) / line(prompt, "effort", 5.0, run)
+    assert turn == pytest.approx(np.exp(-2j * np.pi * 5.0 * 0.0005), rel=1e-4)
+
+
+def test_no_sweep_gives_no_recording(scenario: Load) -> None:
+    assert run_sweeps(scenario("full"), [], seed=1) == []
+
+
+def test_sweeps_that_do_not_fit_are_refused(scenario: Load, sweep: Make) -> None:
+    full = scenario("full")
+    with pytest.raises(ScenarioError, match="joint_4"):
+        run_sweeps(full, [sweep("joint_4")], seed=1)
+    with pytest.raises(ScenarioError, match="300"):
+        run_sweeps(full, [sweep("joint_1", sample_rate=300.0)], seed=1)
+    short = SweepRun("joint_1", (0.0, 0.0), 0.01, (), 1.0, 1, 0.5, 0.5)
+    with pytest.raises(ScenarioError, match="2 positions"):
+        run_sweeps(full, [short], seed=1)
