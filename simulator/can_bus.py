@@ -1,0 +1,75 @@
+"""Any python-can interface as the drive's bus: a thread reads it, the owner's selector is woken for each batch."""
+
+import selectors
+import socket
+from collections import deque
+from collections.abc import Callable
+from threading import Event, Thread
+from typing import Any, cast
+
+import can
+import structlog
+
+from simulator.canopen.node import Frame
+
+_log = structlog.get_logger(__name__)
+_POLL = 0.1  # s, after which the reader looks whether it shall end
+
+
+class CanBus:
+    """`interface` and `channel` as python-can names them. Raises can.CanError (or OSError) if it cannot be opened."""
+
+    def __init__(
+        self, selector: selectors.BaseSelector, interface: str, channel: str, receive: Callable[[Frame], None]
+    ) -> None:
+        self._selector = selector
+        self._receive = receive
+        self._bus = cast(Any, can.Bus)(interface=interface, channel=channel)
+        self._frames: deque[Frame] = deque()
+        self._wake, self._woken = socket.socketpair()
+        self._woken.setblocking(False)
+        self._closing = Event()
+        selector.register(self._woken, selectors.EVENT_READ, self._deliver)
+        self._reader = Thread(target=self._read, name=f"can {interface} {channel}", daemon=True)
+        self._reader.start()
+
+    def send(self, frame: Frame) -> None:
+        """Put a frame on the bus; a bus that does not take it (bus-off, queue full) loses it."""
+        try:
+            self._bus.send(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False))
+        except can.CanError as error:
+            _log.warning("frame lost", identifier=hex(frame.id), error=str(error))
+
+    def due(self, now: float) -> float:
+        """Nothing is ever kept back."""
+        del now
+        return float("inf")
+
+    def run(self, now: float) -> None:
+        """Nothing is ever kept back."""
+
+    def close(self) -> None:
+        """End the reader and release the bus."""
+        self._closing.set()
+        self._reader.join()
+        self._selector.unregister(self._woken)
+        self._woken.close()
+        self._wake.close()
+        self._bus.shutdown()
+
+    def _read(self) -> None:
+        while not self._closing.is_set():
+            try:
+                message = self._bus.recv(_POLL)
+            except can.CanError as error:
+                _log.error("bus lost", error=str(error))
+                return
+            if message is None or message.is_extended_id or message.is_error_frame or message.is_remote_frame:
+                continue
+            self._frames.append(Frame(message.arbitration_id, bytes(message.data)))
+            self._wake.send(b"\0")
+
+    def _deliver(self, _: int) -> None:
+        self._woken.recv(4096)
+        while self._frames:
+            self._receive(self._frames.popleft())

@@ -1,0 +1,399 @@
+"""The meaning of one axis: CiA 402 states, modes and supervision over a dictionary. No I/O, no clock, no plant.
+
+In: controlword and set-points (through the dictionary), orders, and the samples of the cycles just run. Out:
+`energised`, the next speed set-points, and values in the dictionary. Positions in rev, speeds in rev/s of the motor.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.canopen.cyclic import CyclicVelocity
+from simulator.canopen.dictionary import Abort, AbortCode, Dictionary
+from simulator.canopen.errors import ErrorCode, ErrorLog
+from simulator.canopen.measuring import MeasuringFunction, Run, Samples
+from simulator.canopen.profile import Motion, brake, travel
+from simulator.canopen.states import ENERGISED, TRANSITIONS, Command, State, command_of, fault_reset
+from simulator.canopen.supervision import Supervision
+from simulator.canopen.units import INCREMENTS, PER_MILLE, SPEED, clamp
+
+Array = NDArray[np.float64]
+
+_POSITION_GAIN = 10.0  # 1/s, position controller of mode 1 and of standing
+_STANDSTILL = 0.5 / 60  # rev/s; below that a ramp has ended
+_PATIENCE = 0.5  # s after the end of a ramp until the brake closes in any case
+_SETTLING = 3.0  # s after the end of a move until it counts as at rest in any case
+
+
+class Mode(IntEnum):
+    """Modes of operation, 6060h."""
+
+    NONE = 0
+    PROFILE_POSITION = 1
+    CYCLIC_VELOCITY = 9
+
+
+class Axis:
+    """One axis. `can_move` is False where the machine has no power section for it."""
+
+    def __init__(self, dictionary: Dictionary, cycle: float, *, can_move: bool) -> None:
+        self._dictionary = dictionary
+        self._cycle = cycle
+        self._can_move = can_move
+        self.errors = ErrorLog(dictionary)
+        self.measuring = MeasuringFunction(dictionary, cycle)
+        self._cyclic_velocity = CyclicVelocity(dictionary)
+        self.position = 0.0
+        self.speed = 0.0
+        self.emergency_stop = False
+        dictionary.on_download((0x6040, 0), self.control)
+        dictionary.on_download((0x6060, 0), self._change_mode)
+        dictionary.on_download((0x2100, 1), self._measure)
+        self.reset()
+
+    def reset(self) -> None:
+        """Power-on: no torque, nothing remembered but where the axis stands and whether safe torque off is active."""
+        self.state = State.SWITCH_ON_DISABLED
+        self.mode = Mode.NONE
+        self.measuring.reset()
+        self._cyclic_velocity.restart()
+        self._supervision = Supervision(self._dictionary, self._cycle)
+        self._controlword = 0
+        self._command = 0.0  # speed set-point at the end of the cycles so far
+        self._motion: Motion | None = None  # a move, or a ramp to standstill
+        self._ramping = False  # the motion is a ramp
+        self._motion_time = 0.0
+        self._origin = self.position  # where the motion began, or where the axis is held
+        self._after: State | None = None  # state at the end of the ramp
+        self._settling = 0.0  # s left for coming to rest after a move
+        self._target: float | None = None  # of the last move, rev
+        self._acknowledged = False
+        self._dictionary[0x6064, 0] = clamp(self.position * INCREMENTS, 32)
+        if self.emergency_stop:
+            self.stop_safely(on=True)
+        self._publish()
+
+    # What others may know
+
+    @property
+    def energised(self) -> bool:
+        """Torque on, brake open."""
+        return self.state in ENERGISED
+
+    @property
+    def interpolating(self) -> bool:
+        """Whether the set-points follow SYNC: mode 9, enabled, first SYNC seen, not braking."""
+        return self.watch_until is not None
+
+    @property
+    def moving(self) -> bool:
+        """Whether a move, a ramp or the measuring function runs."""
+        return self._motion is not None or self.measuring.driving
+
+    @property
+    def settling(self) -> bool:
+        """Whether a move has still to come to rest at its target (for a few seconds at most)."""
+        return self._settling > 0
+
+    @property
+    def watch_until(self) -> float | None:
+        """When SYNC counts as missing, s; None while it is not monitored."""
+        return self._cyclic_velocity.watch_until if self._cyclic else None
+
+    @property
+    def torque_limit(self) -> float:
+        """Least of 6072h, 60E0h, 60E1h as a part of the rated torque."""
+        d = self._dictionary
+        return min(d[0x6072, 0], d[0x60E0, 0], d[0x60E1, 0]) / PER_MILLE
+
+    @property
+    def _cyclic(self) -> bool:
+        return self.state is State.OPERATION_ENABLED and self.mode is Mode.CYCLIC_VELOCITY and self._motion is None
+
+    @property
+    def _speed_limit(self) -> float:
+        return self._dictionary[0x6080, 0] / SPEED
+
+    @property
+    def _window(self) -> tuple[float, float]:
+        return self._dictionary[0x607D, 1] / INCREMENTS, self._dictionary[0x607D, 2] / INCREMENTS
+
+    # Commands
+
+    def control(self, controlword: int) -> None:
+        """Take a controlword (6040h)."""
+        before, self._controlword = self._controlword, controlword
+        if self.state is State.FAULT:
+            if fault_reset(before, controlword) and not self.emergency_stop:
+                self.state = State.SWITCH_ON_DISABLED
+                self.errors.clear()
+        else:
+            command = command_of(controlword)
+            if command is not None:
+                self._obey(command)
+            if self.state is State.OPERATION_ENABLED and self._after is None:
+                self._operate(before)
+        self._publish()
+
+    def fail(self, code: int) -> None:
+        """A fault: enter it and react as 605Eh says; the axis ends in FAULT."""
+        self.errors.enter(code)
+        if self.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            option = self._dictionary[0x605E, 0]
+            if self.energised and option:
+                self.state = State.FAULT_REACTION_ACTIVE
+                self._brake(fast=option == 2, then=State.FAULT)
+            else:
+                self._release(State.FAULT)
+        self._publish()
+
+    def quick_stop(self) -> None:
+        """Quick stop of an enabled axis as 605Ah says; any other state stays."""
+        if self.state is State.OPERATION_ENABLED:
+            self._obey(Command.QUICK_STOP)
+            self._publish()
+
+    def disable_voltage(self) -> None:
+        """Torque off now."""
+        if self.state is not State.FAULT:
+            self._obey(Command.DISABLE_VOLTAGE)
+            self._publish()
+
+    def stop_safely(self, *, on: bool) -> None:
+        """Safe torque off: torque away at once, FAULT; no reset before it is released."""
+        self.emergency_stop = on
+        self._dictionary[0x2130, 1] = int(on)
+        if on:
+            self.errors.enter(ErrorCode.EMERGENCY_STOP)
+            self._release(State.FAULT)
+        self._publish()
+
+    # Cycles
+
+    def sync(self, now: float) -> None:
+        """A SYNC at `now`, s: the set-point received before it becomes the goal of the next cycle."""
+        code = self._cyclic_velocity.sync(now) if self._cyclic else None
+        if code is not None:
+            self.fail(code)
+
+    def watch(self, now: float) -> None:
+        """Real time went on to `now`, s: is SYNC missing?"""
+        limit = self.watch_until
+        if limit is not None and now > limit:
+            self.fail(ErrorCode.SYNC_MISSING)
+
+    def setpoints(self, cycles: int) -> Array:
+        """Speed set-points at the end of each of the next cycles (cycles,), rev/s."""
+        if not self.energised:
+            return np.zeros(cycles)
+        if self.measuring.driving:
+            speeds = self.measuring.setpoints(cycles)
+            self._command = float(speeds[-1])
+            return speeds
+        if self._cyclic:
+            goal = self._cyclic_velocity.goal
+            speeds = self._command + (goal - self._command) * np.arange(1, cycles + 1) / cycles
+            self._command = goal
+            return speeds
+        correction = 0.0
+        speeds = np.zeros(cycles)
+        if self._motion is not None:
+            time = np.arange(1, cycles + 1, dtype=np.float64) * self._cycle
+            speeds = self._motion.velocity(time + self._motion_time)
+        if not self._ramping and self.mode is not Mode.CYCLIC_VELOCITY:
+            correction = _POSITION_GAIN * (self._reference() - self.position)
+        self._motion_time += cycles * self._cycle
+        self._settling -= cycles * self._cycle if self._motion is None else 0.0
+        self._command = float(speeds[-1])
+        limit = self._speed_limit
+        return np.clip(speeds + correction, -limit, limit)
+
+    def observe(self, samples: Samples) -> None:
+        """What the axis did in the cycles just asked for."""
+        d = self._dictionary
+        self.position, self.speed = float(samples.position[-1]), float(samples.speed.mean())
+        d[0x6064, 0] = clamp(float(samples.position.mean()) * INCREMENTS, 32)
+        d[0x606C, 0] = clamp(self.speed * SPEED, 32)
+        torque = float(samples.torque.mean())
+        d[0x6077, 0] = clamp(torque * PER_MILLE * PER_MILLE / d[0x6076, 0], 16) if self.energised else 0
+        if self.energised:
+            if self.measuring.run is Run.RUNNING and not self._ramping:
+                self.measuring.record(samples)
+                if not self.measuring.driving:
+                    self._hold()
+            self._finish_motion()
+            if self._at_target:
+                self._settling = 0.0
+            self._supervise(samples)
+        self._publish()
+
+    def _supervise(self, samples: Samples) -> None:
+        if self.state is State.FAULT_REACTION_ACTIVE:
+            return
+        tracked = self.mode is not Mode.CYCLIC_VELOCITY and not self._ramping and not self.measuring.driving
+        error = self._reference() - self.position if tracked else 0.0
+        code = self._supervision.check(samples, self._command, error)
+        if code is not None:
+            self.fail(code)
+
+    def _finish_motion(self) -> None:
+        if self._motion is None or self._motion_time < self._motion.duration:
+            return
+        late = self._motion_time > self._motion.duration + _PATIENCE
+        if not self._ramping:
+            self._origin += self._motion.distance
+            self._motion, self._settling = None, _SETTLING
+        elif abs(self.speed) < _STANDSTILL or late:
+            self._motion = None
+            self._hold()
+            self.measuring.aborted()
+            if self._after is not None:
+                self._release(self._after)
+
+    # Inside
+
+    def _obey(self, command: Command) -> None:
+        to = TRANSITIONS.get(self.state, {}).get(command)
+        if to is None:
+            return
+        d = self._dictionary
+        if to is State.OPERATION_ENABLED:
+            self._enable()
+        elif command is Command.QUICK_STOP and self.state is State.OPERATION_ENABLED:
+            option = d[0x605A, 0]
+            if option == 0:
+                self._release(State.SWITCH_ON_DISABLED)
+            else:
+                self.state = State.QUICK_STOP_ACTIVE
+                self._brake(fast=option not in (1, 5), then=None if option > 4 else State.SWITCH_ON_DISABLED)
+        elif command in (Command.SHUTDOWN, Command.SWITCH_ON) and self.state is State.OPERATION_ENABLED:
+            if not d[0x605B if command is Command.SHUTDOWN else 0x605C, 0]:
+                self._release(to)
+            elif self._after is None:
+                self._brake(fast=False, then=to)
+        else:
+            self._release(to)
+
+    def _enable(self) -> None:
+        if not self._can_move:
+            self.fail(ErrorCode.NO_POWER_SECTION)
+        elif self.state is not State.QUICK_STOP_ACTIVE:
+            self.state = State.OPERATION_ENABLED
+            self._supervision = Supervision(self._dictionary, self._cycle)
+            self._enter_mode()
+        elif self._after is None and self._motion is None:
+            self.state = State.OPERATION_ENABLED
+            self._enter_mode()
+
+    def _enter_mode(self) -> None:
+        """Start the mode from standstill: hold where the axis is, no set-point yet."""
+        self._hold()
+        self._target = None
+        self._cyclic_velocity.restart()
+        if self.mode is Mode.CYCLIC_VELOCITY and not self._cyclic_velocity.period_agrees:
+            self.fail(ErrorCode.PARAMETER)
+
+    def _change_mode(self, value: int) -> None:
+        if value not in tuple(Mode):
+            raise Abort(AbortCode.VALUE)
+        if value == self.mode:
+            return
+        if self.moving or abs(self._command) > 0:
+            raise Abort(AbortCode.STATE)
+        self.mode = Mode(value)
+        if self.state is State.OPERATION_ENABLED:
+            self._enter_mode()
+        self._publish()
+
+    def _operate(self, before: int) -> None:
+        """Bits of the controlword that belong to the mode."""
+        now = self._controlword
+        if now & 0x100 and self.moving and not self._ramping:
+            self._brake(fast=self._dictionary[0x605D, 0] == 2, then=None)
+        if self.mode is not Mode.PROFILE_POSITION:
+            return
+        if now & ~before & 0x10 and not now & 0x100 and not self.measuring.driving:
+            self._move(relative=bool(now & 0x40))
+            self._acknowledged = True
+        elif not now & 0x10:
+            self._acknowledged = False
+
+    def _move(self, *, relative: bool) -> None:
+        d = self._dictionary
+        present = self._reference() if not self._ramping else self.position
+        target = d[0x607A, 0] / INCREMENTS
+        if relative:
+            target += present if self._target is None else self._target
+        low, high = self._window
+        if not low <= target <= high:
+            self.fail(ErrorCode.POSITION_LIMIT)
+            return
+        limit = min(d[0x6081, 0], d[0x607F, 0], d[0x6080, 0]) / SPEED
+        if limit == 0.0:
+            return
+        self._target = target
+        self._origin, self._motion_time, self._ramping = present, 0.0, False
+        self._motion = travel(target - present, self._command, limit, d[0x6083, 0] / SPEED, d[0x6084, 0] / SPEED)
+
+    def _measure(self, command: int) -> None:
+        if command == 1:
+            if self.measuring.run is Run.RUNNING:
+                raise Abort(AbortCode.STATE)
+            ready = self.state is State.OPERATION_ENABLED and not self.moving and self.mode is not Mode.CYCLIC_VELOCITY
+            self.measuring.start(self.position, ready=ready, limit=self._speed_limit, window=self._window)
+        elif command == 2 and self.measuring.driving:
+            self._brake(fast=True, then=None)
+        self._publish()
+
+    def _brake(self, *, fast: bool, then: State | None) -> None:
+        """Ramp to standstill, then `then` (None: stay in this state and hold)."""
+        self.measuring.stop()
+        self._motion = brake(self._command, self._dictionary[0x6085 if fast else 0x6084, 0] / SPEED)
+        self._motion_time, self._ramping, self._after = 0.0, True, then
+
+    def _release(self, to: State) -> None:
+        """Torque off, brake closed: the axis stands."""
+        self.state = to
+        self.measuring.stop()
+        self.measuring.aborted()
+        self._hold()
+        self._after = None
+        self.speed = 0.0
+        self._dictionary[0x606C, 0] = self._dictionary[0x6077, 0] = 0
+
+    def _hold(self) -> None:
+        self._motion, self._ramping, self._settling = None, False, 0.0
+        self._origin, self._command = self.position, 0.0
+
+    def _reference(self) -> float:
+        """Where the axis should be now, rev."""
+        if self._motion is None or self._ramping:
+            return self._origin
+        return self._origin + float(self._motion.position(np.array([self._motion_time]))[0])
+
+    def _publish(self) -> None:
+        word = int(self.state) | 0x200
+        if not self.emergency_stop:
+            word |= 0x10
+        standing = self._motion is None and not self.measuring.driving
+        if self.state is State.QUICK_STOP_ACTIVE:
+            word |= 0x400 if standing else 0
+        elif self.state is State.OPERATION_ENABLED and self.mode is Mode.PROFILE_POSITION:
+            word |= 0x1000 if self._acknowledged else 0
+            word |= 0x400 if self._at_target else 0
+        elif self._cyclic:
+            word |= 0x1000
+        if self._supervision.limited:
+            word |= 0x800
+        if self._dictionary[0x603F, 0] == ErrorCode.FOLLOWING:
+            word |= 0x2000
+        self._dictionary[0x6041, 0] = word
+        self._dictionary[0x6061, 0] = int(self.mode)
+
+    @property
+    def _at_target(self) -> bool:
+        if self._motion is not None or self.measuring.driving or abs(self.speed) > _STANDSTILL:
+            return False
+        window = self._dictionary[0x6067, 0] / INCREMENTS
+        return self._target is None or abs(self._target - self.position) < window

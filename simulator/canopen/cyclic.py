@@ -1,0 +1,51 @@
+"""Cyclic synchronous velocity: the set-point 60FFh between two SYNCs, and what is missing."""
+
+import math
+
+from simulator.canopen.dictionary import Dictionary
+from simulator.canopen.errors import ErrorCode
+from simulator.canopen.units import SPEED
+
+
+class CyclicVelocity:
+    """The goal of the present cycle in rev/s, and the monitoring of SYNC and set-points (2121h)."""
+
+    def __init__(self, dictionary: Dictionary) -> None:
+        self._dictionary = dictionary
+        dictionary.on_download((0x60FF, 0), self._received)
+        self.restart()
+
+    def restart(self) -> None:
+        """From standstill: no set-point yet, no SYNC seen."""
+        self.goal = 0.0
+        self._dictionary[0x60FF, 0] = 0
+        self._last_sync: float | None = None
+        self._missing = 0
+        self._fresh = False  # a set-point came since the last SYNC
+
+    @property
+    def period_agrees(self) -> bool:
+        """Whether 60C2h says what 1006h says."""
+        period = self._dictionary[0x60C2, 1] * 10.0 ** self._dictionary[0x60C2, 2]
+        return math.isclose(period, self._dictionary[0x1006, 0] * 1e-6)
+
+    @property
+    def watch_until(self) -> float | None:
+        """When SYNC counts as missing, s; None before the first one."""
+        return None if self._last_sync is None else self._last_sync + self._dictionary[0x2121, 1] * 1e-3
+
+    def sync(self, now: float) -> ErrorCode | None:
+        """Take the set-point received before this SYNC as the goal; the fault if that must not be."""
+        self._last_sync = now
+        self._missing = 0 if self._fresh else self._missing + 1
+        self._fresh = False
+        goal = self._dictionary[0x60FF, 0]
+        if self._missing > self._dictionary[0x2121, 2]:
+            return ErrorCode.SET_POINT_MISSING
+        if abs(goal) > self._dictionary[0x6080, 0]:
+            return ErrorCode.SPEED_LIMIT
+        self.goal = goal / SPEED
+        return None
+
+    def _received(self, _: int) -> None:
+        self._fresh = True

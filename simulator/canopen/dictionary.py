@@ -1,0 +1,150 @@
+"""The object dictionary of one node: typed values with the access rules and ranges of the EDS (CiA 301, 7.2.4).
+
+Inside the drive values are read and written by key, ``d[0x6041, 0]``; from the bus they pass `upload` and `download`.
+"""
+
+from collections.abc import Callable
+from enum import IntEnum
+from pathlib import Path
+from typing import Any, cast
+
+import canopen
+from canopen.objectdictionary import ODVariable, datatypes
+
+Key = tuple[int, int]
+Value = int | float | str | bytes
+
+
+class AbortCode(IntEnum):
+    """SDO abort codes in use (CiA 301, table 22)."""
+
+    TOGGLE = 0x05030000
+    COMMAND = 0x05040001
+    BLOCK_SIZE = 0x05040002
+    WRITE_ONLY = 0x06010001
+    READ_ONLY = 0x06010002
+    NO_OBJECT = 0x06020000
+    NOT_MAPPABLE = 0x06040041
+    PDO_LENGTH = 0x06040042
+    TOO_LONG = 0x06070012
+    TOO_SHORT = 0x06070013
+    NO_SUBINDEX = 0x06090011
+    VALUE = 0x06090030
+    TOO_HIGH = 0x06090031
+    TOO_LOW = 0x06090032
+    STATE = 0x08000022
+    NO_DATA = 0x08000024
+
+
+class Abort(Exception):
+    """A transfer that the server refuses with `code`."""
+
+    def __init__(self, code: AbortCode) -> None:
+        super().__init__(f"SDO abort 0x{code:08X} {code.name}")
+        self.code = code
+
+
+class Dictionary:
+    """Values of one node, from the EDS at `eds`; `node` resolves ``$NODEID``."""
+
+    def __init__(self, eds: Path, node: int) -> None:
+        objects = cast(Any, canopen).import_od(str(eds), node)
+        self._variables: dict[Key, ODVariable] = {}
+        self._indices: set[int] = set()
+        for entry in objects.values():
+            self._indices.add(entry.index)
+            for variable in [entry] if isinstance(entry, ODVariable) else entry.values():
+                self._variables[variable.index, variable.subindex] = variable
+        self._values: dict[Key, Value] = {}
+        self._on_download: dict[Key, Callable[[Any], None]] = {}
+        self._on_upload: dict[Key, Callable[[], bytes]] = {}
+        self.restore()
+
+    def restore(self) -> None:
+        """Every value as the EDS says; what has no default there is 0."""
+        for key, variable in self._variables.items():
+            default = cast("Value | None", variable.default)
+            self._values[key] = 0 if default is None else default
+
+    def __contains__(self, key: Key) -> bool:
+        return key in self._variables
+
+    def __getitem__(self, key: Key) -> Any:
+        return self._values[key]
+
+    def __setitem__(self, key: Key, value: Value) -> None:
+        if key not in self._variables:
+            raise KeyError(key)
+        self._values[key] = value
+
+    def keys(self, index: int) -> list[Key]:
+        """All keys of one object, by sub-index."""
+        return sorted(key for key in self._variables if key[0] == index)
+
+    def on_download(self, key: Key, hook: Callable[[Any], None]) -> None:
+        """Call `hook(value)` before a value from the bus is stored; it may raise `Abort` to refuse it."""
+        self._variable(*key)
+        self._on_download[key] = hook
+
+    def on_upload(self, key: Key, hook: Callable[[], bytes]) -> None:
+        """Ask `hook()` for the bytes of a domain when the bus wants them; it may raise `Abort`."""
+        self._variable(*key)
+        self._on_upload[key] = hook
+
+    def upload(self, index: int, subindex: int) -> bytes:
+        """What the bus gets to read. Raises `Abort`."""
+        variable = self._variable(index, subindex)
+        if not variable.readable:
+            raise Abort(AbortCode.WRITE_ONLY)
+        hook = self._on_upload.get((index, subindex))
+        if hook is not None:
+            return hook()
+        return self.encode((index, subindex))
+
+    def download(self, index: int, subindex: int, data: bytes) -> None:
+        """Take a value from the bus: access, length, range, hook, store. Raises `Abort`; then nothing changed."""
+        variable = self._variable(index, subindex)
+        if not variable.writable:
+            raise Abort(AbortCode.READ_ONLY)
+        value: Any = data
+        if variable.data_type in datatypes.NUMBER_TYPES:
+            size = len(variable) // 8
+            if len(data) != size:
+                raise Abort(AbortCode.TOO_LONG if len(data) > size else AbortCode.TOO_SHORT)
+            value = variable.decode_raw(data)
+            if variable.max is not None and value > variable.max:
+                raise Abort(AbortCode.TOO_HIGH)
+            if variable.min is not None and value < variable.min:
+                raise Abort(AbortCode.TOO_LOW)
+        hook = self._on_download.get((index, subindex))
+        if hook is not None:
+            hook(value)
+        self._values[index, subindex] = value
+
+    def encode(self, key: Key) -> bytes:
+        """The present value as it goes over the bus."""
+        return bytes(cast(Any, self._variables[key]).encode_raw(self._values[key]))
+
+    def struct_format(self, key: Key) -> str:
+        """The `struct` character of a number, e.g. "H"; little endian."""
+        return (
+            ODVariable.STRUCT_TYPES[cast(int, self._variables[key].data_type)]
+            .format.lstrip("<")
+            .replace("l", "i")
+            .replace("L", "I")
+        )
+
+    def mapping(self, key: Key) -> tuple[int, bool, bool] | None:
+        """(bits, may go into an RPDO, may go into a TPDO) of an object; None if it does not exist."""
+        variable = self._variables.get(key)
+        if variable is None:
+            return None
+        return len(variable), variable.pdo_mappable and variable.writable, variable.pdo_mappable and variable.readable
+
+    def _variable(self, index: int, subindex: int) -> ODVariable:
+        if index not in self._indices:
+            raise Abort(AbortCode.NO_OBJECT)
+        variable = self._variables.get((index, subindex))
+        if variable is None:
+            raise Abort(AbortCode.NO_SUBINDEX)
+        return variable

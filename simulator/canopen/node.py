@@ -1,0 +1,232 @@
+"""One CANopen node: NMT, heartbeat, SDO, PDO and EMCY around an `Axis` (CiA 301). Frames in, frames out by `send`."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+from typing import NamedTuple
+
+from simulator.canopen.axis import Axis
+from simulator.canopen.dictionary import Abort, AbortCode, Dictionary, Key, Value
+from simulator.canopen.errors import ErrorCode
+from simulator.canopen.pdo import process_data
+from simulator.canopen.sdo import SdoServer
+
+
+class Frame(NamedTuple):
+    """A data frame with an 11-bit identifier."""
+
+    id: int
+    data: bytes
+
+
+SYNC_ID = 0x80
+
+
+class Nmt(IntEnum):
+    """NMT states as the heartbeat shows them."""
+
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+
+_NMT_COMMANDS = {1: Nmt.OPERATIONAL, 2: Nmt.STOPPED, 128: Nmt.PRE_OPERATIONAL}
+_NMT_RESETS = (129, 130)
+_CLOCKED_BY_SYNC = 240
+
+
+@dataclass(slots=True)
+class Disturbance:
+    """What the control port does to a node."""
+
+    mute: bool = False
+    drop_tpdos: int = 0
+    counter_frozen: bool = False
+    fault_code: int | None = None  # fails at ...
+    fault_at_sample: int | None = None  # ... this trace sample
+    fault_at_counter: int | None = None  # ... this SYNC counter
+
+
+class Node:
+    """`constants` are the values that the EDS cannot know; they are installed at every boot."""
+
+    def __init__(
+        self,
+        number: int,
+        eds: Path,
+        cycle: float,
+        constants: Mapping[Key, Value],
+        send: Callable[[Frame], None],
+        *,
+        can_move: bool,
+    ) -> None:
+        self.number = number
+        self.dictionary = Dictionary(eds, number)
+        self._constants = dict(constants)
+        self.axis = Axis(self.dictionary, cycle, can_move=can_move)
+        self._server = SdoServer(self.dictionary)
+        self._receive, self._transmit = process_data(self.dictionary)
+        self._cycle = cycle
+        self._raw_send = send
+        self.disturbance = Disturbance()
+        self.dictionary.on_download((0x1006, 0), self._check_cycle)
+        self.dictionary.on_download((0x1016, 1), self._forget_host)
+        self.nmt = Nmt.PRE_OPERATIONAL
+        self._pending: dict[int, bytes] = {}
+        self._syncs = 0
+        self._next_heartbeat: float | None = None
+        self._host_seen: float | None = None
+
+    def set_identity(self, values: Mapping[int, int]) -> None:
+        """Values of 1018h by sub-index from the next boot on."""
+        self._constants |= {(0x1018, sub): value for sub, value in values.items()}
+
+    def boot(self) -> None:
+        """Power-on or reset: torque off, dictionary as in the EDS, boot-up message."""
+        self.dictionary.restore()
+        for key, value in self._constants.items():
+            self.dictionary[key] = value
+        self.axis.reset()
+        self._server.reset()
+        for pdo in (*self._receive, *self._transmit):
+            pdo.reset()
+        self._pending.clear()
+        self.nmt = Nmt.PRE_OPERATIONAL
+        self._next_heartbeat = self._host_seen = None
+        self._send(Frame(0x700 + self.number, b"\0"))
+
+    def receive(self, frame: Frame, now: float) -> None:
+        """Any frame of the bus but SYNC."""
+        if frame.id == 0:
+            self._command(frame.data)
+        elif frame.id == 0x600 + self.number:
+            if self.nmt is not Nmt.STOPPED:
+                for response in self._server.handle(frame.data):
+                    self._send(Frame(0x580 + self.number, response))
+        elif self._host and frame.id == 0x700 + self._host:
+            self._host_seen = now
+        elif self.nmt is Nmt.OPERATIONAL:
+            for k, pdo in enumerate(self._receive):
+                if pdo.valid and frame.id == pdo.cob_id:
+                    if pdo.transmission_type > _CLOCKED_BY_SYNC:
+                        self._apply(k, frame.data)
+                    else:
+                        self._pending[k] = frame.data
+        self._send_emergencies()
+
+    def sync(self, now: float) -> None:
+        """Transmit the state at this instant, then let the values received before it act."""
+        self._syncs += 1
+        if not self.disturbance.counter_frozen:
+            self.dictionary[0x2120, 1] = (self.dictionary[0x2120, 1] + 1) & 0xFFFFFFFF
+        if self.nmt is Nmt.OPERATIONAL:
+            for pdo in self._transmit:
+                if pdo.valid and self._syncs % pdo.transmission_type == 0:
+                    self._send_tpdo(Frame(pdo.cob_id, pdo.pack()))
+            for k, data in self._pending.items():
+                self._apply(k, data)
+        self._pending.clear()
+        if self.nmt is not Nmt.STOPPED:
+            self.axis.sync(now)
+        self._ordered_fault()
+        self._send_emergencies()
+
+    def run(self, now: float) -> None:
+        """What falls due by `now`, s: heartbeats, time-outs, ordered faults, emergency messages."""
+        period = self.dictionary[0x1017, 0] * 1e-3
+        if period == 0:
+            self._next_heartbeat = None
+        elif self._next_heartbeat is None or now >= self._next_heartbeat:
+            self._send(Frame(0x700 + self.number, bytes([self.nmt])))
+            self._next_heartbeat = max((self._next_heartbeat or now) + period, now)
+        timeout = self._host_timeout
+        if self._host_seen is not None and 0 < timeout < now - self._host_seen:
+            self._host_seen = None
+            self._lose_host()
+        self.axis.watch(now)
+        self._ordered_fault()
+        self._send_emergencies()
+
+    def due(self, now: float) -> float:
+        """When `run` is wanted at the latest, s; infinity if nothing is pending."""
+        times = [now if self.dictionary[0x1017, 0] and self._next_heartbeat is None else self._next_heartbeat]
+        if self._host_seen is not None and self._host_timeout > 0:
+            times.append(self._host_seen + self._host_timeout)
+        times.append(self.axis.watch_until)
+        return min((time for time in times if time is not None), default=float("inf"))
+
+    @property
+    def _host(self) -> int:
+        return self.dictionary[0x1016, 1] >> 16 & 0x7F
+
+    @property
+    def _host_timeout(self) -> float:
+        return (self.dictionary[0x1016, 1] & 0xFFFF) * 1e-3
+
+    def _command(self, data: bytes) -> None:
+        if len(data) < 2 or data[1] not in (0, self.number):
+            return
+        if data[0] in _NMT_RESETS:
+            self.boot()
+            return
+        state = _NMT_COMMANDS.get(data[0], self.nmt)
+        if self.nmt is Nmt.OPERATIONAL and state is not Nmt.OPERATIONAL:
+            self._pending.clear()
+            self.axis.quick_stop()
+        self.nmt = state
+
+    def _lose_host(self) -> None:
+        """The abort connection option 6007h of an enabled axis; any other stands already."""
+        if not self.axis.energised:
+            return
+        match self.dictionary[0x6007, 0]:
+            case 1:
+                self.axis.fail(ErrorCode.HEARTBEAT)
+            case 2:
+                self.axis.disable_voltage()
+            case 3:
+                self.axis.quick_stop()
+            case _:
+                pass
+
+    def _apply(self, k: int, data: bytes) -> None:
+        for (index, subindex), value in self._receive[k].unpack(data):
+            try:
+                self.dictionary.download(index, subindex, value)
+            except Abort:
+                continue  # a drive ignores what it cannot take; monitoring ends the motion if need be
+
+    def _ordered_fault(self) -> None:
+        order = self.disturbance
+        if order.fault_code is None:
+            return
+        at_sample, at_counter = order.fault_at_sample, order.fault_at_counter
+        if at_sample is not None and not (self.axis.measuring.driving and self.axis.measuring.count >= at_sample):
+            return
+        if at_counter is not None and self.dictionary[0x2120, 1] < at_counter:
+            return
+        code, order.fault_code = order.fault_code, None
+        self.axis.fail(code)
+
+    def _check_cycle(self, value: int) -> None:
+        if value % round(self._cycle * 1e6):
+            raise Abort(AbortCode.VALUE)
+
+    def _forget_host(self, _: int) -> None:
+        self._host_seen = None
+
+    def _send_tpdo(self, frame: Frame) -> None:
+        if self.disturbance.drop_tpdos > 0:
+            self.disturbance.drop_tpdos -= 1
+        else:
+            self._send(frame)
+
+    def _send_emergencies(self) -> None:
+        for message in self.axis.errors.take_messages():
+            if self.nmt is not Nmt.STOPPED:
+                self._send(Frame(0x80 + self.number, message))
+
+    def _send(self, frame: Frame) -> None:
+        if not self.disturbance.mute:
+            self._raw_send(frame)

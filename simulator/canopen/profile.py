@@ -1,0 +1,81 @@
+"""Motion of piecewise constant acceleration: positioning by a trapezoid, and the ramp to standstill.
+
+From speed v with acceleration a to speed w the way is (w^2 - v^2) / 2a. A trapezoid over the distance D from speed
+v0 >= 0 in the direction of D reaches at most vp^2 = (2 a d D + d v0^2) / (a + d) with acceleration a, deceleration d.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Speeds `velocities` (k + 1,) at the corners of k phases of `durations` (k,), linear between, last kept."""
+
+    durations: tuple[float, ...]
+    velocities: tuple[float, ...]
+
+    @property
+    def duration(self) -> float:
+        return sum(self.durations)
+
+    @property
+    def distance(self) -> float:
+        """The whole way."""
+        return float(self.position(np.array([self.duration]))[0])
+
+    def position(self, time: Array) -> Array:
+        """The way since the start at each time >= 0; shapes (m,) -> (m,)."""
+        corners = np.concatenate(([0.0], np.cumsum(self.durations)))
+        speeds = np.array(self.velocities)
+        ways = np.concatenate(([0.0], np.cumsum(np.diff(corners) * (speeds[:-1] + speeds[1:]) / 2)))
+        phase = np.clip(np.searchsorted(corners, time, side="right") - 1, 0, len(speeds) - 1)
+        since = time - corners[phase]
+        return ways[phase] + since * (speeds[phase] + self._velocity(time, corners, speeds)) / 2
+
+    def velocity(self, time: Array) -> Array:
+        """The speed at each time >= 0; shapes (m,) -> (m,)."""
+        return self._velocity(time, np.concatenate(([0.0], np.cumsum(self.durations))), np.array(self.velocities))
+
+    @staticmethod
+    def _velocity(time: Array, corners: Array, speeds: Array) -> Array:
+        return np.interp(time, corners, speeds)
+
+
+def brake(velocity: float, deceleration: float) -> Motion:
+    """From `velocity` to standstill at `deceleration` > 0."""
+    if velocity == 0.0:
+        return Motion((), (0.0,))
+    return Motion((abs(velocity) / deceleration,), (velocity, 0.0))
+
+
+def travel(distance: float, start: float, limit: float, acceleration: float, deceleration: float) -> Motion:
+    """From speed `start` over `distance` (both signed) to standstill, at most at `limit` > 0.
+
+    Where the present speed leads away from the target or past it, the axis brakes to standstill first and comes back.
+    """
+    direction = math.copysign(1.0, distance)
+    way, speed = abs(distance), start * direction
+    stopping = speed * abs(speed) / (2 * deceleration)
+    if speed < 0 or stopping > way:
+        first = brake(start, deceleration)
+        return _joined(first, travel(distance - first.distance, 0.0, limit, acceleration, deceleration))
+    if speed > limit:
+        slow = Motion(((speed - limit) / deceleration,), (start, limit * direction))
+        return _joined(slow, travel(distance - slow.distance, limit * direction, limit, acceleration, deceleration))
+    if way == 0.0:
+        return Motion((), (0.0,))
+    peak = math.sqrt((2 * acceleration * deceleration * way + deceleration * speed**2) / (acceleration + deceleration))
+    peak = max(min(peak, limit), speed)
+    cruise = way - (peak**2 - speed**2) / (2 * acceleration) - peak**2 / (2 * deceleration)
+    durations = ((peak - speed) / acceleration, max(cruise, 0.0) / peak, peak / deceleration)
+    return Motion(durations, (start, peak * direction, peak * direction, 0.0))
+
+
+def _joined(first: Motion, second: Motion) -> Motion:
+    return Motion(first.durations + second.durations, first.velocities + second.velocities[1:])

@@ -1,0 +1,245 @@
+"""Modes, stops and supervision of one axis on a motor that follows exactly."""
+
+import struct
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from simulator.canopen.axis import Axis
+from simulator.canopen.dictionary import Abort, AbortCode, Dictionary
+from simulator.canopen.errors import ErrorCode
+from simulator.canopen.states import State
+
+REV = 1 << 20
+Turn = Callable[..., np.ndarray]
+Enable = Callable[[int], None]
+
+
+def target(dictionary: Dictionary, axis: Axis, revolutions: float) -> None:
+    dictionary[0x607A, 0] = round(revolutions * REV)
+    axis.control(0x0F)
+    axis.control(0x1F)
+
+
+def stream(dictionary: Dictionary, axis: Axis, speed: float, now: float) -> None:
+    """A set-point in rev/s and the SYNC after it."""
+    dictionary.download(0x60FF, 0, struct.pack("<i", round(speed * 60_000)))
+    axis.sync(now)
+
+
+def test_positioning_and_its_handshake(dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+    enable(1)
+    target(dictionary, axis, 3.0)
+    assert dictionary[0x6041, 0] & 0x1400 == 0x1000  # acknowledged, not there
+    axis.control(0x0F)
+    assert dictionary[0x6041, 0] & 0x1000 == 0
+    speeds = turn(4000)
+    assert axis.position == pytest.approx(3.0, abs=1e-3)
+    assert dictionary[0x6041, 0] & 0x400
+    assert not axis.moving
+    assert speeds.max() <= 10.0  # 6081h
+    assert np.abs(np.diff(speeds)).max() <= 1e6 / 60_000 * 0.001 + 1e-3  # 6083h, 6084h and the position controller
+
+    axis.control(0x5F)  # relative: 3 more
+    turn(4000)
+    assert axis.position == pytest.approx(6.0, abs=1e-3)
+
+
+def test_a_new_target_is_taken_at_once(dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+    enable(1)
+    target(dictionary, axis, 50.0)
+    turn(400)
+    target(dictionary, axis, -1.0)
+    turn(8000)
+    assert axis.position == pytest.approx(-1.0, abs=1e-3)
+
+
+def test_halt_stops_and_keeps_the_axis_enabled(dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+    enable(1)
+    target(dictionary, axis, 50.0)
+    turn(400)
+    axis.control(0x11F)
+    turn(2000)
+    assert axis.state is State.OPERATION_ENABLED
+    assert turn(80) == pytest.approx(np.zeros(80), abs=1e-9)
+    assert axis.position < 40
+
+
+@pytest.mark.parametrize(
+    ("option", "seconds", "end"),
+    [
+        (0, 0.0, State.SWITCH_ON_DISABLED),
+        (1, 0.6, State.SWITCH_ON_DISABLED),
+        (2, 0.12, State.SWITCH_ON_DISABLED),
+        (5, 0.6, State.QUICK_STOP_ACTIVE),
+        (6, 0.12, State.QUICK_STOP_ACTIVE),
+    ],
+)
+def test_quick_stop_by_its_option(
+    dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable, option: int, seconds: float, end: State
+) -> None:
+    dictionary[0x605A, 0] = option
+    enable(1)
+    target(dictionary, axis, 90.0)
+    turn(1000)
+    assert axis.speed == pytest.approx(10.0, rel=1e-3)
+    axis.control(0x02)
+    if seconds:
+        assert axis.state is State.QUICK_STOP_ACTIVE
+        speeds = turn(round(seconds * 1000) - 8, 4)
+        assert axis.energised
+        assert np.all(np.diff(speeds) < 0)
+        turn(24, 4)
+    assert axis.state is end
+    assert turn(80) == pytest.approx(np.zeros(80))
+    if end is State.QUICK_STOP_ACTIVE:
+        assert dictionary[0x6041, 0] & 0x400
+        axis.control(0x0F)
+        assert axis.state is State.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize(("controlword", "end"), [(0x06, State.READY_TO_SWITCH_ON), (0x07, State.SWITCHED_ON)])
+def test_shutdown_and_disable_operation_ramp_first(
+    dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable, controlword: int, end: State
+) -> None:
+    enable(1)
+    target(dictionary, axis, 90.0)
+    turn(1000)
+    axis.control(controlword)
+    turn(400)
+    assert axis.state is State.OPERATION_ENABLED
+    turn(400)
+    assert axis.state is end
+    assert not axis.energised
+
+
+def test_cyclic_velocity_is_interpolated_between_syncs(
+    dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable
+) -> None:
+    enable(9)
+    assert not axis.interpolating
+    stream(dictionary, axis, 1.0, 0.0)
+    assert axis.interpolating
+    assert turn(4, 4) == pytest.approx([0.25, 0.5, 0.75, 1.0])
+    stream(dictionary, axis, -1.0, 0.004)
+    assert turn(4, 4) == pytest.approx([0.5, 0.0, -0.5, -1.0])
+    with pytest.raises(Abort) as refused:
+        dictionary.download(0x6060, 0, b"\x01")
+    assert refused.value.code is AbortCode.STATE  # it moves
+
+
+def test_missing_syncs_and_set_points_are_faults(
+    dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable
+) -> None:
+    enable(9)
+    axis.watch(100.0)
+    assert axis.state is State.OPERATION_ENABLED  # no SYNC yet: nothing to monitor
+    stream(dictionary, axis, 1.0, 100.0)
+    turn(4, 4)
+    axis.watch(100.09)
+    assert axis.state is State.OPERATION_ENABLED
+    axis.watch(100.11)
+    assert axis.state is State.FAULT_REACTION_ACTIVE
+    assert dictionary[0x603F, 0] == ErrorCode.SYNC_MISSING
+    turn(100, 4)
+    assert axis.state is State.FAULT
+
+    axis.control(0x80)
+    enable(9)
+    stream(dictionary, axis, 1.0, 200.0)
+    for cycle in range(10):
+        axis.sync(200.0 + 0.004 * cycle)
+    assert axis.state is State.OPERATION_ENABLED
+    axis.sync(200.1)
+    assert dictionary[0x603F, 0] == ErrorCode.SET_POINT_MISSING
+
+
+def test_mode_9_needs_its_interpolation_period(dictionary: Dictionary, axis: Axis, enable: Enable) -> None:
+    dictionary[0x1006, 0] = 10_000
+    enable(9)
+    assert dictionary[0x603F, 0] == ErrorCode.PARAMETER
+
+
+def test_no_set_point_survives_enabling(dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+    dictionary.download(0x60FF, 0, struct.pack("<i", 60_000))
+    enable(9)
+    axis.sync(0.0)
+    assert turn(4, 4) == pytest.approx(np.zeros(4))
+
+
+def test_limits_are_kept_in_the_drive(dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+    enable(1)
+    target(dictionary, axis, 100.5)
+    assert dictionary[0x603F, 0] == ErrorCode.POSITION_LIMIT
+    assert axis.state is State.FAULT_REACTION_ACTIVE
+    turn(16)
+    assert axis.state is State.FAULT
+
+    axis.control(0x80)
+    enable(9)
+    stream(dictionary, axis, 50.1, 0.0)
+    assert dictionary[0x603F, 0] == ErrorCode.SPEED_LIMIT
+    turn(16)
+
+    axis.control(0x00)
+    axis.control(0x80)
+    dictionary[0x607D, 2] = round(0.5 * REV)
+    enable(9)
+    for cycle in range(500):
+        stream(dictionary, axis, 2.0, 0.004 * cycle)
+        turn(4, 4)
+    assert dictionary[0x603F, 0] == ErrorCode.POSITION_LIMIT
+    assert axis.state is State.FAULT
+    assert 0.45 < axis.position < 0.51
+
+
+def test_staying_at_the_torque_limit_is_a_fault(dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+    dictionary[0x60E1, 0] = 250
+    assert axis.torque_limit == 0.25
+    enable(1)
+    turn(96, torque=5.0, limited=True)
+    assert dictionary[0x6077, 0] == 250
+    assert dictionary[0x6041, 0] & 0x800
+    turn(16, torque=5.0, limited=True)
+    assert dictionary[0x603F, 0] == ErrorCode.TORQUE_LIMIT
+
+
+def test_safe_torque_off_is_latched(dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable) -> None:
+    enable(1)
+    target(dictionary, axis, 90.0)
+    turn(400)
+    axis.stop_safely(on=True)
+    assert axis.state is State.FAULT
+    assert not axis.energised
+    assert turn(80) == pytest.approx(np.zeros(80))
+    axis.control(0x80)
+    assert axis.state is State.FAULT
+    axis.reset()
+    assert axis.state is State.FAULT
+    assert dictionary[0x2130, 1] == 1
+    axis.stop_safely(on=False)
+    assert axis.state is State.FAULT
+    axis.control(0x00)
+    axis.control(0x80)
+    assert axis.state is State.SWITCH_ON_DISABLED
+
+
+def test_an_axis_without_power_section_cannot_be_enabled(dictionary: Dictionary) -> None:
+    axis = Axis(dictionary, 0.001, can_move=False)
+    for controlword in (0x06, 0x07, 0x0F):
+        axis.control(controlword)
+    assert axis.state is State.FAULT
+    assert dictionary[0x603F, 0] == ErrorCode.NO_POWER_SECTION
+
+
+def test_errors_are_told_and_remembered(dictionary: Dictionary, axis: Axis) -> None:
+    axis.fail(0x7305)
+    axis.fail(0x2310)
+    assert axis.errors.take_messages() == [struct.pack("<HB5x", 0x7305, 0x21), struct.pack("<HB5x", 0x2310, 0x23)]
+    axis.control(0x80)
+    assert axis.errors.take_messages() == [bytes(8)]
+    assert dictionary[0x1001, 0] == 0
+    assert [dictionary[0x1003, sub] for sub in range(4)] == [2, 0x2310, 0x7305, 0]
+    dictionary.download(0x1003, 0, b"\0")
+    assert [dictionary[0x1003, sub] for sub in range(4)] == [0, 0, 0, 0]

@@ -1,0 +1,79 @@
+import binascii
+import struct
+
+import pytest
+
+from simulator.canopen.dictionary import AbortCode, Dictionary
+from simulator.canopen.sdo import SdoServer
+
+TRACE = bytes(range(256)) * 8
+
+
+@pytest.fixture
+def server(dictionary: Dictionary) -> SdoServer:
+    dictionary.on_upload((0x2110, 3), lambda: TRACE)
+    return SdoServer(dictionary)
+
+
+def head(command: int, index: int, subindex: int) -> bytes:
+    return struct.pack("<BHB", command, index, subindex)
+
+
+def abort(index: int, subindex: int, code: AbortCode) -> list[bytes]:
+    return [struct.pack("<BHBI", 0x80, index, subindex, code)]
+
+
+def test_expedited(server: SdoServer) -> None:
+    assert server.handle(head(0x2B, 0x1017, 0) + b"\x64\0\0\0") == [head(0x60, 0x1017, 0) + bytes(4)]
+    assert server.handle(head(0x40, 0x1017, 0) + bytes(4)) == [head(0x4B, 0x1017, 0) + b"\x64\0\0\0"]
+
+
+def test_segmented_download(server: SdoServer, dictionary: Dictionary) -> None:
+    data = struct.pack("<d", 3.5)
+    assert server.handle(head(0x21, 0x2100, 4) + struct.pack("<I", 8)) == [head(0x60, 0x2100, 4) + bytes(4)]
+    assert server.handle(b"\x00" + data[:7]) == [b"\x20" + bytes(7)]
+    assert server.handle(b"\x1d" + data[7:] + bytes(6)) == [b"\x30" + bytes(7)]
+    assert dictionary[0x2100, 4] == 3.5
+
+
+def test_segmented_upload(server: SdoServer) -> None:
+    assert server.handle(head(0x40, 0x2110, 3) + bytes(4)) == [head(0x41, 0x2110, 3) + struct.pack("<I", len(TRACE))]
+    got, toggle, last = b"", 0, False
+    while not last:
+        (response,) = server.handle(bytes([0x60 | toggle]) + bytes(7))
+        assert response[0] & 0x10 == toggle
+        got += response[1 : 8 - (response[0] >> 1 & 7)]
+        last, toggle = bool(response[0] & 1), toggle ^ 0x10
+    assert got == TRACE
+
+
+def test_block_upload_with_a_lost_segment(server: SdoServer) -> None:
+    (response,) = server.handle(head(0xA4, 0x2110, 3) + bytes([100, 0, 0, 0]))
+    assert response == head(0xC6, 0x2110, 3) + struct.pack("<I", len(TRACE))
+    got = b""
+    frames = server.handle(b"\xa3" + bytes(7))
+    lost = False
+    while True:
+        if not lost and len(got) >= 700:
+            lost, frames = True, frames[:3]  # the client saw three only and asks for the rest again
+        assert [frame[0] & 0x7F for frame in frames] == list(range(1, len(frames) + 1))
+        got += b"".join(frame[1:] for frame in frames)
+        answer = server.handle(bytes([0xA2, len(frames), 100]) + bytes(5))
+        if frames[-1][0] & 0x80:
+            break
+        frames = answer
+    unused = -len(TRACE) % 7
+    assert got[: len(got) - unused] == TRACE
+    assert answer == [struct.pack("<BH5x", 0xC1 | unused << 2, binascii.crc_hqx(TRACE, 0))]
+    assert server.handle(b"\xa1" + bytes(7)) == []
+
+
+def test_what_goes_wrong_is_aborted(server: SdoServer) -> None:
+    assert server.handle(head(0x40, 0x7000, 1) + bytes(4)) == abort(0x7000, 1, AbortCode.NO_OBJECT)
+    assert server.handle(head(0x2F, 0x6041, 0) + bytes(4)) == abort(0x6041, 0, AbortCode.READ_ONLY)
+    server.handle(head(0x40, 0x2110, 3) + bytes(4))
+    assert server.handle(b"\x70" + bytes(7)) == abort(0x2110, 3, AbortCode.TOGGLE)
+    assert server.handle(b"\x60" + bytes(7)) == abort(0x2110, 3, AbortCode.COMMAND)  # the transfer is over
+    assert server.handle(head(0xA0, 0x2110, 3) + bytes(4)) == abort(0x2110, 3, AbortCode.BLOCK_SIZE)
+    assert server.handle(b"\xe0" + bytes(7)) == abort(0x2110, 3, AbortCode.COMMAND)
+    assert server.handle(b"\x40") == []

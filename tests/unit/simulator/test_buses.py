@@ -1,0 +1,95 @@
+"""The virtual drive on its buses, in this process: socketcand and python-can's own virtual bus."""
+
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import can
+import pytest
+
+from simulator import Scenario
+from simulator.machine import Machine
+from simulator.virtual_drive import VirtualDrive
+
+EDS = Path(__file__).parents[3] / "config/eds/virtual-axis.eds"
+READ_STATUSWORD = can.Message(arbitration_id=0x601, data=[0x40, 0x41, 0x60, 0, 0, 0, 0, 0], is_extended_id=False)
+
+
+@contextmanager
+def running(drive: VirtualDrive) -> Iterator[VirtualDrive]:
+    thread = threading.Thread(target=drive.run)
+    thread.start()
+    try:
+        yield drive
+    finally:
+        drive.stop()
+        thread.join(5)
+        drive.close()
+        assert not thread.is_alive()
+
+
+@pytest.fixture
+def machine(scenario: Callable[[str], Scenario]) -> Machine:
+    return Machine(scenario("rigid"), 1)
+
+
+def wait_for(bus: can.BusABC, identifier: int) -> bytes:
+    while (message := bus.recv(5.0)) is not None:
+        if message.arbitration_id == identifier:
+            return bytes(message.data)
+    raise AssertionError(f"no frame {identifier:x}")
+
+
+def test_clients_of_the_socketcand_server_share_the_bus(machine: Machine) -> None:
+    with running(VirtualDrive(machine, EDS)) as drive:
+        buses = [
+            can.Bus(interface="socketcand", host="127.0.0.1", port=drive.port, channel="can0", tcp_tune=True)
+            for _ in range(3)
+        ]
+        first, second, third = buses
+        try:
+            for bus in buses:  # each has spoken, so each is on the bus
+                bus.send(READ_STATUSWORD)
+                wait_for(bus, 0x581)
+            first.send(can.Message(arbitration_id=0x123, data=b"\x00\x0f\xf0\xff", is_extended_id=False))
+            assert wait_for(second, 0x123) == b"\x00\x0f\xf0\xff"
+            assert wait_for(third, 0x123) == b"\x00\x0f\xf0\xff"
+            first.send(READ_STATUSWORD)
+            while (message := first.recv(5.0)) is not None and message.arbitration_id != 0x581:
+                assert message.arbitration_id != 0x123  # no echo of its own
+            extended = can.Message(arbitration_id=0x18FF1234, data=b"\x01", is_extended_id=True)
+            second.send(extended)
+            while (message := third.recv(5.0)) is not None and not message.is_extended_id:
+                pass
+            assert message is not None
+            assert message.arbitration_id == extended.arbitration_id
+            second.shutdown()
+            first.send(READ_STATUSWORD)
+            assert wait_for(third, 0x581)[:4] == b"\x4b\x41\x60\x00"
+        finally:
+            first.shutdown()
+            third.shutdown()
+            second.shutdown()
+
+
+def test_another_channel_is_refused(machine: Machine) -> None:
+    with running(VirtualDrive(machine, EDS)) as drive:
+        assert drive.port is not None
+        with socket.create_connection(("127.0.0.1", drive.port), timeout=5) as client:
+            assert client.recv(64) == b"< hi >"
+            client.sendall(b"< open can7 >")
+            assert client.recv(64) == b"< error no channel can7 here >"
+            client.sendall(b"< send 080 0 >")
+            assert client.recv(64) == b"< error unknown command >"  # not before < rawmode >
+            client.sendall(b"GET / HTTP/1.1\r\n" + b"x" * 300)
+            assert client.recv(64) == b""
+
+
+def test_any_python_can_interface(machine: Machine) -> None:
+    with running(VirtualDrive(machine, EDS, bus="virtual", channel="test buses")) as drive:
+        assert drive.port is None
+        with can.Bus(interface="virtual", channel="test buses") as bus:
+            bus.send(READ_STATUSWORD)
+            assert wait_for(bus, 0x581)[:4] == b"\x4b\x41\x60\x00"
