@@ -1,0 +1,41 @@
+# Needs Python >= 3.11 and make, nothing else: every target creates .venv and installs what it needs, once.
+
+PYTHON ?= python3
+BIN := .venv/bin
+READY := .venv/.ready
+
+.PHONY: demo test check format lock openapi clean
+
+demo: $(READY)  ## measure, identify and report a virtual robot
+	$(BIN)/sweepid demo --out demo-out
+
+test: check  ## all checks, then all tests
+	$(BIN)/python -m pytest
+
+check: $(READY)  ## format, lint, types, import arrows
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/basedpyright
+	$(BIN)/lint-imports
+
+format: $(READY)  ## put the code into its form
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+lock: $(READY)  ## resolve the dependencies anew, for all platforms
+	$(BIN)/uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --generate-hashes \
+		--no-emit-index-url --no-header --quiet --output-file requirements.lock
+
+openapi: $(READY)  ## write docs/reference/openapi.json
+	$(BIN)/python -m service.api.openapi
+
+clean:  ## forget the environment and what was made
+	rm -rf .venv demo-out
+
+$(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "sweepid needs Python 3.11 or newer")'
+	@echo 'Installing into .venv, once; this takes a few minutes.'
+	@$(PYTHON) -m venv .venv
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@

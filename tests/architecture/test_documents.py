@@ -1,0 +1,115 @@
+"""The documents say what is so: commands and targets exist, links lead somewhere, marked snippets run.
+
+A fenced block after ``<!-- run -->`` is executed: ``console`` line by line (``$ command``; the other lines must appear
+in its output), ``python`` as a script. Both start in an empty folder with the project's ``config`` in it.
+"""
+
+import os
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from service.cli import build
+from service.configuration import read_robot, read_yaml
+from service.trace_import import Mapping
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+BLOCK = re.compile(r"(<!-- run -->\n+)?^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+@dataclass(frozen=True)
+class Block:
+    place: str
+    run: bool
+    kind: str
+    text: str
+
+
+def blocks() -> list[Block]:
+    return [
+        Block(
+            f"{path.relative_to(ROOT)}:{text[: found.start()].count(chr(10)) + 1}", bool(found[1]), found[2], found[3]
+        )
+        for path in DOCUMENTS
+        for text in [path.read_text()]
+        for found in BLOCK.finditer(text)
+    ]
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Path:
+    (tmp_path / "config").symlink_to(ROOT / "config")
+    return tmp_path
+
+
+@pytest.mark.parametrize("block", [pytest.param(block, id=block.place) for block in blocks() if block.run])
+def test_a_marked_snippet_runs(block: Block, desk: Path) -> None:
+    environment = os.environ | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    if block.kind == "python":
+        done = subprocess.run([sys.executable, "-c", block.text], cwd=desk, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stderr
+        return
+    assert block.kind == "console", f"{block.kind} cannot be run"
+    output = ""
+    for line in block.text.splitlines():
+        if line.startswith("$ "):
+            done = subprocess.run(
+                line[2:], shell=True, cwd=desk, env=environment, capture_output=True, text=True, timeout=120
+            )
+            assert done.returncode == 0, done.stderr
+            output = done.stdout + done.stderr
+        else:
+            assert line in output
+
+
+def commands() -> list[str]:
+    """Every command line that a document shows."""
+    shell = [block for block in blocks() if block.kind in ("console", "sh", "bash", "powershell")]
+    return [line.removeprefix("$ ").strip() for block in shell for line in block.text.splitlines() if line.strip()]
+
+
+def test_every_command_shown_exists() -> None:
+    known = {command.name for command in build([]).registered_commands}
+    shown = {match[1] for line in commands() if (match := re.match(r"(?:\S*/)?sweepid ([a-z][a-z-]*)", line))}
+    assert shown
+    assert shown - known == set()
+
+
+def test_every_make_target_shown_exists() -> None:
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    shown = {match[1] for line in commands() if (match := re.match(r"make ([a-z]+)", line))}
+    assert shown >= {"demo", "test"}
+    assert shown - targets == set()
+
+
+def test_links_between_documents_lead_somewhere() -> None:
+    broken = [
+        f"{path.relative_to(ROOT)}: {target}"
+        for path in DOCUMENTS
+        for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", path.read_text())
+        if not (path.parent / target).exists()
+    ]
+    assert broken == []
+
+
+def test_the_readme_opens_with_the_two_commands() -> None:
+    first = next(block for block in blocks() if block.place.startswith("README.md"))
+    assert [line.split("#")[0].removeprefix("$ ").strip() for line in first.text.splitlines()] == [
+        "make demo",
+        "make test",
+    ]
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "config/robots").glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_example_robot_is_one(path: Path) -> None:
+    assert read_robot(path).name == path.stem
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "config/traces").glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_example_mapping_is_one(path: Path) -> None:
+    assert read_yaml(path, Mapping).sweeps

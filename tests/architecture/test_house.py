@@ -1,0 +1,88 @@
+"""What holds for the house as a whole: its rooms, its sizes, its lock, its container files."""
+
+import importlib
+import re
+import shutil
+import subprocess
+import tomllib
+from importlib.metadata import metadata
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOMS = ("service", "drivers", "simulator")
+LINES = 400
+
+
+@pytest.fixture(scope="module")
+def project(root: Path) -> dict[str, Any]:
+    return tomllib.loads((root / "pyproject.toml").read_text())
+
+
+def sources(root: Path) -> list[Path]:
+    return [path for room in (*ROOMS, "tests") for path in sorted((root / room).rglob("*.py"))]
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_a_room_is_the_one_of_this_checkout(root: Path, room: str) -> None:
+    """The names are generic: another distribution's package of that name must not be imported in its place."""
+    assert importlib.import_module(room).__file__ == str(root / room / "__init__.py")
+
+
+def test_the_distribution_is_for_its_own_environment() -> None:
+    assert "Private :: Do Not Upload" in (metadata("sweepid").get_all("Classifier") or [])
+
+
+def test_files_read_like_a_page(root: Path) -> None:
+    long = {str(path.relative_to(root)): len(path.read_text().splitlines()) for path in sources(root)}
+    assert {name: count for name, count in long.items() if count > LINES} == {}
+
+
+def test_no_drawer_for_odds_and_ends(root: Path) -> None:
+    assert [path for path in sources(root) if path.stem in ("utils", "util", "common", "helpers", "misc")] == []
+
+
+def test_configuration_is_data_only(root: Path) -> None:
+    assert list((root / "config").rglob("*.py")) == []
+
+
+def lock_lines(root: Path) -> list[str]:
+    return (root / "requirements.lock").read_text().splitlines()
+
+
+def test_the_lock_names_no_host(root: Path) -> None:
+    text = (root / "requirements.lock").read_text()
+    assert re.findall(r"\S*://\S*|--(?:extra-)?index-url.*|--find-links.*", text) == []
+
+
+def test_the_lock_pins_and_hashes_everything(root: Path) -> None:
+    text = "\n".join(line for line in lock_lines(root) if not line.lstrip().startswith("#"))
+    for requirement in text.replace("\\\n", " ").splitlines():
+        if requirement.strip():
+            assert re.match(r"[a-z0-9-]+(\[[a-z,]+\])?==\S+ ", requirement), requirement
+            assert "--hash=sha256:" in requirement, requirement
+
+
+def test_the_lock_has_all_that_pyproject_asks_for(root: Path, project: dict[str, Any]) -> None:
+    locked = {
+        line.split("==")[0].split("[")[0] for line in lock_lines(root) if "==" in line and not line.startswith(" ")
+    }
+    wanted = [*project["project"]["dependencies"], *project["dependency-groups"]["dev"]]
+    names = {re.split(r"[^A-Za-z0-9-]", requirement)[0].lower() for requirement in wanted}
+    assert names - locked == set(), "run: make lock"
+
+
+@pytest.mark.skipif(shutil.which("docker-compose") is None, reason="docker-compose is not installed")
+def test_docker_compose_accepts_its_file(root: Path) -> None:
+    checked = subprocess.run(["docker-compose", "config", "-q"], cwd=root, capture_output=True, text=True, timeout=60)
+    assert checked.returncode == 0, checked.stderr
+
+
+def test_the_image_is_built_of_what_there_is(root: Path) -> None:
+    """Every file that the Dockerfile copies exists and passes .dockerignore."""
+    allowed = {line[1:] for line in (root / ".dockerignore").read_text().splitlines() if line.startswith("!")}
+    copied = re.findall(r"^COPY (.+) \S+$", (root / "Dockerfile").read_text(), re.MULTILINE)
+    names = {name for names in copied for name in names.split()}
+    assert names == allowed
+    assert all((root / name).exists() for name in names)

@@ -1,0 +1,78 @@
+"""For all tests: where things lie, and no thread or task of ours outlives the test that started it."""
+
+import asyncio
+import functools
+import inspect
+import os
+import threading
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+ROOMS = ("service", "drivers", "simulator")
+PATIENCE = 2.0  # s that a thread or task may take to end after its test
+
+
+@pytest.fixture(scope="session")
+def root() -> Path:
+    """The checkout."""
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """Measured data beside the checkout, or where SWEEPID_SHARED says; the test is skipped without."""
+    folder = Path(os.environ.get("SWEEPID_SHARED", ROOT.parent / "shared"))
+    if not (folder / "data").is_dir():
+        pytest.skip(f"no measured data in {folder.name}/data beside the checkout; SWEEPID_SHARED names another place")
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def no_leaked_threads() -> Iterator[None]:
+    """Fail a test after which a thread runs that would keep the process alive or that runs our code."""
+    before = set(threading.enumerate())
+    yield
+    deadline = monotonic() + PATIENCE
+    leaked = [thread for thread in threading.enumerate() if thread not in before and _ours(thread)]
+    for thread in leaked:
+        thread.join(max(0.0, deadline - monotonic()))
+    left = [thread for thread in leaked if thread.is_alive()]
+    if left:
+        pytest.fail(f"threads left running: {', '.join(thread.name for thread in left)}")
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Async tests are checked for tasks, inside of their own loop."""
+    if isinstance(item, pytest.Function) and inspect.iscoroutinefunction(item.obj):
+        item.obj = _without_leaked_tasks(item.obj)
+
+
+def _without_leaked_tasks(test: Callable[..., Awaitable[None]]) -> Callable[..., Awaitable[None]]:
+    @functools.wraps(test)
+    async def checked(*args: Any, **kwargs: Any) -> None:
+        before = asyncio.all_tasks()
+        await test(*args, **kwargs)
+        leaked = {task for task in asyncio.all_tasks() - before if _in_a_room(task)}
+        if leaked:
+            _, left = await asyncio.wait(leaked, timeout=PATIENCE)
+            if left:
+                pytest.fail(f"tasks left running: {', '.join(sorted(repr(task.get_coro()) for task in left))}")
+
+    return checked
+
+
+def _ours(thread: threading.Thread) -> bool:
+    """Pools and helpers of libraries are daemons or end with the process; ours must end with the test."""
+    target = getattr(thread, "_target", None)
+    module = getattr(target, "__module__", None) or type(thread).__module__
+    return module.split(".")[0] in ROOMS or not (thread.daemon or module.startswith("concurrent.futures"))
+
+
+def _in_a_room(task: asyncio.Task[Any]) -> bool:
+    code = getattr(task.get_coro(), "cr_code", None)
+    return code is not None and any(Path(code.co_filename).is_relative_to(ROOT / room) for room in ROOMS)

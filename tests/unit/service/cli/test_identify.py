@@ -1,0 +1,116 @@
+"""`sweepid identify` as a person calls it: tables or JSON on stdout, one line and exit code 2 for bad input."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.recording import Recording, Sine, Sweep, SweepSpec
+from service.robot import Axis, RobotDescription, build_robot
+from service.store.bundle import write_bundle
+
+INERTIA = 6.0  # kg m^2 of the load about the first axis; CAD says 5, the second link included; motor 100^2 0.0001 = 1
+
+URDF = """<robot name="pair">
+  <link name="base"/>
+  <link name="one">
+    <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="4" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
+  <link name="two">
+    <inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
+  <joint name="j1" type="revolute"><parent link="base"/><child link="one"/>
+    <axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="1" effort="100"/></joint>
+  <joint name="j2" type="prismatic"><parent link="one"/><child link="two"/>
+    <axis xyz="0 0 1"/><limit lower="0" upper="1" velocity="1" effort="100"/></joint>
+</robot>
+"""
+
+
+@pytest.fixture
+def bundle(tmp_path: Path) -> Path:
+    """Four noise-free sweeps of a rigid axis, inertia 7 with its motor."""
+    axes = (
+        Axis(joint="j1", gear_ratio=100.0, motor_inertia=1e-4, rated_effort=100.0, viscous_friction=3.0),
+        Axis(joint="j2", gear_ratio=600.0, rated_effort=100.0),
+    )
+    robot = build_robot(RobotDescription(name="pair", urdf="robot.urdf", axes=axes), URDF)
+    sines = tuple(Sine(frequency=f, amplitude=0.01, phase=f) for f in (2.0, 3.0, 4.0, 5.0))
+    time = np.arange(2500) / 500.0
+    velocity = 0.1 + sum(s.amplitude * np.sin(2 * np.pi * s.frequency * time + s.phase) for s in sines)
+    acceleration = sum(
+        2 * np.pi * s.frequency * s.amplitude * np.cos(2 * np.pi * s.frequency * time + s.phase) for s in sines
+    )
+    position = 0.1 * time - sum(
+        s.amplitude / (2 * np.pi * s.frequency) * np.cos(2 * np.pi * s.frequency * time + s.phase) for s in sines
+    )
+    noise = np.random.default_rng(0).normal(0, 1e-3, (4, len(time)))
+    sweeps = [
+        Sweep(
+            SweepSpec(
+                id=f"{number}",
+                axis="j1",
+                pose=(0.0, 0.2),
+                offset_velocity=0.1,
+                sines=sines,
+                period=1.0,
+                periods=5,
+                sample_rate=500.0,
+                repeat=number,
+            ),
+            Recording(time, (INERTIA + 1) * acceleration + 4.0 * velocity + noise[number], velocity, position),
+        )
+        for number in range(4)
+    ]
+    write_bundle(tmp_path / "bundle", robot, sweeps)
+    return tmp_path / "bundle"
+
+
+def sweepid(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [str(Path(sys.executable).with_name("sweepid")), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+
+def test_json_alone_on_stdout(bundle: Path) -> None:
+    done = sweepid("identify", str(bundle), "--json", "-")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert set(document) >= {"axes", "base_parameters", "condition_number", "standard_parameters"}
+    values = [sweep["value"] for sweep in document["axes"]["j1"]["inertia"]]
+    assert values == pytest.approx([INERTIA + 1] * 4, rel=1e-3)
+    rmse = document["axes"]["j1"]["rmse_percent"]
+    assert rmse["reference_measured"] == pytest.approx(100 / 7, rel=1e-2)  # CAD is 1 of 7 short
+    assert rmse["identified_measured"] < 0.1
+
+
+def test_tables_for_people_and_json_for_a_file(bundle: Path, tmp_path: Path) -> None:
+    done = sweepid("identify", str(bundle), "--axis", "j1", "--json", str(tmp_path / "out.json"))
+    assert done.returncode == 0, done.stderr
+    for word in ("j1", "14.29", "Base parameters", "Condition number"):
+        assert word in done.stdout
+    assert json.loads((tmp_path / "out.json").read_text())["axes"].keys() == {"j1"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--axis", "j3"], "j3: unknown joint; robot pair has j1, j2"),
+        (["--axis", "j2"], "has no sweep of joint j2"),
+        (["--json", "no/such/folder.json"], "no/such/folder.json: cannot be written: No such file"),
+    ],
+)
+def test_bad_input_is_one_line_and_two(bundle: Path, arguments: list[str], reason: str) -> None:
+    done = sweepid("identify", str(bundle), *arguments)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert reason in done.stderr.splitlines()[-1]
+
+
+def test_a_broken_bundle_is_told_by_file_and_sweep(bundle: Path) -> None:
+    (bundle / "sweeps/0003.parquet").unlink()
+    done = sweepid("identify", str(bundle), "--json", "-")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.strip().endswith("0003.parquet sweep 2: file does not exist")
+    assert done.stderr.count("\n") == 1

@@ -1,0 +1,284 @@
+"""Bundles: round trip, atomic writing, and a named refusal for everything that BUNDLE.md forbids."""
+
+import copy
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from service.errors import BadInput
+from service.recording import Recording, Sine, Sweep, SweepSpec
+from service.robot import Axis, Robot, RobotDescription, build_robot
+from service.store.bundle import Bundle, read_bundle, write_bundle
+from service.store.columns import write_columns
+
+Edit = Callable[[dict[str, Any]], object]
+
+
+URDF = """<robot name="two">
+  <link name="base"/>
+  <link name="turn">
+    <inertial><mass value="10"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
+  <link name="push">
+    <inertial><mass value="5"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>
+  </link>
+  <joint name="j1" type="revolute"><parent link="base"/><child link="turn"/>
+    <axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="1" effort="100"/></joint>
+  <joint name="j2" type="prismatic"><parent link="turn"/><child link="push"/>
+    <axis xyz="1 0 0"/><limit lower="0" upper="1" velocity="1" effort="100"/></joint>
+</robot>
+"""
+
+
+@pytest.fixture
+def robot() -> Robot:
+    """A turning and a pushing axis."""
+    axes = (
+        Axis(joint="j1", gear_ratio=-171.0, motor_inertia=0.0021, rated_effort=2500.0, cogging_orders=(24.0, 48.0)),
+        Axis(joint="j2", gear_ratio=600.0, rated_effort=900.0, viscous_friction=150.0),
+    )
+    return build_robot(RobotDescription(name="two", urdf="robot.urdf", axes=axes), URDF)
+
+
+@pytest.fixture
+def sweep() -> Sweep:
+    """j1 for two periods of 1 s at 100 Hz after half a second of settling."""
+    spec = SweepSpec(
+        id="0001",
+        axis="j1",
+        pose=(0.1, 0.5),
+        offset_velocity=0.01,
+        sines=(Sine(frequency=2.0, amplitude=0.002, phase=0.3), Sine(frequency=5.0, amplitude=0.001)),
+        period=1.0,
+        periods=2,
+        measure_from=0.5,
+        sample_rate=100.0,
+    )
+    time = np.arange(250) / 100.0
+    return Sweep(spec, Recording(time, np.sin(time), np.cos(time), 0.1 * time, load_velocity=np.cos(3 * time)))
+
+
+@pytest.fixture
+def folder(tmp_path: Path, robot: Robot, sweep: Sweep) -> Path:
+    second = dataclasses.replace(sweep, spec=sweep.spec.model_copy(update={"id": "0002", "repeat": 1}))
+    write_bundle(tmp_path / "bundle", robot, [sweep, second])
+    return tmp_path / "bundle"
+
+
+def same(one: Bundle, other: Bundle) -> None:
+    assert one.robot == other.robot
+    assert [sweep.spec for sweep in one.sweeps] == [sweep.spec for sweep in other.sweeps]
+    for ours, theirs in zip(one.sweeps, other.sweeps, strict=True):
+        for field in dataclasses.fields(Recording):
+            np.testing.assert_array_equal(getattr(ours.recording, field.name), getattr(theirs.recording, field.name))
+
+
+numbers = st.floats(-1e6, 1e6)
+
+
+@st.composite
+def sweeps(draw: st.DrawFn) -> list[Sweep]:
+    drawn: list[Sweep] = []
+    for name in draw(
+        st.lists(st.text(st.characters(codec="utf-8"), min_size=1, max_size=8), min_size=1, max_size=3, unique=True)
+    ):
+        rate = draw(st.sampled_from([50.0, 400.0]))
+        lines = draw(st.lists(st.integers(1, 20), unique=True, max_size=3))
+        periods = draw(st.integers(1, 3)) if lines else None
+        count = int(rate * (periods or 1)) + draw(st.integers(1, 40))
+        spec = SweepSpec(
+            id=name,
+            axis=draw(st.sampled_from(["j1", "j2"])),
+            pose=(draw(numbers), draw(numbers)),
+            offset_velocity=draw(numbers),
+            excitation=draw(st.sampled_from(["multisine", "noise", "trajectory", "standstill"])),
+            sines=tuple(
+                Sine(frequency=float(line), amplitude=abs(draw(numbers)), phase=draw(numbers)) for line in lines
+            ),
+            period=1.0 if lines else None,
+            periods=periods,
+            sample_rate=rate,
+            started_at=draw(numbers),
+            repeat=draw(st.integers(0, 5)),
+            block=draw(st.text(st.characters(codec="utf-8"), max_size=5)),
+        )
+        columns = [np.full(count, draw(numbers)) for _ in range(3)]
+        drawn.append(Sweep(spec, Recording(np.arange(count) / rate, *columns)))
+    return drawn
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(drawn=sweeps())
+def test_round_trip(tmp_path_factory: pytest.TempPathFactory, robot: Robot, drawn: list[Sweep]) -> None:
+    folder = tmp_path_factory.mktemp("bundles") / "new" / "bundle"
+    write_bundle(folder, robot, drawn)
+    same(read_bundle(folder), Bundle(robot, tuple(drawn)))
+    assert [path.name for path in folder.parent.iterdir()] == ["bundle"]
+
+
+def test_csv_is_as_good_as_parquet(folder: Path, sweep: Sweep) -> None:
+    before = read_bundle(folder)
+    write_columns(folder / "sweeps/0001.csv", sweep.recording)
+    (folder / "sweeps/0001.parquet").unlink()
+    document = (folder / "bundle.json").read_text()
+    (folder / "bundle.json").write_text(document.replace("0001.parquet", "0001.csv"))
+    same(read_bundle(folder), before)
+
+
+def test_a_full_directory_is_left_alone(folder: Path, robot: Robot, sweep: Sweep) -> None:
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    with pytest.raises(BadInput, match="not an empty directory"):
+        write_bundle(folder, robot, [sweep])
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
+def test_an_empty_directory_is_filled(tmp_path: Path, robot: Robot, sweep: Sweep) -> None:
+    (tmp_path / "bundle").mkdir()
+    write_bundle(tmp_path / "bundle", robot, [sweep])
+    assert len(read_bundle(tmp_path / "bundle").sweeps) == 1
+
+
+def test_what_cannot_be_read_is_not_written(tmp_path: Path, robot: Robot, sweep: Sweep) -> None:
+    torn = dataclasses.replace(sweep.recording, effort=np.full(sweep.recording.time.size, np.nan))
+    for bad in ([], [sweep, sweep], [sweep, Sweep(sweep.spec.model_copy(update={"id": "b"}), torn)]):
+        with pytest.raises(BadInput):
+            write_bundle(tmp_path / "bundle", robot, bad)
+        assert list(tmp_path.iterdir()) == []
+
+
+def change(folder: Path, edit: Edit) -> None:
+    path = folder / "bundle.json"
+    document = json.loads(path.read_text())
+    edit(document)
+    path.write_text(json.dumps(document))
+
+
+def first(update: dict[str, object]) -> Edit:
+    return lambda document: document["sweeps"][1].update(update)
+
+
+SWEEP = "bundle.json sweep 0002"
+FILE = "0002.parquet sweep 0002"
+
+
+@pytest.mark.parametrize(
+    ("edit", "place", "reason"),
+    [
+        (lambda d: d.update(format="sweepid-bundle/2"), "bundle.json format", "Input should be"),
+        (lambda d: d.pop("robot"), "bundle.json robot", "Field required"),
+        (lambda d: d.update(sweps=[]), "bundle.json sweps", "Extra inputs are not permitted"),
+        (lambda d: d.update(sweeps=[]), "bundle.json", "has no sweeps"),
+        (lambda d: d["robot"]["axes"][0].update(gear=1), "bundle.json robot.axes.0.gear", "Extra inputs"),
+        (lambda d: d["robot"]["axes"].reverse(), "bundle.json robot.axes", "differ from the URDF's moving joints"),
+        (lambda d: d["robot"]["axes"].pop(), "bundle.json robot.axes", "differ from the URDF's moving joints"),
+        (lambda d: d["robot"].update(urdf="other.urdf"), "other.urdf", "cannot be read: No such file"),
+        (lambda d: d["robot"].update(urdf="sweeps/0001.parquet"), "0001.parquet", "cannot be read"),
+        (lambda d: d["robot"].update(urdf="../bundle.urdf"), "bundle.json robot.urdf", "outside of the bundle"),
+        (first({"id": "0001"}), "bundle.json sweep 0001", "stands twice"),
+        (first({"id": ""}), "bundle.json sweeps.1.id", "at least 1 character"),
+        (first({"axis": "j3"}), SWEEP, "unknown joint 'j3'; robot two has j1, j2"),
+        (first({"pose": [0.0]}), SWEEP, "pose has 1 numbers, robot two has 2 axes"),
+        (first({"pose": [0.0, "0"]}), "bundle.json sweeps.1.pose.1", "valid number, got '0'"),
+        (first({"pose": [0.0, float("nan")]}), "bundle.json sweeps.1.pose.1", "finite number"),
+        (first({"sample_rate": 0}), "bundle.json sweeps.1.sample_rate", "greater than 0"),
+        (first({"sample_rate": 99.0}), FILE, "sample_rate is 99 Hz, but time runs at 100 Hz"),
+        (first({"sample_rate": 1000.0}), FILE, "gap in time: 0.01 s follows on 0 s"),
+        (first({"sample_rate": 1e308}), SWEEP, "2 periods of 1.0 s are not whole samples at 1e+308 Hz"),
+        (first({"sample_rate": 1e308, "sines": []}), FILE, "gap in time"),
+        (first({"periods": 3}), FILE, "measured window 0.5 to 3.5 s lies outside of the record of 2.5 s"),
+        (first({"measure_from": 0.52}), FILE, "measured window 0.52 to 2.52 s"),
+        (first({"periods": None}), SWEEP, "period is 1.0 but periods is None"),
+        (first({"period": 0.7, "periods": 2}), SWEEP, "sine of 2 Hz makes 1.4 turns in a period of 0.7 s"),
+        (first({"periods": 1, "sample_rate": 100.4}), SWEEP, "1 periods of 1.0 s are not whole samples at 100.4 Hz"),
+        (first({"sines": [{"frequency": 50.0, "amplitude": 1}]}), SWEEP, "50 Hz is not below half the sample rate"),
+        (first({"sines": [{"frequency": 2, "amplitude": 1}] * 2}), SWEEP, "two sines of 2 Hz"),
+        (first({"file": "sweeps/0003.parquet"}), "0003.parquet sweep 0002", "file does not exist"),
+        (first({"file": "../0002.parquet"}), SWEEP, "'../0002.parquet' lies outside of the bundle"),
+        (first({"file": "/etc/passwd"}), SWEEP, "outside of the bundle"),
+        (first({"file": "bundle.json"}), "bundle.json sweep 0002", "samples are .parquet or .csv"),
+        (first({"file": "a\0.csv"}), SWEEP, "cannot be named"),
+        (first({"file": None}), "bundle.json sweeps.1.file", "valid string"),
+    ],
+)
+def test_refusals_name_file_sweep_and_reason(folder: Path, edit: Edit, place: str, reason: str) -> None:
+    change(folder, edit)
+    with pytest.raises(BadInput) as refusal:
+        read_bundle(folder)
+    assert refusal.value.place.endswith(place)
+    assert reason in refusal.value.reason
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_lost_sample_is_a_gap(folder: Path, sweep: Sweep) -> None:
+    kept = np.delete(np.arange(250), 100)
+    columns = {name: getattr(sweep.recording, name)[kept] for name in ("time", "effort", "velocity", "position")}
+    write_columns(folder / "sweeps/0002.parquet", Recording(**columns))
+    with pytest.raises(BadInput, match=r"0002 *: gap in time: 1.01 s follows on 0.99 s, sample_rate is 100 Hz"):
+        read_bundle(folder)
+
+
+def test_a_link_out_of_the_bundle_is_not_followed(folder: Path) -> None:
+    outside = folder.parent / "outside.parquet"
+    (folder / "sweeps/0002.parquet").rename(outside)
+    (folder / "sweeps/0002.parquet").symlink_to(outside)
+    with pytest.raises(BadInput, match="outside of the bundle"):
+        read_bundle(folder)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", "[]", "null", "[" * 100_000, '{"format": NaN}', "\ufeff{}", '{"a": ' + "9" * 5000 + "}", '"\\ud800"'],
+)
+def test_what_is_no_json_object(folder: Path, text: str) -> None:
+    (folder / "bundle.json").write_text(text)
+    with pytest.raises(BadInput, match=r"bundle\.json"):
+        read_bundle(folder)
+
+
+def test_a_bundle_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="No such file"):
+        read_bundle(tmp_path / "bundle")
+
+
+def paths(value: Any, here: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    return [here, *(path for key, child in inner for path in paths(child, (*here, key)))]
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=6) | st.just(10**400),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=6), inner, max_size=3),
+    max_leaves=5,
+)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_mutation_is_read_or_refused(folder: Path, data: st.DataObject) -> None:
+    """The document with up to three of its values replaced: a bundle or a `BadInput`, never anything else."""
+    path = folder / "bundle.json"
+    intact = path.read_text()
+    document = json.loads(intact)
+    for _ in range(data.draw(st.integers(1, 3))):
+        *parents, last = data.draw(st.sampled_from(paths(document)[1:]))
+        parent = document
+        for key in parents:
+            parent = parent[key]
+        parent[last] = copy.deepcopy(data.draw(json_values))
+        if len(paths(document)) < 2:
+            break
+    path.write_text(json.dumps(document))
+    try:
+        outcome: object = read_bundle(folder)
+    except BadInput as refusal:
+        outcome = refusal
+    finally:
+        path.write_text(intact)
+    assert isinstance(outcome, Bundle | BadInput)

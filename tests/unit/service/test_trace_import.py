@@ -1,0 +1,199 @@
+"""Trace exports to bundles: made-up traces whose truth is known, and the recorded EMPS axis."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy.io import savemat
+
+from service.errors import BadInput
+from service.identification import identify, spectrum
+from service.recording import Recording, Sweep
+from service.store.bundle import read_bundle, write_bundle
+from service.trace_import import differentiate, import_trace
+
+POSITION = {"effort": {"source": "TORQUE"}, "position": {"source": "ENC"}}
+
+
+def mapping(folder: Path, source: str, **changes: object) -> Path:
+    """A mapping file for one sweep of a turning table; `changes` replace whole parts of it."""
+    content: dict[str, object] = {
+        "robot": {
+            "name": "table",
+            "joint": "c",
+            "kind": "revolute",
+            "inertia": 4.0,
+            "lower": -10.0,
+            "upper": 10.0,
+            "velocity": 2.0,
+            "rated_effort": 50.0,
+        },
+        "columns": {
+            "time": {"source": "CYCLE", "scale": 0.001},
+            "effort": {"source": "TORQUE", "scale": 20.0},
+            "velocity": {"source": "SPEED"},
+            "position": {"source": "ENC", "scale": 0.017453292519943295, "offset": 1.0},
+        },
+        "sweeps": [
+            {
+                "source": source,
+                "id": "0001",
+                "axis": "c",
+                "pose": [1.0],
+                "offset_velocity": 0.0,
+                "excitation": "trajectory",
+                "sample_rate": 1000,
+            }
+        ],
+    }
+    path = folder / "mapping.yaml"
+    path.write_text(yaml.safe_dump(content | changes))
+    return path
+
+
+def trace() -> dict[str, np.ndarray]:
+    cycle = np.arange(200)
+    return {"CYCLE": cycle + 7.0, "TORQUE": 0.1 * cycle, "SPEED": 0.5 * cycle, "ENC": 90.0 + 0.01 * cycle}
+
+
+def write_csv(
+    path: Path, columns: dict[str, np.ndarray], delimiter: str = ",", point: str = ".", head: str = ""
+) -> None:
+    rows = zip(*columns.values(), strict=True)
+    lines = [delimiter.join(columns)] + [
+        delimiter.join(f"{value:.6f}" for value in row).replace(".", point) for row in rows
+    ]
+    path.write_text(head + "\n".join(lines) + "\n")
+
+
+def sample_of(sweeps: tuple[Sweep, ...]) -> Recording:
+    assert len(sweeps) == 1
+    return sweeps[0].recording
+
+
+def test_scales_and_offsets_apply(tmp_path: Path) -> None:
+    write_csv(tmp_path / "trace.csv", trace())
+    robot, sweeps = import_trace(mapping(tmp_path, "trace.csv"))
+    recording = sample_of(sweeps)
+    np.testing.assert_allclose(recording.time, np.arange(200) / 1000, atol=1e-12)
+    np.testing.assert_allclose(recording.effort, 2.0 * np.arange(200))
+    np.testing.assert_allclose(recording.position, 1.0 + np.radians(90.0 + 0.01 * np.arange(200)))
+    assert robot.joints == ("c",)
+    assert robot.chain.inertial[0, 4] == 4.0  # about x, the axis
+
+
+def test_a_german_csv_and_a_mat_file_give_the_same(tmp_path: Path) -> None:
+    write_csv(tmp_path / "trace.csv", trace(), ";", ",", "Werkzeugmaschine 7\nNC-Trace\n")
+    german = mapping(tmp_path, "trace.csv", csv={"delimiter": ";", "decimal_point": ",", "skip_rows": 2})
+    first = sample_of(import_trace(german)[1])
+    savemat(tmp_path / "trace.mat", trace())
+    second = sample_of(import_trace(mapping(tmp_path, "trace.mat"))[1])
+    for name in ("time", "effort", "velocity", "position"):
+        np.testing.assert_allclose(getattr(first, name), getattr(second, name), atol=1e-9)
+
+
+def test_the_result_is_a_bundle(tmp_path: Path) -> None:
+    savemat(tmp_path / "trace.mat", trace())
+    robot, sweeps = import_trace(mapping(tmp_path, "trace.mat"))
+    write_bundle(tmp_path / "bundle", robot, sweeps)
+    assert read_bundle(tmp_path / "bundle").robot == robot
+
+
+def test_a_trace_with_a_gap_is_not_written(tmp_path: Path) -> None:
+    savemat(tmp_path / "trace.mat", {name: np.delete(column, 50) for name, column in trace().items()})
+    robot, sweeps = import_trace(mapping(tmp_path, "trace.mat"))
+    with pytest.raises(BadInput, match=r"gap in time: 0\.051 s follows on 0\.049 s"):
+        write_bundle(tmp_path / "bundle", robot, sweeps)
+    assert not (tmp_path / "bundle").exists()
+
+
+@pytest.mark.parametrize(
+    ("source", "changes", "reason"),
+    [
+        ("none.csv", {}, "none.csv: file does not exist"),
+        ("none.mat", {}, "none.mat: file does not exist"),
+        ("mapping.yaml", {}, "samples are .parquet or .csv"),
+        ("torn.mat", {}, "torn.mat: cannot be read"),
+        ("text.mat", {}, "variable 'TORQUE' is no column of numbers"),
+        ("trace.mat", {"robots": "x"}, "robots: Extra inputs are not permitted"),
+        ("trace.mat", {"robot": "robot.yaml"}, "robot.yaml: cannot be read"),
+        ("trace.mat", {"robot": {"name": "table"}}, "robot.axis.joint: Field required"),
+        ("trace.mat", {"sweeps": []}, "sweeps: Tuple should have at least 1 item"),
+        ("trace.mat", {"columns": {"effort": {"source": "TORQUE"}}}, "columns.velocity: Field required"),
+        (
+            "trace.mat",
+            {"columns": POSITION | {"velocity": {"from_position": 0}}},
+            "velocity.derived.from_position: Input",
+        ),
+        (
+            "trace.mat",
+            {"columns": POSITION | {"velocity": {"from_position": 600}}},
+            "is not below half the sample rate",
+        ),
+        ("trace.mat", {"columns": POSITION | {"velocity": {"from_position": 5}}}, "200 samples are too few for a low"),
+    ],
+)
+def test_refusals_name_the_reason(tmp_path: Path, source: str, changes: dict[str, object], reason: str) -> None:
+    savemat(tmp_path / "trace.mat", trace())
+    savemat(tmp_path / "text.mat", trace() | {"TORQUE": "low"})
+    (tmp_path / "torn.mat").write_bytes((tmp_path / "trace.mat").read_bytes()[:900])
+    with pytest.raises(BadInput) as refusal:
+        import_trace(mapping(tmp_path, source, **changes))
+    assert reason in str(refusal.value)
+
+
+@pytest.mark.parametrize(("frequency", "bound"), [(0.5, 1e-9), (5.0, 1e-9), (20.0, 4e-6)])
+def test_derivative_has_neither_phase_nor_bias(frequency: float, bound: float) -> None:
+    omega, time = 2 * np.pi * frequency, np.arange(8000) / 1000
+    inner = slice(2000, 6000)  # whole periods; the ends are extrapolated
+    measured = np.exp(-1j * omega * time)[inner] @ differentiate(np.sin(omega * time), 1000.0, 100.0)[inner] / 2000
+    assert abs(measured / omega - 1) < bound
+
+
+def test_derivative_keeps_a_straight_line_to_its_ends() -> None:
+    np.testing.assert_allclose(differentiate(3.0 * np.arange(500) / 1000 + 2, 1000.0, 100.0), 3.0, rtol=1e-8)
+
+
+def viscous_only(inertia: float, viscous: float) -> dict[str, np.ndarray]:
+    time = np.arange(8000) / 1000
+    phases = [(0.4, 0.3), (1.1, 1.0), (2.3, 2.0)]
+    position = sum(np.sin(2 * np.pi * f * time + p) / f for f, p in phases)
+    velocity = sum(2 * np.pi * np.cos(2 * np.pi * f * time + p) for f, p in phases)
+    acceleration = sum(-((2 * np.pi) ** 2) * f * np.sin(2 * np.pi * f * time + p) for f, p in phases)
+    return {"TORQUE": (inertia * acceleration + viscous * velocity) / 20.0, "ENC": np.degrees(position - 1.0)}
+
+
+def test_inertia_survives_a_velocity_made_from_position(tmp_path: Path) -> None:
+    columns = {
+        "effort": {"source": "TORQUE", "scale": 20.0},
+        "position": {"source": "ENC", "scale": 0.017453292519943295, "offset": 1.0},
+        "velocity": {"from_position": 100},
+    }
+    path = mapping(tmp_path, "trace.mat", columns=columns)
+    savemat(tmp_path / "trace.mat", viscous_only(5.0, 0.7))
+    robot, sweeps = import_trace(path)
+    (axis,) = identify(robot, [spectrum(robot, sweep) for sweep in sweeps]).axes
+    assert axis.sweeps[0].value == pytest.approx(5.0, rel=1e-4)
+    assert axis.sweeps[0].viscous_friction == pytest.approx(0.7, rel=1e-2)
+
+
+def test_emps_mass_from_the_command_line(root: Path, shared: Path, tmp_path: Path) -> None:
+    """Published: M = 95.1089 kg, Fv = 203.5034, Fc = 20.3935, offset = -3.1648."""
+    sweepid = [str(Path(sys.executable).with_name("sweepid"))]
+    source = str(shared / "data/emps/DATA_EMPS.mat")
+    make = ["import-trace", str(root / "config/traces/emps.yaml"), "--source", source, "--out", str(tmp_path / "b")]
+    made = subprocess.run(sweepid + make, capture_output=True, text=True, timeout=60)
+    assert (made.returncode, made.stdout) == (0, ""), made.stderr
+    told = subprocess.run(
+        [*sweepid, "identify", str(tmp_path / "b"), "--json", "-"], capture_output=True, text=True, timeout=60
+    )
+    assert told.returncode == 0, told.stderr
+    (sweep,) = json.loads(told.stdout)["axes"]["slide"]["inertia"]
+    assert sweep["value"] == pytest.approx(95.1089, rel=2e-3)
+    assert sweep["viscous_friction"] == pytest.approx(203.5034, rel=0.02)
+    assert sweep["terms"]["coulomb_friction"]["value"] == pytest.approx(20.3935, rel=0.02)
+    assert sweep["terms"]["effort_offset"]["value"] == pytest.approx(-3.1648, rel=0.02)

@@ -1,0 +1,97 @@
+"""Reading a URDF: what the specification's defaults mean, folding of fixed joints, and refusals by name."""
+
+import numpy as np
+import pytest
+
+from service.errors import BadInput
+from service.urdf import inertia_matrix, inertia_vector, read_chain, rotation_rpy, transform_inertial
+
+BODY = '<inertial><mass value="2"/><inertia ixx="1" iyy="2" izz="3" ixy="0" ixz="0" iyz="0"/></inertial>'
+LIMIT = '<limit lower="-1" upper="2" velocity="3" effort="4"/>'
+
+
+def joint(name: str, kind: str, parent: str, child: str, inner: str = LIMIT) -> str:
+    return f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>{inner}</joint>'
+
+
+def robot(*parts: str, links: str = "ab") -> str:
+    return (
+        f"<robot name='r'>{''.join(f'<link name={chr(34)}{name}{chr(34)}/>' for name in links)}{''.join(parts)}</robot>"
+    )
+
+
+def test_defaults_of_the_specification() -> None:
+    (only,) = read_chain(robot(joint("j", "revolute", "a", "b"))).joints
+    np.testing.assert_array_equal(only.axis, [1, 0, 0])
+    np.testing.assert_array_equal(only.rotation, np.eye(3))
+    assert (only.lower, only.upper, only.velocity, only.effort, only.link) == (-1, 2, 3, 4, "b")
+
+
+def test_a_continuous_joint_has_no_ends() -> None:
+    (only,) = read_chain(robot(joint("j", "continuous", "a", "b", '<axis xyz="0 0 2"/>'))).joints
+    assert (only.kind, only.lower, only.upper) == ("revolute", -np.inf, np.inf)
+    np.testing.assert_array_equal(only.axis, [0, 0, 1])
+
+
+def test_a_fixed_child_weighs_on_the_link_that_carries_it() -> None:
+    text = robot(
+        joint("j", "revolute", "a", "b"),
+        f'<link name="c">{BODY}</link>',
+        joint("f", "fixed", "b", "c", '<origin xyz="3 0 0" rpy="0 0 1.5707963267948966"/>'),
+    )
+    # by hand: at 3 m on x, turned by 90 deg about z, so ixx and iyy change places
+    np.testing.assert_allclose(read_chain(text).inertial, [[2, 6, 0, 0, 2, 0, 1 + 18, 0, 0, 3 + 18]], atol=1e-12)
+
+
+def test_what_is_fixed_to_the_base_is_no_load() -> None:
+    text = robot(f'<link name="c">{BODY}</link>', joint("f", "fixed", "a", "c", ""), joint("j", "prismatic", "c", "b"))
+    chain = read_chain(text)
+    assert chain.joints[0].kind == "prismatic"
+    np.testing.assert_array_equal(chain.inertial, np.zeros((1, 10)))
+
+
+def test_a_body_carried_there_and_back_is_the_same() -> None:
+    rng = np.random.default_rng(3)
+    parameters = rng.normal(size=10)
+    rotation, translation = rotation_rpy(rng.normal(size=3)), rng.normal(size=3)
+    moved = transform_inertial(parameters, rotation, translation)
+    np.testing.assert_allclose(transform_inertial(moved, rotation.T, -rotation.T @ translation), parameters, atol=1e-12)
+    np.testing.assert_array_equal(inertia_vector(inertia_matrix(parameters)), parameters[4:])
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("<robot", "not XML"),
+        ("<robot/>", "needs one base link, has 0"),
+        (robot(), "needs one base link, has 2"),
+        (robot(links="a"), "has no moving joint"),
+        (robot(joint("j", "revolute", "a", "c")), "needs one base link"),
+        (robot(joint("j", "revolute", "a", "c"), links="a"), "link 'c' of a joint is not defined"),
+        (robot(joint("j", "floating", "a", "b")), "j: type 'floating' is not supported"),
+        (robot(joint("j", "revolute", "a", "b", "")), "j: has no <limit>"),
+        (robot(joint("j", "revolute", "a", "b", LIMIT.replace('"2"', '"-1"'))), "lower limit -1.0 is not below"),
+        (
+            robot(joint("j", "revolute", "a", "b", LIMIT.replace('"4"', '"much"'))),
+            "limit effort='much' is not a number",
+        ),
+        (robot(joint("j", "revolute", "a", "b", LIMIT + '<axis xyz="0 0 0"/>')), "axis has no direction"),
+        (robot(joint("j", "revolute", "a", "b", LIMIT + '<origin xyz="0 0"/>')), "is not three finite numbers"),
+        (robot(joint("j", "revolute", "a", "b", LIMIT + '<origin xyz="0 0 x"/>')), "is not three numbers"),
+        (robot('<joint name="j" type="fixed"><parent link="a"/></joint>'), "j: has no <child link=...>"),
+        (robot(joint("j", "revolute", "a", "b"), joint("k", "revolute", "a", "c"), links="abc"), "two moving joints"),
+        (robot(joint("j", "fixed", "a", "b"), joint("k", "fixed", "b", "b")), "carried by two joints"),
+        (robot(joint("j", "fixed", "a", "b"), joint("k", "fixed", "a", "b")), "carried by two joints"),
+        (robot('<link name="a"/>', joint("j", "revolute", "a", "b")), "link 'a' stands twice"),
+        (robot(joint("j", "fixed", "a", "b"), joint("j", "revolute", "b", "c"), links="abc"), "joint 'j' stands twice"),
+        (
+            robot(joint("j", "revolute", "a", "c"), '<link name="c"><inertial/></link>', links="a"),
+            "<inertial> needs <mass> and <inertia>",
+        ),
+    ],
+)
+def test_refusals_name_the_reason(text: str, reason: str) -> None:
+    with pytest.raises(BadInput) as refusal:
+        read_chain(text, "robot.urdf")
+    assert str(refusal.value).startswith("robot.urdf")
+    assert reason in str(refusal.value)
