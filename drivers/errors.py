@@ -8,6 +8,10 @@ class DriveError(Exception):
     """Any trouble with a drive. The caller must take the axis to be unsafe until it is told otherwise."""
 
 
+class BadProfile(DriveError):
+    """A drive profile cannot be used: a misspelt key, a missing value, an EDS file that is not there."""
+
+
 class ConnectionFailed(DriveError):
     """The bus could not be opened, or a node did not answer: cable off, wrong port, drive without power."""
 
@@ -22,6 +26,10 @@ class WrongConfiguration(DriveError):
 
 class LimitExceeded(DriveError):
     """A command lies outside the axis' limits. Raised before anything moves."""
+
+
+class EnvelopeLeft(DriveError):
+    """A moving axis left its position window, speed or effort limit. It was stopped and disabled."""
 
 
 class NotReady(DriveError):
@@ -45,4 +53,4 @@ class SweepRejected(DriveError):
 
 
 class SweepInterrupted(DriveError):
-    """A sweep ended early because somebody stopped it. The samples so far were delivered."""
+    """A sweep or a move ended early because somebody stopped it. The samples so far were delivered."""

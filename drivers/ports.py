@@ -1,7 +1,8 @@
 """The one interface behind which every drive stands: SI units, joint side, names of joints.
 
 A `DrivePort` is one machine: all the axes that one connection reaches. An adapter is registered by entry point
-(group ``sweepid.drives``) as ``factory(profile: Mapping[str, object]) -> DrivePort``; `drivers.registry` loads it.
+(group ``sweepid.drives``) as ``factory(profile: Mapping[str, object], base: Path) -> DrivePort``, files named in the
+profile being relative to `base`; `drivers.registry` loads it.
 
 Rules that every adapter keeps (tests/contract):
 

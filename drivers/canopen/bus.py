@@ -1,0 +1,156 @@
+"""One CAN bus: a receiving thread that sorts frames, and what was last heard of every node.
+
+canopen's own notifier is not used: it drops error frames, and ends in a silent thread when the interface fails.
+"""
+
+import logging
+import queue
+import socket
+import threading
+import time
+
+import can
+import canopen
+from canopen.sdo.client import SdoClient
+
+from drivers.canopen import frames
+from drivers.canopen.profile import BusProfile
+from drivers.errors import CommunicationLost, ConnectionFailed
+
+logger = logging.getLogger(__name__)
+
+RECEIVE_TIMEOUT = 0.05  # s; how long closing waits for the receiving thread
+
+
+class Bus:
+    """An open bus. `send` may be called from any thread."""
+
+    def __init__(self, profile: BusProfile, nodes: tuple[int, ...]) -> None:
+        """Opens the bus (blocking). ConnectionFailed where that is not possible."""
+        self._profile = profile
+        self._interface = _open(profile)
+        self._network = canopen.Network(self._interface)
+        self._heard = dict.fromkeys(nodes, time.monotonic())
+        self._emergencies: dict[int, frames.Emergency] = {}
+        self._streams: dict[int, queue.SimpleQueue[frames.Event]] = {}
+        self._lost: str | None = None
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._receive, name="can-receive", daemon=True)
+        self._thread.start()
+
+    def add_node(self, node: int, eds: str) -> SdoClient:
+        """The SDO client of a node with the dictionary of `eds`."""
+        remote: canopen.RemoteNode = self._network.add_node(node, eds)
+        client: SdoClient = remote.sdo
+        client.RESPONSE_TIMEOUT = self._profile.sdo_timeout
+        return client
+
+    def send(self, identifier: int, data: bytes) -> None:
+        """CommunicationLost where the interface refuses the frame or is already lost."""
+        if self._lost is not None:
+            raise CommunicationLost(self._lost)
+        try:
+            self._network.send_message(identifier, data)
+        except (can.CanError, OSError) as error:
+            self._fail(f"sending failed: {error}")
+            raise CommunicationLost(f"bus {self._profile.channel}: sending failed: {error}") from None
+
+    def check_alive(self) -> None:
+        """CommunicationLost if the bus is gone or no node was heard for longer than the time-out."""
+        timeout = self._profile.drive_timeout
+        if self._lost is None and time.monotonic() - max(self._heard.values()) > timeout:
+            # A socketcand connection that the server closed reads nothing for ever: end the receiving thread.
+            self._fail(f"no node was heard for {timeout} s")
+        if self._lost is not None:
+            raise CommunicationLost(self._lost)
+
+    def check(self, node: int) -> None:
+        """CommunicationLost if the bus is gone or this node was not heard for longer than the time-out."""
+        self.check_alive()
+        silent = time.monotonic() - self._heard[node]
+        if silent > self._profile.drive_timeout:
+            raise CommunicationLost(f"node {node}: no heartbeat for {silent:.2f} s")
+
+    def emergency(self, node: int) -> frames.Emergency | None:
+        """The last error that the node announced and has not withdrawn."""
+        return self._emergencies.get(node)
+
+    def forget_emergency(self, node: int) -> None:
+        self._emergencies.pop(node, None)
+
+    def open_stream(self, node: int) -> queue.SimpleQueue[frames.Event]:
+        """Every event of a node, and BusOff, from now until `close_stream`."""
+        stream: queue.SimpleQueue[frames.Event] = queue.SimpleQueue()
+        self._streams[node] = stream
+        return stream
+
+    def close_stream(self, node: int) -> None:
+        self._streams.pop(node, None)
+
+    def close(self) -> None:
+        """Ends the thread and closes the interface. Safe to call twice."""
+        self._closing.set()
+        self._thread.join()
+        if self._lost is None:
+            self._lost = f"bus {self._profile.channel}: closed"
+        self._network.disconnect()  # also shuts the interface down
+
+    def _fail(self, reason: str) -> None:
+        if self._lost is None:
+            self._lost = f"bus {self._profile.channel}: {reason}"
+            logger.error("%s", self._lost)
+        self._closing.set()
+
+    def _receive(self) -> None:
+        while not self._closing.is_set():
+            try:
+                message = self._interface.recv(RECEIVE_TIMEOUT)
+            except (can.CanError, OSError) as error:
+                self._fail(f"receiving failed: {error}")
+                return
+            if message is not None and not message.is_remote_frame:
+                self._sort(message)
+
+    def _sort(self, message: can.Message) -> None:
+        identifier, data = message.arbitration_id, bytes(message.data)
+        if not message.is_error_frame and identifier & ~0x7F == frames.SDO_RESPONSE:
+            node = identifier & 0x7F
+            if node in self._heard and len(data) == 8:  # canopen's client would fail on anything else
+                self._heard[node] = time.monotonic()
+                self._network.notify(identifier, bytearray(data), message.timestamp)
+            return
+        event = frames.decode(identifier, data, message.is_error_frame)
+        if event is None:
+            return
+        if isinstance(event, frames.BusOff):
+            self._fail("bus-off")
+            for stream in tuple(self._streams.values()):
+                stream.put(event)
+            return
+        if event.node not in self._heard:
+            return
+        self._heard[event.node] = time.monotonic()
+        if isinstance(event, frames.Emergency):
+            if event.code:
+                self._emergencies[event.node] = event
+            else:
+                self._emergencies.pop(event.node, None)
+        stream = self._streams.get(event.node)
+        if stream is not None:
+            stream.put(event)
+
+
+def _open(profile: BusProfile) -> can.BusABC:
+    place = f"bus {profile.interface} {profile.channel}"
+    options: dict[str, object] = {"interface": profile.interface, "channel": profile.channel}
+    if profile.bitrate is not None:
+        options["bitrate"] = profile.bitrate
+    try:
+        if profile.interface == "socketcand":
+            # python-can retries a refused connection for 10 s in a busy loop; ask first.
+            socket.create_connection((profile.host, profile.port), timeout=3.0).close()
+            options |= {"host": profile.host, "port": profile.port, "tcp_tune": True}
+        return can.Bus(**options)  # pyright: ignore[reportArgumentType]
+    except (can.CanError, OSError, ValueError) as error:
+        where = f" at {profile.host}:{profile.port}" if profile.host else ""
+        raise ConnectionFailed(f"{place}{where} could not be opened: {error}") from None

@@ -1,0 +1,97 @@
+"""Limits on the joint side: of a command before anything moves, and of a moving axis."""
+
+import math
+from dataclasses import dataclass
+
+from drivers.canopen.profile import AxisProfile
+from drivers.canopen.waveform import travel
+from drivers.errors import LimitExceeded
+from drivers.ports import SweepCommand, SweepMode
+
+MAX_SINES = 16  # of the measuring function
+OVERSHOOT = 1.1  # of the speed during a positioning move, over the highest speed that may be commanded
+
+
+@dataclass(frozen=True, slots=True)
+class Envelope:
+    """What a moving axis must not leave; rad, rad/s, N m (m, m/s, N)."""
+
+    velocity_limit: float
+    effort_limit: float
+    window: tuple[float, float]
+    unit: str
+    effort_unit: str
+
+    def violation(self, position: float, velocity: float, effort: float) -> str | None:
+        """What is wrong with this reading, with value, limit and unit; None if nothing is."""
+        low, high = self.window
+        if not low <= position <= high:
+            return f"position {position:.5g} {self.unit} is outside {low:.5g} to {high:.5g} {self.unit}"
+        if not abs(velocity) <= self.velocity_limit:
+            return f"velocity {velocity:.4g} {self.unit}/s is beyond {self.velocity_limit:.4g} {self.unit}/s"
+        if not abs(effort) <= self.effort_limit:
+            return f"effort {effort:.4g} {self.effort_unit} is beyond {self.effort_limit:.4g} {self.effort_unit}"
+        return None
+
+
+def move_envelope(axis: AxisProfile) -> Envelope:
+    """The envelope of positioning moves: the profile's limits, with room for the speed controller's overshoot."""
+    return Envelope(
+        OVERSHOOT * axis.velocity_limit, axis.effort_limit, axis.position_limits, axis.unit, axis.effort_unit
+    )
+
+
+def sweep_envelope(axis: AxisProfile, command: SweepCommand) -> Envelope:
+    """The envelope of a sweep: the command's limits."""
+    return Envelope(command.velocity_limit, command.effort_limit, command.position_window, axis.unit, axis.effort_unit)
+
+
+def check_move(axis: AxisProfile, position: float, velocity: float) -> None:
+    """LimitExceeded if a positioning move is outside the profile's limits."""
+    low, high = axis.position_limits
+    if not low <= position <= high:
+        raise LimitExceeded(
+            f"{axis.joint}: target position {position:.5g} {axis.unit} is outside {low:.5g} to {high:.5g} {axis.unit}"
+        )
+    _at_most(axis, "velocity", velocity, axis.velocity_limit, f"{axis.unit}/s")
+
+
+def check_sweep(axis: AxisProfile, command: SweepCommand, start: float, sync_period: float) -> None:
+    """LimitExceeded if a sweep from position `start` would leave its own or the profile's limits."""
+    _at_most(axis, "velocity limit", command.velocity_limit, axis.velocity_limit, f"{axis.unit}/s")
+    _at_most(axis, "effort limit", command.effort_limit, axis.effort_limit, axis.effort_unit)
+    for what, value in (("ramp", command.ramp), ("period", command.period), ("sample rate", command.sample_rate)):
+        if not (math.isfinite(value) and value > 0):
+            raise LimitExceeded(f"{axis.joint}: {what} {value} must be above 0")
+    if not (math.isfinite(command.settle) and command.settle >= 0 and command.periods >= 1):
+        raise LimitExceeded(f"{axis.joint}: settle {command.settle} s, {command.periods} periods is no sweep")
+    peak = abs(command.offset_velocity) + sum(abs(sine.amplitude) for sine in command.sines)
+    if not peak <= command.velocity_limit:
+        raise LimitExceeded(
+            f"{axis.joint}: peak velocity {peak:.4g} {axis.unit}/s is beyond the limit of "
+            f"{command.velocity_limit:.4g} {axis.unit}/s"
+        )
+    if command.mode is SweepMode.DRIVE_SIDE and len(command.sines) > MAX_SINES:
+        raise LimitExceeded(f"{axis.joint}: {len(command.sines)} sines are more than the drive's {MAX_SINES}")
+    rate = 1 / sync_period if command.mode is SweepMode.HOST_STREAMED else command.sample_rate
+    highest = max((sine.frequency for sine in command.sines), default=0.0)
+    if not highest < rate / 2:
+        raise LimitExceeded(f"{axis.joint}: {highest:.4g} Hz is not below half the sample rate of {rate:.4g} Hz")
+    low, high = command.position_window
+    down, up = travel(command)
+    for what, value in (("start", start), ("lowest position", start + down), ("highest position", start + up)):
+        if not (low <= value <= high):
+            raise LimitExceeded(
+                f"{axis.joint}: {what} {value:.5g} {axis.unit} of the sweep is outside its window "
+                f"{low:.5g} to {high:.5g} {axis.unit}"
+            )
+    if low < axis.position_limits[0] or high > axis.position_limits[1]:
+        raise LimitExceeded(
+            f"{axis.joint}: window {low:.5g} to {high:.5g} {axis.unit} is outside "
+            f"{axis.position_limits[0]:.5g} to {axis.position_limits[1]:.5g} {axis.unit}"
+        )
+
+
+def _at_most(axis: AxisProfile, what: str, value: float, limit: float, unit: str) -> None:
+    if not 0 < value <= limit:
+        raise LimitExceeded(f"{axis.joint}: {what} {value:.4g} {unit} must be above 0 and at most {limit:.4g} {unit}")

@@ -1,0 +1,105 @@
+"""The drive-side sweep: a task starts the measuring function, watches it, and pages its trace out as it grows.
+
+The task runs whether or not the samples are being consumed, so that the live checks never wait for a slow consumer.
+"""
+
+import asyncio
+import threading
+import time
+from collections.abc import AsyncGenerator, Awaitable, Callable
+
+from drivers.canopen.axis import Axis
+from drivers.canopen.checks import Envelope
+from drivers.canopen.measuring import Measuring, MeasuringState, Progress
+from drivers.canopen.sdo_thread import SdoThread
+from drivers.errors import CommunicationLost, DriveFault, EnvelopeLeft, SweepInterrupted
+from drivers.ports import SampleBlock, SweepCommand
+
+PAGE = 256  # samples; a page occupies the SDO channel, and a stop waits for it
+LIVE_TIME = 0.1  # s of samples that make a page worth while during the run
+POLL = 0.01  # s
+STALLED = 5.0  # s without a new sample
+
+
+class DriveSweep:
+    """One run. `stop` (a threading.Event) may be set from any thread; the task then brings the axis down and ends."""
+
+    def __init__(
+        self,
+        sdo: SdoThread,
+        axis: Axis,
+        command: SweepCommand,
+        envelope: Envelope,
+        stop: threading.Event,
+        bring_down: Callable[[], Awaitable[None]],
+    ) -> None:
+        """`bring_down` is the stop ladder of the axis."""
+        self._sdo, self._axis, self._envelope, self._stop, self._bring_down = sdo, axis, envelope, stop, bring_down
+        self._measuring = Measuring(axis, command)
+        self._live = max(1, min(PAGE, round(LIVE_TIME * 1e3 / self._measuring.cycle_ms)))
+        self._done = 0  # samples handed over
+        self._blocks: asyncio.Queue[SampleBlock | None] = asyncio.Queue()
+        self._task = asyncio.create_task(self._run())
+
+    async def blocks(self) -> AsyncGenerator[SampleBlock, None]:
+        """The samples as they come; raises what ended the run early."""
+        while (block := await self._blocks.get()) is not None:
+            yield block
+        await self.finished()
+
+    async def finished(self) -> None:
+        """Until the run has ended; raises what ended it."""
+        await asyncio.shield(self._task)
+
+    async def _run(self) -> None:
+        try:
+            await self._sdo.run(self._measuring.prepare)
+            await self._sdo.run(self._start)
+            try:
+                await self._follow()
+            except (DriveFault, EnvelopeLeft, SweepInterrupted):
+                await self._bring_down()
+                await self._hand_over((await self._sdo.run(self._measuring.progress)).recorded)
+                raise
+        finally:
+            self._blocks.put_nowait(None)
+
+    def _start(self) -> None:
+        """On the SDO thread, so that no stop can come between the question and the start."""
+        if self._stop.is_set():
+            raise SweepInterrupted(f"{self._axis.place}: sweep was stopped before it started")
+        self._measuring.start()
+
+    async def _follow(self) -> None:
+        grown = time.monotonic()
+        while True:
+            if self._stop.is_set():
+                raise SweepInterrupted(f"{self._axis.place}: sweep was stopped")
+            progress = await self._sdo.run(self._watch)
+            waiting = progress.recorded - self._done
+            if progress.state is MeasuringState.DONE:
+                await self._hand_over(progress.recorded)
+                return
+            if progress.state is not MeasuringState.RUNNING:
+                raise SweepInterrupted(f"{self._axis.place}: the drive ended the sweep: {progress.state.name.lower()}")
+            if waiting >= self._live:
+                grown = time.monotonic()
+                await self._hand_over(self._done + min(waiting, PAGE))
+                continue
+            if time.monotonic() - grown > STALLED:
+                raise CommunicationLost(f"{self._axis.place}: no new sample of the measuring function for {STALLED} s")
+            await asyncio.sleep(POLL)
+
+    def _watch(self) -> Progress:
+        reading = self._axis.read()
+        self._axis.check(reading.state)
+        violation = self._envelope.violation(reading.position, reading.velocity, reading.effort)
+        if violation is not None:
+            raise EnvelopeLeft(f"{self._axis.place}: {violation}")
+        return self._measuring.progress()
+
+    async def _hand_over(self, recorded: int) -> None:
+        while self._done < recorded:
+            count = min(PAGE, recorded - self._done)
+            self._blocks.put_nowait(await self._sdo.run(self._measuring.page, self._done, count))
+            self._done += count

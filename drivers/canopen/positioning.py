@@ -1,0 +1,58 @@
+"""A move to a position in profile position mode: the drive makes the ramps, the host watches."""
+
+import asyncio
+import threading
+import time
+
+from drivers.canopen import checks, states
+from drivers.canopen.axis import Axis, Reading
+from drivers.canopen.sdo_thread import SdoThread
+from drivers.canopen.states import State
+from drivers.errors import DriveError, EnvelopeLeft, NotReady, SweepInterrupted
+
+POLL = 0.01  # s
+MARGIN = 5.0  # s above the time that the move needs
+ARRIVAL = 2e-3  # rad (m) that an arrived axis may be off
+
+
+async def move(sdo: SdoThread, axis: Axis, position: float, velocity: float, stop: threading.Event) -> None:
+    """Returns at standstill at `position`. Leaves an axis that did not arrive as it is: the caller brings it down."""
+    profile = axis.profile
+    envelope = checks.move_envelope(profile)
+    start = await sdo.run(axis.require_enabled)
+    await sdo.run(axis.read_back)
+    await sdo.run(axis.settle_limits, envelope.velocity_limit, envelope.effort_limit, envelope.window)
+    # Wall time: a machine whose clock runs faster arrives earlier.
+    needed = abs(position - start.position) / velocity + 2 * velocity / profile.acceleration
+    deadline = time.monotonic() + needed + MARGIN
+    await sdo.run(_start, axis, position, velocity, stop)
+    while True:
+        reading = await sdo.run(axis.read)
+        if stop.is_set():
+            raise SweepInterrupted(f"{axis.place}: move to {position:.5g} {profile.unit} was stopped")
+        await sdo.run(axis.check, reading.state)
+        if reading.state is not State.OPERATION_ENABLED:
+            raise NotReady(f"{axis.place}: went to '{reading.state.value}' during the move")
+        violation = envelope.violation(reading.position, reading.velocity, reading.effort)
+        if violation is not None:
+            raise EnvelopeLeft(f"{axis.place}: {violation}")
+        if _arrived(axis, reading, position):
+            return
+        if time.monotonic() > deadline:
+            raise DriveError(
+                f"{axis.place}: at {reading.position:.5g} {profile.unit} instead of {position:.5g} {profile.unit} "
+                f"after {needed + MARGIN:.1f} s"
+            )
+        await asyncio.sleep(POLL)
+
+
+def _start(axis: Axis, position: float, velocity: float, stop: threading.Event) -> None:
+    """On the SDO thread, so that no stop can come between the question and the start."""
+    if stop.is_set():
+        raise SweepInterrupted(f"{axis.place}: move was stopped before it started")
+    axis.start_positioning(position, velocity)
+
+
+def _arrived(axis: Axis, reading: Reading, position: float) -> bool:
+    reached = bool(reading.statusword & states.TARGET_REACHED)
+    return reached and axis.stands(reading) and abs(reading.position - position) <= ARRIVAL

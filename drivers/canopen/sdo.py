@@ -1,0 +1,78 @@
+"""Typed SDO access to one node; blocking, for one thread at a time."""
+
+import struct
+from collections.abc import Callable
+from typing import cast
+
+import can
+from canopen.sdo.client import BlockUploadStream, SdoClient
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
+
+from drivers.canopen.objects import Entry
+from drivers.errors import CommunicationLost, WrongConfiguration
+
+ABSENT = frozenset({0x06020000, 0x06090011})  # object, sub-index does not exist
+
+
+class ObjectAbsent(WrongConfiguration):
+    """The drive does not have an object."""
+
+
+class Sdo:
+    """Reads and writes objects of one node. CommunicationLost when it does not answer."""
+
+    def __init__(self, client: SdoClient, place: str, check_alive: Callable[[], None]) -> None:
+        """`place` as in "joint_1 (node 1)"; `check_alive` raises CommunicationLost once the bus is gone."""
+        self._client = client
+        self._place = place
+        self._check_alive = check_alive
+
+    def read(self, entry: Entry) -> float:
+        """WrongConfiguration when the drive refuses; ObjectAbsent when it has no such object."""
+        self._check_alive()
+        try:
+            return entry.unpack(self._client.upload(entry.index, entry.sub))
+        except (SdoAbortedError, SdoCommunicationError, can.CanError, OSError) as error:
+            raise self._explain(entry, error) from None
+        except struct.error as error:
+            raise WrongConfiguration(f"{self._place}: {entry} has another type: {error}") from None
+
+    def integer(self, entry: Entry) -> int:
+        return int(self.read(entry))
+
+    def write(self, entry: Entry, value: float) -> None:
+        """As `read`; the value is not read back."""
+        self._check_alive()
+        try:
+            self._client.download(entry.index, entry.sub, entry.pack(value))
+        except (SdoAbortedError, SdoCommunicationError, can.CanError, OSError) as error:
+            raise self._explain(entry, error, f" = {value:g}") from None
+        except struct.error as error:
+            raise WrongConfiguration(f"{self._place}: {entry} cannot hold {value:g}: {error}") from None
+
+    def settle(self, entry: Entry, value: float) -> None:
+        """Make sure the object holds `value`: write where it differs, and read back. WrongConfiguration if not."""
+        if self.read(entry) == value:
+            return
+        self.write(entry, value)
+        got = self.read(entry)
+        if got != value:
+            raise WrongConfiguration(f"{self._place}: {entry}: wrote {value:g}, drive holds {got:g}")
+
+    def upload(self, index: int, sub: int, block: bool) -> bytes:
+        """A DOMAIN, by block or segmented transfer."""
+        entry = Entry(index, sub, "s", "domain")
+        self._check_alive()
+        try:
+            if not block:
+                return self._client.upload(index, sub)
+            with BlockUploadStream(self._client, index, sub) as stream:
+                return cast(bytes, stream.read())
+        except (SdoAbortedError, SdoCommunicationError, can.CanError, OSError) as error:
+            raise self._explain(entry, error) from None
+
+    def _explain(self, entry: Entry, error: Exception, value: str = "") -> WrongConfiguration | CommunicationLost:
+        if not isinstance(error, SdoAbortedError):
+            return CommunicationLost(f"{self._place}: {entry}{value}: {error}")
+        kind = ObjectAbsent if error.code in ABSENT else WrongConfiguration
+        return kind(f"{self._place}: {entry}{value}: {error}")

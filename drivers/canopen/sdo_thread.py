@@ -1,0 +1,24 @@
+"""The one thread on which canopen's blocking SDO calls run, so that no two of them ever meet."""
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import ParamSpec, TypeVar
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+class SdoThread:
+    """First come, first served. A cancelled caller leaves; its call runs to its end all the same."""
+
+    def __init__(self) -> None:
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix="can-sdo")
+
+    async def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """The result of `function`, called on the thread."""
+        return await asyncio.wrap_future(self._executor.submit(function, *args, **kwargs))
+
+    async def close(self) -> None:
+        """Ends the thread after the call under way; calls not yet begun are dropped."""
+        await asyncio.to_thread(self._executor.shutdown, cancel_futures=True)

@@ -1,0 +1,101 @@
+"""The CiA 402 power state machine as one pure table (IEC 61800-7-201, statusword 6041h, controlword 6040h)."""
+
+from enum import Enum
+
+from drivers.errors import NotReady
+from drivers.ports import AxisState
+
+
+class State(Enum):
+    """States of the drive, as its statusword tells them."""
+
+    NOT_READY = "not ready to switch on"
+    SWITCH_ON_DISABLED = "switch on disabled"
+    READY = "ready to switch on"
+    SWITCHED_ON = "switched on"
+    OPERATION_ENABLED = "operation enabled"
+    QUICK_STOP_ACTIVE = "quick stop active"
+    FAULT_REACTION = "fault reaction active"
+    FAULT = "fault"
+    UNKNOWN = "unknown"
+
+
+class Wish(Enum):
+    """What is wanted of a drive."""
+
+    ENABLED = "enabled"
+    QUICK_STOP = "quick stop"
+    DISABLED = "disabled"
+    FAULT_RESET = "fault reset"
+
+
+# (mask, value, state); the patterns exclude one another.
+PATTERNS = (
+    (0x4F, 0x00, State.NOT_READY),
+    (0x4F, 0x40, State.SWITCH_ON_DISABLED),
+    (0x6F, 0x21, State.READY),
+    (0x6F, 0x23, State.SWITCHED_ON),
+    (0x6F, 0x27, State.OPERATION_ENABLED),
+    (0x6F, 0x07, State.QUICK_STOP_ACTIVE),
+    (0x4F, 0x0F, State.FAULT_REACTION),
+    (0x4F, 0x08, State.FAULT),
+)
+
+DISABLE_VOLTAGE = 0x00
+QUICK_STOP = 0x02
+SHUTDOWN = 0x06
+SWITCH_ON = 0x07
+ENABLE_OPERATION = 0x0F
+FAULT_RESET = 0x80
+NEW_SET_POINT = 0x10  # bit 4 in profile position mode
+HALT = 0x100  # bit 8
+
+SET_POINT_ACKNOWLEDGED = 0x1000  # statusword bit 12
+TARGET_REACHED = 0x400  # statusword bit 10
+
+# The next controlword on the way from a state to a wish. What is not in the table is refused. Only ENABLED and only
+# along its one path closes the loop; QUICK_STOP and DISABLED are allowed from everywhere, for they only take energy.
+STEPS: dict[tuple[State, Wish], int] = {
+    (State.SWITCH_ON_DISABLED, Wish.ENABLED): SHUTDOWN,
+    (State.READY, Wish.ENABLED): SWITCH_ON,
+    (State.SWITCHED_ON, Wish.ENABLED): ENABLE_OPERATION,
+    (State.OPERATION_ENABLED, Wish.ENABLED): ENABLE_OPERATION,
+    (State.FAULT, Wish.FAULT_RESET): FAULT_RESET,
+    **{(state, Wish.QUICK_STOP): QUICK_STOP for state in State},
+    **{(state, Wish.DISABLED): DISABLE_VOLTAGE for state in State},
+}
+
+ENERGISED = frozenset({State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION})
+
+_OPERATOR_VIEW = {
+    State.NOT_READY: AxisState.DISABLED,
+    State.SWITCH_ON_DISABLED: AxisState.DISABLED,
+    State.READY: AxisState.DISABLED,
+    State.SWITCHED_ON: AxisState.DISABLED,
+    State.OPERATION_ENABLED: AxisState.ENABLED,
+    State.QUICK_STOP_ACTIVE: AxisState.STOPPING,
+    State.FAULT_REACTION: AxisState.STOPPING,
+    State.FAULT: AxisState.FAULT,
+    State.UNKNOWN: AxisState.UNKNOWN,
+}
+
+
+def decode(statusword: int) -> State:
+    """The state in a statusword; UNKNOWN where no pattern fits."""
+    for mask, value, state in PATTERNS:
+        if statusword & mask == value:
+            return state
+    return State.UNKNOWN
+
+
+def step(state: State, wish: Wish) -> int:
+    """The controlword that leads from `state` towards `wish`; NotReady where none may be sent."""
+    controlword = STEPS.get((state, wish))
+    if controlword is None:
+        raise NotReady(f"drive is in state '{state.value}', which does not allow '{wish.value}'")
+    return controlword
+
+
+def operator_view(state: State) -> AxisState:
+    """What the state means to a person."""
+    return _OPERATOR_VIEW[state]

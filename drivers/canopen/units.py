@@ -1,0 +1,96 @@
+"""Drive units on the motor side <-> SI on the joint side, by the unit objects that the drive itself gives.
+
+With u the signed gear ratio, theta the motor angle [rad] and q0 the joint position at encoder zero:
+q = theta / u + q0,  qd = theta' / u,  effort = u * motor torque.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.errors import LimitExceeded, WrongConfiguration
+
+Array = NDArray[np.float64]
+
+REVOLUTIONS, INCREMENTS = 0xB4, 0xB5  # CiA 402 unit codes in 60A9h, numerator
+SECOND, MINUTE = 0x03, 0x47  # denominator
+
+
+@dataclass(frozen=True, slots=True)
+class Codec:
+    """One axis' conversions. Raw values are the integers on the wire; `motor_` values are rev/min, rev, N m."""
+
+    gear_ratio: float
+    position_offset: float  # rad (m)
+    rated_torque: float  # N m of the motor, 6076h
+    increments: float  # per motor revolution, 608Fh
+    velocity_unit: float  # motor rev/s per raw unit, 60A9h
+
+    def position(self, raw: Array | float) -> Array:
+        """6064h -> rad (m)."""
+        return self.motor_position(np.asarray(raw) / self.increments)
+
+    def velocity(self, raw: Array | float) -> Array:
+        """606Ch -> rad/s (m/s)."""
+        return np.asarray(raw) * (self.velocity_unit * math.tau / self.gear_ratio)
+
+    def effort(self, raw: Array | float) -> Array:
+        """6077h, per mille of rated torque -> N m (N)."""
+        return np.asarray(raw) * (1e-3 * self.rated_torque * self.gear_ratio)
+
+    def motor_position(self, revolutions: Array | float) -> Array:
+        """Motor revolutions -> rad (m)."""
+        return np.asarray(revolutions) * (math.tau / self.gear_ratio) + self.position_offset
+
+    def motor_velocity(self, rev_per_min: Array | float) -> Array:
+        """Motor rev/min -> rad/s (m/s)."""
+        return np.asarray(rev_per_min) * (math.tau / 60 / self.gear_ratio)
+
+    def motor_effort(self, torque: Array | float) -> Array:
+        """Motor torque N m -> N m (N) on the joint side."""
+        return np.asarray(torque) * self.gear_ratio
+
+    def raw_position(self, position: float) -> int:
+        """rad (m) -> increments; LimitExceeded beyond 32 bits."""
+        return _int32((position - self.position_offset) * self.gear_ratio / math.tau * self.increments, "position")
+
+    def raw_velocity(self, velocity: float) -> int:
+        """rad/s (m/s) -> 60A9h units, signed; LimitExceeded beyond 32 bits."""
+        return _int32(velocity * self.gear_ratio / math.tau / self.velocity_unit, "velocity")
+
+    def raw_speed(self, speed: float) -> int:
+        """Magnitude of a speed, or of an acceleration in 60A9h units per s."""
+        return abs(self.raw_velocity(speed))
+
+    def raw_effort_limit(self, effort: float) -> int:
+        """N m (N) -> per mille of rated torque, rounded down, at most what 16 bits hold."""
+        return min(math.floor(effort / (self.rated_torque * abs(self.gear_ratio)) * 1e3), 0xFFFF)
+
+    def raw_window(self, window: tuple[float, float]) -> tuple[int, int]:
+        """Joint limits -> increments, low before high whatever the gear's sign; cut at 32 bits."""
+        scale = self.gear_ratio / math.tau * self.increments
+        low, high = sorted((limit - self.position_offset) * scale for limit in window)
+        return max(math.floor(low), -(2**31)), min(math.ceil(high), 2**31 - 1)
+
+    def rev_per_min(self, velocity: float) -> float:
+        """rad/s (m/s) -> motor rev/min."""
+        return velocity * self.gear_ratio * 60 / math.tau
+
+
+def velocity_unit(code: int, increments: float) -> float:
+    """Object 60A9h -> motor rev/s per raw unit. WrongConfiguration for a unit other than rev or inc per min or s."""
+    prefix = (code >> 24) - 256 if code >> 31 else code >> 24
+    numerator, denominator = (code >> 16) & 0xFF, (code >> 8) & 0xFF
+    revolutions = {REVOLUTIONS: 1.0, INCREMENTS: 1.0 / increments}.get(numerator)
+    seconds = {SECOND: 1.0, MINUTE: 60.0}.get(denominator)
+    if revolutions is None or seconds is None or not -9 <= prefix <= 9:
+        raise WrongConfiguration(f"60A9h: velocity unit {code:08X}h is not 10^x rev or increments per s or min")
+    return 10.0**prefix * revolutions / seconds
+
+
+def _int32(value: float, what: str) -> int:
+    if not abs(value) < 2**31 - 1:
+        raise LimitExceeded(f"{what} {value:.6g} in drive units does not fit 32 bits")
+    return round(value)

@@ -1,0 +1,89 @@
+"""What only the CANopen adapter promises: configuration with read-back, and punctual cycles."""
+
+import copy
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, cast
+
+import can
+import canopen
+import pytest
+from canopen.sdo.client import SdoClient
+
+from drivers.canopen.machine import CanopenMachine
+from drivers.errors import WrongConfiguration, WrongIdentity
+from drivers.ports import AxisState, DrivePort, SweepMode
+from drivers.registry import open_drive
+from tests.contract.bench import AXIS, DRIVES, Virtual, consume, sweep
+
+both_modes = pytest.mark.parametrize("mode", list(SweepMode), ids=lambda mode: mode.value)
+
+
+@contextmanager
+def another_client(virtual: Virtual) -> Iterator[SdoClient]:
+    """Somebody else with a commissioning tool on node 1."""
+    bus = cast("dict[str, Any]", virtual.profile["bus"])
+    where = {name: bus[name] for name in ("host", "port") if bus[name] is not None}
+    with canopen.Network(can.Bus(interface=bus["interface"], channel=bus["channel"], **where)) as network:
+        network.NOTIFIER_CYCLE = 0.05
+        network.connect()
+        yield network.add_node(1, str(DRIVES / "../eds/virtual-axis.eds")).sdo
+
+
+async def test_a_mapping_that_somebody_changed_is_noticed_before_moving(port: DrivePort, virtual: Virtual) -> None:
+    await port.enable(AXIS)
+    with another_client(virtual) as sdo:
+        sdo.download(0x1801, 1, (0x80000281).to_bytes(4, "little"))
+    before = virtual.truth()["position"]
+    with pytest.raises(WrongConfiguration, match=r"joint_1 \(node 1\): PDO mapping was changed"):
+        await consume(port, await sweep(port, SweepMode.HOST_STREAMED))
+    assert virtual.truth()["position"] == pytest.approx(before, abs=1e-4)
+    assert virtual.energised() == []
+
+
+@both_modes
+async def test_limits_that_somebody_changed_are_put_right(port: DrivePort, virtual: Virtual, mode: SweepMode) -> None:
+    await port.enable(AXIS)
+    with another_client(virtual) as sdo:
+        sdo.download(0x6072, 0, (1).to_bytes(2, "little"))  # 0.1 % of rated torque
+        sdo.download(0x6085, 0, (1).to_bytes(4, "little"))  # quick stop in minutes
+    await consume(port, await sweep(port, mode, effort_limit=3000.0))
+    with another_client(virtual) as sdo:  # one SDO channel: never two clients at a time
+        assert int.from_bytes(sdo.upload(0x6072, 0), "little") == 999  # 3000 N m of rated 3000.02
+        assert int.from_bytes(sdo.upload(0x6085, 0), "little") > 10**6
+    assert (await port.status())[AXIS].state is AxisState.ENABLED
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "error", "message"),
+    [
+        (("axes", 0, "rated_torque"), 20.0, WrongIdentity, "17.54 N m, the profile says 20 N m"),
+        (("axes", 0, "identity", "revision"), 2, WrongIdentity, "revision is 00010000h, the profile says 00000002h"),
+        (("maker_settings", 0, "index"), 0x2FFF, WrongConfiguration, "2FFFh:01 SYNC time-out in ms: .*does not exist"),
+        (("stop_options", "quick_stop"), 77, WrongConfiguration, "605Ah:00 quick stop option = 77: .*too high"),
+    ],
+)
+async def test_drives_that_do_not_fit_the_profile(
+    virtual: Virtual, place: tuple[Any, ...], value: object, error: type[Exception], message: str
+) -> None:
+    profile: Any = copy.deepcopy(dict(virtual.profile)) | {"stop_options": {}}
+    *way, last = place
+    target = profile
+    for part in way:
+        target = target[part]
+    target[last] = value
+    port = open_drive(profile, DRIVES)
+    with pytest.raises(error, match=message):
+        await port.connect()
+    await port.close()
+
+
+async def test_the_cycle_is_paced_and_its_lateness_told(port: DrivePort) -> None:
+    await port.enable(AXIS)
+    command = await sweep(port, SweepMode.HOST_STREAMED)
+    await consume(port, command)
+    assert isinstance(port, CanopenMachine)
+    assert port.timing is not None
+    assert len(port.timing.lateness) >= round(command.duration / 0.004)
+    assert min(port.timing.lateness) >= 0.0
+    assert sorted(port.timing.lateness)[len(port.timing.lateness) // 2] < 0.002

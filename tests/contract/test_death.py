@@ -1,0 +1,90 @@
+"""One side dies by SIGKILL in the middle of a sweep: the other must notice, and the axes must stand."""
+
+import asyncio
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from drivers.errors import CommunicationLost
+from drivers.ports import AxisState, SweepMode
+from tests.contract.bench import AXIS, DRIVES, ROOT, Virtual, consume, socketcand_machine, sweep
+
+HOST = """
+import asyncio, json, sys
+from pathlib import Path
+from drivers.ports import Sine, SweepCommand, SweepMode
+from drivers.registry import open_drive
+
+async def main() -> None:
+    port = open_drive(json.loads(sys.argv[1]), Path(sys.argv[2]))
+    await port.connect()
+    await port.enable("joint_1")
+    command = SweepCommand(
+        joint="joint_1", mode=SweepMode(sys.argv[3]), offset_velocity=0.002, sines=(Sine(2.0, 0.001, 0.0),),
+        period=1.0, periods=200, ramp=0.5, settle=0.5, sample_rate=250.0, velocity_limit=0.05, effort_limit=5000.0,
+        position_window=(-2.0, 2.0),
+    )
+    async for block in port.run_sweep(command):
+        print("moving", flush=True)
+
+asyncio.run(main())
+"""
+
+
+def wait_until_off(virtual: Virtual) -> None:
+    deadline = time.monotonic() + 10.0
+    while virtual.energised():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("mode", list(SweepMode), ids=lambda mode: mode.value)
+def test_axes_stand_after_the_host_was_killed(mode: SweepMode) -> None:
+    with socketcand_machine() as (_, virtual):
+        command = [sys.executable, "-c", HOST, json.dumps(virtual.profile), str(DRIVES), mode.value]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as host:
+            assert host.stdout is not None
+            assert host.stdout.readline() == b"moving\n"
+            assert virtual.energised() == [AXIS]
+            host.send_signal(signal.SIGKILL)
+        wait_until_off(virtual)
+        assert virtual.truth()["velocity"] == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("mode", list(SweepMode), ids=lambda mode: mode.value)
+def test_axes_stand_after_the_host_hung_and_nothing_resumes(mode: SweepMode) -> None:
+    with socketcand_machine() as (_, virtual):
+        command = [sys.executable, "-c", HOST, json.dumps(virtual.profile), str(DRIVES), mode.value]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT) as host:
+            assert host.stdout is not None
+            assert host.stdout.readline() == b"moving\n"
+            host.send_signal(signal.SIGSTOP)
+            wait_until_off(virtual)
+            host.send_signal(signal.SIGCONT)
+            _, errors = host.communicate(timeout=20)
+        assert host.returncode == 1
+        assert errors.decode().splitlines()[-1].startswith("drivers.errors.")
+        assert virtual.energised() == []
+
+
+@pytest.mark.parametrize("mode", list(SweepMode), ids=lambda mode: mode.value)
+async def test_a_machine_that_dies_is_lost_communication(mode: SweepMode) -> None:
+    with socketcand_machine() as (process, virtual):
+        port = virtual.open()
+        await port.connect()
+        await port.enable(AXIS)
+        command = await sweep(port, mode, periods=200, offset_velocity=0.002, sines=())
+        with pytest.raises(CommunicationLost):
+            await consume(port, command, lambda _: process.kill())
+        status = await port.status()
+        assert {axis.state for axis in status.values()} == {AxisState.UNKNOWN}
+        with pytest.raises(CommunicationLost):
+            await port.enable(AXIS)
+        await port.close()
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("can-")]
+    assert len(asyncio.all_tasks()) == 1

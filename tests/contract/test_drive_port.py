@@ -1,0 +1,305 @@
+"""What every `DrivePort` must do, on every bus."""
+
+import asyncio
+from collections.abc import AsyncGenerator
+
+import numpy as np
+import pytest
+
+from drivers.errors import (
+    LimitExceeded,
+    NotReady,
+    SweepInterrupted,
+    WrongIdentity,
+)
+from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
+from tests.contract.bench import AXIS, OTHER, Virtual, column, consume, eventually, sweep
+
+MODES = [SweepMode.DRIVE_SIDE, SweepMode.HOST_STREAMED]
+LONG = 20  # periods; long enough to be interrupted at 20 times real time
+both_modes = pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.value)
+
+
+async def consume_rest(running: AsyncGenerator[SampleBlock, None]) -> None:
+    async for _ in running:
+        pass
+
+
+async def test_connect_leaves_every_axis_disabled(port: DrivePort, virtual: Virtual) -> None:
+    status = await port.status()
+    assert tuple(status) == port.joints
+    assert {axis.state for axis in status.values()} == {AxisState.DISABLED}
+    assert virtual.energised() == []
+    assert await port.faults() == ()
+    assert port.capabilities.sweep_modes == frozenset(MODES)
+
+
+async def test_connect_disables_what_a_dead_host_left_enabled(port: DrivePort, virtual: Virtual) -> None:
+    await port.enable(AXIS)
+    second = virtual.open()
+    await second.connect()
+    assert virtual.energised() == []
+    await second.close()
+
+
+async def test_identity_is_told_and_checked(port: DrivePort, virtual: Virtual) -> None:
+    await port.close()
+    identities = await port.connect()
+    assert [identity.joint for identity in identities] == list(port.joints)
+    assert len({identity.serial for identity in identities}) == len(identities)
+    assert all(len(identity.dictionary_sha256) == 64 for identity in identities)
+    await port.close()
+    virtual.order("identity", joint=OTHER, product=0x9999)
+    try:
+        with pytest.raises(WrongIdentity, match=rf"{OTHER} \(node 3\): product is 00009999h"):
+            await port.connect()
+    finally:
+        virtual.order("identity", joint=OTHER, product=0x0402)
+
+
+async def test_commands_before_connect_are_refused(virtual: Virtual) -> None:
+    port = virtual.open()
+    with pytest.raises(NotReady):
+        await port.enable(AXIS)
+    await port.stop()
+    await port.close()
+
+
+async def test_only_one_axis_is_enabled_at_a_time(port: DrivePort, virtual: Virtual) -> None:
+    await port.enable(AXIS)
+    assert (await port.status())[AXIS].state is AxisState.ENABLED
+    with pytest.raises(NotReady, match=AXIS):
+        await port.enable(OTHER)
+    assert virtual.energised() == [AXIS]
+    await port.disable(AXIS)
+    await port.enable(OTHER)
+    assert virtual.energised() == [OTHER]
+
+
+async def test_move_arrives_at_standstill(port: DrivePort, virtual: Virtual) -> None:
+    await port.enable(AXIS)
+    for target in (0.4, -0.2):
+        await port.move_to(AXIS, target, 0.5)
+        status = (await port.status())[AXIS]
+        assert status.position == pytest.approx(target, abs=2e-3)
+        assert virtual.truth()["position"] == pytest.approx(target, abs=2e-3)
+        assert status.velocity == pytest.approx(0.0, abs=1e-3)
+        assert status.state is AxisState.ENABLED
+
+
+async def test_moves_outside_the_limits_are_refused_before_moving(port: DrivePort) -> None:
+    await port.enable(AXIS)
+    before = (await port.status())[AXIS].position
+    with pytest.raises(LimitExceeded, match=r"3\.5 rad is outside -2\.96 to 2\.96 rad"):
+        await port.move_to(AXIS, 3.5, 0.2)
+    with pytest.raises(LimitExceeded, match=r"7 rad/s must be above 0 and at most 1 rad/s"):
+        await port.move_to(AXIS, 0.1, 7.0)
+    for position, velocity in ((float("nan"), 0.1), (0.1, float("nan")), (0.1, 0.0), (0.1, -0.1)):
+        with pytest.raises(LimitExceeded):
+            await port.move_to(AXIS, position, velocity)
+    assert (await port.status())[AXIS].position == pytest.approx(before, abs=1e-4)
+
+
+async def test_motion_of_a_disabled_axis_is_refused(port: DrivePort) -> None:
+    with pytest.raises(NotReady):
+        await port.move_to(AXIS, 0.1, 0.1)
+    for mode in MODES:
+        with pytest.raises(NotReady):
+            await consume(port, await sweep(port, mode))
+
+
+@both_modes
+async def test_sweep_delivers_consecutive_samples_of_what_was_commanded(port: DrivePort, mode: SweepMode) -> None:
+    await port.enable(AXIS)
+    command = await sweep(port, mode)
+    before = (await port.status())[AXIS].position
+    blocks = [block async for block in port.run_sweep(command)]
+    index, when = column(blocks, "index"), column(blocks, "time")
+    assert np.array_equal(index, np.arange(len(index)))
+    assert np.allclose(when, index / 250.0)
+    assert when[-1] == pytest.approx(command.duration, abs=0.01)
+    assert all(block.joint == AXIS for block in blocks)
+    assert len(blocks) > 1
+    # the set-point: silent at both ends, the command's lines inside the window
+    velocity_setpoint = column(blocks, "velocity_setpoint")
+    assert velocity_setpoint[0] == pytest.approx(0.0, abs=1e-4)
+    window = slice(round(command.measure_from * 250), round(command.measure_from * 250) + 250)
+    spectrum = np.fft.rfft(velocity_setpoint[window]) / 250
+    assert spectrum[0].real == pytest.approx(0.0105, rel=0.01)
+    assert 2 * abs(spectrum[[2, 4]]) == pytest.approx([0.002, 0.002], rel=0.01)
+    # motion: it follows, its position is the integral of its velocity, and friction opposes it
+    velocity, position, effort = column(blocks, "velocity"), column(blocks, "position"), column(blocks, "effort")
+    assert np.mean(velocity[window]) == pytest.approx(0.0105, rel=0.05)
+    assert position[0] == pytest.approx(before, abs=1e-4)
+    travelled = np.cumsum(velocity) / 250
+    assert np.abs(position - position[0] - travelled).max() < 2e-4
+    assert 50 < np.mean(effort[window]) < 400  # N m: Coulomb and viscous friction of axis 1, positive in forward motion
+    status = (await port.status())[AXIS]
+    assert status.state is AxisState.ENABLED
+    assert status.velocity == pytest.approx(0.0, abs=1e-3)
+
+
+async def test_drive_side_sweep_brings_the_load_encoder(port: DrivePort) -> None:
+    await port.enable(AXIS)
+    blocks = [block async for block in port.run_sweep(await sweep(port, SweepMode.DRIVE_SIDE))]
+    load = np.concatenate([block.load_position for block in blocks if block.load_position is not None])
+    assert port.capabilities.load_encoder
+    assert np.abs(load - column(blocks, "position")).max() < 2e-3
+
+
+async def test_both_modes_one_after_the_other_and_back(port: DrivePort) -> None:
+    await port.enable(AXIS)
+    for mode in (*MODES, *MODES):
+        blocks = [block async for block in port.run_sweep(await sweep(port, mode, periods=1))]
+        assert np.array_equal(column(blocks, "index"), np.arange(sum(len(block.index) for block in blocks)))
+    await port.move_to(AXIS, 0.0, 0.5)
+
+
+@both_modes
+async def test_sweeps_outside_the_limits_are_refused_before_moving(port: DrivePort, mode: SweepMode) -> None:
+    await port.enable(AXIS)
+    here = (await port.status())[AXIS].position
+    bad = {
+        "peak velocity 0.0145 rad/s is beyond": {"velocity_limit": 0.012},
+        "highest position": {"position_window": (here - 0.1, here + 0.001)},
+        "start": {"position_window": (here + 0.1, here + 0.2)},
+        "velocity limit 3 rad/s": {"velocity_limit": 3.0},
+        "effort limit 9000 N m": {"effort_limit": 9000.0},
+        "is outside -2.96 to 2.96 rad": {"position_window": (here - 0.1, 3.0)},
+        "ramp": {"ramp": 0.0},
+    }
+    for message, change in bad.items():
+        command = await sweep(port, mode, **change)
+        with pytest.raises(LimitExceeded, match=message):
+            await consume(port, command)
+    status = (await port.status())[AXIS]
+    assert status.position == pytest.approx(here, abs=1e-4)
+    assert status.state is AxisState.ENABLED
+
+
+@both_modes
+async def test_closing_a_sweep_early_leaves_the_axis_standing_and_disabled(
+    port: DrivePort, virtual: Virtual, mode: SweepMode
+) -> None:
+    await port.enable(AXIS)
+    running = port.run_sweep(await sweep(port, mode, periods=LONG))
+    first = await anext(running)
+    assert first.index[0] == 0
+    await running.aclose()
+    assert virtual.energised() == []
+    assert virtual.truth()["velocity"] == pytest.approx(0.0, abs=1e-3)
+    assert (await port.status())[AXIS].state is AxisState.DISABLED
+
+
+@both_modes
+async def test_cancelling_a_sweep_leaves_the_axis_standing_and_disabled(
+    port: DrivePort, virtual: Virtual, mode: SweepMode
+) -> None:
+    await port.enable(AXIS)
+    command = await sweep(port, mode, periods=LONG)
+    moving = asyncio.Event()
+
+    task = asyncio.create_task(consume(port, command, lambda _: moving.set()))
+    await moving.wait()
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    await eventually(lambda: virtual.energised() == [])
+    assert virtual.truth()["velocity"] == pytest.approx(0.0, abs=1e-3)
+
+
+@both_modes
+async def test_stop_from_another_task_and_twice(port: DrivePort, virtual: Virtual, mode: SweepMode) -> None:
+    await port.enable(AXIS)
+    blocks: list[SampleBlock] = []
+    moving = asyncio.Event()
+
+    def keep(block: SampleBlock) -> None:
+        blocks.append(block)
+        moving.set()
+
+    task = asyncio.create_task(consume(port, await sweep(port, mode, periods=LONG), keep))
+    await moving.wait()
+    await asyncio.gather(port.stop(), port.stop())
+    assert virtual.energised() == []
+    with pytest.raises(SweepInterrupted):
+        await task
+    index = column(blocks, "index")
+    assert np.array_equal(index, np.arange(len(index)))
+    await port.stop()
+    assert (await port.status())[AXIS].state is AxisState.DISABLED
+    await port.enable(AXIS)  # a stop is no fault
+
+
+async def test_stop_reaches_a_sweep_whose_consumer_hangs(port: DrivePort, virtual: Virtual) -> None:
+    await port.enable(AXIS)
+    for mode in MODES:
+        running = port.run_sweep(await sweep(port, mode, periods=LONG))
+        await anext(running)
+        await port.stop()
+        assert virtual.energised() == []
+        await running.aclose()
+        await port.enable(AXIS)
+
+
+async def test_cancelling_connect_or_enable_leaves_nothing_behind(virtual: Virtual) -> None:
+    for steps in range(1, 30, 4):  # cancelled at different places
+        port = virtual.open()
+        task = asyncio.create_task(port.connect())
+        for _ in range(steps):
+            await asyncio.sleep(0)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        await port.close()
+    await port.connect()
+    for joint in port.joints:
+        await port.acknowledge(joint)
+    task = asyncio.ensure_future(port.enable(AXIS))
+    await asyncio.sleep(0.001)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert virtual.energised() == []
+    await port.close()
+
+
+async def test_stop_during_a_move(port: DrivePort, virtual: Virtual) -> None:
+    await port.enable(AXIS)
+    await port.move_to(AXIS, 0.0, 1.0)
+    task = asyncio.create_task(port.move_to(AXIS, 2.0, 0.1))  # 1 s at 20 times real time
+    await eventually(lambda: virtual.truth()["velocity"] > 0.05)
+    await port.stop()
+    with pytest.raises(SweepInterrupted):
+        await task
+    assert virtual.energised() == []
+    assert 0.0 < (await port.status())[AXIS].position < 1.9
+    assert (await port.status())[AXIS].velocity == pytest.approx(0.0, abs=1e-3)
+
+
+async def test_a_second_motion_is_refused_while_one_runs(port: DrivePort) -> None:
+    await port.enable(AXIS)
+    running = port.run_sweep(await sweep(port, SweepMode.HOST_STREAMED, periods=4))
+    await anext(running)
+    with pytest.raises(NotReady, match="one motion at a time"):
+        await port.move_to(AXIS, 0.0, 0.1)
+    with pytest.raises(NotReady):
+        await port.enable(OTHER)
+    await running.aclose()
+
+
+@both_modes
+async def test_close_in_the_middle_of_a_sweep(virtual: Virtual, mode: SweepMode) -> None:
+    port = virtual.open()
+    await port.connect()
+    for joint in port.joints:
+        await port.acknowledge(joint)
+    await port.enable(AXIS)
+    running = port.run_sweep(await sweep(port, mode, periods=LONG))
+    await anext(running)
+    await port.close()
+    assert virtual.energised() == []
+    with pytest.raises(SweepInterrupted):
+        await consume_rest(running)
+    with pytest.raises(NotReady, match="not connected"):
+        await port.status()

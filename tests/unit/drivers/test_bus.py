@@ -1,0 +1,118 @@
+"""The bus against a raw peer on python-can's virtual bus."""
+
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import can
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from drivers.canopen import frames
+from drivers.canopen.bus import Bus
+from drivers.canopen.profile import BusProfile
+from drivers.errors import CommunicationLost, ConnectionFailed
+
+NODE = 1
+
+
+@dataclass(frozen=True)
+class Pair:
+    bus: Bus
+    peer: can.BusABC
+
+    def say(self, identifier: int, data: bytes, error: bool = False) -> None:
+        self.peer.send(
+            can.Message(arbitration_id=identifier, data=data, is_extended_id=identifier > 0x7FF, is_error_frame=error)
+        )
+
+
+@pytest.fixture
+def pair() -> Iterator[Pair]:
+    channel = f"bus-{uuid.uuid4()}"
+    peer = can.Bus(interface="virtual", channel=channel)
+    profile = BusProfile(interface="virtual", channel=channel, drive_timeout=0.3)
+    bus = Bus(profile, (NODE, 2))
+    yield Pair(bus, peer)
+    bus.close()
+    bus.close()
+    peer.shutdown()
+    assert not [thread for thread in threading.enumerate() if thread.name == "can-receive"]
+
+
+def eventually(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 5.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+def lost(bus: Bus, node: int = NODE) -> bool:
+    try:
+        bus.check(node)
+    except CommunicationLost:
+        return True
+    return False
+
+
+def test_bus_off_is_lost_communication_at_once(pair: Pair) -> None:
+    stream = pair.bus.open_stream(NODE)
+    pair.say(frames.ERROR_BUS_OFF, bytes(8), error=True)
+    assert stream.get(timeout=5.0) == frames.BusOff()
+    with pytest.raises(CommunicationLost, match="bus-off"):
+        pair.bus.check_alive()
+    with pytest.raises(CommunicationLost, match="bus-off"):
+        pair.bus.send(frames.SYNC, b"")
+
+
+def test_a_node_that_falls_silent_is_lost_and_the_others_are_not(pair: Pair) -> None:
+    def node_1_is_lost_while_2_speaks() -> bool:
+        pair.say(frames.HEARTBEAT + 2, bytes([frames.OPERATIONAL]))
+        return lost(pair.bus, NODE)
+
+    assert not lost(pair.bus, NODE)
+    eventually(node_1_is_lost_while_2_speaks)
+    with pytest.raises(CommunicationLost, match="node 1: no heartbeat"):
+        pair.bus.check(NODE)
+    pair.bus.check(2)
+
+
+def test_a_bus_on_which_nobody_speaks_is_lost_for_good(pair: Pair) -> None:
+    eventually(lambda: lost(pair.bus))
+    pair.say(frames.HEARTBEAT + NODE, bytes([frames.OPERATIONAL]))
+    with pytest.raises(CommunicationLost, match="no node was heard"):
+        pair.bus.check(NODE)
+
+
+def test_emergencies_are_kept_until_withdrawn(pair: Pair) -> None:
+    pair.say(frames.EMERGENCY + NODE, bytes.fromhex("057321 0000000000"))
+    eventually(lambda: pair.bus.emergency(NODE) is not None)
+    assert pair.bus.emergency(2) is None
+    pair.say(frames.EMERGENCY + NODE, bytes(8))
+    eventually(lambda: pair.bus.emergency(NODE) is None)
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, 0x7FF) | st.sampled_from([0x581, 0x181, 0x081, 0x701]), st.binary(max_size=8))
+def test_nothing_a_bus_may_carry_ends_the_receiving_thread(pair: Pair, identifier: int, data: bytes) -> None:
+    stream = pair.bus.open_stream(2)
+    pair.say(identifier, data)
+    pair.say(frames.HEARTBEAT + 2, b"\x7f")
+    event = stream.get(timeout=5.0)
+    while event != frames.Heartbeat(2, 0x7F):
+        event = stream.get(timeout=5.0)
+    pair.bus.close_stream(2)
+
+
+def test_a_closed_port_is_told_with_its_address() -> None:
+    profile = BusProfile(interface="socketcand", channel="can0", host="127.0.0.1", port=1)
+    with pytest.raises(ConnectionFailed, match=r"socketcand can0 at 127\.0\.0\.1:1 could not be opened"):
+        Bus(profile, (NODE,))
+
+
+def test_an_unknown_interface_is_told() -> None:
+    with pytest.raises(ConnectionFailed, match="telegraph"):
+        Bus(BusProfile(interface="telegraph", channel="can0"), (NODE,))

@@ -1,0 +1,95 @@
+"""Settling objects against a real SDO server (canopen's LocalNode) on python-can's virtual bus."""
+
+import uuid
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import can
+import canopen
+import pytest
+from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
+
+from drivers.canopen import objects
+from drivers.canopen.bus import Bus
+from drivers.canopen.configuration import settle
+from drivers.canopen.profile import BusProfile
+from drivers.canopen.sdo import ObjectAbsent, Sdo
+from drivers.errors import CommunicationLost, WrongConfiguration
+
+
+@dataclass(frozen=True)
+class Desk:
+    sdo: Sdo
+    node: canopen.LocalNode
+
+
+def dictionary() -> ObjectDictionary:
+    """Has 6072h, and 6085h as a constant; lacks 6080h."""
+    content = ObjectDictionary()
+    for index, data_type, access in (
+        (0x6072, datatypes.UNSIGNED16, "rw"),
+        (0x6085, datatypes.UNSIGNED32, "ro"),
+        (0x605A, datatypes.INTEGER16, "rw"),
+    ):
+        variable = ODVariable(f"object {index:04X}", index)
+        variable.data_type = data_type
+        variable.access_type = access
+        variable.default = 7
+        content.add_object(variable)
+    return content
+
+
+@pytest.fixture
+def desk() -> Iterator[Desk]:
+    channel = f"configuration-{uuid.uuid4()}"
+    server = canopen.Network(can.Bus(interface="virtual", channel=channel))
+    server.NOTIFIER_CYCLE = 0.05
+    server.connect()
+    node = server.create_node(1, dictionary())
+    bus = Bus(BusProfile(interface="virtual", channel=channel, sdo_timeout=0.2), (1, 2))
+    eds = dictionary()
+    yield Desk(Sdo(bus.add_node(1, eds), "joint_1 (node 1)", bus.check_alive), node)
+    bus.close()
+    server.disconnect()
+
+
+def test_values_are_written_and_read_back(desk: Desk) -> None:
+    assert settle(desk.sdo, ((objects.MAX_TORQUE, 500), (objects.QUICK_STOP_OPTION, -2))) == frozenset()
+    assert desk.sdo.read(objects.MAX_TORQUE) == 500
+    assert desk.sdo.read(objects.QUICK_STOP_OPTION) == -2
+
+
+def test_absent_objects_are_told(desk: Desk) -> None:
+    settings = ((objects.MAX_MOTOR_SPEED, 1), (objects.MAX_TORQUE, 3), (objects.POSITION_MIN, -5))
+    assert settle(desk.sdo, settings) == {objects.MAX_MOTOR_SPEED, objects.POSITION_MIN}
+    with pytest.raises(ObjectAbsent, match=r"joint_1 \(node 1\): 6080h:00 max motor speed"):
+        desk.sdo.read(objects.MAX_MOTOR_SPEED)
+
+
+def test_a_constant_is_accepted_only_with_the_wanted_value(desk: Desk) -> None:
+    assert settle(desk.sdo, ((objects.QUICK_STOP_DECELERATION, 7),)) == frozenset()
+    with pytest.raises(WrongConfiguration, match=r"6085h:00 quick stop deceleration = 8: .*read only"):
+        settle(desk.sdo, ((objects.QUICK_STOP_DECELERATION, 8),))
+
+
+def test_a_drive_that_holds_something_else_is_wrong(desk: Desk) -> None:
+    def clamped(*, index: int, subindex: int, od: ODVariable) -> int | None:
+        del subindex, od
+        return 400 if index == objects.MAX_TORQUE.index else None
+
+    desk.node.add_read_callback(clamped)
+    with pytest.raises(WrongConfiguration, match="6072h:00 max torque: wrote 500, drive holds 400"):
+        settle(desk.sdo, ((objects.MAX_TORQUE, 500),))
+
+
+def test_a_value_of_another_size_or_range_is_wrong(desk: Desk) -> None:
+    with pytest.raises(WrongConfiguration, match="cannot hold 70000"):
+        desk.sdo.write(objects.MAX_TORQUE, 70_000)
+    with pytest.raises(WrongConfiguration, match="another type"):
+        desk.sdo.read(objects.Entry(0x6072, 0, "I", "max torque as 32 bits"))
+
+
+def test_a_node_that_does_not_answer_is_lost_communication(desk: Desk) -> None:
+    desk.node.remove_network()
+    with pytest.raises(CommunicationLost, match="6072h:00 max torque: No SDO response"):
+        desk.sdo.read(objects.MAX_TORQUE)

@@ -1,0 +1,68 @@
+"""The stop ladder of a streaming axis."""
+
+import pytest
+
+from drivers.canopen.ladder import Ladder, Rung
+from drivers.canopen.states import State
+
+ENABLED, OFF = State.OPERATION_ENABLED, State.SWITCH_ON_DISABLED
+
+
+def ladder() -> Ladder:
+    return Ladder(ramp_step=10, ramp_time=1.0, quick_stop_time=1.0, disable_time=1.0)
+
+
+@pytest.mark.parametrize("start", [25, -25])
+def test_ramp_then_disable(start: int) -> None:
+    one = ladder()
+    one.climb(Rung.RAMP, 0.0, start)
+    sign = 1 if start > 0 else -1
+    assert [one.command(0.1, False, ENABLED) for _ in range(4)] == [
+        (0x0F, 15 * sign),
+        (0x0F, 5 * sign),
+        (0x0F, 0),
+        (0x0F, 0),
+    ]
+    assert one.command(0.2, True, ENABLED) == (0x00, 0)
+    assert one.rung is Rung.DISABLE
+    assert one.command(0.3, True, OFF) == (0x00, 0)
+    assert one.rung is Rung.DONE
+
+
+def test_each_rung_gives_way_at_its_deadline() -> None:
+    one = ladder()
+    one.climb(Rung.RAMP, 0.0, 10**6)
+    assert one.command(0.9, False, ENABLED)[0] == 0x0F
+    assert one.command(1.1, False, ENABLED) == (0x02, 0)
+    assert one.command(2.0, False, State.QUICK_STOP_ACTIVE) == (0x02, 0)
+    assert one.command(2.2, False, State.QUICK_STOP_ACTIVE) == (0x00, 0)
+    assert one.rung is Rung.DISABLE
+    assert one.command(3.3, False, State.QUICK_STOP_ACTIVE) == (0x00, 0)
+    assert one.rung is Rung.DONE
+
+
+def test_a_silent_drive_is_told_all_the_same_until_the_end() -> None:
+    one = ladder()
+    one.climb(Rung.QUICK_STOP, 0.0, 100)
+    assert one.command(0.5, False, State.UNKNOWN) == (0x02, 0)
+    assert one.command(1.1, False, State.UNKNOWN) == (0x00, 0)
+    assert one.command(1.2, False, State.UNKNOWN) == (0x00, 0)
+    one.command(2.2, False, State.UNKNOWN)
+    assert one.rung is Rung.DONE
+
+
+def test_a_fault_ends_the_ladder_once_the_drive_is_off() -> None:
+    one = ladder()
+    one.climb(Rung.QUICK_STOP, 0.0, 100)
+    assert one.command(0.1, False, State.FAULT_REACTION) == (0x02, 0)
+    assert one.command(0.2, False, State.FAULT) == (0x00, 0)
+    assert one.rung is Rung.DONE
+
+
+def test_it_is_never_climbed_down_and_never_enables_again() -> None:
+    one = ladder()
+    one.climb(Rung.QUICK_STOP, 0.0, 100)
+    one.climb(Rung.RAMP, 0.1, 100)
+    assert one.rung is Rung.QUICK_STOP
+    for state in State:
+        assert one.command(0.2, False, state)[0] in (0x00, 0x02)

@@ -1,0 +1,88 @@
+"""Drive profiles and the registry."""
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.canopen.machine import CanopenMachine
+from drivers.canopen.profile import parse_profile
+from drivers.errors import BadProfile
+from drivers.registry import load_profile, open_drive
+
+DRIVES = Path(__file__).parents[3] / "config" / "drives"
+
+
+@pytest.fixture
+def profile() -> dict[str, Any]:
+    return load_profile(DRIVES / "virtual-max100.yaml")
+
+
+def test_every_profile_of_the_house_opens() -> None:
+    for path in DRIVES.glob("*.yaml"):
+        port = open_drive(load_profile(path), path.parent)
+        assert port.joints
+
+
+def test_the_virtual_machine_has_six_axes(profile: dict[str, Any]) -> None:
+    port = open_drive(profile, DRIVES)
+    assert isinstance(port, CanopenMachine)
+    assert port.joints == tuple(f"joint_{number}" for number in range(1, 7))
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        ("adapter", "telepathy", "adapter: 'telepathy' is not known; installed are .*canopen"),
+        ("axes.0.velocity_limt", 1.0, "axes.0.velocity_limt: Extra inputs are not permitted"),
+        ("axes.0.velocity_limit", -1.0, "axes.0.velocity_limit: .*greater than 0.*given: -1.0"),
+        ("axes.0.gear_ratio", 0.0, "axes.0: .*gear_ratio must not be 0"),
+        ("axes.0.gear_ratio", float("nan"), "axes.0.gear_ratio: .*finite"),
+        ("axes.0.position_limits", [1.0, -1.0], "axes.0: .*1.0 is not below -1.0"),
+        ("axes.1.node", 1, "profile: .*nodes"),
+        ("axes.1.joint", "joint_1", "profile: .*joints"),
+        ("bus.port", 70000, "bus.port: .*65535.*given: 70000"),
+        ("bus.sync_period", 0.0015, "bus: .*whole milliseconds"),
+        ("bus.host_node", 3, "profile: .*host_node 3"),
+        ("eds", "nowhere.eds", "eds: no file .*nowhere.eds"),
+        ("axes.0.identity.product", 0x999, "eds: .*is for vendor 00005357h, product 00000402h; joint_1 is .*00000999h"),
+    ],
+)
+def test_a_bad_profile_is_refused_with_place_and_value(
+    profile: dict[str, Any], path: str, value: object, message: str
+) -> None:
+    bad: Any = copy.deepcopy(profile)
+    *way, last = path.split(".")
+    place = bad
+    for part in way:
+        place = place[int(part)] if part.isdigit() else place[part]
+    place[last] = value
+    with pytest.raises(BadProfile, match=message):
+        open_drive(bad, DRIVES)
+
+
+def test_a_missing_value_is_named(profile: dict[str, Any]) -> None:
+    del profile["axes"][0]["rated_torque"]
+    with pytest.raises(BadProfile, match=r"axes\.0\.rated_torque: Field required"):
+        parse_profile(profile, DRIVES)
+
+
+def test_unreadable_files(tmp_path: Path) -> None:
+    with pytest.raises(BadProfile, match="No such file"):
+        load_profile(tmp_path / "none.yaml")
+    broken = tmp_path / "broken.yaml"
+    broken.write_text("a: [1, 2")
+    with pytest.raises(BadProfile, match="not YAML"):
+        load_profile(broken)
+    broken.write_text("- a list")
+    with pytest.raises(BadProfile, match="mapping"):
+        load_profile(broken)
+
+
+def test_an_eds_that_is_none_is_refused(profile: dict[str, Any], tmp_path: Path) -> None:
+    profile["eds"] = "other.eds"
+    for content in ("", "no section", "[DeviceInfo]\nVendorNumber=x\nProductNumber=1\n"):
+        (tmp_path / "other.eds").write_text(content)
+        with pytest.raises(BadProfile, match="no usable section DeviceInfo"):
+            parse_profile(profile, tmp_path)

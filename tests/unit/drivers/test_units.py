@@ -1,0 +1,86 @@
+"""Motor units <-> joint side, by numbers computed by hand and by round trips."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.canopen.units import Codec, velocity_unit
+from drivers.errors import LimitExceeded, WrongConfiguration
+
+MILLI_RPM, INCREMENTS_PER_SECOND = 0xFDB44700, 0x00B50300
+
+
+def codec(gear_ratio: float = 100.0, position_offset: float = 0.0) -> Codec:
+    return Codec(gear_ratio, position_offset, rated_torque=10.0, increments=1000.0, velocity_unit=1e-3 / 60)
+
+
+def test_velocity_unit_by_hand() -> None:
+    assert velocity_unit(MILLI_RPM, 1000) == pytest.approx(1e-3 / 60)
+    assert velocity_unit(0x00B44700, 1000) == pytest.approx(1 / 60)
+    assert velocity_unit(0xFFB40300, 1000) == pytest.approx(0.1)
+    assert velocity_unit(INCREMENTS_PER_SECOND, 1000) == pytest.approx(1e-3)
+    assert velocity_unit(0x02B54700, 1000) == pytest.approx(100 / 1000 / 60)
+
+
+@pytest.mark.parametrize("code", [0x00000000, 0xFDB44800, 0xFDB34700, 0x20B44700, 0x7FB40300])
+def test_other_velocity_units_are_refused(code: int) -> None:
+    with pytest.raises(WrongConfiguration, match="60A9h"):
+        velocity_unit(code, 1000)
+
+
+def test_reading_by_hand() -> None:
+    one = codec()
+    assert one.position(25_000) == pytest.approx(math.pi / 2)  # 25 motor revolutions of 100
+    assert one.velocity(60_000_000) == pytest.approx(1000 * math.tau / 100)  # 60,000 rev/min = 1000 rev/s
+    assert one.effort(500) == pytest.approx(500.0)  # half of 10 N m, times 100
+    assert one.motor_velocity(60.0) == pytest.approx(math.tau / 100)
+    assert one.motor_effort(2.0) == pytest.approx(200.0)
+    assert one.motor_position(50.0) == pytest.approx(math.pi)
+
+
+def test_negative_gear_turns_signs_and_keeps_power() -> None:
+    forward, backward = codec(100.0), codec(-100.0)
+    assert backward.velocity(1000) == -forward.velocity(1000)
+    assert backward.effort(10) == -forward.effort(10)
+    assert backward.position(1000) == -forward.position(1000)
+    assert backward.raw_window((-1.0, 2.0)) == tuple(-limit for limit in reversed(forward.raw_window((-1.0, 2.0))))
+    assert backward.raw_speed(0.5) == forward.raw_speed(0.5) > 0
+    assert backward.raw_effort_limit(100.0) == forward.raw_effort_limit(100.0)
+
+
+def test_writing_by_hand() -> None:
+    one = codec(position_offset=math.pi / 2)
+    assert one.raw_position(math.pi) == 25_000
+    assert one.raw_velocity(math.tau / 100) == 60_000  # 1 motor rev/s
+    assert one.raw_effort_limit(255.9) == 255  # per mille of 1000 N m, never above
+    assert one.raw_window((math.pi / 2, math.pi)) == (0, 25_000)
+    assert one.rev_per_min(math.tau / 100) == pytest.approx(60.0)
+
+
+def test_what_does_not_fit_32_bits_is_refused() -> None:
+    for value in (1e9, -1e9, math.inf, math.nan):
+        with pytest.raises(LimitExceeded, match="32 bits"):
+            codec().raw_velocity(value)
+        with pytest.raises(LimitExceeded, match="32 bits"):
+            codec().raw_position(value)
+
+
+gears = st.floats(1.0, 500.0) | st.floats(-500.0, -1.0)
+offsets = st.floats(-3.0, 3.0)
+raws = st.integers(-(2**30), 2**30)
+
+
+@given(gears, offsets, raws)
+def test_round_trips(gear: float, offset: float, raw: int) -> None:
+    one = codec(gear, offset)
+    assert one.raw_velocity(float(one.velocity(raw))) == raw
+    assert abs(one.raw_position(float(one.position(raw))) - raw) <= 1
+    assert one.motor_velocity(one.rev_per_min(0.1)) == pytest.approx(0.1)
+
+
+def test_arrays_keep_their_shape() -> None:
+    assert codec().position(np.arange(5.0)).shape == (5,)
+    assert codec().velocity(np.arange(5.0)).dtype == np.float64
