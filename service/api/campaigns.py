@@ -1,0 +1,140 @@
+"""Campaigns: the ordered sweeps of one session at the machine, and the commands of the person who runs them.
+
+Commands take `If-Match` with the campaign's ETag: 412 when the campaign has changed since the client read it.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from statistics import median
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.concurrency import run_in_threadpool
+
+from service.api.dependencies import After, IfMatch, LabOf, Limit, Page, set_etag
+from service.api.idempotent import IdempotentRoute
+from service.lab import Lab
+from service.store.documents import CampaignDocument, CampaignState, SweepDocument, SweepState
+
+router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=IdempotentRoute)
+
+CampaignId = Annotated[int, Path(ge=1)]
+_LEFT = (SweepState.PLANNED, SweepState.RUNNING)
+_RECORDED = (SweepState.RECORDED, SweepState.IDENTIFIED)
+_MOVING = (CampaignState.RUNNING, CampaignState.PAUSING)
+
+
+class NewCampaign(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    plan_id: int = Field(ge=1)
+
+
+class Resume(BaseModel):
+    """`repeat`: failed and interrupted sweeps are measured once more."""
+
+    model_config = ConfigDict(extra="forbid")
+    repeat: bool = False
+
+
+class Abort(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    why: str = Field(default="aborted by request", min_length=1, max_length=500)
+
+
+class Progress(BaseModel):
+    """How far the measuring is: `done` sweeps recorded of `total`; `current` is the sweep that runs.
+
+    `remaining` s, null where it cannot be told.
+    """
+
+    done: int
+    total: int
+    remaining: float | None
+    current: SweepDocument | None
+
+
+class CampaignView(CampaignDocument):
+    """A campaign with its progress."""
+
+    progress: Progress
+
+
+@router.post("", status_code=201)
+async def add_campaign(new: NewCampaign, request: Request, response: Response, lab: LabOf) -> CampaignView:
+    """A campaign of a stored plan. Nothing moves until it is started."""
+    campaign = await lab.add_campaign(new.plan_id)
+    response.headers["Location"] = str(request.url_for("get_campaign", campaign_id=campaign.id))
+    return await _answer(lab, campaign, response)
+
+
+@router.get("")
+def list_campaigns(lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[CampaignDocument]:
+    campaigns = lab.store.campaigns(after, limit)
+    return Page(items=campaigns, next=campaigns[-1].id if len(campaigns) == limit else None)
+
+
+@router.get("/{campaign_id}")
+async def get_campaign(campaign_id: CampaignId, response: Response, lab: LabOf) -> CampaignView:
+    return await _answer(lab, await run_in_threadpool(lab.store.campaign, campaign_id), response)
+
+
+@router.post("/{campaign_id}/start")
+async def start_campaign(campaign_id: CampaignId, response: Response, lab: LabOf, version: IfMatch) -> CampaignView:
+    """Begin to move and measure."""
+    return await _answer(lab, await lab.runner.start(campaign_id, version), response)
+
+
+@router.post("/{campaign_id}/pause")
+async def pause_campaign(campaign_id: CampaignId, response: Response, lab: LabOf, version: IfMatch) -> CampaignView:
+    """Hold after the present sweep."""
+    return await _answer(lab, await lab.runner.pause(campaign_id, version), response)
+
+
+@router.post("/{campaign_id}/resume")
+async def resume_campaign(
+    campaign_id: CampaignId, response: Response, lab: LabOf, version: IfMatch, resume: Resume | None = None
+) -> CampaignView:
+    """Go on with the next planned sweep."""
+    repeat = resume is not None and resume.repeat
+    return await _answer(lab, await lab.runner.resume(campaign_id, version, repeat), response)
+
+
+@router.post("/{campaign_id}/abort")
+async def abort_campaign(
+    campaign_id: CampaignId, response: Response, lab: LabOf, version: IfMatch, abort: Abort | None = None
+) -> CampaignView:
+    """Stop the present sweep now and give the campaign up. What was recorded stays."""
+    why = (abort or Abort()).why
+    return await _answer(lab, await lab.runner.abort(campaign_id, why, version), response)
+
+
+def view(lab: Lab, campaign: CampaignDocument) -> CampaignView:
+    """The campaign with its progress; reads the store."""
+    return CampaignView(**campaign.model_dump(), progress=progress(campaign.state, lab.store.sweeps(campaign.id)))
+
+
+def progress(state: CampaignState, sweeps: Sequence[SweepDocument]) -> Progress:
+    """Remaining time: sweeps left times the median pace so far, before there is one their nominal durations."""
+    left = [sweep for sweep in sweeps if sweep.state in _LEFT]
+    starts = sorted(sweep.spec.started_at for sweep in sweeps if sweep.state in _RECORDED)
+    # the median is not moved by the gap of a pause
+    paces = [after - before for before, after in pairwise(starts)]
+    remaining = len(left) * median(paces) if paces else sum(_nominal_duration(sweep) for sweep in left)
+    return Progress(
+        done=len(starts),
+        total=len(sweeps),
+        remaining=remaining if state in _MOVING or state is CampaignState.PLANNED or not left else None,
+        current=next((sweep for sweep in sweeps if sweep.state is SweepState.RUNNING), None),
+    )
+
+
+def _nominal_duration(sweep: SweepDocument) -> float:
+    """Ramp and settle, window, ramp out; the way to the pose is not known here, s."""
+    spec = sweep.spec
+    return 2 * spec.measure_from + (spec.period or 0.0) * (spec.periods or 0)
+
+
+async def _answer(lab: Lab, campaign: CampaignDocument, response: Response) -> CampaignView:
+    set_etag(response, campaign.version)
+    return await run_in_threadpool(view, lab, campaign)

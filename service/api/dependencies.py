@@ -1,0 +1,48 @@
+"""What the routes share: the lab, a page of a list, and the version a client has read."""
+
+from typing import Annotated, Generic, TypeVar
+
+from fastapi import Depends, Header, Query, Response
+from pydantic import BaseModel
+from starlette.requests import HTTPConnection
+
+from service.errors import BadInput
+from service.lab import Lab
+
+Item = TypeVar("Item", bound=BaseModel)
+
+
+def _lab(connection: HTTPConnection) -> Lab:
+    lab = connection.app.state.lab
+    if not isinstance(lab, Lab):
+        raise TypeError("the application runs outside its lifespan: there is no lab")
+    return lab
+
+
+def _if_match(
+    if_match: Annotated[str | None, Header(description='ETag of the version the client has read, or "*"')] = None,
+) -> int | None:
+    if if_match is None or if_match.strip() == "*":
+        return None
+    tag = if_match.strip()
+    if len(tag) < 3 or tag[0] != '"' or tag[-1] != '"' or not tag[1:-1].isdigit():
+        raise BadInput("header/If-Match", f'{tag!r} is not one strong ETag of this service, e.g. "3", or *')
+    return int(tag[1:-1])
+
+
+LabOf = Annotated[Lab, Depends(_lab)]
+IfMatch = Annotated[int | None, Depends(_if_match)]
+After = Annotated[int, Query(ge=0, description="the `next` of the page before; 0 for the first page")]
+Limit = Annotated[int, Query(ge=1, le=200)]
+
+
+class Page(BaseModel, Generic[Item]):
+    """Part of a list, oldest first. `next` is the `after` of the following page, null on the last one."""
+
+    items: tuple[Item, ...]
+    next: int | None
+
+
+def set_etag(response: Response, version: int) -> None:
+    """Strong ETag of a resource's version."""
+    response.headers["ETag"] = f'"{version}"'

@@ -1,0 +1,79 @@
+"""The first thing a request meets: whom it was meant for, where it came from, how large it is.
+
+A web page that an operator has open in the same browser must not be able to move a machine: a request that a
+page of another origin sends is refused, and so is one for a host name that is not ours (DNS rebinding).
+Stopping is never refused. The service has no users; who reaches its port may use it.
+"""
+
+from collections.abc import Sequence
+from http import HTTPStatus
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.api.problem import problem_response
+
+BODY_LIMIT = 4 * 2**20  # bytes; the largest JSON body is a robot's URDF or a plan's request
+BUNDLE_LIMIT = 512 * 2**20
+
+
+class Gate:
+    """ASGI middleware. `hosts`: host names that the service answers to; empty: any."""
+
+    def __init__(self, app: ASGIApp, hosts: Sequence[str], stop_path: str, bundle_path: str) -> None:
+        self._app = app
+        self._hosts = frozenset(hosts)
+        self._stop_path = stop_path
+        self._bundle_path = bundle_path
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket") or scope["path"] == self._stop_path:
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        refusal = self._stranger(headers)
+        if refusal:
+            await self._refuse(scope, receive, send, HTTPStatus.FORBIDDEN, "foreign-request", refusal)
+            return
+        limit = BUNDLE_LIMIT if scope["path"] == self._bundle_path else BODY_LIMIT
+        length = headers.get("content-length", "0")
+        if length.isdigit() and int(length) > limit:
+            detail = f"body of {length} bytes, limit {limit} bytes"
+            await self._refuse(scope, receive, send, HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body-too-large", detail)
+            return
+        await self._app(scope, _limited(receive, limit), send)
+
+    def _stranger(self, headers: Headers) -> str:
+        host = headers.get("host", "")
+        if self._hosts and urlsplit(f"//{host}").hostname not in self._hosts:
+            return f"host {host!r} is not this service; it answers to {', '.join(sorted(self._hosts))}"
+        origin = headers.get("origin")
+        if origin is not None and urlsplit(origin).netloc != host:
+            return f"sent by a page of {origin}, not of {host}"
+        return ""
+
+    async def _refuse(
+        self, scope: Scope, receive: Receive, send: Send, status: HTTPStatus, name: str, detail: str
+    ) -> None:
+        if scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008, "reason": detail[:120]})
+            return
+        await problem_response(Request(scope), status, name, detail)(scope, receive, send)
+
+
+def _limited(receive: Receive, limit: int) -> Receive:
+    """A body without a declared length is counted while it comes."""
+    total = 0
+
+    async def counted() -> Message:
+        nonlocal total
+        message = await receive()
+        total += len(message.get("body", b""))
+        if total > limit:
+            raise HTTPException(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"body of more than {limit} bytes")
+        return message
+
+    return counted

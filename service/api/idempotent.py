@@ -1,0 +1,74 @@
+"""`Idempotency-Key`: a POST that a client sends again, not knowing whether it arrived, has its effect once.
+
+The key belongs to method, path and body. The same request gets the first answer again (with
+``Idempotency-Replayed: true``), another request with the same key 422, and one whose first sending is still under way
+409 (draft-ietf-httpapi-idempotency-key-header). Answers of failed requests are not kept: nothing was done.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+from fastapi import Request, Response
+from fastapi.routing import APIRoute
+from starlette.concurrency import run_in_threadpool
+
+from service.errors import BadInput
+from service.store.requests import IdempotencyKeys
+
+Handler = Callable[[Request], Coroutine[Any, Any, Response]]
+
+LONGEST_KEY = 255
+_KEPT_HEADERS = ("etag", "location", "content-type")
+OPENAPI_PARAMETER: dict[str, Any] = {
+    "parameters": [
+        {
+            "name": "Idempotency-Key",
+            "in": "header",
+            "required": False,
+            "description": "makes sending the request again safe",
+            "schema": {"type": "string", "minLength": 1, "maxLength": LONGEST_KEY},
+        }
+    ]
+}
+
+
+class IdempotentRoute(APIRoute):
+    """A route whose POST requests honour `Idempotency-Key`."""
+
+    def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:
+        if "POST" in (options.get("methods") or ()):
+            options["openapi_extra"] = OPENAPI_PARAMETER | (options.get("openapi_extra") or {})
+        super().__init__(path, endpoint, **options)
+
+    def get_route_handler(self) -> Handler:
+        handle = super().get_route_handler()
+
+        async def handle_once(request: Request) -> Response:
+            key = request.headers.get("idempotency-key")
+            if key is None or request.method != "POST":
+                return await handle(request)
+            if not 1 <= len(key) <= LONGEST_KEY:
+                raise BadInput("header/Idempotency-Key", f"is {len(key)} characters long, limit 1 to {LONGEST_KEY}")
+            return await _once(request.app.state.lab.keys, key, request, handle)
+
+        return handle_once
+
+
+async def _once(keys: IdempotencyKeys, key: str, request: Request, handle: Handler) -> Response:
+    body = await request.body()
+    fingerprint = hashlib.sha256(b"\0".join([request.method.encode(), request.url.path.encode(), body])).hexdigest()
+    stored = await run_in_threadpool(keys.claim, key, fingerprint)
+    if stored is not None:
+        kept = json.loads(stored.body)
+        return Response(kept["content"], stored.status, kept["headers"] | {"Idempotency-Replayed": "true"})
+    try:
+        response = await handle(request)
+    except BaseException:  # cancellation too: the key must not stay claimed
+        await run_in_threadpool(keys.release, key)
+        raise
+    headers = {name: response.headers[name] for name in _KEPT_HEADERS if name in response.headers}
+    content = json.dumps({"headers": headers, "content": bytes(response.body).decode()})
+    await run_in_threadpool(keys.answer, key, response.status_code, content)
+    return response

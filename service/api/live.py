@@ -1,0 +1,53 @@
+"""Samples of the running sweep as they come: a WebSocket that sends one binary Arrow IPC stream a message.
+
+Each message holds one record batch (time s, effort N m, velocity rad/s, position rad); campaign, sweep and joint
+stand in the schema's metadata. Samples are thinned, and a client that is too slow loses the oldest: the recording has
+them all.
+"""
+
+import asyncio
+from typing import Annotated
+
+from fastapi import APIRouter, Path, WebSocket, WebSocketDisconnect
+from starlette.concurrency import run_in_threadpool
+
+from service.api.dependencies import LabOf
+from service.errors import NotFound
+
+router = APIRouter(prefix="/campaigns/{campaign_id}/live", tags=["live"])
+
+_UNKNOWN_CAMPAIGN = 4404  # close code of our own: 4000 + the HTTP status
+
+
+@router.websocket("")
+async def send_samples(socket: WebSocket, campaign_id: Annotated[int, Path(ge=1)], lab: LabOf) -> None:
+    await socket.accept()
+    try:
+        await run_in_threadpool(lab.store.campaign, campaign_id)
+    except NotFound as error:
+        await socket.close(_UNKNOWN_CAMPAIGN, str(error))
+        return
+    sender = asyncio.create_task(_send(socket, campaign_id, lab), name=f"live samples of campaign {campaign_id}")
+    listener = asyncio.create_task(_until_disconnect(socket), name="live listener")
+    try:
+        await asyncio.wait({sender, listener}, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in (sender, listener):
+            task.cancel()
+        results = await asyncio.gather(sender, listener, return_exceptions=True)
+    for result in results:
+        if isinstance(result, Exception) and not isinstance(result, WebSocketDisconnect):
+            raise result
+    if not isinstance(results[0], BaseException):  # the hub was closed: the service ends
+        await socket.close(1001, "the service ends")
+
+
+async def _send(socket: WebSocket, campaign_id: int, lab: LabOf) -> None:
+    with lab.hub.subscribe(campaign_id) as queue:
+        async for block in queue:
+            await socket.send_bytes(block.to_arrow())
+
+
+async def _until_disconnect(socket: WebSocket) -> None:
+    while (await socket.receive())["type"] != "websocket.disconnect":
+        pass

@@ -1,0 +1,18 @@
+"""Writes the OpenAPI document that is committed: ``python -m service.api.openapi`` (a test tells when it is stale)."""
+
+import json
+from pathlib import Path
+
+from service.app import create_app
+from service.settings import Settings
+
+COMMITTED = Path(__file__).parents[2] / "docs" / "reference" / "openapi.json"
+
+
+def document() -> str:
+    """The document as JSON text; needs neither a lab nor a machine."""
+    return json.dumps(create_app(Settings()).openapi(), indent=2, ensure_ascii=False) + "\n"
+
+
+if __name__ == "__main__":
+    COMMITTED.write_text(document(), encoding="utf-8")

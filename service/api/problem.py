@@ -1,0 +1,145 @@
+"""Every error as `application/problem+json` (RFC 9457).
+
+`errors` lists what was wrong with the input, one entry a field: `pointer` (RFC 6901 into the body as ``#/...``, or
+``query/NAME``, ``path/NAME``, ``header/NAME``), `reason`, and, where they are known, the `value` given and the `limit`.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import Response
+from pydantic import BaseModel
+from pydantic_core import ErrorDetails
+from starlette.exceptions import HTTPException
+
+from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady
+from service.errors import BadInput, Conflict, EnvelopeViolation, NotFound, SweepidError
+from service.store.requests import KeyReused
+from service.store.store import StaleVersion
+
+MEDIA_TYPE = "application/problem+json"
+
+# From the special to the general; the first that fits decides.
+_STATUS: tuple[tuple[type[Exception], HTTPStatus], ...] = (
+    (BadInput, HTTPStatus.UNPROCESSABLE_ENTITY),
+    (EnvelopeViolation, HTTPStatus.UNPROCESSABLE_ENTITY),
+    (KeyReused, HTTPStatus.UNPROCESSABLE_ENTITY),
+    (NotFound, HTTPStatus.NOT_FOUND),
+    (StaleVersion, HTTPStatus.PRECONDITION_FAILED),
+    (Conflict, HTTPStatus.CONFLICT),
+    (ConnectionFailed, HTTPStatus.SERVICE_UNAVAILABLE),
+    (CommunicationLost, HTTPStatus.SERVICE_UNAVAILABLE),
+    (NotReady, HTTPStatus.SERVICE_UNAVAILABLE),
+    (DriveError, HTTPStatus.BAD_GATEWAY),
+)
+_LIMITS = ("gt", "ge", "lt", "le", "min_length", "max_length", "expected", "multiple_of")
+_LONGEST_VALUE = 200
+
+
+class FieldProblem(BaseModel):
+    """What is wrong with one field."""
+
+    pointer: str
+    reason: str
+    value: str | float | int | bool | None = None
+    limit: str | float | int | None = None
+
+
+class Problem(BaseModel):
+    """RFC 9457 problem details; `type` is ``urn:sweepid:problem:NAME`` with the name of the error."""
+
+    type: str
+    title: str
+    status: int
+    detail: str
+    instance: str
+    errors: tuple[FieldProblem, ...] = ()
+
+
+def problem_response(
+    request: Request,
+    status: HTTPStatus,
+    name: str,
+    detail: str,
+    errors: Sequence[FieldProblem] = (),
+    headers: Mapping[str, str] | None = None,
+) -> Response:
+    """The response of one problem."""
+    problem = Problem(
+        type=f"urn:sweepid:problem:{name}",
+        title=status.phrase,
+        status=status.value,
+        detail=detail,
+        instance=request.url.path,
+        errors=tuple(errors),
+    )
+    content = problem.model_dump_json(exclude_none=True)
+    return Response(content, status.value, headers, media_type=MEDIA_TYPE)
+
+
+def install_problem_handlers(app: FastAPI) -> None:
+    """Turn every exception that leaves a route into a problem."""
+    app.add_exception_handler(SweepidError, _on_known_error)
+    app.add_exception_handler(DriveError, _on_known_error)
+    app.add_exception_handler(RequestValidationError, _on_invalid_request)
+    app.add_exception_handler(HTTPException, _on_http_error)
+    app.add_exception_handler(Exception, _on_unknown_error)
+
+
+def _on_known_error(request: Request, error: Exception) -> Response:
+    status = next((status for kind, status in _STATUS if isinstance(error, kind)), HTTPStatus.INTERNAL_SERVER_ERROR)
+    errors = (FieldProblem(pointer=error.place, reason=error.reason),) if isinstance(error, BadInput) else ()
+    return problem_response(request, status, _kebab(type(error).__name__), str(error), errors)
+
+
+def _on_invalid_request(request: Request, error: Exception) -> Response:
+    details: Sequence[ErrorDetails] = error.errors() if isinstance(error, RequestValidationError) else ()
+    errors = tuple(_field_problem(detail) for detail in details)
+    first = errors[0]
+    given = "" if first.value is None else f" (given: {first.value})"
+    return problem_response(
+        request, HTTPStatus.UNPROCESSABLE_ENTITY, "bad-input", f"{first.pointer}: {first.reason}{given}", errors
+    )
+
+
+def _on_http_error(request: Request, error: Exception) -> Response:
+    if not isinstance(error, HTTPException):
+        raise error
+    status = HTTPStatus(error.status_code)
+    name = status.name.lower().replace("_", "-")
+    return problem_response(request, status, name, error.detail, (), error.headers)
+
+
+def _on_unknown_error(request: Request, error: Exception) -> Response:
+    # the text of an unforeseen error may hold anything; it goes to the log, not to the client
+    status = HTTPStatus.INTERNAL_SERVER_ERROR
+    return problem_response(request, status, "internal-error", f"{type(error).__name__}; see the service's log")
+
+
+def _field_problem(detail: ErrorDetails) -> FieldProblem:
+    where, *path = detail["loc"] or ("body",)
+    escaped = [str(part).replace("~", "~0").replace("/", "~1") for part in path]
+    pointer = "#" + "".join(f"/{part}" for part in escaped) if where == "body" else "/".join([str(where), *escaped])
+    context = detail.get("ctx", {})
+    limit = next((context[name] for name in _LIMITS if name in context), None)
+    if not isinstance(limit, str | int | float | None):
+        limit = str(limit)
+    return FieldProblem(pointer=pointer, reason=detail["msg"], value=_shown(detail["input"]), limit=limit)
+
+
+def _shown(value: object) -> str | float | int | bool | None:
+    """The value as given, shortened to what helps a person."""
+    if value is None or isinstance(value, bool | int):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else str(value)
+    text = value if isinstance(value, str) else json.dumps(value, default=str)
+    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
+
+
+def _kebab(name: str) -> str:
+    return "".join(f"-{letter.lower()}" if letter.isupper() else letter for letter in name).lstrip("-")

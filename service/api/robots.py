@@ -1,0 +1,57 @@
+"""Robots: description and URDF. A robot never changes; a corrected one is another robot of the same name."""
+
+from datetime import datetime
+from typing import Annotated
+
+from fastapi import APIRouter, Path
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.api.dependencies import After, LabOf, Limit, Page
+from service.api.idempotent import IdempotentRoute
+from service.robot import RobotDescription, build_robot
+from service.store.documents import RobotDocument
+
+router = APIRouter(prefix="/robots", tags=["robots"], route_class=IdempotentRoute)
+
+
+class NewRobot(BaseModel):
+    """`description` as the "robot" object of a bundle (its `urdf` is a file name), `urdf_text` the URDF itself."""
+
+    model_config = ConfigDict(extra="forbid")
+    description: RobotDescription
+    urdf_text: str = Field(min_length=1)
+
+
+class RobotEntry(BaseModel):
+    """A robot in the list."""
+
+    id: int
+    name: str
+    joints: tuple[str, ...]
+    created_at: datetime
+
+
+@router.post("", status_code=201)
+def add_robot(robot: NewRobot, lab: LabOf) -> RobotDocument:
+    """Store a robot; the same description and URDF give the same robot."""
+    return lab.store.add_robot(build_robot(robot.description, robot.urdf_text))
+
+
+@router.get("")
+def list_robots(lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[RobotEntry]:
+    robots = lab.store.robots(after, limit)
+    entries = tuple(
+        RobotEntry(
+            id=robot.id,
+            name=robot.name,
+            joints=tuple(axis.joint for axis in robot.description.axes),
+            created_at=robot.created_at,
+        )
+        for robot in robots
+    )
+    return Page(items=entries, next=robots[-1].id if len(robots) == limit else None)
+
+
+@router.get("/{robot_id}")
+def get_robot(robot_id: Annotated[int, Path(ge=1)], lab: LabOf) -> RobotDocument:
+    return lab.store.robot(robot_id)

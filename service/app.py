@@ -1,0 +1,95 @@
+"""The web application: API and operator's page over one lab."""
+
+from collections.abc import AsyncGenerator, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
+from importlib.metadata import version
+
+from fastapi import APIRouter, FastAPI
+from fastapi.routing import APIRoute
+
+from drivers.errors import DriveError
+from service.api import (
+    bundles,
+    campaigns,
+    drives,
+    estimates,
+    events,
+    health,
+    live,
+    metrics,
+    plans,
+    robots,
+    stop,
+    sweeps,
+)
+from service.api.gate import Gate
+from service.api.problem import Problem, install_problem_handlers
+from service.errors import SweepidError
+from service.hmi.pages import add_pages
+from service.lab import Lab, open_lab
+from service.settings import Settings
+
+PREFIX = "/api/v1"
+_ROUTERS = (
+    robots.router,
+    plans.router,
+    campaigns.router,
+    sweeps.router,
+    estimates.router,
+    bundles.router,
+    events.router,
+    live.router,
+    drives.router,
+    stop.router,
+    health.router,
+)
+
+
+def create_app(settings: Settings, hosts: Sequence[str] = ()) -> FastAPI:
+    """The application; its lifespan owns the lab. `hosts`: host names it answers to, empty: any."""
+    app = FastAPI(
+        title="sweepid",
+        version=version("sweepid"),
+        summary="Measures the inertia of a robot's axes through its own drives",
+        lifespan=_lifespan,
+        openapi_url=f"{PREFIX}/openapi.json",
+        docs_url=None,  # those pages load scripts from the internet
+        redoc_url=None,
+        generate_unique_id_function=_operation_id,
+        responses={"default": {"model": Problem, "description": "Problem details (RFC 9457)"}},
+    )
+    app.state.settings = settings
+    api = APIRouter(prefix=PREFIX)
+    for router in _ROUTERS:
+        api.include_router(router)
+    app.include_router(api)
+    app.include_router(metrics.router)
+    add_pages(app)
+    install_problem_handlers(app)
+    app.add_middleware(
+        Gate, hosts=hosts, stop_path=f"{PREFIX}{stop.router.prefix}", bundle_path=f"{PREFIX}{bundles.BUNDLES}"
+    )
+    return app
+
+
+def end_streams(app: FastAPI) -> None:
+    """End what never ends by itself (event streams, live samples), so that the server can shut down."""
+    lab: Lab | None = getattr(app.state, "lab", None)
+    if lab is not None:
+        lab.feed.close()
+        lab.hub.close()
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncGenerator[None, None]:
+    async with AsyncExitStack() as stack:
+        try:
+            app.state.lab = await stack.enter_async_context(open_lab(app.state.settings))
+        except (SweepidError, DriveError) as error:
+            app.state.startup_error = error  # the server only logs it; `sweepid serve` tells the person
+            raise
+        yield
+
+
+def _operation_id(route: APIRoute) -> str:
+    return route.name

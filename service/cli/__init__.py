@@ -1,0 +1,61 @@
+"""The command line. stdout carries results only.
+
+Exit codes: 0 done, 2 bad input, 1 any other failure; 1 and 2 come with one line on stderr.
+"""
+
+import sys
+from importlib.metadata import EntryPoint, entry_points
+
+import typer
+
+from drivers.errors import BadProfile, DriveError
+from service.errors import BadInput, SweepidError
+
+GROUP = "sweepid.commands"
+_OWN = (
+    ("demo", "service.cli.demo:demo"),
+    ("serve", "service.cli.serve:serve"),
+    ("plan", "service.cli.plan:plan"),
+    ("measure", "service.cli.measure:measure"),
+    ("import", "service.cli.bundles:import_bundle"),
+    ("export", "service.cli.bundles:export_bundle"),
+    ("identify", "service.cli.identify:identify"),
+    ("import-trace", "service.cli.import_trace:import_trace"),
+)
+
+
+def main() -> None:
+    """Console script `sweepid`."""
+    try:
+        build(sys.argv[1:])()
+    except (BadInput, BadProfile) as error:
+        _leave(2, error)
+    except (SweepidError, DriveError) as error:
+        _leave(1, error)
+
+
+def build(arguments: list[str]) -> typer.Typer:
+    """The commands: our own and those that installed packages bring by entry point.
+
+    Only the one that is called is loaded (`plan` needs no simulator); all of them for the overview.
+    """
+    application = typer.Typer(
+        add_completion=False, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
+    )
+    application.callback()(_overview)
+    entries = {name: EntryPoint(name, value, GROUP) for name, value in _OWN}
+    entries |= {entry.name: entry for entry in entry_points(group=GROUP)}
+    called = next((name for name in arguments[:1] if name in entries), None)
+    for name, entry in entries.items():
+        if called in (None, name):
+            application.command(name)(entry.load())
+    return application
+
+
+def _overview() -> None:
+    """Measures the inertia of a robot's axes through its own drives and tells where its model is wrong."""
+
+
+def _leave(code: int, error: Exception) -> None:
+    sys.stderr.write(f"sweepid: {' '.join(str(error).split())}\n")
+    raise SystemExit(code)

@@ -1,0 +1,66 @@
+"""`sweepid plan ROBOT`: let the service choose poses and sweeps."""
+
+import json
+import sys
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.address import DEFAULT_URL, Url
+from service.client import Json, ServiceClient
+from service.configuration import read_robot
+from service.errors import BadInput
+
+
+class Modes(Enum):
+    """Who generates the motion."""
+
+    DRIVE_SIDE = "drive_side"
+    HOST_STREAMED = "host_streamed"
+    ONE_HOST_STREAMED = "one_host_streamed"
+
+
+def plan(
+    robot: Annotated[Path, typer.Argument(help="Side file of the robot, e.g. config/robots/max100-class.yaml.")],
+    axes: Annotated[str, typer.Option(help="Joints to measure, separated by commas.")],
+    varied: Annotated[str, typer.Option(help="Joints whose positions make the grid of poses, separated by commas.")],
+    poses: Annotated[int | None, typer.Option(min=1, help="How many poses to choose.")] = None,
+    step: Annotated[float | None, typer.Option(help="deg (cm) between grid positions.")] = None,
+    cell: Annotated[str | None, typer.Option(help="Name of the cell around the robot.")] = None,
+    modes: Annotated[Modes | None, typer.Option(help="Who generates the motion; the last: one sweep an axis.")] = None,
+    sample_rate: Annotated[float | None, typer.Option(help="Hz.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the plan to this file as well.")] = None,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Plan a campaign. Nothing moves. Prints the number of the plan."""
+    known = read_robot(robot)
+    options: Json = {
+        "poses": poses,
+        "step": step,
+        "cell": cell,
+        "modes": None if modes is None else modes.value,
+        "sample_rate": sample_rate,
+    }
+    request: Json = {name: value for name, value in options.items() if value is not None}
+    request |= {"axes": _names(axes), "varied": _names(varied)}
+    with ServiceClient(url) as client:
+        stored = client.add_robot(known.description.model_dump(mode="json"), known.urdf_text)
+        planned = client.add_plan(request | {"robot_id": stored["id"]})
+    for dropped in planned["document"]["dropped"]:
+        sys.stderr.write(f"pose {dropped['pose']} left out: {dropped['reason']}\n")
+    if out is not None:
+        _write(out, planned)
+    sys.stdout.write(f"{planned['id']}\n")
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _write(path: Path, document: Json) -> None:
+    try:
+        path.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise BadInput(str(path), f"cannot be written: {error.strerror}") from None

@@ -1,0 +1,87 @@
+"""`sweepid serve`: the process that owns the machine."""
+
+import asyncio
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+from socket import socket
+from types import FrameType
+from typing import Annotated, Any
+
+import typer
+import uvicorn
+from fastapi import FastAPI
+
+from drivers.errors import DriveError
+from service.app import create_app, end_streams
+from service.cli.logs import configure_logs
+from service.errors import SweepidError
+from service.settings import load_settings
+
+_LOOPBACK = ("127.0.0.1", "localhost", "::1")
+_GRACE = 3  # s for requests under way when the service is told to end
+
+
+def serve(
+    config: Annotated[Path | None, typer.Option(help="Settings; default: config/service.yaml, if it exists.")] = None,
+    host: Annotated[str | None, typer.Option(help="Address to listen at.")] = None,
+    port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port to listen at; 0: any free one.")] = None,
+    data_dir: Annotated[Path | None, typer.Option(help="Database and recordings.")] = None,
+    drive: Annotated[Path | None, typer.Option(help="Drive profile of the machine.")] = None,
+) -> None:
+    """Serve the REST API and the operator's page; prints one JSON line with its address once it is ready."""
+    options = {"host": host, "port": port, "data_dir": data_dir, "drive": drive}
+    given = {name: value for name, value in options.items() if value is not None}
+    settings = load_settings(config).model_copy(update=given)
+    configure_logs(settings.log_level)
+    app = create_app(settings, _LOOPBACK if settings.host in _LOOPBACK else ())
+    server = _Server(
+        app,
+        uvicorn.Config(
+            app,
+            host=settings.host,
+            port=settings.port,
+            lifespan="on",
+            log_config=None,
+            access_log=False,
+            timeout_graceful_shutdown=_GRACE,
+            ws="websockets-sansio",
+        ),
+    )
+    # uvicorn raises the signal that ended it once more when all is closed; that is then a clean end
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _end)
+    try:
+        asyncio.run(server.serve())
+    except SystemExit:
+        error = getattr(app.state, "startup_error", None)
+        if isinstance(error, SweepidError | DriveError):
+            raise error from None  # uvicorn has only logged it
+        raise
+
+
+class _Server(uvicorn.Server):
+    """Tells when it is ready, and ends endless streams before it waits for open requests."""
+
+    def __init__(self, app: FastAPI, config: uvicorn.Config) -> None:
+        super().__init__(config)
+        self._app = app
+
+    async def startup(self, sockets: list[socket] | None = None) -> None:
+        await super().startup(sockets)
+        if self.started:
+            port = self.servers[0].sockets[0].getsockname()[1]
+            host = f"[{self.config.host}]" if ":" in self.config.host else self.config.host
+            ready: dict[str, Any] = {"ready": True, "url": f"http://{host}:{port}", "port": port, "pid": os.getpid()}
+            sys.stdout.write(json.dumps(ready) + "\n")
+            sys.stdout.flush()
+
+    async def shutdown(self, sockets: list[socket] | None = None) -> None:
+        end_streams(self._app)
+        await super().shutdown(sockets)
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    raise SystemExit(0)

@@ -1,0 +1,223 @@
+"""A small client of the service's REST API, for the command line and the demo. Blocking; one connection pool."""
+
+import json
+import time
+import uuid
+from collections.abc import Generator, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, cast
+
+import httpx
+
+from service.errors import BadInput, SweepidError
+
+Json = dict[str, Any]
+
+_TIMEOUT = httpx.Timeout(30.0, connect=5.0)
+_LONG_TIMEOUT = httpx.Timeout(600.0, connect=5.0)  # planning many poses, large bundles
+_BAD_INPUT = 422  # HTTP status
+_SILENCE = 40.0  # s; an idle event stream carries a comment every 15 s
+_RECONNECT_FOR = 20.0  # s
+_RECONNECT_PAUSE = 0.5  # s
+
+
+class ServiceUnreachable(SweepidError):
+    """No service answers at the address: it is not started, or the address is wrong."""
+
+
+class ServiceProblem(SweepidError):
+    """The service refused or failed; `status` and `detail` are those of its problem document."""
+
+    def __init__(self, status: int, detail: str) -> None:
+        super().__init__(detail)
+        self.status = status
+        self.detail = detail
+
+
+class ServiceClient(AbstractContextManager["ServiceClient"]):
+    """Every method raises `ServiceUnreachable`, `ServiceProblem` or, where the input was refused (422), `BadInput`.
+
+    Commands carry an idempotency key of their own. Documents are returned as the API gives them.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+        self._http = httpx.Client(base_url=f"{url.rstrip('/')}/api/v1", timeout=_TIMEOUT, trust_env=False)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._http.close()
+
+    # -- robots and plans
+    def add_robot(self, description: Json, urdf_text: str) -> Json:
+        return self._post("/robots", {"description": description, "urdf_text": urdf_text})
+
+    def robots(self) -> list[Json]:
+        """All robots, without their URDF."""
+        return self._all("/robots")
+
+    def add_plan(self, request: Json) -> Json:
+        return self._post("/plans", request, timeout=_LONG_TIMEOUT)
+
+    def plan(self, plan_id: int) -> Json:
+        return self._get(f"/plans/{plan_id}")
+
+    # -- campaigns
+    def add_campaign(self, plan_id: int) -> Json:
+        return self._post("/campaigns", {"plan_id": plan_id})
+
+    def campaigns(self) -> list[Json]:
+        """All campaigns, oldest first."""
+        return self._all("/campaigns")
+
+    def campaign(self, campaign_id: int) -> Json:
+        return self._get(f"/campaigns/{campaign_id}")
+
+    def start(self, campaign_id: int) -> Json:
+        """Connects the drives first where they are not."""
+        return self._post(f"/campaigns/{campaign_id}/start", timeout=_LONG_TIMEOUT)
+
+    def pause(self, campaign_id: int) -> Json:
+        return self._post(f"/campaigns/{campaign_id}/pause")
+
+    def resume(self, campaign_id: int, repeat: bool = False) -> Json:
+        return self._post(f"/campaigns/{campaign_id}/resume", {"repeat": repeat})
+
+    def abort(self, campaign_id: int, why: str) -> Json:
+        return self._post(f"/campaigns/{campaign_id}/abort", {"why": why})
+
+    def sweeps(self, campaign_id: int) -> list[Json]:
+        return cast("list[Json]", self._get(f"/campaigns/{campaign_id}/sweeps"))
+
+    def estimates(self, campaign_id: int) -> list[Json]:
+        """All revisions, oldest first."""
+        return self._all(f"/campaigns/{campaign_id}/estimates")
+
+    def estimate(self, campaign_id: int) -> Json:
+        """The latest revision."""
+        return self._get(f"/campaigns/{campaign_id}/estimates/latest")
+
+    # -- the machine
+    def ready(self) -> Json:
+        """``{"ready", "causes"}``; not being ready is an answer, no error."""
+        response = self._send("GET", "/health/ready")
+        if response.status_code not in (200, 503):
+            _check(response)
+        return cast("Json", response.json())
+
+    def drives(self) -> Json:
+        return self._get("/drives")
+
+    def acknowledge(self, joint: str) -> Json:
+        return self._post(f"/drives/{joint}/acknowledge")
+
+    def stop(self, by: str, why: str) -> Json:
+        response = self._send("POST", "/stop", params={"by": by, "why": why})
+        _check(response)
+        return cast("Json", response.json())
+
+    def reset_stop(self, by: str) -> Json:
+        return self._post("/stop/reset", {"by": by})
+
+    # -- bundles
+    def import_bundle(self, archive: Path) -> Json:
+        """Upload a zip file."""
+        response = self._send(
+            "POST",
+            "/bundles",
+            content=archive.read_bytes(),
+            headers={"Content-Type": "application/zip", "Idempotency-Key": str(uuid.uuid4())},
+            timeout=_LONG_TIMEOUT,
+        )
+        _check(response)
+        return cast("Json", response.json())
+
+    def export_bundle(self, campaign_id: int, archive: Path) -> None:
+        """Download a campaign's bundle as a zip file."""
+        try:
+            with self._http.stream("GET", f"/campaigns/{campaign_id}/bundle", timeout=_LONG_TIMEOUT) as response:
+                if response.is_error:
+                    response.read()
+                    _check(response)
+                with archive.open("wb") as file:
+                    for chunk in response.iter_bytes():
+                        file.write(chunk)
+        except httpx.TransportError as error:
+            raise ServiceUnreachable(f"{self._url}: {error}") from None
+
+    # -- events
+    def events(self, campaign_id: int, after: int = 0) -> Iterator[Json]:
+        """The campaign's events with an id above `after`, then new ones, for ever.
+
+        A lost connection is taken up again after the last event seen; `ServiceUnreachable` after 20 s without one.
+        """
+        lost: float | None = None  # since when there is no connection
+        while True:
+            reason = "the event stream ended"
+            try:
+                with self._stream(campaign_id, after) as lines:
+                    for line in lines:
+                        lost = None
+                        if line.startswith("data:"):
+                            event = cast("Json", json.loads(line[5:]))
+                            after = int(event["id"])
+                            yield event
+            except httpx.TransportError as error:
+                reason = str(error)
+            lost = time.monotonic() if lost is None else lost
+            if time.monotonic() - lost > _RECONNECT_FOR:
+                raise ServiceUnreachable(f"{self._url}: {reason}")
+            time.sleep(_RECONNECT_PAUSE)
+
+    @contextmanager
+    def _stream(self, campaign_id: int, after: int) -> Generator[Iterator[str]]:
+        timeout = httpx.Timeout(_SILENCE, connect=5.0)
+        query = {"campaign": campaign_id, "after": after}
+        with self._http.stream("GET", "/events", params=query, timeout=timeout) as response:
+            if response.is_error:
+                response.read()
+                _check(response)
+            yield response.iter_lines()
+
+    def _get(self, path: str) -> Json:
+        response = self._send("GET", path)
+        _check(response)
+        return cast("Json", response.json())
+
+    def _all(self, path: str) -> list[Json]:
+        items: list[Json] = []
+        after: int | None = 0
+        while after is not None:
+            page = self._get(f"{path}?limit=200&after={after}")
+            items += page["items"]
+            after = page["next"]
+        return items
+
+    def _post(self, path: str, body: Json | None = None, timeout: httpx.Timeout = _TIMEOUT) -> Json:
+        response = self._send("POST", path, json=body, headers={"Idempotency-Key": str(uuid.uuid4())}, timeout=timeout)
+        _check(response)
+        return cast("Json", response.json())
+
+    def _send(self, method: str, path: str, **options: Any) -> httpx.Response:
+        try:
+            return self._http.request(method, path, **options)
+        except httpx.TransportError as error:
+            raise ServiceUnreachable(f"{self._url}: {error}") from None
+
+
+def _check(response: httpx.Response) -> None:
+    if response.is_success:
+        return
+    if not response.headers.get("content-type", "").startswith("application/problem+json"):
+        raise ServiceProblem(response.status_code, f"{response.url}: {response.status_code} {response.text[:200]}")
+    problem = cast("Json", response.json())
+    if response.status_code == _BAD_INPUT:
+        first = next(iter(problem.get("errors", ())), {"pointer": response.url.path, "reason": problem["detail"]})
+        raise BadInput(first["pointer"], first["reason"])
+    raise ServiceProblem(response.status_code, problem["detail"])

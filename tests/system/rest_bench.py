@@ -1,0 +1,157 @@
+"""A virtual machine and a service in processes of their own, and what a test does with them through REST."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import psutil
+import yaml
+
+from service.client import Json, ServiceClient
+
+CONFIG = Path(__file__).parents[2] / "config"
+ROBOT = CONFIG / "robots" / "max100-class.yaml"
+SWEEPID = str(Path(sys.executable).with_name("sweepid"))
+PATIENCE = 60.0  # s for anything on a busy computer
+
+
+class VirtualMachine:
+    """`sweepid drive`, its control port, and a profile that leads to it."""
+
+    def __init__(self, folder: Path, ready: dict[str, Any]) -> None:
+        self._control_port = int(ready["control_port"])
+        content = yaml.safe_load((CONFIG / "drives" / "virtual-max100.yaml").read_text("utf-8"))
+        content["bus"]["port"] = ready["port"]
+        content["eds"] = str(CONFIG / "eds" / "virtual-axis.eds")
+        self.profile = folder / "profile.yaml"
+        self.profile.write_text(yaml.safe_dump(content), "utf-8")
+
+    def axes(self) -> dict[str, dict[str, Any]]:
+        """How the axes really are, whatever the service believes."""
+        with socket.create_connection(("127.0.0.1", self._control_port), timeout=10) as client:
+            client.sendall(b'{"order": "status"}\n')
+            with client.makefile() as lines:
+                return json.loads(lines.readline())["axes"]
+
+    def stands(self) -> bool:
+        """No axis has energy, none moves."""
+        return not any(axis["energised"] or abs(axis["velocity"]) > 1e-6 for axis in self.axes().values())
+
+
+class Service:
+    """`sweepid serve` on a data directory; may be killed and started again."""
+
+    def __init__(self, folder: Path, profile: Path) -> None:
+        self.data = folder / "data"
+        self._log = folder / "service.log"
+        self._settings = folder / "service.yaml"
+        settings = {
+            "data_dir": str(self.data),
+            "drive": str(profile),
+            "robots_dir": str(CONFIG / "robots"),
+            "cells_dir": str(CONFIG / "cells"),
+        }
+        self._settings.write_text(yaml.safe_dump(settings), "utf-8")
+        self._process: subprocess.Popen[bytes] | None = None
+        self.url = ""
+
+    def start(self) -> str:
+        """Start and wait until it is ready; its address."""
+        command = [SWEEPID, "serve", "--config", str(self._settings), "--port", "0"]
+        with self._log.open("ab") as log:
+            self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log)
+        line = self._process.stdout.readline() if self._process.stdout else b""
+        if not line:
+            raise RuntimeError(self._log.read_text("utf-8"))
+        self.url = str(json.loads(line)["url"])
+        return self.url
+
+    def workers(self) -> list[psutil.Process]:
+        """The identification's processes."""
+        children = psutil.Process(self._running().pid).children(recursive=True)
+        return [child for child in children if any("spawn_main" in word for word in child.cmdline())]
+
+    def kill(self) -> None:
+        """SIGKILL, as a power cut does it: the service and all it has started."""
+        service = self._running()
+        children = psutil.Process(service.pid).children(recursive=True)
+        service.kill()
+        for child in children:
+            child.kill()
+        psutil.wait_procs(children, timeout=10)
+        self._end()
+
+    def close(self) -> None:
+        """End it in good order."""
+        if self._process is not None:
+            self._process.terminate()
+            code = self._end()
+            assert code == 0, self._log.read_text("utf-8")
+
+    def _running(self) -> subprocess.Popen[bytes]:
+        if self._process is None:
+            raise RuntimeError("the service does not run")
+        return self._process
+
+    def _end(self) -> int:
+        process = self._running()
+        code = process.wait(30)
+        if process.stdout:
+            process.stdout.close()
+        self._process = None
+        return code
+
+
+@contextmanager
+def virtual_machine(folder: Path, speed_factor: float = 20.0) -> Iterator[VirtualMachine]:
+    command = [SWEEPID, "drive", "--port", "0", "--speed-factor", str(speed_factor)]
+    command += ["--scenario", str(CONFIG / "scenarios" / "max100-full.yaml")]
+    command += ["--eds", str(CONFIG / "eds" / "virtual-axis.eds")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+        try:
+            line = process.stdout.readline() if process.stdout else b""
+            yield VirtualMachine(folder, json.loads(line))
+        finally:
+            process.send_signal(signal.SIGTERM)
+            process.wait(10)
+
+
+@contextmanager
+def serving(folder: Path, profile: Path) -> Iterator[Service]:
+    service = Service(folder, profile)
+    service.start()
+    try:
+        yield service
+    finally:
+        service.close()
+
+
+def add_plan(client: ServiceClient, **wanted: object) -> int:
+    """A plan of the representative robot; its number."""
+    robot = next(robot for robot in client.robots() if robot["name"] == "max100-class")
+    request: Json = {"robot_id": robot["id"], "varied": ["joint_2", "joint_3"], "step": 15.0}
+    return int(client.add_plan(request | wanted)["id"])
+
+
+def until(condition: Callable[[], object], what: str) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"{what}: not within {PATIENCE} s")
+        time.sleep(0.02)
+
+
+def run(*arguments: str, url: str) -> subprocess.CompletedProcess[str]:
+    """The console script, against a service."""
+    environment = os.environ | {"SWEEPID_URL": url}
+    return subprocess.run(
+        [SWEEPID, *arguments], capture_output=True, text=True, timeout=120, check=False, env=environment
+    )

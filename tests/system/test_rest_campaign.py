@@ -1,0 +1,125 @@
+"""From a plan to an estimate: the command line over REST, a virtual machine over CAN, a worker that dies."""
+
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service.client import ServiceClient
+from service.identification import identify, spectrum
+from service.store.bundle import read_bundle
+from tests.system.rest_bench import (
+    ROBOT,
+    SWEEPID,
+    Service,
+    VirtualMachine,
+    add_plan,
+    run,
+    serving,
+    until,
+    virtual_machine,
+)
+
+
+@pytest.fixture
+def machine(tmp_path: Path, speed_factor: float) -> Iterator[VirtualMachine]:
+    with virtual_machine(tmp_path, speed_factor) as machine:
+        yield machine
+
+
+@pytest.fixture
+def service(tmp_path: Path, machine: VirtualMachine) -> Iterator[Service]:
+    with serving(tmp_path, machine.profile) as service:
+        yield service
+
+
+@pytest.fixture
+def client(service: Service) -> Iterator[ServiceClient]:
+    with ServiceClient(service.url) as client:
+        yield client
+
+
+def differences(one: Any, other: Any, path: str = "") -> Iterator[tuple[str, float]]:
+    """Relative differences of the numbers in two documents of one shape."""
+    if isinstance(one, dict):
+        assert one.keys() == other.keys(), path
+        for key in one:
+            yield from differences(one[key], other[key], f"{path}/{key}")
+    elif isinstance(one, list):
+        assert len(one) == len(other), path
+        for number, (mine, yours) in enumerate(zip(one, other, strict=True)):
+            yield from differences(mine, yours, f"{path}/{number}")
+    elif isinstance(one, float):
+        yield path, abs(one - other) / max(abs(one), abs(other), 1e-12)
+    else:
+        assert one == other, path
+
+
+@pytest.mark.parametrize("speed_factor", [20.0])
+def test_a_worker_that_is_killed_in_the_middle_changes_nothing(
+    service: Service, machine: VirtualMachine, client: ServiceClient, tmp_path: Path
+) -> None:
+    """12 sweeps; the estimate is the one that the exported bundle gives without the service."""
+    plan = add_plan(client, axes=["joint_1", "joint_2", "joint_3"], poses=4)
+    campaign = int(client.add_campaign(plan)["id"])
+    client.start(campaign)
+    killed: list[int] = []
+    for event in client.events(campaign):
+        if event["kind"] == "sweep" and event["data"] | {"number": 5, "state": "recorded"} == event["data"]:
+            for worker in service.workers():
+                worker.kill()
+                killed.append(worker.pid)
+        if event["kind"] == "campaign":
+            assert event["data"]["state"] in ("planned", "running", "measured", "completed"), event
+            if event["data"]["state"] == "completed":
+                break
+    assert killed
+    assert not set(killed) & {worker.pid for worker in service.workers()}
+    assert machine.stands()
+    assert {sweep["state"] for sweep in client.sweeps(campaign)} == {"identified"}
+    latest = client.estimate(campaign)
+    assert latest["revision"] == 12
+
+    exported = run("export", str(campaign), str(tmp_path / "bundle"), url=service.url)
+    assert (exported.returncode, exported.stderr) == (0, "")
+    bundle = read_bundle(tmp_path / "bundle")
+    offline = identify(bundle.robot, [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps]).to_document()
+    worst = max(differences(latest["document"], offline), key=lambda found: found[1])
+    assert worst[1] <= 1e-9, worst
+
+
+@pytest.mark.parametrize("speed_factor", [2.0])  # slow enough to be interrupted
+def test_the_command_line_measures_and_ctrl_c_stops_the_machine(
+    service: Service, machine: VirtualMachine, client: ServiceClient
+) -> None:
+    planned = run(
+        *("plan", str(ROBOT), "--axes", "joint_1", "--varied", "joint_2,joint_3", "--poses", "1"),
+        *("--step", "15"),
+        url=service.url,
+    )
+    assert planned.returncode == 0, planned.stderr
+    plan = planned.stdout.strip()
+    environment = os.environ | {"SWEEPID_URL": service.url}
+    known = len(client.campaigns())
+    with subprocess.Popen(
+        [SWEEPID, "measure", plan], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as measuring:
+        until(lambda: len(client.campaigns()) > known, "campaign added")
+        campaign = client.campaigns()[-1]["id"]
+        until(lambda: machine.axes()["joint_1"]["velocity"] != 0, "joint_1 moves")
+        measuring.send_signal(signal.SIGINT)
+        out, err = measuring.communicate(timeout=60)
+    assert (measuring.returncode, out) == (1, "")
+    assert f"campaign {campaign}: machine stopped" in err.splitlines()[-1]
+    until(machine.stands, "the axes stand")
+    assert client.ready()["causes"] == ["stopped by sweepid measure: Ctrl-C"]
+    until(lambda: client.campaign(campaign)["state"] == "paused", "campaign paused")
+
+    client.reset_stop("test")
+    client.resume(campaign, repeat=True)
+    until(lambda: client.campaign(campaign)["state"] == "completed", "campaign completed")
+    assert client.estimate(campaign)["revision"] == 1

@@ -1,0 +1,167 @@
+"""A bundle goes in, its sweeps are identified, and the same bundle comes out; what cannot be read leaves nothing."""
+
+import io
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pyarrow.parquet as pq
+import pytest
+
+from service.client import ServiceClient
+from service.store.bundle import read_bundle
+
+ZIP = {"Content-Type": "application/zip"}
+
+
+def packed(folder: Path) -> bytes:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        for path in sorted(folder.rglob("*")):
+            archive.write(path, path.relative_to(folder))
+    return content.getvalue()
+
+
+def campaigns(http: httpx.Client) -> list[dict[str, object]]:
+    return http.get("/campaigns", params={"limit": 200}).json()["items"]
+
+
+def first_events(http: httpx.Client, count: int, **options: dict[str, str | int]) -> list[tuple[int, str, Any]]:
+    """(id, kind, document) of the first events of the stream."""
+    found: list[tuple[int, str, Any]] = []
+    fields: dict[str, str] = {}
+    with http.stream("GET", "/events", **options) as answer:
+        assert answer.headers["content-type"].startswith("text/event-stream")
+        for line in answer.iter_lines():
+            name, _, value = line.partition(": ")
+            fields[name] = value
+            if not line and "data" in fields:
+                found.append((int(fields["id"]), fields["event"], json.loads(fields["data"])))
+                if len(found) == count:
+                    break
+            if not line:
+                fields = {}
+    return found
+
+
+@pytest.fixture(scope="module")
+def campaign_id(url: str, bundle: Path) -> int:
+    """The bundle imported and identified."""
+    with httpx.Client(base_url=f"{url}/api/v1", timeout=60, trust_env=False) as http:
+        answer = http.post("/bundles", content=packed(bundle), headers=ZIP)
+        assert answer.status_code == 201, answer.text
+        assert answer.headers["location"].endswith(f"/campaigns/{answer.json()['id']}")
+    campaign_id = answer.json()["id"]
+    with ServiceClient(url) as client:
+        for event in client.events(campaign_id):
+            if event["kind"] == "campaign" and event["data"]["state"] == "completed":
+                break
+    return campaign_id
+
+
+def test_every_sweep_makes_a_revision(http: httpx.Client, campaign_id: int) -> None:
+    campaign = http.get(f"/campaigns/{campaign_id}").json()
+    assert campaign["sweeps"] == {"identified": 3}
+    assert (campaign["progress"]["done"], campaign["progress"]["total"]) == (3, 3)
+    revisions = http.get(f"/campaigns/{campaign_id}/estimates").json()["items"]
+    assert [revision["revision"] for revision in revisions] == [1, 2, 3]
+    latest = http.get(f"/campaigns/{campaign_id}/estimates/latest").json()
+    assert latest == revisions[-1] == http.get(f"/campaigns/{campaign_id}/estimates/3").json()
+    inertia = {point["sweep"]: point["value"] for point in latest["document"]["axes"]["joint_1"]["inertia"]}
+    assert inertia == pytest.approx({"0001": 275.0, "0002": 300.0, "0003": 325.0}, rel=0.02)
+
+
+def test_lists_come_in_pages(http: httpx.Client, campaign_id: int) -> None:
+    seen: list[int] = []
+    after: int | None = 0
+    while after is not None:
+        page = http.get(f"/campaigns/{campaign_id}/estimates", params={"limit": 2, "after": after}).json()
+        assert len(page["items"]) <= 2
+        seen += [item["revision"] for item in page["items"]]
+        after = page["next"]
+    assert seen == [1, 2, 3]
+    assert http.get("/campaigns", params={"limit": 201}).status_code == 422
+
+
+def test_a_recording_is_downloaded_as_parquet(http: httpx.Client, campaign_id: int) -> None:
+    recording = http.get(f"/campaigns/{campaign_id}/sweeps/2/recording").json()
+    file = http.get(f"/campaigns/{campaign_id}/sweeps/2/recording/file")
+    assert file.headers["content-type"] == "application/vnd.apache.parquet"
+    assert file.headers["x-content-sha256"] == recording["sha256"]
+    table = pq.read_table(io.BytesIO(file.content))
+    assert table.num_rows == recording["samples"] == 1250
+    assert {"time", "effort", "velocity", "position"} <= set(table.column_names)
+
+
+def test_what_goes_out_is_what_came_in(http: httpx.Client, campaign_id: int, bundle: Path, tmp_path: Path) -> None:
+    answer = http.get(f"/campaigns/{campaign_id}/bundle")
+    assert answer.headers["content-type"] == "application/zip"
+    with zipfile.ZipFile(io.BytesIO(answer.content)) as archive:
+        archive.extractall(tmp_path)
+    given, got = read_bundle(bundle), read_bundle(tmp_path)
+    assert [sweep.spec for sweep in got.sweeps] == [sweep.spec for sweep in given.sweeps]
+    for one, other in zip(given.sweeps, got.sweeps, strict=True):
+        assert (one.recording.effort == other.recording.effort).all()
+
+
+def test_events_are_taken_up_after_the_last_one_seen(http: httpx.Client, campaign_id: int) -> None:
+    events = first_events(http, 4, params={"after": 0, "campaign": campaign_id})
+    numbers = [number for number, _, _ in events]
+    assert numbers == sorted(set(numbers)) == [document["id"] for _, _, document in events]
+    assert {document["campaign_id"] for _, _, document in events} == {campaign_id}
+    rest = first_events(http, 2, params={"campaign": campaign_id}, headers={"Last-Event-ID": str(numbers[1])})
+    assert rest == events[2:]
+    assert http.get("/events", headers={"Last-Event-ID": "x"}).status_code == 422
+
+
+def test_a_bundle_that_cannot_be_read_leaves_nothing(http: httpx.Client, bundle: Path, tmp_path: Path) -> None:
+    before = campaigns(http)
+    description = json.loads((bundle / "bundle.json").read_text("utf-8"))
+    description["sweeps"][1]["axis"] = "joint_9"
+    wrong = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(packed(bundle))) as good, zipfile.ZipFile(wrong, "w") as archive:
+        for name in good.namelist():
+            archive.writestr(name, json.dumps(description) if name == "bundle.json" else good.read(name))
+    refused = http.post("/bundles", content=wrong.getvalue(), headers=ZIP)
+    assert refused.status_code == 422
+    assert "joint_9" in refused.json()["detail"]
+    assert "import-" not in refused.text  # our folders are nobody's business
+    assert http.post("/bundles", content=b"no zip", headers=ZIP).status_code == 422
+    assert campaigns(http) == before
+
+
+def test_a_request_sent_twice_is_done_once(http: httpx.Client, bundle: Path) -> None:
+    before, headers = len(campaigns(http)), ZIP | {"Idempotency-Key": "import-1"}
+    once = http.post("/bundles", content=packed(bundle), headers=headers)
+    content = once.request.content
+    twice = http.post("/bundles", content=content, headers=headers)
+    assert (once.status_code, twice.status_code) == (201, 201)
+    assert twice.content == once.content
+    assert twice.headers["etag"] == once.headers["etag"]
+    assert twice.headers["location"] == once.headers["location"]
+    assert twice.headers["idempotency-replayed"] == "true"
+    assert len(campaigns(http)) == before + 1
+
+    other = http.post("/bundles", content=content + b"\0", headers=headers)
+    assert other.status_code == 422
+    assert "another request" in other.json()["detail"]
+
+
+def test_a_refused_request_does_not_use_up_its_key(http: httpx.Client, bundle: Path) -> None:
+    headers = ZIP | {"Idempotency-Key": "import-2"}
+    assert http.post("/bundles", content=b"no zip", headers=headers).status_code == 422
+    assert http.post("/bundles", content=packed(bundle), headers=headers).status_code == 201
+
+
+def test_a_command_for_another_version_is_412_and_one_that_does_not_fit_409(
+    http: httpx.Client, campaign_id: int
+) -> None:
+    etag = http.get(f"/campaigns/{campaign_id}").headers["etag"]
+    other = f'"{int(etag.strip(chr(34))) + 1}"'
+    command = f"/campaigns/{campaign_id}/abort"
+    assert http.post(command, headers={"If-Match": other}).status_code == 412
+    assert http.post(command, headers={"If-Match": "3"}).status_code == 422
+    assert http.post(command, headers={"If-Match": etag}).status_code == 409
+    assert http.post(command, headers={"If-Match": "*"}).status_code == 409

@@ -1,0 +1,118 @@
+"""Every refusal is a problem document that names place, value and limit, and leaves nothing stored."""
+
+import json
+import socket
+from urllib.parse import urlsplit
+
+import httpx
+import pytest
+
+from service.api.gate import BODY_LIMIT
+from service.robot import Robot
+
+
+def problem(response: httpx.Response, status: int) -> dict[str, object]:
+    assert response.status_code == status, response.text
+    assert response.headers["content-type"] == "application/problem+json"
+    document = response.json()
+    assert document["status"] == status
+    assert document["instance"] == response.url.path
+    return document
+
+
+def robots(http: httpx.Client) -> int:
+    return len(http.get("/robots").json()["items"])
+
+
+def body(robot: Robot) -> dict[str, object]:
+    return {"description": robot.description.model_dump(mode="json"), "urdf_text": robot.urdf_text}
+
+
+def test_a_field_out_of_its_limit_is_named_with_value_and_limit(http: httpx.Client, robot: Robot) -> None:
+    before, wrong = robots(http), body(robot)
+    wrong["description"]["axes"][1]["rated_effort"] = -3.0  # type: ignore[index]
+    found = problem(http.post("/robots", json=wrong), 422)
+    (error,) = found["errors"]  # type: ignore[misc]
+    assert error["pointer"] == "#/description/axes/1/rated_effort"
+    assert (error["value"], error["limit"]) == (-3.0, 0.0)
+    assert "rated_effort" in str(found["detail"])
+    assert robots(http) == before
+
+
+def test_a_misspelt_field_is_refused(http: httpx.Client, robot: Robot) -> None:
+    before = robots(http)
+    found = problem(http.post("/robots", json=body(robot) | {"urdf_txt": ""}), 422)
+    assert [error["pointer"] for error in found["errors"]] == ["#/urdf_txt"]  # type: ignore[attr-defined]
+    assert robots(http) == before
+
+
+def test_a_robot_whose_urdf_does_not_fit_is_refused_with_the_place(http: httpx.Client, robot: Robot) -> None:
+    before, wrong = robots(http), body(robot)
+    wrong["urdf_text"] = "<robot"
+    found = problem(http.post("/robots", json=wrong), 422)
+    assert "not XML" in str(found["detail"])
+    assert robots(http) == before
+
+
+@pytest.mark.parametrize("content", [b"{", b"\xff\xfe", b"[" * 100_000])
+def test_what_is_not_json_is_a_problem(http: httpx.Client, content: bytes) -> None:
+    answer = http.post("/robots", content=content, headers={"Content-Type": "application/json"})
+    assert answer.status_code in (400, 422)
+    problem(answer, answer.status_code)
+
+
+def test_what_does_not_exist_is_404_by_name(http: httpx.Client) -> None:
+    assert "robot 99" in str(problem(http.get("/robots/99"), 404)["detail"])
+    assert "campaign 99" in str(problem(http.get("/campaigns/99/sweeps"), 404)["detail"])
+    assert "joint_9" in str(problem(http.post("/drives/joint_9/acknowledge"), 404)["detail"])
+    problem(http.get("/no-such-noun"), 404)
+    problem(http.delete("/robots"), 405)
+
+
+def test_a_command_without_a_machine_says_why(http: httpx.Client) -> None:
+    assert "could not be opened" in str(problem(http.post("/drives/connect"), 503)["detail"])
+    assert "not connected" in str(problem(http.post("/drives/joint_1/acknowledge"), 409)["detail"])
+
+
+def test_a_body_that_is_too_large_is_refused_unread(http: httpx.Client) -> None:
+    found = problem(http.post("/robots", content=b" " * (BODY_LIMIT + 1)), 413)
+    assert str(BODY_LIMIT) in str(found["detail"])
+
+
+def test_a_body_of_unknown_length_is_counted(http: httpx.Client) -> None:
+    def pieces():  # type: ignore[no-untyped-def]
+        for _ in range(BODY_LIMIT // 2**16 + 1):
+            yield b" " * 2**16
+
+    problem(http.post("/robots", content=pieces(), headers={"Content-Type": "application/json"}), 413)
+
+
+def test_a_page_of_another_origin_may_not_command_but_may_stop(http: httpx.Client) -> None:
+    foreign = {"Origin": "http://elsewhere.example"}
+    assert "elsewhere" in str(problem(http.post("/drives/connect", headers=foreign), 403)["detail"])
+    assert http.post("/stop", headers=foreign).status_code == 200
+    assert http.post("/stop/reset", json={"by": "test"}).status_code == 200
+
+
+def test_a_foreign_host_name_is_refused(http: httpx.Client) -> None:
+    assert "rebound" in str(problem(http.get("/robots", headers={"Host": "rebound.example"}), 403)["detail"])
+
+
+def test_the_stop_waits_for_no_body(url: str) -> None:
+    """A body is announced and never sent."""
+    parts = urlsplit(url)
+    with socket.create_connection((parts.hostname, parts.port), timeout=10) as connection:
+        connection.sendall(
+            b"POST /api/v1/stop HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
+            b"Content-Length: 1000\r\n\r\n{"
+        )
+        head, _, content = connection.recv(65536).partition(b"\r\n\r\n")
+        assert b" 200 " in head.splitlines()[0]
+        while True:
+            try:
+                assert json.loads(content)["latched"] is True
+                break
+            except ValueError:
+                content += connection.recv(65536)
+    with httpx.Client(base_url=url, trust_env=False) as http:
+        assert http.post("/api/v1/stop/reset", json={"by": "test"}).status_code == 200

@@ -1,0 +1,148 @@
+"""A runner on a real store and real files, in front of a machine whose samples come from a formula."""
+
+import asyncio
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from drivers.ports import Sine, SweepCommand, SweepMode
+from service.campaigns.cell import Cell
+from service.campaigns.course import Course
+from service.campaigns.envelope import Envelope
+from service.campaigns.jobs import Jobs
+from service.campaigns.live import LiveHub
+from service.campaigns.machine import Machine
+from service.campaigns.runner import Runner
+from service.campaigns.station import Station
+from service.configuration import read_robot
+from service.recording import Sine as SpecSine
+from service.recording import SweepSpec
+from service.robot import Robot
+from service.store.database import Database, open_database
+from service.store.documents import CampaignDocument, NewSweep, SweepDocument
+from service.store.guards import StopLatch
+from service.store.recordings import RecordingFiles
+from service.store.store import Store
+from service.worker import Worker
+from tests.unit.service.campaigns.formula_drive import FormulaDrive
+
+ROOT = Path(__file__).parents[4]
+POSES = ((0.0, 0.0, 0.0), (0.4, 0.0, 0.0), (0.4, 0.3, 0.0), (0.0, 0.3, -0.2))
+SINES = ((2.0, 0.002, 0.3), (3.0, 0.0015, 1.1))
+OFFSET, PERIODS, RAMP, SETTLE, RATE = 0.0105, 5, 0.3, 0.7, 250.0
+TIMEOUT = 20.0  # s
+REACHED = ("joint_1", "joint_2", "joint_3")
+
+
+@dataclass
+class Bench:
+    """What `serve` is made of, around a formula drive; identification is left to the tests that want it."""
+
+    store: Store
+    database: Database
+    files: RecordingFiles
+    drive: FormulaDrive
+    machine: Machine
+    jobs: Jobs
+    runner: Runner
+    hub: LiveHub
+    campaign: CampaignDocument
+
+
+@pytest.fixture(scope="session")
+def robot() -> Robot:
+    return read_robot(ROOT / "config" / "robots" / "max100-class.yaml")
+
+
+@pytest.fixture(scope="session")
+def envelope(robot: Robot) -> Envelope:
+    return Envelope(robot, Cell(name="empty"))
+
+
+def spec(number: int, pose: Sequence[float]) -> SweepSpec:
+    return SweepSpec(
+        id=f"{number:04d}",
+        axis="joint_1",
+        pose=(*pose, 0.0, 0.0, 0.0),
+        offset_velocity=OFFSET,
+        sines=tuple(SpecSine(frequency=f, amplitude=a, phase=p) for f, a, p in SINES),
+        period=1.0,
+        periods=PERIODS,
+        measure_from=RAMP + SETTLE,
+        sample_rate=RATE,
+    )
+
+
+def command(sweep: SweepDocument) -> SweepCommand:
+    start = sweep.spec.pose[0]
+    return SweepCommand(
+        joint="joint_1",
+        mode=SweepMode.DRIVE_SIDE,
+        offset_velocity=OFFSET,
+        sines=tuple(Sine(f, a, p) for f, a, p in SINES),
+        period=1.0,
+        periods=PERIODS,
+        ramp=RAMP,
+        settle=SETTLE,
+        sample_rate=RATE,
+        velocity_limit=0.05,
+        effort_limit=3000.0,
+        position_window=(start - 0.004, start + 0.07),
+    )
+
+
+@asynccontextmanager
+async def open_bench(
+    folder: Path, robot: Robot, envelope: Envelope, worker: Worker | None = None
+) -> AsyncGenerator[Bench]:
+    """A bench with one planned campaign; without `worker`, jobs are taken but never done."""
+    async with AsyncExitStack() as stack:
+        database = stack.enter_context(open_database(f"sqlite:///{folder / 'sweepid.sqlite'}"))
+        store, files, hub = Store(database), RecordingFiles(folder), LiveHub(100.0)
+        drive = FormulaDrive(REACHED)
+        latch = StopLatch(database)
+        machine = Machine(drive, latch, latch.latched())
+        jobs = Taken(store, files) if worker is None else Jobs(store, files, worker)
+        stack.push_async_callback(jobs.close)
+        station = Station(store, files, machine, hub)
+        stack.callback(station.close)
+
+        def course_of(campaign: CampaignDocument) -> Course:
+            commands = {sweep.number: command(sweep) for sweep in store.sweeps(campaign.id)}
+            return Course(robot.joints, commands, envelope, move_velocity=0.1, pose_tolerance=2e-3)
+
+        runner = Runner(store, machine, station, jobs, course_of)
+        stack.push_async_callback(runner.close)
+        campaigns = store.campaigns()
+        if not campaigns:
+            plan = store.add_plan(store.add_robot(robot).id, {})
+            new = [NewSweep(spec=spec(n, pose), mode=SweepMode.DRIVE_SIDE) for n, pose in enumerate(POSES, 1)]
+            campaigns = (store.add_campaign(plan.id, new),)
+        yield Bench(store, database, files, drive, machine, jobs, runner, hub, campaigns[0])
+
+
+class Taken(Jobs):
+    """Jobs that are taken and never done."""
+
+    def __init__(self, store: Store, files: RecordingFiles) -> None:
+        super().__init__(store, files, Worker("tcp://127.0.0.1:1"))
+        self.sweeps: list[int] = []
+
+    def submit(self, sweep: SweepDocument) -> None:
+        self.sweeps.append(sweep.number)
+
+
+@pytest.fixture
+async def bench(tmp_path: Path, robot: Robot, envelope: Envelope) -> AsyncIterator[Bench]:
+    async with open_bench(tmp_path, robot, envelope) as bench:
+        yield bench
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    """Wait for a condition that comes from another process or thread; TimeoutError if it does not come."""
+    async with asyncio.timeout(TIMEOUT):
+        while not condition():  # noqa: ASYNC110
+            await asyncio.sleep(0.01)

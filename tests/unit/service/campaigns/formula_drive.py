@@ -1,0 +1,147 @@
+"""A machine without physics: a `DrivePort` whose samples come from a formula, and that can be told to misbehave."""
+
+import asyncio
+from collections.abc import AsyncGenerator, Mapping
+
+import numpy as np
+
+from drivers.errors import DriveError, NotReady, SweepInterrupted
+from drivers.ports import (
+    AxisIdentity,
+    AxisState,
+    AxisStatus,
+    Capabilities,
+    Fault,
+    SampleBlock,
+    SweepCommand,
+    SweepMode,
+)
+
+INERTIA, VISCOUS = 200.0, 150.0  # kg m^2, N m s/rad
+BLOCK = 250  # samples
+
+
+class FormulaDrive:
+    """Rigid axes, one inertia. `trace` tells in order what was asked of the machine.
+
+    `hold`: the sweep waits before its block of that number until it is stopped, or `go` is set.
+    `fail`: raised at the block of that number. `skip`: sample left out.
+    """
+
+    def __init__(self, joints: tuple[str, ...]) -> None:
+        self.joints = joints
+        self.trace: list[str] = []
+        self.energised: set[str] = set()
+        self.position = dict.fromkeys(joints, 0.0)
+        self.hold: int | None = None
+        self.fail: dict[int, DriveError] = {}
+        self.skip: int | None = None
+        self.stop_error: DriveError | None = None
+        self.holding = asyncio.Event()
+        self.go = asyncio.Event()
+        self._stopped = asyncio.Event()
+        self.capabilities = Capabilities(frozenset(SweepMode), True, True, True, True, True, "none")
+
+    async def connect(self) -> tuple[AxisIdentity, ...]:
+        self.trace.append("connect")
+        return tuple(AxisIdentity(joint, f"node {n}", 1, 2, 3, n, "0" * 64) for n, joint in enumerate(self.joints, 1))
+
+    async def close(self) -> None:
+        self.energised.clear()
+        self.trace.append("close")
+
+    async def status(self) -> Mapping[str, AxisStatus]:
+        return {
+            joint: AxisStatus(
+                joint,
+                AxisState.ENABLED if joint in self.energised else AxisState.DISABLED,
+                self.position[joint],
+                0.0,
+                0.0,
+                None,
+            )
+            for joint in self.joints
+        }
+
+    async def enable(self, joint: str) -> None:
+        if self.energised:
+            raise NotReady(f"{self.energised} has energy already")
+        self._stopped.clear()
+        await asyncio.sleep(0)
+        self.energised.add(joint)
+        self.trace.append(f"enable {joint}")
+
+    async def disable(self, joint: str) -> None:
+        self.energised.discard(joint)
+        self.trace.append(f"disable {joint}")
+
+    async def move_to(self, joint: str, position: float, velocity: float) -> None:
+        if joint not in self.energised:
+            raise NotReady(f"{joint} has no energy")
+        self.position[joint] = position
+        self.trace.append(f"move {joint} {position:g}")
+
+    async def run_sweep(self, command: SweepCommand) -> AsyncGenerator[SampleBlock, None]:
+        if command.joint not in self.energised:
+            raise NotReady(f"{command.joint} has no energy")
+        self.trace.append(f"sweep {command.joint}")
+        samples = self._samples(command)
+        try:
+            for number, start in enumerate(range(0, len(samples.index), BLOCK)):
+                if number in self.fail:
+                    raise self.fail[number]
+                if number == self.hold:
+                    self.holding.set()
+                    await asyncio.wait(
+                        waiting := [asyncio.create_task(event.wait()) for event in (self._stopped, self.go)],
+                        return_when=asyncio.FIRST_COMPLETED,
+                    )
+                    for task in waiting:
+                        task.cancel()
+                if self._stopped.is_set():
+                    raise SweepInterrupted(f"{command.joint}: sweep was stopped")
+                yield _part(samples, slice(start, start + BLOCK))
+                await asyncio.sleep(0)
+        finally:
+            self.trace.append("standstill")
+
+    async def stop(self) -> None:
+        self._stopped.set()
+        self.energised.clear()
+        self.trace.append("stop")
+        if self.stop_error is not None:
+            raise self.stop_error
+
+    async def faults(self) -> tuple[Fault, ...]:
+        return ()
+
+    async def acknowledge(self, joint: str) -> None:
+        self.trace.append(f"acknowledge {joint}")
+
+    def _samples(self, command: SweepCommand) -> SampleBlock:
+        rate = command.sample_rate
+        index = np.arange(round(command.duration * rate))
+        index = index[index != self.skip]
+        time = index / rate
+        velocity = np.full(len(time), command.offset_velocity)
+        acceleration = np.zeros(len(time))
+        for sine in command.sines:
+            angle = 2 * np.pi * sine.frequency * (time - command.measure_from) + sine.phase
+            velocity += sine.amplitude * np.sin(angle)
+            acceleration += 2 * np.pi * sine.frequency * sine.amplitude * np.cos(angle)
+        noise = np.random.default_rng(1).normal(0.0, 1.0, len(time))
+        effort = INERTIA * acceleration + VISCOUS * velocity + noise
+        position = self.position[command.joint] + np.cumsum(velocity) / rate
+        return SampleBlock(command.joint, index, time, effort, velocity, position, velocity)
+
+
+def _part(samples: SampleBlock, part: slice) -> SampleBlock:
+    return SampleBlock(
+        samples.joint,
+        samples.index[part],
+        samples.time[part],
+        samples.effort[part],
+        samples.velocity[part],
+        samples.position[part],
+        samples.velocity_setpoint[part],
+    )

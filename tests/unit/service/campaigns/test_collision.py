@@ -1,0 +1,95 @@
+"""Collision checks against distances worked out by hand on a two-link arm."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.campaigns.cell import Box, Cell, read_cell
+from service.campaigns.collision import CollisionChecker
+from service.errors import BadInput
+from service.robot import Robot
+from tests.unit.service.campaigns.small_arm import small_arm
+
+CLEARANCE = 0.05
+
+
+Build = Callable[..., CollisionChecker]
+
+
+@pytest.fixture
+def arm() -> Robot:
+    return small_arm()
+
+
+@pytest.fixture
+def checker(arm: Robot) -> Build:
+    def build(**cell: object) -> CollisionChecker:
+        return CollisionChecker(arm, Cell.model_validate({"name": "test", "clearance": CLEARANCE, **cell}))
+
+    return build
+
+
+def test_free_without_obstacles_and_neighbours_do_not_count(checker: Build) -> None:
+    free = checker().collision_free(np.array([[0.0, 0.0], [-1.0, 0.5], [-1.5, 0.0]]))
+    assert free.tolist() == [True, True, True]
+
+
+def test_floor_is_met_exactly_at_the_clearance(checker: Build) -> None:
+    # the arm hangs straight out and down by q: the tool's centre is 2 sin(q) below the shoulder, its radius 0.15
+    limit = np.arcsin((1.0 - 0.15 - CLEARANCE) / 2.0)
+    free = checker(floor=0.0).collision_free(np.array([[limit - 0.002, 0.0], [limit + 0.002, 0.0]]))
+    assert free.tolist() == [True, False]
+
+
+def test_arm_meets_its_own_base(checker: Build) -> None:
+    # folded back by 150 degrees and turned down, the tool enters the base's box
+    assert not checker().collision_free(np.array([[0.4, 2.75]]))[0]
+
+
+def test_box_and_yaw(checker: Build) -> None:
+    box = Box(name="rack", center=(0.0, 1.0, 1.0), size=(4.0, 0.2, 0.2))
+    assert checker(boxes=(box,)).collision_free(np.zeros((1, 2)))[0]
+    turned = box.model_copy(update={"yaw": np.pi / 2})
+    assert not checker(boxes=(turned,)).collision_free(np.array([[0.0, 0.0]]))[0]
+    ahead = Box(name="rack", center=(2.5, 0.0, 1.0), size=(0.2, 2.0, 0.2), yaw=np.pi / 2)
+    assert not checker(boxes=(ahead,)).collision_free(np.zeros((1, 2)))[0]
+
+
+def test_leg_sees_an_obstacle_between_free_ends(checker: Build) -> None:
+    pole = Box(name="pole", center=(2.0, 0.0, 1.0), size=(0.02, 0.02, 0.02))
+    check = checker(boxes=(pole,))
+    ends = np.array([[-0.3, 0.0], [0.3, 0.0]])
+    assert check.collision_free(ends).all()
+    assert not check.leg_free(ends[0], 0, 0.3)
+    assert check.leg_free(ends[0], 0, -1.0)
+
+
+def test_leg_step_bounds_the_motion_of_the_farthest_point(checker: Build) -> None:
+    # joint 1: upper arm 1 m, tool at 1 m with its shape beyond it
+    step = checker().step
+    assert step[0] * (1.0 + 1.0 + 0.15) <= CLEARANCE * 1.0001
+    assert step[1] > step[0]
+
+
+def test_travel_agrees_with_single_legs(checker: Build) -> None:
+    check = checker(floor=0.0)
+    poses = np.array([[q1, q2] for q1 in np.linspace(-2.0, 1.0, 13) for q2 in np.linspace(-2.0, 2.0, 9)])
+    for joint, travel in ((0, 0.07), (1, -0.07)):
+        many = check.travel_free(poses, joint, travel)
+        single = [check.leg_free(pose, joint, pose[joint] + travel) for pose in poses]
+        assert many.tolist() == single
+        assert 0 < many.sum() < len(poses)
+
+
+def test_unknown_link_is_named(checker: Build) -> None:
+    with pytest.raises(BadInput, match="no link hand"):
+        checker(ignored_pairs=(("upper", "hand"),))
+
+
+def test_misspelt_cell_field_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text("name: a\nclearence: 0.1\n")
+    with pytest.raises(BadInput, match="clearence"):
+        read_cell(path)

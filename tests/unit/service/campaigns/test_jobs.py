@@ -1,0 +1,79 @@
+"""From the recorded sweep to the estimate revision, with a real worker process."""
+
+import asyncio
+import os
+import signal
+from pathlib import Path
+
+from service.campaigns.envelope import Envelope
+from service.campaigns.recovery import recover
+from service.identification import identify, spectrum
+from service.robot import Robot
+from service.store.documents import CampaignState, SweepState
+from service.store.exchange import campaign_bundle
+from service.worker import open_worker
+from tests.unit.service.campaigns.conftest import POSES, Bench, open_bench, until
+
+
+async def completed(bench: Bench) -> None:
+    await until(lambda: bench.store.campaign(bench.campaign.id).state is CampaignState.COMPLETED)
+
+
+async def test_every_sweep_gives_one_revision_whatever_happens_to_the_worker(
+    tmp_path: Path, robot: Robot, envelope: Envelope
+) -> None:
+    async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
+        await bench.runner.start(bench.campaign.id)
+        await until(lambda: bench.store.campaign(bench.campaign.id).sweeps.get(SweepState.IDENTIFIED, 0) >= 1)
+        os.kill((await worker.processes())[0], signal.SIGKILL)
+        await bench.runner.finished()
+        for sweep in bench.store.sweeps(bench.campaign.id):  # twice, as after a restart at the wrong moment
+            bench.jobs.submit(sweep)
+        await completed(bench)
+        await until(lambda: bench.jobs.open == 0)
+        estimates = bench.store.estimates(bench.campaign.id)
+        bundle = campaign_bundle(bench.store, bench.files, bench.campaign.id)
+    assert [(e.revision, e.number) for e in estimates] == [(n, n) for n in range(1, len(POSES) + 1)]
+    offline = identify(bundle.robot, [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps]).to_document()
+    assert estimates[-1].document == offline
+
+
+async def test_what_is_recorded_and_not_identified_is_taken_up_by_the_next_process(
+    tmp_path: Path, robot: Robot, envelope: Envelope
+) -> None:
+    async with open_bench(tmp_path, robot, envelope) as bench:
+        await bench.runner.start(bench.campaign.id)
+        await bench.runner.finished()
+        assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
+    async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
+        recover(bench.store, bench.files)
+        await bench.jobs.recover()
+        await completed(bench)
+        assert [e.number for e in bench.store.estimates(bench.campaign.id)] == [1, 2, 3, 4]
+
+
+async def test_a_sweep_whose_file_was_changed_fails_and_the_others_go_on(
+    tmp_path: Path, robot: Robot, envelope: Envelope
+) -> None:
+    async with open_bench(tmp_path, robot, envelope) as bench:
+        await bench.runner.start(bench.campaign.id)
+        await bench.runner.finished()
+        path = bench.files.path(bench.store.recording(bench.campaign.id, 2))
+        path.write_bytes(path.read_bytes()[:-1])
+    async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
+        await bench.jobs.recover()
+        await completed(bench)
+        sweeps = bench.store.sweeps(bench.campaign.id)
+        assert [sweep.state for sweep in sweeps] == [
+            SweepState.IDENTIFIED,
+            SweepState.FAILED,
+            SweepState.IDENTIFIED,
+            SweepState.IDENTIFIED,
+        ]
+        assert "recording file was changed" in sweeps[1].cause
+        assert [e.number for e in bench.store.estimates(bench.campaign.id)] == [1, 3, 4]
+        await asyncio.wait_for(_idle(bench), 5)
+
+
+async def _idle(bench: Bench) -> None:
+    await until(lambda: bench.jobs.open == 0)

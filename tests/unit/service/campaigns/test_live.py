@@ -1,0 +1,106 @@
+"""Fan-out of live samples, and the event feed."""
+
+import asyncio
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from drivers.ports import SampleBlock
+from service.campaigns.live import EventFeed, LiveHub, thin
+from service.store.database import open_database
+from service.store.guards import StopLatch
+from service.store.store import Store
+
+TIMEOUT = 5.0  # s
+
+
+def block(start: int, count: int = 100, rate: float = 1000.0) -> SampleBlock:
+    index = np.arange(start, start + count)
+    ramp = index.astype(float)
+    return SampleBlock("joint_1", index, index / rate, ramp, 2 * ramp, 3 * ramp, ramp)
+
+
+async def test_every_subscriber_of_the_campaign_gets_the_samples_and_nobody_else() -> None:
+    hub = LiveHub(rate=100.0)
+    with hub.subscribe(1) as first, hub.subscribe(1) as second, hub.subscribe(2) as other:
+        hub.publish(1, 7, block(0))
+        hub.close()
+        assert [len(live.time) async for live in first] == [10]
+        assert [live.number async for live in second] == [7]
+        assert [live async for live in other] == []
+
+
+async def test_a_slow_subscriber_loses_the_oldest_and_the_runner_does_not_wait() -> None:
+    hub = LiveHub(rate=1000.0, depth=3)
+    with hub.subscribe(1) as queue:
+        for n in range(10):
+            hub.publish(1, 1, block(100 * n))
+        hub.close()
+        assert [round(live.time[0], 6) async for live in queue] == [0.7, 0.8, 0.9]
+        assert queue.dropped == 7
+
+
+async def test_a_waiting_subscriber_is_woken() -> None:
+    hub = LiveHub(rate=100.0)
+    with hub.subscribe(1) as queue:
+        waiting = asyncio.create_task(anext(queue))
+        await asyncio.sleep(0)
+        hub.publish(1, 3, block(0))
+        assert (await asyncio.wait_for(waiting, TIMEOUT)).number == 3
+
+
+async def test_who_subscribes_to_a_closed_hub_is_done_at_once() -> None:
+    hub = LiveHub(rate=100.0)
+    hub.close()
+    with hub.subscribe(1) as queue:
+        assert [live async for live in queue] == []
+
+
+def test_thinning_takes_means() -> None:
+    live = thin(1, 1, block(0, count=25), rate=100.0)
+    np.testing.assert_allclose(live.time, [4.5e-3, 14.5e-3, 22e-3])
+    np.testing.assert_allclose(live.velocity, [9.0, 29.0, 44.0])
+
+
+@pytest.mark.parametrize(("count", "rate"), [(1, 100.0), (5, 1e6)])
+def test_thinning_never_makes_samples(count: int, rate: float) -> None:
+    assert len(thin(1, 1, block(0, count), rate).time) == count
+
+
+def test_the_bytes_are_one_arrow_batch_with_its_place() -> None:
+    content = thin(4, 2, block(0), rate=100.0).to_arrow()
+    with pa.ipc.open_stream(content) as reader:
+        table = reader.read_all()
+    assert table.column_names == ["time", "effort", "velocity", "position"]
+    assert table.num_rows == 10
+    assert table.schema.metadata == {b"campaign": b"4", b"sweep": b"2", b"joint": b"joint_1"}
+
+
+async def test_the_feed_gives_what_is_there_and_then_what_comes(tmp_path: Path) -> None:
+    with open_database(f"sqlite:///{tmp_path / 'x.sqlite'}") as database:
+        latch = StopLatch(database)
+        feed = EventFeed(Store(database), database)
+        await asyncio.to_thread(latch.latch, "a", "there before")
+        events = feed.follow(0)
+        first = await asyncio.wait_for(anext(events), TIMEOUT)
+        waiting = asyncio.create_task(anext(events))
+        await asyncio.to_thread(latch.latch, "b", "comes later")
+        second = await asyncio.wait_for(waiting, TIMEOUT)
+        assert [first.data["why"], second.data["why"]] == ["there before", "comes later"]
+        feed.close()
+        assert [event async for event in events] == []
+
+
+async def test_the_feed_goes_on_after_an_id(tmp_path: Path) -> None:
+    with open_database(f"sqlite:///{tmp_path / 'x.sqlite'}") as database:
+        latch = StopLatch(database)
+        for why in ("one", "two", "three"):
+            latch.latch("a", why)
+        feed = EventFeed(Store(database), database)
+        events = feed.follow(1)
+        told = [(await asyncio.wait_for(anext(events), TIMEOUT)).data["why"] for _ in range(2)]
+        assert told == ["two", "three"]
+        await events.aclose()
+        feed.close()

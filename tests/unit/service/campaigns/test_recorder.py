@@ -1,0 +1,177 @@
+"""The stream on the disk: complete, torn, with gaps."""
+
+import dataclasses
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.ports import SampleBlock, Sine, SweepCommand, SweepMode
+from service.campaigns.recorder import Recorder, SamplesMissing, finish, read_stream, salvage
+from service.recording import SweepSpec
+from service.store.columns import read_columns
+from service.store.documents import RecordingState
+from service.store.recordings import RecordingFiles, Run
+
+ROOT = Path(__file__).parents[4]
+RUN = Run(campaign_id=1, number=3, attempt=1)
+RATE = 1000.0
+COMMAND = SweepCommand(
+    joint="joint_1",
+    mode=SweepMode.DRIVE_SIDE,
+    offset_velocity=0.01,
+    sines=(Sine(2.0, 0.002, 0.0),),
+    period=1.0,
+    periods=1,
+    ramp=0.1,
+    settle=0.1,
+    sample_rate=RATE,
+    velocity_limit=1.0,
+    effort_limit=100.0,
+    position_window=(-1.0, 1.0),
+)
+SPEC = SweepSpec(id="0003", axis="joint_1", pose=(0.0,) * 6, offset_velocity=0.01, sample_rate=500.0, measure_from=0.2)
+
+
+def block(start: int, stop: int, late: float = 0.0) -> SampleBlock:
+    """Samples whose time is that of the middle of a cycle when `late` is half a cycle."""
+    index = np.arange(start, stop)
+    time = (index + late) / RATE
+    return SampleBlock("joint_1", index, time, 3 * time, 2 * time, time**2, time, load_position=time**3)
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> RecordingFiles:
+    return RecordingFiles(tmp_path)
+
+
+def test_a_complete_stream_becomes_a_recording_with_manifest(files: RecordingFiles) -> None:
+    recorder = Recorder(files.stream(RUN), COMMAND)
+    for start in range(0, 1300, 100):
+        recorder.write(block(start, start + 100, late=0.5))
+    recorder.check_complete()
+    recorder.close()
+    spec, new = finish(files, RUN, SPEC, COMMAND, {"campaign": 1})
+    path = files.stream(RUN).with_suffix(".parquet")
+    recording = read_columns(path)
+    assert new.state is RecordingState.COMPLETE
+    assert new.samples == len(recording.time) == 1300
+    assert new.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    # the drive's first sample is half a cycle late: time starts at 0, the window moves with it
+    assert recording.time[0] == 0.0
+    assert (spec.sample_rate, spec.measure_from) == (RATE, pytest.approx(0.2 - 0.5e-3, abs=1e-12))
+    drive_time = (np.arange(1300) + 0.5) / RATE
+    np.testing.assert_array_equal(recording.effort, 3 * drive_time)
+    np.testing.assert_array_equal(recording.load_position, drive_time**3)
+    manifest = json.loads(path.with_suffix(".json").read_text())
+    assert (manifest["sha256"], manifest["state"], manifest["campaign"]) == (new.sha256, "complete", 1)
+    assert manifest["spec"]["measure_from"] == spec.measure_from
+    assert sorted(p.name for p in path.parent.iterdir()) == ["0003-1.arrows", "0003-1.json", "0003-1.parquet"]
+
+
+BROKEN = {
+    "lost": (block(101, 200), "sample 101 came where 100 was due"),
+    "doubled": (block(99, 200), "sample 99 came where 100 was due"),
+    "inner gap": (
+        dataclasses.replace(block(100, 102), index=np.array([100, 102])),
+        "sample 102 came where 101 was due",
+    ),
+    "no number": (
+        dataclasses.replace(block(100, 102), effort=np.array([1.0, np.nan])),
+        "effort is not a number near sample 100",
+    ),
+    "time stands": (
+        dataclasses.replace(block(100, 102), time=np.array([0.1, 0.1])),
+        "time does not increase near sample 100",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_gap_ends_the_sweep_and_keeps_what_came_before(files: RecordingFiles, case: str) -> None:
+    bad, message = BROKEN[case]
+    recorder = Recorder(files.stream(RUN), COMMAND)
+    recorder.write(block(0, 100))
+    with pytest.raises(SamplesMissing, match=message):
+        recorder.write(bad)
+    recorder.close()
+    new = salvage(files, RUN, {})
+    assert new is not None
+    assert (new.state, new.samples) == (RecordingState.PARTIAL, 100)
+
+
+def test_the_first_sample_may_not_be_missing(files: RecordingFiles) -> None:
+    recorder = Recorder(files.stream(RUN), COMMAND)
+    with pytest.raises(SamplesMissing, match="sample 1 came where 0 was due"):
+        recorder.write(block(1, 100))
+    recorder.close()
+    assert salvage(files, RUN, {}) is None
+
+
+@pytest.mark.parametrize(("count", "complete"), [(1190, False), (1199, False), (1200, True)])
+def test_samples_must_reach_the_end_of_the_window(files: RecordingFiles, count: int, complete: bool) -> None:
+    recorder = Recorder(files.stream(RUN), COMMAND)
+    recorder.write(block(0, count))
+    recorder.close()
+    if complete:
+        recorder.check_complete()
+    else:
+        with pytest.raises(SamplesMissing, match=r"samples end at 1\.1[0-9]+ s, window at 1\.2000 s"):
+            recorder.check_complete()
+
+
+@pytest.mark.parametrize("cut", [1, 100, 700])
+def test_a_torn_stream_gives_back_all_but_the_torn_block(files: RecordingFiles, cut: int) -> None:
+    path = files.stream(RUN)
+    recorder = Recorder(path, COMMAND)
+    sizes: list[int] = []
+    for start in range(0, 500, 100):
+        recorder.write(block(start, start + 100))
+        sizes.append(path.stat().st_size)
+    recorder.close()
+    os.truncate(path, sizes[-1] - cut)
+    found = read_stream(path)
+    assert found is not None
+    assert len(found[0].time) == 400
+
+
+def test_an_empty_stream_gives_nothing(files: RecordingFiles) -> None:
+    Recorder(files.stream(RUN), COMMAND).close()
+    assert salvage(files, RUN, {}) is None
+
+
+WRITER = """
+import sys
+from pathlib import Path
+from tests.unit.service.campaigns.test_recorder import COMMAND, block
+from service.campaigns.recorder import Recorder
+recorder = Recorder(Path(sys.argv[1]), COMMAND)
+for n in range(10**6):
+    recorder.write(block(50 * n, 50 * n + 50))
+    print(n + 1, flush=True)
+"""
+
+
+def test_after_sigkill_every_block_that_was_written_is_there(files: RecordingFiles) -> None:
+    path = files.stream(RUN)
+    writer = subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    assert writer.stdout is not None
+    with writer.stdout as out:
+        for _ in range(20):
+            out.readline()
+        writer.send_signal(signal.SIGKILL)
+        writer.wait()
+        written = 20 + len(out.read().split())
+    new = salvage(files, RUN, {"cause": "killed"})
+    assert new is not None
+    assert new.state is RecordingState.PARTIAL
+    # the block being written when the signal came may have reached the disk before it was told
+    assert new.samples in (50 * written, 50 * written + 50)
+    recording = read_columns(path.with_suffix(".parquet"))
+    np.testing.assert_array_equal(recording.time, np.arange(new.samples) / RATE)

@@ -1,0 +1,128 @@
+"""The service is killed while an axis moves, or its disk is full; and started again."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from service.campaigns.envelope import Envelope
+from service.campaigns.recorder import Recorder
+from service.campaigns.recovery import recover
+from service.robot import Robot
+from service.store.database import open_database
+from service.store.documents import CampaignState, RecordingState, SweepState
+from service.store.recordings import RecordingFiles, Run
+from service.store.store import Store
+from tests.unit.service.campaigns.conftest import POSES, ROOT, command, open_bench
+from tests.unit.service.campaigns.test_recorder import block
+
+SERVICE = """
+import asyncio, json, resource, sys
+from pathlib import Path
+from service.campaigns.cell import Cell
+from service.campaigns.envelope import Envelope
+from service.configuration import read_robot
+from tests.unit.service.campaigns import conftest
+
+async def main(folder, what):
+    robot = read_robot(conftest.ROOT / "config" / "robots" / "max100-class.yaml")
+    async with conftest.open_bench(folder, robot, Envelope(robot, Cell(name="empty"))) as bench:
+        if what == "hold":
+            bench.drive.hold = 3
+        else:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (2**21, 2**21))
+            conftest.RATE = 20_000.0
+        await bench.runner.start(bench.campaign.id)
+        if what == "hold":
+            await bench.drive.holding.wait()
+            print("holding", flush=True)
+        await bench.runner.finished()
+        sweep = bench.store.sweep(bench.campaign.id, 1)
+        campaign = bench.store.campaign(bench.campaign.id)
+        print(json.dumps({
+            "trace": bench.drive.trace, "energised": list(bench.drive.energised), "sweep": sweep.state.value,
+            "cause": sweep.cause, "campaign": campaign.state.value,
+            "streams": len(bench.files.streams()),
+        }))
+
+asyncio.run(main(Path(sys.argv[1]), sys.argv[2]))
+"""
+
+
+def service(folder: Path, what: str) -> "subprocess.Popen[str]":
+    return subprocess.Popen(
+        [sys.executable, "-W", "error", "-c", SERVICE, str(folder), what], stdout=subprocess.PIPE, text=True, cwd=ROOT
+    )
+
+
+async def test_after_a_kill_nothing_moves_and_the_samples_so_far_are_kept(
+    tmp_path: Path, robot: Robot, envelope: Envelope
+) -> None:
+    with service(tmp_path, "hold") as killed:
+        assert killed.stdout is not None
+        while killed.stdout.readline() != "holding\n":
+            assert killed.poll() is None
+        killed.kill()
+    async with open_bench(tmp_path, robot, envelope) as bench:
+        recover(bench.store, bench.files)
+        campaign = bench.store.campaign(bench.campaign.id)
+        assert (campaign.state, campaign.cause) == (CampaignState.PAUSED, "the service was restarted")
+        assert campaign.sweeps == {SweepState.INTERRUPTED: 1, SweepState.PLANNED: len(POSES) - 1}
+        partial = bench.store.recording(campaign.id, 1)
+        assert (partial.state, partial.samples) == (RecordingState.PARTIAL, 750)
+        assert len(bench.files.load(partial).time) == 750
+        assert bench.files.streams() == {}
+        assert bench.drive.trace == []
+        before = bench.store.last_event_id()
+        recover(bench.store, bench.files)
+        assert bench.store.last_event_id() == before
+        await bench.runner.resume(campaign.id, repeat=True)
+        await bench.runner.finished()
+        assert bench.store.campaign(campaign.id).sweeps == {SweepState.RECORDED: len(POSES)}
+
+
+def test_a_full_disk_stops_the_drives_and_fails_the_sweep(tmp_path: Path) -> None:
+    with service(tmp_path, "disk") as process:
+        out, _ = process.communicate(timeout=60)
+    assert process.returncode == 0
+    told = json.loads(out.splitlines()[-1])
+    assert told["sweep"] == "failed"
+    assert told["cause"].startswith("OSError: [Errno 27] File too large")
+    assert told["campaign"] == "paused"
+    assert told["energised"] == []
+    assert told["trace"][-1] == "stop"
+    with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
+        store, files = Store(database), RecordingFiles(tmp_path)
+        recover(store, files)  # what the full disk did not take then
+        partial = store.recording(1, 1)
+        assert partial.state is RecordingState.PARTIAL
+        assert partial.samples > 30_000
+        assert len(files.load(partial).time) == partial.samples
+
+
+async def test_a_stream_whose_recording_is_stored_goes(tmp_path: Path, robot: Robot, envelope: Envelope) -> None:
+    async with open_bench(tmp_path, robot, envelope) as bench:
+        await bench.runner.start(bench.campaign.id)
+        await bench.runner.finished()
+        # killed between the commit and the removal of the stream
+        recorder = Recorder(bench.files.stream(Run(bench.campaign.id, 2, 1)), command(bench.store.sweep(1, 2)))
+        recorder.write(block(0, 100))
+        recorder.close()
+        recover(bench.store, bench.files)
+        assert bench.files.streams() == {}
+        assert bench.store.recording(1, 2).state is RecordingState.COMPLETE
+
+
+@pytest.mark.parametrize("what", ["samples", "nothing"])
+async def test_a_stream_of_an_unknown_campaign_is_left_alone(
+    tmp_path: Path, robot: Robot, envelope: Envelope, what: str
+) -> None:
+    async with open_bench(tmp_path, robot, envelope) as bench:
+        recorder = Recorder(bench.files.stream(Run(99, 1, 1)), command(bench.store.sweep(1, 1)))
+        if what == "samples":
+            recorder.write(block(0, 100))
+        recorder.close()
+        recover(bench.store, bench.files)
+        assert list(bench.files.streams()) == [Run(99, 1, 1)]

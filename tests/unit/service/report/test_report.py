@@ -1,0 +1,165 @@
+"""The report: figures from an estimate document worked out by hand, one file that needs nothing else."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.configuration import read_robot
+from service.identification.regressor import axis_rows, lock
+from service.recording import Recording, Sine, Sweep, SweepSpec
+from service.report import Content, Row, axes_of, render
+from service.report.content import revision
+from service.robot import INERTIAL_NAMES, Robot
+
+AXES = ("joint_1", "joint_2", "joint_3")
+HEAVIER = 1.1  # the "identified" robot: every link and motor by this factor
+
+
+@pytest.fixture(scope="module")
+def max100(root: Path) -> Robot:
+    return read_robot(root / "config" / "robots" / "max100-class.yaml")
+
+
+def content(robot: Robot, **changes: Any) -> Content:
+    """Four poses, three axes; measured is 1 % above the identified model."""
+    chain = lock(robot.chain, {3: 0.0, 4: 0.0, 5: 0.0})
+    motors = [axis.reflected_motor_inertia or 0.0 for axis in robot.axes[:3]]
+    nominal = np.concatenate([chain.inertial.ravel(), motors])
+    poses = [(0.0, a, b, 0.0, 0.0, 0.0) for a in (-0.5, 0.5) for b in (-1.0, 0.0)]
+    specs: list[SweepSpec] = []
+    axes: dict[str, Any] = {joint: {"inertia": []} for joint in AXES}
+    for pose in poses:
+        for k, joint in enumerate(AXES):
+            name = f"{len(specs) + 1:04d}"
+            specs.append(spec(name, joint, pose))
+            value = 1.01 * HEAVIER * float(axis_rows(chain, k, np.array(pose[:3]))[0] @ nominal)
+            axes[joint]["inertia"].append(
+                {"sweep": name, "value": value, "std": 0.01 * value, "paper_value": 1.1 * value}
+            )
+    estimate = {
+        "axes": axes,
+        "base_parameters": [{"name": "Izz(link_1) + m(link_2)", "value": 3.0, "std": 0.1}],
+        "condition_number": 12.5,
+        "standard_parameters": {
+            "links": {
+                joint.link: dict(zip(INERTIAL_NAMES, (HEAVIER * chain.inertial[k]).tolist(), strict=True))
+                for k, joint in enumerate(chain.joints)
+            },
+            "motor_inertias": {f"Jm({joint})": HEAVIER * motor for joint, motor in zip(AXES, motors, strict=True)},
+        },
+    }
+    grid = np.array([(0.0, a, b, 0.0, 0.0, 0.0) for a in (-0.5, 0.0, 0.5) for b in (-1.0, 0.0)])
+    return Content(
+        **{
+            "title": "Robot <1>",
+            "subtitle": "a test",
+            "robot": robot,
+            "estimate": estimate,
+            "specs": tuple(specs),
+            "workspace": grid,
+            **changes,
+        }
+    )
+
+
+def spec(name: str, joint: str, pose: tuple[float, ...]) -> SweepSpec:
+    return SweepSpec(
+        id=name,
+        axis=joint,
+        pose=pose,
+        offset_velocity=0.01,
+        sines=(Sine(frequency=2.0, amplitude=0.004, phase=0.0),),
+        period=1.0,
+        periods=3,
+        measure_from=1.0,
+        sample_rate=250.0,
+    )
+
+
+def sweep() -> Sweep:
+    time = np.arange(1125) / 250.0
+    velocity = 0.01 + 0.004 * np.sin(2 * np.pi * 2.0 * time)
+    recording = Recording(time, effort=100 * velocity, velocity=velocity, position=0.01 * time)
+    return Sweep(spec("0001", "joint_1", (0.0,) * 6), recording)
+
+
+def figures(page: str) -> dict[str, Any]:
+    found = re.search(r'<script type="application/json" id="figures">(.*?)</script>', page, re.DOTALL)
+    assert found
+    return json.loads(found[1])
+
+
+def test_models_and_table_1(max100: Robot) -> None:
+    axes = axes_of(content(max100))
+    for axis in axes:
+        reference_measured, identified_measured, reference_identified = axis.rmse
+        assert identified_measured == pytest.approx(100 * (1 - 1 / 1.01))
+        assert reference_measured == pytest.approx(100 * (1 - 1 / (1.01 * HEAVIER)))
+        assert reference_identified == pytest.approx(100 * (1 - 1 / HEAVIER))
+    assert [axis.varied for axis in axes] == [(1, 2), (2,), ()]
+
+
+def test_one_file_that_loads_nothing(max100: Robot) -> None:
+    page = render(content(max100))
+    markup = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+    assert not re.search(r"\b(src|href)\s*=", markup)
+    assert re.findall(r"<script[^>]*>", page) == [
+        "<script>",
+        '<script type="application/json" id="figures">',
+        "<script>",
+    ]
+    assert "Robot &lt;1&gt;" in page
+    assert render(content(max100)) == page
+
+
+def test_surface_and_points_as_in_the_papers_figure_2(max100: Robot) -> None:
+    report = content(max100)
+    surface = figures(render(report))["figure-1"]["data"]
+    assert [trace["type"] for trace in surface] == ["surface", "surface", "scatter3d"]
+    assert surface[0]["x"] == pytest.approx([-28.648, 0.0, 28.648])
+    assert np.shape(surface[0]["z"]) == (2, 3)
+    ratio = np.array(surface[0]["z"]) / np.array(surface[1]["z"])
+    assert ratio == pytest.approx(np.full((2, 3), HEAVIER), rel=1e-4)
+    assert surface[2]["z"] == pytest.approx(axes_of(report)[0].measured.tolist(), rel=1e-5)
+
+
+def test_a_pose_that_is_not_free_leaves_a_hole(max100: Robot) -> None:
+    whole = content(max100)
+    report = content(max100, workspace=whole.workspace[1:])
+    assert figures(render(report))["figure-1"]["data"][0]["z"][0][0] is None
+
+
+def test_convergence_starts_where_the_parameter_is_determined(max100: Robot) -> None:
+    def step(std: float | None) -> dict[str, Any]:
+        return {"base_parameters": [{"name": "a", "value": 1.0, "std": std}]}
+
+    base = content(max100)
+    estimate = {**base.estimate, "base_parameters": step(0.1)["base_parameters"]}
+    steps = [revision(step(std), ["a"], n) for n, std in enumerate((None, 1e6, 0.5, 0.1), start=1)]
+    page = render(content(max100, estimate=estimate, revisions=tuple(steps)))
+    lines = [t for f in figures(page).values() for t in f["data"] if t.get("name") == "a"]
+    assert [trace["x"] for trace in lines] == [[3, 4]]
+
+
+def test_example_sweep_in_time_and_frequency(max100: Robot) -> None:
+    found = figures(render(content(max100, example=sweep())))
+    excited = [t for f in found.values() for t in f["data"] if t.get("name") == "velocity, excited"]
+    assert excited[0]["x"] == [2.0]
+    assert excited[0]["y"] == pytest.approx([4.0], rel=1e-3)  # mrad/s
+
+
+def test_truth_and_what_is_not_determined(max100: Robot) -> None:
+    base = content(max100)
+    estimate = {
+        **base.estimate,
+        "condition_number": None,
+        "base_parameters": [{"name": "</script>", "value": 1.0, "std": None}],
+    }
+    page = render(content(max100, estimate=estimate, truth_columns=AXES, truth=(Row("ours", ("0.1", "0.2", "0.3")),)))
+    assert "<td>0.3</td>" in page
+    assert page.count("</script>") == 3
+    assert "&lt;/script&gt;" in page

@@ -1,0 +1,43 @@
+"""A real SQLite database, a store on it, and a robot."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from service.configuration import read_robot
+from service.recording import SweepSpec
+from service.robot import Robot
+from service.store.database import Database, open_database
+from service.store.store import Store
+
+ROBOT = Path(__file__).parents[4] / "config" / "robots" / "max100-class.yaml"
+
+
+@pytest.fixture
+def url(tmp_path: Path) -> str:
+    return f"sqlite:///{tmp_path / 'sweepid.sqlite'}"
+
+
+@pytest.fixture
+def database(url: str) -> Iterator[Database]:
+    with open_database(url) as database:
+        yield database
+
+
+@pytest.fixture
+def store(database: Database) -> Store:
+    return Store(database)
+
+
+@pytest.fixture(scope="session")
+def robot() -> Robot:
+    return read_robot(ROBOT)
+
+
+@pytest.fixture
+def specs() -> tuple[SweepSpec, ...]:
+    return tuple(
+        SweepSpec(id=f"{n:04d}", axis="joint_1", pose=(0.0,) * 6, offset_velocity=0.01, sample_rate=1000.0)
+        for n in (1, 2, 3)
+    )

@@ -1,0 +1,125 @@
+"""Lease, latched stop and idempotency keys."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from service.errors import Conflict
+from service.store.database import Database, open_database
+from service.store.documents import StoredAnswer
+from service.store.guards import LeaseLost, MachineLease, MachineTaken, StopLatch
+from service.store.requests import IdempotencyKeys
+from service.store.store import Store
+
+LEASE_TIME = 0.5  # s
+
+HOLDER = """
+import sys, time
+from service.store.database import open_database
+from service.store.guards import MachineLease
+with open_database(sys.argv[1]) as database:
+    lease = MachineLease(database, 0.5)
+    lease.acquire()
+    print("held", flush=True)
+    while True:
+        time.sleep(0.1)
+        lease.renew()
+"""
+
+
+def test_a_second_service_is_refused_while_the_first_lives_and_gets_the_machine_when_it_is_killed(url: str) -> None:
+    with open_database(url) as database:
+        holder = subprocess.Popen([sys.executable, "-c", HOLDER, url], stdout=subprocess.PIPE, text=True)
+        try:
+            assert holder.stdout is not None
+            assert holder.stdout.readline() == "held\n"
+            with pytest.raises(MachineTaken, match=f"pid {holder.pid} .*; stop that one first"):
+                MachineLease(database, LEASE_TIME).acquire()
+            holder.send_signal(signal.SIGKILL)
+            holder.wait()
+            began = time.monotonic()
+            MachineLease(database, LEASE_TIME).acquire()
+            assert time.monotonic() - began >= LEASE_TIME
+        finally:
+            holder.kill()
+            holder.wait()
+            if holder.stdout is not None:
+                holder.stdout.close()
+
+
+def test_a_lease_that_is_released_is_free_at_once(database: Database) -> None:
+    first = MachineLease(database, 60.0)
+    first.acquire()
+    first.release()
+    MachineLease(database, 60.0).acquire(wait=_must_not_wait)
+
+
+def test_a_silent_holder_learns_that_it_lost_the_machine(database: Database) -> None:
+    silent, second = MachineLease(database, LEASE_TIME), MachineLease(database, LEASE_TIME)
+    silent.acquire()
+    second.acquire()
+    with pytest.raises(LeaseLost):
+        silent.renew()
+    silent.release()  # must not free the other's
+    second.renew()
+
+
+def test_of_two_that_want_a_dead_lease_one_gets_it(database: Database) -> None:
+    MachineLease(database, LEASE_TIME).acquire()
+    first, second = MachineLease(database, LEASE_TIME), MachineLease(database, LEASE_TIME)
+    took: list[MachineLease] = []
+
+    def first_comes_before(_: float) -> None:
+        if not took:
+            took.append(first)
+            first.acquire()
+
+    with pytest.raises(MachineTaken):
+        second.acquire(wait=first_comes_before)
+    first.renew()
+
+
+def test_a_stop_outlives_the_process_until_a_person_resets_it(url: str) -> None:
+    with open_database(url) as database:
+        latch = StopLatch(database)
+        assert latch.latched() is None
+        first = latch.latch("operator", "smoke")
+        latch.latch("api", "again")
+    with open_database(url) as database:
+        latch = StopLatch(database)
+        assert latch.latched() == first
+        reset = latch.reset("foreman")
+        assert (reset.reset_by, latch.latched()) == ("foreman", None)
+        with pytest.raises(Conflict):
+            latch.reset("foreman")
+        assert [event.data["latched"] for event in Store(database).events(0)] == [True, True, False]
+
+
+def test_a_key_gives_the_same_answer_twice(database: Database) -> None:
+    keys = IdempotencyKeys(database)
+    assert keys.claim("k", "a") is None
+    with pytest.raises(Conflict, match="under way"):
+        keys.claim("k", "a")
+    keys.answer("k", 201, "{}")
+    assert keys.claim("k", "a") == StoredAnswer(status=201, body="{}")
+    with pytest.raises(Conflict, match="another request"):
+        keys.claim("k", "b")
+
+
+def test_a_key_is_free_again_when_the_work_failed_or_the_process_ended(database: Database) -> None:
+    keys = IdempotencyKeys(database)
+    keys.claim("failed", "a")
+    keys.release("failed")
+    assert keys.claim("failed", "a") is None
+    keys.claim("done", "a")
+    keys.answer("done", 200, "x")
+    keys.release_unanswered()
+    assert keys.claim("failed", "a") is None
+    assert keys.claim("done", "a") is not None
+
+
+def _must_not_wait(_: float) -> None:
+    pytest.fail("waited for a lease that is free")

@@ -1,0 +1,43 @@
+"""Settings: file, environment, and what is refused."""
+
+from pathlib import Path
+
+import pytest
+
+from service.errors import BadInput
+from service.settings import Settings, load_settings
+
+
+def test_the_shipped_file_gives_the_defaults(root: Path) -> None:
+    assert load_settings(root / "config/service.yaml") == Settings()
+
+
+def test_the_environment_stands_above_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "service.yaml"
+    file.write_text("port: 1000\nhost: 0.0.0.0\n")
+    monkeypatch.setenv("SWEEPID_PORT", "2000")
+    settings = load_settings(file)
+    assert (settings.port, settings.host) == (2000, "0.0.0.0")
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("lease_tiem: 5", "lease_tiem: Extra inputs are not permitted"),
+        ("lease_time: 0", "lease_time: Input should be greater than or equal to 0.5, got 0"),
+        ("port: 70000", "port: Input should be less than or equal to 65535, got 70000"),
+        ("port: [", "not YAML"),
+    ],
+)
+def test_a_bad_file_is_refused_with_field_and_value(tmp_path: Path, text: str, reason: str) -> None:
+    file = tmp_path / "service.yaml"
+    file.write_text(text)
+    with pytest.raises(BadInput) as refused:
+        load_settings(file)
+    assert reason in str(refused.value)
+    assert str(file) in str(refused.value)
+
+
+def test_a_file_that_was_named_must_be_there(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="cannot be read"):
+        load_settings(tmp_path / "none.yaml")
