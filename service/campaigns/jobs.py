@@ -1,0 +1,108 @@
+"""Open identification jobs: from the recorded sweep's row to the estimate revision.
+
+The store is the outbox: a job is open while its sweep is `recorded`, and what is open is found again after a restart.
+The jobs of a campaign run in the order of recording, one after the other, so that every revision contains the one
+before it.
+"""
+
+import asyncio
+from collections import defaultdict
+
+import structlog
+
+from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
+from service.errors import BadInput
+from service.store.documents import CampaignState, SweepDocument, SweepState
+from service.store.recordings import RecordingFiles
+from service.store.store import Store
+from service.worker import Job, JobFailed, Worker, WorkerLost
+
+_log = structlog.get_logger(__name__)
+
+_RETRY = 2.0  # s between attempts to reach the workers
+
+
+class Jobs:
+    """Hands recorded sweeps to the worker and writes its results."""
+
+    def __init__(self, store: Store, files: RecordingFiles, worker: Worker) -> None:
+        self._store, self._files, self._worker = store, files, worker
+        self._turn: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)  # by campaign, first come first served
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    @property
+    def open(self) -> int:
+        """How many sweeps wait to be identified."""
+        return len(self._tasks)
+
+    async def recover(self) -> None:
+        """Submit what the last process left open."""
+        for campaign in await asyncio.to_thread(self._store.campaigns_in, CampaignState.MEASURED):
+            await self.settle(campaign.id)
+        for sweep in await asyncio.to_thread(self._store.sweeps_in, SweepState.RECORDED):
+            self.submit(sweep)
+
+    def submit(self, sweep: SweepDocument) -> None:
+        """Identify a recorded sweep; returns at once."""
+        task = asyncio.create_task(self._do(sweep), name=f"identify {sweep.campaign_id}/{sweep.number}")
+        self._tasks.add(task)
+        task.add_done_callback(self._done)
+
+    async def settle(self, campaign_id: int) -> None:
+        """measured -> completed, if no sweep is left to identify."""
+        campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
+        if campaign.state is CampaignState.MEASURED and SweepState.RECORDED not in campaign.sweeps:
+            await asyncio.to_thread(self._store.move_campaign, campaign_id, campaign_move(CampaignEvent.IDENTIFIED))
+
+    async def close(self) -> None:
+        """Leave open jobs to the next process."""
+        tasks = list(self._tasks)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _do(self, sweep: SweepDocument) -> None:
+        async with self._turn[sweep.campaign_id]:
+            try:
+                await self._identify(sweep)
+            except (JobFailed, BadInput) as error:
+                cause = f"identification: {error}"
+                _log.error("identification_failed", campaign=sweep.campaign_id, sweep=sweep.number, cause=cause)
+                await asyncio.to_thread(
+                    self._store.move_sweep, sweep.campaign_id, sweep.number, sweep_move(SweepEvent.FAIL), cause
+                )
+            await self.settle(sweep.campaign_id)
+
+    async def _identify(self, sweep: SweepDocument) -> None:
+        job = await asyncio.to_thread(self._job, sweep)
+        while True:
+            try:
+                result = await self._worker.run(job)
+                break
+            except WorkerLost as error:
+                _log.warning("worker_lost", reason=str(error))
+                await asyncio.sleep(_RETRY)
+        estimate = await asyncio.to_thread(
+            self._store.add_estimate, sweep, sweep_move(SweepEvent.IDENTIFY), result.spectrum, result.estimate
+        )
+        if estimate is not None:
+            _log.info("estimate", campaign=sweep.campaign_id, sweep=sweep.number, revision=estimate.revision)
+
+    def _job(self, sweep: SweepDocument) -> Job:
+        recording = self._store.recording(sweep.campaign_id, sweep.number)
+        self._files.check(recording)
+        robot = self._store.robot(self._store.campaign(sweep.campaign_id).robot_id)
+        return Job(
+            key=f"identify-{recording.sha256}-{sweep.campaign_id}-{sweep.number}",
+            robot=robot.description,
+            urdf_text=robot.urdf_text,
+            spec=sweep.spec,
+            path=self._files.path(recording).absolute(),
+            earlier=tuple(self._store.spectra(sweep.campaign_id).values()),
+        )
+
+    def _done(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            # the sweep stays `recorded`: the next start submits it again
+            _log.error("job_broke_off", task=task.get_name(), error=repr(error))

@@ -1,0 +1,189 @@
+"""The machine: the drive port behind the lease and the latched stop. What moves asks `check_may_move` first."""
+
+import asyncio
+import time
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+
+import structlog
+from sqlalchemy.exc import OperationalError
+
+from drivers.errors import CommunicationLost, DriveError
+from drivers.ports import AxisIdentity, AxisStatus, Capabilities, DrivePort, Fault
+from service.errors import Conflict
+from service.store.documents import StopDocument
+from service.store.guards import LeaseLost, MachineLease, StopLatch
+
+_log = structlog.get_logger(__name__)
+
+
+class Machine:
+    """One drive port, its connection, who uses it and who stopped it."""
+
+    def __init__(self, port: DrivePort, latch: StopLatch, latched: StopDocument | None) -> None:
+        """`latched`: the stop that was in force when the service started."""
+        self.port = port
+        self._latch = latch
+        self._latched = latched
+        self._stopping = ""  # by whom and why, from the command until the latch is stored
+        self._lease_trouble = ""  # why this service may not be the owner of the machine any more
+        self._user: str | None = None
+        self._identities: tuple[AxisIdentity, ...] = ()
+        self._trouble = "not connected yet"
+        self._connecting = asyncio.Lock()
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return self.port.joints
+
+    @property
+    def connected(self) -> bool:
+        return not self._trouble
+
+    @property
+    def trouble(self) -> str:
+        """Why it is not connected; empty if it is."""
+        return self._trouble
+
+    @property
+    def identities(self) -> tuple[AxisIdentity, ...]:
+        """What the drives said of themselves when they were connected last."""
+        return self._identities
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """Conflict while not connected."""
+        self._check_connected()
+        return self.port.capabilities
+
+    @property
+    def latched(self) -> StopDocument | None:
+        """The stop that holds the machine, or None."""
+        return self._latched
+
+    async def connect(self) -> tuple[AxisIdentity, ...]:
+        """Connect, also again after a loss; every axis is disabled afterwards. Conflict while a campaign runs."""
+        async with self._connecting:
+            self._check_unused("connect")
+            self._trouble = "connecting"
+            try:
+                await self.port.close()
+                self._identities = await self.port.connect()
+            except DriveError as error:
+                self._trouble = str(error)
+                raise
+            self._trouble = ""
+            return self._identities
+
+    def lost(self, why: str) -> None:
+        """The connection went away; nothing moves until a person connects again."""
+        self._trouble = why
+
+    async def status(self) -> Mapping[str, AxisStatus]:
+        """The state of every axis. Conflict while not connected."""
+        self._check_connected()
+        try:
+            return await self.port.status()
+        except CommunicationLost as error:
+            self.lost(str(error))
+            raise
+
+    async def faults(self) -> tuple[Fault, ...]:
+        """Pending faults of all axes. Conflict while not connected."""
+        self._check_connected()
+        return await self.port.faults()
+
+    async def acknowledge(self, joint: str) -> None:
+        """Clear the fault of an axis after a person looked. Conflict while a campaign runs."""
+        self._check_connected()
+        self._check_unused("acknowledge")
+        await self.port.acknowledge(joint)
+
+    async def stop(self, by: str, why: str) -> StopDocument:
+        """Stop every axis first, then latch: nothing moves until a person resets it. May be called at any time."""
+        self._stopping = f"stopped by {by}: {why}"  # before anything is awaited: who is about to move finds it
+        try:
+            await self.port.stop()
+        finally:
+            self._latched = await asyncio.to_thread(self._latch.latch, by, why)
+            self._stopping = ""
+        _log.warning("stop", by=by, why=why)
+        return self._latched
+
+    async def reset_stop(self, by: str) -> StopDocument:
+        """A person looked and lets the machine move again; nothing moves by this. Conflict if not stopped."""
+        document = await asyncio.to_thread(self._latch.reset, by)
+        self._latched = None
+        _log.warning("stop_reset", by=by)
+        return document
+
+    @property
+    def held(self) -> str:
+        """Why nothing may move, though the drives answer; empty if it may."""
+        if self._latched is not None:
+            return f"stopped by {self._latched.by}: {self._latched.why}"
+        return self._stopping or self._lease_trouble
+
+    def check_may_move(self) -> None:
+        """Conflict while stopped, without lease or not connected."""
+        if self.held:
+            raise Conflict(f"the machine may not move: {self.held}")
+        self._check_connected()
+
+    @contextmanager
+    def used_by(self, user: str) -> Generator[None]:
+        """While the block runs, nobody else connects, acknowledges or moves; Conflict if somebody does already."""
+        self._check_unused(user)
+        self._user = user
+        try:
+            yield
+        finally:
+            self._user = None
+
+    async def keep_lease(self, lease: MachineLease, lease_time: float) -> None:
+        """Renew the lease until it is another's. While it cannot be renewed (database blocked), the machine stands."""
+        renewed = time.monotonic()
+        while True:
+            await asyncio.sleep(lease_time / 5)
+            begun = time.monotonic()
+            # one attempt at a time, however long it takes: threads that wait for the database must not pile up
+            attempt = asyncio.create_task(asyncio.to_thread(lease.renew), name="renew lease")
+            try:
+                while not (await asyncio.wait([attempt], timeout=lease_time / 5))[0]:
+                    await self._check_renewed(renewed, lease_time)
+            finally:
+                await asyncio.wait([attempt])
+            try:
+                attempt.result()
+            except LeaseLost as error:
+                _log.error("lease_lost")
+                self._lease_trouble = f"{error}; restart this one"
+                await self._stop_quietly()
+                return
+            except OperationalError as error:
+                _log.warning("lease_not_renewed", reason=str(error))
+                await self._check_renewed(renewed, lease_time)
+            else:
+                renewed = begun
+                self._lease_trouble = ""
+
+    async def _check_renewed(self, renewed: float, lease_time: float) -> None:
+        if time.monotonic() - renewed > lease_time / 2 and not self._lease_trouble:
+            self._lease_trouble = "the right to the machine could not be renewed: the database does not answer"
+            _log.error("lease_not_renewed", reason=self._lease_trouble)
+            await self._stop_quietly()
+
+    async def _stop_quietly(self) -> None:
+        try:
+            await self.port.stop()
+        except DriveError as error:
+            _log.error("stop_not_confirmed", reason=str(error))
+            self.lost(str(error))
+
+    def _check_connected(self) -> None:
+        if self._trouble:
+            raise Conflict(f"the machine is not connected: {self._trouble}")
+
+    def _check_unused(self, what: str) -> None:
+        if self._user is not None:
+            raise Conflict(f"{what}: the machine is in use by {self._user}")

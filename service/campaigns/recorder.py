@@ -1,0 +1,137 @@
+"""Writes the samples of a running sweep to the disk as they come, and makes a recording of them afterwards.
+
+The stream is Arrow IPC: whatever happens, all but the block being written can be read back. Samples that are
+missing end the sweep; what came before them is kept and marked partial.
+"""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pyarrow as pa
+from pydantic import JsonValue
+
+from drivers.ports import SampleBlock, SweepCommand
+from service.errors import SweepidError
+from service.recording import Recording, SweepSpec
+from service.store.documents import NewRecording, RecordingState
+from service.store.recordings import RecordingFiles, Run
+
+# pyarrow ships without types
+_arrow = cast(Any, pa)
+
+Facts = Mapping[str, JsonValue]
+
+_COLUMNS = ("time", "effort", "velocity", "position", "velocity_setpoint")
+
+
+class SamplesMissing(SweepidError):
+    """The drive's samples have a gap, are no numbers, or end before the measured window does."""
+
+
+class Recorder:
+    """The stream of one sweep. Methods block until the disk has it; OSError when the disk does not take it."""
+
+    def __init__(self, path: Path, command: SweepCommand) -> None:
+        self._command = command
+        self._file = path.open("xb")
+        self._writer: Any = None
+        self._next_index = 0
+        self._last_time = -np.inf
+        # Arrow's first conversion imports pandas where that is installed: up to a second in which the thread that
+        # streams set-points is held up. Do it before anything moves.
+        _arrow.array(np.empty(0))
+
+    def write(self, block: SampleBlock) -> None:
+        """Append a block; SamplesMissing, and nothing written, if it does not follow on the one before."""
+        if not len(block.index):
+            return
+        self._check(block)
+        names = _COLUMNS if block.load_position is None else (*_COLUMNS, "load_position")
+        batch = _arrow.RecordBatch.from_pydict({"index": block.index} | {name: getattr(block, name) for name in names})
+        if self._writer is None:
+            self._writer = _arrow.ipc.new_stream(self._file, batch.schema)
+        self._writer.write_batch(batch)
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._next_index = int(block.index[-1]) + 1
+        self._last_time = float(block.time[-1])
+
+    def check_complete(self) -> None:
+        """SamplesMissing if the samples end before the measured window."""
+        end = self._command.duration - self._command.ramp
+        period = self._last_time / max(self._next_index - 1, 1)
+        if self._last_time < end - 1.5 * period:
+            raise SamplesMissing(
+                f"{self._command.joint}: samples end at {self._last_time:.4f} s, window at {end:.4f} s"
+            )
+
+    def close(self) -> None:
+        """Close the file. Without an end mark: a stream that is cut off is as readable, and a full disk takes none."""
+        self._file.close()
+
+    def _check(self, block: SampleBlock) -> None:
+        joint = block.joint
+        expected = np.arange(self._next_index, self._next_index + len(block.index))
+        wrong = np.flatnonzero(block.index != expected)
+        if wrong.size:
+            at = wrong[0]
+            raise SamplesMissing(f"{joint}: sample {block.index[at]} came where {expected[at]} was due")
+        if not (np.diff(block.time, prepend=self._last_time) > 0).all():
+            raise SamplesMissing(f"{joint}: time does not increase near sample {expected[0]}")
+        for name in _COLUMNS:
+            if not np.isfinite(getattr(block, name)).all():
+                raise SamplesMissing(f"{joint}: {name} is not a number near sample {expected[0]}")
+
+
+def read_stream(path: Path) -> tuple[Recording, float] | None:
+    """What a stream holds up to its torn end: the samples with time from 0, and the drive's time of the first, s.
+
+    None if it holds fewer than two samples.
+    """
+    batches: list[Any] = []
+    with path.open("rb") as file:
+        try:
+            reader = _arrow.ipc.open_stream(file)
+            while True:
+                batches.append(reader.read_next_batch())
+        except StopIteration:
+            pass
+        except (_arrow.ArrowInvalid, OSError):
+            pass  # the torn end: expected after a crash, and everything before it is whole
+    if sum(len(batch) for batch in batches) < 2:
+        return None
+    table = _arrow.Table.from_batches(batches)
+    columns = {name: np.array(table.column(name).to_numpy()) for name in table.column_names if name != "index"}
+    start = float(columns["time"][0])
+    columns["time"] = columns["time"] - start
+    load = columns.get("load_position")
+    if load is not None and not np.isfinite(load).all():
+        del columns["load_position"]
+    return Recording(**columns), start
+
+
+def finish(
+    files: RecordingFiles, run: Run, planned: SweepSpec, command: SweepCommand, facts: Facts
+) -> tuple[SweepSpec, NewRecording]:
+    """Make the recording of a complete stream, and the planned sweep with the clock it was measured on."""
+    path = files.stream(run)
+    found = read_stream(path)
+    if found is None:
+        raise SamplesMissing(f"{command.joint}: the sweep gave no samples")
+    recording, start = found
+    rate = (len(recording.time) - 1) / float(recording.time[-1])
+    spec = planned.model_copy(update={"sample_rate": round(rate, 6), "measure_from": command.measure_from - start})
+    facts = {**facts, "spec": spec.model_dump(mode="json")}
+    return spec, files.save(path.with_suffix(".parquet"), recording, RecordingState.COMPLETE, facts)
+
+
+def salvage(files: RecordingFiles, run: Run, facts: Facts) -> NewRecording | None:
+    """Make a partial recording of what a stream holds, torn or not; None if it holds nothing."""
+    path = files.stream(run)
+    found = read_stream(path) if path.exists() else None
+    if found is None:
+        return None
+    return files.save(path.with_suffix(".parquet"), found[0], RecordingState.PARTIAL, facts)

@@ -1,0 +1,163 @@
+"""The operator's commands, and the task that runs one campaign's sweeps. No motion is ever retried by itself."""
+
+import asyncio
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime
+
+import structlog
+from sqlalchemy.exc import SQLAlchemyError
+
+from drivers.errors import DriveError
+from service.campaigns.course import Course
+from service.campaigns.jobs import Jobs
+from service.campaigns.machine import Machine
+from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
+from service.campaigns.station import Station, cause_of
+from service.errors import Conflict, SweepidError
+from service.store.documents import CampaignDocument, CampaignState, SweepState
+from service.store.store import StaleVersion, Store
+
+_log = structlog.get_logger(__name__)
+
+
+class Runner:
+    """The commands of an operator. Each returns the campaign as it is afterwards; Conflict if it does not fit."""
+
+    def __init__(
+        self,
+        store: Store,
+        machine: Machine,
+        station: Station,
+        jobs: Jobs,
+        course_of: Callable[[CampaignDocument], Course],
+    ) -> None:
+        """`course_of` reads the plan of a campaign (blocking; BadInput or Conflict if it cannot be run here)."""
+        self._store, self._machine, self._station, self._jobs = store, machine, station, jobs
+        self._course_of = course_of
+        self._commands = asyncio.Lock()  # one command at a time; `Machine.stop` does not wait for it
+        self._task: asyncio.Task[None] | None = None
+        self._running: int | None = None
+
+    @property
+    def running(self) -> int | None:
+        """The campaign that owns the machine, or None."""
+        return self._running
+
+    async def start(self, campaign_id: int, if_version: int | None = None) -> CampaignDocument:
+        """planned -> running. Conflict while another campaign runs, the machine is stopped or does not answer."""
+        return await self._launch(campaign_id, CampaignEvent.START, if_version, repeat=False)
+
+    async def pause(self, campaign_id: int, if_version: int | None = None) -> CampaignDocument:
+        """running -> pausing; paused when the present sweep is over."""
+        async with self._commands:
+            return await asyncio.to_thread(
+                self._store.move_campaign, campaign_id, campaign_move(CampaignEvent.PAUSE), "", if_version
+            )
+
+    async def resume(self, campaign_id: int, if_version: int | None = None, repeat: bool = False) -> CampaignDocument:
+        """paused -> running with the next planned sweep; `repeat` first puts failed and interrupted sweeps back.
+
+        Takes back a pause that was asked for (pausing -> running), too.
+        """
+        if self._running == campaign_id:
+            async with self._commands:
+                return await asyncio.to_thread(
+                    self._store.move_campaign, campaign_id, campaign_move(CampaignEvent.RESUME), "", if_version
+                )
+        return await self._launch(campaign_id, CampaignEvent.RESUME, if_version, repeat)
+
+    async def abort(self, campaign_id: int, why: str, if_version: int | None = None) -> CampaignDocument:
+        """Stop the present sweep now and give the campaign up; sweeps not run become skipped."""
+        async with self._commands:
+            campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
+            if if_version is not None and campaign.version != if_version:
+                raise StaleVersion(f"campaign {campaign_id} is at version {campaign.version}, not {if_version}")
+            campaign_move(CampaignEvent.ABORT)(campaign.state)
+            if self._running == campaign_id:
+                await self._end_task(f"aborted: {why}")
+            return await asyncio.to_thread(
+                self._store.move_campaign,
+                campaign_id,
+                campaign_move(CampaignEvent.ABORT),
+                why,
+                None,
+                {SweepState.PLANNED: sweep_move(SweepEvent.SKIP)},
+            )
+
+    async def close(self) -> None:
+        """The service ends: stop the machine, leave the campaign paused."""
+        async with self._commands:
+            await self._end_task("the service ended")
+
+    async def finished(self) -> None:
+        """Until no campaign runs."""
+        while self._task is not None and not self._task.done():
+            await asyncio.wait([self._task])
+
+    async def _launch(
+        self, campaign_id: int, event: CampaignEvent, if_version: int | None, repeat: bool
+    ) -> CampaignDocument:
+        async with self._commands:
+            if self._running is not None:
+                raise Conflict(f"campaign {self._running} is running")
+            campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
+            campaign_move(event)(campaign.state)
+            if not self._machine.connected:
+                await self._machine.connect()
+            self._machine.check_may_move()
+            course = await asyncio.to_thread(self._course_of, campaign)
+            again = sweep_move(SweepEvent.REPEAT)
+            campaign = await asyncio.to_thread(
+                self._store.move_campaign,
+                campaign_id,
+                campaign_move(event),
+                "",
+                if_version,
+                {SweepState.FAILED: again, SweepState.INTERRUPTED: again} if repeat else {},
+            )
+            self._running = campaign_id
+            self._task = asyncio.create_task(self._run(campaign, course), name=f"campaign {campaign_id}")
+            self._task.add_done_callback(self._ended)
+            return campaign
+
+    async def _end_task(self, why: str) -> None:
+        if self._task is not None and not self._task.done():
+            self._task.cancel(why)
+            await asyncio.wait([self._task])
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        self._running = None
+        if not task.cancelled() and (error := task.exception()) is not None:
+            _log.error("campaign_broke_off", task=task.get_name(), exc_info=error)
+
+    async def _run(self, campaign: CampaignDocument, course: Course) -> None:
+        """The task: sweep after sweep until none is left, a pause is due, or something goes wrong."""
+        started_at = campaign.started_at or datetime.now(UTC)
+        origin = time.monotonic() - (datetime.now(UTC) - started_at).total_seconds()
+        try:
+            with self._machine.used_by(f"campaign {campaign.id}"):
+                while await self._next_is_due(campaign.id):
+                    sweeps = await asyncio.to_thread(self._store.sweeps, campaign.id)
+                    planned = next((sweep for sweep in sweeps if sweep.state is SweepState.PLANNED), None)
+                    if planned is None:
+                        await self._move(campaign.id, CampaignEvent.MEASURED)
+                        await self._jobs.settle(campaign.id)
+                        return
+                    self._jobs.submit(await self._station.run(planned, course, origin))
+        except BaseException as error:
+            # the station has brought the machine to standstill before it let the error out
+            await asyncio.shield(self._move(campaign.id, CampaignEvent.TROUBLE, cause_of(self._machine, error)))
+            if not isinstance(error, DriveError | SweepidError | OSError | SQLAlchemyError):
+                raise
+
+    async def _next_is_due(self, campaign_id: int) -> bool:
+        campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
+        if campaign.state is CampaignState.PAUSING:
+            await self._move(campaign_id, CampaignEvent.HELD, "paused by request")
+            return False
+        return campaign.state is CampaignState.RUNNING
+
+    async def _move(self, campaign_id: int, event: CampaignEvent, cause: str = "") -> None:
+        await asyncio.to_thread(self._store.move_campaign, campaign_id, campaign_move(event), cause)
+        _log.info("campaign", campaign=campaign_id, happened=event.value, cause=cause)

@@ -1,0 +1,118 @@
+"""The composition root: builds store, machine, runner, worker and hub from the settings, and owns their lifetimes."""
+
+import asyncio
+from collections.abc import AsyncGenerator
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import structlog
+
+from drivers.errors import DriveError
+from drivers.registry import load_profile, open_drive
+from service.campaigns.course import course_of, planned_sweeps
+from service.campaigns.jobs import Jobs
+from service.campaigns.live import EventFeed, LiveHub
+from service.campaigns.machine import Machine
+from service.campaigns.recovery import recover
+from service.campaigns.runner import Runner
+from service.campaigns.station import Station
+from service.configuration import read_robot
+from service.settings import Settings
+from service.store.bundle import read_bundle, write_bundle
+from service.store.database import open_database
+from service.store.documents import CampaignDocument
+from service.store.exchange import campaign_bundle, import_campaign
+from service.store.guards import MachineLease, StopLatch
+from service.store.recordings import RecordingFiles
+from service.store.requests import IdempotencyKeys
+from service.store.store import Store
+from service.worker import Worker, open_worker
+
+_log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True)
+class Lab:
+    """Everything that `sweepid serve` is made of."""
+
+    settings: Settings
+    store: Store
+    files: RecordingFiles
+    keys: IdempotencyKeys
+    machine: Machine
+    runner: Runner
+    jobs: Jobs
+    worker: Worker
+    hub: LiveHub
+    feed: EventFeed
+
+    async def add_campaign(self, plan_id: int) -> CampaignDocument:
+        """A campaign of a stored plan, in state `planned`. Nothing moves until `runner.start`."""
+        plan = await asyncio.to_thread(self.store.plan, plan_id)
+        return await asyncio.to_thread(self.store.add_campaign, plan_id, planned_sweeps(plan))
+
+    async def import_bundle(self, folder: Path) -> CampaignDocument:
+        """A campaign of the sweeps of a bundle, which are then identified. BadInput: nothing is stored."""
+        bundle = await asyncio.to_thread(read_bundle, folder)
+        campaign = await asyncio.to_thread(import_campaign, self.store, self.files, bundle)
+        for sweep in await asyncio.to_thread(self.store.sweeps, campaign.id):
+            self.jobs.submit(sweep)
+        return campaign
+
+    async def export_bundle(self, campaign_id: int, folder: Path) -> None:
+        """Write the completely recorded sweeps of a campaign as a bundle. Conflict if there are none."""
+        bundle = await asyncio.to_thread(campaign_bundle, self.store, self.files, campaign_id)
+        await asyncio.to_thread(write_bundle, folder, bundle.robot, bundle.sweeps)
+
+
+@asynccontextmanager
+async def open_lab(settings: Settings) -> AsyncGenerator[Lab]:
+    """Open everything; MachineTaken when another service owns the machine, BadInput or BadProfile for a bad file.
+
+    A machine that does not answer is no error here: the service starts, `machine.trouble` tells it, and connecting
+    is tried again on command. After a restart nothing moves (`recovery.recover`); connecting disables every axis.
+    """
+    async with AsyncExitStack() as stack:
+        port = open_drive(load_profile(settings.drive), settings.drive.parent)
+        settings.data_dir.mkdir(parents=True, exist_ok=True)
+        database = stack.enter_context(open_database(settings.url))
+        store, files, keys = Store(database), RecordingFiles(settings.data_dir), IdempotencyKeys(database)
+
+        lease = MachineLease(database, settings.lease_time)
+        await asyncio.to_thread(lease.acquire)
+        stack.callback(lease.release)
+        latch = StopLatch(database)
+        machine = Machine(port, latch, latch.latched())
+        stack.push_async_callback(port.close)
+        keeper = asyncio.create_task(machine.keep_lease(lease, settings.lease_time), name="lease")
+        stack.push_async_callback(_end, keeper)
+
+        await asyncio.to_thread(recover, store, files)
+        keys.release_unanswered()
+        for path in sorted(settings.robots_dir.glob("*.yaml")):
+            store.add_robot(read_robot(path))
+
+        feed, hub = EventFeed(store, database), LiveHub(settings.live_rate)
+        stack.callback(feed.close)
+        stack.callback(hub.close)
+        worker = await stack.enter_async_context(open_worker(settings.dask_scheduler))
+        jobs = Jobs(store, files, worker)
+        stack.push_async_callback(jobs.close)
+        station = Station(store, files, machine, hub)
+        stack.callback(station.close)
+        runner = Runner(store, machine, station, jobs, partial(course_of, store, settings))
+        stack.push_async_callback(runner.close)
+
+        await jobs.recover()
+        try:
+            await machine.connect()
+        except DriveError as error:
+            _log.warning("machine_not_connected", reason=str(error))
+        yield Lab(settings, store, files, keys, machine, runner, jobs, worker, hub, feed)
+
+
+async def _end(task: asyncio.Task[None]) -> None:
+    task.cancel()
+    await asyncio.wait([task])

@@ -1,0 +1,56 @@
+"""Settings of the service: ``config/service.yaml``, overridden by the environment (``SWEEPID_DATA_DIR`` ...)."""
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, ValidationError
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
+
+from service.configuration import bad_field, read_yaml
+
+
+class Settings(BaseSettings):
+    """Everything that differs between two installations. Paths are relative to the working directory."""
+
+    model_config = SettingsConfigDict(env_prefix="SWEEPID_", frozen=True, extra="forbid", allow_inf_nan=False)
+
+    data_dir: Path = Path("var")  # database and recordings
+    database_url: str | None = None  # None: SQLite in the data directory
+    drive: Path = Path("config/drives/virtual-max100.yaml")  # profile of the machine
+    robots_dir: Path = Path("config/robots")
+    cells_dir: Path = Path("config/cells")
+    host: str = "127.0.0.1"
+    port: int = Field(default=8642, ge=0, le=65535)  # 0: any free port
+    dask_scheduler: str | None = None  # e.g. tcp://host:8786; None: one worker process of our own
+    lease_time: float = Field(default=6.0, ge=0.5, le=60.0)  # s without a sign of life until the machine is free again
+    pose_tolerance: float = Field(default=2e-3, gt=0)  # rad (m), actual against planned pose at the start of a sweep
+    live_rate: float = Field(default=100.0, gt=0)  # Hz, thinned samples for subscribers
+    log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
+
+    @property
+    def url(self) -> str:
+        """The database's SQLAlchemy URL."""
+        return self.database_url or f"sqlite:///{self.data_dir.absolute() / 'sweepid.sqlite'}"
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """The environment stands above the file, which `load_settings` hands in."""
+        return env_settings, init_settings
+
+
+def load_settings(path: Path | None = None) -> Settings:
+    """Settings of a YAML file (None: ``config/service.yaml`` if it is there); BadInput names file, field, reason."""
+    place = path or Path("config/service.yaml")
+    if path is not None or place.exists():
+        return read_yaml(place, Settings)
+    try:
+        return Settings()
+    except ValidationError as error:
+        raise bad_field("environment SWEEPID_", error) from None

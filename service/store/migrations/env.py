@@ -1,0 +1,12 @@
+"""Alembic's entry: runs the revisions in the transaction of the connection it is given."""
+
+from alembic import context
+from sqlalchemy import Connection
+
+from service.store.tables import Base
+
+connection = context.config.attributes["connection"]
+if not isinstance(connection, Connection):
+    raise TypeError("migrations run on the connection that service.store.database gives")
+context.configure(connection=connection, target_metadata=Base.metadata, render_as_batch=True, compare_type=True)
+context.run_migrations()

@@ -1,0 +1,115 @@
+"""Recording files under the data directory.
+
+A recording is there whole or not at all: it is written beside its place, synced to the disk, and renamed. Its
+manifest (same name, ``.json``) tells what it is without the database. The stream that a sweep is recorded into
+(``.arrows``) lies in the same folder until the recording's row is in the store.
+"""
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import JsonValue
+
+from service.errors import BadInput
+from service.recording import Recording
+from service.store.columns import read_columns, write_columns
+from service.store.documents import NewRecording, RecordingDocument, RecordingState
+
+_STREAM = re.compile(r"campaign-(\d+)/(\d+)-(\d+)\.arrows")
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One attempt at one sweep."""
+
+    campaign_id: int
+    number: int
+    attempt: int
+
+
+class RecordingFiles:
+    """Names, writes and reads the files; paths in documents are relative to the data directory."""
+
+    def __init__(self, data_dir: Path) -> None:
+        self._root = data_dir
+
+    def stream(self, run: Run) -> Path:
+        """Where the samples of a run go as they come; the folder is made."""
+        folder = self._root / "recordings" / f"campaign-{run.campaign_id:06d}"
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder / f"{run.number:04d}-{run.attempt}.arrows"
+
+    def streams(self) -> dict[Run, Path]:
+        """The streams that lie about: of the sweep that runs, or left by a crash."""
+        found: dict[Run, Path] = {}
+        for path in sorted((self._root / "recordings").glob("campaign-*/*.arrows")):
+            match = _STREAM.fullmatch(f"{path.parent.name}/{path.name}")
+            if match:
+                campaign_id, number, attempt = (int(group) for group in match.groups())
+                found[Run(campaign_id, number, attempt)] = path
+        return found
+
+    def folder(self, name: str) -> Path:
+        """A folder for recordings that were made elsewhere."""
+        path = self._root / "recordings" / name
+        path.mkdir(parents=True)
+        return path
+
+    def path(self, document: RecordingDocument) -> Path:
+        return self._root / document.path
+
+    def save(
+        self, path: Path, recording: Recording, state: RecordingState, facts: Mapping[str, JsonValue]
+    ) -> NewRecording:
+        """Write a recording (Parquet) and its manifest with `facts`. OSError if the disk does not take it."""
+        partial = path.with_name(f".{path.stem}.partial.parquet")
+        try:
+            write_columns(partial, recording)
+            new = NewRecording(
+                state=state,
+                path=path.relative_to(self._root).as_posix(),
+                sha256=_sha256(partial),
+                samples=len(recording.time),
+            )
+            _place(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+        manifest = {**facts, **new.model_dump(mode="json"), "path": path.name}
+        partial.write_text(json.dumps(manifest, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        _place(partial, path.with_suffix(".json"))
+        return new
+
+    def load(self, document: RecordingDocument) -> Recording:
+        """The samples of a recording; BadInput if the file is not what was written."""
+        self.check(document)
+        return read_columns(self.path(document))
+
+    def check(self, document: RecordingDocument) -> None:
+        """BadInput unless the file is there as it was written."""
+        path = self.path(document)
+        if not path.exists():
+            raise BadInput(str(path), "recording file is missing")
+        if _sha256(path) != document.sha256:
+            raise BadInput(str(path), f"recording file was changed, SHA-256 is not {document.sha256}")
+
+
+def _place(partial: Path, path: Path) -> None:
+    """Bring a finished file to its place so that a power cut leaves the whole file or none."""
+    with partial.open("rb") as file:
+        os.fsync(file.fileno())
+    partial.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,304 @@
+"""Robots, plans, campaigns, sweeps, recordings and estimates in the database.
+
+Every method is one transaction; methods block (SQLite waits for the disk), so a coroutine calls them in a thread.
+Raises `NotFound` for what is not there, `Conflict` (from a move) for what does not fit the present state.
+A page of a list is what has an id (number, revision) above `after`, in that order, at most `limit`.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+
+from pydantic import JsonValue
+from sqlalchemy import func, select
+
+from service.errors import Conflict, NotFound
+from service.recording import SweepSpec
+from service.robot import Robot
+from service.store import rows
+from service.store import tables as t
+from service.store.database import Database
+from service.store.documents import (
+    CampaignDocument,
+    CampaignState,
+    EstimateDocument,
+    EventDocument,
+    EventKind,
+    NewRecording,
+    NewSweep,
+    PlanRecord,
+    RecordingDocument,
+    RobotDocument,
+    SweepDocument,
+    SweepState,
+)
+
+CampaignMove = Callable[[CampaignState], CampaignState]
+SweepMove = Callable[[SweepState], SweepState]
+
+
+class StaleVersion(Conflict):
+    """The campaign has changed since the client read it (API: 412)."""
+
+
+class Store:
+    """The service's memory."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    # robots and plans: written once, never changed
+
+    def add_robot(self, robot: Robot) -> RobotDocument:
+        """The same content gives the same row."""
+        description = robot.description.model_dump(mode="json")
+        content = json.dumps([description, robot.urdf_text], sort_keys=True)
+        sha256 = hashlib.sha256(content.encode()).hexdigest()
+        with self._database.write() as session:
+            row = session.scalar(select(t.RobotRow).where(t.RobotRow.sha256 == sha256))
+            if row is None:
+                row = t.RobotRow(sha256=sha256, name=robot.name, description=description, urdf_text=robot.urdf_text)
+                session.add(row)
+                session.flush()
+            return rows.robot_document(row)
+
+    def robot(self, robot_id: int) -> RobotDocument:
+        with self._database.read() as session:
+            return rows.robot_document(rows.get(session, t.RobotRow, robot_id, "robot"))
+
+    def robots(self, after: int = 0, limit: int = 100) -> tuple[RobotDocument, ...]:
+        query = select(t.RobotRow).where(t.RobotRow.id > after).order_by(t.RobotRow.id).limit(limit)
+        with self._database.read() as session:
+            return tuple(rows.robot_document(row) for row in session.scalars(query))
+
+    def add_plan(self, robot_id: int, document: dict[str, JsonValue]) -> PlanRecord:
+        with self._database.write() as session:
+            rows.get(session, t.RobotRow, robot_id, "robot")
+            row = t.PlanRow(robot_id=robot_id, document=document)
+            session.add(row)
+            session.flush()
+            return rows.plan_document(row)
+
+    def plan(self, plan_id: int) -> PlanRecord:
+        with self._database.read() as session:
+            return rows.plan_document(rows.get(session, t.PlanRow, plan_id, "plan"))
+
+    def plans(self, after: int = 0, limit: int = 100) -> tuple[PlanRecord, ...]:
+        query = select(t.PlanRow).where(t.PlanRow.id > after).order_by(t.PlanRow.id).limit(limit)
+        with self._database.read() as session:
+            return tuple(rows.plan_document(row) for row in session.scalars(query))
+
+    # campaigns and sweeps: read
+
+    def campaign(self, campaign_id: int) -> CampaignDocument:
+        with self._database.read() as session:
+            return rows.campaign_document(session, rows.get(session, t.CampaignRow, campaign_id, "campaign"))
+
+    def campaigns(self, after: int = 0, limit: int = 100) -> tuple[CampaignDocument, ...]:
+        query = select(t.CampaignRow).where(t.CampaignRow.id > after).order_by(t.CampaignRow.id).limit(limit)
+        with self._database.read() as session:
+            return tuple(rows.campaign_document(session, row) for row in session.scalars(query))
+
+    def campaigns_in(self, *states: CampaignState) -> tuple[CampaignDocument, ...]:
+        query = select(t.CampaignRow).where(t.CampaignRow.state.in_(states)).order_by(t.CampaignRow.id)
+        with self._database.read() as session:
+            return tuple(rows.campaign_document(session, row) for row in session.scalars(query))
+
+    def sweep(self, campaign_id: int, number: int) -> SweepDocument:
+        with self._database.read() as session:
+            return rows.sweep_document(rows.get_sweep(session, campaign_id, number))
+
+    def sweeps(self, campaign_id: int) -> tuple[SweepDocument, ...]:
+        query = select(t.SweepRow).where(t.SweepRow.campaign_id == campaign_id).order_by(t.SweepRow.number)
+        with self._database.read() as session:
+            rows.get(session, t.CampaignRow, campaign_id, "campaign")
+            return tuple(rows.sweep_document(row) for row in session.scalars(query))
+
+    def sweeps_in(self, state: SweepState) -> tuple[SweepDocument, ...]:
+        """Of all campaigns; RECORDED gives the open identification jobs."""
+        query = select(t.SweepRow).where(t.SweepRow.state == state).order_by(t.SweepRow.id)
+        with self._database.read() as session:
+            return tuple(rows.sweep_document(row) for row in session.scalars(query))
+
+    def recording(self, campaign_id: int, number: int) -> RecordingDocument:
+        """Of the latest attempt that has one."""
+        with self._database.read() as session:
+            sweep = rows.get_sweep(session, campaign_id, number)
+            row = session.scalar(
+                select(t.RecordingRow)
+                .where(t.RecordingRow.sweep_id == sweep.id)
+                .order_by(t.RecordingRow.attempt.desc())
+                .limit(1)
+            )
+            if row is None:
+                raise NotFound(f"campaign {campaign_id} sweep {number} has no recording")
+            return RecordingDocument(
+                campaign_id=campaign_id,
+                number=number,
+                attempt=row.attempt,
+                state=row.state,
+                path=row.path,
+                sha256=row.sha256,
+                samples=row.samples,
+            )
+
+    def spectra(self, campaign_id: int) -> dict[int, dict[str, JsonValue]]:
+        """Spectrum documents of the identified sweeps by number."""
+        query = (
+            select(t.SweepRow.number, t.IdentificationRow.spectrum)
+            .join(t.IdentificationRow, t.IdentificationRow.sweep_id == t.SweepRow.id)
+            .where(t.SweepRow.campaign_id == campaign_id)
+            .order_by(t.SweepRow.number)
+        )
+        with self._database.read() as session:
+            return dict(session.execute(query).all())
+
+    def estimate(self, campaign_id: int, revision: int | None = None) -> EstimateDocument:
+        """A revision, or the latest."""
+        query = rows.estimates_of(campaign_id).order_by(t.EstimateRow.revision.desc()).limit(1)
+        if revision is not None:
+            query = query.where(t.EstimateRow.revision == revision)
+        with self._database.read() as session:
+            found = session.execute(query).first()
+            if found is None:
+                which = "estimate" if revision is None else f"estimate revision {revision}"
+                raise NotFound(f"campaign {campaign_id} has no {which}")
+            return rows.estimate_document(*found)
+
+    def estimates(self, campaign_id: int, after: int = 0, limit: int = 100) -> tuple[EstimateDocument, ...]:
+        query = rows.estimates_of(campaign_id).where(t.EstimateRow.revision > after).order_by(t.EstimateRow.revision)
+        with self._database.read() as session:
+            return tuple(rows.estimate_document(*found) for found in session.execute(query.limit(limit)))
+
+    # campaigns and sweeps: write
+
+    def add_campaign(self, plan_id: int, sweeps: Sequence[NewSweep]) -> CampaignDocument:
+        """A campaign in state `planned` with its sweeps, numbered from 1."""
+        with self._database.write() as session:
+            plan = rows.get(session, t.PlanRow, plan_id, "plan")
+            campaign = t.CampaignRow(robot_id=plan.robot_id, plan_id=plan_id, state=CampaignState.PLANNED)
+            rows.add_sweeps(session, campaign, sweeps, SweepState.PLANNED)
+            rows.emit_campaign(session, campaign)
+            return rows.campaign_document(session, campaign)
+
+    def add_measured(
+        self, robot_id: int, sweeps: Sequence[NewSweep], recordings: Sequence[NewRecording]
+    ) -> CampaignDocument:
+        """A campaign measured elsewhere, every sweep with its recording, ready to be identified."""
+        with self._database.write() as session:
+            rows.get(session, t.RobotRow, robot_id, "robot")
+            campaign = t.CampaignRow(robot_id=robot_id, state=CampaignState.MEASURED, started_at=t.now())
+            new = rows.add_sweeps(session, campaign, sweeps, SweepState.RECORDED)
+            for row, recording in zip(new, recordings, strict=True):
+                session.add(t.RecordingRow(sweep_id=row.id, attempt=row.attempt, **recording.model_dump()))
+            rows.emit_campaign(session, campaign)
+            return rows.campaign_document(session, campaign)
+
+    def move_campaign(
+        self,
+        campaign_id: int,
+        move: CampaignMove,
+        cause: str = "",
+        if_version: int | None = None,
+        sweeps: Mapping[SweepState, SweepMove] = MappingProxyType({}),
+    ) -> CampaignDocument:
+        """Take the campaign to the state that `move` gives, and its sweeps in the states of `sweeps` with it.
+
+        StaleVersion if `if_version` is not the present one.
+        """
+        with self._database.write() as session:
+            row = rows.get(session, t.CampaignRow, campaign_id, "campaign")
+            if if_version is not None and if_version != row.version:
+                raise StaleVersion(f"campaign {campaign_id} is at version {row.version}, not {if_version}")
+            row.state = move(row.state)
+            row.cause = cause
+            row.version += 1
+            if row.state is CampaignState.RUNNING and row.started_at is None:
+                row.started_at = t.now()
+            query = select(t.SweepRow).where(t.SweepRow.campaign_id == campaign_id, t.SweepRow.state.in_(sweeps))
+            for sweep in session.scalars(query.order_by(t.SweepRow.number)).all():
+                rows.move_sweep(session, sweep, sweeps[sweep.state], cause)
+            rows.emit_campaign(session, row)
+            return rows.campaign_document(session, row)
+
+    def begin_sweep(self, campaign_id: int, number: int, move: SweepMove) -> SweepDocument:
+        """As `move_sweep`, and count the attempt. Committed before anything moves."""
+        with self._database.write() as session:
+            row = rows.get_sweep(session, campaign_id, number)
+            row.attempt += 1
+            return rows.move_sweep(session, row, move, "")
+
+    def move_sweep(self, campaign_id: int, number: int, move: SweepMove, cause: str = "") -> SweepDocument:
+        with self._database.write() as session:
+            return rows.move_sweep(session, rows.get_sweep(session, campaign_id, number), move, cause)
+
+    def end_sweep(
+        self,
+        campaign_id: int,
+        number: int,
+        move: SweepMove,
+        cause: str = "",
+        spec: SweepSpec | None = None,
+        recording: NewRecording | None = None,
+    ) -> SweepDocument:
+        """The end of a run: state, what was measured and its file. A sweep that is `recorded` now is an open job."""
+        with self._database.write() as session:
+            row = rows.get_sweep(session, campaign_id, number)
+            if spec is not None:
+                row.spec = spec.model_dump(mode="json")
+            if recording is not None:
+                session.add(t.RecordingRow(sweep_id=row.id, attempt=row.attempt, **recording.model_dump()))
+            return rows.move_sweep(session, row, move, cause)
+
+    def add_recording(self, campaign_id: int, number: int, attempt: int, recording: NewRecording) -> None:
+        """A recording that was saved after its run had ended."""
+        with self._database.write() as session:
+            sweep = rows.get_sweep(session, campaign_id, number)
+            session.add(t.RecordingRow(sweep_id=sweep.id, attempt=attempt, **recording.model_dump()))
+
+    def add_estimate(
+        self,
+        sweep: SweepDocument,
+        move: SweepMove,
+        spectrum: dict[str, JsonValue],
+        document: dict[str, JsonValue],
+    ) -> EstimateDocument | None:
+        """The result of a job: spectrum, next estimate revision, state of the sweep and event, all or nothing.
+
+        None, without effect, if the sweep no longer waits for it: a result that comes twice counts once.
+        """
+        with self._database.write() as session:
+            row = rows.get_sweep(session, sweep.campaign_id, sweep.number)
+            if row.state is not SweepState.RECORDED or row.attempt != sweep.attempt:
+                return None
+            last = session.scalar(
+                select(func.max(t.EstimateRow.revision)).where(t.EstimateRow.campaign_id == row.campaign_id)
+            )
+            estimate = t.EstimateRow(
+                campaign_id=row.campaign_id, revision=(last or 0) + 1, sweep_id=row.id, document=document
+            )
+            session.add_all([t.IdentificationRow(sweep_id=row.id, spectrum=spectrum), estimate])
+            data: dict[str, JsonValue] = {"revision": estimate.revision, "sweep": row.number}
+            session.add(t.EventRow(campaign_id=row.campaign_id, kind=EventKind.ESTIMATE, data=data))
+            rows.move_sweep(session, row, move, "")
+            session.flush()
+            return rows.estimate_document(estimate, row.number)
+
+    # outbox
+
+    def events(self, after: int, campaign_id: int | None = None, limit: int = 100) -> tuple[EventDocument, ...]:
+        """Events of one campaign (with the machine's stops) or of all."""
+        query = select(t.EventRow).where(t.EventRow.id > after).order_by(t.EventRow.id).limit(limit)
+        if campaign_id is not None:
+            query = query.where((t.EventRow.campaign_id == campaign_id) | t.EventRow.campaign_id.is_(None))
+        with self._database.read() as session:
+            return tuple(
+                EventDocument(id=row.id, campaign_id=row.campaign_id, kind=row.kind, data=row.data, at=row.at)
+                for row in session.scalars(query)
+            )
+
+    def last_event_id(self) -> int:
+        """0 if there was none yet."""
+        with self._database.read() as session:
+            return session.scalar(select(func.max(t.EventRow.id))) or 0

@@ -1,0 +1,172 @@
+"""The tables. Rows stay inside `service.store`; what leaves it are documents. Changes need a migration."""
+
+from datetime import UTC, datetime
+from enum import Enum
+from typing import ClassVar
+
+from pydantic import JsonValue
+from sqlalchemy import JSON, DateTime, Dialect, ForeignKey, Index, String, TypeDecorator, UniqueConstraint
+from sqlalchemy import Enum as SqlEnum
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+from drivers.ports import SweepMode
+from service.store.documents import CampaignState, EventKind, RecordingState, SweepState
+
+
+class Utc(TypeDecorator[datetime]):
+    """Aware UTC datetimes; SQLite itself forgets the zone."""
+
+    impl = DateTime
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        return None if value is None else value.astimezone(UTC).replace(tzinfo=None)
+
+    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
+        return None if value is None else value.replace(tzinfo=UTC)
+
+
+def now() -> datetime:
+    """Wall clock, for people to read; no deadline hangs on it."""
+    return datetime.now(UTC)
+
+
+def _states(kind: type[Enum]) -> SqlEnum:
+    # stored as their values, as everywhere outside
+    return SqlEnum(kind, native_enum=False, length=16, values_callable=_values)
+
+
+def _values(kind: type[Enum]) -> list[str]:
+    return [str(member.value) for member in kind]
+
+
+class Base(DeclarativeBase):
+    """Registry of the tables."""
+
+    type_annotation_map: ClassVar = {
+        datetime: Utc(),
+        dict[str, JsonValue]: JSON(),
+        CampaignState: _states(CampaignState),
+        SweepState: _states(SweepState),
+        RecordingState: _states(RecordingState),
+        EventKind: _states(EventKind),
+        SweepMode: _states(SweepMode),
+    }
+
+
+class RobotRow(Base):
+    __tablename__ = "robot"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    sha256: Mapped[str] = mapped_column(String(64), unique=True)  # of description and URDF
+    name: Mapped[str]
+    description: Mapped[dict[str, JsonValue]]
+    urdf_text: Mapped[str]
+    created_at: Mapped[datetime] = mapped_column(default=now)
+
+
+class PlanRow(Base):
+    __tablename__ = "plan"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    robot_id: Mapped[int] = mapped_column(ForeignKey("robot.id"))
+    document: Mapped[dict[str, JsonValue]]
+    created_at: Mapped[datetime] = mapped_column(default=now)
+
+
+class CampaignRow(Base):
+    __tablename__ = "campaign"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    robot_id: Mapped[int] = mapped_column(ForeignKey("robot.id"))
+    plan_id: Mapped[int | None] = mapped_column(ForeignKey("plan.id"))
+    state: Mapped[CampaignState]
+    cause: Mapped[str] = mapped_column(default="")
+    version: Mapped[int] = mapped_column(default=1)
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    started_at: Mapped[datetime | None]
+
+
+class SweepRow(Base):
+    __tablename__ = "sweep"
+    __table_args__ = (UniqueConstraint("campaign_id", "number"), Index("ix_sweep_state", "state"))
+    id: Mapped[int] = mapped_column(primary_key=True)
+    campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"))
+    number: Mapped[int]
+    spec: Mapped[dict[str, JsonValue]]
+    mode: Mapped[SweepMode | None]
+    state: Mapped[SweepState]
+    cause: Mapped[str] = mapped_column(default="")
+    attempt: Mapped[int] = mapped_column(default=0)
+
+
+class RecordingRow(Base):
+    __tablename__ = "recording"
+    __table_args__ = (UniqueConstraint("sweep_id", "attempt"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    sweep_id: Mapped[int] = mapped_column(ForeignKey("sweep.id"))
+    attempt: Mapped[int]
+    state: Mapped[RecordingState]
+    path: Mapped[str]
+    sha256: Mapped[str] = mapped_column(String(64))
+    samples: Mapped[int]
+    created_at: Mapped[datetime] = mapped_column(default=now)
+
+
+class IdentificationRow(Base):
+    __tablename__ = "identification"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    sweep_id: Mapped[int] = mapped_column(ForeignKey("sweep.id"), unique=True)
+    spectrum: Mapped[dict[str, JsonValue]]
+
+
+class EstimateRow(Base):
+    """Append-only. The unique sweep makes a result that comes twice count once."""
+
+    __tablename__ = "estimate"
+    __table_args__ = (UniqueConstraint("campaign_id", "revision"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"))
+    revision: Mapped[int]
+    sweep_id: Mapped[int] = mapped_column(ForeignKey("sweep.id"), unique=True)
+    document: Mapped[dict[str, JsonValue]]
+    created_at: Mapped[datetime] = mapped_column(default=now)
+
+
+class EventRow(Base):
+    """The outbox. AUTOINCREMENT: an id is never given twice, even after the newest row went."""
+
+    __tablename__ = "event"
+    __table_args__ = ({"sqlite_autoincrement": True},)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    campaign_id: Mapped[int | None] = mapped_column(ForeignKey("campaign.id"), index=True)
+    kind: Mapped[EventKind]
+    data: Mapped[dict[str, JsonValue]]
+    at: Mapped[datetime] = mapped_column(default=now)
+
+
+class IdempotencyRow(Base):
+    __tablename__ = "idempotency_key"
+    key: Mapped[str] = mapped_column(String(255), primary_key=True)
+    fingerprint: Mapped[str] = mapped_column(String(64))
+    status: Mapped[int | None]  # None: the work is under way
+    body: Mapped[str] = mapped_column(default="")
+    created_at: Mapped[datetime] = mapped_column(default=now)
+
+
+class LeaseRow(Base):
+    """One row a resource. Who waits for it watches `renewals` on its own monotonic clock; no wall clock is compared."""
+
+    __tablename__ = "lease"
+    resource: Mapped[str] = mapped_column(String(64), primary_key=True)
+    owner: Mapped[str]
+    renewals: Mapped[int]
+
+
+class StopRow(Base):
+    """Every stop there was; the machine is latched while one has no `reset_at`."""
+
+    __tablename__ = "stop"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    by: Mapped[str]
+    why: Mapped[str]
+    at: Mapped[datetime] = mapped_column(default=now)
+    reset_by: Mapped[str | None]
+    reset_at: Mapped[datetime | None]
