@@ -6,6 +6,7 @@ the durable job is the sweep's row.
 """
 
 import os
+import sys
 from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ _dask = cast(Any, distributed)
 
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _CONNECT_TIMEOUT = 5.0  # s
+_NICE = 10
 
 
 class JobFailed(SweepidError):
@@ -57,7 +59,9 @@ class Result:
 
 
 def work(job: Job) -> Result:
-    """Do a job. Runs in the worker process."""
+    """Do a job. Runs in the worker process, which gives way to the one that streams set-points."""
+    if sys.platform != "win32":
+        os.setpriority(os.PRIO_PROCESS, 0, _NICE)
     robot = build_robot(job.robot, job.urdf_text)
     new = spectrum(robot, Sweep(job.spec, read_columns(job.path)))
     earlier = [Spectrum.from_document(document) for document in job.earlier]

@@ -22,6 +22,8 @@ from service.settings import load_settings
 
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _GRACE = 3  # s for requests under way when the service is told to end
+# with the default of 5 ms a busy thread delays the thread of the set-points by more than a cycle
+_SWITCH_INTERVAL = 1e-3  # s
 
 
 def serve(
@@ -36,6 +38,7 @@ def serve(
     given = {name: value for name, value in options.items() if value is not None}
     settings = load_settings(config).model_copy(update=given)
     configure_logs(settings.log_level)
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     app = create_app(settings, _LOOPBACK if settings.host in _LOOPBACK else ())
     server = _Server(
         app,

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import math
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -111,6 +112,24 @@ async def test_a_campaign_from_plan_to_estimate_and_bundle(lab: Lab, tmp_path: P
     assert imported.plan_id is None
     await completed(lab, imported.id)
     assert lab.store.estimate(imported.id).document == estimate.document
+
+
+async def test_both_ways_of_measuring_give_the_same_inertia(lab: Lab) -> None:
+    """The drive's own measuring function against set-points streamed by us in real time, over the same bus."""
+    documents = {}
+    for modes in ("drive_side", "host_streamed"):
+        campaign = await campaign_of(lab, modes)
+        await lab.runner.start(campaign.id)
+        await completed(lab, campaign.id)
+        documents[modes] = lab.store.estimate(campaign.id).document["axes"]
+    deviations = []
+    for joint in AXES:
+        pairs = zip(*(documents[modes][joint]["inertia"] for modes in documents), strict=True)
+        for ours, theirs in pairs:
+            std = math.hypot(ours["std"], theirs["std"])
+            deviations.append((ours["value"] - theirs["value"]) / std)
+            print(f"{joint}: {ours['value']:.2f} against {theirs['value']:.2f} kg m2, {deviations[-1]:+.2f} sigma")
+    assert max(map(abs, deviations)) < 4
 
 
 @pytest.mark.parametrize("modes", ["drive_side", "host_streamed"])
