@@ -17,7 +17,8 @@ import distributed
 from pydantic import JsonValue
 
 from service.errors import SweepidError
-from service.identification import Spectrum, identify, spectrum
+from service.estimation import estimate_document
+from service.identification import Spectrum, spectrum
 from service.recording import Sweep, SweepSpec
 from service.robot import RobotDescription, build_robot
 from service.store.columns import read_columns
@@ -52,7 +53,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """`Spectrum.to_document()` of the sweep and `Estimate.to_document()` with it."""
+    """`Spectrum.to_document()` of the sweep and `estimate_document` with it."""
 
     spectrum: dict[str, JsonValue]
     estimate: dict[str, JsonValue]
@@ -65,7 +66,7 @@ def work(job: Job) -> Result:
     robot = build_robot(job.robot, job.urdf_text)
     new = spectrum(robot, Sweep(job.spec, read_columns(job.path)))
     earlier = [Spectrum.from_document(document) for document in job.earlier]
-    return Result(new.to_document(), identify(robot, [*earlier, new]).to_document())
+    return Result(new.to_document(), estimate_document(robot, [*earlier, new]))
 
 
 class Worker:

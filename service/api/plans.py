@@ -6,8 +6,8 @@ from fastapi import APIRouter, Path, Request, Response
 
 from service.api.dependencies import After, LabOf, Limit, Page
 from service.api.idempotent import IdempotentRoute
-from service.campaigns.cell import read_cell
 from service.campaigns.plan import PlanRequest, build_plan
+from service.cell import read_cell
 from service.store.documents import PlanRecord
 
 router = APIRouter(prefix="/plans", tags=["plans"], route_class=IdempotentRoute)

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from drivers.ports import SweepCommand
-from service.campaigns.cell import read_cell
 from service.campaigns.envelope import Envelope
 from service.campaigns.plan import PlanDocument
+from service.cell import read_cell
 from service.errors import Conflict
 from service.settings import Settings
 from service.store.documents import CampaignDocument, NewSweep, PlanRecord

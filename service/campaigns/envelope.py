@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.ports import SampleBlock, SweepCommand
-from service.campaigns.cell import Cell
-from service.campaigns.collision import CollisionChecker
 from service.campaigns.travel import Leg, route
+from service.cell import Cell
+from service.collision import CollisionChecker
 from service.errors import EnvelopeViolation
 from service.identification.regressor import gravity_terms, inertia_rows
 from service.robot import Robot

@@ -20,9 +20,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.ports import Sine as PortSine
 from drivers.ports import SweepCommand, SweepMode
-from service.campaigns.cell import Cell
 from service.campaigns.envelope import Envelope
 from service.campaigns.travel import order_poses
+from service.cell import Cell
 from service.errors import BadInput, EnvelopeViolation
 from service.identification.base_parameters import base_parameters
 from service.identification.excitation import LINES, Excitation, design_sweep

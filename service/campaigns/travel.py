@@ -6,7 +6,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from service.campaigns.collision import CollisionChecker
+from service.collision import CollisionChecker
 
 Array = NDArray[np.float64]
 Leg = tuple[int, float]  # number of the joint, position to move it to, rad (m)
@@ -34,11 +34,6 @@ def route(
         if onward is not None:
             return to_stop + onward
     return None
-
-
-def travel_time(a: Array, b: Array, velocity: float) -> Array:
-    """Time to move from poses `a` (..., n) to `b` (..., n), one axis after the other at `velocity`, s."""
-    return np.sum(np.abs(np.asarray(b) - np.asarray(a)), axis=-1) / velocity
 
 
 def order_poses(poses: Array, start: Array) -> list[int]:

@@ -10,8 +10,8 @@ from rich.progress import track
 from rich.table import Table
 
 from service.errors import BadInput
+from service.estimation import estimate_document
 from service.identification import Spectrum, spectrum
-from service.identification import identify as identify_robot
 from service.store.bundle import Bundle, read_bundle
 
 _ROWS = (
@@ -49,7 +49,7 @@ def identify_bundle(bundle: Bundle, axis: str | None, place: str) -> dict[str, A
         spectrum(bundle.robot, sweep)
         for sweep in track(sweeps, "Sweeps", console=console, transient=True, disable=not console.is_terminal)
     ]
-    return identify_robot(bundle.robot, spectra).to_document()
+    return estimate_document(bundle.robot, spectra)
 
 
 def print_estimate(document: dict[str, Any], console: Console) -> None:

@@ -69,6 +69,7 @@ class Estimate:
     robot: Robot
     chain: Chain  # unlocked joints only
     unlocked: tuple[int, ...]  # their numbers in the robot
+    poses: Array  # (k, all joints) of the sweeps, by sweep id
     axes: tuple[AxisEstimate, ...]
     base: BaseParameters
     nominal: Array  # (11 n,) parameters of the model
@@ -78,10 +79,10 @@ class Estimate:
 
     @cached_property
     def workspace(self) -> Array:
-        """Quasi-random poses (m, all joints) over the limits of the unlocked joints; the locked ones at zero."""
+        """Quasi-random poses (m, all joints) over the limits of the unlocked joints; the locked ones stay locked."""
         lower = np.array([max(joint.lower, -np.pi) for joint in self.chain.joints])
         upper = np.array([min(joint.upper, np.pi) for joint in self.chain.joints])
-        poses = np.zeros((WORKSPACE, len(self.robot.axes)))
+        poses = np.tile(self.poses.mean(axis=0), (WORKSPACE, 1))
         poses[:, list(self.unlocked)] = qmc.scale(
             qmc.Halton(len(lower), scramble=False).random(WORKSPACE), lower, upper
         )
@@ -148,6 +149,7 @@ def identify(robot: Robot, spectra: Sequence[Spectrum]) -> Estimate:
         robot=robot,
         chain=chain,
         unlocked=unlocked,
+        poses=poses,
         axes=tuple(axes),
         base=base,
         nominal=nominal,

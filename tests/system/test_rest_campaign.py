@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from service.client import ServiceClient
-from service.identification import identify, spectrum
+from service.estimation import estimate_document
+from service.identification import spectrum
 from service.store.bundle import read_bundle
 from tests.system.rest_bench import (
     ROBOT,
@@ -87,7 +88,7 @@ def test_a_worker_that_is_killed_in_the_middle_changes_nothing(
     exported = run("export", str(campaign), str(tmp_path / "bundle"), url=service.url)
     assert (exported.returncode, exported.stderr) == (0, "")
     bundle = read_bundle(tmp_path / "bundle")
-    offline = identify(bundle.robot, [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps]).to_document()
+    offline = estimate_document(bundle.robot, [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps])
     worst = max(differences(latest["document"], offline), key=lambda found: found[1])
     assert worst[1] <= 1e-9, worst
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from service.campaigns.cell import Cell
 from service.campaigns.envelope import Envelope
+from service.cell import Cell
 from service.configuration import read_robot
 from service.robot import Robot
 from service.worker import Job, JobFailed, Worker, WorkerLost, open_worker, work

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from drivers.ports import Sine, SweepCommand, SweepMode
-from service.campaigns.cell import Cell
 from service.campaigns.course import Course
 from service.campaigns.envelope import Envelope
 from service.campaigns.jobs import Jobs
@@ -17,6 +16,7 @@ from service.campaigns.live import LiveHub
 from service.campaigns.machine import Machine
 from service.campaigns.runner import Runner
 from service.campaigns.station import Station
+from service.cell import Cell
 from service.configuration import read_robot
 from service.recording import Sine as SpecSine
 from service.recording import SweepSpec

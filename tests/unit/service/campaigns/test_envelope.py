@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.ports import SampleBlock, Sine, SweepCommand, SweepMode
-from service.campaigns.cell import Box, Cell
 from service.campaigns.envelope import Envelope, peak_acceleration, peak_velocity, travel_bounds
+from service.cell import Box, Cell
 from service.errors import EnvelopeViolation
 from service.robot import Robot
 from tests.unit.service.campaigns.small_arm import small_arm

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from service.campaigns.envelope import Envelope
 from service.campaigns.recovery import recover
-from service.identification import identify, spectrum
+from service.estimation import estimate_document
+from service.identification import spectrum
 from service.robot import Robot
 from service.store.documents import CampaignState, SweepState
 from service.store.exchange import campaign_bundle
@@ -34,7 +35,7 @@ async def test_every_sweep_gives_one_revision_whatever_happens_to_the_worker(
         estimates = bench.store.estimates(bench.campaign.id)
         bundle = campaign_bundle(bench.store, bench.files, bench.campaign.id)
     assert [(e.revision, e.number) for e in estimates] == [(n, n) for n in range(1, len(POSES) + 1)]
-    offline = identify(bundle.robot, [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps]).to_document()
+    offline = estimate_document(bundle.robot, [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps])
     assert estimates[-1].document == offline
 
 

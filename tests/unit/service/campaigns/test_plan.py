@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from drivers.ports import SweepMode
-from service.campaigns.cell import Box, Cell, read_cell
 from service.campaigns.envelope import Envelope
 from service.campaigns.plan import PlanDocument, PlanRequest, build_plan, workspace_grid
 from service.campaigns.travel import order_poses
+from service.cell import Box, Cell, read_cell
 from service.configuration import read_robot
 from service.errors import BadInput
 from service.identification.base_parameters import base_parameters, condition_number

@@ -21,7 +21,7 @@ from tests.unit.service.campaigns.test_recorder import block
 SERVICE = """
 import asyncio, json, resource, sys
 from pathlib import Path
-from service.campaigns.cell import Cell
+from service.cell import Cell
 from service.campaigns.envelope import Envelope
 from service.configuration import read_robot
 from tests.unit.service.campaigns import conftest

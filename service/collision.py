@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from service.campaigns.cell import Cell
+from service.cell import Cell
 from service.errors import BadInput
 from service.robot import Robot
 
@@ -59,6 +59,20 @@ class CollisionChecker:
                 free[i] = False
         return free
 
+    def touching(self, poses: Array) -> set[tuple[str, str]]:
+        """Pairs of links that come closer than the clearance in any of the poses (m, n)."""
+        model, data = self._model, self._data
+        pairs: set[tuple[str, str]] = set()
+        for q in np.atleast_2d(poses):
+            data.qpos[self._address] = q
+            _mujoco.mj_kinematics(model, data)
+            _mujoco.mj_collision(model, data)
+            for contact in data.contact:
+                if contact.dist < self._clearance:
+                    first, second = (str(model.body(int(model.geom_bodyid[g])).name) for g in contact.geom)
+                    pairs.add((first, second))
+        return pairs
+
     def leg_free(self, pose: Sequence[float] | Array, joint: int, target: float) -> bool:
         """Is the way of one joint from `pose` to `target` free, both ends included?"""
         start = float(pose[joint])
@@ -77,6 +91,21 @@ class CollisionChecker:
             moved[:, joint] += offset
             free[left] = self.collision_free(moved)
         return free
+
+
+def reachable(robot: Robot, stood: Array, poses: Array) -> Array:
+    """Those of `poses` (m, n) in which the robot does not meet itself; the cell around it is not known here.
+
+    Shapes that meet in a pose where the robot `stood` (k, n) nest by construction and do not count. A URDF whose shapes
+    cannot be read (meshes) counts as having none: nothing moves by this.
+    """
+    bare = Cell(name="none", clearance=1e-3)
+    try:
+        nested = CollisionChecker(robot, bare).touching(stood)
+    except BadInput:
+        return poses
+    checker = CollisionChecker(robot, bare.model_copy(update={"ignored_pairs": tuple(sorted(nested))}))
+    return poses[checker.collision_free(poses)]
 
 
 def _compile(robot: Robot, cell: Cell) -> Any:

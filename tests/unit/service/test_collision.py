@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.campaigns.cell import Box, Cell, read_cell
-from service.campaigns.collision import CollisionChecker
+from service.cell import Box, Cell, read_cell
+from service.collision import CollisionChecker, reachable
+from service.configuration import read_robot
 from service.errors import BadInput
 from service.robot import Robot
 from tests.unit.service.campaigns.small_arm import small_arm
@@ -93,3 +94,12 @@ def test_misspelt_cell_field_is_refused(tmp_path: Path) -> None:
     path.write_text("name: a\nclearence: 0.1\n")
     with pytest.raises(BadInput, match="clearence"):
         read_cell(path)
+
+
+def test_what_nests_where_the_robot_stood_does_not_count_offline(root: Path) -> None:
+    robot = read_robot(root / "config/robots/max100-class.yaml")
+    stood = np.zeros((1, 6))
+    folded = np.array([[0.0, 1.2, 2.2, 0.0, 0.0, 0.0]])
+    poses = np.vstack([stood, folded])
+    left = reachable(robot, stood, poses)
+    assert left.tolist() == stood.tolist()

@@ -1,0 +1,14 @@
+"""The estimate of a set of spectra as a document: one function for the service's worker and for `sweepid identify`."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from service.collision import reachable
+from service.identification import Spectrum, identify
+from service.robot import Robot
+
+
+def estimate_document(robot: Robot, spectra: Sequence[Spectrum]) -> dict[str, Any]:
+    """Identify, and compare with the nominal model over the poses of the workspace that the robot can take."""
+    estimate = identify(robot, spectra)
+    return estimate.to_document(reachable(robot, estimate.poses, estimate.workspace))
