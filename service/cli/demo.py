@@ -1,0 +1,81 @@
+"""`sweepid demo`: measure, identify and report a virtual robot, end to end, with the real parts."""
+
+import math
+import signal
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn
+from rich.table import Table
+
+from service.cli.identify import print_estimate
+from service.client import Json
+from service.demo.run import Outcome, Screen, run_demo
+from service.errors import SweepidError
+
+
+class Interrupted(SweepidError):
+    """A person pressed Ctrl-C: the machine was stopped, all processes were ended."""
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for report, bundle, estimate and logs.")] = Path("demo-out"),
+    seed: Annotated[int, typer.Option(min=0, help="Of the virtual machine's noise.")] = 0,
+    poses: Annotated[int, typer.Option(min=1, max=300, help="How many poses to measure.")] = 24,
+) -> None:
+    """Start a virtual machine and the service, measure a campaign, and show what came of it. Needs no hardware."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    words = Console(stderr=True)
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=30),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[detail]}"),
+    )
+    try:
+        with Progress(*columns, console=words) as bars:
+            outcome = run_demo(out, seed, poses, _screen(bars, bars.add_task("", total=None, detail="")))
+    except KeyboardInterrupt:
+        raise Interrupted("interrupted; the machine was stopped and all processes have ended") from None
+    _print(outcome, Console())
+
+
+def _screen(bars: Progress, bar: TaskID) -> Screen:
+    def progress(campaign: Json) -> None:
+        done = campaign["progress"]
+        detail = _detail(campaign)
+        bars.update(bar, total=done["total"], completed=done["done"], detail=detail)
+
+    def doing(what: str) -> None:
+        bars.update(bar, description=what, detail="")
+
+    def say(note: str) -> None:
+        bars.console.print(note, style="yellow", highlight=False)
+
+    return Screen(doing, progress, say)
+
+
+def _detail(campaign: Json) -> str:
+    """Remaining time, axis and pose."""
+    current, remaining = campaign["progress"]["current"], campaign["progress"]["remaining"]
+    if current is None:
+        return "identifying the last sweeps" if campaign["state"] == "measured" else ""
+    pose = ", ".join(f"{math.degrees(position):.0f}°" for position in current["spec"]["pose"])
+    left = "" if remaining is None else f"{int(remaining // 60)}:{int(remaining % 60):02d} left, "
+    return f"{left}{current['spec']['axis']} at ({pose})"
+
+
+def _print(outcome: Outcome, console: Console) -> None:
+    print_estimate(dict(outcome.content.estimate), console)
+    table = Table(title="Errors against the truth in percent: median (95th percentile)")
+    table.add_column("")
+    for joint in outcome.content.truth_columns:
+        table.add_column(joint, justify="right")
+    for row in outcome.content.truth:
+        table.add_row(row.label, *row.figures)
+    console.print(table)
+    console.print(f"Report: {outcome.report}", soft_wrap=True, highlight=False)
+    console.print(f"Bundle: {outcome.bundle}  (sweepid identify {outcome.bundle})", soft_wrap=True, highlight=False)

@@ -1,0 +1,144 @@
+"""The main job from end to end: plan, measure, identify, report; everything through the REST API of real processes."""
+
+import json
+import shutil
+import zipfile
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from service.campaigns.plan import PlanRequest, workspace_grid
+from service.cell import read_cell
+from service.client import Json, ServiceClient
+from service.configuration import read_robot
+from service.demo.operator import Operator
+from service.demo.processes import drive_profile, running
+from service.demo.truth import compare
+from service.errors import BadInput
+from service.recording import Sweep
+from service.report import Content, axes_of, render
+from service.report.content import revision
+from service.store.bundle import Bundle, read_bundle
+
+SCENARIO = Path("config/scenarios/max100-full.yaml")
+ROBOT = Path("config/robots/max100-class.yaml")
+CELL = Path("config/cells/workshop.yaml")
+PROFILE = Path("config/drives/virtual-max100.yaml")
+
+REQUEST: Json = {
+    "cell": CELL.stem,
+    "axes": ["joint_1", "joint_2", "joint_3"],
+    "varied": ["joint_2", "joint_3"],
+    "modes": "one_host_streamed",
+    # what the CNC's frequency-response measurement tells before a campaign (the paper's section 4.2), Hz
+    "locked_rotor": {"joint_1": 5.0, "joint_2": 9.5, "joint_3": 13.0},
+}
+SPEED_FACTOR = "20"  # of the virtual machine's moves and drive-side sweeps
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the demo found."""
+
+    content: Content
+    report: Path
+    bundle: Path
+
+
+@dataclass(frozen=True)
+class Screen:
+    """Where the demo tells how far it is: what it does, the campaign at each event, a note."""
+
+    doing: Callable[[str], None]
+    progress: Callable[[Json], None]
+    say: Callable[[str], None]
+
+
+def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> Outcome:
+    """Run it in the folder `out`. Whatever happens, the machine is stopped and the processes are ended."""
+    for path in (SCENARIO, ROBOT, CELL, PROFILE):
+        if not path.is_file():
+            raise BadInput(str(path), "not found; the demo runs in the folder that holds config/")
+    out = out.absolute()
+    _clear(out)
+    request = REQUEST | {"poses": poses}
+    with ExitStack() as stack:
+        screen.doing("starting the virtual machine and the service")
+        drive = (
+            "drive",
+            "--scenario",
+            str(SCENARIO),
+            "--port",
+            "0",
+            "--seed",
+            str(seed),
+            "--speed-factor",
+            SPEED_FACTOR,
+        )
+        machine = stack.enter_context(running(drive, out / "drive.log"))
+        profile = drive_profile(PROFILE, int(machine["port"]), out / "drives.yaml")
+        serve = ("serve", "--port", "0", "--data-dir", str(out / "data"), "--drive", str(profile))
+        service = stack.enter_context(running(serve, out / "serve.log"))
+        client = stack.enter_context(ServiceClient(service["url"]))
+
+        screen.doing("planning")
+        robot = read_robot(ROBOT)
+        stored = client.add_robot(robot.description.model_dump(mode="json"), robot.urdf_text)
+        plan = client.add_plan(request | {"robot_id": stored["id"]})
+        campaign_id = int(client.add_campaign(plan["id"])["id"])
+        screen.doing("measuring")
+        Operator(client, screen.progress, screen.say).run(campaign_id)
+
+        screen.doing("collecting estimates and recordings")
+        revisions = client.estimates(campaign_id)
+        client.export_bundle(campaign_id, out / "bundle.zip")
+    with zipfile.ZipFile(out / "bundle.zip") as archive:
+        archive.extractall(out / "bundle")
+    (out / "bundle.zip").unlink()
+
+    screen.doing("comparing with the truth and writing the report")
+    wanted = PlanRequest.model_validate(request | {"robot_id": stored["id"]})
+    workspace = workspace_grid(robot, wanted, read_cell(CELL))
+    content = _content(read_bundle(out / "bundle"), revisions, workspace, seed)
+    axes = axes_of(content)
+    truth = compare(content, axes, SCENARIO, out / "poses.json")
+    content = replace(content, truth=truth, truth_columns=tuple(axis.joint for axis in axes))
+    report = out / "report.html"
+    report.write_text(render(content), encoding="utf-8")
+    (out / "estimate.json").write_text(json.dumps(content.estimate, indent=2) + "\n", encoding="utf-8")
+    return Outcome(content, report, out / "bundle")
+
+
+def _clear(out: Path) -> None:
+    """Remove what an earlier demo left in its folder, and nothing else."""
+    out.mkdir(parents=True, exist_ok=True)
+    if (out / "data" / "sweepid.sqlite").is_file():
+        shutil.rmtree(out / "data")
+    if (out / "bundle" / "bundle.json").is_file():
+        shutil.rmtree(out / "bundle")
+
+
+def _content(bundle: Bundle, revisions: list[Json], workspace: np.ndarray, seed: int) -> Content:
+    estimate: Json = revisions[-1]["document"]
+    names = [entry["name"] for entry in estimate["base_parameters"]]
+    return Content(
+        title=f"Inertias of the robot {bundle.robot.name}",
+        subtitle=f"Demo on a virtual machine (scenario {SCENARIO.stem}, seed {seed}), measured over CANopen through "
+        "the service: elastic drive trains, friction on motor and load side, cogging and noise.",
+        robot=bundle.robot,
+        estimate=estimate,
+        specs=tuple(sweep.spec for sweep in bundle.sweeps),
+        workspace=workspace,
+        revisions=tuple(revision(entry["document"], names, entry["revision"]) for entry in revisions),
+        example=_example(bundle),
+    )
+
+
+def _example(bundle: Bundle) -> Sweep:
+    """A sweep of the first axis with the most lines."""
+    first = bundle.sweeps[0].spec.axis
+    own = [sweep for sweep in bundle.sweeps if sweep.spec.axis == first]
+    return max(own, key=lambda sweep: len(sweep.spec.sines))

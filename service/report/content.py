@@ -1,0 +1,146 @@
+"""What a report is made of: plain data from the store, a bundle or the API, and the models drawn from it.
+
+The identified model is taken from the estimate's `standard_parameters`, which reproduce its base parameters, so the
+estimate document of `sweepid identify --json` is all that is needed of the identification.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.regressor import axis_rows, lock
+from service.recording import Sweep, SweepSpec
+from service.robot import INERTIAL_NAMES, Robot
+
+Array = NDArray[np.float64]
+Document = Mapping[str, Any]
+
+SAME_POSITION = 2e-3  # rad (m): joints that differ by less between poses did not vary
+
+
+@dataclass(frozen=True, slots=True)
+class Revision:
+    """The base parameters after `sweeps` sweeps, (r,) each; NaN where a revision does not have them."""
+
+    sweeps: int
+    values: Array
+    std: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of a table of figures that only the caller knows, e.g. errors against the truth of a virtual robot."""
+
+    label: str
+    figures: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Content:
+    """All that a report shows. `workspace` (m, n): the collision-free poses over which models are drawn."""
+
+    title: str
+    subtitle: str
+    robot: Robot
+    estimate: Document
+    specs: tuple[SweepSpec, ...]
+    workspace: Array
+    revisions: tuple[Revision, ...] = ()
+    example: Sweep | None = None  # shown in time and frequency
+    truth_columns: tuple[str, ...] = ()
+    truth: tuple[Row, ...] = ()
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis: its sweeps in order of measurement, and both models. Inertias in kg m^2 (kg)."""
+
+    joint: str
+    poses: Array  # (k, n)
+    numbers: tuple[int, ...]  # of the sweeps, 1, 2, ... in the order of measurement
+    measured: Array  # (k,)
+    std: Array  # (k,)
+    paper: Array  # (k,), NaN where the paper's formula does not apply
+    identified: Array  # (k,) of the identified model in these poses
+    reference: Array  # (k,) of the nominal model
+    workspace: Array  # (m, n)
+    identified_workspace: Array  # (m,)
+    reference_workspace: Array  # (m,)
+    varied: tuple[int, ...]  # joints that vary between poses and matter to this axis: those beyond it
+    rmse: tuple[float, float, float]  # reference-measured, identified-measured, reference-identified; percent, Table 1
+
+
+def axes_of(content: Content) -> tuple[Axis, ...]:
+    """The measured axes in the order of the estimate."""
+    model = _Models(content)
+    order = {spec.id: number for number, spec in enumerate(content.specs, start=1)}
+    poses = {spec.id: spec.pose for spec in content.specs}
+    axes: list[Axis] = []
+    for joint, found in content.estimate["axes"].items():
+        sweeps: Sequence[Document] = sorted(found["inertia"], key=lambda sweep: order[sweep["sweep"]])
+        own = np.array([poses[sweep["sweep"]] for sweep in sweeps])
+        index = content.robot.index(joint)
+        identified, reference = model.inertia(index, own)
+        identified_workspace, reference_workspace = model.inertia(index, content.workspace)
+        axes.append(
+            Axis(
+                joint=joint,
+                poses=own,
+                numbers=tuple(order[sweep["sweep"]] for sweep in sweeps),
+                measured=np.array([sweep["value"] for sweep in sweeps], dtype=float),
+                std=np.array([sweep["std"] for sweep in sweeps], dtype=float),
+                paper=np.array([_number(sweep["paper_value"]) for sweep in sweeps]),
+                identified=identified,
+                reference=reference,
+                workspace=content.workspace,
+                identified_workspace=identified_workspace,
+                reference_workspace=reference_workspace,
+                varied=tuple(int(k) for k in np.flatnonzero(np.ptp(own, axis=0) > SAME_POSITION) if k > index),
+                rmse=(
+                    found["rmse_percent"]["reference_measured"],
+                    found["rmse_percent"]["identified_measured"],
+                    found["rmse_percent"]["reference_identified"],
+                ),
+            )
+        )
+    return tuple(axes)
+
+
+def revision(document: Document, names: Sequence[str], sweeps: int) -> Revision:
+    """The revision as one step of the convergence of the parameters `names` (those of the last estimate)."""
+    found = {entry["name"]: entry for entry in document["base_parameters"]}
+    missing = {"value": None, "std": None}
+    return Revision(
+        sweeps,
+        np.array([_number(found.get(name, missing)["value"]) for name in names]),
+        np.array([_number(found.get(name, missing)["std"]) for name in names]),
+    )
+
+
+class _Models:
+    """Identified and nominal parameters on the chain whose locked joints the estimate has folded away."""
+
+    def __init__(self, content: Content) -> None:
+        chain = content.robot.chain
+        standard = content.estimate["standard_parameters"]
+        poses = np.array([spec.pose for spec in content.specs])
+        self._unlocked = [k for k, joint in enumerate(chain.joints) if joint.link in standard["links"]]
+        fixed = {k: float(poses[:, k].mean()) for k in range(len(chain.joints)) if k not in self._unlocked}
+        self._chain = lock(chain, fixed)
+        links = [standard["links"][joint.link][name] for joint in self._chain.joints for name in INERTIAL_NAMES]
+        motors = list(standard["motor_inertias"].values())
+        self._identified = np.array([*links, *motors], dtype=float)
+        nominal = [content.robot.axes[k].reflected_motor_inertia or 0.0 for k in self._unlocked]
+        self._nominal = np.concatenate([self._chain.inertial.ravel(), nominal])
+
+    def inertia(self, index: int, poses: Array) -> tuple[Array, Array]:
+        """Identified and nominal inertia (m,) about joint number `index` at poses (m, n)."""
+        rows = axis_rows(self._chain, self._unlocked.index(index), poses[:, self._unlocked])
+        return rows @ self._identified, rows @ self._nominal
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else float(value)

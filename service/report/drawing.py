@@ -1,0 +1,80 @@
+"""The vocabulary of the figures: colours, lines, points, scales; as plotly.js wants them."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Figure = dict[str, Any]
+
+MEASURED, IDENTIFIED, REFERENCE, PAPER = "#c2410c", "#1d4ed8", "#94a3b8", "#7c3aed"
+AXIS_COLOURS = ("#1d4ed8", "#0f766e", "#b45309", "#7c3aed", "#be123c", "#475569")
+GRID = "#e2e8f0"
+DECADES = {"type": "log", "dtick": 1, "exponentformat": "power"}
+
+
+def line(name: str, x: Any, y: Array, colour: str, dash: str = "solid", width: float = 1.8) -> Figure:
+    """A curve."""
+    style = {"color": colour, "dash": dash, "width": width}
+    return {"type": "scatter", "mode": "lines", "name": name, "x": x, "y": rounded(y), "line": style}
+
+
+def points(name: str, x: Any, y: Array, colour: str, error: Array | None = None, symbol: str = "circle") -> Figure:
+    """Markers, with error bars of half length `error` where given."""
+    marker: Figure = {"size": 7, "color": colour, "symbol": symbol}
+    if symbol.endswith("open"):
+        marker["line"] = {"width": 1.8, "color": colour}
+    trace: Figure = {"type": "scatter", "mode": "markers", "name": name, "x": x, "y": rounded(y), "marker": marker}
+    if error is not None:
+        trace["error_y"] = {"array": rounded(error), "color": colour, "thickness": 1.1, "width": 3}
+    return trace
+
+
+def figure(traces: list[Figure], layout: Figure) -> Figure:
+    """Traces and layout in the report's look."""
+    base: Figure = {
+        "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#334155"},
+        "paper_bgcolor": "white",
+        "plot_bgcolor": "white",
+        "margin": {"l": 70, "r": 20, "t": 20, "b": 55},
+        "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
+        "hoverlabel": {"font": {"family": "system-ui, sans-serif"}},
+    }
+    return {"data": traces, "layout": base | layout}
+
+
+def scale(title: str, zeroline: bool = False) -> Figure:
+    """An axis of a figure."""
+    return {
+        "title": {"text": title, "standoff": 8},
+        "gridcolor": GRID,
+        "zeroline": zeroline,
+        "zerolinecolor": "#64748b",
+        "linecolor": "#94a3b8",
+        "showline": True,
+        "ticks": "outside",
+        "tickcolor": "#94a3b8",
+        "automargin": True,
+    }
+
+
+def colours(count: int) -> list[str]:
+    """A colour for each axis of the robot."""
+    return [AXIS_COLOURS[k % len(AXIS_COLOURS)] for k in range(count)]
+
+
+def degrees(angles: Array) -> list[float]:
+    """Angles in degrees."""
+    return [round(math.degrees(angle), 3) for angle in angles]
+
+
+def rounded(values: Array, decimals: int | None = None) -> Any:
+    """Nested lists with 6 significant digits (or so many decimals); None for NaN, which JSON does not have."""
+    values = np.asarray(values, dtype=float)
+    if values.ndim > 1:
+        return [rounded(row, decimals) for row in values]
+    if decimals is not None:
+        return [round(float(value), decimals) for value in values]
+    return [float(f"{value:.6g}") if np.isfinite(value) else None for value in values]

@@ -1,0 +1,355 @@
+"""The report's figures as plotly.js descriptions (plain data; nothing is drawn here)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.recording import Sweep
+from service.report.content import Axis, Revision
+from service.report.drawing import (
+    DECADES,
+    IDENTIFIED,
+    MEASURED,
+    PAPER,
+    REFERENCE,
+    Figure,
+    colours,
+    degrees,
+    figure,
+    line,
+    points,
+    rounded,
+    scale,
+)
+from service.robot import Robot
+
+Array = NDArray[np.float64]
+
+
+def surface(robot: Robot, axis: Axis) -> Figure:
+    """Inertia over the two joints that vary most: identified and reference surface, measured points (Fig. 2)."""
+    first, second = axis.varied[:2]
+    x, y, (identified, reference) = _mesh(
+        axis.workspace, first, second, (axis.identified_workspace, axis.reference_workspace)
+    )
+    names = robot.joints
+    return figure(
+        [
+            {
+                "type": "surface",
+                "name": "identified model",
+                "x": degrees(x),
+                "y": degrees(y),
+                "z": rounded(identified),
+                "colorscale": [[0, "#bfdbfe"], [1, IDENTIFIED]],
+                "opacity": 0.9,
+                "contours": {"z": {"show": True, "color": "#1e3a8a", "width": 1}},
+                "showscale": False,
+                "showlegend": True,
+                "hovertemplate": _hover(names, first, second, "identified"),
+            },
+            {
+                "type": "surface",
+                "name": "reference model (CAD)",
+                "x": degrees(x),
+                "y": degrees(y),
+                "z": rounded(reference),
+                "colorscale": [[0, REFERENCE], [1, REFERENCE]],
+                "opacity": 0.45,
+                "showscale": False,
+                "showlegend": True,
+                "hovertemplate": _hover(names, first, second, "reference"),
+            },
+            {
+                "type": "scatter3d",
+                "mode": "markers",
+                "name": "measured",
+                "x": degrees(axis.poses[:, first]),
+                "y": degrees(axis.poses[:, second]),
+                "z": rounded(axis.measured),
+                "marker": {"size": 4.5, "color": MEASURED, "line": {"color": "white", "width": 1}},
+                "hovertemplate": _hover(names, first, second, "measured"),
+            },
+        ],
+        {
+            "height": 560,
+            "margin": {"l": 0, "r": 0, "t": 10, "b": 0},
+            "scene": {
+                "xaxis": {"title": {"text": f"{names[first]} in deg"}},
+                "yaxis": {"title": {"text": f"{names[second]} in deg"}},
+                "zaxis": {"title": {"text": "J in kg m²"}},
+                "camera": {"eye": {"x": -1.15, "y": -1.45, "z": 0.62}, "center": {"x": 0, "y": 0, "z": -0.16}},
+                "aspectratio": {"x": 1.2, "y": 1.2, "z": 0.8},
+            },
+        },
+    )
+
+
+def deviation_map(robot: Robot, axis: Axis) -> Figure:
+    """How much the identified model differs from the reference over the workspace, and where was measured."""
+    first, second = axis.varied[:2]
+    deviation = 100 * (axis.identified_workspace / axis.reference_workspace - 1)
+    x, y, (z,) = _mesh(axis.workspace, first, second, (deviation,))
+    low, high = min(0.0, float(deviation.min())), max(0.0, float(deviation.max()))
+    ramp = [[0, "#0f766e"], [0.5, "#f8fafc"], [1, "#c2410c"]]
+    if low * high < 0:
+        high = max(high, -low)
+        low = -high
+    else:  # one sign only: the colours from nothing to the most
+        ramp = ramp[1:] if high > 0 else ramp[:2]
+        ramp = [[k, colour] for k, (_, colour) in enumerate(ramp)]
+    return figure(
+        [
+            {
+                "type": "heatmap",
+                "x": degrees(x),
+                "y": degrees(y),
+                "z": rounded(z),
+                "colorscale": ramp,
+                "zmin": low,
+                "zmax": high,
+                "hoverongaps": False,
+                "colorbar": {"title": {"text": "%"}, "thickness": 12},
+                "hovertemplate": "%{x:.0f}°, %{y:.0f}°: %{z:+.1f} %<extra></extra>",
+            },
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": "measured poses",
+                "x": degrees(axis.poses[:, first]),
+                "y": degrees(axis.poses[:, second]),
+                "marker": {"size": 8, "color": "#0f172a", "line": {"color": "white", "width": 1.5}},
+                "hoverinfo": "skip",
+            },
+        ],
+        {
+            "height": 430,
+            "xaxis": scale(f"{robot.joints[first]} in deg"),
+            "yaxis": scale(f"{robot.joints[second]} in deg"),
+        },
+    )
+
+
+def curve(robot: Robot, axis: Axis) -> Figure:
+    """Inertia over the one joint that varies beyond the axis, or over the sweeps where none does."""
+    if axis.varied:
+        joint = axis.varied[0]
+        order = np.argsort(axis.workspace[:, joint])
+        line_x = degrees(axis.workspace[order, joint])
+        points_x, title = degrees(axis.poses[:, joint]), f"{robot.joints[joint]} in deg"
+        identified, reference = axis.identified_workspace[order], axis.reference_workspace[order]
+    else:
+        line_x = points_x = list(axis.numbers)
+        title, identified, reference = "sweep", axis.identified, axis.reference
+    return figure(
+        [
+            line("reference model (CAD)", line_x, reference, REFERENCE, dash="dash"),
+            line("identified model", line_x, identified, IDENTIFIED),
+            points("paper's formula", points_x, axis.paper, PAPER, symbol="x-thin-open"),
+            points("measured (± 2 std)", points_x, axis.measured, MEASURED, error=2 * axis.std),
+        ],
+        {"height": 380, "xaxis": scale(title), "yaxis": scale("J in kg m²")},
+    )
+
+
+def residuals(axes: Sequence[Axis]) -> Figure:
+    """Measured against identified model, percent, sweep by sweep with two standard deviations."""
+    traces: list[Figure] = []
+    for axis, colour in zip(axes, colours(len(axes)), strict=True):
+        percent = 100 / axis.identified
+        traces.append(
+            points(
+                axis.joint,
+                list(axis.numbers),
+                (axis.measured - axis.identified) * percent,
+                colour,
+                error=2 * axis.std * percent,
+            )
+        )
+    return figure(
+        traces,
+        {
+            "height": 360,
+            "xaxis": scale("sweep"),
+            "yaxis": scale("(measured − identified) in %", zeroline=True),
+        },
+    )
+
+
+def paper_residuals(axes: Sequence[Axis]) -> Figure:
+    """The paper's formula against the identified model, percent, over the inertia."""
+    traces = [
+        points(
+            axis.joint, rounded(axis.measured), 100 * (axis.paper / axis.identified - 1), colour, symbol="x-thin-open"
+        )
+        for axis, colour in zip(axes, colours(len(axes)), strict=True)
+    ]
+    return figure(
+        traces,
+        {
+            "height": 360,
+            "xaxis": scale("J measured in kg m²"),
+            "yaxis": scale("(paper's formula − identified) in %", zeroline=True),
+        },
+    )
+
+
+def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> Figure:
+    """Each base parameter over the number of sweeps, with a band of two standard deviations: small multiples."""
+    columns = 3
+    rows = -(-len(names) // columns)
+    traces: list[Figure] = []
+    layout: Figure = {
+        "height": 50 + 175 * rows,
+        "showlegend": False,
+        "annotations": [],
+        "margin": {"l": 20, "r": 0, "t": 25, "b": 20},
+    }
+    for k, name in enumerate(names):
+        number = "" if k == 0 else str(k + 1)
+        row, column = divmod(k, columns)
+        left, width = column / columns, 1 / columns
+        top, height = 1 - row / rows, 1 / rows
+        # what the data do not yet determine would hide everything else: start where the std is of the final size
+        final = revisions[-1]
+        shown = [r for r in revisions if r.std[k] < max(30 * final.std[k], 1e-12)]
+        x = [r.sweeps for r in shown]
+        value, std = np.array([r.values[k] for r in shown]), np.array([r.std[k] for r in shown])
+        band = {
+            "xaxis": f"x{number}",
+            "yaxis": f"y{number}",
+            "hoverinfo": "skip",
+            "mode": "lines",
+            "line": {"width": 0},
+        }
+        traces += [
+            {**band, "x": x, "y": rounded(value - 2 * std)},
+            {**band, "x": x, "y": rounded(value + 2 * std), "fill": "tonexty", "fillcolor": "rgba(29,78,216,0.18)"},
+            {
+                **line(name, x, value, IDENTIFIED),
+                "xaxis": f"x{number}",
+                "yaxis": f"y{number}",
+                "hovertemplate": "%{x} sweeps: %{y:.5g}<extra></extra>",
+            },
+        ]
+        layout[f"xaxis{number}"] = {
+            **scale("sweeps" if k + columns >= len(names) else ""),
+            "domain": [left + 0.13 * width, left + 0.98 * width],
+            "anchor": f"y{number}",
+            "range": [0, revisions[-1].sweeps + 1],
+        }
+        layout[f"yaxis{number}"] = {
+            **scale(""),
+            "domain": [top - 0.76 * height, top - 0.16 * height],
+            "anchor": f"x{number}",
+            "nticks": 4,
+        }
+        layout["annotations"].append(
+            {
+                "text": _short(name),
+                "hovertext": name,
+                "x": left + 0.13 * width,
+                "y": top - 0.13 * height,
+                "xref": "paper",
+                "yref": "paper",
+                "xanchor": "left",
+                "yanchor": "bottom",
+                "showarrow": False,
+                "font": {"size": 12, "color": "#0f172a"},
+            }
+        )
+    return figure(traces, layout)
+
+
+def in_time(sweep: Sweep) -> Figure:
+    """One sweep: velocity and effort over time, the measured window shaded."""
+    recording, spec = sweep.recording, sweep.spec
+    step = max(1, len(recording.time) // 4000)
+    time = rounded(recording.time[::step], 4)
+    setpoint = recording.velocity_setpoint
+    wanted = [] if setpoint is None else [line("set-point", time, 1e3 * setpoint[::step], REFERENCE)]
+    end = spec.measure_from + (spec.period or 0.0) * (spec.periods or 0)
+    window = {
+        "type": "rect",
+        "xref": "x",
+        "yref": "paper",
+        "x0": spec.measure_from,
+        "x1": end,
+        "y0": 0,
+        "y1": 1,
+        "fillcolor": "#f1f5f9",
+        "line": {"width": 0},
+        "layer": "below",
+    }
+    return figure(
+        [
+            *wanted,
+            line("velocity", time, 1e3 * recording.velocity[::step], IDENTIFIED),
+            {**line("effort", time, recording.effort[::step], MEASURED), "yaxis": "y2"},
+        ],
+        {
+            "height": 430,
+            "xaxis": {**scale("time in s"), "anchor": "y2"},
+            "yaxis": {**scale("velocity in mrad/s"), "domain": [0.55, 1.0]},
+            "yaxis2": {**scale("effort in N m"), "domain": [0.0, 0.45]},
+            "shapes": [window] if spec.periodic else [],
+        },
+    )
+
+
+def in_frequency(sweep: Sweep) -> Figure:
+    """Amplitudes of velocity and effort over the measured whole periods; the excited lines stand out."""
+    spec, recording = sweep.spec, sweep.recording
+    end = spec.measure_from + (spec.period or 0.0) * (spec.periods or 0)
+    half = 0.5 / spec.sample_rate
+    inside = (recording.time >= spec.measure_from - half) & (recording.time < end - half)
+    count = int(inside.sum())
+    frequency = np.asarray(np.fft.rfftfreq(count, 1 / spec.sample_rate), dtype=float)
+    shown = (frequency > 0) & (frequency <= 20.0)
+    lines = [sine.frequency for sine in spec.sines]
+    excited = shown & (np.abs(frequency[:, None] - np.array([lines])).min(axis=1) < 1e-6)
+    traces: list[Figure] = []
+    for name, samples, factor, colour, y in (
+        ("velocity", recording.velocity, 1e3, IDENTIFIED, "y"),
+        ("effort", recording.effort, 1.0, MEASURED, "y2"),
+    ):
+        amplitude = np.asarray(2 * factor * np.abs(np.fft.rfft(samples[inside])) / count, dtype=float)
+        traces += [
+            {**line(name, rounded(frequency[shown], 4), amplitude[shown], colour, width=1.2), "yaxis": y},
+            {
+                **points(f"{name}, excited", rounded(frequency[excited], 4), amplitude[excited], colour),
+                "yaxis": y,
+            },
+        ]
+    return figure(
+        traces,
+        {
+            "height": 430,
+            "xaxis": {**scale("frequency in Hz"), "anchor": "y2"},
+            "yaxis": {**scale("velocity in mrad/s"), "domain": [0.55, 1.0], **DECADES},
+            "yaxis2": {**scale("effort in N m"), "domain": [0.0, 0.45], **DECADES},
+        },
+    )
+
+
+def _mesh(poses: Array, first: int, second: int, values: Sequence[Array]) -> tuple[Array, Array, list[Array]]:
+    """Values of scattered grid poses as matrices (y, x), NaN where the grid has no pose; the first of equals counts."""
+    x, column = np.unique(np.round(poses[:, first], 9), return_inverse=True)
+    y, row = np.unique(np.round(poses[:, second], 9), return_inverse=True)
+    matrices: list[Array] = []
+    for value in values:
+        matrix = np.full((len(y), len(x)), np.nan)
+        matrix[row[::-1], column[::-1]] = value[::-1]
+        matrices.append(matrix)
+    return x, y, matrices
+
+
+def _hover(names: Sequence[str], first: int, second: int, what: str) -> str:
+    return f"{names[first]} %{{x:.1f}}°<br>{names[second]} %{{y:.1f}}°<br>{what} %{{z:.1f}} kg m²<extra></extra>"
+
+
+def _short(name: str) -> str:
+    """The leading parameter of a combination; the whole name stands in the table."""
+    head, _, rest = name.partition(" ")
+    return f"{head} + …" if rest else head

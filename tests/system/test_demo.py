@@ -1,0 +1,101 @@
+"""`sweepid demo` with its real processes: to the end, and interrupted."""
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+
+from service.store.bundle import read_bundle
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="interrupts by POSIX signals")
+
+
+def start(root: Path, out: Path, poses: int) -> "subprocess.Popen[str]":
+    command = [sys.executable, "-c", "from service.cli import main; main()", "demo", "--out", str(out)]
+    return subprocess.Popen(
+        [*command, "--poses", str(poses)],
+        cwd=root,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=os.environ | {"COLUMNS": "160"},
+    )
+
+
+def wait_for(condition: Callable[[], bool], seconds: float, process: "subprocess.Popen[str]") -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline, "timed out"
+        time.sleep(0.1)
+
+
+def events(log: Path) -> list[str]:
+    if not log.exists():
+        return []
+    lines = [line for line in log.read_text().splitlines() if line.startswith("{")]
+    return [json.loads(line).get("event", "") for line in lines]
+
+
+def refuses(port: int) -> bool:
+    with socket.socket() as client:
+        return client.connect_ex(("127.0.0.1", port)) != 0
+
+
+def test_demo_from_end_to_end(root: Path, tmp_path: Path) -> None:
+    process = start(root, tmp_path, poses=8)
+    try:
+        words, errors = process.communicate(timeout=280)
+    finally:
+        process.kill()
+    assert process.returncode == 0, errors
+
+    assert len(read_bundle(tmp_path / "bundle").sweeps) == 24
+    estimate = json.loads((tmp_path / "estimate.json").read_text())
+    assert all(len(axis["inertia"]) == 8 for axis in estimate["axes"].values())
+    assert all(parameter["std"] is not None for parameter in estimate["base_parameters"])
+    assert (tmp_path / "report.html").read_text().count('class="card"') >= 8
+
+    def error(label: str) -> list[float]:
+        """Median errors of the axes in a row of the table against the truth."""
+        line = next(line for line in words.splitlines() if label in line)
+        return [float(value) for value in re.findall(r"([\d.]+) \(", line)]
+
+    ours, paper = error("our model, workspace"), error("paper's formula, workspace")
+    assert len(ours) == len(paper) == 3
+    assert max(ours) < 2.0
+    assert all(own < theirs for own, theirs in zip(ours, paper, strict=True))
+    assert refuses(yaml.safe_load((tmp_path / "drives.yaml").read_text())["bus"]["port"])
+
+
+def test_interrupted_demo_stops_the_machine_first(root: Path, tmp_path: Path) -> None:
+    process = start(root, tmp_path, poses=8)
+    log = tmp_path / "serve.log"
+    try:
+        wait_for(lambda: "recorded" in events(log), 90, process)
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 1
+    assert "the machine was stopped" in errors
+    told = events(log)
+    assert told.index("stop") < told.index("Shutting down")
+    assert refuses(yaml.safe_load((tmp_path / "drives.yaml").read_text())["bus"]["port"])
+
+
+def test_outside_the_checkout_it_says_what_is_missing(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "from service.cli import main; main()", "demo", "--out", "out"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert "config/scenarios/max100-full.yaml: not found" in done.stderr.replace("\\", "/")
+    assert not (tmp_path / "out").exists()
