@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from service.collision import reachable
-from service.identification import Spectrum, identify
+from service.identification import Spectrum, as_document, identify
 from service.robot import Robot
 
 
 def estimate_document(robot: Robot, spectra: Sequence[Spectrum]) -> dict[str, Any]:
     """Identify, and compare with the nominal model over the poses of the workspace that the robot can take."""
     estimate = identify(robot, spectra)
-    return estimate.to_document(reachable(robot, estimate.poses, estimate.workspace))
+    return as_document(estimate, reachable(robot, estimate.poses, estimate.workspace))

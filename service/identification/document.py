@@ -1,15 +1,13 @@
 """The estimate as the JSON object that `sweepid identify --json` prints and the service stores (DESIGN.md)."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.estimate import AxisEstimate, Estimate
 from service.identification.regressor import parameter_names
 from service.robot import INERTIAL_NAMES
-
-if TYPE_CHECKING:
-    from service.identification.estimate import AxisEstimate, Estimate
 
 Array = NDArray[np.float64]
 
@@ -19,7 +17,7 @@ def rmse_percent(a: Array, b: Array) -> float:
     return 100 * float(np.sqrt(np.mean(((a - b) / b) ** 2)))
 
 
-def estimate_document(estimate: "Estimate", workspace: Array) -> dict[str, Any]:
+def as_document(estimate: Estimate, workspace: Array) -> dict[str, Any]:
     """All numbers of an estimate; what the data do not determine is null.
 
     `workspace` (m, all joints): the poses over which reference and identified model are compared.
@@ -37,7 +35,7 @@ def estimate_document(estimate: "Estimate", workspace: Array) -> dict[str, Any]:
     }
 
 
-def _axis(estimate: "Estimate", axis: "AxisEstimate", workspace: Array) -> dict[str, Any]:
+def _axis(estimate: Estimate, axis: AxisEstimate, workspace: Array) -> dict[str, Any]:
     measured = np.array([sweep.value for sweep in axis.sweeps])
     reference = np.array([sweep.reference for sweep in axis.sweeps])
     identified = estimate.model_at_sweeps(axis.joint)
@@ -75,7 +73,7 @@ def _terms(terms: dict[str, tuple[float, float]]) -> dict[str, dict[str, float]]
     return {name: {"value": value, "std": std} for name, (value, std) in terms.items()}
 
 
-def _train(axis: "AxisEstimate") -> dict[str, Any] | None:
+def _train(axis: AxisEstimate) -> dict[str, Any] | None:
     if axis.fit is None:
         return None
     names = ("motor_inertia", "motor_friction", "load_friction", "compliance", "damping_time")
@@ -86,7 +84,7 @@ def _train(axis: "AxisEstimate") -> dict[str, Any] | None:
     }
 
 
-def _standard(estimate: "Estimate") -> dict[str, Any]:
+def _standard(estimate: Estimate) -> dict[str, Any]:
     """Link parameters nearest to the nominal model, in units of its prior, that reproduce the base parameters.
 
     x = x0 + S K' (K S K')^-1 (beta - K x0) with S the prior covariance. Not yet constrained to be physical.

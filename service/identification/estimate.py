@@ -12,7 +12,6 @@ A torque constant that is wrong by 5 % scales every J by 5 % and no sweep shows 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +20,6 @@ from scipy.stats import qmc
 from service.errors import BadInput
 from service.identification.axis_inertia import paper_inertia
 from service.identification.base_parameters import BaseParameters, base_parameters, condition_number
-from service.identification.document import estimate_document
 from service.identification.frequency_response import Spectrum
 from service.identification.joint_fit import JointFit, PosePrior, SharedPrior, fit_axis
 from service.identification.least_squares import Information, Solution
@@ -87,10 +85,6 @@ class Estimate:
             qmc.Halton(len(lower), scramble=False).random(WORKSPACE), lower, upper
         )
         return poses
-
-    def to_document(self, workspace: Array | None = None) -> dict[str, Any]:
-        """As JSON-able data; reference and identified model are compared over `workspace` (m, all joints)."""
-        return estimate_document(self, self.workspace if workspace is None else workspace)
 
     def identified(self, joint: str, poses: Array) -> Array:
         """Identified inertia (m,) of an axis at poses (m, all joints), kg m^2 (kg)."""

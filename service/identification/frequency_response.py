@@ -46,7 +46,6 @@ class Spectrum:
     line: NDArray[np.bool_]  # (b,) excited
     effort: Complex  # (b,)
     velocity: Complex  # (b,)
-    load_velocity: Complex | None  # (b,) direct encoder
     names: tuple[str, ...]
     regressors: Complex  # (r, b)
 
@@ -63,7 +62,6 @@ class Spectrum:
             "line": self.line.tolist(),
             "effort": _pairs(self.effort),
             "velocity": _pairs(self.velocity),
-            "load_velocity": None if self.load_velocity is None else _pairs(self.load_velocity),
             "names": list(self.names),
             "regressors": [_pairs(row) for row in self.regressors],
         }
@@ -71,7 +69,6 @@ class Spectrum:
     @classmethod
     def from_document(cls, document: dict[str, Any]) -> "Spectrum":
         """The inverse of `to_document`."""
-        load = document["load_velocity"]
         bins = len(document["frequency"])
         return cls(
             spec=SweepSpec.model_validate(document["spec"]),
@@ -80,7 +77,6 @@ class Spectrum:
             line=np.array(document["line"], dtype=bool),
             effort=_complex(document["effort"]),
             velocity=_complex(document["velocity"]),
-            load_velocity=None if load is None else _complex(load),
             names=tuple(document["names"]),
             regressors=np.array([_complex(row) for row in document["regressors"]]).reshape(-1, bins),
         )
@@ -107,7 +103,6 @@ def _periodic(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> S
         line=line,
         effort=kernel @ record.effort[part],
         velocity=kernel @ record.velocity[part],
-        load_velocity=_load_velocity(record, part, frequency, kernel),
         names=names,
         regressors=signals @ kernel.T,
     )
@@ -137,7 +132,6 @@ def _free(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> Spect
         line=np.zeros(len(frequency), dtype=bool),
         effort=kernel @ record.effort[part],
         velocity=velocity,
-        load_velocity=None,
         names=("acceleration", "offset", *names),
         regressors=np.vstack([acceleration, offset, signals @ kernel.T]),
     )
@@ -204,13 +198,6 @@ def _signals(
 
 def _ripple_orders(axis: Axis) -> tuple[float, ...]:
     return tuple(sorted({*axis.cogging_orders, *axis.transmission_orders}))
-
-
-def _load_velocity(record: Recording, part: slice, frequency: Array, kernel: Complex) -> Complex | None:
-    """From the direct encoder: its velocity, or its position differentiated exactly in the frequency domain."""
-    if record.load_velocity is not None:
-        return kernel @ record.load_velocity[part]
-    return None
 
 
 def _pairs(values: Complex) -> list[list[float]]:

@@ -2,13 +2,14 @@ r"""All sweeps of one axis fitted at once: the drive train is shared, the load i
 
 Bin by bin (see `frequency_response` and `axis_inertia` for the symbols), for sweep p,
 
-    DFT[effort] = Z Omega + F (G0 R0 + k_g R1 + t0 + s t1) + sum ripple + noise
+    DFT[effort] = Z Omega + F (G0 R0 + k_g R1 + t0 + s t1) + sum of ripple and dry friction + noise
     R0 = DFT[cos d],   R1 = DFT[sin d] - Omega / s
 
 G0 and k_g are gravity's torque and stiffness at the start pose; Z already carries the linear, periodic part of k_g, R1
 what is left of it (the way along the offset leaks onto every line). t0, t1 are the swing-out of the load: over a window
 that does not start at rest a rational system leaves a polynomial over the same denominator (Pintelon and Schoukens
-2012, sec. 6.3). Shared: Jm, mu_m, mu_l, c, h. Own to each sweep: J_l, k_g, G0, t0, t1, ripple.
+2012, sec. 6.3). Shared: Jm, mu_m, mu_l, c, h. Own to each sweep: J_l, k_g, G0, t0, t1, and one factor
+for each ripple and for the sign of a velocity that reverses.
 
 Gauss-Newton with Levenberg's damping on the real and imaginary parts, every prior of the data sheet a row more. The own
 parameters are eliminated sweep by sweep (Schur complement), so the cost grows linearly with the number of sweeps. The
@@ -27,7 +28,8 @@ from service.identification.frequency_response import Complex, Spectrum
 Array = NDArray[np.float64]
 
 SHARED = 5  # parameters of DriveTrain
-OWN = 5  # J_l, k_g, G0, t0, t1; ripple follows
+OWN = 5  # J_l, k_g, G0, t0, t1; the factors of the direct terms follow
+FREE = 10.0  # times the largest effort bin: one sigma of what nothing is known of
 ITERATIONS = 60
 ROUNDS = 4  # of fitting and estimating the noise
 STARTS = (np.inf, 25.0, 16.0, 11.0, 8.0, 6.0)  # Hz, locked-rotor frequencies tried as start
@@ -54,24 +56,25 @@ class PosePrior:
 class JointFit:
     """Result for n sweeps of one axis, in the order given.
 
-    `inertia` (n,) = Jm + J_l, `covariance` (n, n) of it; `viscous` (n,) the total viscous friction; `noise` (n,) the
-    standard deviation of real and imaginary part of an effort bin; `reduced_chi_squared` after the noise was pooled.
+    `inertia` (n,) = Jm + J_l, `covariance` (n, n) of it; `gravity` (n, 2) the fitted k_g and G0; `noise` (n,) the
+    standard deviation of real and imaginary part of an effort bin; `chi_squared` (n,) each sweep's share of it, per
+    degree of freedom, with the noise pooled.
     """
 
     train: DriveTrain
     train_std: Array
     load_inertia: Array
-    gravity: Array  # (n, 2): k_g, G0
+    gravity: Array
     inertia: Array
     covariance: Array
     noise: Array
-    chi_squared: Array  # (n,) each sweep's share, per degree of freedom
+    chi_squared: Array
 
 
 @dataclass(frozen=True)
 class _Point:
     shared: Array  # (5,)
-    own: tuple[Array, ...]  # n of (OWN + ripple,)
+    own: tuple[Array, ...]  # n of (OWN + direct terms,)
 
 
 @dataclass(frozen=True)
@@ -90,9 +93,9 @@ def fit_axis(
 ) -> JointFit:
     """Fit all periodic sweeps of one axis; `noise_guess` is the effort noise of one sample, N m (N)."""
     noise = np.array([noise_guess / np.sqrt(2 * spectrum.samples) for spectrum in spectra])
-    priors = _Priors(shared_prior, tuple(pose_priors))
+    priors = _Priors(shared_prior, tuple(map(_complete, spectra, pose_priors)))
     point = min(
-        (_minimise(spectra, priors, noise, _start(spectra, priors, frequency), 8) for frequency in STARTS),
+        (_minimise(spectra, priors, noise, _start(priors, frequency), 8) for frequency in STARTS),
         key=lambda candidate: _cost(spectra, priors, noise, candidate),
     )
     chi_squared = np.ones(len(spectra))
@@ -105,30 +108,39 @@ def fit_axis(
 @dataclass(frozen=True)
 class _Priors:
     shared: SharedPrior
-    poses: tuple[PosePrior, ...]
+    poses: tuple[PosePrior, ...]  # of all own parameters
 
 
-def _start(spectra: Sequence[Spectrum], priors: _Priors, locked_rotor: float) -> _Point:
+def _complete(spectrum: Spectrum, prior: PosePrior) -> PosePrior:
+    """The prior with a wide one for the own parameters that no model knows: it only matters where bins are few."""
+    wide = FREE * float(np.abs(spectrum.effort).max())
+    slope = wide / (2 * np.pi * float(spectrum.frequency[-1]))
+    unknown = np.array([wide, slope, *(wide for _ in _direct(spectrum))])
+    return PosePrior(np.concatenate([prior.mean, np.zeros_like(unknown)]), np.concatenate([prior.sigma, unknown]))
+
+
+def _direct(spectrum: Spectrum) -> Complex:
+    """Regressors of what acts on the motor itself, (r, b)."""
+    return np.concatenate([spectrum.named("ripple"), spectrum.named("coulomb")])
+
+
+def _start(priors: _Priors, locked_rotor: float) -> _Point:
     shared = priors.shared.mean.copy()
     typical = float(np.median([prior.mean[0] for prior in priors.poses]))
     shared[3] = 0.0 if np.isinf(locked_rotor) else 1 / (typical * (2 * np.pi * locked_rotor) ** 2)
-    own = tuple(
-        np.concatenate([prior.mean, np.zeros(2 + len(spectrum.named("ripple")))])
-        for spectrum, prior in zip(spectra, priors.poses, strict=True)
-    )
-    return _Point(shared, own)
+    return _Point(shared, tuple(prior.mean for prior in priors.poses))
 
 
 def _residual(spectrum: Spectrum, shared: Array, own: Array) -> tuple[Complex, Complex, Complex]:
-    """Residual (b,) and its derivatives by the shared (b, 5) and own (b, OWN + ripple) parameters."""
+    """Residual (b,) and its derivatives by the shared (b, 5) and own (b, OWN + r) parameters."""
     motor_inertia, motor_friction, load_friction, compliance, damping_time = shared
     train = DriveTrain(motor_inertia, motor_friction, load_friction, compliance, damping_time)
     z = impedance(spectrum.frequency, train, own[0], own[1])
     s, velocity = z.s, spectrum.velocity
     gravity_torque, gravity_rest = _gravity(spectrum, s)
     on_load = own[2] * gravity_torque + own[1] * gravity_rest + own[3] + s * own[4]
-    ripple = spectrum.named("ripple")
-    model = z.total * velocity + z.through * on_load + own[OWN:] @ ripple
+    direct = _direct(spectrum)
+    model = z.total * velocity + z.through * on_load + own[OWN:] @ direct
     by_load = z.by_load(velocity, on_load)
     by_spring = z.by_spring(velocity, on_load)
     damped = 1 + s * damping_time
@@ -142,7 +154,7 @@ def _residual(spectrum: Spectrum, shared: Array, own: Array) -> tuple[Complex, C
             z.through * gravity_torque,
             z.through,
             s * z.through,
-            *ripple,
+            *direct,
         ],
         -1,
     )
@@ -159,10 +171,8 @@ def _gravity(spectrum: Spectrum, s: Complex) -> tuple[Complex, Complex]:
 def _normal(spectrum: Spectrum, prior: PosePrior, noise: float, shared: Array, own: Array) -> _Normal:
     residual, by_shared, by_own = _residual(spectrum, shared, own)
     r, a, b = (_real(part) / noise for part in (residual, by_shared, by_own))
-    weight = np.zeros(len(own))
-    weight[:3] = 1 / prior.sigma**2
-    pull = np.zeros(len(own))
-    pull[:3] = weight[:3] * (prior.mean - own[:3])
+    weight = 1 / prior.sigma**2
+    pull = weight * (prior.mean - own)
     return _Normal(b.T @ b + np.diag(weight), b.T @ a, a.T @ a, b.T @ r + pull, a.T @ r)
 
 
@@ -171,7 +181,7 @@ def _cost(spectra: Sequence[Spectrum], priors: _Priors, noise: Array, point: _Po
     for spectrum, prior, sigma, own in zip(spectra, priors.poses, noise, point.own, strict=True):
         residual = _residual(spectrum, point.shared, own)[0]
         total += float(np.sum(np.abs(residual) ** 2)) / sigma**2
-        total += float(np.sum(((own[:3] - prior.mean) / prior.sigma) ** 2))
+        total += float(np.sum(((own - prior.mean) / prior.sigma) ** 2))
     return total
 
 
