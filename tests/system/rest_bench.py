@@ -34,12 +34,16 @@ class VirtualMachine:
         self.profile = folder / "profile.yaml"
         self.profile.write_text(yaml.safe_dump(content), "utf-8")
 
+    def order(self, order: str, **details: object) -> Json:
+        """What the control port answers to an order."""
+        with socket.create_connection(("127.0.0.1", self._control_port), timeout=10) as client:
+            client.sendall(json.dumps({"order": order, **details}).encode() + b"\n")
+            with client.makefile() as lines:
+                return json.loads(lines.readline())
+
     def axes(self) -> dict[str, dict[str, Any]]:
         """How the axes really are, whatever the service believes."""
-        with socket.create_connection(("127.0.0.1", self._control_port), timeout=10) as client:
-            client.sendall(b'{"order": "status"}\n')
-            with client.makefile() as lines:
-                return json.loads(lines.readline())["axes"]
+        return self.order("status")["axes"]
 
     def stands(self) -> bool:
         """No axis has energy, none moves."""

@@ -28,10 +28,11 @@ function complain(error) {
 
 function row(cells) {
   const tr = document.createElement("tr");
-  for (const [text, kind] of cells) {
+  for (const [text, kind, control] of cells) {
     const td = document.createElement("td");
     td.textContent = text;
     if (kind) td.className = kind;
+    if (control) td.append(" ", control);
     tr.append(td);
   }
   return tr;
@@ -67,18 +68,40 @@ async function showMachine() {
     if (stop.latched) byId("held-by").textContent = `Stopped by ${stop.stop.by}: ${stop.stop.why}`;
     state.textContent = stop.latched ? "stopped" : drives.connected ? "machine connected" : `no machine: ${drives.trouble}`;
     state.className = `state ${stop.latched || !drives.connected ? "bad" : "good"}`;
+    byId("connect").hidden = drives.connected;
     byId("axes").replaceChildren(...drives.axes.map((axis) => row([
       [axis.joint],
       [axis.state],
       [fixed(axis.position, 4), "number"],
       [fixed(axis.velocity, 4), "number"],
       [fixed(axis.effort, 1), "number"],
-      [axis.fault ? `${axis.fault.code.toString(16)}h ${axis.fault.text}` : "", "fault"],
+      ...faultCells(axis),
     ])));
   } catch (error) {
     state.textContent = error instanceof Refused ? error.message : "no word from the service";
     state.className = "state bad";
   }
+}
+
+function faultCells(axis) {
+  if (!axis.fault) return [["", "fault"]];
+  const button = document.createElement("button");
+  button.type = "button";
+  button.dataset.acknowledge = axis.joint;
+  button.textContent = "I looked: acknowledge";
+  return [[`${axis.fault.code.toString(16)}h ${axis.fault.text}`, "fault", button]];
+}
+
+async function acknowledge(click) {
+  const joint = click.target.dataset.acknowledge;
+  if (!joint) return;
+  await command(() => call("POST", `/drives/${joint}/acknowledge`));
+  await showMachine();
+}
+
+async function connect() {
+  await command(() => call("POST", "/drives/connect"));
+  await showMachine();
 }
 
 async function stop() {
@@ -230,6 +253,8 @@ async function refresh() {
 
 byId("stop").addEventListener("click", stop);
 byId("held").addEventListener("submit", release);
+byId("axes").addEventListener("click", acknowledge);
+byId("connect").addEventListener("click", connect);
 byId("campaigns").addEventListener("change", () => showCampaign().catch(complain));
 for (const button of document.querySelectorAll("[data-command]")) {
   const name = button.dataset.command;

@@ -1,0 +1,71 @@
+"""The operator's page in a real browser, on a real service with the virtual machine behind it."""
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect, sync_playwright
+
+from service.client import ServiceClient
+from tests.system.rest_bench import Service, VirtualMachine, add_plan, serving, until, virtual_machine
+
+PATIENCE = 30_000  # ms
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+QUIET = ("--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run", "--disable-sync")
+
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None and "CI" not in os.environ, reason="no Chromium on this computer; CI has one"
+)
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Iterator[VirtualMachine]:
+    with virtual_machine(tmp_path, speed_factor=2.0) as machine:
+        yield machine
+
+
+@pytest.fixture
+def service(tmp_path: Path, machine: VirtualMachine) -> Iterator[Service]:
+    with serving(tmp_path, machine.profile) as service:
+        yield service
+
+
+@pytest.fixture
+def page(service: Service) -> Iterator[Page]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET)
+        page = browser.new_page()
+        page.set_default_timeout(PATIENCE)
+        errors: list[str] = []
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(service.url, wait_until="commit")
+        yield page
+        browser.close()
+        assert errors == []
+
+
+def test_stop_and_release(machine: VirtualMachine, service: Service, page: Page) -> None:
+    with ServiceClient(service.url) as client:
+        campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=2))["id"])
+        page.get_by_role("button", name="Start").click()
+        until(lambda: not machine.stands(), "an axis with energy")
+        page.get_by_role("button", name="STOP").click()
+        expect(page.locator("#held-by")).to_contain_text("Stopped by operator page: stop button", timeout=PATIENCE)
+        until(machine.stands, "standing axes")
+        expect(page.locator("#campaign-state")).to_have_text("paused", timeout=PATIENCE)
+        page.get_by_label("Your name").fill("Ada")
+        page.get_by_role("button", name="I looked at the machine: release").click()
+        expect(page.locator("#held")).to_be_hidden(timeout=PATIENCE)
+        assert machine.stands()
+        assert client.campaign(campaign)["state"] == "paused"
+
+
+def test_a_fault_is_shown_and_acknowledged_by_a_person(machine: VirtualMachine, page: Page) -> None:
+    expect(page.locator("#machine")).to_have_text("machine connected", timeout=PATIENCE)
+    assert machine.order("fault", joint="joint_2", code=0x2310)["ok"]
+    expect(page.locator("#axes")).to_contain_text("2310h", timeout=PATIENCE)
+    page.get_by_role("button", name="I looked: acknowledge").click()
+    expect(page.locator("#axes")).not_to_contain_text("2310h", timeout=PATIENCE)
+    assert machine.stands()
