@@ -45,6 +45,11 @@ class SweepSpec(BaseModel):
         """True when a window of whole periods with known lines was measured."""
         return bool(self.sines) and self.period is not None and self.periods is not None
 
+    @property
+    def shows_inertia(self) -> bool:
+        """True for sines and trajectories; noise and standstill serve other ends and take no part in J."""
+        return self.excitation in ("multisine", "trajectory")
+
 
 @dataclass(frozen=True, slots=True)
 class Recording:

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from service.errors import BadInput
 from service.urdf import Chain, read_chain
@@ -35,6 +35,20 @@ class Axis(BaseModel):
     viscous_friction: float | None = Field(default=None, ge=0)  # N m s/rad (N s/m)
     cogging_orders: tuple[float, ...] = ()  # periods per motor revolution
     transmission_orders: tuple[float, ...] = ()
+
+    @field_validator("gear_ratio")
+    @classmethod
+    def _turns_the_motor(cls, ratio: float) -> float:
+        if ratio == 0:
+            raise ValueError("must not be 0: the motor would stand still")
+        return ratio
+
+    @field_validator("cogging_orders", "transmission_orders")
+    @classmethod
+    def _positive(cls, orders: tuple[float, ...]) -> tuple[float, ...]:
+        if any(order <= 0 for order in orders):
+            raise ValueError("orders must be greater than 0")
+        return orders
 
     @property
     def reflected_motor_inertia(self) -> float | None:

@@ -37,8 +37,8 @@ class DriveTrain:
         )
 
     def locked_rotor_frequency(self, load_inertia: float) -> float:
-        """1/(2 pi) sqrt(k / J_l), Hz; inf for a stiff train."""
-        if self.compliance <= 0:
+        """1/(2 pi) sqrt(k / J_l), Hz; inf for a stiff train, or where noise made the load vanish."""
+        if self.compliance <= 0 or load_inertia <= 0:
             return float("inf")
         return float(1 / np.sqrt(self.compliance * load_inertia) / (2 * np.pi))
 

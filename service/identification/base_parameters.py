@@ -43,11 +43,19 @@ class BaseParameters:
 def base_parameters(chain: Chain, axes: tuple[int, ...], seed: int = 0) -> BaseParameters:
     """The base parameters that the inertias about `axes` hold, over the chain's whole joint range."""
     rng = np.random.default_rng(seed)
-    lower = np.array([max(joint.lower, -np.pi) for joint in chain.joints])
-    upper = np.array([min(joint.upper, np.pi) for joint in chain.joints])
+    lower, upper = joint_ranges(chain)
     poses = rng.uniform(lower, upper, (SAMPLES, len(lower)))
     rows = np.vstack([axis_rows(chain, axis, poses) for axis in axes])
     return reduce_columns(rows, parameter_names(chain))
+
+
+def joint_ranges(chain: Chain) -> tuple[Array, Array]:
+    """Lower and upper ends (n,) of where the joints can be, rad (m); joints that turn further than once: one turn."""
+    ends = np.array([(joint.lower, joint.upper) for joint in chain.joints])
+    once = np.array([(-np.pi, np.pi) for _ in chain.joints])
+    turns = [joint.kind == "revolute" and joint.upper - joint.lower > 2 * np.pi for joint in chain.joints]
+    lower, upper = np.where(np.array(turns)[:, None], once, ends).T
+    return lower, upper
 
 
 def reduce_columns(rows: Array, names: tuple[str, ...]) -> BaseParameters:

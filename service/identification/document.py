@@ -95,8 +95,7 @@ def _standard(estimate: Estimate) -> dict[str, Any]:
     length = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(-1, keepdims=True), 0) / 2 / mass) + 1e-3
     size = np.hstack([mass, np.repeat(mass * length, 3, 1), np.repeat(mass * length**2, 6, 1)]).ravel()
     prior = estimate.robot.prior
-    motors = estimate.nominal[10 * count :]
-    spread = np.concatenate([prior.inertia * size, prior.motor_inertia * np.maximum(motors, 1e-9)]) ** 2
+    spread = np.concatenate([prior.inertia * size, _motor_spread(estimate)]) ** 2
     combination = estimate.base.combination
     missing = estimate.solution.values - combination @ estimate.nominal
     weighted = combination * spread
@@ -112,6 +111,16 @@ def _standard(estimate: Estimate) -> dict[str, Any]:
         },
         "motor_inertias": dict(zip(names[10 * count :], values[10 * count :].tolist(), strict=True)),
     }
+
+
+def _motor_spread(estimate: Estimate) -> Array:
+    """One sigma (n,) of the reflected motor inertias; one the data sheet leaves out may be all that was measured."""
+    measured = {axis.joint: float(np.median([sweep.value for sweep in axis.sweeps])) for axis in estimate.axes}
+    motors = [estimate.robot.axes[number] for number in estimate.unlocked]
+    known = [estimate.robot.prior.motor_inertia * (axis.reflected_motor_inertia or 0.0) for axis in motors]
+    return np.array(
+        [sigma or abs(measured.get(axis.joint, 0.0)) or 1e-9 for sigma, axis in zip(known, motors, strict=True)]
+    )
 
 
 def _finite(value: float) -> float | None:

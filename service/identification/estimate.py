@@ -19,7 +19,7 @@ from scipy.stats import qmc
 
 from service.errors import BadInput
 from service.identification.axis_inertia import paper_inertia
-from service.identification.base_parameters import BaseParameters, base_parameters, condition_number
+from service.identification.base_parameters import BaseParameters, base_parameters, condition_number, joint_ranges
 from service.identification.frequency_response import Spectrum
 from service.identification.joint_fit import JointFit, PosePrior, SharedPrior, fit_axis
 from service.identification.least_squares import Information, Solution
@@ -78,8 +78,7 @@ class Estimate:
     @cached_property
     def workspace(self) -> Array:
         """Quasi-random poses (m, all joints) over the limits of the unlocked joints; the locked ones stay locked."""
-        lower = np.array([max(joint.lower, -np.pi) for joint in self.chain.joints])
-        upper = np.array([min(joint.upper, np.pi) for joint in self.chain.joints])
+        lower, upper = joint_ranges(self.chain)
         poses = np.tile(self.poses.mean(axis=0), (WORKSPACE, 1))
         poses[:, list(self.unlocked)] = qmc.scale(
             qmc.Halton(len(lower), scramble=False).random(WORKSPACE), lower, upper
@@ -111,10 +110,10 @@ class Estimate:
 
 
 def identify(robot: Robot, spectra: Sequence[Spectrum]) -> Estimate:
-    """The estimate from these spectra; BadInput when there are none."""
+    """The estimate from these spectra; BadInput when none of them shows inertia (noise and standstill do not)."""
+    spectra = sorted((s for s in spectra if s.spec.shows_inertia), key=lambda spectrum: spectrum.spec.id)
     if not spectra:
         raise BadInput("estimate", "there is no sweep to identify from")
-    spectra = sorted(spectra, key=lambda spectrum: spectrum.spec.id)
     poses = np.array([spectrum.spec.pose for spectrum in spectra])
     moved = {robot.index(spectrum.spec.axis) for spectrum in spectra}
     fixed = {
@@ -167,7 +166,7 @@ def _identify_axis(
     if periodic:
         fit = fit_axis(
             [spectra[k] for k in periodic],
-            _shared_prior(robot, number, reference),
+            _shared_prior(robot, number, _typical(robot, number, reference, [spectra[k] for k in periodic])),
             [_pose_prior(robot, number, reference[k], gravity[k]) for k in periodic],
             NOISE_GUESS * robot.axes[number].rated_effort,
         )
@@ -237,20 +236,29 @@ def _lines(spectrum: Spectrum, noise: float) -> tuple[tuple[float, complex, floa
     )
 
 
-def _shared_prior(robot: Robot, number: int, reference: Array) -> SharedPrior:
-    """The data sheet's drive train. What it does not know gets a spread wide enough not to matter."""
-    axis, prior, typical = robot.axes[number], robot.prior, float(np.median(reference))
+def _typical(robot: Robot, number: int, reference: Array, spectra: list[Spectrum]) -> float:
+    """The size of an axis' inertia: the model's; as measured if the rotor, which may outweigh all links, is unknown."""
+    if robot.axes[number].reflected_motor_inertia:
+        return float(np.median(reference))
+    first = [int(np.argmax(spectrum.line)) for spectrum in spectra]
+    response = [abs((s.effort[k] / s.velocity[k]).imag) / s.frequency[k] for s, k in zip(spectra, first, strict=True)]
+    return float(np.median(response)) / (2 * np.pi)
+
+
+def _shared_prior(robot: Robot, number: int, typical: float) -> SharedPrior:
+    """The data sheet's drive train. What it does not know (null, or zero) gets a spread wide enough not to matter."""
+    axis, prior = robot.axes[number], robot.prior
     motor = axis.reflected_motor_inertia
-    motor_mean, motor_sigma = (0.3 * typical, 0.3 * typical) if motor is None else (motor, prior.motor_inertia * motor)
+    motor_mean, motor_sigma = (motor, prior.motor_inertia * motor) if motor else (0.5 * typical, 0.5 * typical)
     friction = axis.viscous_friction
     # a corner frequency of 1 Hz where nothing is known; half of it on either side of the spring
-    total, spread = (2 * np.pi * typical, 1.0) if friction is None else (friction, prior.viscous_friction)
+    total, spread = (friction, prior.viscous_friction) if friction else (2 * np.pi * typical, 1.0)
     half = total / 2
     half_sigma = max(2 * spread, 1.0) * half
     softest = 1 / (typical * (2 * np.pi * 3.0) ** 2)  # locked rotor at 3 Hz
     return SharedPrior(
         mean=np.array([motor_mean, half, half, 0.0, 1e-3]),
-        sigma=np.array([max(motor_sigma, 1e-9), half_sigma, half_sigma, softest, 2e-3]),
+        sigma=np.array([motor_sigma, half_sigma, half_sigma, softest, 2e-3]),
     )
 
 

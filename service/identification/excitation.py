@@ -7,7 +7,7 @@ Three rules fix it (FRF measurement practice: Pintelon and Schoukens, System Ide
 Cogging. Torque ripple of order o (per motor revolution) appears at o u v0 / 2 pi Hz, and because the sines modulate the
 motor angle also at whole-Hz distances from it. With a window of P whole seconds and  g u v0 P / 2 pi = n, g the common
 divisor of the orders, every ripple line falls on (o/g) n / P Hz: orthogonal to the whole-Hz sines as long as no
-(o/g) n is a multiple of the prime P.
+(o/g) n is a multiple of the prime P. Orders that are not whole count as the nearest whole one.
 
 No reversal. Friction is a constant only while nothing reverses, so  sum a_i max(1, |T_i|) < v0, where
 T = 1 / (1 - (f/f_lr)^2) is how much more the load moves than the motor below the locked-rotor frequency f_lr.
@@ -36,7 +36,7 @@ WINDOWS = (3, 5, 7)  # whole periods of 1 s; prime by the cogging rule
 RAMP = 0.5  # s
 SETTLE = 0.5  # s
 LOAD_MARGIN = 0.8  # of the offset that the sines may use on motor and load
-LINE_MARGIN = 0.75  # of the locked-rotor frequency: no line above
+LINE_MARGIN = 0.75  # of the locked-rotor frequency: no line above, but for the lowest
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +85,10 @@ def design_sweep(
     alone, N m (N): what gravity and friction leave over.
     """
     axis = robot.axis(joint)
+    if not effort_limit > 0:
+        raise BadInput(joint, f"effort limit {effort_limit:.4g} leaves nothing for the sines")
+    if locked_rotor_frequency is not None and not locked_rotor_frequency > LINES[0]:
+        raise BadInput(joint, f"locked rotor at {locked_rotor_frequency:.4g} Hz is not above {LINES[0]:.4g} Hz")
     highest = np.inf if locked_rotor_frequency is None else LINE_MARGIN * locked_rotor_frequency
     lines = np.array([line for line in LINES if line <= highest] or LINES[:1])
     gain = np.ones_like(lines)
@@ -92,7 +96,7 @@ def design_sweep(
         gain = np.maximum(1.0, 1.0 / np.abs(1.0 - (lines / locked_rotor_frequency) ** 2))
     share = LOAD_MARGIN / len(lines) / gain  # amplitude of each line as a part of the offset
 
-    orders = tuple(round(order) for order in axis.cogging_orders)
+    orders = tuple(max(1, round(order)) for order in axis.cogging_orders)
     speed_limit = velocity_limit / (1.0 + float(share.sum()))
     periods, offset = max(
         ((periods, _offset(periods, travel, speed_limit, abs(axis.gear_ratio), orders)) for periods in WINDOWS),
@@ -104,7 +108,7 @@ def design_sweep(
         )
     inertia = load_inertia * gain + (axis.reflected_motor_inertia or 0.0)
     effort = float(np.sum(2 * np.pi * lines * inertia * share)) * offset
-    amplitudes = share * offset * min(1.0, effort_limit / effort)
+    amplitudes = share * offset * min(1.0, effort_limit / effort if effort > 0 else 1.0)
     phases = -np.pi * np.arange(len(lines)) * (np.arange(len(lines)) + 1) / len(lines)
     sines = tuple(
         Sine(frequency=float(f), amplitude=float(a), phase=float(p % (2 * np.pi)))

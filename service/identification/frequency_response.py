@@ -11,7 +11,8 @@ to hold bin by bin. X = 1/N sum_n x_n exp(-2 pi i f n / rate): a sine of amplitu
 standard deviation s gives real and imaginary parts of variance s^2 / (2 N).
 
 Records without lines (a plain trajectory) use the trapezoidal rule, which approximates the integral over the record to
-second order also when its ends differ, and keep the bins from 0 Hz to `FREE_BAND`.
+second order also when its ends differ, and keep the bins from 0 Hz to `FREE_BAND`. At those bins the first and the last
+sample turn alike, so it is the DFT of all but the last sample with their mean in the first's place.
 """
 
 from dataclasses import dataclass
@@ -25,6 +26,7 @@ from service.recording import Array, Recording, Sweep, SweepSpec
 from service.robot import Axis, Robot
 
 Complex = NDArray[np.complex128]
+Bins = NDArray[np.int_]
 
 LOW = 1.0  # Hz: below, load- and position-dependent friction takes over
 MARGIN = 3.0  # Hz above the last line
@@ -91,20 +93,18 @@ def spectrum(robot: Robot, sweep: Sweep) -> Spectrum:
 
 def _periodic(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> Spectrum:
     first, count = window(spec, record.time)
-    time = np.arange(count) / spec.sample_rate
-    frequency, line = _bins(spec, count)
-    kernel = _rotation(frequency, time) / count
+    bins, line = _bins(spec, count)
     part = slice(first, first + count)
     names, signals = _signals(robot, index, spec, record, part)
     return Spectrum(
         spec=spec,
         samples=count,
-        frequency=frequency,
+        frequency=np.asarray(bins * (spec.sample_rate / count), dtype=float),
         line=line,
-        effort=kernel @ record.effort[part],
-        velocity=kernel @ record.velocity[part],
+        effort=_dft(record.effort[part], bins),
+        velocity=_dft(record.velocity[part], bins),
         names=names,
-        regressors=signals @ kernel.T,
+        regressors=_dft(signals, bins),
     )
 
 
@@ -114,26 +114,24 @@ def _free(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> Spect
     if len(time) < 8:
         raise BadInput(f"sweep {spec.id}", f"only {len(time)} samples after measure_from {spec.measure_from} s")
     length = float(time[-1])
-    frequency = np.arange(int(min(FREE_BAND, 0.4 * spec.sample_rate) * length) + 1) / length
-    weight = np.full(len(time), 1.0 / (len(time) - 1))
-    weight[[0, -1]] /= 2
-    kernel = _rotation(frequency, time) * weight
+    bins = np.arange(int(min(FREE_BAND, 0.4 * spec.sample_rate) * length) + 1)
+    frequency = bins / length
     part = slice(first, None)
     names, signals = _signals(robot, index, spec, record, part)
     speed = record.velocity[part]
-    velocity = kernel @ speed
+    velocity = _trapezoidal_dft(speed, bins)
     # by parts: DFT[dv/dt] = [v e^(-iwt)]/T + iw DFT[v]; at the bins e^(-iwT) = 1. No differentiation, no noise gain
     acceleration = 2j * np.pi * frequency * velocity + (speed[-1] - speed[0]) / length
-    offset = kernel @ np.ones(len(time))
+    offset = (bins == 0).astype(complex)
     return Spectrum(
         spec=spec,
         samples=len(time),
         frequency=frequency,
         line=np.zeros(len(frequency), dtype=bool),
-        effort=kernel @ record.effort[part],
+        effort=_trapezoidal_dft(record.effort[part], bins),
         velocity=velocity,
         names=("acceleration", "offset", *names),
-        regressors=np.vstack([acceleration, offset, signals @ kernel.T]),
+        regressors=np.vstack([acceleration, offset, _trapezoidal_dft(signals, bins)]),
     )
 
 
@@ -157,12 +155,21 @@ def window(spec: SweepSpec, time: Array) -> tuple[int, int]:
     return first, count
 
 
-def _rotation(frequency: Array, time: Array) -> Complex:
-    return np.exp(np.multiply.outer(-2j * np.pi * frequency, time)).astype(np.complex128)
+def _dft(signals: Array, bins: Bins) -> Complex:
+    """X at some bins (..., b) of signals (..., n) over a whole window."""
+    transform: Complex = np.fft.rfft(signals)
+    return transform[..., bins] / signals.shape[-1]
 
 
-def _bins(spec: SweepSpec, count: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Frequencies of the bins in use and which of them are excited; BadInput for a line between two bins."""
+def _trapezoidal_dft(signals: Array, bins: Bins) -> Complex:
+    """The same by the trapezoidal rule, over a record (..., n) whose ends both count."""
+    folded = signals[..., :-1].copy()
+    folded[..., 0] = (signals[..., 0] + signals[..., -1]) / 2
+    return _dft(folded, bins)
+
+
+def _bins(spec: SweepSpec, count: int) -> tuple[Bins, NDArray[np.bool_]]:
+    """Numbers of the bins in use and which of them are excited; BadInput for a line between two bins."""
     step = spec.sample_rate / count
     number = np.array([sine.frequency for sine in spec.sines]) / step
     if np.any(np.abs(number - np.round(number)) > 1e-6 * number):
@@ -172,7 +179,7 @@ def _bins(spec: SweepSpec, count: int) -> tuple[Array, NDArray[np.bool_]]:
     last = max(highest, min(highest + round(MARGIN / step), int(0.4 * count)))
     first = max(1, min(round(LOW / step), int(lines.min())))
     bins = np.arange(first, last + 1)
-    return np.asarray(bins * step, dtype=float), np.isin(bins, lines)
+    return bins, np.isin(bins, lines)
 
 
 def _signals(

@@ -33,6 +33,7 @@ FREE = 10.0  # times the largest effort bin: one sigma of what nothing is known 
 ITERATIONS = 60
 ROUNDS = 4  # of fitting and estimating the noise
 STARTS = (np.inf, 25.0, 16.0, 11.0, 8.0, 6.0)  # Hz, locked-rotor frequencies tried as start
+FEW = 4.0  # degrees of freedom left, below which residuals do not show the noise: the guess stands
 NOISE_FLOOR = 1e-7  # of the largest effort at a line: rounding, where a simulation has no noise
 
 
@@ -101,7 +102,7 @@ def fit_axis(
     chi_squared = np.ones(len(spectra))
     for _ in range(ROUNDS):
         point = _minimise(spectra, priors, noise, point, ITERATIONS)
-        noise, chi_squared = _pooled_noise(spectra, point)
+        noise, chi_squared = _pooled_noise(spectra, point, noise_guess)
     return _result(spectra, priors, noise, point, chi_squared)
 
 
@@ -223,7 +224,7 @@ def _step(normals: Sequence[_Normal], priors: _Priors, point: _Point, damping: f
     return _Point(point.shared + shared_step, own)
 
 
-def _pooled_noise(spectra: Sequence[Spectrum], point: _Point) -> tuple[Array, Array]:
+def _pooled_noise(spectra: Sequence[Spectrum], point: _Point, guess: float) -> tuple[Array, Array]:
     squares = np.array(
         [
             float(np.sum(np.abs(_residual(spectrum, point.shared, own)[0]) ** 2)) * spectrum.samples
@@ -241,7 +242,8 @@ def _pooled_noise(spectra: Sequence[Spectrum], point: _Point) -> tuple[Array, Ar
     variance = np.empty(len(spectra))
     for value in np.unique(rate):
         same = rate == value
-        variance[same] = squares[same].sum() / max(float(freedom[same].sum()), 1.0)
+        left = float(freedom[same].sum())
+        variance[same] = squares[same].sum() / left if left >= FEW else guess**2 / 2
     samples = np.array([spectrum.samples for spectrum in spectra])
     floor = np.array([NOISE_FLOOR * float(np.abs(spectrum.effort).max()) for spectrum in spectra])
     noise = np.maximum(np.sqrt(variance / samples), floor)

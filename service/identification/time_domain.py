@@ -12,9 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from service.errors import BadInput
 from service.identification.frequency_response import Spectrum
 
 Array = NDArray[np.float64]
+
+OPEN = 1e-7  # smallest singular value of the unit columns: below, two terms are the same but for rounding
 
 
 @dataclass(frozen=True)
@@ -28,7 +31,7 @@ class FreeFit:
 
 
 def fit_record(spectrum: Spectrum) -> FreeFit:
-    """Fit one free record; every term that its motion excites takes part."""
+    """Fit one free record; every term that its motion excites takes part. BadInput if that leaves J open."""
     columns = {"inertia": spectrum.named("acceleration")[0], "viscous_friction": spectrum.velocity}
     for name, term in (
         ("coulomb", "coulomb_friction"),
@@ -47,7 +50,12 @@ def fit_record(spectrum: Spectrum) -> FreeFit:
     rows = np.vstack([matrix.real * weight, matrix.imag * weight])
     values = np.concatenate([spectrum.effort.real, spectrum.effort.imag]) * np.concatenate([weight, weight])[:, 0]
     scale = np.linalg.norm(rows, axis=0)
-    scaled = rows / scale
+    scaled = rows / np.where(scale > 0, scale, 1.0)
+    if len(values) <= len(scale) or np.linalg.svd(scaled, compute_uv=False)[-1] < OPEN:
+        raise BadInput(
+            f"sweep {spectrum.spec.id}",
+            f"its motion of {spectrum.samples} samples does not tell inertia from {', '.join(list(columns)[1:])}",
+        )
     solution = np.asarray(np.linalg.lstsq(scaled, values, rcond=None)[0], dtype=float)
     residual: Array = values - scaled @ solution
     variance = float(residual @ residual) / (len(values) - len(solution))

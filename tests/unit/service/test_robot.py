@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from service.errors import BadInput
 from service.robot import Axis, Robot, RobotDescription, build_robot, link_frames, rotation_about
@@ -90,6 +91,14 @@ def robot() -> Robot:
 def test_the_motor_weighs_with_the_square_of_the_gear() -> None:
     assert robot().axis("j").reflected_motor_inertia == pytest.approx(20.0)
     assert Axis(joint="j", gear_ratio=1.0, rated_effort=1.0).reflected_motor_inertia is None
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("gear_ratio", 0.0), ("cogging_orders", (24, 0)), ("transmission_orders", (-1,))]
+)
+def test_what_would_divide_by_zero_is_refused(field: str, value: object) -> None:
+    with pytest.raises(ValidationError, match=field):
+        Axis.model_validate({"joint": "a", "gear_ratio": 10.0, "rated_effort": 1.0, field: value})
 
 
 def test_an_unknown_joint_is_refused_with_the_known_ones() -> None:

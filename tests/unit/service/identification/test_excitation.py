@@ -65,6 +65,26 @@ def test_limits_scale_the_sweep_or_refuse_it(robot: Robot) -> None:
         design_sweep(robot, "swing", POSE, load_inertia=300.0, travel=1e-4)
 
 
+@pytest.mark.parametrize("resonance", [0.5, 2.0])
+def test_a_resonance_below_the_lines_is_refused(robot: Robot, resonance: float) -> None:
+    with pytest.raises(BadInput, match="is not above 2 Hz"):
+        design_sweep(robot, "swing", POSE, load_inertia=300.0, locked_rotor_frequency=resonance)
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0])
+def test_without_effort_for_sines_there_is_no_sweep(robot: Robot, limit: float) -> None:
+    with pytest.raises(BadInput, match="leaves nothing for the sines"):
+        design_sweep(robot, "swing", POSE, load_inertia=300.0, effort_limit=limit)
+
+
+def test_an_order_below_one_half_is_no_division_by_zero() -> None:
+    axes = tuple(
+        Axis(joint=joint, gear_ratio=170.0, rated_effort=3000.0, cogging_orders=(0.4,)) for joint in ("swing", "lift")
+    )
+    robot = build_robot(RobotDescription(name="pair", urdf="robot.urdf", axes=axes), URDF)
+    assert design_sweep(robot, "swing", POSE, load_inertia=300.0).offset_velocity > 0
+
+
 def test_schroeder_phases_keep_the_crest_low(robot: Robot) -> None:
     sweep = design_sweep(robot, "swing", POSE, load_inertia=300.0)
     time = np.linspace(0, 1, 2000)
