@@ -85,7 +85,7 @@ async def _lifespan(app: FastAPI) -> AsyncGenerator[None, None]:
     async with AsyncExitStack() as stack:
         try:
             app.state.lab = await stack.enter_async_context(open_lab(app.state.settings))
-        except (SweepidError, DriveError) as error:
+        except (SweepidError, DriveError, OSError) as error:
             app.state.startup_error = error  # the server only logs it; `sweepid serve` tells the person
             raise
         yield

@@ -18,6 +18,8 @@ def read_yaml(path: Path, kind: type[Model]) -> Model:
         content: object = yaml.safe_load(read_text(path))
     except yaml.YAMLError as error:
         raise BadInput(str(path), f"not YAML: {' '.join(str(error).split())}") from None
+    except RecursionError:
+        raise BadInput(str(path), "not YAML of any use: nested too deeply") from None
     try:
         return kind.model_validate(content)
     except ValidationError as error:

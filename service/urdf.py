@@ -15,6 +15,8 @@ from service.errors import BadInput
 
 Array = NDArray[np.float64]
 
+MOST_LINKS = 200  # a serial robot has some ten; the chain is walked recursively
+
 
 @dataclass(frozen=True)
 class Joint:
@@ -47,7 +49,11 @@ def read_chain(text: str, place: str = "urdf") -> Chain:
     except ET.ParseError as error:
         raise BadInput(place, f"not XML: {error}") from None
     links = {element.get("name", ""): element for element in root.findall("link")}
+    if len(links) > MOST_LINKS:
+        raise BadInput(place, f"has {len(links)} links, limit {MOST_LINKS}")
     joints = root.findall("joint")
+    if len(joints) > MOST_LINKS:
+        raise BadInput(place, f"has {len(joints)} joints, limit {MOST_LINKS}")
     children: dict[str, list[ET.Element]] = {}
     for element in joints:
         children.setdefault(_ref(element, "parent", place), []).append(element)

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import math
 import signal
 import sys
 from pathlib import Path
@@ -24,8 +25,8 @@ def drive(
     bus: Annotated[str, typer.Option(help="socketcand (a server here) or a python-can interface.")] = "socketcand",
     channel: Annotated[str, typer.Option(help="Channel of the bus.")] = "can0",
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Port of the socketcand server; 0 = a free one.")] = 29536,
-    control_port: Annotated[int, typer.Option(help="Port for faults to order; 0 = a free one.")] = 0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the socketcand server; 0 = a free one.")] = 29536,
+    control_port: Annotated[int, typer.Option(min=0, max=65535, help="Port for faults to order; 0 = a free one.")] = 0,
     speed_factor: Annotated[
         float, typer.Option(min=0.01, help="Moves and measuring function against real time, as far as the CPU allows.")
     ] = 20.0,
@@ -72,6 +73,8 @@ def _machine(scenario: Path, seed: int, start_pose: str) -> Machine:
             pose = [float(value) for value in start_pose.split(",")]
         except ValueError:
             raise ScenarioError(f"--start-pose: {start_pose!r} is not a list of numbers") from None
+        if not all(math.isfinite(position) for position in pose):
+            raise ScenarioError(f"--start-pose: {start_pose!r} holds what is not finite")
         if len(pose) != len(machine.joints):
             raise ScenarioError(f"--start-pose: {len(pose)} positions for {len(machine.joints)} joints")
         for joint, position in zip(machine.joints, pose, strict=True):
@@ -80,5 +83,7 @@ def _machine(scenario: Path, seed: int, start_pose: str) -> Machine:
 
 
 def _readable(path: Path) -> Path:
+    if path.suffix != ".eds":
+        raise ScenarioError(f"--eds: {path} is not an .eds file")
     path.open().close()
     return path

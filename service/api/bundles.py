@@ -1,7 +1,9 @@
 """Bundles in and out, as a zip of the folder that BUNDLE format `sweepid-bundle/1` describes."""
 
 import asyncio
+import errno
 import io
+import lzma
 import shutil
 import tempfile
 import zipfile
@@ -9,15 +11,15 @@ import zlib
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path as FilePath
-from typing import Annotated, Any
+from typing import Any
 
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import APIRouter, Request, Response
 from fastapi.responses import FileResponse
 from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 
 from service.api.campaigns import CampaignView, view
-from service.api.dependencies import LabOf, set_etag
+from service.api.dependencies import Id, LabOf, set_etag
 from service.api.idempotent import IdempotentRoute
 from service.errors import BadInput
 
@@ -26,6 +28,8 @@ router = APIRouter(tags=["bundles"], route_class=IdempotentRoute)
 BUNDLES = "/bundles"
 _ZIP = "application/zip"
 _MAX_UNPACKED = 4 * 2**30  # bytes; a small zip can hold a very large file
+# a name too long, a file that is a folder as well; None: bad bzip2 data. Others, as a full disk, are our own trouble
+_BAD_MEMBER = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, None)
 _BODY: dict[str, Any] = {
     "requestBody": {"required": True, "content": {_ZIP: {"schema": {"type": "string", "format": "binary"}}}}
 }
@@ -51,7 +55,7 @@ async def import_bundle(request: Request, response: Response, lab: LabOf) -> Cam
     response_class=FileResponse,
     responses={200: {"content": {_ZIP: {"schema": {"type": "string", "format": "binary"}}}}},
 )
-async def export_bundle(campaign_id: Annotated[int, Path(ge=1)], lab: LabOf) -> FileResponse:
+async def export_bundle(campaign_id: Id, lab: LabOf) -> FileResponse:
     """The completely recorded sweeps of a campaign."""
     folder = FilePath(await run_in_threadpool(tempfile.mkdtemp, prefix="export-", dir=lab.settings.data_dir))
     try:
@@ -82,8 +86,12 @@ def _unpack(content: bytes, folder: FilePath) -> None:
             if size > _MAX_UNPACKED:
                 raise BadInput("bundle", f"unpacks to {size} bytes, limit {_MAX_UNPACKED} bytes")
             archive.extractall(folder)
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError, lzma.LZMAError, NotImplementedError, RuntimeError) as error:
         raise BadInput("bundle", f"cannot be unpacked: {error}") from None
+    except OSError as error:
+        if error.errno not in _BAD_MEMBER:
+            raise
+        raise BadInput("bundle", f"cannot be unpacked: {error.strerror or error}") from None
 
 
 def _pack(folder: FilePath, target: FilePath) -> FilePath:

@@ -6,20 +6,18 @@ Commands take `If-Match` with the campaign's ETag: 412 when the campaign has cha
 from collections.abc import Sequence
 from itertools import pairwise
 from statistics import median
-from typing import Annotated
 
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
-from service.api.dependencies import After, IfMatch, LabOf, Limit, Page, set_etag
+from service.api.dependencies import After, Id, IfMatch, LabOf, Limit, Page, set_etag
 from service.api.idempotent import IdempotentRoute
 from service.lab import Lab
-from service.store.documents import CampaignDocument, CampaignState, SweepDocument, SweepState
+from service.store.documents import LARGEST_ID, CampaignDocument, CampaignState, SweepDocument, SweepState
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=IdempotentRoute)
 
-CampaignId = Annotated[int, Path(ge=1)]
 _LEFT = (SweepState.PLANNED, SweepState.RUNNING)
 _RECORDED = (SweepState.RECORDED, SweepState.IDENTIFIED)
 _MOVING = (CampaignState.RUNNING, CampaignState.PAUSING)
@@ -27,7 +25,7 @@ _MOVING = (CampaignState.RUNNING, CampaignState.PAUSING)
 
 class NewCampaign(BaseModel):
     model_config = ConfigDict(extra="forbid")
-    plan_id: int = Field(ge=1)
+    plan_id: int = Field(ge=1, le=LARGEST_ID)
 
 
 class Resume(BaseModel):
@@ -75,25 +73,25 @@ def list_campaigns(lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[Camp
 
 
 @router.get("/{campaign_id}")
-async def get_campaign(campaign_id: CampaignId, response: Response, lab: LabOf) -> CampaignView:
+async def get_campaign(campaign_id: Id, response: Response, lab: LabOf) -> CampaignView:
     return await _answer(lab, await run_in_threadpool(lab.store.campaign, campaign_id), response)
 
 
 @router.post("/{campaign_id}/start")
-async def start_campaign(campaign_id: CampaignId, response: Response, lab: LabOf, version: IfMatch) -> CampaignView:
+async def start_campaign(campaign_id: Id, response: Response, lab: LabOf, version: IfMatch) -> CampaignView:
     """Begin to move and measure."""
     return await _answer(lab, await lab.runner.start(campaign_id, version), response)
 
 
 @router.post("/{campaign_id}/pause")
-async def pause_campaign(campaign_id: CampaignId, response: Response, lab: LabOf, version: IfMatch) -> CampaignView:
+async def pause_campaign(campaign_id: Id, response: Response, lab: LabOf, version: IfMatch) -> CampaignView:
     """Hold after the present sweep."""
     return await _answer(lab, await lab.runner.pause(campaign_id, version), response)
 
 
 @router.post("/{campaign_id}/resume")
 async def resume_campaign(
-    campaign_id: CampaignId, response: Response, lab: LabOf, version: IfMatch, resume: Resume | None = None
+    campaign_id: Id, response: Response, lab: LabOf, version: IfMatch, resume: Resume | None = None
 ) -> CampaignView:
     """Go on with the next planned sweep."""
     repeat = resume is not None and resume.repeat
@@ -102,7 +100,7 @@ async def resume_campaign(
 
 @router.post("/{campaign_id}/abort")
 async def abort_campaign(
-    campaign_id: CampaignId, response: Response, lab: LabOf, version: IfMatch, abort: Abort | None = None
+    campaign_id: Id, response: Response, lab: LabOf, version: IfMatch, abort: Abort | None = None
 ) -> CampaignView:
     """Stop the present sweep now and give the campaign up. What was recorded stays."""
     why = (abort or Abort()).why

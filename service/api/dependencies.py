@@ -1,18 +1,21 @@
 """What the routes share: the lab, a page of a list, and the version a client has read."""
 
+import re
 from typing import Annotated, Generic, TypeVar
 
-from fastapi import Depends, Header, Query, Response
+from fastapi import Depends, Header, Path, Query, Response
 from pydantic import BaseModel
 from starlette.requests import HTTPConnection
 
 from service.errors import BadInput
 from service.lab import Lab
+from service.store.documents import LARGEST_ID
 
 Item = TypeVar("Item", bound=BaseModel)
 
 
-def _lab(connection: HTTPConnection) -> Lab:
+async def _lab(connection: HTTPConnection) -> Lab:
+    # async: a plain function would wait for a free thread of the pool, and the stop with it
     lab = connection.app.state.lab
     if not isinstance(lab, Lab):
         raise TypeError("the application runs outside its lifespan: there is no lab")
@@ -25,14 +28,15 @@ def _if_match(
     if if_match is None or if_match.strip() == "*":
         return None
     tag = if_match.strip()
-    if len(tag) < 3 or tag[0] != '"' or tag[-1] != '"' or not tag[1:-1].isdigit():
+    if re.fullmatch(r'"[0-9]{1,10}"', tag) is None:
         raise BadInput("header/If-Match", f'{tag!r} is not one strong ETag of this service, e.g. "3", or *')
     return int(tag[1:-1])
 
 
 LabOf = Annotated[Lab, Depends(_lab)]
 IfMatch = Annotated[int | None, Depends(_if_match)]
-After = Annotated[int, Query(ge=0, description="the `next` of the page before; 0 for the first page")]
+Id = Annotated[int, Path(ge=1, le=LARGEST_ID)]
+After = Annotated[int, Query(ge=0, le=LARGEST_ID, description="the `next` of the page before; 0 for the first page")]
 Limit = Annotated[int, Query(ge=1, le=200)]
 
 

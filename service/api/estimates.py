@@ -1,19 +1,15 @@
 """Estimate revisions of a campaign; append-only, one for every identified sweep."""
 
-from typing import Annotated
+from fastapi import APIRouter
 
-from fastapi import APIRouter, Path
-
-from service.api.dependencies import After, LabOf, Limit, Page
+from service.api.dependencies import After, Id, LabOf, Limit, Page
 from service.store.documents import EstimateDocument
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/estimates", tags=["estimates"])
 
-CampaignId = Annotated[int, Path(ge=1)]
-
 
 @router.get("")
-def list_estimates(campaign_id: CampaignId, lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[EstimateDocument]:
+def list_estimates(campaign_id: Id, lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[EstimateDocument]:
     """Revisions, oldest first; `after` is a revision."""
     lab.store.campaign(campaign_id)
     estimates = lab.store.estimates(campaign_id, after, limit)
@@ -21,11 +17,11 @@ def list_estimates(campaign_id: CampaignId, lab: LabOf, after: After = 0, limit:
 
 
 @router.get("/latest")
-def get_latest_estimate(campaign_id: CampaignId, lab: LabOf) -> EstimateDocument:
+def get_latest_estimate(campaign_id: Id, lab: LabOf) -> EstimateDocument:
     """The newest revision; 404 until the first sweep is identified."""
     return lab.store.estimate(campaign_id)
 
 
 @router.get("/{revision}")
-def get_estimate(campaign_id: CampaignId, revision: Annotated[int, Path(ge=1)], lab: LabOf) -> EstimateDocument:
+def get_estimate(campaign_id: Id, revision: Id, lab: LabOf) -> EstimateDocument:
     return lab.store.estimate(campaign_id, revision)

@@ -4,6 +4,7 @@ A client that lost the connection goes on after the last id it saw (`Last-Event-
 idle stream carries a comment every 15 s.
 """
 
+import re
 from collections.abc import AsyncIterable
 from contextlib import aclosing
 from typing import Annotated
@@ -14,17 +15,20 @@ from starlette.concurrency import run_in_threadpool
 
 from service.api.dependencies import LabOf
 from service.errors import BadInput
+from service.store.documents import LARGEST_ID
 
 router = APIRouter(prefix="/events", tags=["events"])
 
 
 def _after(
-    after: Annotated[int | None, Query(ge=0, description="events with a larger id; default: only new ones")] = None,
+    after: Annotated[
+        int | None, Query(ge=0, le=LARGEST_ID, description="events with a larger id; default: only new ones")
+    ] = None,
     last_event_id: Annotated[str | None, Header(description="as `after`, and stronger")] = None,
 ) -> int | None:
     if last_event_id is None:
         return after
-    if not last_event_id.isdecimal():
+    if re.fullmatch(r"[0-9]{1,10}", last_event_id) is None or int(last_event_id) > LARGEST_ID:
         raise BadInput("header/Last-Event-ID", f"{last_event_id!r} is not the id of an event")
     return int(last_event_id)
 
@@ -34,7 +38,7 @@ def _after(
 async def follow_events(
     lab: LabOf,
     after: Annotated[int | None, Depends(_after)],
-    campaign: Annotated[int | None, Query(ge=1, description="only events of this campaign")] = None,
+    campaign: Annotated[int | None, Query(ge=1, le=LARGEST_ID, description="only events of this campaign")] = None,
 ) -> AsyncIterable[ServerSentEvent]:
     """`event` is the kind, `data` the event document, `id` its id."""
     start = await run_in_threadpool(lab.store.last_event_id) if after is None else after

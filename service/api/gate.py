@@ -48,10 +48,10 @@ class Gate:
 
     def _stranger(self, headers: Headers) -> str:
         host = headers.get("host", "")
-        if self._hosts and urlsplit(f"//{host}").hostname not in self._hosts:
+        if self._hosts and _parts(f"//{host}")[0] not in self._hosts:
             return f"host {host!r} is not this service; it answers to {', '.join(sorted(self._hosts))}"
         origin = headers.get("origin")
-        if origin is not None and urlsplit(origin).netloc != host:
+        if origin is not None and _parts(origin)[1] != host:
             return f"sent by a page of {origin}, not of {host}"
         return ""
 
@@ -62,6 +62,15 @@ class Gate:
             await send({"type": "websocket.close", "code": 1008, "reason": detail[:120]})
             return
         await problem_response(Request(scope), status, name, detail)(scope, receive, send)
+
+
+def _parts(address: str) -> tuple[str | None, str]:
+    """Host name without port, and network location; of what is no address, none."""
+    try:
+        parts = urlsplit(address)
+        return parts.hostname, parts.netloc
+    except ValueError:  # a bracket that nothing closes
+        return None, ""
 
 
 def _limited(receive: Receive, limit: int) -> Receive:

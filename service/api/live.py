@@ -6,12 +6,11 @@ them all.
 """
 
 import asyncio
-from typing import Annotated
 
-from fastapi import APIRouter, Path, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from starlette.concurrency import run_in_threadpool
 
-from service.api.dependencies import LabOf
+from service.api.dependencies import Id, LabOf
 from service.errors import NotFound
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/live", tags=["live"])
@@ -20,7 +19,7 @@ _UNKNOWN_CAMPAIGN = 4404  # close code of our own: 4000 + the HTTP status
 
 
 @router.websocket("")
-async def send_samples(socket: WebSocket, campaign_id: Annotated[int, Path(ge=1)], lab: LabOf) -> None:
+async def send_samples(socket: WebSocket, campaign_id: Id, lab: LabOf) -> None:
     await socket.accept()
     try:
         await run_in_threadpool(lab.store.campaign, campaign_id)

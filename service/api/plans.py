@@ -1,10 +1,8 @@
 """Plans: which sweeps in which poses and in which order. A plan that leaves the safety envelope is not made."""
 
-from typing import Annotated
+from fastapi import APIRouter, Request, Response
 
-from fastapi import APIRouter, Path, Request, Response
-
-from service.api.dependencies import After, LabOf, Limit, Page
+from service.api.dependencies import After, Id, LabOf, Limit, Page
 from service.api.idempotent import IdempotentRoute
 from service.campaigns.plan import PlanRequest, build_plan
 from service.cell import read_cell
@@ -31,5 +29,5 @@ def list_plans(lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[PlanReco
 
 
 @router.get("/{plan_id}")
-def get_plan(plan_id: Annotated[int, Path(ge=1)], lab: LabOf) -> PlanRecord:
+def get_plan(plan_id: Id, lab: LabOf) -> PlanRecord:
     return lab.store.plan(plan_id)

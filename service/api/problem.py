@@ -73,7 +73,7 @@ def problem_response(
         type=f"urn:sweepid:problem:{name}",
         title=status.phrase,
         status=status.value,
-        detail=detail,
+        detail=_printable(detail),
         instance=request.url.path,
         errors=tuple(errors),
     )
@@ -128,7 +128,9 @@ def _field_problem(detail: ErrorDetails) -> FieldProblem:
     limit = next((context[name] for name in _LIMITS if name in context), None)
     if not isinstance(limit, str | int | float | None):
         limit = str(limit)
-    return FieldProblem(pointer=pointer, reason=detail["msg"], value=_shown(detail["input"]), limit=limit)
+    return FieldProblem(
+        pointer=_printable(pointer), reason=_printable(detail["msg"]), value=_shown(detail["input"]), limit=limit
+    )
 
 
 def _shown(value: object) -> str | float | int | bool | None:
@@ -138,7 +140,12 @@ def _shown(value: object) -> str | float | int | bool | None:
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)
     text = value if isinstance(value, str) else json.dumps(value, default=str)
-    return text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}..."
+    return _printable(text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}...")
+
+
+def _printable(text: str) -> str:
+    """JSON may escape half a surrogate pair, which no answer can carry."""
+    return text.encode("utf-8", "backslashreplace").decode()
 
 
 def _kebab(name: str) -> str:

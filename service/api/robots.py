@@ -1,12 +1,11 @@
 """Robots: description and URDF. A robot never changes; a corrected one is another robot of the same name."""
 
 from datetime import datetime
-from typing import Annotated
 
-from fastapi import APIRouter, Path
+from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.api.dependencies import After, LabOf, Limit, Page
+from service.api.dependencies import After, Id, LabOf, Limit, Page
 from service.api.idempotent import IdempotentRoute
 from service.robot import RobotDescription, build_robot
 from service.store.documents import RobotDocument
@@ -53,5 +52,5 @@ def list_robots(lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[RobotEn
 
 
 @router.get("/{robot_id}")
-def get_robot(robot_id: Annotated[int, Path(ge=1)], lab: LabOf) -> RobotDocument:
+def get_robot(robot_id: Id, lab: LabOf) -> RobotDocument:
     return lab.store.robot(robot_id)

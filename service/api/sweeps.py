@@ -6,30 +6,29 @@ from typing import Annotated
 from fastapi import APIRouter, Path
 from fastapi.responses import FileResponse
 
-from service.api.dependencies import LabOf
-from service.store.documents import RecordingDocument, SweepDocument
+from service.api.dependencies import Id, LabOf
+from service.store.documents import LARGEST_ID, RecordingDocument, SweepDocument
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/sweeps", tags=["sweeps"])
 
-CampaignId = Annotated[int, Path(ge=1)]
-Number = Annotated[int, Path(ge=1, description="1, 2, ... in the order of the plan")]
+Number = Annotated[int, Path(ge=1, le=LARGEST_ID, description="1, 2, ... in the order of the plan")]
 _PARQUET = "application/vnd.apache.parquet"
 
 
 @router.get("")
-def list_sweeps(campaign_id: CampaignId, lab: LabOf) -> tuple[SweepDocument, ...]:
+def list_sweeps(campaign_id: Id, lab: LabOf) -> tuple[SweepDocument, ...]:
     """All sweeps in the order of the plan."""
     lab.store.campaign(campaign_id)  # NotFound, where an unknown campaign would look like one without sweeps
     return lab.store.sweeps(campaign_id)
 
 
 @router.get("/{number}")
-def get_sweep(campaign_id: CampaignId, number: Number, lab: LabOf) -> SweepDocument:
+def get_sweep(campaign_id: Id, number: Number, lab: LabOf) -> SweepDocument:
     return lab.store.sweep(campaign_id, number)
 
 
 @router.get("/{number}/recording")
-def get_recording(campaign_id: CampaignId, number: Number, lab: LabOf) -> RecordingDocument:
+def get_recording(campaign_id: Id, number: Number, lab: LabOf) -> RecordingDocument:
     """The latest recording of a sweep: how much of it there is, and its SHA-256."""
     return lab.store.recording(campaign_id, number)
 
@@ -39,7 +38,7 @@ def get_recording(campaign_id: CampaignId, number: Number, lab: LabOf) -> Record
     response_class=FileResponse,
     responses={200: {"content": {_PARQUET: {"schema": {"type": "string", "format": "binary"}}}}},
 )
-def get_recording_file(campaign_id: CampaignId, number: Number, lab: LabOf) -> FileResponse:
+def get_recording_file(campaign_id: Id, number: Number, lab: LabOf) -> FileResponse:
     """The samples as Parquet, columns as in the bundle format; a part of them if the recording is partial."""
     recording = lab.store.recording(campaign_id, number)
     name = re.sub(r"\W+", "-", f"campaign-{campaign_id}-sweep-{number:04d}-attempt-{recording.attempt}") + ".parquet"

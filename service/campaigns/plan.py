@@ -30,6 +30,7 @@ from service.identification.pose_selection import select_poses
 from service.identification.regressor import axis_rows, inertia_rows, lock
 from service.recording import Sine, SweepSpec
 from service.robot import Robot
+from service.store.documents import LARGEST_ID
 
 Array = NDArray[np.float64]
 
@@ -41,7 +42,7 @@ class PlanRequest(BaseModel):
     """What to measure. `robot_id` is the service's number of the robot, `cell` the name of a cell's file."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    robot_id: int = Field(ge=1)
+    robot_id: int = Field(ge=1, le=LARGEST_ID)
     cell: str = Field(default="workshop", pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
     axes: tuple[str, ...] = Field(min_length=1)  # joints to measure
     varied: tuple[str, ...] = Field(min_length=1)  # joints whose positions make the grid

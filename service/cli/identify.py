@@ -41,9 +41,10 @@ def identify_bundle(bundle: Bundle, axis: str | None, place: str) -> dict[str, A
     """The estimate as in DESIGN.md, of all sweeps or of those of one joint; BadInput if that leaves none."""
     if axis is not None:
         bundle.robot.index(axis)
-    sweeps = [sweep for sweep in bundle.sweeps if axis in (None, sweep.spec.axis)]
+    sweeps = [sweep for sweep in bundle.sweeps if axis in (None, sweep.spec.axis) and sweep.spec.shows_inertia]
     if not sweeps:
-        raise BadInput(place, f"has no sweep of joint {axis}")
+        of_joint = "" if axis is None else f" of joint {axis}"
+        raise BadInput(place, f"has no sweep{of_joint} with sines or a trajectory")
     console = Console(stderr=True)
     spectra: list[Spectrum] = [
         spectrum(bundle.robot, sweep)

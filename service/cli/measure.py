@@ -38,14 +38,14 @@ def measure(
 
 def plan_number(plan: str) -> int:
     """The number of a plan given as such or as the file of a plan."""
-    if plan.isdigit():
+    if plan.isascii() and plan.isdigit():
         return int(plan)
     try:
         content: Any = json.loads(Path(plan).read_text(encoding="utf-8"))
         return int(content["id"])
     except OSError as error:
         raise BadInput(plan, f"neither the number of a plan nor a readable file: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, RecursionError):
         raise BadInput(plan, "is not a plan that `sweepid plan --out` wrote") from None
 
 

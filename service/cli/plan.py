@@ -1,6 +1,7 @@
 """`sweepid plan ROBOT`: let the service choose poses and sweeps."""
 
 import json
+import math
 import sys
 from enum import Enum
 from pathlib import Path
@@ -35,6 +36,9 @@ def plan(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Plan a campaign. Nothing moves. Prints the number of the plan."""
+    for name, number in (("--step", step), ("--sample-rate", sample_rate)):
+        if number is not None and not math.isfinite(number):
+            raise BadInput(name, f"{number} is not a finite number")
     known = read_robot(robot)
     options: Json = {
         "poses": poses,

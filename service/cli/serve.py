@@ -58,11 +58,19 @@ def serve(
         signal.signal(number, _end)
     try:
         asyncio.run(server.serve())
-    except SystemExit:
+    except SystemExit as ended:
         error = getattr(app.state, "startup_error", None)
         if isinstance(error, SweepidError | DriveError):
             raise error from None  # uvicorn has only logged it
+        if ended.code:
+            raise NotStarted(
+                f"the service did not start: {error or f'cannot listen at {settings.host}:{settings.port}'}"
+            ) from None
         raise
+
+
+class NotStarted(SweepidError):
+    """The service has no place for its data or cannot listen at its address; the log has the details."""
 
 
 class _Server(uvicorn.Server):

@@ -15,6 +15,8 @@ from service.robot import Robot, RobotDescription, build_robot
 
 Json = Mapping[str, JsonValue]
 
+LARGEST_ID = 2**31 - 1  # what the integer column of every database holds
+
 
 class CampaignState(Enum):
     """Where a campaign stands."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.errors import BadInput
-from service.urdf import inertia_matrix, inertia_vector, read_chain, rotation_rpy, transform_inertial
+from service.urdf import MOST_LINKS, inertia_matrix, inertia_vector, read_chain, rotation_rpy, transform_inertial
 
 BODY = '<inertial><mass value="2"/><inertia ixx="1" iyy="2" izz="3" ixy="0" ixz="0" iyz="0"/></inertial>'
 LIMIT = '<limit lower="-1" upper="2" velocity="3" effort="4"/>'
@@ -95,3 +95,11 @@ def test_refusals_name_the_reason(text: str, reason: str) -> None:
         read_chain(text, "robot.urdf")
     assert str(refusal.value).startswith("robot.urdf")
     assert reason in str(refusal.value)
+
+
+def test_a_chain_too_long_to_walk_is_refused() -> None:
+    count = MOST_LINKS + 1
+    links = "".join(f'<link name="l{number}"/>' for number in range(count))
+    joints = "".join(joint(f"j{number}", "fixed", f"l{number}", f"l{number + 1}") for number in range(count - 1))
+    with pytest.raises(BadInput, match=f"has {count} links, limit {MOST_LINKS}"):
+        read_chain(f"<robot>{links}{joints}</robot>")

@@ -132,6 +132,41 @@ def test_a_bundle_that_cannot_be_read_leaves_nothing(http: httpx.Client, bundle:
     assert campaigns(http) == before
 
 
+def _archive(kind: int, *names: str) -> bytes:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", kind) as archive:
+        for name in names:
+            archive.writestr(name, b"x" * 1000)
+    return content.getvalue()
+
+
+def _damaged(kind: int) -> bytes:
+    content = bytearray(_archive(kind, "bundle.json"))
+    start = 30 + len("bundle.json") + 9  # local header, name, properties of an LZMA stream
+    content[start : start + 12] = b"\xff" * 12
+    return bytes(content)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        _archive(zipfile.ZIP_STORED, "a" * 300),
+        _archive(zipfile.ZIP_STORED, "sweeps", "sweeps/0001.csv"),
+        _archive(zipfile.ZIP_STORED, "../../outside.csv"),
+        _damaged(zipfile.ZIP_LZMA),
+        _damaged(zipfile.ZIP_BZIP2),
+        _damaged(zipfile.ZIP_DEFLATED),
+    ],
+    ids=["long name", "file and folder", "way out", "lzma", "bzip2", "deflate"],
+)
+def test_an_archive_that_cannot_be_unpacked_is_refused(http: httpx.Client, folder: Path, content: bytes) -> None:
+    refused = http.post("/bundles", content=content, headers=ZIP)
+    assert refused.status_code == 422, refused.text
+    assert "bundle" in refused.json()["detail"]
+    assert [path.name for path in folder.rglob("outside*")] == []
+    assert [path.name for path in (folder / "data").glob("import-*")] == []
+
+
 def test_a_request_sent_twice_is_done_once(http: httpx.Client, bundle: Path) -> None:
     before, headers = len(campaigns(http)), ZIP | {"Idempotency-Key": "import-1"}
     once = http.post("/bundles", content=packed(bundle), headers=headers)

@@ -61,6 +61,29 @@ def test_what_is_not_json_is_a_problem(http: httpx.Client, content: bytes) -> No
     problem(answer, answer.status_code)
 
 
+def test_half_a_surrogate_pair_is_refused_in_an_answer_that_can_be_sent(http: httpx.Client) -> None:
+    headers = {"Content-Type": "application/json"}
+    found = problem(http.post("/campaigns", content=b'{"plan_id": "\\ud800"}', headers=headers), 422)
+    assert [error["pointer"] for error in found["errors"]] == ["#/plan_id"]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("number", [2**31, 2**63, 10**25])
+def test_a_number_that_no_row_can_have_is_refused(http: httpx.Client, number: int) -> None:
+    for path in (f"/robots/{number}", f"/campaigns/{number}/bundle", f"/campaigns/1/sweeps/{number}"):
+        problem(http.get(path), 422)
+    for path in (f"/plans?after={number}", f"/events?after={number}", f"/events?campaign={number}"):
+        problem(http.get(path), 422)
+    problem(http.get("/events", headers={"Last-Event-ID": str(number)}), 422)
+    (error,) = problem(http.post("/campaigns", json={"plan_id": number}), 422)["errors"]  # type: ignore[misc]
+    assert (error["pointer"], error["limit"]) == ("#/plan_id", 2**31 - 1)
+
+
+@pytest.mark.parametrize("tag", [b'"\xb2"', b'"' + b"9" * 5000 + b'"', b"3"])
+def test_what_is_no_etag_is_refused(http: httpx.Client, tag: bytes) -> None:
+    answer = http.post("/campaigns/1/start", headers=[(b"If-Match", tag)])
+    assert "header/If-Match" in str(problem(answer, 422)["detail"])
+
+
 def test_what_does_not_exist_is_404_by_name(http: httpx.Client) -> None:
     assert "robot 99" in str(problem(http.get("/robots/99"), 404)["detail"])
     assert "campaign 99" in str(problem(http.get("/campaigns/99/sweeps"), 404)["detail"])
@@ -96,6 +119,11 @@ def test_a_page_of_another_origin_may_not_command_but_may_stop(http: httpx.Clien
 
 def test_a_foreign_host_name_is_refused(http: httpx.Client) -> None:
     assert "rebound" in str(problem(http.get("/robots", headers={"Host": "rebound.example"}), 403)["detail"])
+
+
+@pytest.mark.parametrize("headers", [{"Host": "[::1"}, {"Origin": "http://["}])
+def test_what_is_no_address_is_refused(http: httpx.Client, headers: dict[str, str]) -> None:
+    problem(http.get("/robots", headers=headers), 403)
 
 
 def test_the_stop_waits_for_no_body(url: str) -> None:

@@ -32,7 +32,9 @@ def plan_file(tmp_path: Path) -> Path:
     ("arguments", "place"),
     [
         (("measure", "no-such-plan.json"), "no-such-plan.json"),
+        (("measure", "\u00b2"), "\u00b2"),
         (("import", "no-such-bundle"), "no-such-bundle"),
+        (("plan", "any.yaml", "--axes", "a", "--varied", "b", "--step", "nan"), "--step"),
         (("plan", "no-such-robot.yaml", "--axes", "joint_1", "--varied", "joint_2"), "no-such-robot.yaml"),
         (("serve", "--config", "no-such-settings.yaml"), "no-such-settings.yaml"),
     ],
@@ -42,6 +44,24 @@ def test_bad_input_is_one_line_and_2(arguments: tuple[str, ...], place: str) -> 
     assert (done.returncode, done.stdout) == (2, "")
     (line,) = done.stderr.splitlines()
     assert place in line
+
+
+def test_a_file_nested_too_deeply_is_one_line_and_2(tmp_path: Path) -> None:
+    (deep := tmp_path / "deep.yaml").write_text("[" * 5000, encoding="utf-8")
+    for arguments in (("plan", str(deep), "--axes", "a", "--varied", "b"), ("measure", str(deep))):
+        ended = run(*arguments)
+        assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1), ended.stderr
+        assert "deep.yaml" in ended.stderr
+
+
+def test_a_port_that_is_taken_is_1_and_named(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        ended = run("serve", "--port", str(port), "--data-dir", str(tmp_path / "data"))
+    assert (ended.returncode, ended.stdout) == (1, "")
+    assert f"127.0.0.1:{port}" in ended.stderr.splitlines()[-1]
 
 
 def test_export_refuses_a_folder_with_something_in_it(tmp_path: Path, plan_file: Path) -> None:
