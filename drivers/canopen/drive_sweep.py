@@ -12,7 +12,7 @@ from drivers.canopen.axis import Axis
 from drivers.canopen.checks import Envelope
 from drivers.canopen.measuring import Measuring, MeasuringState, Progress
 from drivers.canopen.sdo_thread import SdoThread
-from drivers.errors import CommunicationLost, DriveFault, EnvelopeLeft, SweepInterrupted
+from drivers.errors import CommunicationLost, DriveError, DriveFault, EnvelopeLeft, SweepInterrupted
 from drivers.ports import SampleBlock, SweepCommand
 
 PAGE = 256  # samples; a page occupies the SDO channel, and a stop waits for it
@@ -51,15 +51,22 @@ class DriveSweep:
         """Until the run has ended; raises what ended it."""
         await asyncio.shield(self._task)
 
+    async def over(self) -> None:
+        """Until the run has ended, however it did: that is the consumer's matter."""
+        await asyncio.wait([self._task])
+        if not self._task.cancelled():
+            self._task.exception()  # noted: asyncio does not tell of it once more
+
     async def _run(self) -> None:
         try:
             await self._sdo.run(self._measuring.prepare)
             await self._sdo.run(self._start)
             try:
                 await self._follow()
-            except (DriveFault, EnvelopeLeft, SweepInterrupted):
+            except DriveError as error:  # nobody watches the axis from here on: it must not wait for the consumer
                 await self._bring_down()
-                await self._hand_over((await self._sdo.run(self._measuring.progress)).recorded)
+                if isinstance(error, DriveFault | EnvelopeLeft | SweepInterrupted):
+                    await self._hand_over((await self._sdo.run(self._measuring.progress)).recorded)
                 raise
         finally:
             self._blocks.put_nowait(None)

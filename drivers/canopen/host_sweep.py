@@ -112,6 +112,12 @@ class HostSweep:
         """Until the thread has ended; raises what ended it."""
         await asyncio.shield(self._thread)
 
+    async def over(self) -> None:
+        """Until the thread has ended, however it did: that is the consumer's matter."""
+        await asyncio.wait([self._thread])
+        if not self._thread.cancelled():
+            self._thread.exception()  # noted: asyncio does not tell of it once more
+
     # -- the thread ----------------------------------------------------------------------------------------------
 
     def _run(self) -> None:

@@ -53,6 +53,7 @@ class CanopenMachine:
         self._link: Link | None = None
         self._motion: Motion | None = None
         self._cleanups: set[asyncio.Task[None]] = set()
+        self._reading = asyncio.Lock()  # one status at a time in the SDO thread's queue: a stop must not wait for many
         self.timing: Timing | None = None
         """How punctual the last host-streamed sweep was."""
 
@@ -89,8 +90,7 @@ class CanopenMachine:
             return
         await self._interrupt()
         if self._motion is not None and self._motion.run is not None:
-            with suppress(DriveError):  # given to the consumer
-                await self._motion.run.finished()
+            await self._motion.run.over()
         for task in tuple(self._cleanups):
             await task
         link, self._link = self._link, None
@@ -113,8 +113,9 @@ class CanopenMachine:
     # -- state ---------------------------------------------------------------------------------------------------
 
     async def status(self) -> Mapping[str, AxisStatus]:
-        link = self._connected()
-        return {joint: await link.sdo.run(axis.status) for joint, axis in link.axes.items()}
+        async with self._reading:
+            link = self._connected()
+            return {joint: await link.sdo.run(axis.status) for joint, axis in link.axes.items()}
 
     async def faults(self) -> tuple[Fault, ...]:
         return tuple(status.fault for status in (await self.status()).values() if status.fault is not None)
@@ -240,16 +241,14 @@ class CanopenMachine:
             return
         motion.stop.set()
         if isinstance(motion.run, HostSweep):
-            with suppress(CommunicationLost):  # the caller's own ladder meets it as well
-                await motion.run.finished()
+            await motion.run.over()
 
     async def _abandon(self, axis: Axis, motion: Motion) -> None:
         """After any early end: the run over, the axis at standstill and de-energised. Trouble is logged, not raised,
         so that it does not hide what ended the motion."""
         motion.stop.set()
         if motion.run is not None:
-            with suppress(DriveError):  # given to the consumer already
-                await motion.run.finished()
+            await motion.run.over()  # its trouble was given to the consumer
         if self._link is None:
             return  # closed meanwhile, which brought the axis down
         try:

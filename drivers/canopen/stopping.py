@@ -1,6 +1,7 @@
 """The stop ladder over SDO: slow down, quick stop, disable voltage; each rung has its deadline."""
 
 import asyncio
+import logging
 import time
 from contextlib import suppress
 
@@ -8,7 +9,9 @@ from drivers.canopen import states
 from drivers.canopen.axis import Axis
 from drivers.canopen.measuring import abort_running
 from drivers.canopen.sdo_thread import SdoThread
-from drivers.errors import CommunicationLost
+from drivers.errors import CommunicationLost, WrongConfiguration
+
+logger = logging.getLogger(__name__)
 
 POLL = 0.01  # s
 MARGIN = 0.5  # s that a rung gets above its ramp
@@ -28,6 +31,16 @@ async def bring_down(sdo: SdoThread, axis: Axis) -> None:
 
 
 async def _ladder(sdo: SdoThread, axis: Axis) -> None:
+    try:
+        await _come_to_rest(sdo, axis)
+    except WrongConfiguration as error:  # a refused rung must not keep the drive from the next ones
+        logger.error("stop ladder, next rung: %s", error)
+        await sdo.run(axis.quick_stop)
+        await asyncio.sleep(axis.profile.velocity_limit / axis.profile.quick_stop_deceleration)
+    await sdo.run(axis.disable)
+
+
+async def _come_to_rest(sdo: SdoThread, axis: Axis) -> None:
     profile = axis.profile
     reading = await sdo.run(axis.read)
     if reading.state in states.ENERGISED and not axis.stands(reading):
@@ -37,7 +50,6 @@ async def _ladder(sdo: SdoThread, axis: Axis) -> None:
             await _stands(sdo, axis, profile.velocity_limit / profile.quick_stop_deceleration + MARGIN)
     elif reading.state in states.ENERGISED:
         await sdo.run(_slow_down, axis)  # a sweep's first instants look like standstill
-    await sdo.run(axis.disable)
 
 
 def _slow_down(axis: Axis) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 
 import structlog
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import CommunicationLost, DriveError
 from drivers.ports import AxisIdentity, AxisStatus, Capabilities, DrivePort, Fault
@@ -26,6 +26,8 @@ class Machine:
         self._latch = latch
         self._latched = latched
         self._stopping = ""  # by whom and why, from the command until the latch is stored
+        self._stops = 0  # under way
+        self._latching = asyncio.Lock()  # what stands in the store and what is held here change in the same order
         self._lease_trouble = ""  # why this service may not be the owner of the machine any more
         self._user: str | None = None
         self._identities: tuple[AxisIdentity, ...] = ()
@@ -102,18 +104,30 @@ class Machine:
     async def stop(self, by: str, why: str) -> StopDocument:
         """Stop every axis first, then latch: nothing moves until a person resets it. May be called at any time."""
         self._stopping = f"stopped by {by}: {why}"  # before anything is awaited: who is about to move finds it
+        self._stops += 1
         try:
             await self.port.stop()
         finally:
-            self._latched = await asyncio.to_thread(self._latch.latch, by, why)
-            self._stopping = ""
+            try:
+                async with self._latching:
+                    self._latched = latched = await asyncio.to_thread(self._latch.latch, by, why)
+            finally:
+                self._stops -= 1
+            if not self._stops:
+                self._stopping = ""
         _log.warning("stop", by=by, why=why)
-        return self._latched
+        return latched
 
     async def reset_stop(self, by: str) -> StopDocument:
-        """A person looked and lets the machine move again; nothing moves by this. Conflict if not stopped."""
-        document = await asyncio.to_thread(self._latch.reset, by)
-        self._latched = None
+        """A person looked and lets the machine move again; nothing moves by this.
+
+        Conflict if it is not stopped, or while a stop is under way.
+        """
+        async with self._latching:
+            if self._stops:
+                raise Conflict(f"a stop is under way: {self._stopping}")
+            document = await asyncio.to_thread(self._latch.reset, by)
+            self._latched = None
         _log.warning("stop_reset", by=by)
         return document
 
@@ -160,7 +174,7 @@ class Machine:
                 self._lease_trouble = f"{error}; restart this one"
                 await self._stop_quietly()
                 return
-            except OperationalError as error:
+            except SQLAlchemyError as error:  # also a full pool, a broken file: it must not end the watch
                 _log.warning("lease_not_renewed", reason=str(error))
                 await self._check_renewed(renewed, lease_time)
             else:

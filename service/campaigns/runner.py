@@ -62,9 +62,7 @@ class Runner:
         """
         if self._running == campaign_id:
             async with self._commands:
-                return await asyncio.to_thread(
-                    self._store.move_campaign, campaign_id, campaign_move(CampaignEvent.RESUME), "", if_version
-                )
+                return await asyncio.to_thread(self._store.move_campaign, campaign_id, _take_back_pause, "", if_version)
         return await self._launch(campaign_id, CampaignEvent.RESUME, if_version, repeat)
 
     async def abort(self, campaign_id: int, why: str, if_version: int | None = None) -> CampaignDocument:
@@ -154,10 +152,20 @@ class Runner:
     async def _next_is_due(self, campaign_id: int) -> bool:
         campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
         if campaign.state is CampaignState.PAUSING:
-            await self._move(campaign_id, CampaignEvent.HELD, "paused by request")
+            try:
+                await self._move(campaign_id, CampaignEvent.HELD, "paused by request")
+            except Conflict:  # the pause was taken back in this moment
+                return await self._next_is_due(campaign_id)
             return False
         return campaign.state is CampaignState.RUNNING
 
     async def _move(self, campaign_id: int, event: CampaignEvent, cause: str = "") -> None:
         await asyncio.to_thread(self._store.move_campaign, campaign_id, campaign_move(event), cause)
         _log.info("campaign", campaign=campaign_id, happened=event.value, cause=cause)
+
+
+def _take_back_pause(state: CampaignState) -> CampaignState:
+    """pausing -> running while the task still runs. One that has paused needs a new task, or nothing would run it."""
+    if state is CampaignState.PAUSED:
+        raise Conflict("the campaign has paused in this moment; resume it once more")
+    return campaign_move(CampaignEvent.RESUME)(state)

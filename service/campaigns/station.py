@@ -49,9 +49,16 @@ class Station:
         Whatever is raised (also on cancellation): the machine stands, the sweep is failed or interrupted with its
         cause, and what came of samples is kept as a partial recording.
         """
-        sweep = await asyncio.to_thread(
-            self._store.begin_sweep, sweep.campaign_id, sweep.number, sweep_move(SweepEvent.BEGIN)
+        begun = asyncio.create_task(
+            asyncio.to_thread(self._store.begin_sweep, sweep.campaign_id, sweep.number, sweep_move(SweepEvent.BEGIN))
         )
+        cancelled: asyncio.CancelledError | None = None
+        try:
+            await asyncio.wait([begun])
+        except asyncio.CancelledError as error:  # the store begins it all the same: it has to be ended there as well
+            cancelled = error
+            await asyncio.wait([begun])
+        sweep = begun.result()
         run = Run(sweep.campaign_id, sweep.number, sweep.attempt)
         command = course.commands[sweep.number]
         facts: dict[str, JsonValue] = {
@@ -60,10 +67,14 @@ class Station:
             "drives": [asdict(identity) for identity in self._machine.identities],
         }
         try:
+            if cancelled is not None:
+                raise cancelled
             await asyncio.to_thread(course.envelope.check_sweep, command, sweep.spec.pose)
             await self._approach(sweep, course)
             started_at = time.monotonic() - origin
             await self._record(run, command, course)
+            here = await self._pose(sweep, course)  # did the others stand? A brake may have slipped
+            course.envelope.check_standing(sweep.spec.pose, here, course.pose_tolerance, moving=command.joint)
             spec = sweep.spec.model_copy(update={"started_at": started_at})
             spec, recording = await self._on_disk(finish, self._files, run, spec, command, facts)
             sweep = await self._on_disk(self._end, run, SweepEvent.RECORD, "", recording, spec)

@@ -1,5 +1,6 @@
 """What only the CANopen adapter promises: configuration with read-back, and punctual cycles."""
 
+import asyncio
 import copy
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,14 +8,18 @@ from typing import Any, cast
 
 import can
 import canopen
+import numpy as np
 import pytest
 from canopen.sdo.client import SdoClient
 
+from drivers.canopen.host_sweep import HostSweep
 from drivers.canopen.machine import CanopenMachine
+from drivers.canopen.measuring import ABORT, COMMAND
+from drivers.canopen.objects import Entry
 from drivers.errors import WrongConfiguration, WrongIdentity
 from drivers.ports import AxisState, DrivePort, SweepMode
 from drivers.registry import open_drive
-from tests.contract.bench import AXIS, DRIVES, Virtual, consume, sweep
+from tests.contract.bench import AXIS, DRIVES, Virtual, consume, eventually, sweep
 
 both_modes = pytest.mark.parametrize("mode", list(SweepMode), ids=lambda mode: mode.value)
 
@@ -87,3 +92,63 @@ async def test_the_cycle_is_paced_and_its_lateness_told(port: DrivePort) -> None
     assert len(port.timing.lateness) >= round(command.duration / 0.004)
     assert min(port.timing.lateness) >= 0.0
     assert sorted(port.timing.lateness)[len(port.timing.lateness) // 2] < 0.002
+
+
+async def test_a_drive_that_refuses_a_rung_of_the_ladder_loses_its_energy_all_the_same(
+    port: DrivePort, virtual: Virtual
+) -> None:
+    assert isinstance(port, CanopenMachine)
+    sdo = port._connected().axes[AXIS].sdo
+    write = sdo.write
+
+    def refuse_abort(entry: Entry, value: float) -> None:
+        if (entry, value) == (COMMAND, ABORT):
+            raise WrongConfiguration("abort 0800 0022h")  # e.g. the function ended by itself in this moment
+        write(entry, value)
+
+    sdo.write = refuse_abort
+    await port.enable(AXIS)
+    running = port.run_sweep(await sweep(port, SweepMode.DRIVE_SIDE, periods=200, offset_velocity=0.002, sines=()))
+    await anext(running)
+    await port.stop()
+    assert virtual.energised() == []
+    await running.aclose()
+
+
+async def test_a_drive_that_is_lost_while_the_consumer_hangs_is_told_to_stop(port: DrivePort, virtual: Virtual) -> None:
+    await port.enable(AXIS)
+    running = port.run_sweep(await sweep(port, SweepMode.DRIVE_SIDE, periods=200, offset_velocity=0.002, sines=()))
+    await anext(running)  # and then a disk that takes its time
+    virtual.order("silence", joint=AXIS, on=True)
+    await eventually(lambda: virtual.energised() == [])
+    virtual.order("silence", joint=AXIS, on=False)
+    await running.aclose()
+
+
+async def test_many_readers_of_the_status_are_not_ahead_of_a_stop(port: DrivePort) -> None:
+    assert isinstance(port, CanopenMachine)
+    waiting = port._connected().sdo._executor._work_queue
+    readers = [asyncio.create_task(port.status()) for _ in range(30)]
+    most = 0
+    while not all(reader.done() for reader in readers):
+        await asyncio.sleep(0)
+        most = max(most, waiting.qsize())
+    assert most <= 1
+    await asyncio.gather(*readers)
+
+
+async def test_a_stop_brings_every_axis_down_whatever_ended_the_stream(port: DrivePort, virtual: Virtual) -> None:
+    assert isinstance(port, CanopenMachine)
+    await port.enable(AXIS)
+    running = port.run_sweep(await sweep(port, SweepMode.HOST_STREAMED, periods=200, offset_velocity=0.002, sines=()))
+    await anext(running)
+    motion = port._motion
+    assert motion is not None
+    assert isinstance(motion.run, HostSweep)
+    motion.run._wave = np.empty(0)  # the thread fails with an IndexError at the next samples
+    await eventually(motion.run._thread.done)
+    await port.stop()
+    assert virtual.energised() == []
+    with pytest.raises(IndexError):
+        async for _ in running:
+            pass

@@ -1,7 +1,11 @@
-"""The lease kept and lost in front of a formula machine."""
+"""The lease kept and lost, stops and resets that meet, in front of a formula machine."""
 
 import asyncio
 
+import pytest
+from sqlalchemy.exc import TimeoutError as PoolTimeout
+
+from service.errors import Conflict
 from service.store.documents import CampaignState, SweepState
 from service.store.guards import MachineLease
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
@@ -40,3 +44,42 @@ async def test_a_database_that_does_not_answer_stops_the_machine_until_it_does(b
     await until(lambda: bench.machine.held == "")
     keeper.cancel()
     await asyncio.wait([keeper])
+
+
+async def test_trouble_of_another_kind_with_the_database_does_not_end_the_watch_over_the_lease(bench: Bench) -> None:
+    class Crowded(MachineLease):
+        """No connection is free for it."""
+
+        def renew(self) -> None:
+            raise PoolTimeout("QueuePool limit of size 5 overflow 10 reached")
+
+    keeper = asyncio.create_task(bench.machine.keep_lease(Crowded(bench.database, LEASE_TIME), LEASE_TIME))
+    await until(lambda: bench.machine.held != "" or keeper.done())
+    assert "could not be renewed" in bench.machine.held
+    assert "stop" in bench.drive.trace
+    assert not keeper.done()
+    keeper.cancel()
+    await asyncio.wait([keeper])
+
+
+async def test_a_stop_cannot_be_reset_while_another_is_under_way(bench: Bench) -> None:
+    await bench.machine.stop("anna", "smoke")
+    pressed, go, stop = asyncio.Event(), asyncio.Event(), bench.drive.stop
+
+    async def slow() -> None:
+        pressed.set()
+        await go.wait()
+        await stop()
+
+    bench.drive.stop = slow
+    second = asyncio.create_task(bench.machine.stop("berta", "hose caught"))
+    await pressed.wait()
+    bench.drive.stop = stop
+    await bench.machine.stop("carl", "smoke again")  # over sooner than the one before
+    with pytest.raises(Conflict, match="a stop is under way"):
+        await bench.machine.reset_stop("anna")
+    go.set()
+    await second
+    assert bench.machine.held != ""
+    await bench.machine.reset_stop("anna")
+    assert bench.machine.held == ""

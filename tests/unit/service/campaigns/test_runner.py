@@ -2,6 +2,7 @@
 
 import asyncio
 import dataclasses
+import threading
 
 import numpy as np
 import pytest
@@ -174,6 +175,20 @@ async def test_an_axis_that_is_not_where_it_should_be_is_found(bench: Bench) -> 
     assert "joint_1: distance from the planned pose 0.04 rad is above the limit 0.002 rad" in sweep.cause
 
 
+async def test_an_axis_that_slips_during_another_ones_sweep_spoils_no_result(bench: Bench) -> None:
+    bench.drive.hold = 2
+    await bench.runner.start(bench.campaign.id)
+    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
+    bench.drive.position["joint_2"] += 0.01
+    bench.drive.hold = None
+    bench.drive.go.set()
+    await run_out(bench)
+    sweep = bench.store.sweep(bench.campaign.id, 1)
+    assert sweep.state is SweepState.FAILED
+    assert "joint_2: distance from the planned pose 0.01 rad is above the limit 0.002 rad" in sweep.cause
+    assert bench.store.recording(bench.campaign.id, 1).state is RecordingState.PARTIAL
+
+
 async def test_stop_reaches_the_drives_first_and_holds_the_machine(bench: Bench) -> None:
     bench.drive.hold = 2
     await bench.runner.start(bench.campaign.id)
@@ -245,6 +260,25 @@ async def test_a_pause_can_be_taken_back(bench: Bench) -> None:
     assert state(bench) is CampaignState.MEASURED
 
 
+async def test_a_resume_that_meets_the_pause_leaves_no_campaign_running_that_nothing_runs(bench: Bench) -> None:
+    bench.drive.hold = 2
+    await bench.runner.start(bench.campaign.id)
+    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
+    await bench.runner.pause(bench.campaign.id)
+    async with bench.runner._commands:  # the resume waits for its turn while the campaign comes to its pause
+        resuming = asyncio.create_task(bench.runner.resume(bench.campaign.id))
+        await asyncio.sleep(0)
+        bench.drive.hold = None
+        bench.drive.go.set()
+        await run_out(bench)
+    with pytest.raises(Conflict, match="resume it once more"):
+        await resuming
+    assert state(bench) is CampaignState.PAUSED
+    await bench.runner.resume(bench.campaign.id)
+    await run_out(bench)
+    assert state(bench) is CampaignState.MEASURED
+
+
 async def test_abort_stops_the_sweep_and_skips_the_rest(bench: Bench) -> None:
     bench.drive.hold = 2
     await bench.runner.start(bench.campaign.id)
@@ -258,6 +292,25 @@ async def test_abort_stops_the_sweep_and_skips_the_rest(bench: Bench) -> None:
     assert bench.store.sweep(bench.campaign.id, 1).cause == "aborted: enough"
     assert bench.drive.energised == set()
     assert bench.store.recording(bench.campaign.id, 1).samples == 500
+
+
+async def test_an_abort_in_the_moment_in_which_a_sweep_begins_leaves_none_running(bench: Bench) -> None:
+    begin, begins, go = bench.store.begin_sweep, threading.Event(), threading.Event()
+
+    def slow(campaign_id, number, move):
+        begins.set()
+        go.wait(TIMEOUT)
+        return begin(campaign_id, number, move)
+
+    bench.store.begin_sweep = slow
+    await bench.runner.start(bench.campaign.id)
+    await until(begins.is_set)
+    aborting = asyncio.create_task(bench.runner.abort(bench.campaign.id, "enough"))
+    await asyncio.sleep(0.05)  # whether or not the cancellation has arrived by then, the outcome must be the same
+    go.set()
+    aborted = await aborting
+    assert aborted.sweeps == {SweepState.INTERRUPTED: 1, SweepState.SKIPPED: 3}
+    assert not any(entry.startswith(("enable", "move", "sweep")) for entry in bench.drive.trace)
 
 
 async def test_a_second_start_is_refused_while_one_runs(bench: Bench) -> None:
