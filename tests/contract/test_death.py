@@ -68,7 +68,8 @@ def test_axes_stand_after_the_host_hung_and_nothing_resumes(mode: SweepMode) -> 
             host.send_signal(signal.SIGCONT)
             _, errors = host.communicate(timeout=20)
         assert host.returncode == 1
-        assert errors.decode().splitlines()[-1].startswith("drivers.errors.")
+        # python-can may add a word of its own while the interpreter ends
+        assert any(line.startswith("drivers.errors.") for line in errors.decode().splitlines()), errors.decode()
         assert virtual.energised() == []
 
 
