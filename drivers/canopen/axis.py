@@ -4,13 +4,14 @@ import math
 import time
 from dataclasses import dataclass
 
-from drivers.canopen import configuration, frames, objects, states
+from drivers.canopen import configuration, frames, objects
 from drivers.canopen.bus import Bus
 from drivers.canopen.objects import Entry
 from drivers.canopen.profile import AxisProfile, CanopenProfile
 from drivers.canopen.sdo import ObjectAbsent, Sdo
-from drivers.canopen.states import State, Wish
 from drivers.canopen.units import Codec, velocity_unit
+from drivers.cia402 import states
+from drivers.cia402.states import State, Wish
 from drivers.errors import CommunicationLost, DriveFault, EmergencyStop, NotReady, WrongConfiguration, WrongIdentity
 from drivers.ports import AxisIdentity, AxisState, AxisStatus, Fault
 

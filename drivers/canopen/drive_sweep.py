@@ -9,9 +9,9 @@ import time
 from collections.abc import AsyncGenerator, Awaitable, Callable
 
 from drivers.canopen.axis import Axis
-from drivers.canopen.checks import Envelope
 from drivers.canopen.measuring import Measuring, MeasuringState, Progress
 from drivers.canopen.sdo_thread import SdoThread
+from drivers.cia402.checks import Envelope
 from drivers.errors import CommunicationLost, DriveError, DriveFault, EnvelopeLeft, SweepInterrupted
 from drivers.ports import SampleBlock, SweepCommand
 

@@ -18,15 +18,16 @@ from enum import Enum
 
 import numpy as np
 
-from drivers.canopen import frames, states
+from drivers.canopen import frames
 from drivers.canopen.bus import Bus
-from drivers.canopen.checks import Envelope
 from drivers.canopen.ladder import Ladder, Rung
 from drivers.canopen.profile import AxisProfile, BusProfile
 from drivers.canopen.samples import Pairing, Sample
-from drivers.canopen.states import State
 from drivers.canopen.units import Codec
-from drivers.canopen.waveform import set_point
+from drivers.cia402 import states
+from drivers.cia402.checks import Envelope
+from drivers.cia402.states import State
+from drivers.cia402.waveform import set_point
 from drivers.ports import SampleBlock, SweepCommand
 
 BLOCK_TIME = 0.1  # s of samples handed over at a time

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from enum import IntEnum
 
-from drivers.canopen import states
-from drivers.canopen.states import State, Wish
+from drivers.cia402 import states
+from drivers.cia402.states import State, Wish
 
 
 class Rung(IntEnum):

@@ -8,7 +8,7 @@ from collections.abc import AsyncGenerator, Coroutine, Generator, Iterable, Mapp
 from contextlib import aclosing, contextmanager, suppress
 from dataclasses import dataclass, field
 
-from drivers.canopen import checks, frames, objects, states
+from drivers.canopen import frames, objects
 from drivers.canopen.axis import Axis
 from drivers.canopen.bus import Bus
 from drivers.canopen.drive_sweep import DriveSweep
@@ -18,6 +18,7 @@ from drivers.canopen.positioning import move
 from drivers.canopen.profile import CanopenProfile
 from drivers.canopen.sdo_thread import SdoThread
 from drivers.canopen.stopping import bring_down
+from drivers.cia402 import checks, states
 from drivers.errors import CommunicationLost, DriveError, EnvelopeLeft, NotReady, SweepInterrupted
 from drivers.ports import AxisIdentity, AxisStatus, Capabilities, Fault, SampleBlock, SweepCommand, SweepMode
 

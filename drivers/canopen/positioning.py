@@ -4,10 +4,10 @@ import asyncio
 import threading
 import time
 
-from drivers.canopen import checks, states
 from drivers.canopen.axis import Axis, Reading
 from drivers.canopen.sdo_thread import SdoThread
-from drivers.canopen.states import State
+from drivers.cia402 import checks, states
+from drivers.cia402.states import State
 from drivers.errors import DriveError, EnvelopeLeft, NotReady, SweepInterrupted
 
 POLL = 0.01  # s

@@ -5,10 +5,10 @@ import logging
 import time
 from contextlib import suppress
 
-from drivers.canopen import states
 from drivers.canopen.axis import Axis
 from drivers.canopen.measuring import abort_running
 from drivers.canopen.sdo_thread import SdoThread
+from drivers.cia402 import states
 from drivers.errors import CommunicationLost, WrongConfiguration
 
 logger = logging.getLogger(__name__)

@@ -12,11 +12,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from simulator.canopen.axis import Axis, Mode
-from simulator.canopen.dictionary import Key, Value
-from simulator.canopen.measuring import Samples
 from simulator.canopen.node import SYNC_ID, Frame, Node
-from simulator.canopen.units import INCREMENTS, PER_MILLE, SPEED
+from simulator.drive.axis import Axis, Mode
+from simulator.drive.dictionary import Key, Value
+from simulator.drive.measuring import Samples
+from simulator.drive.units import INCREMENTS, PER_MILLE, SPEED
 from simulator.machine import AxisInfo, Machine
 
 _MOVING_CHUNK = (4, 16)  # cycles run at a time while something moves

@@ -6,11 +6,11 @@ from enum import IntEnum
 from pathlib import Path
 from typing import NamedTuple
 
-from simulator.canopen.axis import Axis
-from simulator.canopen.dictionary import Abort, AbortCode, Dictionary, Key, Value
-from simulator.canopen.errors import ErrorCode
 from simulator.canopen.pdo import process_data
 from simulator.canopen.sdo import SdoServer
+from simulator.drive.axis import Axis
+from simulator.drive.dictionary import Abort, AbortCode, Dictionary, Key, Value
+from simulator.drive.errors import ErrorCode
 
 
 class Frame(NamedTuple):

@@ -2,7 +2,7 @@
 
 import struct
 
-from simulator.canopen.dictionary import Abort, AbortCode, Dictionary, Key
+from simulator.drive.dictionary import Abort, AbortCode, Dictionary, Key
 
 _INVALID = 1 << 31
 _ID = 0x7FF

@@ -4,7 +4,7 @@ import binascii
 import struct
 from dataclasses import dataclass
 
-from simulator.canopen.dictionary import Abort, AbortCode, Dictionary
+from simulator.drive.dictionary import Abort, AbortCode, Dictionary
 
 _HEAD = struct.Struct("<BHB")
 

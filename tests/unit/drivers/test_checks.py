@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.canopen.checks import Envelope, check_move, check_sweep
 from drivers.canopen.profile import AxisProfile, IdentityProfile
+from drivers.cia402.checks import Envelope, check_move, check_sweep
 from drivers.errors import LimitExceeded
 from drivers.ports import Sine, SweepCommand, SweepMode
 

@@ -3,7 +3,7 @@
 import pytest
 
 from drivers.canopen.ladder import Ladder, Rung
-from drivers.canopen.states import State
+from drivers.cia402.states import State
 
 ENABLED, OFF = State.OPERATION_ENABLED, State.SWITCH_ON_DISABLED
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from drivers.canopen.states import (
+from drivers.cia402.states import (
     ENERGISED,
     PATTERNS,
     QUICK_STOP,

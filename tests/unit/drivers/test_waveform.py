@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from drivers.canopen.waveform import envelope, set_point, travel
+from drivers.cia402.waveform import envelope, set_point, travel
 from drivers.ports import Sine, SweepCommand, SweepMode
 
 

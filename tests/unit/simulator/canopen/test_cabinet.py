@@ -2,6 +2,7 @@
 
 import struct
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -10,7 +11,7 @@ from simulator.canopen.cabinet import Cabinet
 from simulator.canopen.node import Frame
 from simulator.machine import Machine
 
-from .conftest import EDS
+EDS = Path(__file__).parents[4] / "config/eds/virtual-axis.eds"
 
 
 class Bench:

@@ -2,8 +2,8 @@ import struct
 
 import pytest
 
-from simulator.canopen.dictionary import Abort, AbortCode, Dictionary
 from simulator.canopen.pdo import Pdo, process_data
+from simulator.drive.dictionary import Abort, AbortCode, Dictionary
 
 INVALID = 1 << 31
 

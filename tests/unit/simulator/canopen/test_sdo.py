@@ -3,8 +3,8 @@ import struct
 
 import pytest
 
-from simulator.canopen.dictionary import AbortCode, Dictionary
 from simulator.canopen.sdo import SdoServer
+from simulator.drive.dictionary import AbortCode, Dictionary
 
 TRACE = bytes(range(256)) * 8
 

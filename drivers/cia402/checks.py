@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 from drivers.canopen.profile import AxisProfile
-from drivers.canopen.waveform import travel
+from drivers.cia402.waveform import travel
 from drivers.errors import LimitExceeded
 from drivers.ports import SweepCommand, SweepMode
 

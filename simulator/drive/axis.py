@@ -9,14 +9,14 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.canopen.cyclic import CyclicVelocity
-from simulator.canopen.dictionary import Abort, AbortCode, Dictionary
-from simulator.canopen.errors import ErrorCode, ErrorLog
-from simulator.canopen.measuring import MeasuringFunction, Run, Samples
-from simulator.canopen.profile import Motion, brake, travel
-from simulator.canopen.states import ENERGISED, TRANSITIONS, Command, State, command_of, fault_reset
-from simulator.canopen.supervision import Supervision
-from simulator.canopen.units import INCREMENTS, PER_MILLE, SPEED, clamp
+from simulator.drive.cyclic import CyclicVelocity
+from simulator.drive.dictionary import Abort, AbortCode, Dictionary
+from simulator.drive.errors import ErrorCode, ErrorLog
+from simulator.drive.measuring import MeasuringFunction, Run, Samples
+from simulator.drive.profile import Motion, brake, travel
+from simulator.drive.states import ENERGISED, TRANSITIONS, Command, State, command_of, fault_reset
+from simulator.drive.supervision import Supervision
+from simulator.drive.units import INCREMENTS, PER_MILLE, SPEED, clamp
 
 Array = NDArray[np.float64]
 

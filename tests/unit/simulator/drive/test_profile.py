@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulator.canopen.profile import brake, travel
+from simulator.drive.profile import brake, travel
 
 speed = st.floats(0.1, 50)
 

@@ -2,7 +2,7 @@ import struct
 
 import pytest
 
-from simulator.canopen.dictionary import Abort, AbortCode, Dictionary
+from simulator.drive.dictionary import Abort, AbortCode, Dictionary
 
 
 @pytest.mark.parametrize(

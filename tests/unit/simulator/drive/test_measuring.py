@@ -4,10 +4,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from simulator.canopen.axis import Axis
-from simulator.canopen.dictionary import Abort, AbortCode, Dictionary
-from simulator.canopen.measuring import Rejection, Run, Samples, Sweep, Trace
-from simulator.canopen.states import State
+from simulator.drive.axis import Axis
+from simulator.drive.dictionary import Abort, AbortCode, Dictionary
+from simulator.drive.measuring import Rejection, Run, Samples, Sweep, Trace
+from simulator.drive.states import State
 
 Turn = Callable[..., np.ndarray]
 Enable = Callable[[int], None]

@@ -6,10 +6,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from simulator.canopen.axis import Axis
-from simulator.canopen.dictionary import Abort, AbortCode, Dictionary
-from simulator.canopen.errors import ErrorCode
-from simulator.canopen.states import State
+from simulator.drive.axis import Axis
+from simulator.drive.dictionary import Abort, AbortCode, Dictionary
+from simulator.drive.errors import ErrorCode
+from simulator.drive.states import State
 
 REV = 1 << 20
 Turn = Callable[..., np.ndarray]

@@ -12,7 +12,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.canopen.dictionary import Abort, AbortCode, Dictionary
+from simulator.drive.dictionary import Abort, AbortCode, Dictionary
 
 Array = NDArray[np.float64]
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from simulator.canopen.dictionary import Dictionary
-from simulator.canopen.errors import ErrorCode
-from simulator.canopen.measuring import Samples
-from simulator.canopen.units import INCREMENTS, SPEED
+from simulator.drive.dictionary import Dictionary
+from simulator.drive.errors import ErrorCode
+from simulator.drive.measuring import Samples
+from simulator.drive.units import INCREMENTS, SPEED
 
 _OVERSPEED = 1.1
 _MEAN_OF = 0.01  # s, over which the speed is averaged

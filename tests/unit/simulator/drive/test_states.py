@@ -2,9 +2,9 @@
 
 import pytest
 
-from simulator.canopen.axis import Axis
-from simulator.canopen.dictionary import Dictionary
-from simulator.canopen.states import ENERGISED, Command, State, command_of
+from simulator.drive.axis import Axis
+from simulator.drive.dictionary import Dictionary
+from simulator.drive.states import ENERGISED, Command, State, command_of
 
 S = State
 BY_BITS = {  # bits 3..0 of the controlword with bit 7 = 0 -> command, from the standard's table

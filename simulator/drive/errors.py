@@ -3,7 +3,7 @@
 import struct
 from enum import IntEnum
 
-from simulator.canopen.dictionary import Dictionary
+from simulator.drive.dictionary import Dictionary
 
 
 class ErrorCode(IntEnum):

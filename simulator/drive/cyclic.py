@@ -2,9 +2,9 @@
 
 import math
 
-from simulator.canopen.dictionary import Dictionary
-from simulator.canopen.errors import ErrorCode
-from simulator.canopen.units import SPEED
+from simulator.drive.dictionary import Dictionary
+from simulator.drive.errors import ErrorCode
+from simulator.drive.units import SPEED
 
 
 class CyclicVelocity:
