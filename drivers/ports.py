@@ -52,7 +52,32 @@ class Capabilities:
     effort_limit_in_drive: bool
     position_limits_in_drive: bool
     host_watchdog_in_drive: bool  # the drive stops by itself when the host falls silent
-    set_point_timing: str  # "thread", "bcm", "none"
+    set_point_timing: str  # "thread", "bcm" (the kernel's), "none"
+    simultaneous_axes: int  # that one `run_sweep` may move at once
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelTiming:
+    """By how much the drive's channels lag behind the encoder's position, s; measured as in how-to/calibrate-channels.
+
+    A port delivers samples as the drive gives them; who makes a recording of them puts the channels right.
+    """
+
+    effort_delay: float = 0.0
+    effort_smoothing: float = 0.0  # time constant of a first-order low-pass (torque-current smoothing)
+    velocity_delay: float = 0.0
+    velocity_smoothing: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class SetPointTiming:
+    """How punctual the host was in one host-streamed sweep; s."""
+
+    source: str  # "thread" or "bcm"
+    cycles: int
+    missed: int  # deadlines that passed before the set-point could be sent
+    median_lateness: float
+    worst_lateness: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,6 +189,16 @@ class DrivePort(Protocol):
         """Known after `connect`."""
         ...
 
+    @property
+    def channel_timing(self) -> Mapping[str, ChannelTiming]:
+        """By joint, from the profile; all zero where nothing was measured."""
+        ...
+
+    @property
+    def set_point_timing(self) -> SetPointTiming | None:
+        """Of the last host-streamed sweep; None if the last sweep was the drive's own."""
+        ...
+
     async def connect(self) -> tuple[AxisIdentity, ...]:
         """Open the bus, check every node's identity, configure and read back. Leaves every axis disabled."""
         ...
@@ -176,8 +211,11 @@ class DrivePort(Protocol):
         """The state of every axis by joint name."""
         ...
 
-    async def enable(self, joint: str) -> None:
-        """Energise one axis at standstill. Refused while a fault is pending or another axis is enabled."""
+    async def enable(self, *joints: str) -> None:
+        """Energise these axes at standstill; none is left enabled if one cannot be.
+
+        Refused while a fault is pending or any other axis is enabled.
+        """
         ...
 
     async def disable(self, joint: str) -> None:
@@ -188,8 +226,12 @@ class DrivePort(Protocol):
         """Move one enabled axis to `position` rad (m) at most at `velocity`; returns at standstill there."""
         ...
 
-    def run_sweep(self, command: SweepCommand) -> AsyncGenerator[SampleBlock, None]:
-        """Run one sweep on an enabled axis, yielding samples as they come; ends at standstill."""
+    def run_sweep(self, *commands: SweepCommand) -> AsyncGenerator[SampleBlock, None]:
+        """Run one sweep on an enabled axis, yielding samples as they come; ends at standstill.
+
+        Several commands, one an axis and all host-streamed with the same times, move their axes at once on one clock;
+        whatever ends one of them ends all.
+        """
         ...
 
     async def stop(self) -> None:

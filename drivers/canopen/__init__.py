@@ -3,10 +3,12 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from drivers.canopen.machine import CanopenMachine
+from drivers.canopen.fieldbus import CanopenFieldbus
 from drivers.canopen.profile import parse_profile
+from drivers.cia402.machine import Cia402Machine
 
 
-def from_profile(profile: Mapping[str, object], base: Path) -> CanopenMachine:
+def from_profile(profile: Mapping[str, object], base: Path) -> Cia402Machine:
     """The adapter's factory (entry point ``sweepid.drives``). BadProfile names the key and the reason."""
-    return CanopenMachine(parse_profile(profile, base))
+    parsed = parse_profile(profile, base)
+    return Cia402Machine(parsed.axes, CanopenFieldbus(parsed))

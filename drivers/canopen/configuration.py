@@ -6,9 +6,10 @@ configured in NMT pre-operational only, as CiA 301 wants it.
 
 from drivers.canopen import frames, objects
 from drivers.canopen.objects import Entry
-from drivers.canopen.profile import AxisProfile, BusProfile, StopOptions
+from drivers.canopen.profile import BusProfile
 from drivers.canopen.sdo import ObjectAbsent, Sdo
 from drivers.canopen.units import Codec
+from drivers.cia402.profile import AxisProfile, StopOptions
 
 Setting = tuple[Entry, float]
 

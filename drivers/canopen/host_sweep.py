@@ -21,11 +21,12 @@ import numpy as np
 from drivers.canopen import frames
 from drivers.canopen.bus import Bus
 from drivers.canopen.ladder import Ladder, Rung
-from drivers.canopen.profile import AxisProfile, BusProfile
 from drivers.canopen.samples import Pairing, Sample
 from drivers.canopen.units import Codec
 from drivers.cia402 import states
 from drivers.cia402.checks import Envelope
+from drivers.canopen.profile import BusProfile
+from drivers.canopen.profile import CanopenAxis as AxisProfile
 from drivers.cia402.states import State
 from drivers.cia402.waveform import set_point
 from drivers.ports import SampleBlock, SweepCommand

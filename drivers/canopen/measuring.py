@@ -1,14 +1,12 @@
-"""The drive's measuring function (2100h-2103h, 2110h): parameters in, pages of its trace out. Blocking, SDO thread."""
-
-from dataclasses import dataclass
-from enum import IntEnum
+"""The drive's measuring function (2100h-2103h, 2110h): objects, parameters, and the bytes of a trace page. Pure."""
 
 import numpy as np
 
-from drivers.canopen.axis import Axis
+from drivers.canopen.configuration import Setting
 from drivers.canopen.objects import Entry
-from drivers.canopen.sdo import ObjectAbsent
-from drivers.errors import CommunicationLost, SweepRejected, WrongConfiguration
+from drivers.canopen.units import Codec
+from drivers.cia402.profile import AxisProfile
+from drivers.errors import CommunicationLost, WrongConfiguration
 from drivers.ports import SampleBlock, SweepCommand
 
 COMMAND = Entry(0x2100, 1, "H", "measuring command")
@@ -34,111 +32,55 @@ SAMPLE = np.dtype(
 REASONS = {1: "axis not enabled, or not at standstill", 2: "speed", 3: "position window", 4: "parameters"}
 
 
-class MeasuringState(IntEnum):
-    """2100h:02."""
-
-    IDLE = 0
-    RUNNING = 1
-    DONE = 2
-    ABORTED = 3
-    REJECTED = 4
+def trace_cycle(command: SweepCommand) -> int:
+    """ms, as near to the wanted sample rate as the drive can."""
+    return max(1, round(1e3 / command.sample_rate))
 
 
-@dataclass(frozen=True, slots=True)
-class Progress:
-    """State first read, then the count: after DONE the count is final."""
-
-    state: MeasuringState
-    recorded: int
-
-
-class Measuring:
-    """The function of one axis during one sweep."""
-
-    def __init__(self, axis: Axis, command: SweepCommand) -> None:
-        self._axis = axis
-        self._command = command
-        self.cycle_ms = max(1, round(1e3 / command.sample_rate))
-        self._block_transfer = True  # until the drive refuses it
-
-    def prepare(self) -> None:
-        """Writes every parameter with read-back. WrongConfiguration if one is not held."""
-        command, sdo = self._command, self._axis.sdo
-        settings: list[tuple[Entry, float]] = [
-            (OFFSET, self._axis.codec.rev_per_min(command.offset_velocity)),
-            (RAMP, command.ramp),
-            (SETTLE, command.settle),
-            (PERIOD, command.period),
-            (PERIODS, command.periods),
-            (SINES, len(command.sines)),
-            (TRACE_CYCLE, self.cycle_ms),
+def parameters(command: SweepCommand, codec: Codec) -> list[Setting]:
+    """Every parameter of a sweep in drive units."""
+    settings: list[Setting] = [
+        (OFFSET, codec.rev_per_min(command.offset_velocity)),
+        (RAMP, command.ramp),
+        (SETTLE, command.settle),
+        (PERIOD, command.period),
+        (PERIODS, command.periods),
+        (SINES, len(command.sines)),
+        (TRACE_CYCLE, trace_cycle(command)),
+    ]
+    for number, sine in enumerate(command.sines, start=1):
+        # A negative gear ratio makes the amplitude negative, and leaves the phase as it is.
+        settings += [
+            (Entry(0x2101, number, "d", f"frequency {number}"), sine.frequency),
+            (Entry(0x2102, number, "d", f"amplitude {number}"), codec.rev_per_min(sine.amplitude)),
+            (Entry(0x2103, number, "d", f"phase {number}"), sine.phase),
         ]
-        for number, sine in enumerate(command.sines, start=1):
-            # A negative gear ratio makes the amplitude negative, and leaves the phase as it is.
-            settings += [
-                (Entry(0x2101, number, "d", f"frequency {number}"), sine.frequency),
-                (Entry(0x2102, number, "d", f"amplitude {number}"), self._axis.codec.rev_per_min(sine.amplitude)),
-                (Entry(0x2103, number, "d", f"phase {number}"), sine.phase),
-            ]
-        sdo.write(COMMAND, NONE)
-        for entry, value in settings:
-            sdo.settle(entry, value)
-
-    def start(self) -> None:
-        """SweepRejected with the drive's reason; nothing moved then."""
-        self._axis.sdo.write(COMMAND, START)
-        if self.progress().state is MeasuringState.REJECTED:
-            reason = self._axis.sdo.integer(REASON)
-            raise SweepRejected(f"{self._axis.place}: sweep rejected: {REASONS.get(reason, f'reason {reason}')}")
-
-    def progress(self) -> Progress:
-        """WrongConfiguration for a state that this adapter does not know."""
-        number = self._axis.sdo.integer(STATE)
-        try:
-            state = MeasuringState(number)
-        except ValueError:
-            raise WrongConfiguration(f"{self._axis.place}: {STATE} is {number}") from None
-        return Progress(state, self._axis.sdo.integer(RECORDED))
-
-    def page(self, first: int, count: int) -> SampleBlock:
-        """Samples `first` to `first + count`, at most 512. CommunicationLost if the drive gives others."""
-        sdo = self._axis.sdo
-        sdo.write(PAGE_FIRST, first)
-        sdo.write(PAGE_COUNT, count)
-        raw = self._upload()
-        if len(raw) != count * SAMPLE.itemsize:
-            raise CommunicationLost(f"{self._axis.place}: trace page of {len(raw)} bytes instead of {count} samples")
-        samples = np.frombuffer(raw, SAMPLE)
-        index = samples["cycle"].astype(np.int64)
-        if not np.array_equal(index, np.arange(first, first + count)):
-            raise CommunicationLost(f"{self._axis.place}: trace page from {first} holds other samples")
-        codec = self._axis.codec
-        load = np.asarray(samples["load"], dtype=float)
-        return SampleBlock(
-            joint=self._axis.profile.joint,
-            index=index,
-            time=index.astype(float) * (self.cycle_ms * 1e-3),
-            effort=codec.motor_effort(samples["torque"].astype(float)),
-            velocity=codec.motor_velocity(samples["speed"].astype(float)),
-            position=codec.motor_position(np.asarray(samples["motor"], dtype=float)),
-            velocity_setpoint=codec.motor_velocity(samples["command"].astype(float)),
-            load_position=None if np.isnan(load).all() else load * (2 * np.pi),
-        )
-
-    def _upload(self) -> bytes:
-        if self._block_transfer:
-            try:
-                return self._axis.sdo.upload(0x2110, 3, block=True)
-            except ObjectAbsent:
-                raise
-            except WrongConfiguration:  # abort: no block transfer here
-                self._block_transfer = False
-        return self._axis.sdo.upload(0x2110, 3, block=False)
+    return settings
 
 
-def abort_running(axis: Axis) -> bool:
-    """Ends the function if it runs: the drive slows down by its ramp. False if it does not run."""
-    if axis.sdo.integer(STATE) != MeasuringState.RUNNING:
-        return False
-    axis.sdo.write(COMMAND, ABORT)
-    return True
+def samples(
+    raw: bytes, first: int, count: int, axis: AxisProfile, codec: Codec, cycle_ms: int, place: str
+) -> SampleBlock:
+    """The samples `first` to `first + count` in a page's bytes; CommunicationLost if it holds others.
+
+    WrongConfiguration if the direct encoder of the profile is not in it.
+    """
+    if len(raw) != count * SAMPLE.itemsize:
+        raise CommunicationLost(f"{place}: trace page of {len(raw)} bytes instead of {count} samples")
+    page = np.frombuffer(raw, SAMPLE)
+    index = page["cycle"].astype(np.int64)
+    if not np.array_equal(index, np.arange(first, first + count)):
+        raise CommunicationLost(f"{place}: trace page from {first} holds other samples")
+    load = np.asarray(page["load"], dtype=float)
+    if axis.load_encoder and np.isnan(load).any():
+        raise WrongConfiguration(f"{place}: the profile says load_encoder, the trace holds none")
+    return SampleBlock(
+        joint=axis.joint,
+        index=index,
+        time=index.astype(float) * (cycle_ms * 1e-3),
+        effort=codec.motor_effort(page["torque"].astype(float)),
+        velocity=codec.motor_velocity(page["speed"].astype(float)),
+        position=codec.motor_position(np.asarray(page["motor"], dtype=float)),
+        velocity_setpoint=codec.motor_velocity(page["command"].astype(float)),
+        load_position=load * (axis.load_encoder_direction * 2 * np.pi) if axis.load_encoder else None,
+    )

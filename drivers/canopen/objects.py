@@ -69,5 +69,4 @@ TARGET_VELOCITY = Entry(0x60FF, 0, "i", "target velocity")
 
 SAMPLE_COUNTER = Entry(0x2120, 1, "I", "sample counter")
 
-PROFILE_POSITION, CYCLIC_VELOCITY = 1, 9  # modes of operation
 SERVO_DRIVE = 0x192  # low word of 1000h: CiA 402

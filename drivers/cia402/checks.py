@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from drivers.canopen.profile import AxisProfile
+from drivers.cia402.profile import AxisProfile
 from drivers.cia402.waveform import travel
 from drivers.errors import LimitExceeded
 from drivers.ports import SweepCommand, SweepMode

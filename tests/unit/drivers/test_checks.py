@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.canopen.profile import AxisProfile, IdentityProfile
 from drivers.cia402.checks import Envelope, check_move, check_sweep
+from drivers.cia402.profile import AxisProfile, IdentityProfile
 from drivers.errors import LimitExceeded
 from drivers.ports import Sine, SweepCommand, SweepMode
 
@@ -14,7 +14,6 @@ ENVELOPE = Envelope(0.1, 200.0, (-1.0, 1.0), "rad", "N m")
 
 AXIS = AxisProfile(
     joint="joint_1",
-    node=1,
     identity=IdentityProfile(vendor=1, product=2, revision=3),
     gear_ratio=-100.0,
     rated_torque=10.0,

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from drivers.canopen.machine import CanopenMachine
 from drivers.canopen.profile import parse_profile
+from drivers.cia402.machine import Cia402Machine
 from drivers.errors import BadProfile
 from drivers.registry import load_profile, open_drive
 
@@ -27,7 +27,7 @@ def test_every_profile_of_the_house_opens() -> None:
 
 def test_the_virtual_machine_has_six_axes(profile: dict[str, Any]) -> None:
     port = open_drive(profile, DRIVES)
-    assert isinstance(port, CanopenMachine)
+    assert isinstance(port, Cia402Machine)
     assert port.joints == tuple(f"joint_{number}" for number in range(1, 7))
 
 

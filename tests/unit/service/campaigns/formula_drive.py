@@ -11,8 +11,10 @@ from drivers.ports import (
     AxisState,
     AxisStatus,
     Capabilities,
+    ChannelTiming,
     Fault,
     SampleBlock,
+    SetPointTiming,
     SweepCommand,
     SweepMode,
 )
@@ -40,7 +42,9 @@ class FormulaDrive:
         self.holding = asyncio.Event()
         self.go = asyncio.Event()
         self._stopped = asyncio.Event()
-        self.capabilities = Capabilities(frozenset(SweepMode), True, True, True, True, True, "none")
+        self.capabilities = Capabilities(frozenset(SweepMode), True, True, True, True, True, "none", 1)
+        self.channel_timing: Mapping[str, ChannelTiming] = {joint: ChannelTiming() for joint in joints}
+        self.set_point_timing: SetPointTiming | None = None
 
     async def connect(self) -> tuple[AxisIdentity, ...]:
         self.trace.append("connect")

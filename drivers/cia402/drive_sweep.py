@@ -8,14 +8,13 @@ import threading
 import time
 from collections.abc import AsyncGenerator, Awaitable, Callable
 
-from drivers.canopen.axis import Axis
-from drivers.canopen.measuring import Measuring, MeasuringState, Progress
-from drivers.canopen.sdo_thread import SdoThread
+from drivers.cia402.axis import Axis
 from drivers.cia402.checks import Envelope
+from drivers.cia402.device import MeasuringState
+from drivers.cia402.thread import DriveThread
 from drivers.errors import CommunicationLost, DriveError, DriveFault, EnvelopeLeft, SweepInterrupted
 from drivers.ports import SampleBlock, SweepCommand
 
-PAGE = 256  # samples; a page occupies the SDO channel, and a stop waits for it
 LIVE_TIME = 0.1  # s of samples that make a page worth while during the run
 POLL = 0.01  # s
 STALLED = 5.0  # s without a new sample
@@ -26,7 +25,7 @@ class DriveSweep:
 
     def __init__(
         self,
-        sdo: SdoThread,
+        thread: DriveThread,
         axis: Axis,
         command: SweepCommand,
         envelope: Envelope,
@@ -34,9 +33,10 @@ class DriveSweep:
         bring_down: Callable[[], Awaitable[None]],
     ) -> None:
         """`bring_down` is the stop ladder of the axis."""
-        self._sdo, self._axis, self._envelope, self._stop, self._bring_down = sdo, axis, envelope, stop, bring_down
-        self._measuring = Measuring(axis, command)
-        self._live = max(1, min(PAGE, round(LIVE_TIME * 1e3 / self._measuring.cycle_ms)))
+        self._thread, self._axis, self._command = thread, axis, command
+        self._envelope, self._stop, self._bring_down = envelope, stop, bring_down
+        self._largest = axis.device.page_size
+        self._live = max(1, min(self._largest, round(LIVE_TIME * command.sample_rate)))
         self._done = 0  # samples handed over
         self._blocks: asyncio.Queue[SampleBlock | None] = asyncio.Queue()
         self._task = asyncio.create_task(self._run())
@@ -45,11 +45,13 @@ class DriveSweep:
         """The samples as they come; raises what ended the run early."""
         while (block := await self._blocks.get()) is not None:
             yield block
-        await self.finished()
-
-    async def finished(self) -> None:
-        """Until the run has ended; raises what ended it."""
         await asyncio.shield(self._task)
+
+    def timing(self) -> None:
+        """The drive makes the set-points."""
+
+    async def interrupted(self) -> None:
+        """The stop ladder may begin: this run only reads."""
 
     async def over(self) -> None:
         """Until the run has ended, however it did: that is the consumer's matter."""
@@ -59,54 +61,54 @@ class DriveSweep:
 
     async def _run(self) -> None:
         try:
-            await self._sdo.run(self._measuring.prepare)
-            await self._sdo.run(self._start)
+            await self._thread.run(self._axis.device.prepare_measuring, self._command)
+            await self._thread.run(self._start)
             try:
                 await self._follow()
             except DriveError as error:  # nobody watches the axis from here on: it must not wait for the consumer
                 await self._bring_down()
                 if isinstance(error, DriveFault | EnvelopeLeft | SweepInterrupted):
-                    await self._hand_over((await self._sdo.run(self._measuring.progress)).recorded)
+                    await self._hand_over(await self._thread.run(self._axis.device.samples_recorded))
                 raise
         finally:
             self._blocks.put_nowait(None)
 
     def _start(self) -> None:
-        """On the SDO thread, so that no stop can come between the question and the start."""
+        """On the machine's thread, so that no stop can come between the question and the start."""
         if self._stop.is_set():
             raise SweepInterrupted(f"{self._axis.place}: sweep was stopped before it started")
-        self._measuring.start()
+        self._axis.start_measuring()
 
     async def _follow(self) -> None:
         grown = time.monotonic()
         while True:
             if self._stop.is_set():
                 raise SweepInterrupted(f"{self._axis.place}: sweep was stopped")
-            progress = await self._sdo.run(self._watch)
-            waiting = progress.recorded - self._done
-            if progress.state is MeasuringState.DONE:
-                await self._hand_over(progress.recorded)
+            state, recorded = await self._thread.run(self._watch)
+            if state is MeasuringState.DONE:
+                await self._hand_over(recorded)
                 return
-            if progress.state is not MeasuringState.RUNNING:
-                raise SweepInterrupted(f"{self._axis.place}: the drive ended the sweep: {progress.state.name.lower()}")
-            if waiting >= self._live:
+            if state is not MeasuringState.RUNNING:
+                raise SweepInterrupted(f"{self._axis.place}: the drive ended the sweep: {state.name.lower()}")
+            if recorded - self._done >= self._live:
                 grown = time.monotonic()
-                await self._hand_over(self._done + min(waiting, PAGE))
+                await self._hand_over(min(recorded, self._done + self._largest))
                 continue
             if time.monotonic() - grown > STALLED:
                 raise CommunicationLost(f"{self._axis.place}: no new sample of the measuring function for {STALLED} s")
             await asyncio.sleep(POLL)
 
-    def _watch(self) -> Progress:
+    def _watch(self) -> tuple[MeasuringState, int]:
+        """State first, then the count: after DONE the count is final."""
         reading = self._axis.read()
         self._axis.check(reading.state)
         violation = self._envelope.violation(reading.position, reading.velocity, reading.effort)
         if violation is not None:
             raise EnvelopeLeft(f"{self._axis.place}: {violation}")
-        return self._measuring.progress()
+        return self._axis.device.measuring_state(), self._axis.device.samples_recorded()
 
     async def _hand_over(self, recorded: int) -> None:
         while self._done < recorded:
-            count = min(PAGE, recorded - self._done)
-            self._blocks.put_nowait(await self._sdo.run(self._measuring.page, self._done, count))
+            count = min(self._largest, recorded - self._done)
+            self._blocks.put_nowait(await self._thread.run(self._axis.device.page, self._done, count))
             self._done += count

@@ -1,4 +1,4 @@
-"""The one thread on which canopen's blocking SDO calls run, so that no two of them ever meet."""
+"""The one thread on which a machine's blocking exchanges run, so that no two of them ever meet on the bus."""
 
 import asyncio
 from collections.abc import Callable
@@ -9,11 +9,11 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-class SdoThread:
+class DriveThread:
     """First come, first served. A cancelled caller leaves; its call runs to its end all the same."""
 
-    def __init__(self) -> None:
-        self._executor = ThreadPoolExecutor(1, thread_name_prefix="can-sdo")
+    def __init__(self, name: str) -> None:
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix=name)
 
     async def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
         """The result of `function`, called on the thread."""

@@ -4,10 +4,10 @@ import asyncio
 import threading
 import time
 
-from drivers.canopen.axis import Axis, Reading
-from drivers.canopen.sdo_thread import SdoThread
 from drivers.cia402 import checks, states
+from drivers.cia402.axis import Axis, Reading
 from drivers.cia402.states import State
+from drivers.cia402.thread import DriveThread
 from drivers.errors import DriveError, EnvelopeLeft, NotReady, SweepInterrupted
 
 POLL = 0.01  # s
@@ -15,22 +15,22 @@ MARGIN = 5.0  # s above the time that the move needs
 ARRIVAL = 2e-3  # rad (m) that an arrived axis may be off
 
 
-async def move(sdo: SdoThread, axis: Axis, position: float, velocity: float, stop: threading.Event) -> None:
+async def move(thread: DriveThread, axis: Axis, position: float, velocity: float, stop: threading.Event) -> None:
     """Returns at standstill at `position`. Leaves an axis that did not arrive as it is: the caller brings it down."""
     profile = axis.profile
     envelope = checks.move_envelope(profile)
-    start = await sdo.run(axis.require_enabled)
-    await sdo.run(axis.read_back)
-    await sdo.run(axis.settle_limits, envelope.velocity_limit, envelope.effort_limit, envelope.window)
+    start = await thread.run(axis.require_enabled)
+    await thread.run(axis.device.read_back)
+    await thread.run(axis.device.settle_limits, envelope.velocity_limit, envelope.effort_limit, envelope.window)
     # Wall time: a machine whose clock runs faster arrives earlier.
     needed = abs(position - start.position) / velocity + 2 * velocity / profile.acceleration
     deadline = time.monotonic() + needed + MARGIN
-    await sdo.run(_start, axis, position, velocity, stop)
+    await thread.run(_start, axis, position, velocity, stop)
     while True:
-        reading = await sdo.run(axis.read)
+        reading = await thread.run(axis.read)
         if stop.is_set():
             raise SweepInterrupted(f"{axis.place}: move to {position:.5g} {profile.unit} was stopped")
-        await sdo.run(axis.check, reading.state)
+        await thread.run(axis.check, reading.state)
         if reading.state is not State.OPERATION_ENABLED:
             raise NotReady(f"{axis.place}: went to '{reading.state.value}' during the move")
         violation = envelope.violation(reading.position, reading.velocity, reading.effort)

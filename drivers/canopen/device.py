@@ -1,0 +1,236 @@
+"""A CiA 402 drive on CANopen: `drivers.cia402.device.Device` over SDO, NMT and EMCY."""
+
+import math
+import time
+
+from drivers.canopen import configuration, frames, measuring, objects
+from drivers.canopen.bus import Bus
+from drivers.canopen.objects import Entry
+from drivers.canopen.profile import CanopenAxis, CanopenProfile
+from drivers.canopen.sdo import ObjectAbsent, Sdo
+from drivers.canopen.units import Codec, velocity_unit
+from drivers.cia402 import states
+from drivers.cia402.device import Abilities, MeasuringState, Mode, Motion
+from drivers.errors import WrongConfiguration, WrongIdentity
+from drivers.ports import AxisIdentity, SampleBlock, SweepCommand
+
+MODE_TIMEOUT = 2.0  # s
+POLL = 0.002  # s
+
+
+class CanopenDevice:
+    """One node. See `Device`."""
+
+    def __init__(self, profile: CanopenAxis, machine: CanopenProfile, bus: Bus, dictionary_sha256: str) -> None:
+        self.profile = profile
+        self.place = f"{profile.joint} (node {profile.node})"
+        self.emergency_stop_codes = machine.emergency_stop_codes
+        self._machine = machine
+        self._bus = bus
+        self._sha256 = dictionary_sha256
+        self.sdo = Sdo(bus.add_node(profile.node, str(machine.eds)), self.place, bus.check_alive)
+        self._pdos_mapped = False
+        self._block_transfer = True  # until the drive refuses it
+
+    # -- at connect ----------------------------------------------------------------------------------------------
+
+    def identify(self) -> AxisIdentity:
+        """WrongIdentity where device type, 1018h, rated torque differ from the profile; learns the drive's units."""
+        self.forbid_motion()  # a node in NMT stop does not answer
+        read = self.sdo.integer
+        kind = read(objects.DEVICE_TYPE)
+        if kind & 0xFFFF != objects.SERVO_DRIVE:
+            raise WrongIdentity(f"{self.place}: device type {kind:08X}h is no CiA 402 drive")
+        found = (read(objects.VENDOR), read(objects.PRODUCT), read(objects.REVISION), read(objects.SERIAL))
+        expected = self.profile.identity
+        wanted = (expected.vendor, expected.product, expected.revision, expected.serial)
+        for name, have, want in zip(("vendor", "product", "revision", "serial"), found, wanted, strict=True):
+            if want is not None and have != want:
+                raise WrongIdentity(f"{self.place}: {name} is {have:08X}h, the profile says {want:08X}h")
+        increments = read(objects.INCREMENTS) / max(1, read(objects.MOTOR_REVOLUTIONS))
+        rated_torque = read(objects.RATED_TORQUE) * 1e-3
+        if not math.isclose(rated_torque, self.profile.rated_torque, rel_tol=2e-3):
+            raise WrongIdentity(
+                f"{self.place}: rated torque of the motor is {rated_torque:.4g} N m, "
+                f"the profile says {self.profile.rated_torque:.4g} N m"
+            )
+        self.codec = Codec(
+            gear_ratio=self.profile.gear_ratio,
+            position_offset=self.profile.position_offset,
+            rated_torque=rated_torque,
+            increments=increments,
+            velocity_unit=velocity_unit(read(objects.VELOCITY_UNIT), increments),
+        )
+        return AxisIdentity(self.profile.joint, f"node {self.profile.node}", *found, self._sha256)
+
+    def configure(self) -> Abilities:
+        """In NMT pre-operational: PDOs, session settings, limits. WrongConfiguration names what differs."""
+        self._pdos_mapped = configuration.configure_pdos(self.sdo, self.profile.node)
+        absent = self._settle_session() | self._settle(
+            self.profile.velocity_limit, self.profile.effort_limit, self.profile.position_limits
+        )
+        return Abilities(
+            measures=self._has(measuring.STATE),
+            streams=self._pdos_mapped and self._supports_cyclic_velocity() and objects.SYNC_PERIOD not in absent,
+            velocity_limit=objects.MAX_MOTOR_SPEED not in absent,
+            effort_limit=objects.MAX_TORQUE not in absent,
+            position_limits=not absent & {objects.POSITION_MIN, objects.POSITION_MAX},
+            host_watchdog=not absent & {objects.HEARTBEAT_CONSUMER, objects.CONNECTION_LOSS},
+        )
+
+    # -- power ---------------------------------------------------------------------------------------------------
+
+    def allow_motion(self) -> None:
+        self._nmt(frames.NMT_START)
+
+    def forbid_motion(self) -> None:
+        self._nmt(frames.NMT_PRE_OPERATIONAL)
+
+    def statusword(self) -> int:
+        return self.sdo.integer(objects.STATUSWORD)
+
+    def control(self, controlword: int) -> None:
+        self.sdo.write(objects.CONTROLWORD, controlword)
+
+    def set_mode(self, mode: Mode) -> None:
+        """6060h with read-back of 6061h."""
+        self.sdo.write(objects.MODE, mode)
+        deadline = time.monotonic() + MODE_TIMEOUT
+        while (shown := self.sdo.integer(objects.MODE_DISPLAY)) != mode:
+            if time.monotonic() > deadline:
+                raise WrongConfiguration(f"{self.place}: mode {mode} was not taken, the drive shows {shown}")
+            time.sleep(POLL)
+
+    def check_alive(self) -> None:
+        self._bus.check(self.profile.node)
+
+    def announced_error(self) -> int | None:
+        announced = self._bus.emergency(self.profile.node)
+        return None if announced is None else announced.code
+
+    def forget_error(self) -> None:
+        self._bus.forget_emergency(self.profile.node)
+
+    def error_code(self) -> int:
+        return self.sdo.integer(objects.ERROR_CODE)
+
+    def error_text(self, code: int) -> str:
+        history = self._history()
+        return f"error {code:04X}h" + (f", history {history:08X}h" if history else "")
+
+    def stop_unheard(self) -> None:
+        """Quick stop by RPDO, then NMT stop, which 6007h reacts to."""
+        self._bus.send(frames.RPDO1 + self.profile.node, frames.rpdo1(states.QUICK_STOP, 0))
+        self._bus.send(frames.SYNC, b"")
+        self._nmt(frames.NMT_STOP)
+
+    # -- motion --------------------------------------------------------------------------------------------------
+
+    def motion(self) -> Motion:
+        return Motion(
+            float(self.codec.position(self.sdo.read(objects.POSITION))),
+            float(self.codec.velocity(self.sdo.read(objects.VELOCITY))),
+            float(self.codec.effort(self.sdo.read(objects.TORQUE))),
+        )
+
+    def read_back(self) -> None:
+        self._settle_session()
+        if self._pdos_mapped and not configuration.pdos_are_mapped(self.sdo, self.profile.node):
+            raise WrongConfiguration(f"{self.place}: PDO mapping was changed since connect")
+
+    def settle_limits(self, velocity: float, effort: float, window: tuple[float, float]) -> None:
+        self._settle(velocity, effort, window)
+
+    def hold_target(self) -> None:
+        self.sdo.write(objects.TARGET_POSITION, self.sdo.read(objects.POSITION))
+
+    def set_target(self, position: float, velocity: float) -> None:
+        self.sdo.settle(objects.PROFILE_VELOCITY, self.codec.raw_speed(velocity))
+        self.sdo.settle(objects.TARGET_POSITION, self.codec.raw_position(position))
+
+    def prepare_streaming(self) -> int:
+        """Cyclic velocity at set-point zero; gives the sample counter before the first SYNC."""
+        self.sdo.settle(objects.TARGET_VELOCITY, 0)
+        self.set_mode(Mode.CYCLIC_VELOCITY)
+        return self.sdo.integer(objects.SAMPLE_COUNTER)
+
+    # -- measuring function --------------------------------------------------------------------------------------
+
+    page_size = 256  # a page occupies the SDO channel, and a stop waits for it
+
+    def prepare_measuring(self, command: SweepCommand) -> None:
+        self._trace_cycle = measuring.trace_cycle(command)
+        self.sdo.write(measuring.COMMAND, measuring.NONE)
+        for entry, value in measuring.parameters(command, self.codec):
+            self.sdo.settle(entry, value)
+
+    def start_measuring(self) -> None:
+        self.sdo.write(measuring.COMMAND, measuring.START)
+
+    def abort_measuring(self) -> None:
+        self.sdo.write(measuring.COMMAND, measuring.ABORT)
+
+    def measuring_state(self) -> MeasuringState:
+        """WrongConfiguration for a state that this adapter does not know."""
+        number = self.sdo.integer(measuring.STATE)
+        try:
+            return MeasuringState(number)
+        except ValueError:
+            raise WrongConfiguration(f"{self.place}: {measuring.STATE} is {number}") from None
+
+    def rejection(self) -> str:
+        reason = self.sdo.integer(measuring.REASON)
+        return measuring.REASONS.get(reason, f"reason {reason}")
+
+    def samples_recorded(self) -> int:
+        return self.sdo.integer(measuring.RECORDED)
+
+    def page(self, first: int, count: int) -> SampleBlock:
+        self.sdo.write(measuring.PAGE_FIRST, first)
+        self.sdo.write(measuring.PAGE_COUNT, count)
+        return measuring.samples(self._upload(), first, count, self.profile, self.codec, self._trace_cycle, self.place)
+
+    # -- inside --------------------------------------------------------------------------------------------------
+
+    def _upload(self) -> bytes:
+        if self._block_transfer:
+            try:
+                return self.sdo.upload(0x2110, 3, block=True)
+            except ObjectAbsent:
+                raise
+            except WrongConfiguration:  # abort: no block transfer here
+                self._block_transfer = False
+        return self.sdo.upload(0x2110, 3, block=False)
+
+    def _settle_session(self) -> frozenset[Entry]:
+        """What holds for the whole session; gives the absent objects that a profile can do without."""
+        for maker in self._machine.maker_settings:
+            self.sdo.settle(Entry(maker.index, maker.sub, maker.type, maker.name), maker.value)
+        settings = configuration.standing(self.profile, self._machine.bus, self._machine.stop_options, self.codec)
+        return configuration.settle(self.sdo, settings)
+
+    def _settle(self, velocity: float, effort: float, window: tuple[float, float]) -> frozenset[Entry]:
+        return configuration.settle(self.sdo, configuration.limits(self.codec, velocity, effort, window))
+
+    def _has(self, entry: Entry) -> bool:
+        try:
+            self.sdo.read(entry)
+        except ObjectAbsent:
+            return False
+        return True
+
+    def _supports_cyclic_velocity(self) -> bool:
+        try:
+            modes = self.sdo.integer(Entry(0x6502, 0, "I", "supported drive modes"))
+        except ObjectAbsent:
+            return True  # optional object; the mode's read-back tells
+        return bool(modes >> (Mode.CYCLIC_VELOCITY - 1) & 1)
+
+    def _history(self) -> int:
+        try:
+            return self.sdo.integer(objects.ERROR_HISTORY)
+        except WrongConfiguration:  # absent, or empty and refused
+            return 0
+
+    def _nmt(self, command: int) -> None:
+        self._bus.send(frames.NMT, bytes([command, self.profile.node]))

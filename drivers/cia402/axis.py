@@ -1,0 +1,201 @@
+"""One axis: power, faults and readings over a `Device`, and its latched fault. Blocking, on the machine's thread."""
+
+import math
+import time
+from dataclasses import dataclass
+
+from drivers.cia402 import states
+from drivers.cia402.device import Device, MeasuringState, Mode, Motion
+from drivers.cia402.states import State, Wish
+from drivers.errors import (
+    CommunicationLost,
+    DriveFault,
+    EmergencyStop,
+    NotReady,
+    SweepRejected,
+    WrongConfiguration,
+)
+from drivers.ports import AxisIdentity, AxisState, AxisStatus, Fault
+
+TRANSITION_TIMEOUT = 2.0  # s, for one step of the power state machine (brakes take some 100 ms)
+RESET_TIMEOUT = 0.5  # s
+POLL = 0.002  # s
+
+
+@dataclass(frozen=True, slots=True)
+class Reading(Motion):
+    """Statusword and motion of one moment, joint side."""
+
+    statusword: int
+
+    @property
+    def state(self) -> State:
+        return states.decode(self.statusword)
+
+
+class Axis:
+    """Holds what was learnt of the drive at connect, and its latched fault."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self.profile = device.profile
+        self.place = device.place
+        self.fault: Fault | None = None
+
+    # -- at connect ----------------------------------------------------------------------------------------------
+
+    def introduce(self) -> AxisIdentity:
+        """Check who it is, and leave it disabled and configured."""
+        identity = self.device.identify()
+        self.disable()
+        self.abilities = self.device.configure()
+        return identity
+
+    # -- reading -------------------------------------------------------------------------------------------------
+
+    def read(self) -> Reading:
+        """Statusword first, so that what it says is not younger than the motion."""
+        statusword = self.device.statusword()
+        motion = self.device.motion()
+        return Reading(motion.position, motion.velocity, motion.effort, statusword)
+
+    def state(self) -> State:
+        return states.decode(self.device.statusword())
+
+    def stands(self, reading: Reading) -> bool:
+        return abs(reading.velocity) <= self.profile.standstill_velocity
+
+    def status(self) -> AxisStatus:
+        """UNKNOWN with NaN where the drive does not answer."""
+        try:
+            self.device.check_alive()
+            reading = self.read()
+            self.latch_fault(reading.state)
+        except CommunicationLost:
+            return AxisStatus(self.profile.joint, AxisState.UNKNOWN, math.nan, math.nan, math.nan, self.fault)
+        state = AxisState.FAULT if self.fault else states.operator_view(reading.state)
+        return AxisStatus(self.profile.joint, state, reading.position, reading.velocity, reading.effort, self.fault)
+
+    def latch_fault(self, state: State) -> Fault | None:
+        """Keeps a fault that the drive reports until it is acknowledged here, even if the drive forgets it."""
+        announced = self.device.announced_error()
+        if self.fault is None and (announced is not None or state in (State.FAULT, State.FAULT_REACTION)):
+            code = self.device.error_code() or announced or 0
+            self.fault = Fault(
+                joint=self.profile.joint,
+                code=code,
+                text=self.device.error_text(code),
+                emergency_stop=code in self.device.emergency_stop_codes,
+            )
+        return self.fault
+
+    def check(self, state: State) -> None:
+        """CommunicationLost, EmergencyStop or DriveFault if that is what happened to the axis."""
+        self.device.check_alive()
+        fault = self.latch_fault(state)
+        if fault is not None:
+            kind = EmergencyStop if fault.emergency_stop else DriveFault
+            raise kind(f"{self.place}: {fault.text}")
+
+    # -- power ---------------------------------------------------------------------------------------------------
+
+    def enable(self) -> None:
+        """Closes the loop at standstill in profile position mode. Ends disabled if it cannot."""
+        self.check(self.state())
+        reading = self.read()
+        if not self.stands(reading):
+            raise NotReady(f"{self.place}: moves at {reading.velocity:.4g} {self.profile.unit}/s, cannot be enabled")
+        self.device.allow_motion()
+        try:
+            self.device.set_mode(Mode.PROFILE_POSITION)
+            self.device.hold_target()
+            state = self.state()
+            while state is not State.OPERATION_ENABLED:
+                self.device.control(states.step(state, Wish.ENABLED))
+                following = self._next_state(state, TRANSITION_TIMEOUT)
+                self.check(following)
+                if following is state:
+                    raise NotReady(f"{self.place}: stays in state '{state.value}' for {TRANSITION_TIMEOUT} s")
+                state = following
+        except BaseException:
+            self.disable()
+            raise
+
+    def disable(self) -> None:
+        """Disable voltage, whatever the state, and wait for it."""
+        self.device.control(states.step(self.state(), Wish.DISABLED))
+        deadline = time.monotonic() + TRANSITION_TIMEOUT
+        while (state := self.state()) in states.ENERGISED:
+            if time.monotonic() > deadline:
+                raise WrongConfiguration(f"{self.place}: does not leave state '{state.value}' on 'disable voltage'")
+            time.sleep(POLL)
+        self.device.forbid_motion()
+
+    def quick_stop(self) -> None:
+        self.device.control(states.step(self.state(), Wish.QUICK_STOP))
+
+    def halt(self) -> None:
+        """The ladder's first rung for a positioning move: slow down by 605Dh, stay in closed loop."""
+        if self.state() is State.OPERATION_ENABLED:
+            self.device.control(states.ENABLE_OPERATION | states.HALT)
+
+    def slow_down(self) -> None:
+        """The ladder's first rung: end the measuring function if it runs, otherwise halt."""
+        if self.abilities.measures and self.device.measuring_state() is MeasuringState.RUNNING:
+            self.device.abort_measuring()
+        else:
+            self.halt()
+
+    def acknowledge(self) -> None:
+        """Fault reset by a rising edge of bit 7, and nothing more. DriveFault if the fault stays."""
+        state = self.state()
+        if state is State.FAULT:
+            self.device.control(states.DISABLE_VOLTAGE)
+            self.device.control(states.step(state, Wish.FAULT_RESET))
+            self.device.control(states.DISABLE_VOLTAGE)
+            state = self._next_state(state, RESET_TIMEOUT)
+        if state in (State.FAULT, State.FAULT_REACTION):
+            code = self.device.error_code()
+            raise DriveFault(f"{self.place}: fault {code:04X}h cannot be cleared while its cause is there")
+        self.device.forget_error()
+        self.fault = None
+
+    # -- before a motion -----------------------------------------------------------------------------------------
+
+    def require_enabled(self) -> Reading:
+        """NotReady unless the axis is enabled and stands."""
+        reading = self.read()
+        self.check(reading.state)
+        if reading.state is not State.OPERATION_ENABLED:
+            raise NotReady(f"{self.place}: is '{reading.state.value}', must be enabled first")
+        if not self.stands(reading):
+            raise NotReady(f"{self.place}: still moves at {reading.velocity:.4g} {self.profile.unit}/s")
+        return reading
+
+    def start_positioning(self, position: float, velocity: float) -> None:
+        """Profile position: target, speed, rising edge of the new set-point bit, hand-shake by bit 12."""
+        self.device.control(states.ENABLE_OPERATION)
+        self.device.set_target(position, velocity)
+        self.device.control(states.ENABLE_OPERATION | states.NEW_SET_POINT)
+        deadline = time.monotonic() + TRANSITION_TIMEOUT
+        while not self.device.statusword() & states.SET_POINT_ACKNOWLEDGED:
+            self.check(self.state())
+            if time.monotonic() > deadline:
+                raise WrongConfiguration(f"{self.place}: does not acknowledge the set-point (statusword bit 12)")
+            time.sleep(POLL)
+        self.device.control(states.ENABLE_OPERATION)
+
+    def start_measuring(self) -> None:
+        """SweepRejected with the drive's reason; nothing moved then."""
+        self.device.start_measuring()
+        if self.device.measuring_state() is MeasuringState.REJECTED:
+            raise SweepRejected(f"{self.place}: sweep rejected: {self.device.rejection()}")
+
+    # -- inside --------------------------------------------------------------------------------------------------
+
+    def _next_state(self, state: State, within: float) -> State:
+        """The state that follows `state`, or `state` itself if none does in time, s."""
+        deadline = time.monotonic() + within
+        while (now := self.state()) is state and time.monotonic() < deadline:
+            time.sleep(POLL)
+        return now

@@ -1,0 +1,67 @@
+"""What a fieldbus brings for a whole machine: an open connection with its axes, and the streamed sweeps it can do."""
+
+import threading
+from collections.abc import AsyncGenerator, Mapping, Sequence
+from typing import Protocol
+
+from drivers.cia402.axis import Axis
+from drivers.cia402.checks import Envelope
+from drivers.cia402.thread import DriveThread
+from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTiming, SweepCommand
+
+
+class Run(Protocol):
+    """A sweep under way."""
+
+    def blocks(self) -> AsyncGenerator[SampleBlock, None]:
+        """The samples as they come, to the sweep's end at standstill; raises what ended it early."""
+        ...
+
+    async def interrupted(self) -> None:
+        """After the stop event was set: until the stop ladder may talk to the drives."""
+        ...
+
+    async def over(self) -> None:
+        """Until nothing of it runs any more, however it ended: that is the consumer's matter."""
+        ...
+
+    def timing(self) -> SetPointTiming | None:
+        """How punctual the host's set-points are; None if the drive makes them."""
+        ...
+
+
+class Connection(Protocol):
+    """An open bus with every axis introduced, configured and disabled."""
+
+    @property
+    def thread(self) -> DriveThread: ...
+
+    @property
+    def axes(self) -> Mapping[str, Axis]: ...
+
+    @property
+    def identities(self) -> tuple[AxisIdentity, ...]: ...
+
+    @property
+    def capabilities(self) -> Capabilities: ...
+
+    @property
+    def sync_period(self) -> float:
+        """Cycle of host-streamed sweeps, s."""
+        ...
+
+    async def stream(self, sweeps: Sequence[tuple[SweepCommand, Envelope]], stop: threading.Event) -> Run:
+        """Start set-points on enabled axes whose limits are settled."""
+        ...
+
+    async def close(self) -> None:
+        """Release the bus; the axes are down."""
+        ...
+
+
+class Fieldbus(Protocol):
+    """A profile's bus, not open yet."""
+
+    async def open(self) -> Connection:
+        """Open, identify, configure; nothing stays open if that fails."""
+        ...

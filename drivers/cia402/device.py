@@ -1,0 +1,162 @@
+"""What a fieldbus must bring for each axis. Every method is a short blocking exchange on the machine's thread.
+
+Quantities are SI on the joint side: the units of the wire stay inside the device. Any method raises
+CommunicationLost when the drive does not answer and WrongConfiguration when it refuses.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Protocol
+
+from drivers.cia402.profile import AxisProfile
+from drivers.ports import AxisIdentity, SampleBlock, SweepCommand
+
+
+@dataclass(frozen=True, slots=True)
+class Abilities:
+    """What one drive has; learnt while it is configured."""
+
+    measures: bool  # a measuring function
+    streams: bool  # cyclic synchronous velocity
+    velocity_limit: bool
+    effort_limit: bool
+    position_limits: bool
+    host_watchdog: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Actual values of one moment: rad (m), rad/s (m/s), N m (N)."""
+
+    position: float
+    velocity: float
+    effort: float
+
+
+class MeasuringState(IntEnum):
+    """State of the measuring function (docs/reference/virtual-drive.md, 2100h:02)."""
+
+    IDLE = 0
+    RUNNING = 1
+    DONE = 2
+    ABORTED = 3
+    REJECTED = 4
+
+
+class Mode(IntEnum):
+    """Modes of operation, 6060h."""
+
+    PROFILE_POSITION = 1
+    CYCLIC_VELOCITY = 9
+
+
+class Device(Protocol):
+    """One drive behind its fieldbus: no decisions, no state of its own but what was learnt at connect."""
+
+    @property
+    def profile(self) -> AxisProfile: ...
+
+    @property
+    def place(self) -> str:
+        """For messages, e.g. "joint_1 (node 1)"."""
+        ...
+
+    # -- at connect
+
+    def identify(self) -> AxisIdentity:
+        """WrongIdentity where the device is not the one of the profile."""
+        ...
+
+    def configure(self) -> Abilities:
+        """Session settings and limits of the profile, with read-back, on a disabled drive."""
+        ...
+
+    # -- power
+
+    def allow_motion(self) -> None:
+        """Let the drive take process data and commands of motion (CANopen: NMT start)."""
+        ...
+
+    def forbid_motion(self) -> None:
+        """Take that back."""
+        ...
+
+    def statusword(self) -> int: ...
+
+    def control(self, controlword: int) -> None: ...
+
+    def set_mode(self, mode: Mode) -> None:
+        """Returns when the drive shows the mode."""
+        ...
+
+    def check_alive(self) -> None:
+        """CommunicationLost if the drive was not heard for longer than the profile allows."""
+        ...
+
+    def announced_error(self) -> int | None:
+        """Code of a trouble that the drive told by itself (EMCY, restart) and has not withdrawn; None if none."""
+        ...
+
+    def forget_error(self) -> None: ...
+
+    def error_code(self) -> int:
+        """603Fh, 0 if there is none."""
+        ...
+
+    def error_text(self, code: int) -> str:
+        """What the drive has to say about an error."""
+        ...
+
+    @property
+    def emergency_stop_codes(self) -> tuple[int, ...]: ...
+
+    def stop_unheard(self) -> None:
+        """For a drive that does not answer but may listen: the strongest stop that needs no answer."""
+        ...
+
+    # -- motion
+
+    def motion(self) -> Motion: ...
+
+    def read_back(self) -> None:
+        """WrongConfiguration if a session setting is not held any more: somebody else may have changed it."""
+        ...
+
+    def settle_limits(self, velocity: float, effort: float, window: tuple[float, float]) -> None:
+        """A motion's limits into the drive, as far as it has them."""
+        ...
+
+    def hold_target(self) -> None:
+        """Target of the next move := where the axis is."""
+        ...
+
+    def set_target(self, position: float, velocity: float) -> None:
+        """Target and speed of the next move, with read-back."""
+        ...
+
+    # -- measuring function
+
+    def prepare_measuring(self, command: SweepCommand) -> None:
+        """The sweep's parameters, with read-back."""
+        ...
+
+    def start_measuring(self) -> None: ...
+
+    def abort_measuring(self) -> None: ...
+
+    def measuring_state(self) -> MeasuringState: ...
+
+    def rejection(self) -> str:
+        """Why the last start was rejected."""
+        ...
+
+    def samples_recorded(self) -> int: ...
+
+    def page(self, first: int, count: int) -> SampleBlock:
+        """Samples `first` to `first + count`; CommunicationLost if the drive gives others."""
+        ...
+
+    @property
+    def page_size(self) -> int:
+        """Samples of the largest page that leaves room for a stop in between."""
+        ...

@@ -1,0 +1,277 @@
+"""A `drivers.ports.DrivePort` over CiA 402 axes on any fieldbus: who may move when, and how all comes to rest."""
+
+import asyncio
+import logging
+import threading
+from collections.abc import AsyncGenerator, Coroutine, Generator, Mapping, Sequence
+from contextlib import aclosing, contextmanager
+from dataclasses import dataclass, field
+
+from drivers.cia402 import checks, states
+from drivers.cia402.axis import Axis
+from drivers.cia402.connection import Connection, Fieldbus, Run
+from drivers.cia402.drive_sweep import DriveSweep
+from drivers.cia402.positioning import move
+from drivers.cia402.profile import AxisProfile
+from drivers.cia402.stopping import bring_down
+from drivers.errors import DriveError, LimitExceeded, NotReady
+from drivers.ports import (
+    AxisIdentity,
+    AxisStatus,
+    Capabilities,
+    ChannelTiming,
+    Fault,
+    SampleBlock,
+    SetPointTiming,
+    SweepCommand,
+    SweepMode,
+)
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class Motion:
+    """The one motion under way, and what runs it if it is a sweep."""
+
+    axes: tuple[Axis, ...]
+    stop: threading.Event = field(default_factory=threading.Event)
+    run: Run | None = None
+
+
+class Cia402Machine:
+    """See `drivers.ports.DrivePort`. One instance, one event loop; not connected until `connect`."""
+
+    def __init__(self, profiles: Sequence[AxisProfile], fieldbus: Fieldbus) -> None:
+        self._profiles = tuple(profiles)
+        self._fieldbus = fieldbus
+        self._link: Connection | None = None
+        self._motion: Motion | None = None
+        self._cleanups: set[asyncio.Task[None]] = set()
+        self._reading = asyncio.Lock()  # one status at a time in the thread's queue: a stop must not wait for many
+        self._last_run: Run | None = None
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return tuple(profile.joint for profile in self._profiles)
+
+    @property
+    def channel_timing(self) -> Mapping[str, ChannelTiming]:
+        return {profile.joint: profile.channels.timing for profile in self._profiles}
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """NotReady before `connect`."""
+        return self._connected().capabilities
+
+    @property
+    def set_point_timing(self) -> SetPointTiming | None:
+        return None if self._last_run is None else self._last_run.timing()
+
+    # -- connection ----------------------------------------------------------------------------------------------
+
+    async def connect(self) -> tuple[AxisIdentity, ...]:
+        if self._link is not None:
+            raise NotReady("already connected")
+        self._link = await self._fieldbus.open()
+        return self._link.identities
+
+    async def close(self) -> None:
+        if self._link is None:
+            return
+        await self._interrupt()
+        if self._motion is not None and self._motion.run is not None:
+            await self._motion.run.over()
+        for task in tuple(self._cleanups):
+            await task
+        link, self._link = self._link, None
+        for axis in link.axes.values():
+            try:
+                await bring_down(link.thread, axis)
+            except DriveError as error:
+                logger.error("while closing: %s", error)
+        await self._shield(link.close())
+
+    # -- state ---------------------------------------------------------------------------------------------------
+
+    async def status(self) -> Mapping[str, AxisStatus]:
+        async with self._reading:
+            link = self._connected()
+            return {joint: await link.thread.run(axis.status) for joint, axis in link.axes.items()}
+
+    async def faults(self) -> tuple[Fault, ...]:
+        return tuple(status.fault for status in (await self.status()).values() if status.fault is not None)
+
+    async def acknowledge(self, joint: str) -> None:
+        axis = self._axis(joint)
+        await self._connected().thread.run(axis.acknowledge)
+
+    async def enable(self, *joints: str) -> None:
+        axes = tuple(self._axis(joint) for joint in joints)
+        link = self._connected()
+        try:
+            await link.thread.run(_enable_alone, axes, tuple(link.axes.values()))
+        except asyncio.CancelledError:  # the call goes on without us, and what it enables nobody would know of
+            for axis in axes:
+                await self._shield(bring_down(link.thread, axis))
+            raise
+
+    async def disable(self, joint: str) -> None:
+        axis = self._axis(joint)
+        if self._motion is not None and axis in self._motion.axes:
+            await self._interrupt()
+        await self._shield(bring_down(self._connected().thread, axis))
+
+    async def stop(self) -> None:
+        if self._link is not None:
+            await self._shield(self._stop(self._link))
+
+    async def _stop(self, link: Connection) -> None:
+        """Every axis down, the moving ones first."""
+        moving = () if self._motion is None else self._motion.axes
+        await self._interrupt()
+        await self._bring_down(link, sorted(link.axes.values(), key=lambda axis: axis not in moving))
+
+    # -- motion --------------------------------------------------------------------------------------------------
+
+    async def move_to(self, joint: str, position: float, velocity: float) -> None:
+        axis = self._axis(joint)
+        link = self._connected()
+        checks.check_move(axis.profile, position, velocity)
+        with self._moving((axis,)) as motion:
+            try:
+                await move(link.thread, axis, position, velocity, motion.stop)
+            except BaseException:
+                await self._shield(self._abandon(motion))
+                raise
+
+    async def run_sweep(self, *commands: SweepCommand) -> AsyncGenerator[SampleBlock, None]:
+        axes = tuple(self._axis(command.joint) for command in commands)
+        link = self._connected()
+        _check_together(axes, commands, link.capabilities)
+        with self._moving(axes) as motion:
+            for axis, command in zip(axes, commands, strict=True):
+                start = await link.thread.run(axis.require_enabled)
+                checks.check_sweep(axis.profile, command, start.position, link.sync_period)
+            completed = False
+            try:
+                run = await self._start(link, commands, motion)
+                async with aclosing(run.blocks()) as blocks:
+                    async for block in blocks:
+                        yield block
+                completed = True
+            finally:
+                if not completed:
+                    await self._shield(self._abandon(motion))
+
+    async def _start(self, link: Connection, commands: Sequence[SweepCommand], motion: Motion) -> Run:
+        sweeps = [
+            (command, checks.sweep_envelope(axis.profile, command))
+            for axis, command in zip(motion.axes, commands, strict=True)
+        ]
+        for axis, (_, envelope) in zip(motion.axes, sweeps, strict=True):
+            await link.thread.run(axis.device.read_back)
+            limits = (envelope.velocity_limit, envelope.effort_limit, envelope.window)
+            await link.thread.run(axis.device.settle_limits, *limits)
+        if commands[0].mode is SweepMode.HOST_STREAMED:
+            motion.run = await link.stream(sweeps, motion.stop)
+        else:
+            (axis,), ((command, envelope),) = motion.axes, sweeps
+            motion.run = DriveSweep(
+                link.thread, axis, command, envelope, motion.stop, lambda: bring_down(link.thread, axis)
+            )
+        self._last_run = motion.run
+        return motion.run
+
+    @contextmanager
+    def _moving(self, axes: tuple[Axis, ...]) -> Generator[Motion]:
+        if self._motion is not None or self._cleanups:
+            other = self._motion.axes[0].place if self._motion else "an axis"
+            raise NotReady(f"{axes[0].place}: {other} is under way; one motion at a time")
+        self._motion = motion = Motion(axes)
+        try:
+            yield motion
+        finally:
+            self._motion = None
+
+    async def _interrupt(self) -> None:
+        """Ask the motion under way to stop, and wait until the stop ladder may talk to its drives."""
+        motion = self._motion
+        if motion is None:
+            return
+        motion.stop.set()
+        if motion.run is not None:
+            await motion.run.interrupted()
+
+    async def _abandon(self, motion: Motion) -> None:
+        """After any early end: the run over, its axes at standstill and de-energised. Trouble is logged, not raised,
+        so that it does not hide what ended the motion."""
+        motion.stop.set()
+        if motion.run is not None:
+            await motion.run.over()  # its trouble was given to the consumer
+        if self._link is None:
+            return  # closed meanwhile, which brought the axes down
+        try:
+            await self._bring_down(self._link, motion.axes)
+        except DriveError as error:
+            logger.error("stop ladder: %s", error)
+
+    async def _bring_down(self, link: Connection, axes: Sequence[Axis]) -> None:
+        trouble: DriveError | None = None
+        for axis in axes:
+            try:
+                await bring_down(link.thread, axis)
+            except DriveError as error:  # the others must be stopped all the same
+                trouble = trouble or error
+        if trouble is not None:
+            raise trouble
+
+    async def _shield(self, work: Coroutine[object, object, None]) -> None:
+        """Runs `work` to its end even if the caller is cancelled meanwhile."""
+        task = asyncio.create_task(work)
+        self._cleanups.add(task)
+        task.add_done_callback(self._cleanups.discard)
+        await asyncio.shield(task)
+
+    def _connected(self) -> Connection:
+        if self._link is None:
+            raise NotReady("not connected")
+        return self._link
+
+    def _axis(self, joint: str) -> Axis:
+        axes = self._connected().axes
+        if joint not in axes:
+            raise NotReady(f"{joint}: no such joint here; there are {', '.join(axes)}")
+        return axes[joint]
+
+
+def _check_together(axes: tuple[Axis, ...], commands: Sequence[SweepCommand], can: Capabilities) -> None:
+    """NotReady if this machine cannot run these sweeps, LimitExceeded if they do not belong together."""
+    if not commands:
+        raise LimitExceeded("a sweep needs at least one axis")
+    first = commands[0]
+    if first.mode not in can.sweep_modes:
+        raise NotReady(f"{axes[0].place}: sweeps of mode '{first.mode.value}' are not supported by this drive")
+    most = can.simultaneous_axes if first.mode is SweepMode.HOST_STREAMED else 1
+    if len(commands) > most:
+        raise NotReady(f"{len(commands)} axes at once: this machine moves {most} in mode '{first.mode.value}'")
+    if len(set(axes)) < len(axes):
+        raise LimitExceeded("sweeps of several axes at once: each axis once")
+    times = {(c.mode, c.ramp, c.settle, c.period, c.periods) for c in commands}
+    if len(times) > 1:
+        raise LimitExceeded("sweeps of several axes at once must have the same mode, ramp, settle, period and periods")
+
+
+def _enable_alone(axes: tuple[Axis, ...], all_axes: tuple[Axis, ...]) -> None:
+    for other in all_axes:
+        state = other.state()
+        other.check(state)
+        if other not in axes and state in states.ENERGISED:
+            raise NotReady(f"{axes[0].place}: {other.place} is '{state.value}'; it must be disabled first")
+    try:
+        for axis in axes:
+            axis.enable()
+    except BaseException:
+        for axis in axes:
+            axis.disable()
+        raise

@@ -1,0 +1,61 @@
+"""The stop ladder, asked step by step: slow down, quick stop, disable voltage; each rung has its deadline."""
+
+import asyncio
+import logging
+import time
+from contextlib import suppress
+
+from drivers.cia402 import states
+from drivers.cia402.axis import Axis
+from drivers.cia402.thread import DriveThread
+from drivers.errors import CommunicationLost, WrongConfiguration
+
+logger = logging.getLogger(__name__)
+
+POLL = 0.01  # s
+MARGIN = 0.5  # s that a rung gets above its ramp
+
+
+async def bring_down(thread: DriveThread, axis: Axis) -> None:
+    """Axis to standstill and de-energised, whatever it does now.
+
+    CommunicationLost if the drive does not answer; it was then told to stop by what needs no answer.
+    """
+    try:
+        await _ladder(thread, axis)
+    except CommunicationLost:
+        with suppress(CommunicationLost):
+            await thread.run(axis.device.stop_unheard)
+        raise
+
+
+async def _ladder(thread: DriveThread, axis: Axis) -> None:
+    try:
+        await _come_to_rest(thread, axis)
+    except WrongConfiguration as error:  # a refused rung must not keep the drive from the next ones
+        logger.error("stop ladder, next rung: %s", error)
+        await thread.run(axis.quick_stop)
+        await asyncio.sleep(axis.profile.velocity_limit / axis.profile.quick_stop_deceleration)
+    await thread.run(axis.disable)
+
+
+async def _come_to_rest(thread: DriveThread, axis: Axis) -> None:
+    profile = axis.profile
+    reading = await thread.run(axis.read)
+    if reading.state in states.ENERGISED and not axis.stands(reading):
+        await thread.run(axis.slow_down)
+        if not await _stands(thread, axis, profile.velocity_limit / profile.acceleration + MARGIN):
+            await thread.run(axis.quick_stop)
+            await _stands(thread, axis, profile.velocity_limit / profile.quick_stop_deceleration + MARGIN)
+    elif reading.state in states.ENERGISED:
+        await thread.run(axis.slow_down)  # a sweep's first instants look like standstill
+
+
+async def _stands(thread: DriveThread, axis: Axis, within: float) -> bool:
+    deadline = time.monotonic() + within
+    while time.monotonic() < deadline:
+        reading = await thread.run(axis.read)
+        if axis.stands(reading) or reading.state not in states.ENERGISED:
+            return True
+        await asyncio.sleep(POLL)
+    return False
