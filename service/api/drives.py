@@ -1,11 +1,12 @@
 """The machine's drives: what they are, how they stand, and what a person may do about it without moving anything."""
 
 from collections.abc import Mapping
+from dataclasses import asdict
 
 from fastapi import APIRouter
 from pydantic import BaseModel
 
-from drivers.ports import AxisIdentity, AxisState, AxisStatus, SweepMode
+from drivers.ports import AxisIdentity, AxisState, AxisStatus, Capabilities, SweepMode
 from service.api.dependencies import LabOf
 from service.api.idempotent import IdempotentRoute
 from service.campaigns.machine import Machine
@@ -45,12 +46,25 @@ class AxisView(BaseModel):
     identity: IdentityView | None
 
 
+class CapabilitiesView(BaseModel):
+    """What the drives can do; a limit that is not in the drive is watched by the service alone."""
+
+    sweep_modes: tuple[SweepMode, ...]
+    load_encoder: bool
+    velocity_limit_in_drive: bool
+    effort_limit_in_drive: bool
+    position_limits_in_drive: bool
+    host_watchdog_in_drive: bool
+    set_point_timing: str
+    simultaneous_axes: int
+
+
 class DrivesView(BaseModel):
-    """The machine; `trouble` says why it is not connected."""
+    """The machine; `trouble` says why it is not connected, `capabilities` are known while it is."""
 
     connected: bool
     trouble: str
-    sweep_modes: tuple[SweepMode, ...]
+    capabilities: CapabilitiesView | None
     axes: tuple[AxisView, ...]
 
 
@@ -60,11 +74,10 @@ async def get_drives(lab: LabOf) -> DrivesView:
     machine = lab.machine
     status: Mapping[str, AxisStatus] = await machine.status() if machine.connected else {}
     identities = {identity.joint: identity for identity in machine.identities}
-    modes = machine.capabilities.sweep_modes if machine.connected else frozenset[SweepMode]()
     return DrivesView(
         connected=machine.connected,
         trouble=machine.trouble,
-        sweep_modes=tuple(sorted(modes, key=lambda mode: mode.value)),
+        capabilities=_capabilities(machine.capabilities) if machine.connected else None,
         axes=tuple(_axis(joint, status.get(joint), identities.get(joint)) for joint in machine.joints),
     )
 
@@ -90,6 +103,11 @@ async def acknowledge(joint: str, lab: LabOf) -> AxisView:
 def _check_joint(machine: Machine, joint: str) -> None:
     if joint not in machine.joints:
         raise NotFound(f"drive {joint}: the machine has {', '.join(machine.joints)}")
+
+
+def _capabilities(can: Capabilities) -> CapabilitiesView:
+    modes = sorted(can.sweep_modes, key=lambda mode: mode.value)
+    return CapabilitiesView.model_validate(asdict(can) | {"sweep_modes": modes})
 
 
 def _axis(joint: str, status: AxisStatus | None, identity: AxisIdentity | None) -> AxisView:
