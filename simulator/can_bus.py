@@ -13,6 +13,7 @@ import structlog
 from simulator.canopen.node import Frame
 
 _log = structlog.get_logger(__name__)
+_BUS_OFF = 0x40  # SocketCAN's error class in the identifier of an error frame
 _POLL = 0.1  # s, after which the reader looks whether it shall end
 
 
@@ -29,16 +30,21 @@ class CanBus:
         self._wake, self._woken = socket.socketpair()
         self._woken.setblocking(False)
         self._closing = Event()
+        self._off = False
         selector.register(self._woken, selectors.EVENT_READ, self._deliver)
         self._reader = Thread(target=self._read, name=f"can {interface} {channel}", daemon=True)
         self._reader.start()
 
     def send(self, frame: Frame) -> None:
         """Put a frame on the bus; a bus that does not take it (bus-off, queue full) loses it."""
-        try:
-            self._bus.send(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False))
-        except can.CanError as error:
-            _log.warning("frame lost", identifier=hex(frame.id), error=str(error))
+        if not self._off:
+            self._put(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False))
+
+    def switch_off(self, *, off: bool) -> None:
+        """Bus-off: an error frame says so, then no frame passes either way until it is on again."""
+        if off and not self._off:
+            self._put(can.Message(arbitration_id=_BUS_OFF, data=bytes(8), is_error_frame=True))
+        self._off = off
 
     def due(self, now: float) -> float:
         """Nothing is ever kept back."""
@@ -57,6 +63,12 @@ class CanBus:
         self._wake.close()
         self._bus.shutdown()
 
+    def _put(self, message: can.Message) -> None:
+        try:
+            self._bus.send(message)
+        except can.CanError as error:
+            _log.warning("frame lost", identifier=hex(message.arbitration_id), error=str(error))
+
     def _read(self) -> None:
         while not self._closing.is_set():
             try:
@@ -72,4 +84,6 @@ class CanBus:
     def _deliver(self, _: int) -> None:
         self._woken.recv(4096)
         while self._frames:
-            self._receive(self._frames.popleft())
+            frame = self._frames.popleft()
+            if not self._off:
+                self._receive(frame)

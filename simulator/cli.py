@@ -13,8 +13,10 @@ import structlog
 import typer
 
 from simulator.machine import Machine
+from simulator.modbus.line import PTY
+from simulator.modbus.register_map import RegisterMapError, load_register_map
 from simulator.scenario import ScenarioError, load_scenario
-from simulator.virtual_drive import VirtualDrive
+from simulator.virtual_drive import Fieldbus, VirtualDrive
 
 
 def drive(
@@ -22,10 +24,21 @@ def drive(
         "config/scenarios/max100-full.yaml"
     ),
     eds: Annotated[Path, typer.Option(help="Object dictionary of the axes.")] = Path("config/eds/virtual-axis.eds"),
-    bus: Annotated[str, typer.Option(help="socketcand (a server here) or a python-can interface.")] = "socketcand",
-    channel: Annotated[str, typer.Option(help="Channel of the bus.")] = "can0",
+    fieldbus: Annotated[Fieldbus, typer.Option(help="What the machine speaks.")] = Fieldbus.CANOPEN,
+    bus: Annotated[
+        str, typer.Option(help="CANopen: socketcand (a server here) or a python-can interface.")
+    ] = "socketcand",
+    channel: Annotated[str, typer.Option(help="CANopen: channel of the bus.")] = "can0",
+    registers: Annotated[Path, typer.Option(help="Modbus: register map of the drives.")] = Path(
+        "config/registers/virtual-high-first.yaml"
+    ),
+    device: Annotated[
+        str, typer.Option(help=f"Modbus RTU: serial device; {PTY} = a pseudo-terminal, told when ready.")
+    ] = PTY,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the socketcand server; 0 = a free one.")] = 29536,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of the socketcand or Modbus TCP server; 0 = a free one.")
+    ] = 29536,
     control_port: Annotated[int, typer.Option(min=0, max=65535, help="Port for faults to order; 0 = a free one.")] = 0,
     speed_factor: Annotated[
         float, typer.Option(min=0.01, help="Moves and measuring function against real time, as far as the CPU allows.")
@@ -33,24 +46,28 @@ def drive(
     seed: Annotated[int, typer.Option(help="Of the measurement noise.")] = 0,
     start_pose: Annotated[str, typer.Option(help="Joint positions, rad, comma separated.")] = "",
 ) -> None:
-    """Run a virtual machine: one CiA 402 node an axis on a CAN bus. Ends on SIGTERM or Ctrl-C."""
+    """Run a virtual machine: one CiA 402 drive an axis on CAN or Modbus. Ends on SIGTERM or Ctrl-C."""
     structlog.configure(
         wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),
     )
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # frames of whoever speaks badly are no news of ours
     try:
         machine = _machine(scenario, seed, start_pose)
         virtual = VirtualDrive(
             machine,
             _readable(eds),
+            fieldbus=fieldbus,
             bus=bus,
             channel=channel,
+            registers=None if fieldbus is Fieldbus.CANOPEN else load_register_map(registers),
+            device=device,
             host=host,
             port=port,
             control_port=control_port,
             speed_factor=speed_factor,
         )
-    except (ScenarioError, OSError, can.CanError) as error:
+    except (ScenarioError, RegisterMapError, OSError, can.CanError) as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(2) from None
 
@@ -59,7 +76,8 @@ def drive(
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
-    typer.echo(json.dumps({"ready": True, "port": virtual.port, "control_port": virtual.control_port}))
+    ready = {"ready": True, "fieldbus": fieldbus.value, "port": virtual.port, "control_port": virtual.control_port}
+    typer.echo(json.dumps(ready if virtual.device is None else ready | {"device": virtual.device}))
     try:
         virtual.run()
     finally:

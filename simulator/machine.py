@@ -46,7 +46,7 @@ class Machine:
         self._plant = Plant(
             self._moving_axes(self._pose),
             [scenario.axes[joint].control for joint in self._row],
-            scenario.measurement.effort_delay,
+            scenario.measurement,
         )
         self._rated = np.array([self.axes[k].rated_effort for k in self._driven])
         self._random = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(len(self._driven))]

@@ -2,7 +2,8 @@
 
 A cycle has `SUBSTEPS` steps of control and mechanics. The set-point runs straight from the last cycle's value to the
 new one (the drive's fine interpolator; a staircase would alias into the torque). Every channel of a sample is the mean
-over the same instants of the cycle, so any linear relation between torque and motion holds between the samples too.
+over the same instants of the cycle, so any linear relation between torque and motion holds between the samples too;
+unless the scenario says that effort or motor speed reach the drive's samples late or smoothed.
 """
 
 from collections.abc import Sequence
@@ -11,14 +12,14 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.channel import Channel
 from simulator.drive_train import DriveTrains
 from simulator.moving_axis import MovingAxis
-from simulator.scenario import CYCLE, SpeedControl
+from simulator.scenario import CYCLE, STEP, Measurement, SpeedControl
 
 Array = NDArray[np.float64]
 
-SUBSTEPS = 4
-STEP = CYCLE / SUBSTEPS
+SUBSTEPS = round(CYCLE / STEP)
 _CHUNK = 256  # cycles whose steps are kept before they are averaged
 
 
@@ -38,7 +39,7 @@ class Samples:
 class Plant:
     """Many axes in closed loop, one row each."""
 
-    def __init__(self, axes: Sequence[MovingAxis], controls: Sequence[SpeedControl], effort_delay: float) -> None:
+    def __init__(self, axes: Sequence[MovingAxis], controls: Sequence[SpeedControl], measurement: Measurement) -> None:
         rows = len(axes)
         self.trains = DriveTrains(axes, STEP)
         self.effort_limit = np.array([c.effort_limit for c in controls])
@@ -46,15 +47,14 @@ class Plant:
         self._reset = np.array([STEP / c.reset_time for c in controls]) * self._gain
         self._integral = np.zeros(rows)
         self._setpoint = np.zeros(rows)
-        delay = round(effort_delay / STEP)
-        if abs(delay * STEP - effort_delay) > 1e-9:
-            raise ValueError(f"effort delay {effort_delay} s is not a multiple of the plant step {STEP} s")
-        self._late_effort = np.zeros((delay, rows))
+        self._effort = Channel(rows, STEP, measurement.effort_delay, measurement.effort_smoothing)
+        self._velocity = Channel(rows, STEP, measurement.velocity_delay, measurement.velocity_smoothing)
 
     def release(self, row: int) -> None:
         """Open the brake of a standing row with the torque that holds gravity."""
         self._integral[row] = self.trains.settle(row)
-        self._late_effort[:, row] = self._integral[row]
+        self._effort.restart(row, self._integral[row])
+        self._velocity.restart(row, 0.0)
         self._setpoint[row] = 0.0
         self.trains.free[row] = 1.0
 
@@ -91,11 +91,9 @@ class Plant:
             velocity[n + 1] = trains.velocity
         velocity = (velocity[1:] + velocity[:-1]) / 2
         limited = np.abs(effort) >= self.effort_limit
-        delayed = np.concatenate([self._late_effort, effort])
-        self._late_effort = delayed[steps:]
         return Samples(
-            effort=_means(delayed[:steps]),
-            velocity=_means(velocity[:, 0]),
+            effort=_means(self._effort.pass_on(effort)),
+            velocity=_means(self._velocity.pass_on(velocity[:, 0])),
             position=_means(position[:, 0]),
             load_position=_means(position[:, -1]),
             load_velocity=_means(velocity[:, -1]),

@@ -14,8 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from simulator.drive_train import Bristles, DriveTrains, cogging
 from simulator.moving_axis import MovingAxis
-from simulator.plant import STEP
-from simulator.scenario import DriveTrain, Friction
+from simulator.scenario import STEP, DriveTrain, Friction
 
 Array = NDArray[np.float64]
 

@@ -9,13 +9,25 @@ from pathlib import Path
 from typing import Annotated, cast
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 CYCLE = 0.001
 """Cycle of the drive's set-points and samples, s."""
 
+STEP = CYCLE / 4
+"""Step of the plant, s."""
+
+
+def _whole_steps(delay: float) -> float:
+    if abs(round(delay / STEP) * STEP - delay) > 1e-9:
+        raise ValueError(f"{delay} s is not a multiple of the plant step {STEP} s")
+    return delay
+
+
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+Delay = Annotated[float, Field(ge=0, le=1), AfterValidator(_whole_steps)]
+Smoothing = Annotated[float, Field(ge=0, le=1)]
 Vector = tuple[float, float, float]
 
 
@@ -117,7 +129,10 @@ class Measurement(_Data):
 
     effort_noise: NotNegative = 0.0
     effort_resolution: NotNegative = 0.0  # quantisation step, relative
-    effort_delay: NotNegative = 0.0  # s, of effort against speed
+    effort_delay: Delay = 0.0  # s, of effort against position
+    effort_smoothing: Smoothing = 0.0  # s, time constant of the first-order low-pass of the torque-forming current
+    velocity_delay: Delay = 0.0  # s, of motor speed against position
+    velocity_smoothing: Smoothing = 0.0  # s, of motor speed
     velocity_noise: NotNegative = 0.0  # rad/s
     position_noise: NotNegative = 0.0  # rad, motor encoder
     load_position_noise: NotNegative = 0.0  # rad, direct encoder

@@ -1,17 +1,19 @@
 """A socketcand server (raw mode only): the bus as lines ``< ... >`` over TCP, shared by several clients.
 
     client: < open can0 >   < rawmode >   < send 201 2 f 0 >   < echo >
-    server: < hi >  < ok >  < ok >        < frame 181 12.345678 3702 >
+    server: < hi >  < ok >  < ok >        < frame 181 12.345678 3702 >   < error 040 12.345678 >
 
 A frame sent by one client goes to `receive` and to the other clients; `send` reaches all of them. Sockets do not block
 and are served by the owner's selector, so everything happens in the owner's thread.
 """
 
+import re
 import selectors
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import structlog
 
@@ -20,7 +22,27 @@ from simulator.canopen.node import Frame
 _log = structlog.get_logger(__name__)
 _LARGEST_BACKLOG = 1 << 20  # bytes a client may leave unread
 _LARGEST_LINE = 256
+_IDENTIFIER, _BYTE = re.compile("[0-9A-Fa-f]{1,8}"), re.compile("[0-9A-Fa-f]{1,2}")
+_BUS_OFF = "040"  # SocketCAN's error class in the identifier of an error frame
 _JOIN_DELAY = 0.02  # s; see _Client.joining
+
+
+class SentFrame(NamedTuple):
+    """What a client sends: a frame with 11 or (`extended`) 29 bits of identifier."""
+
+    frame: Frame
+    extended: bool
+
+
+def parse_send(identifier: str, length: str, data: Sequence[str]) -> SentFrame | None:
+    """The words of a ``send``: hex identifier (extended: more than 3 digits), length, as many bytes; None: no frame."""
+    words = (identifier, length, *data)
+    if not _IDENTIFIER.fullmatch(identifier) or not all(_BYTE.fullmatch(word) for word in words[1:]):
+        return None
+    number, extended = int(identifier, 16), len(identifier) > 3
+    if len(data) > 8 or int(length, 16) != len(data) or number > (0x1FFFFFFF if extended else 0x7FF):
+        return None
+    return SentFrame(Frame(number, bytes(int(byte, 16) for byte in data)), extended)
 
 
 class _Client:
@@ -46,6 +68,7 @@ class SocketcandServer:
         self._channel = channel
         self._receive = receive
         self._clients: list[_Client] = []
+        self._off = False
         self._listener = socket.create_server((host, port))
         self._listener.setblocking(False)
         self.port: int = self._listener.getsockname()[1]
@@ -53,7 +76,14 @@ class SocketcandServer:
 
     def send(self, frame: Frame) -> None:
         """Put a frame on the bus for every client."""
-        self._broadcast(frame, None)
+        if not self._off:
+            self._broadcast(frame, None)
+
+    def switch_off(self, *, off: bool) -> None:
+        """Bus-off: an error frame says so, then no frame passes either way until it is on again."""
+        if off and not self._off:
+            self._tell(f"< error {_BUS_OFF} {time.time():.6f} >", None)
+        self._off = off
 
     def close(self) -> None:
         """Drop every client and the port."""
@@ -116,7 +146,7 @@ class SocketcandServer:
                 client.opened = True
                 self._write(client, b"< ok >")
             case ["open", channel]:
-                self._write(client, b"< error no channel " + channel.encode() + b" here >")
+                self._write(client, b"< error no channel " + channel.encode("ascii", "replace") + b" here >")
             case ["rawmode"] if client.opened:
                 client.raw = True
                 client.joining = time.monotonic() + _JOIN_DELAY
@@ -131,24 +161,22 @@ class SocketcandServer:
                 self._write(client, b"< error unknown command >")
 
     def _take(self, client: _Client, identifier: str, length: str, data: list[str]) -> None:
-        try:
-            frame = Frame(int(identifier, 16), bytes(int(byte, 16) for byte in data))
-            count = int(length, 16)
-        except ValueError:
-            count, frame = -1, Frame(0, b"")
-        if count != len(frame.data) or count > 8 or not 0 <= frame.id <= 0x1FFFFFFF:
+        sent = parse_send(identifier, length, data)
+        if sent is None:
             self._write(client, b"< error could not parse frame >")
-            return
-        self._broadcast(frame, client, extended=len(identifier) > 3)
-        if len(identifier) <= 3:
-            self._receive(frame)
+        elif not self._off:
+            self._broadcast(sent.frame, client, extended=sent.extended)
+            if not sent.extended:
+                self._receive(sent.frame)
 
     def _broadcast(self, frame: Frame, sender: _Client | None, *, extended: bool = False) -> None:
         width = 8 if extended else 3
-        line = f"< frame {frame.id:0{width}X} {time.time():.6f} {frame.data.hex().upper()} >".encode()
+        self._tell(f"< frame {frame.id:0{width}X} {time.time():.6f} {frame.data.hex().upper()} >", sender)
+
+    def _tell(self, line: str, sender: _Client | None) -> None:
         for client in list(self._clients):
             if client.raw and client is not sender:
-                self._write(client, line)
+                self._write(client, line.encode())
 
     def _join(self, client: _Client) -> None:
         client.joining = 0.0

@@ -52,7 +52,7 @@ def run_sweeps(scenario: Scenario, sweeps: Sequence[SweepRun], seed: int) -> lis
     plant = Plant(
         [moving_axis(scenario, body, sweep.axis, sweep.pose) for sweep in sweeps],
         [scenario.driven(sweep.axis).control for sweep in sweeps],
-        scenario.measurement.effort_delay,
+        scenario.measurement,
     )
     cycles = [_cycles(sweep) for sweep in sweeps]
     end_of_cycle = np.linspace(CYCLE, CYCLE * max(cycles), max(cycles))

@@ -3,22 +3,33 @@
 import selectors
 import socket
 import time
+from enum import Enum
 from pathlib import Path
 
-from simulator.can_bus import CanBus
-from simulator.canopen.cabinet import Cabinet
-from simulator.canopen.node import Frame
+from simulator.canopen.line import CanLine
 from simulator.control import ControlServer
 from simulator.machine import Machine
-from simulator.socketcand import SocketcandServer
+from simulator.modbus.line import PTY, ModbusLine
+from simulator.modbus.register_map import RegisterMap
+from simulator.modbus.server import SerialLine, TcpLine
 
 _LONGEST_WAIT = 1.0  # s
 
 
-class VirtualDrive:
-    """A machine on a bus: socketcand at `host`:`port`, or any python-can interface; control port at `host`.
+class Fieldbus(Enum):
+    """What the virtual machine speaks."""
 
-    Raises OSError or can.CanError if bus or port cannot be opened. `run` blocks until `stop`; `close` afterwards.
+    CANOPEN = "canopen"
+    MODBUS_TCP = "modbus-tcp"
+    MODBUS_RTU = "modbus-rtu"
+
+
+class VirtualDrive:
+    """A machine on a fieldbus, and its control port at `host`. `run` blocks until `stop`; `close` afterwards.
+
+    CANopen: socketcand at `host`:`port`, or any other python-can interface `bus` with its `channel`. Modbus, by the
+    map `registers`: TCP at `host`:`port`, RTU at the serial `device` ("pty": a pseudo-terminal made here). Raises
+    OSError or can.CanError if line or port cannot be opened, ScenarioError for an EDS that this drive cannot have.
     """
 
     def __init__(
@@ -26,8 +37,11 @@ class VirtualDrive:
         machine: Machine,
         eds: Path,
         *,
+        fieldbus: Fieldbus = Fieldbus.CANOPEN,
         bus: str = "socketcand",
         channel: str = "can0",
+        registers: RegisterMap | None = None,
+        device: str = PTY,
         host: str = "127.0.0.1",
         port: int = 0,
         control_port: int = 0,
@@ -38,18 +52,28 @@ class VirtualDrive:
         self._wake, self._woken = socket.socketpair()
         self._stopping = False
         self._selector.register(self._woken, selectors.EVENT_READ, self._awake)
-        self._bus: SocketcandServer | CanBus
-        self.cabinet = Cabinet(machine, eds, speed_factor, lambda frame: self._bus.send(frame))
-        if bus == "socketcand":
-            self._bus = SocketcandServer(self._selector, host, port, channel, self._receive)
+        self._line: CanLine | ModbusLine
+        if fieldbus is Fieldbus.CANOPEN:
+            self._line = CanLine(
+                self._selector, machine, eds, speed_factor, bus=bus, channel=channel, host=host, port=port
+            )
+        elif registers is None:
+            raise ValueError("registers: Modbus needs a register map")
         else:
-            self._bus = CanBus(self._selector, bus, channel, self._receive)
-        self._control = ControlServer(self._selector, host, control_port, self.cabinet)
+            line = TcpLine(host, port) if fieldbus is Fieldbus.MODBUS_TCP else SerialLine(device)
+            self._line = ModbusLine(self._selector, machine, eds, speed_factor, registers=registers, line=line)
+        self.cabinet = self._line.cabinet
+        self._control = ControlServer(self._selector, host, control_port, self.cabinet, self._line.bus)
 
     @property
     def port(self) -> int | None:
-        """Of the socketcand server; None on any other bus."""
-        return self._bus.port if isinstance(self._bus, SocketcandServer) else None
+        """Of the socketcand or Modbus TCP server; None on any other line."""
+        return self._line.port
+
+    @property
+    def device(self) -> str | None:
+        """Where the host finds a serial line; None on any other."""
+        return self._line.device
 
     @property
     def control_port(self) -> int:
@@ -60,10 +84,10 @@ class VirtualDrive:
         self.cabinet.boot()
         while not self._stopping:
             now = time.monotonic()
-            for key, mask in self._selector.select(min(self.cabinet.due(now), self._bus.due(now), _LONGEST_WAIT)):
+            for key, mask in self._selector.select(min(self.cabinet.due(now), self._line.due(now), _LONGEST_WAIT)):
                 key.data(mask)
             now = time.monotonic()
-            self._bus.run(now)
+            self._line.run(now)
             self.cabinet.run(now)
 
     def stop(self) -> None:
@@ -72,15 +96,12 @@ class VirtualDrive:
         self._wake.send(b"\0")
 
     def close(self) -> None:
-        """Release bus, ports and sockets."""
+        """Release line, ports and sockets."""
         self._control.close()
-        self._bus.close()
+        self._line.close()
         self._selector.close()
         self._wake.close()
         self._woken.close()
 
     def _awake(self, _: int) -> None:
         self._woken.recv(64)
-
-    def _receive(self, frame: Frame) -> None:
-        self.cabinet.receive(frame, time.monotonic())

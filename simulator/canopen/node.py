@@ -1,7 +1,6 @@
 """One CANopen node: NMT, heartbeat, SDO, PDO and EMCY around an `Axis` (CiA 301). Frames in, frames out by `send`."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
 from typing import NamedTuple
@@ -9,8 +8,8 @@ from typing import NamedTuple
 from simulator.canopen.pdo import process_data
 from simulator.canopen.sdo import SdoServer
 from simulator.drive.axis import Axis
-from simulator.drive.dictionary import Abort, AbortCode, Dictionary, Key, Value
-from simulator.drive.errors import ErrorCode
+from simulator.drive.dictionary import Abort, AbortCode, Dictionary
+from simulator.drive.host_loss import lose_host
 
 
 class Frame(NamedTuple):
@@ -36,62 +35,50 @@ _NMT_RESETS = (129, 130)
 _CLOCKED_BY_SYNC = 240
 
 
-@dataclass(slots=True)
-class Disturbance:
-    """What the control port does to a node."""
-
-    mute: bool = False
-    drop_tpdos: int = 0
-    counter_frozen: bool = False
-    fault_code: int | None = None  # fails at ...
-    fault_at_sample: int | None = None  # ... this trace sample
-    fault_at_counter: int | None = None  # ... this SYNC counter
-
-
 class Node:
-    """`constants` are the values that the EDS cannot know; they are installed at every boot."""
+    """A node that answers to the id `number`."""
 
     def __init__(
         self,
         number: int,
         eds: Path,
         cycle: float,
-        constants: Mapping[Key, Value],
         send: Callable[[Frame], None],
         *,
         can_move: bool,
     ) -> None:
         self.number = number
         self.dictionary = Dictionary(eds, number)
-        self._constants = dict(constants)
         self.axis = Axis(self.dictionary, cycle, can_move=can_move)
         self._server = SdoServer(self.dictionary)
         self._receive, self._transmit = process_data(self.dictionary)
         self._cycle = cycle
         self._raw_send = send
-        self.disturbance = Disturbance()
+        self.disturbance = self.axis.disturbance
         self.dictionary.on_download((0x1006, 0), self._check_cycle)
         self.dictionary.on_download((0x1016, 1), self._forget_host)
         self.nmt = Nmt.PRE_OPERATIONAL
         self._pending: dict[int, bytes] = {}
+        self._late: list[tuple[int, Frame]] = []  # TPDOs to be sent with a SYNC to come
         self._syncs = 0
         self._next_heartbeat: float | None = None
         self._host_seen: float | None = None
 
-    def set_identity(self, values: Mapping[int, int]) -> None:
-        """Values of 1018h by sub-index from the next boot on."""
-        self._constants |= {(0x1018, sub): value for sub, value in values.items()}
+    def renumber(self, number: int) -> None:
+        """Another node id, by another setting of its switches: the node boots with it. The device stays what it is."""
+        self.number = number
+        self.dictionary.renumber(number)
+        self.boot()
 
     def boot(self) -> None:
         """Power-on or reset: torque off, dictionary as in the EDS, boot-up message."""
         self.dictionary.restore()
-        for key, value in self._constants.items():
-            self.dictionary[key] = value
         self.axis.reset()
         self._server.reset()
         for pdo in (*self._receive, *self._transmit):
             pdo.reset()
         self._pending.clear()
+        self._late.clear()
         self.nmt = Nmt.PRE_OPERATIONAL
         self._next_heartbeat = self._host_seen = None
         self._send(Frame(0x700 + self.number, b"\0"))
@@ -121,19 +108,19 @@ class Node:
         if not self.disturbance.counter_frozen:
             self.dictionary[0x2120, 1] = (self.dictionary[0x2120, 1] + 1) & 0xFFFFFFFF
         if self.nmt is Nmt.OPERATIONAL:
-            for pdo in self._transmit:
-                if pdo.valid and self._syncs % pdo.transmission_type == 0:
-                    self._send_tpdo(Frame(pdo.cob_id, pdo.pack()))
+            self._send_tpdos()
             for k, data in self._pending.items():
                 self._apply(k, data)
         self._pending.clear()
         if self.nmt is not Nmt.STOPPED:
             self.axis.sync(now)
-        self._ordered_fault()
+        code = self.disturbance.take_fault(counter=self.dictionary[0x2120, 1])
+        if code is not None:
+            self.axis.fail(code)
         self._send_emergencies()
 
     def run(self, now: float) -> None:
-        """What falls due by `now`, s: heartbeats, time-outs, ordered faults, emergency messages."""
+        """What falls due by `now`, s: heartbeats, time-outs, emergency messages."""
         period = self.dictionary[0x1017, 0] * 1e-3
         if period == 0:
             self._next_heartbeat = None
@@ -143,9 +130,8 @@ class Node:
         timeout = self._host_timeout
         if self._host_seen is not None and 0 < timeout < now - self._host_seen:
             self._host_seen = None
-            self._lose_host()
+            lose_host(self.axis, self.dictionary)
         self.axis.watch(now)
-        self._ordered_fault()
         self._send_emergencies()
 
     def due(self, now: float) -> float:
@@ -176,38 +162,12 @@ class Node:
             self.axis.quick_stop()
         self.nmt = state
 
-    def _lose_host(self) -> None:
-        """The abort connection option 6007h of an enabled axis; any other stands already."""
-        if not self.axis.energised:
-            return
-        match self.dictionary[0x6007, 0]:
-            case 1:
-                self.axis.fail(ErrorCode.HEARTBEAT)
-            case 2:
-                self.axis.disable_voltage()
-            case 3:
-                self.axis.quick_stop()
-            case _:
-                pass
-
     def _apply(self, k: int, data: bytes) -> None:
         for (index, subindex), value in self._receive[k].unpack(data):
             try:
                 self.dictionary.download(index, subindex, value)
             except Abort:
                 continue  # a drive ignores what it cannot take; monitoring ends the motion if need be
-
-    def _ordered_fault(self) -> None:
-        order = self.disturbance
-        if order.fault_code is None:
-            return
-        at_sample, at_counter = order.fault_at_sample, order.fault_at_counter
-        if at_sample is not None and not (self.axis.measuring.driving and self.axis.measuring.count >= at_sample):
-            return
-        if at_counter is not None and self.dictionary[0x2120, 1] < at_counter:
-            return
-        code, order.fault_code = order.fault_code, None
-        self.axis.fail(code)
 
     def _check_cycle(self, value: int) -> None:
         if value % round(self._cycle * 1e6):
@@ -216,11 +176,28 @@ class Node:
     def _forget_host(self, _: int) -> None:
         self._host_seen = None
 
-    def _send_tpdo(self, frame: Frame) -> None:
-        if self.disturbance.drop_tpdos > 0:
-            self.disturbance.drop_tpdos -= 1
-        else:
-            self._send(frame)
+    def _send_tpdos(self) -> None:
+        """Those of this SYNC, after what was ordered to come late; each may be lost, doubled or late in its turn."""
+        order = self.disturbance
+        frames = [
+            Frame(pdo.cob_id, pdo.pack())
+            for pdo in self._transmit
+            if pdo.valid and self._syncs % pdo.transmission_type == 0
+        ]
+        late = [frame for due, frame in self._late if due <= self._syncs]
+        self._late = [(due, frame) for due, frame in self._late if due > self._syncs]
+        if frames and order.delay_tpdos > 0:
+            order.delay_tpdos -= 1
+            self._late += [(self._syncs + order.delay_cycles, frame) for frame in frames]
+            frames = []
+        if frames and order.duplicate_tpdos > 0:
+            order.duplicate_tpdos -= 1
+            frames *= 2
+        for frame in late + frames:
+            if order.drop_tpdos > 0:
+                order.drop_tpdos -= 1
+            else:
+                self._send(frame)
 
     def _send_emergencies(self) -> None:
         for message in self.axis.errors.take_messages():

@@ -16,6 +16,7 @@ class _Transfer:
     index: int
     subindex: int
     data: bytearray
+    download: bool
     toggle: int = 0
     offset: int = 0  # block upload: acknowledged bytes
     block_size: int = 0  # block upload: segments a block
@@ -76,11 +77,11 @@ class SdoServer:
             size = 4 - ((command >> 2) & 3) if command & 0x01 else 4
             self._dictionary.download(index, subindex, request[4 : 4 + size])
         else:
-            self._transfer = _Transfer(index, subindex, bytearray())
+            self._transfer = _Transfer(index, subindex, bytearray(), download=True)
         return _HEAD.pack(0x60, index, subindex) + bytes(4)
 
     def _download_segment(self, request: bytes) -> bytes:
-        transfer = self._toggled(request[0])
+        transfer = self._toggled(request[0], download=True)
         transfer.data += request[1 : 8 - ((request[0] >> 1) & 7)]
         if len(transfer.data) > 4096:
             raise Abort(AbortCode.TOO_LONG)
@@ -96,11 +97,11 @@ class SdoServer:
             raise Abort(AbortCode.NO_DATA)
         if len(data) <= 4:
             return _HEAD.pack(0x43 | (4 - len(data)) << 2, index, subindex) + data.ljust(4, b"\0")
-        self._transfer = _Transfer(index, subindex, bytearray(data))
+        self._transfer = _Transfer(index, subindex, bytearray(data), download=False)
         return struct.pack("<BHBI", 0x41, index, subindex, len(data))
 
     def _upload_segment(self, command: int) -> bytes:
-        transfer = self._toggled(command)
+        transfer = self._toggled(command, download=False)
         segment = bytes(transfer.data[:7])
         del transfer.data[:7]
         head = transfer.toggle ^ 0x10 | (7 - len(segment)) << 1
@@ -109,9 +110,9 @@ class SdoServer:
             self._transfer = None
         return bytes([head]) + segment.ljust(7, b"\0")
 
-    def _toggled(self, command: int) -> _Transfer:
+    def _toggled(self, command: int, *, download: bool) -> _Transfer:
         transfer = self._transfer
-        if transfer is None or transfer.block_size:
+        if transfer is None or transfer.block_size or transfer.download is not download:
             raise Abort(AbortCode.COMMAND)
         if command & 0x10 != transfer.toggle:
             raise Abort(AbortCode.TOGGLE)
@@ -122,10 +123,13 @@ class SdoServer:
         subcommand = request[0] & 0x03
         if subcommand == 0:
             index, subindex = self._initiate(request)
+            if not self._dictionary.traits.block_upload:
+                raise Abort(AbortCode.COMMAND)
             data = self._dictionary.upload(index, subindex)
             if not data:
                 raise Abort(AbortCode.NO_DATA)
-            self._transfer = _Transfer(index, subindex, bytearray(data), block_size=_block_size(request[4]))
+            size = _block_size(request[4])
+            self._transfer = _Transfer(index, subindex, bytearray(data), download=False, block_size=size)
             return [struct.pack("<BHBI", 0xC6, index, subindex, len(data))]
         transfer = self._transfer
         if transfer is None or not transfer.block_size:

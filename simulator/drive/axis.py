@@ -4,19 +4,20 @@ In: controlword and set-points (through the dictionary), orders, and the samples
 `energised`, the next speed set-points, and values in the dictionary. Positions in rev, speeds in rev/s of the motor.
 """
 
-from enum import IntEnum
-
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.drive.actual_values import ActualValues
 from simulator.drive.cyclic import CyclicVelocity
 from simulator.drive.dictionary import Abort, AbortCode, Dictionary
+from simulator.drive.disturbance import Disturbance
 from simulator.drive.errors import ErrorCode, ErrorLog
+from simulator.drive.limits import Limits
 from simulator.drive.measuring import MeasuringFunction, Run, Samples
 from simulator.drive.profile import Motion, brake, travel
-from simulator.drive.states import ENERGISED, TRANSITIONS, Command, State, command_of, fault_reset
+from simulator.drive.states import ENERGISED, TRANSITIONS, Command, Mode, State, command_of, fault_reset
 from simulator.drive.supervision import Supervision
-from simulator.drive.units import INCREMENTS, PER_MILLE, SPEED, clamp
+from simulator.drive.units import INCREMENTS
 
 Array = NDArray[np.float64]
 
@@ -24,14 +25,6 @@ _POSITION_GAIN = 10.0  # 1/s, position controller of mode 1 and of standing
 _STANDSTILL = 0.5 / 60  # rev/s; below that a ramp has ended
 _PATIENCE = 0.5  # s after the end of a ramp until the brake closes in any case
 _SETTLING = 3.0  # s after the end of a move until it counts as at rest in any case
-
-
-class Mode(IntEnum):
-    """Modes of operation, 6060h."""
-
-    NONE = 0
-    PROFILE_POSITION = 1
-    CYCLIC_VELOCITY = 9
 
 
 class Axis:
@@ -42,34 +35,35 @@ class Axis:
         self._cycle = cycle
         self._can_move = can_move
         self.errors = ErrorLog(dictionary)
+        self.limits = Limits(dictionary)
+        self._actual = ActualValues(dictionary, self.limits)
         self.measuring = MeasuringFunction(dictionary, cycle)
-        self._cyclic_velocity = CyclicVelocity(dictionary)
+        self._cyclic_velocity = CyclicVelocity(dictionary, self.limits)
         self.position = 0.0
         self.speed = 0.0
         self.emergency_stop = False
+        self.disturbance = Disturbance()
         dictionary.on_download((0x6040, 0), self.control)
         dictionary.on_download((0x6060, 0), self._change_mode)
         dictionary.on_download((0x2100, 1), self._measure)
         self.reset()
 
     def reset(self) -> None:
-        """Power-on: no torque, nothing remembered but where the axis stands and whether safe torque off is active."""
+        """Power-on: no torque, nothing remembered but where the axis stands, safe torque off and the limit switch."""
         self.state = State.SWITCH_ON_DISABLED
         self.mode = Mode.NONE
         self.measuring.reset()
         self._cyclic_velocity.restart()
-        self._supervision = Supervision(self._dictionary, self._cycle)
+        self._supervision = Supervision(self.limits, self._cycle)
         self._controlword = 0
-        self._command = 0.0  # speed set-point at the end of the cycles so far
-        self._motion: Motion | None = None  # a move, or a ramp to standstill
-        self._ramping = False  # the motion is a ramp
+        self._hold()
         self._motion_time = 0.0
-        self._origin = self.position  # where the motion began, or where the axis is held
         self._after: State | None = None  # state at the end of the ramp
-        self._settling = 0.0  # s left for coming to rest after a move
         self._target: float | None = None  # of the last move, rev
         self._acknowledged = False
-        self._dictionary[0x6064, 0] = clamp(self.position * INCREMENTS, 32)
+        self._actual.stand(self.position)
+        if self.disturbance.limit_switch:
+            self.hit_limit_switch(on=True)
         if self.emergency_stop:
             self.stop_safely(on=True)
         self._publish()
@@ -103,21 +97,12 @@ class Axis:
 
     @property
     def torque_limit(self) -> float:
-        """Least of 6072h, 60E0h, 60E1h as a part of the rated torque."""
-        d = self._dictionary
-        return min(d[0x6072, 0], d[0x60E0, 0], d[0x60E1, 0]) / PER_MILLE
+        """What the drive gives at most, as a part of the rated torque."""
+        return min(self.limits.torque, self.disturbance.torque_cap)
 
     @property
     def _cyclic(self) -> bool:
         return self.state is State.OPERATION_ENABLED and self.mode is Mode.CYCLIC_VELOCITY and self._motion is None
-
-    @property
-    def _speed_limit(self) -> float:
-        return self._dictionary[0x6080, 0] / SPEED
-
-    @property
-    def _window(self) -> tuple[float, float]:
-        return self._dictionary[0x607D, 1] / INCREMENTS, self._dictionary[0x607D, 2] / INCREMENTS
 
     # Commands
 
@@ -125,7 +110,7 @@ class Axis:
         """Take a controlword (6040h)."""
         before, self._controlword = self._controlword, controlword
         if self.state is State.FAULT:
-            if fault_reset(before, controlword) and not self.emergency_stop:
+            if fault_reset(before, controlword) and not self.emergency_stop and not self.disturbance.limit_switch:
                 self.state = State.SWITCH_ON_DISABLED
                 self.errors.clear()
         else:
@@ -169,6 +154,12 @@ class Axis:
             self._release(State.FAULT)
         self._publish()
 
+    def hit_limit_switch(self, *, on: bool) -> None:
+        """The hardware limit switch: a fault, and no reset before it is free again."""
+        self.disturbance.limit_switch = on
+        if on:
+            self.fail(ErrorCode.LIMIT_SWITCH)
+
     # Cycles
 
     def sync(self, now: float) -> None:
@@ -206,30 +197,43 @@ class Axis:
         self._motion_time += cycles * self._cycle
         self._settling -= cycles * self._cycle if self._motion is None else 0.0
         self._command = float(speeds[-1])
-        limit = self._speed_limit
+        limit = self.limits.speed
         return np.clip(speeds + correction, -limit, limit)
 
     def observe(self, samples: Samples) -> None:
         """What the axis did in the cycles just asked for."""
-        d = self._dictionary
         self.position, self.speed = float(samples.position[-1]), float(samples.speed.mean())
-        d[0x6064, 0] = clamp(float(samples.position.mean()) * INCREMENTS, 32)
-        d[0x606C, 0] = clamp(self.speed * SPEED, 32)
-        torque = float(samples.torque.mean())
-        d[0x6077, 0] = clamp(torque * PER_MILLE * PER_MILLE / d[0x6076, 0], 16) if self.energised else 0
         if self.energised:
-            if self.measuring.run is Run.RUNNING and not self._ramping:
+            self._actual.tell(samples)
+            recording = self.measuring.run is Run.RUNNING and not self._ramping
+            if recording:
                 self.measuring.record(samples)
                 if not self.measuring.driving:
                     self._hold()
+            self._disturb(recording, len(samples.speed) * self._cycle)
             self._finish_motion()
             if self._at_target:
                 self._settling = 0.0
             self._supervise(samples)
         self._publish()
 
+    def _disturb(self, recording: bool, span: float) -> None:
+        """Let an ordered glitch or fault happen whose sample is among the last cycles, which took `span`, s."""
+        recorded = self.measuring.count if recording else 0
+        glitch, code = self.disturbance.take_glitch(recorded), self.disturbance.take_fault(recorded)
+        if glitch is not None:
+            self._actual.glitch(glitch.revolutions, span)
+            if recorded:
+                self.measuring.falsify(
+                    recorded - 1 if glitch.at_sample is None else glitch.at_sample, glitch.revolutions
+                )
+            if abs(glitch.revolutions) > self.limits.following_window:
+                self.fail(ErrorCode.ENCODER)
+        if code is not None:
+            self.fail(code)
+
     def _supervise(self, samples: Samples) -> None:
-        if self.state is State.FAULT_REACTION_ACTIVE:
+        if self.state not in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
             return
         tracked = self.mode is not Mode.CYCLIC_VELOCITY and not self._ramping and not self.measuring.driving
         error = self._reference() - self.position if tracked else 0.0
@@ -280,7 +284,7 @@ class Axis:
             self.fail(ErrorCode.NO_POWER_SECTION)
         elif self.state is not State.QUICK_STOP_ACTIVE:
             self.state = State.OPERATION_ENABLED
-            self._supervision = Supervision(self._dictionary, self._cycle)
+            self._supervision = Supervision(self.limits, self._cycle)
             self._enter_mode()
         elif self._after is None and self._motion is None:
             self.state = State.OPERATION_ENABLED
@@ -320,28 +324,28 @@ class Axis:
             self._acknowledged = False
 
     def _move(self, *, relative: bool) -> None:
-        d = self._dictionary
         present = self._reference() if not self._ramping else self.position
-        target = d[0x607A, 0] / INCREMENTS
+        target = self._dictionary[0x607A, 0] / INCREMENTS
         if relative:
             target += present if self._target is None else self._target
-        low, high = self._window
+        low, high = self.limits.window
         if not low <= target <= high:
             self.fail(ErrorCode.POSITION_LIMIT)
             return
-        limit = min(d[0x6081, 0], d[0x607F, 0], d[0x6080, 0]) / SPEED
+        limit = self.limits.profile_speed
         if limit == 0.0:
             return
         self._target = target
         self._origin, self._motion_time, self._ramping = present, 0.0, False
-        self._motion = travel(target - present, self._command, limit, d[0x6083, 0] / SPEED, d[0x6084, 0] / SPEED)
+        up, down = self.limits.acceleration, self.limits.deceleration
+        self._motion = travel(target - present, self._command, limit, up, down)
 
     def _measure(self, command: int) -> None:
         if command == 1:
             if self.measuring.run is Run.RUNNING:
                 raise Abort(AbortCode.STATE)
             ready = self.state is State.OPERATION_ENABLED and not self.moving and self.mode is not Mode.CYCLIC_VELOCITY
-            self.measuring.start(self.position, ready=ready, limit=self._speed_limit, window=self._window)
+            self.measuring.start(self.position, ready=ready, limit=self.limits.speed, window=self.limits.window)
         elif command == 2 and self.measuring.driving:
             self._brake(fast=True, then=None)
         self._publish()
@@ -349,7 +353,7 @@ class Axis:
     def _brake(self, *, fast: bool, then: State | None) -> None:
         """Ramp to standstill, then `then` (None: stay in this state and hold)."""
         self.measuring.stop()
-        self._motion = brake(self._command, self._dictionary[0x6085 if fast else 0x6084, 0] / SPEED)
+        self._motion = brake(self._command, self.limits.quick_deceleration if fast else self.limits.deceleration)
         self._motion_time, self._ramping, self._after = 0.0, True, then
 
     def _release(self, to: State) -> None:
@@ -360,11 +364,14 @@ class Axis:
         self._hold()
         self._after = None
         self.speed = 0.0
-        self._dictionary[0x606C, 0] = self._dictionary[0x6077, 0] = 0
+        self._actual.stand(self.position)
 
     def _hold(self) -> None:
-        self._motion, self._ramping, self._settling = None, False, 0.0
-        self._origin, self._command = self.position, 0.0
+        self._motion: Motion | None = None  # a move, or a ramp to standstill
+        self._ramping = False  # the motion is a ramp
+        self._settling = 0.0  # s left for coming to rest after a move
+        self._origin = self.position  # where the motion began, or where the axis is held
+        self._command = 0.0  # speed set-point at the end of the cycles so far
 
     def _reference(self) -> float:
         """Where the axis should be now, rev."""
@@ -373,27 +380,20 @@ class Axis:
         return self._origin + float(self._motion.position(np.array([self._motion_time]))[0])
 
     def _publish(self) -> None:
-        word = int(self.state) | 0x200
-        if not self.emergency_stop:
-            word |= 0x10
-        standing = self._motion is None and not self.measuring.driving
-        if self.state is State.QUICK_STOP_ACTIVE:
-            word |= 0x400 if standing else 0
-        elif self.state is State.OPERATION_ENABLED and self.mode is Mode.PROFILE_POSITION:
-            word |= 0x1000 if self._acknowledged else 0
-            word |= 0x400 if self._at_target else 0
-        elif self._cyclic:
-            word |= 0x1000
-        if self._supervision.limited:
-            word |= 0x800
-        if self._dictionary[0x603F, 0] == ErrorCode.FOLLOWING:
-            word |= 0x2000
-        self._dictionary[0x6041, 0] = word
+        positioning = self.state is State.OPERATION_ENABLED and self.mode is Mode.PROFILE_POSITION
+        stopped = self.state is State.QUICK_STOP_ACTIVE and not self.moving
+        bits = {
+            0x0010: not self.emergency_stop,
+            0x0400: stopped or (positioning and self._at_target),
+            0x0800: self._supervision.limited,
+            0x1000: self._cyclic or (positioning and self._acknowledged),
+            0x2000: self._dictionary[0x603F, 0] == ErrorCode.FOLLOWING,
+        }
+        self._dictionary[0x6041, 0] = int(self.state) | 0x200 | sum(bit for bit, on in bits.items() if on)
         self._dictionary[0x6061, 0] = int(self.mode)
 
     @property
     def _at_target(self) -> bool:
-        if self._motion is not None or self.measuring.driving or abs(self.speed) > _STANDSTILL:
+        if self.moving or abs(self.speed) > _STANDSTILL:
             return False
-        window = self._dictionary[0x6067, 0] / INCREMENTS
-        return self._target is None or abs(self._target - self.position) < window
+        return self._target is None or abs(self._target - self.position) < self.limits.position_window

@@ -4,14 +4,15 @@ import math
 
 from simulator.drive.dictionary import Dictionary
 from simulator.drive.errors import ErrorCode
-from simulator.drive.units import SPEED
+from simulator.drive.limits import Limits
 
 
 class CyclicVelocity:
     """The goal of the present cycle in rev/s, and the monitoring of SYNC and set-points (2121h)."""
 
-    def __init__(self, dictionary: Dictionary) -> None:
+    def __init__(self, dictionary: Dictionary, limits: Limits) -> None:
         self._dictionary = dictionary
+        self._limits = limits
         dictionary.on_download((0x60FF, 0), self._received)
         self.restart()
 
@@ -39,12 +40,12 @@ class CyclicVelocity:
         self._last_sync = now
         self._missing = 0 if self._fresh else self._missing + 1
         self._fresh = False
-        goal = self._dictionary[0x60FF, 0]
+        goal = self._dictionary[0x60FF, 0] / self._limits.speed_unit
         if self._missing > self._dictionary[0x2121, 2]:
             return ErrorCode.SET_POINT_MISSING
-        if abs(goal) > self._dictionary[0x6080, 0]:
+        if abs(goal) > self._limits.speed:
             return ErrorCode.SPEED_LIMIT
-        self.goal = goal / SPEED
+        self.goal = goal
         return None
 
     def _received(self, _: int) -> None:

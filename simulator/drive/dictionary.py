@@ -1,17 +1,22 @@
 """The object dictionary of one node: typed values with the access rules and ranges of the EDS (CiA 301, 7.2.4).
 
-Inside the drive values are read and written by key, ``d[0x6041, 0]``; from the bus they pass `upload` and `download`.
+Inside the drive values are read and written by key, ``d[0x6041, 0]``, whether or not the EDS has that object; from the
+bus they pass `upload` and `download`, which know the EDS' objects only.
 """
 
+import configparser
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, cast
 
 import canopen
-from canopen.objectdictionary import ODVariable, datatypes
+from canopen.objectdictionary import ObjectDictionaryError, ODVariable, datatypes
 
-Key = tuple[int, int]
+from simulator.drive.defaults import ABSENT, Key
+from simulator.scenario import ScenarioError
+
 Value = int | float | str | bytes
 
 
@@ -44,27 +49,51 @@ class Abort(Exception):
         self.code = code
 
 
+@dataclass(frozen=True, slots=True)
+class Traits:
+    """What an EDS has no words for: its section [VirtualDrive], 0 or 1 each."""
+
+    block_upload: bool = True
+    load_encoder: bool = True
+
+
 class Dictionary:
-    """Values of one node, from the EDS at `eds`; `node` resolves ``$NODEID``."""
+    """Values of one node, from the EDS at `eds`; `node` resolves ``$NODEID``. ScenarioError for what is no EDS.
+
+    `nameplate` holds what the EDS cannot know of this very device (motor, serial number): it wins at every `restore`.
+    """
 
     def __init__(self, eds: Path, node: int) -> None:
-        objects = cast(Any, canopen).import_od(str(eds), node)
+        self._eds = eds
+        self.traits = _traits(eds)
+        self.nameplate: dict[Key, Value] = {}
         self._variables: dict[Key, ODVariable] = {}
-        self._indices: set[int] = set()
-        for entry in objects.values():
-            self._indices.add(entry.index)
-            for variable in [entry] if isinstance(entry, ODVariable) else entry.values():
-                self._variables[variable.index, variable.subindex] = variable
         self._values: dict[Key, Value] = {}
         self._on_download: dict[Key, Callable[[Any], None]] = {}
         self._on_upload: dict[Key, Callable[[], bytes]] = {}
+        self.renumber(node)
+        self.nameplate[0x1018, 4] = self[0x1018, 4]  # stays with the device whatever its node id
+
+    def renumber(self, node: int) -> None:
+        """The dictionary of another node id, with every value as at power-on."""
+        try:
+            objects = cast(Any, canopen).import_od(str(self._eds), node)
+        except (configparser.Error, ObjectDictionaryError, KeyError, ValueError) as error:
+            raise ScenarioError(f"{self._eds}: not an EDS: {' '.join(str(error).split())}") from None
+        self._variables = {}
+        for entry in objects.values():
+            for variable in [entry] if isinstance(entry, ODVariable) else entry.values():
+                self._variables[variable.index, variable.subindex] = variable
+        self._indices = {index for index, _ in self._variables}
         self.restore()
 
     def restore(self) -> None:
-        """Every value as the EDS says; what has no default there is 0."""
+        """Every value as nameplate, EDS or `ABSENT` say; what has no default there is 0."""
+        self._values = dict(ABSENT)
         for key, variable in self._variables.items():
             default = cast("Value | None", variable.default)
             self._values[key] = 0 if default is None else default
+        self._values |= self.nameplate
 
     def __contains__(self, key: Key) -> bool:
         return key in self._variables
@@ -73,7 +102,7 @@ class Dictionary:
         return self._values[key]
 
     def __setitem__(self, key: Key, value: Value) -> None:
-        if key not in self._variables:
+        if key not in self._values:
             raise KeyError(key)
         self._values[key] = value
 
@@ -83,12 +112,10 @@ class Dictionary:
 
     def on_download(self, key: Key, hook: Callable[[Any], None]) -> None:
         """Call `hook(value)` before a value from the bus is stored; it may raise `Abort` to refuse it."""
-        self._variable(*key)
         self._on_download[key] = hook
 
     def on_upload(self, key: Key, hook: Callable[[], bytes]) -> None:
         """Ask `hook()` for the bytes of a domain when the bus wants them; it may raise `Abort`."""
-        self._variable(*key)
         self._on_upload[key] = hook
 
     def upload(self, index: int, subindex: int) -> bytes:
@@ -148,3 +175,15 @@ class Dictionary:
         if variable is None:
             raise Abort(AbortCode.NO_SUBINDEX)
         return variable
+
+
+def _traits(eds: Path) -> Traits:
+    parser = configparser.RawConfigParser(strict=False)
+    try:
+        parser.read_string(eds.read_text(encoding="utf-8"))
+        return Traits(
+            block_upload=parser.getboolean("VirtualDrive", "BlockUpload", fallback=True),
+            load_encoder=parser.getboolean("VirtualDrive", "LoadEncoder", fallback=True),
+        )
+    except (OSError, ValueError, configparser.Error) as error:
+        raise ScenarioError(f"{eds}: not an EDS: {' '.join(str(error).split())}") from None

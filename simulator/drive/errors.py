@@ -7,11 +7,12 @@ from simulator.drive.dictionary import Dictionary
 
 
 class ErrorCode(IntEnum):
-    """Error codes that the drive raises by itself (CiA 402-2, table of error codes; 9000h external error)."""
+    """Error codes that the drive raises by itself (CiA 402-2, table of error codes; 9000h external, FFxxh maker's)."""
 
     TORQUE_LIMIT = 0x2310
     NO_POWER_SECTION = 0x5400
     PARAMETER = 0x6320
+    ENCODER = 0x7305
     HEARTBEAT = 0x8130
     SET_POINT_MISSING = 0x8250
     SPEED_LIMIT = 0x8400
@@ -19,6 +20,7 @@ class ErrorCode(IntEnum):
     POSITION_LIMIT = 0x8612
     SYNC_MISSING = 0x8700
     EMERGENCY_STOP = 0x9000
+    LIMIT_SWITCH = 0xFF10
 
 
 _REGISTER: dict[int, int] = {
@@ -49,6 +51,10 @@ class ErrorLog:
             d[0x1003, sub] = entry
         d[0x1003, 0] = min(d[0x1003, 0] + 1, 8)
         self._messages.append(struct.pack("<HB5x", code, register))
+
+    def announce(self, code: int) -> None:
+        """An emergency message and nothing else: no error in the dictionary, no fault state."""
+        self._messages.append(struct.pack("<HB5x", code, self._dictionary[0x1001, 0]))
 
     def clear(self) -> None:
         """The fault was reset: EMCY with code 0; the history stays."""

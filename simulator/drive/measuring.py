@@ -6,7 +6,7 @@ rev, rev/min and N m as the dictionary has them; what goes to and comes from the
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -20,6 +20,7 @@ _RECORD = np.dtype(
     [("cycle", "<u4"), ("torque", "<f4"), ("command", "<f4"), ("speed", "<f4"), ("position", "<f8"), ("load", "<f8")]
 )
 _LONGEST = 600.0  # s
+_HIGHEST = 500.0  # Hz
 
 
 class Run(IntEnum):
@@ -76,7 +77,7 @@ class Sweep:
         return abs(self.offset) + sum(abs(amplitude) for _, amplitude, _ in self.sines)
 
     def valid(self) -> bool:
-        """Whether every number is finite, times are positive and the whole is not longer than ten minutes."""
+        """Whether every number is finite, times are positive and neither length nor frequencies are absurd."""
         numbers = [self.offset, self.ramp, self.settle, self.period, *(n for sine in self.sines for n in sine)]
         return (
             all(math.isfinite(number) for number in numbers)
@@ -84,7 +85,7 @@ class Sweep:
             and self.settle >= 0
             and self.period > 0
             and self.duration <= _LONGEST
-            and all(frequency > 0 for frequency, _, _ in self.sines)
+            and all(0 < frequency <= _HIGHEST for frequency, _, _ in self.sines)
         )
 
     def setpoints(self, cycle: float) -> Array:
@@ -100,7 +101,8 @@ class Sweep:
 class Trace:
     """Block means over `stride` drive cycles, at most `capacity` samples."""
 
-    def __init__(self, stride: int, capacity: int) -> None:
+    def __init__(self, stride: int, capacity: int, cycle: float) -> None:
+        self.period = stride * cycle  # of a sample, s
         self._stride = stride
         self._records = np.zeros(capacity, _RECORD)
         self._rest = np.empty((5, 0))
@@ -120,6 +122,12 @@ class Trace:
         self._rest = rows[:, used:]
         self.count += blocks
 
+    def falsify(self, sample: int, revolutions: float) -> None:
+        """The motor encoder was off by `revolutions` during a sample that is recorded already."""
+        record = self._records[sample]
+        record["position"] += revolutions
+        record["speed"] += 60 * revolutions / self.period
+
     def page(self, first: int, number: int) -> bytes:
         """The bytes of at most `number` samples from `first`; what is not recorded yet is left out."""
         return self._records[first : min(first + number, self.count)].tobytes()
@@ -133,7 +141,7 @@ class MeasuringFunction:
         self._cycle = cycle
         self._setpoints: Array = np.empty(0)
         self._next = 0
-        self._trace = Trace(1, 0)
+        self._trace = Trace(1, 0, cycle)
         dictionary.on_upload((0x2110, 3), self._page)
 
     @property
@@ -153,7 +161,7 @@ class MeasuringFunction:
 
     def reset(self) -> None:
         """Forget everything, as at power-on."""
-        self._setpoints, self._next, self._trace = np.empty(0), 0, Trace(1, 0)
+        self._setpoints, self._next, self._trace = np.empty(0), 0, Trace(1, 0, self._cycle)
 
     def start(self, position: float, *, ready: bool, limit: float, window: tuple[float, float]) -> None:
         """Check the parameters and start from `position`, rev, or say why not; `limit` rev/s, `window` rev."""
@@ -183,10 +191,16 @@ class MeasuringFunction:
 
     def record(self, samples: Samples) -> None:
         """Keep what the axis did, and be done after the last set-point."""
+        if not self._dictionary.traits.load_encoder:
+            samples = replace(samples, load=np.full_like(samples.load, np.nan))
         self._trace.extend(samples)
         self._dictionary[0x2100, 0x0B] = self._trace.count
         if not self.driving:
             self._dictionary[0x2100, 2] = Run.DONE
+
+    def falsify(self, sample: int, revolutions: float) -> None:
+        """Put the motor encoder of a sample off that is recorded already."""
+        self._trace.falsify(sample, revolutions)
 
     def stop(self) -> None:
         """No more set-points, no more samples; `aborted` follows when the axis stands."""
@@ -200,7 +214,7 @@ class MeasuringFunction:
     def _begin(self, setpoints: Array) -> None:
         stride = round(self._dictionary[0x2100, 0x0A] * 1e-3 / self._cycle)
         self._setpoints, self._next = setpoints, 0
-        self._trace = Trace(stride, len(setpoints) // stride)
+        self._trace = Trace(stride, len(setpoints) // stride, self._cycle)
         self._dictionary[0x2100, 0x0B] = 0
 
     def _sweep(self) -> Sweep:

@@ -1,4 +1,4 @@
-"""The power drive system's finite state automaton (CiA 402-2, figure 1) as tables."""
+"""The power drive system's finite state automaton (CiA 402-2, figure 1) as tables, and the modes of operation."""
 
 from enum import Enum, IntEnum
 
@@ -14,6 +14,14 @@ class State(IntEnum):
     QUICK_STOP_ACTIVE = 0x07
     FAULT_REACTION_ACTIVE = 0x0F
     FAULT = 0x08
+
+
+class Mode(IntEnum):
+    """Modes of operation, 6060h."""
+
+    NONE = 0
+    PROFILE_POSITION = 1
+    CYCLIC_VELOCITY = 9
 
 
 class Command(Enum):

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from simulator.drive.dictionary import Dictionary
 from simulator.drive.errors import ErrorCode
+from simulator.drive.limits import Limits
 from simulator.drive.measuring import Samples
-from simulator.drive.units import INCREMENTS, SPEED
 
 _OVERSPEED = 1.1
 _MEAN_OF = 0.01  # s, over which the speed is averaged
@@ -13,10 +12,10 @@ _LIMITED_FOR = 0.1  # s at the torque limit
 
 
 class Supervision:
-    """Judges the samples of each chunk of cycles against the dictionary's limits."""
+    """Judges the samples of each chunk of cycles against the axis' limits."""
 
-    def __init__(self, dictionary: Dictionary, cycle: float) -> None:
-        self._dictionary = dictionary
+    def __init__(self, limits: Limits, cycle: float) -> None:
+        self._limits = limits
         self._cycle = cycle
         self._speeds: list[float] = []
         self._limited = 0.0
@@ -33,19 +32,18 @@ class Supervision:
         The position limits hold for where the axis would come to stand by the quick stop ramp, with the
         position window 6067h as tolerance.
         """
-        d = self._dictionary
+        limits = self._limits
         span = len(samples.speed) * self._cycle
         self._limited = self._limited + span if samples.torque_limited.all() else 0.0
-        self._lagging = self._lagging + span if abs(following_error) * INCREMENTS > d[0x6065, 0] else 0.0
-        ahead = samples.position[-1] + command * abs(command) / (2 * d[0x6085, 0] / SPEED)
-        tolerance = d[0x6067, 0]
-        if command > 0 and ahead * INCREMENTS > d[0x607D, 2] + tolerance:
-            return ErrorCode.POSITION_LIMIT
-        if command < 0 and ahead * INCREMENTS < d[0x607D, 1] - tolerance:
+        self._lagging = self._lagging + span if abs(following_error) > limits.following_window else 0.0
+        ahead = float(samples.position[-1]) + command * abs(command) / (2 * limits.quick_deceleration)
+        low, high = limits.window
+        tolerance = limits.position_window
+        if (command > 0 and ahead > high + tolerance) or (command < 0 and ahead < low - tolerance):
             return ErrorCode.POSITION_LIMIT
         if self._too_fast(samples):
             return ErrorCode.SPEED_LIMIT
-        if self._lagging > d[0x6066, 0] * 1e-3:
+        if self._lagging > limits.following_time:
             return ErrorCode.FOLLOWING
         return ErrorCode.TORQUE_LIMIT if self._limited > _LIMITED_FOR else None
 
@@ -55,4 +53,4 @@ class Supervision:
             return False
         mean = abs(float(np.mean(self._speeds)))
         self._speeds.clear()
-        return mean * SPEED > _OVERSPEED * self._dictionary[0x6080, 0]
+        return mean > _OVERSPEED * self._limits.speed

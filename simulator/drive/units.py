@@ -1,13 +1,32 @@
 """Units of the dictionary against rev and rev/s of the motor (docs/reference/virtual-drive.md, "Units")."""
 
+from simulator.drive.dictionary import Dictionary
+from simulator.scenario import ScenarioError
+
 INCREMENTS = 1 << 20
 """Position: increments a motor revolution, 608Fh."""
 
 SPEED = 60_000
-"""Speed and acceleration: 10^-3 rev/min (a second) in 1 rev/s (a second), 60A9h."""
+"""Speed and acceleration where there is no 60A9h: 10^-3 rev/min (a second) in 1 rev/s (a second)."""
 
 PER_MILLE = 1000
 """Torque in parts of the rated torque 6076h, which is in 10^-3 N m."""
+
+_NUMERATORS = {0xB4: 1.0, 0xB5: float(INCREMENTS)}  # revolutions, increments
+_DENOMINATORS = {0x03: 1.0, 0x47: 60.0}  # second, minute
+
+
+def speed_unit(dictionary: Dictionary) -> float:
+    """Units of speed (and, a second, of acceleration) in 1 rev/s by 60A9h; ScenarioError for a unit not in use.
+
+    The code is prefix (power of ten), numerator, denominator, 0, a byte each (CiA 303-2, CiA 402-2).
+    """
+    code = dictionary[0x60A9, 0]
+    prefix = (code >> 24) - (256 if code >> 31 else 0)
+    numerator, denominator = _NUMERATORS.get(code >> 16 & 0xFF), _DENOMINATORS.get(code >> 8 & 0xFF)
+    if numerator is None or denominator is None or abs(prefix) > 9:
+        raise ScenarioError(f"60A9h: velocity unit {code:08X}h is not 10^x revolutions or increments per s or min")
+    return numerator * denominator * 10.0**-prefix
 
 
 def clamp(value: float, bits: int) -> int:

@@ -298,9 +298,20 @@ def test_lost_and_frozen_counters(machine: Machine, node: canopen.RemoteNode) ->
         bus.shutdown()
 
 
-def test_bad_arguments_end_with_one_line() -> None:
-    command = [sys.executable, "-c", "from service.cli import main; main()", "drive", "--scenario", "nowhere.yaml"]
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--scenario", "nowhere.yaml"], "nowhere.yaml: cannot be read"),
+        (["--eds", "{bad}"], "{bad}: not an EDS"),
+    ],
+)
+def test_bad_arguments_end_with_one_line(arguments: list[str], reason: str, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.eds"
+    bad.write_text("this is none")
+    command = [sys.executable, "-c", "from service.cli import main; main()", "drive"]
+    command += [argument.format(bad=bad) for argument in arguments]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=30, check=False)
     assert done.returncode == 2
-    assert done.stderr.strip().startswith("nowhere.yaml: cannot be read")
+    assert done.stderr.strip().startswith(reason.format(bad=bad))
+    assert len(done.stderr.strip().splitlines()) == 1
     assert done.stdout == ""

@@ -225,6 +225,30 @@ def test_safe_torque_off_is_latched(dictionary: Dictionary, axis: Axis, turn: Tu
     assert axis.state is State.SWITCH_ON_DISABLED
 
 
+@pytest.mark.parametrize("state", list(State))
+@pytest.mark.parametrize("rotating", [False, True])
+def test_safe_torque_off_in_every_state(
+    dictionary: Dictionary, axis: Axis, turn: Turn, enable: Enable, state: State, rotating: bool
+) -> None:
+    if rotating:
+        enable(1)
+        target(dictionary, axis, 90.0)
+        turn(400)
+    axis.state = state
+    axis.stop_safely(on=True)
+    assert (axis.state, axis.energised, axis.moving) == (State.FAULT, False, False)
+    assert dictionary[0x6041, 0] & 0x5F == 0x08  # FAULT, no voltage
+    assert dictionary[0x603F, 0] == ErrorCode.EMERGENCY_STOP
+    for controlword in (0x80, 0x00, 0x80, 0x06, 0x07, 0x0F, 0x1F):
+        axis.control(controlword)
+        assert axis.state is State.FAULT
+        assert turn(16) == pytest.approx(np.zeros(16))
+    axis.stop_safely(on=False)
+    axis.control(0x00)
+    axis.control(0x80)
+    assert axis.state is State.SWITCH_ON_DISABLED
+
+
 def test_an_axis_without_power_section_cannot_be_enabled(dictionary: Dictionary) -> None:
     axis = Axis(dictionary, 0.001, can_move=False)
     for controlword in (0x06, 0x07, 0x0F):

@@ -44,7 +44,7 @@ def test_set_points_by_the_formula() -> None:
 
 
 def test_the_trace_keeps_block_means() -> None:
-    trace = Trace(stride=4, capacity=3)
+    trace = Trace(stride=4, capacity=3, cycle=0.001)
     rows = np.arange(14.0)
     for part in (rows[:3], rows[3:9], rows[9:]):
         trace.extend(Samples(part, part > 99, part / 60, -part / 60, 2 * part, np.full_like(part, np.nan)))

@@ -1,0 +1,46 @@
+"""One measured channel on its way out of the drive: a delay of whole steps, then first-order smoothing.
+
+Smoothing obeys ``T y' = u - y``, taken exactly for a signal u that runs straight between its steps h: with a =
+exp(-h/T) and g = (1 - a) T/h, y[n] = a y[n-1] + (1 - g) u[n] + (g - a) u[n-1]. So the channel's response to a line
+well below 1/h is exp(-iw delay) / (1 + iwT), with no part of a step beside it.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+Array = NDArray[np.float64]
+
+
+class Channel:
+    """State of many rows; `delay` and `smoothing` (T) in s. ValueError for a delay that is no multiple of `step`."""
+
+    def __init__(self, rows: int, step: float, delay: float, smoothing: float) -> None:
+        steps = round(delay / step)
+        if abs(steps * step - delay) > 1e-9:
+            raise ValueError(f"delay {delay} s is not a multiple of the plant step {step} s")
+        self._late = np.zeros((steps, rows))
+        self._smoothing = smoothing
+        if smoothing:
+            self._keep = math.exp(-step / smoothing)
+            gain = (1 - self._keep) * smoothing / step
+            self._now, self._before = 1 - gain, gain - self._keep
+            self._state = np.zeros((1, rows))
+
+    def restart(self, row: int, value: float) -> None:
+        """The row's signal was `value` for long."""
+        self._late[:, row] = value
+        if self._smoothing:
+            self._state[:, row] = (1 - self._now) * value
+
+    def pass_on(self, signal: Array) -> Array:
+        """What comes out while `signal` (steps, rows) goes in; the same shape."""
+        if len(self._late):
+            delayed = np.concatenate([self._late, signal])
+            self._late = delayed[len(signal) :]
+            signal = delayed[: len(signal)]
+        if self._smoothing:
+            signal, self._state = lfilter([self._now, self._before], [1.0, -self._keep], signal, axis=0, zi=self._state)
+        return signal

@@ -1,0 +1,18 @@
+"""What an axis does when nobody has been heard for too long: the abort connection option 6007h, on any fieldbus."""
+
+from simulator.drive.axis import Axis
+from simulator.drive.dictionary import Dictionary
+from simulator.drive.errors import ErrorCode
+
+
+def lose_host(axis: Axis, dictionary: Dictionary) -> None:
+    """React as 6007h says. An axis without torque stands already."""
+    match dictionary[0x6007, 0] if axis.energised else 0:
+        case 1:
+            axis.fail(ErrorCode.HEARTBEAT)
+        case 2:
+            axis.disable_voltage()
+        case 3:
+            axis.quick_stop()
+        case _:
+            pass

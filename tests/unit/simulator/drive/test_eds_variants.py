@@ -1,0 +1,185 @@
+"""The three EDS files of the one virtual drive: what differs, what the bus sees of it, what the axis makes of it."""
+
+import struct
+from collections.abc import Callable
+from configparser import RawConfigParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simulator import Scenario, ScenarioError
+from simulator.canopen.cabinet import Cabinet
+from simulator.canopen.node import Frame
+from simulator.canopen.sdo import SdoServer
+from simulator.drive.axis import Axis
+from simulator.drive.defaults import ABSENT
+from simulator.drive.dictionary import Abort, AbortCode, Dictionary
+from simulator.drive.errors import ErrorCode
+from simulator.drive.measuring import Samples
+from simulator.drive.states import State
+from simulator.drive.units import speed_unit
+from simulator.machine import Machine
+
+EDS = Path(__file__).parents[4] / "config/eds"
+MINIMAL = "[DeviceInfo]\nVendorNumber=1\n\n[6040]\nParameterName=Controlword\nObjectType=7\nDataType=6\nAccessType=rw\n"
+
+
+def load(name: str) -> Dictionary:
+    return Dictionary(EDS / f"{name}.eds", 3)
+
+
+def sections(name: str) -> dict[str, dict[str, str]]:
+    parser = RawConfigParser()
+    parser.read(EDS / f"{name}.eds")
+    return {section: dict(parser[section]) for section in parser.sections()}
+
+
+def objects(name: str) -> set[str]:
+    return {section for section in sections(name) if section[0] in "126" and "sub" not in section}
+
+
+def step(axis: Axis, cycles: int) -> np.ndarray:
+    """A motor that follows exactly; the speeds, rev/s."""
+    command = axis.setpoints(cycles)
+    position = axis.position + np.cumsum(command) * 0.001
+    zero = np.zeros(cycles)
+    axis.observe(Samples(zero, zero > 0, command, command, position, np.full(cycles, 0.5)))
+    return command
+
+
+def enable(dictionary: Dictionary, axis: Axis, mode: int) -> None:
+    dictionary.download(0x6060, 0, bytes([mode]))
+    for controlword in (0x06, 0x07, 0x0F):
+        axis.control(controlword)
+    assert axis.state is State.OPERATION_ENABLED
+
+
+def test_the_variants_differ_in_what_they_are_about_alone() -> None:
+    assert objects("virtual-axis") - objects("virtual-axis-no-limits") == {"6072", "607D", "607F", "6080"}
+    assert objects("virtual-axis") == objects("virtual-axis-rpm")
+    full, rpm, bare = sections("virtual-axis"), sections("virtual-axis-rpm"), sections("virtual-axis-no-limits")
+    changed = {"6083", "6084", "6085", "605A", "60A9", "1018sub2", "FileInfo", "DeviceInfo"}
+    assert {name for name in full if full[name] != rpm[name]} == changed
+    assert {name for name in full if full[name] != bare.get(name)} - {
+        section for section in full if section[:4] in ("6072", "607D", "607F", "6080")
+    } == {"FileInfo", "Comments", "OptionalObjects"}
+    for content in (rpm, bare):
+        assert int(content["OptionalObjects"]["supportedobjects"]) == len(content["OptionalObjects"]) - 1
+
+
+def test_absent_limits_are_abort_06020000_and_hold_inside(scenario: Callable[[str], Scenario]) -> None:
+    sent: list[Frame] = []
+    machine = Machine(scenario("rigid"), 1)
+    bare, full = (
+        Cabinet(machine, EDS / f"{name}.eds", 1.0, sent.append) for name in ("virtual-axis-no-limits", "virtual-axis")
+    )
+    bare.boot()
+    full.boot()
+    node, whole = bare.nodes["joint_1"], full.nodes["joint_1"]
+    for index, sub in ((0x6072, 0), (0x607F, 0), (0x6080, 0), (0x607D, 1)):
+        sent.clear()
+        node.receive(Frame(0x601, struct.pack("<BHB4x", 0x40, index, sub)), 0.0)
+        node.receive(Frame(0x601, struct.pack("<BHBI", 0x23, index, sub, 1)), 0.0)
+        answer = struct.pack("<BHBI", 0x80, index, sub, AbortCode.NO_OBJECT)
+        assert [frame.data for frame in sent] == [answer, answer]
+    assert node.axis.torque_limit == whole.axis.torque_limit
+    assert node.axis.limits.speed == whole.axis.limits.speed
+    assert node.axis.limits.profile_speed == whole.axis.limits.profile_speed
+    assert node.axis.limits.window == (-2048.0, pytest.approx(2048.0))  # nothing but the encoder's range
+    assert whole.axis.limits.window[1] < 200
+
+
+def test_rev_per_min_everywhere() -> None:
+    d = load("virtual-axis-rpm")
+    assert speed_unit(d) == 60.0
+    d[0x6076, 0], d[0x6080, 0], d[0x607F, 0], d[0x6081, 0] = 20_000, 3000, 3000, 600
+    d[0x607D, 1], d[0x607D, 2] = -100 << 20, 100 << 20
+    axis = Axis(d, 0.001, can_move=True)
+    assert axis.limits.speed == 50.0
+    assert axis.limits.acceleration == pytest.approx(1000 / 60)  # as the other EDS' default
+    enable(d, axis, 9)
+    d.download(0x60FF, 0, struct.pack("<i", 120))
+    axis.sync(0.0)
+    assert step(axis, 4) == pytest.approx([0.5, 1.0, 1.5, 2.0])
+    d.download(0x60FF, 0, struct.pack("<i", 120))
+    axis.sync(0.004)
+    step(axis, 4)
+    assert d[0x606C, 0] == 120
+    d.download(0x60FF, 0, struct.pack("<i", 3001))
+    axis.sync(0.008)
+    assert d[0x603F, 0] == ErrorCode.SPEED_LIMIT
+
+
+def test_its_quick_stop_always_stays() -> None:
+    d = load("virtual-axis-rpm")
+    for option in range(5):
+        with pytest.raises(Abort) as refused:
+            d.download(0x605A, 0, struct.pack("<h", option))
+        assert refused.value.code is AbortCode.TOO_LOW
+    axis = Axis(d, 0.001, can_move=True)
+    enable(d, axis, 1)
+    axis.control(0x02)
+    step(axis, 8)
+    assert axis.state is State.QUICK_STOP_ACTIVE
+    assert d[0x6041, 0] & 0x400
+    axis.control(0x00)
+    assert axis.state is State.SWITCH_ON_DISABLED
+
+
+def test_no_block_upload_and_no_load_encoder() -> None:
+    d = load("virtual-axis-rpm")
+    request = struct.pack("<BHB", 0xA4, 0x1008, 0) + bytes([100, 0, 0, 0])
+    assert SdoServer(d).handle(request) == [struct.pack("<BHBI", 0x80, 0x1008, 0, AbortCode.COMMAND)]
+    assert SdoServer(load("virtual-axis")).handle(request)[0][0] == 0xC6
+    d[0x6076, 0], d[0x6080, 0] = 20_000, 3000
+    d[0x607D, 1], d[0x607D, 2] = -100 << 20, 100 << 20
+    axis = Axis(d, 0.001, can_move=True)
+    enable(d, axis, 1)
+    d[0x2100, 4], d[0x2100, 5], d[0x2100, 7], d[0x2100, 8] = 60.0, 0.1, 0.1, 1
+    d.download(0x2100, 1, b"\1\0")
+    step(axis, 40)
+    assert np.isnan(struct.unpack_from("<Ifffdd", d.upload(0x2110, 3))[5])
+
+
+def test_another_node_id_keeps_the_serial_number() -> None:
+    d = load("virtual-axis")
+    d.renumber(7)
+    assert (d[0x1018, 4], d[0x1800, 1]) == (1003, 0x40000187)
+
+
+def test_a_dictionary_of_one_object_drives_an_axis_by_the_defaults(tmp_path: Path) -> None:
+    path = tmp_path / "minimal.eds"
+    path.write_text(MINIMAL)
+    d = Dictionary(path, 1)
+    axis = Axis(d, 0.001, can_move=True)
+    for controlword in (0x06, 0x07, 0x0F):
+        d.download(0x6040, 0, struct.pack("<H", controlword))
+    step(axis, 8)
+    assert axis.state is State.OPERATION_ENABLED
+    assert all(d[key] is not None for key in ABSENT)
+    with pytest.raises(Abort) as refused:
+        d.upload(0x6041, 0)
+    assert refused.value.code is AbortCode.NO_OBJECT
+    axis.fail(0x7305)
+    step(axis, 8)
+    assert axis.state is State.FAULT
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("no section at all", "not an EDS"),
+        (MINIMAL.replace("DataType=6", "DataType=six"), "not an EDS"),
+        (MINIMAL + "[VirtualDrive]\nBlockUpload=perhaps\n", "not an EDS"),
+        (
+            MINIMAL + "[60A9]\nParameterName=u\nObjectType=7\nDataType=7\nAccessType=const\nDefaultValue=0x00010000\n",
+            "60A9h",
+        ),
+    ],
+)
+def test_what_is_no_eds_for_this_drive_is_refused(tmp_path: Path, text: str, named: str) -> None:
+    path = tmp_path / "bad.eds"
+    path.write_text(text)
+    with pytest.raises(ScenarioError, match=named):
+        Axis(Dictionary(path, 1), 0.001, can_move=True)

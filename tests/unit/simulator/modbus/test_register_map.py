@@ -1,0 +1,117 @@
+"""Register maps: the shipped ones hold what a sweep needs, bad ones are told with file and place."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from simulator.modbus.register_map import RegisterMap, RegisterMapError, Wire, load_register_map
+
+REGISTERS = Path(__file__).parents[4] / "config/registers"
+NAMES = ("virtual-high-first", "virtual-low-first")
+
+
+def load(name: str) -> RegisterMap:
+    return load_register_map(REGISTERS / f"{name}.yaml")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_shipped_maps_are_wide_and_fine_enough(name: str) -> None:
+    registers = load(name)
+    needed = {  # largest value and resolution
+        "position": (1000.0, 1e-6),
+        "target_position": (1000.0, 1e-6),
+        "position_min": (1000.0, 1e-6),
+        "frequency": (100.0, 1e-6),
+        "amplitude": (1000.0, 1e-4),
+        "phase": (math.pi, 1e-6),
+        "max_speed": (6000.0, 1e-2),
+    }
+    for signal, (largest, resolution) in needed.items():
+        wire = registers.signals[signal]
+        step = {"f32": math.pi * 2**-22}.get(wire.type, wire.scale)
+        if wire.type != "f32":
+            assert step <= resolution, signal
+        back = wire.decode(wire.encode(largest, registers.word_order), registers.word_order)
+        assert back == pytest.approx(largest, rel=1e-6), signal
+
+
+def test_shipped_maps_differ_in_all_that_may_differ() -> None:
+    high, low = (load(name) for name in NAMES)
+    assert (high.word_order, low.word_order) == ("high_first", "low_first")
+    assert {signal.registers for signal in high.signals.values()} == {2}
+    assert {signal.registers for signal in low.signals.values()} == {1, 2}
+    assert {signal.type for signal in low.signals.values()}.isdisjoint({"f32"})
+    assert all(high.signals[name].address != low.signals[name].address for name in high.signals)
+    assert [f.signal for f in high.trace.sample] != [f.signal for f in low.trace.sample]
+
+
+def test_words_in_either_order() -> None:
+    wire = Wire(type="u32")
+    assert wire.encode(0x12345678, "high_first") == [0x1234, 0x5678]
+    assert wire.encode(0x12345678, "low_first") == [0x5678, 0x1234]
+    assert Wire(type="f32").encode(1.0, "high_first") == [0x3F80, 0]
+    assert Wire(type="i16", scale=0.1).encode(-0.5, "low_first") == [0xFFFB]
+    assert wire.decode([0x5678, 0x1234], "low_first") == 0x12345678
+
+
+@given(
+    kind=st.sampled_from(["u16", "i16", "u32", "i32"]),
+    order=st.sampled_from(["high_first", "low_first"]),
+    value=st.floats(allow_nan=True, allow_infinity=True),
+)
+def test_integers_take_the_nearest_value_they_can_hold(kind: Any, order: Any, value: float) -> None:
+    wire = Wire(type=kind, scale=0.5)
+    back = wire.decode(wire.encode(value, order), order)
+    bits = int(kind[1:])
+    low, high = (0, 2**bits - 1) if kind[0] == "u" else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    if math.isnan(value):
+        assert back == low / 2
+    else:
+        assert abs(back - max(low / 2, min(high / 2, value))) <= 0.25
+
+
+Change = Callable[[dict[str, Any]], object]
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda m: m["signals"].pop("watchdog"), r"missing \['watchdog'\]"),
+        (lambda m: m["signals"].update(spare=m["signals"]["mode"]), r"unknown \['spare'\]"),
+        (lambda m: m["signals"]["velocity"].update(unit="rpm"), "signals.velocity: unit rpm must be rev/min"),
+        (lambda m: m["signals"]["velocity"].update(scale=0), "signals.velocity.scale: Input should be greater than 0"),
+        (lambda m: m["signals"]["velocity"].update(type="i64"), "signals.velocity.type"),
+        (lambda m: m["signals"]["velocity"].update(adress=1), "signals.velocity.adress: Extra inputs"),
+        (lambda m: m["signals"]["frequency"].update(count=8), "signals.frequency: count 8 must be 16"),
+        (lambda m: m["signals"]["constant"].pop("value"), "signals.constant: constant has a value"),
+        (lambda m: m["signals"]["product"].update(address=1), r"register 1 belongs to constant"),
+        (lambda m: m["trace"]["page"].update(address=65000), "trace.page: reaches beyond register 65535"),
+        (lambda m: m["trace"]["page"].update(registers=5), "trace.page: holds no whole sample"),
+        (lambda m: m["trace"]["sample"].pop(), "trace.sample: signals and units"),
+        (lambda m: m.update(word_order="middle"), "word_order"),
+        (lambda m: m.update(max_read=126), "max_read"),
+    ],
+)
+def test_a_bad_map_is_told_with_its_place(tmp_path: Path, change: Change, reason: str) -> None:
+    content = yaml.safe_load((REGISTERS / "virtual-low-first.yaml").read_text())
+    change(content)
+    path = tmp_path / "map.yaml"
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(RegisterMapError, match=reason) as caught:
+        load_register_map(path)
+    assert str(caught.value).startswith(str(path))
+
+
+@pytest.mark.parametrize(("text", "reason"), [(None, "cannot be read"), ("a: [", "not YAML"), ("- 1", "map: ")])
+def test_what_is_no_map(tmp_path: Path, text: str | None, reason: str) -> None:
+    path = tmp_path / "map.yaml"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(RegisterMapError, match=reason):
+        load_register_map(path)

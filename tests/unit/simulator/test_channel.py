@@ -1,0 +1,71 @@
+"""A channel's delay and smoothing against the formula, sample by sample and in a sweep."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from simulator import Measurement, Scenario, SweepRun, run_sweeps
+from simulator.channel import Channel
+
+STEP = 0.00025
+
+
+def test_an_idle_channel_hands_on_what_it_gets() -> None:
+    signal = np.random.default_rng(1).standard_normal((50, 3))
+    assert Channel(3, STEP, 0.0, 0.0).pass_on(signal) is signal
+
+
+def test_a_step_in_pieces_follows_the_exponential() -> None:
+    smoothing, delay = 0.0017, 0.0005
+    channel = Channel(2, STEP, delay, smoothing)
+    channel.restart(1, 5.0)
+    signal = np.tile([1.0, 5.0], (60, 1))
+    signal[:20, 0] = 0.0
+    out = np.concatenate([channel.pass_on(signal[k : k + 7]) for k in range(0, 60, 7)])
+    # The signal rises straight from 0 at step 19 to 1 at step 20; both come two steps later.
+    since = np.arange(60) - 21.0
+    rise = smoothing / STEP
+    expected = np.where(since > 0, 1 - rise * (1 - np.exp(-1 / rise)) * np.exp(-(since - 1) / rise), 0.0)
+    np.testing.assert_allclose(out[:, 0], expected, atol=1e-12)
+    np.testing.assert_allclose(out[:, 1], 5.0)
+
+
+@pytest.mark.parametrize("frequency", [5.0, 90.0])
+def test_lines_are_turned_and_shrunk_as_the_formula_says(frequency: float) -> None:
+    smoothing, delay, steps = 0.002, 0.001, 40_000
+    time = np.arange(steps)[:, None] * STEP
+    line = np.exp(2j * np.pi * frequency * time)
+    out = Channel(1, STEP, delay, smoothing).pass_on(line.real)[-4000:]
+    response = 2 * np.mean(out * line[-4000:].conj())
+    w = 2 * np.pi * frequency
+    assert response == pytest.approx(np.exp(-1j * w * delay) / (1 + 1j * w * smoothing), abs=(w * STEP) ** 2 / 10)
+
+
+def line(columns: dict[str, np.ndarray], name: str, frequency: float, sweep: SweepRun) -> complex:
+    start = sweep.waveform.measure_from
+    inside = (columns["time"] >= start - 1e-9) & (columns["time"] < start + sweep.period * sweep.periods - 1e-9)
+    return complex(np.mean(columns[name][inside] * np.exp(-2j * np.pi * frequency * columns["time"][inside])))
+
+
+def test_only_the_smoothed_channels_of_a_sweep_change(
+    noise_free: Callable[[str], Scenario], sweep: Callable[..., SweepRun]
+) -> None:
+    rigid, run = noise_free("rigid"), sweep("joint_1")
+    slow = Measurement(effort_smoothing=0.0015, velocity_delay=0.00025, velocity_smoothing=0.0005)
+    (plain,) = run_sweeps(rigid, [run], seed=1)
+    (smooth,) = run_sweeps(rigid.model_copy(update={"measurement": slow}), [run], seed=1)
+    for name in ("position", "load_position", "load_velocity", "velocity_setpoint"):
+        np.testing.assert_array_equal(plain[name], smooth[name])
+    w = 2 * np.pi * 5.0
+    effort = line(smooth, "effort", 5.0, run) / line(plain, "effort", 5.0, run)
+    assert effort == pytest.approx(1 / (1 + 1j * w * 0.0015), rel=1e-4)
+    velocity = line(smooth, "velocity", 5.0, run) / line(plain, "velocity", 5.0, run)
+    assert velocity == pytest.approx(np.exp(-1j * w * 0.00025) / (1 + 1j * w * 0.0005), rel=1e-4)
+
+
+def test_a_delay_between_two_steps_is_refused() -> None:
+    with pytest.raises(ValueError, match="multiple of the plant step"):
+        Measurement(velocity_delay=0.0003)
+    with pytest.raises(ValueError, match="multiple of the plant step"):
+        Channel(1, STEP, 0.0003, 0.0)
