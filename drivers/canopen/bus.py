@@ -11,6 +11,7 @@ import time
 
 import can
 import canopen
+from can.interfaces.socketcan import SocketcanBus
 from canopen.sdo.client import SdoClient
 
 from drivers.canopen import frames
@@ -20,6 +21,7 @@ from drivers.errors import CommunicationLost, ConnectionFailed
 logger = logging.getLogger(__name__)
 
 RECEIVE_TIMEOUT = 0.05  # s; how long closing waits for the receiving thread
+RECEIVE_BUFFER = 1 << 20  # bytes asked of the kernel, so that a busy moment loses no frame (it grants what it allows)
 
 
 class Bus:
@@ -31,12 +33,19 @@ class Bus:
         self._interface = _open(profile)
         self._network = canopen.Network(self._interface)
         self._heard = dict.fromkeys(nodes, time.monotonic())
+        self._restarted: set[int] = set()
         self._emergencies: dict[int, frames.Emergency] = {}
+        self._controller: frames.Controller | None = None
         self._streams: dict[int, queue.SimpleQueue[frames.Event]] = {}
         self._lost: str | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._receive, name="can-receive", daemon=True)
         self._thread.start()
+
+    @property
+    def kernel_interface(self) -> str | None:
+        """The network interface of a SocketCAN bus; None where python-can reaches the bus by other ways."""
+        return self._profile.channel if self._profile.interface == "socketcan" else None
 
     def add_node(self, node: int, eds: str) -> SdoClient:
         """The SDO client of a node with the dictionary of `eds`."""
@@ -78,14 +87,23 @@ class Bus:
     def forget_emergency(self, node: int) -> None:
         self._emergencies.pop(node, None)
 
-    def open_stream(self, node: int) -> queue.SimpleQueue[frames.Event]:
-        """Every event of a node, and BusOff, from now until `close_stream`."""
+    def note_configured(self, node: int) -> None:
+        """The node now has its configuration; what `restarted` tells counts from here."""
+        self._restarted.discard(node)
+
+    def restarted(self, node: int) -> bool:
+        """Whether the node sent its boot-up message since `note_configured`: its configuration is lost."""
+        return node in self._restarted
+
+    def open_stream(self, *nodes: int) -> queue.SimpleQueue[frames.Event]:
+        """Every event of these nodes and of the bus itself, in one order, from now until `close_stream`."""
         stream: queue.SimpleQueue[frames.Event] = queue.SimpleQueue()
-        self._streams[node] = stream
+        self._streams |= dict.fromkeys(nodes, stream)
         return stream
 
-    def close_stream(self, node: int) -> None:
-        self._streams.pop(node, None)
+    def close_stream(self, *nodes: int) -> None:
+        for node in nodes:
+            self._streams.pop(node, None)
 
     def close(self) -> None:
         """Ends the thread and closes the interface. Safe to call twice."""
@@ -97,19 +115,27 @@ class Bus:
 
     def _fail(self, reason: str) -> None:
         if self._lost is None:
-            self._lost = f"bus {self._profile.channel}: {reason}"
+            counters = f"; controller {self._controller}" if self._controller else ""
+            self._lost = f"bus {self._profile.channel}: {reason}{counters}"
             logger.error("%s", self._lost)
+            self._tell_all(frames.Lost(self._lost))
         self._closing.set()
 
+    def _tell_all(self, event: frames.Event) -> None:
+        for stream in {id(stream): stream for stream in tuple(self._streams.values())}.values():
+            stream.put(event)
+
     def _receive(self) -> None:
-        while not self._closing.is_set():
-            try:
+        try:
+            while not self._closing.is_set():
                 message = self._interface.recv(RECEIVE_TIMEOUT)
-            except (can.CanError, OSError) as error:
-                self._fail(f"receiving failed: {error}")
-                return
-            if message is not None and not message.is_remote_frame:
-                self._sort(message)
+                if message is not None and not message.is_remote_frame:
+                    self._sort(message)
+        except (can.CanError, OSError) as error:
+            self._fail(f"receiving failed: {error}")
+        except BaseException as error:  # a bus that nobody listens to must not look alive
+            self._fail(f"receiving failed: {error!r}")
+            raise
 
     def _sort(self, message: can.Message) -> None:
         identifier, data = message.arbitration_id, bytes(message.data)
@@ -119,13 +145,19 @@ class Bus:
                 self._heard[node] = time.monotonic()
                 self._network.notify(identifier, bytearray(data), message.timestamp)
             return
+        if identifier == frames.SYNC and not message.is_error_frame:
+            # The kernel stamps frames by the wall clock; only the time since then is used of it.
+            self._tell_all(frames.Sync(time.monotonic() - max(0.0, time.time() - message.timestamp)))
+            return
         event = frames.decode(identifier, data, message.is_error_frame)
         if event is None:
             return
-        if isinstance(event, frames.BusOff):
-            self._fail("bus-off")
-            for stream in tuple(self._streams.values()):
-                stream.put(event)
+        if isinstance(event, frames.Controller):
+            self._note_controller(event)
+            return
+        if isinstance(event, frames.SetPoint):  # of a host, not a word of the node
+            if event.node in self._streams:
+                self._streams[event.node].put(event)
             return
         if event.node not in self._heard:
             return
@@ -135,9 +167,20 @@ class Bus:
                 self._emergencies[event.node] = event
             else:
                 self._emergencies.pop(event.node, None)
+        if isinstance(event, frames.Heartbeat) and event.state == frames.BOOT_UP:
+            self._restarted.add(event.node)
+            logger.warning("bus %s: node %d restarted", self._profile.channel, event.node)
         stream = self._streams.get(event.node)
         if stream is not None:
             stream.put(event)
+
+    def _note_controller(self, event: frames.Controller) -> None:
+        """Told once a change; a controller that was bus-off has lost frames, also if it restarted by itself."""
+        known, self._controller = self._controller, event
+        if known is None or event.state is not known.state:
+            logger.warning("bus %s: controller is %s", self._profile.channel, event)
+        if event.state in (frames.ControllerState.BUS_OFF, frames.ControllerState.RESTARTED):
+            self._fail(event.state.value)
 
 
 def _open(profile: BusProfile) -> can.BusABC:
@@ -150,7 +193,10 @@ def _open(profile: BusProfile) -> can.BusABC:
             # python-can retries a refused connection for 10 s in a busy loop; ask first.
             socket.create_connection((profile.host, profile.port), timeout=3.0).close()
             options |= {"host": profile.host, "port": profile.port, "tcp_tune": True}
-        return can.Bus(**options)  # pyright: ignore[reportArgumentType]
+        interface = can.Bus(**options)  # pyright: ignore[reportArgumentType]
+        if isinstance(interface, SocketcanBus):
+            interface.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+        return interface
     except (can.CanError, OSError, ValueError) as error:
         where = f" at {profile.host}:{profile.port}" if profile.host else ""
         raise ConnectionFailed(f"{place}{where} could not be opened: {error}") from None

@@ -16,6 +16,7 @@ from drivers.ports import AxisIdentity, SampleBlock, SweepCommand
 
 MODE_TIMEOUT = 2.0  # s
 POLL = 0.002  # s
+RESTARTED = 0  # in the place of an error code: the node booted, which has none
 
 
 class CanopenDevice:
@@ -69,6 +70,7 @@ class CanopenDevice:
         absent = self._settle_session() | self._settle(
             self.profile.velocity_limit, self.profile.effort_limit, self.profile.position_limits
         )
+        self._bus.note_configured(self.profile.node)
         return Abilities(
             measures=self._has(measuring.STATE),
             streams=self._pdos_mapped and self._supports_cyclic_velocity() and objects.SYNC_PERIOD not in absent,
@@ -106,15 +108,22 @@ class CanopenDevice:
 
     def announced_error(self) -> int | None:
         announced = self._bus.emergency(self.profile.node)
-        return None if announced is None else announced.code
+        if announced is not None:
+            return announced.code
+        return RESTARTED if self._bus.restarted(self.profile.node) else None
 
     def forget_error(self) -> None:
         self._bus.forget_emergency(self.profile.node)
+        if self._bus.restarted(self.profile.node):
+            self.identify()
+            self.configure()
 
     def error_code(self) -> int:
         return self.sdo.integer(objects.ERROR_CODE)
 
     def error_text(self, code: int) -> str:
+        if code == RESTARTED and self._bus.restarted(self.profile.node):
+            return "node restarted, its settings are lost"
         history = self._history()
         return f"error {code:04X}h" + (f", history {history:08X}h" if history else "")
 

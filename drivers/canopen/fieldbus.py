@@ -3,21 +3,24 @@
 import asyncio
 import hashlib
 import threading
-from collections.abc import AsyncGenerator, Coroutine, Iterable, Mapping, Sequence
+from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 from drivers.canopen import frames
+from drivers.canopen.bcm import set_point_source
 from drivers.canopen.bus import Bus
 from drivers.canopen.device import CanopenDevice
-from drivers.canopen.host_sweep import Ending, HostSweep
+from drivers.canopen.host_sweep import HostSweep
+from drivers.canopen.lane import Ending, Lane
 from drivers.canopen.profile import CanopenProfile
 from drivers.cia402.axis import Axis
 from drivers.cia402.checks import Envelope
+from drivers.cia402.connection import capabilities
 from drivers.cia402.device import Mode
-from drivers.cia402.thread import DriveThread
+from drivers.cia402.thread import DriveThread, to_the_end
 from drivers.errors import CommunicationLost, DriveError, EnvelopeLeft, SweepInterrupted
-from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTiming, SweepCommand, SweepMode
+from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTiming, SweepCommand
 
 
 class CanopenFieldbus:
@@ -36,10 +39,18 @@ class CanopenFieldbus:
             heart = asyncio.create_task(_beat(bus, profile), name="can-heartbeat")
             devices, axes, identities = await thread.run(_introduce, profile, bus)
         except BaseException:
-            await _to_the_end(_release(thread, opening, heart))
+            await to_the_end(_release(thread, opening, heart))
             raise
         return CanopenConnection(
-            profile, thread, opening, bus, heart, devices, axes, identities, _capabilities(axes.values(), bus)
+            profile,
+            thread,
+            opening,
+            bus,
+            heart,
+            devices,
+            axes,
+            identities,
+            capabilities(axes.values(), set_point_source(bus)),
         )
 
 
@@ -62,12 +73,13 @@ class CanopenConnection:
         return self.profile.bus.sync_period
 
     async def stream(self, sweeps: Sequence[tuple[SweepCommand, Envelope]], stop: threading.Event) -> "StreamedSweep":
-        # interim: one lane, until HostSweep takes several
-        ((command, envelope),) = sweeps
-        device = self.devices[command.joint]
-        counter = await self.thread.run(device.prepare_streaming)
-        run = HostSweep(self.bus, device.profile, self.profile.bus, device.codec, command, envelope, counter, stop)
-        return StreamedSweep(run, self.thread, {command.joint: self.axes[command.joint]})
+        lanes: list[Lane] = []
+        for command, envelope in sweeps:
+            device = self.devices[command.joint]
+            counter = await self.thread.run(device.prepare_streaming)
+            lanes.append(Lane(device.profile, device.codec, command, envelope, counter))
+        run = HostSweep(self.bus, self.profile.bus, lanes, stop)
+        return StreamedSweep(run, self.thread, {command.joint: self.axes[command.joint] for command, _ in sweeps})
 
     async def close(self) -> None:
         await _release(self.thread, self.opening, self.heart)
@@ -93,7 +105,7 @@ class StreamedSweep:
         await self.run.over()
 
     def timing(self) -> SetPointTiming:
-        return SetPointTiming('thread', len(self.run.timing.lateness), self.run.timing.missed, 0.0, 0.0)
+        return self.run.timing()
 
     async def _conclude(self) -> None:
         """Leave the cyclic mode while SYNC still runs, or raise what ended the sweep."""
@@ -107,11 +119,11 @@ class StreamedSweep:
             case Ending.COMPLETED:
                 return
             case Ending.STOPPED:
-                raise SweepInterrupted(f"{', '.join(axis.place for axis in self._axes.values())}: sweep was stopped")
-            case Ending.SILENT:
+                raise SweepInterrupted(run.reason)
+            case Ending.SILENT | Ending.MISCOUNTED | Ending.LATE | Ending.NOT_SENT:
                 raise CommunicationLost(run.reason)
             case Ending.LEFT_STATE:
-                (axis,) = self._axes.values()
+                axis = self._axes[run.joint]
                 await self._thread.run(axis.check, await self._thread.run(axis.state))
                 raise SweepInterrupted(run.reason)
             case Ending.LEFT_ENVELOPE | Ending.NO_STANDSTILL:
@@ -138,28 +150,6 @@ def _introduce(profile: CanopenProfile, bus: Bus) -> Introduced:
     return devices, axes, tuple(axis.introduce() for axis in axes.values())
 
 
-def _capabilities(axes: Iterable[Axis], bus: Bus) -> Capabilities:
-    """What every axis can do."""
-    everyone = tuple(axes)
-    each = tuple(axis.abilities for axis in everyone)
-    modes: set[SweepMode] = set()
-    if all(abilities.measures for abilities in each):
-        modes.add(SweepMode.DRIVE_SIDE)
-    streams = all(abilities.streams for abilities in each)
-    if streams:
-        modes.add(SweepMode.HOST_STREAMED)
-    return Capabilities(
-        sweep_modes=frozenset(modes),
-        load_encoder=SweepMode.DRIVE_SIDE in modes and all(axis.profile.load_encoder for axis in everyone),
-        velocity_limit_in_drive=all(abilities.velocity_limit for abilities in each),
-        effort_limit_in_drive=all(abilities.effort_limit for abilities in each),
-        position_limits_in_drive=all(abilities.position_limits for abilities in each),
-        host_watchdog_in_drive=all(abilities.host_watchdog for abilities in each),
-        set_point_timing='thread' if streams else "none",
-        simultaneous_axes=1,
-    )
-
-
 async def _release(thread: DriveThread, opening: asyncio.Task[Bus], heart: asyncio.Task[None] | None) -> None:
     """Ends heartbeat, bus and SDO thread; a bus that is still being opened is awaited and closed."""
     if heart is not None:
@@ -169,12 +159,3 @@ async def _release(thread: DriveThread, opening: asyncio.Task[Bus], heart: async
         bus = await opening
         await thread.run(bus.close)
     await thread.close()
-
-
-async def _to_the_end(work: Coroutine[object, object, None]) -> None:
-    """A bus must not stay open because somebody loses patience twice."""
-    task = asyncio.create_task(work)
-    while not task.done():
-        with suppress(asyncio.CancelledError):
-            await asyncio.wait([task])
-    task.result()

@@ -5,6 +5,7 @@ COB-IDs of CiA 301's predefined connection set; PDO contents as mapped in `confi
 
 import struct
 from dataclasses import dataclass
+from enum import Enum
 
 SYNC = 0x080
 EMERGENCY = 0x080
@@ -16,9 +17,11 @@ HEARTBEAT = 0x700
 
 NMT = 0x000
 NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL = 0x01, 0x02, 0x80
-OPERATIONAL = 0x05  # heartbeat's state byte
+BOOT_UP, OPERATIONAL = 0x00, 0x05  # heartbeat's state byte
 
-ERROR_BUS_OFF = 0x40  # SocketCAN's error class in the identifier of an error frame
+# SocketCAN's error classes, in the identifier of an error frame, and what data byte 1 then says of the controller
+ERROR_CONTROLLER, ERROR_BUS_OFF, ERROR_RESTARTED = 0x004, 0x040, 0x100
+CONTROLLER_WARNING, CONTROLLER_PASSIVE, CONTROLLER_ACTIVE = 0x04 | 0x08, 0x10 | 0x20, 0x40
 
 _TPDO1 = struct.Struct("<Hih")
 _TPDO2 = struct.Struct("<iI")
@@ -63,18 +66,60 @@ class Heartbeat:
     state: int
 
 
+class ControllerState(Enum):
+    """How this host's CAN controller fares (ISO 11898-1 fault confinement)."""
+
+    ACTIVE = "error active"
+    WARNING = "error warning"
+    PASSIVE = "error passive"
+    BUS_OFF = "bus-off"
+    RESTARTED = "restarted after bus-off"
+
+
 @dataclass(frozen=True, slots=True)
-class BusOff:
-    """The controller of this host left the bus."""
+class Controller:
+    """An error frame: the controller's state and its error counters, 0 where it does not tell."""
+
+    state: ControllerState
+    transmit_errors: int
+    receive_errors: int
+
+    def __str__(self) -> str:
+        return f"{self.state.value} (transmit errors {self.transmit_errors}, receive errors {self.receive_errors})"
 
 
-Event = Motion | Place | Emergency | Heartbeat | BusOff
+@dataclass(frozen=True, slots=True)
+class SetPoint:
+    """RPDO1 to a node, seen on the bus: the kernel sent it, or another host did."""
+
+    node: int
+    data: bytes
 
 
-def decode(identifier: int, data: bytes, error: bool = False) -> Event | None:
-    """The event in a frame, None if it is none of ours (SDO answers go to the SDO client)."""
+Frame = Motion | Place | Emergency | Heartbeat | Controller | SetPoint
+
+
+@dataclass(frozen=True, slots=True)
+class Sync:
+    """SYNC seen on the bus, at this time of the monotonic clock, s."""
+
+    at: float
+
+
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """The bus is gone: bus-off, interface down, gateway away. The last event of a stream."""
+
+    reason: str
+
+
+Event = Frame | Sync | Lost
+
+
+def decode(identifier: int, data: bytes, error: bool = False) -> Frame | None:
+    """What a frame says, None if it is none of ours (SDO answers go to the SDO client). SYNC is the bus' matter."""
     if error:
-        return BusOff() if identifier & ERROR_BUS_OFF else None
+        return _controller(identifier, data)
     function, node = identifier & ~0x7F, identifier & 0x7F
     if node == 0:
         return None
@@ -82,11 +127,31 @@ def decode(identifier: int, data: bytes, error: bool = False) -> Event | None:
         return Motion(node, *_TPDO1.unpack(data))
     if function == TPDO2 and len(data) == _TPDO2.size:
         return Place(node, *_TPDO2.unpack(data))
+    if function == RPDO1:
+        return SetPoint(node, data)
     if function == EMERGENCY and len(data) == _EMERGENCY.size:
         return Emergency(node, *_EMERGENCY.unpack(data))
     if function == HEARTBEAT and len(data) == 1:
         return Heartbeat(node, data[0] & 0x7F)
     return None
+
+
+def _controller(classes: int, data: bytes) -> Controller | None:
+    """linux/can/error.h: classes of the error in the identifier, details in eight bytes."""
+    detail, transmit, receive = (data[1], data[6], data[7]) if len(data) == 8 else (0, 0, 0)
+    if classes & ERROR_BUS_OFF:
+        state = ControllerState.BUS_OFF
+    elif classes & ERROR_RESTARTED:
+        state = ControllerState.RESTARTED
+    elif classes & ERROR_CONTROLLER and detail & CONTROLLER_PASSIVE:
+        state = ControllerState.PASSIVE
+    elif classes & ERROR_CONTROLLER and detail & CONTROLLER_WARNING:
+        state = ControllerState.WARNING
+    elif classes & ERROR_CONTROLLER and detail & CONTROLLER_ACTIVE:
+        state = ControllerState.ACTIVE
+    else:
+        return None
+    return Controller(state, transmit, receive)
 
 
 def rpdo1(controlword: int, target_velocity: int) -> bytes:

@@ -1,8 +1,8 @@
-"""The host-streamed sweep: one thread sends set-point and SYNC by absolute deadlines and takes in the answers.
+"""The host-streamed sweep of one or several axes on one clock: set-points and SYNC out, samples in, one thread.
 
-In cyclic synchronous velocity the set-point sent before SYNC k is reached one period later, so that at the instant of
-SYNC k, time k T on the drive's clock, the axis is asked for w(k T). A late cycle shifts the wall clock alone: deadlines
-that passed are counted and left out, never made up in a burst.
+A cycle is every axis' RPDO1, then one SYNC. The thread sends cycles by absolute deadlines, or plans them ahead for the
+kernel to send (`bcm`); the ladder is the thread's always. A late cycle shifts the wall clock alone, for the drives'
+clock is SYNC. Whatever ends one axis' sweep starts the ladder of all.
 """
 
 import asyncio
@@ -11,87 +11,54 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
-from enum import Enum
-
-import numpy as np
 
 from drivers.canopen import frames
+from drivers.canopen.bcm import Cycle, KernelStream, set_point_source
 from drivers.canopen.bus import Bus
-from drivers.canopen.ladder import Ladder, Rung
-from drivers.canopen.samples import Pairing, Sample
-from drivers.canopen.units import Codec
-from drivers.cia402 import states
-from drivers.cia402.checks import Envelope
+from drivers.canopen.ladder import Rung
+from drivers.canopen.lane import STANDING_SAMPLES, Ending, Lane, RunningLane, Trouble
 from drivers.canopen.profile import BusProfile
-from drivers.canopen.profile import CanopenAxis as AxisProfile
+from drivers.canopen.punctuality import Punctuality
+from drivers.cia402 import states
 from drivers.cia402.states import State
-from drivers.cia402.waveform import set_point
-from drivers.ports import SampleBlock, SweepCommand
+from drivers.errors import CommunicationLost
+from drivers.ports import SampleBlock, SetPointTiming
 
+OPENING_SYNCS = 3  # without set-points; a drive takes few of them for a host that is gone
 BLOCK_TIME = 0.1  # s of samples handed over at a time
-STANDING_SAMPLES = 5  # in a row below the standstill velocity
 STANDSTILL_TIMEOUT = 3.0  # s after the waveform's end
 HOLD_TIMEOUT = 5.0  # s of waiting at standstill for the mode to be left
 
+REST = frames.rpdo1(states.QUICK_STOP, 0)  # what the kernel sends when nobody plans further
 
-class Ending(Enum):
-    """Why the stream ended."""
-
-    COMPLETED = "completed"
-    STOPPED = "stopped"
-    LEFT_ENVELOPE = "left its envelope"
-    LEFT_STATE = "left 'operation enabled'"
-    SILENT = "fell silent"
-    NO_STANDSTILL = "did not come to standstill"
-
-
-@dataclass(slots=True)
-class Timing:
-    """How punctual the cycles were: lateness of each cycle, s, and deadlines left out."""
-
-    lateness: list[float] = field(default_factory=list)
-    missed: int = 0
+Events = queue.SimpleQueue[frames.Event]
 
 
 class HostSweep:
     """One run. `stop` (a threading.Event) may be set from any thread and starts the ladder."""
 
-    def __init__(
-        self,
-        bus: Bus,
-        axis: AxisProfile,
-        settings: BusProfile,
-        codec: Codec,
-        command: SweepCommand,
-        envelope: Envelope,
-        counter: int,
-        stop: threading.Event,
-    ) -> None:
-        """`counter` is 2120h:01 as read at standstill, before the first SYNC."""
-        period = settings.sync_period
-        self.timing = Timing()
+    def __init__(self, bus: Bus, settings: BusProfile, lanes: Sequence[Lane], stop: threading.Event) -> None:
+        """Starts at once. The axes stand, enabled, in cyclic synchronous velocity."""
         self.ending = Ending.COMPLETED
         self.reason = ""
-        self._bus, self._axis, self._codec, self._command = bus, axis, codec, command
-        self._envelope, self._stop, self._period = envelope, stop, period
-        self._last = round(command.duration / period)  # index of the last sample
-        self._wave = set_point(command, np.arange(self._last + 1, dtype=float) * period)
-        self._targets = [codec.raw_velocity(velocity) for velocity in (*self._wave[1:], 0.0)]
-        self._ladder = Ladder(
-            ramp_step=max(1, round(codec.raw_speed(axis.acceleration) * period)),
-            ramp_time=axis.velocity_limit / axis.acceleration + 1.0,
-            quick_stop_time=axis.velocity_limit / axis.quick_stop_deceleration + 1.0,
-            disable_time=1.0,
-        )
+        """A sentence that names the axis; empty for COMPLETED."""
+        self.joint = ""
+        """The axis that ended the sweep, empty if none did."""
+        period = settings.sync_period
+        self._bus, self._stop, self._period = bus, stop, period
+        self._source = set_point_source(bus)
+        self._clock = Punctuality(period, settings.missed_cycles, settings.host_timeout)
+        self._lanes = {lane.axis.node: RunningLane(lane, period) for lane in lanes}
+        self._last = max(lane.last for lane in self._lanes.values())
+        self._number = 0  # cycles sent
+        self._ended = False  # the ladder has begun
+        self._block_samples = max(1, round(BLOCK_TIME / period))
+        self._silence = settings.silence
         self._silent_cycles = max(3, round(settings.silence / period))
-        self._pairing = Pairing(counter)
-        self._state = State.OPERATION_ENABLED
-        self._standing = 0
-        self._since_sample = 0
-        self._fresh: list[Sample] = []
+        self._kernel: KernelStream | None = None
+        self._seen: dict[int, bytes] = {}  # the kernel's set-points since its last SYNC, by node
         self._released = threading.Event()
         self._loop = asyncio.get_running_loop()
         self._blocks: asyncio.Queue[SampleBlock | None] = asyncio.Queue()
@@ -100,14 +67,14 @@ class HostSweep:
         self._executor.shutdown(wait=False)  # the thread ends with its one task
 
     async def blocks(self) -> AsyncGenerator[SampleBlock, None]:
-        """The samples as they come. Ends when the axis stands: still held (COMPLETED), otherwise disabled."""
+        """The samples as they come, in order for each axis. Ends when all stand: held (COMPLETED), else disabled."""
         while (block := await self._blocks.get()) is not None:
             yield block
         if self._thread.done():
             self._thread.result()
 
     def release(self) -> None:
-        """End SYNC after COMPLETED, once the axis has left the cyclic mode."""
+        """End SYNC after COMPLETED, once the axes have left the cyclic mode."""
         self._released.set()
 
     async def finished(self) -> None:
@@ -120,128 +87,213 @@ class HostSweep:
         if not self._thread.cancelled():
             self._thread.exception()  # noted: asyncio does not tell of it once more
 
+    def timing(self) -> SetPointTiming:
+        """How punctual the cycles were so far."""
+        return self._clock.timing(self._source)
+
     # -- the thread ----------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
         _sharpen_timer()
-        events = self._bus.open_stream(self._axis.node)
+        events = self._bus.open_stream(*self._lanes)
         try:
-            self._cycle(events)
+            self._meet(events)
+            if self._source == "bcm" and not self._ended:
+                self._by_kernel(events)
+            self._by_thread(events)
         finally:
-            self._bus.close_stream(self._axis.node)
-            self._hand_over()
+            self._bus.close_stream(*self._lanes)
+            self._hand_over(at_least=1)
             self._post(None)
 
-    def _cycle(self, events: queue.SimpleQueue[frames.Event]) -> None:
-        identifier = frames.RPDO1 + self._axis.node
-        number = 0
-        target = 0
-        deadline = time.monotonic()
+    def _meet(self, events: Events) -> None:
+        """SYNC without set-points until every drive has said that it is enabled: none is told so before."""
+        for _ in range(OPENING_SYNCS):
+            self._bus.send(frames.SYNC, b"")
+            self._count_sync()
+            sent = time.monotonic()
+            answer_by = sent + max(self._period, self._silence / OPENING_SYNCS)
+            while self._unknown() and (event := _next(events, answer_by - time.monotonic())) is not None:
+                self._take(event)
+            self._listen(events, sent + self._period)
+            if not self._unknown():
+                break
+        for lane in self._unknown():
+            self._end(Trouble(Ending.SILENT, f"does not answer SYNC within {self._silence:g} s"), lane)
+        self._check()
+        if not self._ended:
+            for lane in self._lanes.values():
+                lane.begin()
+
+    def _unknown(self) -> list[RunningLane]:
+        return [lane for lane in self._lanes.values() if lane.state is State.UNKNOWN]
+
+    def _by_kernel(self, events: Events) -> None:
+        """The sweep's cycles, planned ahead; returns at its end, or once the ladder has begun."""
+        rest = [*((frames.RPDO1 + node, REST) for node in self._lanes), (frames.SYNC, b"")]
+        self._kernel = kernel = KernelStream(self._bus.kernel_interface or "", self._period, self._plan, rest)
+        try:
+            kernel.begin()
+            heard = time.monotonic()
+            while self._number <= self._last and not self._ended:
+                event = _next(events, 0.0)
+                if event is None:  # nothing waits: what was heard is what was sent
+                    kernel.top_up(self._number)
+                    event = _next(events, self._period)
+                if event is not None:
+                    self._take(event)
+                if isinstance(event, frames.Sync):
+                    heard = time.monotonic()
+                elif event is None and time.monotonic() - heard > max(self._silence, 3 * self._period):
+                    self._end(Trouble(Ending.NOT_SENT, f"the kernel sent no SYNC for {self._silence:g} s"))
+                self._check()
+        finally:
+            kernel.close()
+
+    def _by_thread(self, events: Events) -> None:
         standstill_by = hold_until = float("inf")
+        self._clock.begin(time.monotonic())
         while True:
             now = time.monotonic()
-            if self._stop.is_set():
-                self._abandon(Ending.STOPPED, "", Rung.RAMP, now, target)
-            if self._ladder.rung is Rung.RUN:
-                controlword, target = states.ENABLE_OPERATION, self._targets[min(number, self._last)]
-            else:
-                standing = self._standing >= STANDING_SAMPLES
-                controlword, target = self._ladder.command(now, standing, self._state)
-            self._bus.send(identifier, frames.rpdo1(controlword, target))
+            self._clock.sent(now)
+            self._check()
+            for node, lane in self._lanes.items():
+                self._bus.send(frames.RPDO1 + node, lane.command(self._number, now))
             self._bus.send(frames.SYNC, b"")
-            if self._ladder.rung is Rung.DONE:
+            if all(lane.ladder.rung is Rung.DONE for lane in self._lanes.values()):
                 return
-            self.timing.lateness.append(now - deadline)
-            number += 1
-            self._since_sample += 1
-            deadline += self._period
-            late = time.monotonic() - deadline
-            if late > 0:
-                missed = int(late / self._period) + 1
-                self.timing.missed += missed
-                deadline += missed * self._period
-            self._listen(events, deadline, target)
-            if self._since_sample > self._silent_cycles:
-                text = f"no sample for {self._since_sample} cycles of {self._period * 1e3:g} ms"
-                self._abandon(Ending.SILENT, text, Rung.QUICK_STOP, time.monotonic(), target)
-            if number <= self._last or self._ladder.rung is not Rung.RUN:
+            self._number += 1
+            self._count_sync()
+            self._listen(events, self._clock.due)
+            if self._number <= self._last or self._ended:
                 continue
             now = time.monotonic()
+            unfinished = self._unfinished()
             if hold_until < float("inf"):  # at standstill, handed over
                 if self._released.is_set():
                     return
                 if now > hold_until:
-                    self._ladder.climb(Rung.QUICK_STOP, now, 0)
-            elif self._standing >= STANDING_SAMPLES and number > self._last + STANDING_SAMPLES:
-                hold_until = now + HOLD_TIMEOUT
-                self._hand_over()
-                self._post(None)
-            else:
+                    self._climb(Rung.QUICK_STOP)
+            elif unfinished is not None:
                 standstill_by = min(standstill_by, now + STANDSTILL_TIMEOUT)
                 if now > standstill_by:
-                    self._abandon(Ending.NO_STANDSTILL, "", Rung.QUICK_STOP, now, target)
+                    self._end(*unfinished)
+            elif self._number > self._last + STANDING_SAMPLES:
+                hold_until = now + HOLD_TIMEOUT
+                self._hand_over(at_least=1)
+                self._post(None)
 
-    def _listen(self, events: queue.SimpleQueue[frames.Event], deadline: float, target: int) -> None:
+    # -- one cycle -----------------------------------------------------------------------------------------------
+
+    def _plan(self, number: int) -> Cycle:
+        """For the kernel: what a cycle ahead will send if nothing comes in between."""
+        set_points = [(frames.RPDO1 + node, lane.planned(number)) for node, lane in self._lanes.items()]
+        return [*set_points, (frames.SYNC, b"")]
+
+    def _count_sync(self) -> None:
+        for lane in self._lanes.values():
+            lane.sync()
+
+    def _listen(self, events: Events, deadline: float) -> None:
         """Take events until the deadline; what already waits is taken even if it has passed."""
-        while True:
-            left = deadline - time.monotonic()
-            try:
-                event = events.get(timeout=left) if left > 0 else events.get_nowait()
-            except queue.Empty:
-                return
-            if isinstance(event, frames.Motion):
-                self._pairing.motion(event)
-            elif isinstance(event, frames.Place):
-                sample = self._pairing.place(event)
-                if sample is not None:
-                    self._take(sample, target)
-            elif isinstance(event, frames.Emergency) and event.code:
-                text = f"error {event.code:04X}h"
-                self._abandon(Ending.LEFT_STATE, text, Rung.QUICK_STOP, time.monotonic(), target)
+        while (event := _next(events, deadline - time.monotonic())) is not None:
+            self._take(event)
 
-    def _take(self, sample: Sample, target: int) -> None:
-        self._since_sample = 0
-        self._state = states.decode(sample.statusword)
-        velocity = float(self._codec.velocity(sample.velocity))
-        self._standing = self._standing + 1 if abs(velocity) <= self._axis.standstill_velocity else 0
-        if self._ladder.rung is Rung.RUN:
-            if self._state is not State.OPERATION_ENABLED:
-                text = f"is '{self._state.value}'"
-                self._abandon(Ending.LEFT_STATE, text, Rung.QUICK_STOP, time.monotonic(), target)
-            violation = self._envelope.violation(
-                float(self._codec.position(sample.position)), velocity, float(self._codec.effort(sample.torque))
-            )
-            if violation is not None:
-                self._abandon(Ending.LEFT_ENVELOPE, violation, Rung.QUICK_STOP, time.monotonic(), target)
-        if sample.index <= self._last:
-            self._fresh.append(sample)
-            if len(self._fresh) * self._period >= BLOCK_TIME:
-                self._hand_over()
+    def _take(self, event: frames.Event) -> None:
+        match event:
+            case frames.Lost():
+                raise CommunicationLost(event.reason)
+            case frames.SetPoint():
+                self._seen[event.node] = event.data
+            case frames.Sync():
+                self._take_sync(event.at)
+            case frames.Controller():
+                pass  # the bus' matter
+            case _:
+                lane = self._lanes[event.node]
+                trouble = lane.take(event)
+                if trouble is not None:
+                    self._end(trouble, lane)
+                self._hand_over(at_least=self._block_samples)
 
-    def _abandon(self, ending: Ending, reason: str, rung: Rung, now: float, target: int) -> None:
-        if self.ending is Ending.COMPLETED:
-            self.ending, self.reason = ending, reason
-        self._ladder.climb(rung, now, target)
+    def _take_sync(self, at: float) -> None:
+        """The kernel's SYNC, seen as it went out."""
+        kernel = self._kernel
+        if kernel is None:
+            return  # our own by way of a gateway; a stranger's shows in the sample counters
+        if self._number == 0:
+            self._clock.begin(at)
+        seen, self._seen = self._seen, {}
+        for node, lane in self._lanes.items():
+            if seen.get(node) == lane.planned(self._number):
+                lane.was_sent(self._number)
+            elif not self._ended:
+                self._end(Trouble(*_unplanned(seen.get(node))), lane)
+        self._number += 1
+        self._count_sync()
+        kernel.note(self._clock.sent(at))
 
-    def _hand_over(self) -> None:
-        fresh, self._fresh = self._fresh, []
-        if not fresh:
+    def _check(self) -> None:
+        """What does not come by an event."""
+        if self._stop.is_set():
+            self._end(Trouble(Ending.STOPPED, "sweep was stopped", Rung.RAMP))
+        if self._ended:
             return
-        index = np.array([sample.index for sample in fresh], dtype=np.int64)
-        self._post(
-            SampleBlock(
-                joint=self._axis.joint,
-                index=index,
-                time=index.astype(float) * self._period,
-                effort=self._codec.effort(np.array([sample.torque for sample in fresh], dtype=float)),
-                velocity=self._codec.velocity(np.array([sample.velocity for sample in fresh], dtype=float)),
-                position=self._codec.position(np.array([sample.position for sample in fresh], dtype=float)),
-                velocity_setpoint=self._wave[index],
-            )
-        )
+        if self._number <= self._last and (verdict := self._clock.verdict) is not None:
+            self._end(Trouble(Ending.LATE, verdict))
+        for lane in self._lanes.values():
+            if lane.silent > self._silent_cycles:
+                text = f"no sample for {lane.silent} cycles of {self._period * 1e3:g} ms"
+                self._end(Trouble(Ending.SILENT, text), lane)
+
+    def _unfinished(self) -> tuple[Trouble, RunningLane] | None:
+        """A lane that does not stand yet, or whose last samples have not come."""
+        for lane in self._lanes.values():
+            if not lane.standing:
+                return Trouble(Ending.NO_STANDSTILL, f"does not stand {STANDSTILL_TIMEOUT:g} s after its sweep"), lane
+            if not lane.complete:
+                return Trouble(Ending.MISCOUNTED, f"its sample counter is {lane.behind} behind SYNC"), lane
+        return None
+
+    def _end(self, trouble: Trouble, lane: RunningLane | None = None) -> None:
+        if self.ending is Ending.COMPLETED:
+            self.ending = trouble.ending
+            self.joint = "" if lane is None else lane.joint
+            self.reason = f"{', '.join(self._places(lane))}: {trouble.reason}"
+        self._climb(trouble.rung)
+
+    def _places(self, lane: RunningLane | None) -> list[str]:
+        return [each.place for each in self._lanes.values() if lane in (None, each)]
+
+    def _climb(self, rung: Rung) -> None:
+        self._ended = True
+        now = time.monotonic()
+        for lane in self._lanes.values():
+            lane.ladder.climb(rung, now, lane.target)
+
+    def _hand_over(self, at_least: int) -> None:
+        for lane in self._lanes.values():
+            block = lane.block(at_least)
+            if block is not None:
+                self._post(block)
 
     def _post(self, item: SampleBlock | None) -> None:
         self._loop.call_soon_threadsafe(self._blocks.put_nowait, item)
+
+
+def _unplanned(sent: bytes | None) -> tuple[Ending, str]:
+    """What it means that the kernel sent this instead of the set-point of the plan."""
+    if sent == REST:
+        return Ending.LATE, "the host planned no further set-points in time"
+    return Ending.NOT_SENT, "a SYNC came without the set-point planned for it"
+
+
+def _next(events: Events, within: float) -> frames.Event | None:
+    """The next event, None if there is none within so many s."""
+    try:
+        return events.get(timeout=within) if within > 0 else events.get_nowait()
+    except queue.Empty:
+        return None
 
 
 def _sharpen_timer() -> None:

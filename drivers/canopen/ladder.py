@@ -38,7 +38,12 @@ class Ladder:
         self._deadline = now + (0.0, self.ramp_time, self.quick_stop_time, self.disable_time, 0.0)[rung]
 
     def command(self, now: float, standing: bool, state: State) -> tuple[int, int]:
-        """Controlword and target velocity of this cycle, after climbing where it is due. Not for rung RUN."""
+        """Controlword and target velocity of this cycle, after climbing where it is due.
+
+        A run that is not on its way any more (the state is not what it was) goes to the quick stop.
+        """
+        if self.rung is Rung.RUN:
+            self.climb(Rung.QUICK_STOP, now, 0)
         off = state not in states.ENERGISED | {State.UNKNOWN}
         if self.rung is Rung.RAMP:
             self._target -= max(-self.ramp_step, min(self.ramp_step, self._target))

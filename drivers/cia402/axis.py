@@ -80,7 +80,7 @@ class Axis:
         """Keeps a fault that the drive reports until it is acknowledged here, even if the drive forgets it."""
         announced = self.device.announced_error()
         if self.fault is None and (announced is not None or state in (State.FAULT, State.FAULT_REACTION)):
-            code = self.device.error_code() or announced or 0
+            code = self.device.error_code() or announced or 0  # 0: no error of the drive's, see `error_text`
             self.fault = Fault(
                 joint=self.profile.joint,
                 code=code,
@@ -96,6 +96,12 @@ class Axis:
         if fault is not None:
             kind = EmergencyStop if fault.emergency_stop else DriveFault
             raise kind(f"{self.place}: {fault.text}")
+
+    def check_standing(self) -> None:
+        """As `check`, for an axis beside the moving one. Asks the drive only if it told of trouble by itself."""
+        self.device.check_alive()
+        if self.fault is not None or self.device.announced_error() is not None:
+            self.check(self.state())
 
     # -- power ---------------------------------------------------------------------------------------------------
 

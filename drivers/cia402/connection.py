@@ -1,13 +1,13 @@
 """What a fieldbus brings for a whole machine: an open connection with its axes, and the streamed sweeps it can do."""
 
 import threading
-from collections.abc import AsyncGenerator, Mapping, Sequence
+from collections.abc import AsyncGenerator, Iterable, Mapping, Sequence
 from typing import Protocol
 
 from drivers.cia402.axis import Axis
 from drivers.cia402.checks import Envelope
 from drivers.cia402.thread import DriveThread
-from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTiming, SweepCommand
+from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTiming, SweepCommand, SweepMode
 
 
 class Run(Protocol):
@@ -65,3 +65,22 @@ class Fieldbus(Protocol):
     async def open(self) -> Connection:
         """Open, identify, configure; nothing stays open if that fails."""
         ...
+
+
+def capabilities(axes: Iterable[Axis], set_point_timing: str = "none") -> Capabilities:
+    """What every axis can do; `set_point_timing` is who times streamed set-points, if they can be streamed."""
+    everyone = tuple(axes)
+    each = tuple(axis.abilities for axis in everyone)
+    measures = all(abilities.measures for abilities in each)
+    streams = all(abilities.streams for abilities in each)
+    modes = {SweepMode.DRIVE_SIDE: measures, SweepMode.HOST_STREAMED: streams}
+    return Capabilities(
+        sweep_modes=frozenset(mode for mode, possible in modes.items() if possible),
+        load_encoder=measures and all(axis.profile.load_encoder for axis in everyone),
+        velocity_limit_in_drive=all(abilities.velocity_limit for abilities in each),
+        effort_limit_in_drive=all(abilities.effort_limit for abilities in each),
+        position_limits_in_drive=all(abilities.position_limits for abilities in each),
+        host_watchdog_in_drive=all(abilities.host_watchdog for abilities in each),
+        set_point_timing=set_point_timing if streams else "none",
+        simultaneous_axes=len(everyone) if streams else 1,
+    )

@@ -97,7 +97,9 @@ class Device(Protocol):
         """Code of a trouble that the drive told by itself (EMCY, restart) and has not withdrawn; None if none."""
         ...
 
-    def forget_error(self) -> None: ...
+    def forget_error(self) -> None:
+        """A person has seen it; a drive that restarted gets its settings again."""
+        ...
 
     def error_code(self) -> int:
         """603Fh, 0 if there is none."""

@@ -89,7 +89,7 @@ class DriveSweep:
                 await self._hand_over(recorded)
                 return
             if state is not MeasuringState.RUNNING:
-                raise SweepInterrupted(f"{self._axis.place}: the drive ended the sweep: {state.name.lower()}")
+                await self._thread.run(self._ended, state)
             if recorded - self._done >= self._live:
                 grown = time.monotonic()
                 await self._hand_over(min(recorded, self._done + self._largest))
@@ -106,6 +106,11 @@ class DriveSweep:
         if violation is not None:
             raise EnvelopeLeft(f"{self._axis.place}: {violation}")
         return self._axis.device.measuring_state(), self._axis.device.samples_recorded()
+
+    def _ended(self, state: MeasuringState) -> None:
+        """Raises what ended it: a fault may have come after `_watch` had asked for the statusword."""
+        self._axis.check(self._axis.state())
+        raise SweepInterrupted(f"{self._axis.place}: the drive ended the sweep: {state.name.lower()}")
 
     async def _hand_over(self, recorded: int) -> None:
         while self._done < recorded:

@@ -140,7 +140,7 @@ class Cia402Machine:
         checks.check_move(axis.profile, position, velocity)
         with self._moving((axis,)) as motion:
             try:
-                await move(link.thread, axis, position, velocity, motion.stop)
+                await move(link.thread, axis, position, velocity, motion.stop, _others(link, motion))
             except BaseException:
                 await self._shield(self._abandon(motion))
                 raise
@@ -158,6 +158,8 @@ class Cia402Machine:
                 run = await self._start(link, commands, motion)
                 async with aclosing(run.blocks()) as blocks:
                     async for block in blocks:
+                        for other in _others(link, motion):
+                            await link.thread.run(other.check_standing)
                         yield block
                 completed = True
             finally:
@@ -243,6 +245,11 @@ class Cia402Machine:
         if joint not in axes:
             raise NotReady(f"{joint}: no such joint here; there are {', '.join(axes)}")
         return axes[joint]
+
+
+def _others(link: Connection, motion: Motion) -> tuple[Axis, ...]:
+    """The axes that stand meanwhile: trouble of one of them ends the motion, too."""
+    return tuple(axis for axis in link.axes.values() if axis not in motion.axes)
 
 
 def _check_together(axes: tuple[Axis, ...], commands: Sequence[SweepCommand], can: Capabilities) -> None:

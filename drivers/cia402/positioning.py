@@ -3,6 +3,7 @@
 import asyncio
 import threading
 import time
+from collections.abc import Iterable
 
 from drivers.cia402 import checks, states
 from drivers.cia402.axis import Axis, Reading
@@ -15,8 +16,18 @@ MARGIN = 5.0  # s above the time that the move needs
 ARRIVAL = 2e-3  # rad (m) that an arrived axis may be off
 
 
-async def move(thread: DriveThread, axis: Axis, position: float, velocity: float, stop: threading.Event) -> None:
-    """Returns at standstill at `position`. Leaves an axis that did not arrive as it is: the caller brings it down."""
+async def move(
+    thread: DriveThread,
+    axis: Axis,
+    position: float,
+    velocity: float,
+    stop: threading.Event,
+    standing: Iterable[Axis],
+) -> None:
+    """Returns at standstill at `position`. Leaves an axis that did not arrive as it is: the caller brings it down.
+
+    Trouble of an axis that is `standing` meanwhile ends the move as well.
+    """
     profile = axis.profile
     envelope = checks.move_envelope(profile)
     start = await thread.run(axis.require_enabled)
@@ -31,6 +42,8 @@ async def move(thread: DriveThread, axis: Axis, position: float, velocity: float
         if stop.is_set():
             raise SweepInterrupted(f"{axis.place}: move to {position:.5g} {profile.unit} was stopped")
         await thread.run(axis.check, reading.state)
+        for other in standing:
+            await thread.run(other.check_standing)
         if reading.state is not State.OPERATION_ENABLED:
             raise NotReady(f"{axis.place}: went to '{reading.state.value}' during the move")
         violation = envelope.violation(reading.position, reading.velocity, reading.effort)

@@ -61,11 +61,56 @@ def lost(bus: Bus, node: int = NODE) -> bool:
 def test_bus_off_is_lost_communication_at_once(pair: Pair) -> None:
     stream = pair.bus.open_stream(NODE)
     pair.say(frames.ERROR_BUS_OFF, bytes(8), error=True)
-    assert stream.get(timeout=5.0) == frames.BusOff()
+    event = stream.get(timeout=5.0)
+    assert isinstance(event, frames.Lost)
+    assert "bus-off" in event.reason
     with pytest.raises(CommunicationLost, match="bus-off"):
         pair.bus.check_alive()
     with pytest.raises(CommunicationLost, match="bus-off"):
         pair.bus.send(frames.SYNC, b"")
+
+
+def test_the_controllers_state_is_logged_once_a_change_and_told_when_the_bus_is_lost(
+    pair: Pair, caplog: pytest.LogCaptureFixture
+) -> None:
+    stream = pair.bus.open_stream(NODE)
+    warning, passive = (bytes([0, detail, 0, 0, 0, 0, 130, 0]) for detail in (0x08, 0x20))
+    for data in (warning, warning, warning, passive, passive):
+        pair.say(frames.ERROR_CONTROLLER, data, error=True)
+    pair.say(frames.ERROR_RESTARTED, bytes(8), error=True)
+    event = stream.get(timeout=5.0)
+    assert isinstance(event, frames.Lost)
+    assert event.reason.endswith("restarted after bus-off (transmit errors 0, receive errors 0)")
+    told = [record.message.partition("controller is ")[2] for record in caplog.records if "is error" in record.message]
+    assert told == [
+        "error warning (transmit errors 130, receive errors 0)",
+        "error passive (transmit errors 130, receive errors 0)",
+    ]
+
+
+def test_a_boot_up_message_is_a_restart_until_the_node_is_configured_again(pair: Pair) -> None:
+    assert not pair.bus.restarted(NODE)
+    pair.say(frames.HEARTBEAT + NODE, b"\0")
+    eventually(lambda: pair.bus.restarted(NODE))
+    assert not pair.bus.restarted(2)
+    pair.bus.note_configured(NODE)
+    assert not pair.bus.restarted(NODE)
+
+
+def test_a_stream_of_several_nodes_keeps_their_order_and_has_the_bus_own_events_once(pair: Pair) -> None:
+    stream = pair.bus.open_stream(NODE, 2)
+    pair.say(frames.HEARTBEAT + 2, b"\x05")
+    pair.say(frames.RPDO1 + 2, bytes(6))
+    pair.say(frames.SYNC, b"")
+    pair.say(frames.HEARTBEAT + NODE, b"\x05")
+    events = [stream.get(timeout=5.0) for _ in range(4)]
+    assert isinstance(events[2], frames.Sync)
+    assert events[:2] + events[3:] == [frames.Heartbeat(2, 5), frames.SetPoint(2, bytes(6)), frames.Heartbeat(NODE, 5)]
+    pair.bus.close_stream(NODE, 2)
+    pair.say(frames.HEARTBEAT + 2, b"\x05")
+    pair.say(frames.HEARTBEAT + NODE, b"\0")
+    eventually(lambda: pair.bus.restarted(NODE))
+    assert stream.empty()
 
 
 def test_a_node_that_falls_silent_is_lost_and_the_others_are_not(pair: Pair) -> None:

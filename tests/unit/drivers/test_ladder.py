@@ -1,8 +1,11 @@
 """The stop ladder of a streaming axis."""
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from drivers.canopen.ladder import Ladder, Rung
+from drivers.cia402 import states
 from drivers.cia402.states import State
 
 ENABLED, OFF = State.OPERATION_ENABLED, State.SWITCH_ON_DISABLED
@@ -66,3 +69,38 @@ def test_it_is_never_climbed_down_and_never_enables_again() -> None:
     assert one.rung is Rung.QUICK_STOP
     for state in State:
         assert one.command(0.2, False, state)[0] in (0x00, 0x02)
+
+
+BIT_3 = 0x08  # enable operation
+Step = tuple[float, bool, int, Rung | None]
+
+
+@given(
+    st.integers(-(2**31), 2**31 - 1),
+    st.lists(
+        st.tuples(
+            st.floats(0.0, 2.0),
+            st.booleans(),
+            st.integers(0, 0xFFFF) | st.sampled_from([0x27, 0x23, 0x21, 0x40, 0x07, 0x08, 0x0F, 0x00]),
+            st.none() | st.sampled_from(Rung),
+        ),
+        max_size=60,
+    ),
+)
+def test_whatever_happens_it_enables_no_drive_that_is_not_enabled_and_only_slows_down(
+    start: int, steps: list[Step]
+) -> None:
+    """Any order of times, statuswords and calls to climb, from any set-point; the run itself is no ladder."""
+    one, now, last, rung = ladder(), 0.0, abs(start), Rung.RUN
+    for passed, standing, statusword, climb in steps:
+        now += passed
+        state = states.decode(statusword)
+        if climb is not None:
+            one.climb(climb, now, start)
+        controlword, target = one.command(now, standing, state)
+        assert not controlword & BIT_3 or state is ENABLED
+        assert controlword in (states.ENABLE_OPERATION, states.QUICK_STOP, states.DISABLE_VOLTAGE)
+        assert abs(target) <= last
+        assert one.rung >= max(rung, Rung.RAMP)
+        last, rung = abs(target), one.rung
+        start = target

@@ -1,0 +1,177 @@
+"""One axis of a streamed sweep: its set-points, its samples, its ladder, and what is wrong with it. No I/O."""
+
+import sys
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from drivers.canopen import frames
+from drivers.canopen.ladder import Ladder, Rung
+from drivers.canopen.profile import CanopenAxis
+from drivers.canopen.samples import Pairing, Sample
+from drivers.canopen.units import Codec
+from drivers.cia402 import states
+from drivers.cia402.checks import Envelope
+from drivers.cia402.states import State
+from drivers.cia402.waveform import set_point
+from drivers.ports import SampleBlock, SweepCommand
+
+STANDING_SAMPLES = 5  # in a row below the standstill velocity
+
+
+class Ending(Enum):
+    """Why a stream ended."""
+
+    COMPLETED = "completed"
+    STOPPED = "was stopped"
+    LEFT_ENVELOPE = "left its envelope"
+    LEFT_STATE = "left 'operation enabled'"
+    SILENT = "fell silent"
+    MISCOUNTED = "does not count the SYNCs that were sent"
+    NO_STANDSTILL = "did not come to standstill"
+    LATE = "set-points came too late"
+    NOT_SENT = "set-points were not sent"
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """Something that ends the sweep of all axes; `rung` is where their ladders then begin."""
+
+    ending: Ending
+    reason: str
+    rung: Rung = Rung.QUICK_STOP
+
+
+@dataclass(frozen=True, slots=True)
+class Lane:
+    """What one axis brings to a streamed sweep; `counter` is 2120h:01 at standstill, before the first SYNC."""
+
+    axis: CanopenAxis
+    codec: Codec
+    command: SweepCommand
+    envelope: Envelope
+    counter: int
+
+
+class RunningLane:
+    """A lane under way. Cycles and samples are numbered from the first SYNC that has set-points before it.
+
+    The set-point sent before SYNC k is reached one period later, so that at SYNC k the axis is asked for w(k T).
+    """
+
+    def __init__(self, lane: Lane, period: float) -> None:
+        axis, codec = lane.axis, lane.codec
+        self.joint = axis.joint
+        self.place = f"{axis.joint} (node {axis.node})"
+        self.state = State.UNKNOWN  # until a TPDO says otherwise
+        self.target = 0  # raw set-point sent last
+        self.silent = 0  # SYNCs since the last sample
+        self.behind = 0  # SYNCs that were sent and that the last sample's counter does not count
+        self.last = round(lane.command.duration / period)  # number of the last sample
+        self._lane, self._period = lane, period
+        self._wave = set_point(lane.command, np.arange(self.last + 1, dtype=float) * period)
+        self._targets = [codec.raw_velocity(velocity) for velocity in (*self._wave[1:], 0.0)]
+        self.ladder = Ladder(
+            ramp_step=max(1, round(codec.raw_speed(axis.acceleration) * period)),
+            ramp_time=axis.velocity_limit / axis.acceleration + 1.0,
+            quick_stop_time=axis.velocity_limit / axis.quick_stop_deceleration + 1.0,
+            disable_time=1.0,
+        )
+        self._pairing = Pairing(lane.counter)
+        self._standing = 0
+        self._syncs = 0  # sent since the counter was read
+        self._first = sys.maxsize  # of them, before the sweep's first
+        self._number = -1  # of the last sample
+        self._fresh: list[Sample] = []
+
+    @property
+    def standing(self) -> bool:
+        return self._standing >= STANDING_SAMPLES
+
+    @property
+    def complete(self) -> bool:
+        """The last sample came, and the drive has counted every SYNC that was sent."""
+        return self._number >= self.last and self.behind == 0
+
+    def planned(self, number: int) -> bytes:
+        """RPDO1 of this cycle as the sweep has it."""
+        return frames.rpdo1(states.ENABLE_OPERATION, self._targets[min(number, self.last)])
+
+    def was_sent(self, number: int) -> None:
+        """This cycle went out as planned."""
+        self.target = self._targets[min(number, self.last)]
+
+    def command(self, number: int, now: float) -> bytes:
+        """RPDO1 of this cycle: along the sweep, or down the ladder."""
+        if self.ladder.rung is Rung.RUN and self.state is State.OPERATION_ENABLED:
+            self.was_sent(number)
+            return self.planned(number)
+        controlword, self.target = self.ladder.command(now, self.standing, self.state)
+        return frames.rpdo1(controlword, self.target)
+
+    def begin(self) -> None:
+        """The next SYNC is the sweep's first."""
+        self._first = self._syncs
+
+    def sync(self) -> None:
+        """A SYNC was sent."""
+        self._syncs += 1
+        self.silent += 1
+        self._pairing.sync()
+
+    def take(self, event: frames.Event) -> Trouble | None:
+        """What the node said, and what is wrong with that."""
+        match event:
+            case frames.Motion():
+                self._pairing.motion(event)
+            case frames.Place():
+                return self._take_place(event)
+            case frames.Emergency() if event.code:
+                return Trouble(Ending.LEFT_STATE, f"error {event.code:04X}h")
+            case frames.Heartbeat() if event.state == frames.BOOT_UP:
+                self.state = State.UNKNOWN
+                return Trouble(Ending.LEFT_STATE, "node restarted")
+            case _:
+                pass
+        return None
+
+    def block(self, at_least: int) -> SampleBlock | None:
+        """The samples since the last block, None if there are fewer than `at_least`."""
+        if len(self._fresh) < at_least:
+            return None
+        fresh, self._fresh = self._fresh, []
+        codec, index = self._lane.codec, np.array([sample.index for sample in fresh], dtype=np.int64) - self._first
+        return SampleBlock(
+            joint=self.joint,
+            index=index,
+            time=index.astype(float) * self._period,
+            effort=codec.effort(np.array([sample.torque for sample in fresh], dtype=float)),
+            velocity=codec.velocity(np.array([sample.velocity for sample in fresh], dtype=float)),
+            position=codec.position(np.array([sample.position for sample in fresh], dtype=float)),
+            velocity_setpoint=self._wave[index],
+        )
+
+    def _take_place(self, event: frames.Place) -> Trouble | None:
+        sample = self._pairing.place(event)
+        if self._pairing.ahead > 0 and self.ladder.rung is Rung.RUN:
+            return Trouble(Ending.MISCOUNTED, f"its sample counter is {self._pairing.ahead} ahead of SYNC")
+        return None if sample is None else self._judge(sample)
+
+    def _judge(self, sample: Sample) -> Trouble | None:
+        codec, velocity = self._lane.codec, float(self._lane.codec.velocity(sample.velocity))
+        self.silent = 0
+        self.behind = self._syncs - 1 - sample.index
+        self.state = states.decode(sample.statusword)
+        self._standing = self._standing + 1 if abs(velocity) <= self._lane.axis.standstill_velocity else 0
+        self._number = sample.index - self._first
+        if 0 <= self._number <= self.last:
+            self._fresh.append(sample)
+        if self.ladder.rung is not Rung.RUN:
+            return None
+        if self.state is not State.OPERATION_ENABLED:
+            return Trouble(Ending.LEFT_STATE, f"is '{self.state.value}'")
+        violation = self._lane.envelope.violation(
+            float(codec.position(sample.position)), velocity, float(codec.effort(sample.torque))
+        )
+        return None if violation is None else Trouble(Ending.LEFT_ENVELOPE, violation)

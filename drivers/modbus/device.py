@@ -1,0 +1,310 @@
+"""A CiA 402 drive on Modbus: `drivers.cia402.device.Device` over the signals of a register map."""
+
+import logging
+import math
+import time
+from contextlib import suppress
+
+from drivers.cia402 import states
+from drivers.cia402.device import Abilities, MeasuringState, Mode, Motion
+from drivers.cia402.states import State
+from drivers.errors import CommunicationLost, DriveFault, WrongConfiguration, WrongIdentity
+from drivers.modbus import measuring
+from drivers.modbus.codec import Format, Rounding
+from drivers.modbus.line import Line
+from drivers.modbus.profile import ModbusAxis, ModbusProfile
+from drivers.modbus.registers import RegisterMap, Trace
+from drivers.modbus.unit import Setting, Unit
+from drivers.modbus.units import Gear
+from drivers.ports import AxisIdentity, SampleBlock, SweepCommand
+
+logger = logging.getLogger(__name__)
+
+MODE_TIMEOUT = 2.0  # s
+POLL = 0.002  # s
+UNTOLD = 0  # in the place of an error code
+PAGE_TIME = 0.1  # s that a page may keep the line busy: a stop waits for it
+
+
+class ModbusDevice:
+    """One unit. See `Device`."""
+
+    def __init__(
+        self, profile: ModbusAxis, machine: ModbusProfile, registers: RegisterMap, sha256: str, line: Line
+    ) -> None:
+        self.profile = profile
+        self.place = f"{profile.joint} (unit {profile.unit_id})"
+        self.emergency_stop_codes = machine.emergency_stop_codes
+        self._machine = machine
+        self._map = registers
+        self._sha256 = sha256
+        self._line = line
+        self._unit = Unit(line, profile.unit_id, registers, self.place)
+        self._gear = Gear(profile.gear_ratio, profile.position_offset, profile.rated_torque)
+        self._trace_cycle = 1  # ms
+        self._restarted = False
+        self._faulty = False
+        self._looks = 0
+
+    # -- at connect ----------------------------------------------------------------------------------------------
+
+    def identify(self) -> AxisIdentity:
+        """WrongIdentity where the constant, vendor, product, revision, serial or rated torque is another."""
+        self.forbid_motion()
+        self._check_constant()
+        found = self._check_identity()
+        rated_torque = self._unit.value("rated_torque")
+        if not math.isclose(rated_torque, self.profile.rated_torque, rel_tol=2e-3):
+            raise WrongIdentity(
+                f"{self.place}: rated torque of the motor is {rated_torque:.4g} N m, "
+                f"the profile says {self.profile.rated_torque:.4g} N m"
+            )
+        self._serial = found[3]
+        return AxisIdentity(self.profile.joint, f"unit {self.profile.unit_id}", *found, self._sha256)
+
+    def configure(self) -> Abilities:
+        self._settle_session()
+        self._restarted = False
+        self.settle_limits(self.profile.velocity_limit, self.profile.effort_limit, self.profile.position_limits)
+        return Abilities(
+            measures=self._map.trace is not None,
+            streams=False,
+            velocity_limit="max_speed" in self._map.signals,
+            effort_limit="max_torque" in self._map.signals,
+            position_limits={"position_min", "position_max"} <= self._map.signals.keys(),
+            host_watchdog="watchdog" in self._map.signals,
+        )
+
+    # -- power ---------------------------------------------------------------------------------------------------
+
+    def allow_motion(self) -> None:
+        """Also makes sure that it is the drive of `identify`, and still set up."""
+        self.read_back()
+        self._line.use(self.profile.unit_id)
+
+    def forbid_motion(self) -> None:
+        self._line.release(self.profile.unit_id)
+
+    def statusword(self) -> int:
+        return self._unit.integer("statusword")
+
+    def control(self, controlword: int) -> None:
+        self._unit.write({"controlword": controlword})
+
+    def set_mode(self, mode: Mode) -> None:
+        self._unit.write({"mode": mode})
+        deadline = time.monotonic() + MODE_TIMEOUT
+        while (shown := self._unit.integer("mode_display")) != mode:
+            if time.monotonic() > deadline:
+                raise WrongConfiguration(f"{self.place}: mode {mode} was not taken, the drive shows {shown}")
+            time.sleep(POLL)
+
+    def check_alive(self) -> None:
+        self._line.check(self.profile.unit_id, self.place)
+
+    def announced_error(self) -> int | None:
+        """What the heartbeat found: on Modbus a drive speaks only when it is asked. That it restarted its watchdog
+        shows, which is off then. The code of a fault is `error_code`."""
+        return UNTOLD if self._restarted or self._faulty else None
+
+    def forget_error(self) -> None:
+        self._faulty = False
+        if self._restarted:
+            self.identify()
+            self.configure()
+
+    def error_code(self) -> int:
+        return self._unit.integer("error_code")
+
+    def error_text(self, code: int) -> str:
+        if code == UNTOLD and self._restarted:
+            return "drive restarted, its settings are lost"
+        return f"error {code:04X}h"
+
+    def stop_unheard(self) -> None:
+        """Quick stop, and disable voltage after the time of its ramp."""
+        self._unit.tell("controlword", states.QUICK_STOP)
+        time.sleep(self.profile.velocity_limit / self.profile.quick_stop_deceleration)
+        self._unit.tell("controlword", states.DISABLE_VOLTAGE)
+
+    def beat(self) -> None:
+        """A sign of life to the drive and from it, if nobody else asked of late."""
+        if self._line.due(self.profile.unit_id):
+            with suppress(CommunicationLost):  # the line keeps the reason; whoever asks next gets it
+                self._look()
+
+    # -- motion --------------------------------------------------------------------------------------------------
+
+    def motion(self) -> Motion:
+        """One moment, where the map lets the three registers follow one another."""
+        values = self._unit.read("position", "velocity", "torque")
+        return Motion(
+            self._gear.position(values["position"]),
+            self._gear.velocity(values["velocity"]),
+            self._gear.effort_of_permille(values["torque"]),
+        )
+
+    def read_back(self) -> None:
+        """Also WrongIdentity if the unit is another than at connect: addresses may have been swapped since.
+
+        DriveFault if it restarted: a person is to acknowledge that, which sets it up anew.
+        """
+        found = self._check_identity()
+        if found[3] != self._serial:
+            raise WrongIdentity(f"{self.place}: serial is {found[3]:08X}h, at connect it was {self._serial:08X}h")
+        self._look_for_restart()
+        if self._restarted:
+            raise DriveFault(f"{self.place}: {self.error_text(UNTOLD)}")
+        self._settle_session()
+
+    def settle_limits(self, velocity: float, effort: float, window: tuple[float, float]) -> None:
+        """Those of the four that the map has; cut at what their registers hold."""
+        low, high = self._gear.window(window)
+        limits: dict[str, tuple[float, Rounding]] = {
+            "max_torque": (self._gear.permille(effort), math.floor),
+            "max_speed": (self._gear.speed(velocity), round),
+            "position_min": (low, math.floor),
+            "position_max": (high, math.ceil),
+        }
+        signals = self._map.signals
+        self._unit.settle(
+            *(
+                Setting(signals[name], signals[name].format.clip(value), rounding=rounding)
+                for name, (value, rounding) in limits.items()
+                if name in signals
+            )
+        )
+
+    def hold_target(self) -> None:
+        self._unit.write({"target_position": self._unit.value("position")})
+
+    def set_target(self, position: float, velocity: float) -> None:
+        signals = self._map.signals
+        self._unit.settle(
+            Setting(signals["profile_velocity"], self._gear.speed(velocity)),
+            Setting(signals["target_position"], self._gear.revolutions(position)),
+        )
+
+    # -- measuring function --------------------------------------------------------------------------------------
+
+    @property
+    def page_size(self) -> int:
+        """At most a page of the map, and what the line carries in `PAGE_TIME`."""
+        trace, piece = self._trace(), self._piece
+        requests = max(1, math.floor(PAGE_TIME / self._machine.line.read_time(piece)))
+        return min(trace.registers, requests * piece) // trace.width
+
+    def prepare_measuring(self, command: SweepCommand) -> None:
+        """LimitExceeded where a parameter does not fit the steps of its register."""
+        self._trace_cycle = measuring.trace_cycle(command)
+        self._unit.write({"measuring_command": measuring.NONE})
+        self._unit.settle(*measuring.parameters(command, self._map.signals, self._gear))
+
+    def start_measuring(self) -> None:
+        self._unit.write({"measuring_command": measuring.START})
+
+    def abort_measuring(self) -> None:
+        self._unit.write({"measuring_command": measuring.ABORT})
+
+    def measuring_state(self) -> MeasuringState:
+        """WrongConfiguration for a state that this adapter does not know."""
+        number = self._unit.integer("measuring_state")
+        if number == MeasuringState.IDLE:  # what a drive says that knows of no sweep
+            self._look_for_restart()
+        try:
+            return MeasuringState(number)
+        except ValueError:
+            raise WrongConfiguration(f"{self.place}: measuring_state is {number}") from None
+
+    def rejection(self) -> str:
+        reason = self._unit.integer("measuring_reason")
+        return measuring.REASONS.get(reason, f"reason {reason}")
+
+    def samples_recorded(self) -> int:
+        return self._unit.integer("samples_recorded")
+
+    def page(self, first: int, count: int) -> SampleBlock:
+        """In pieces of whole samples: no request cuts a value."""
+        trace, piece = self._trace(), self._piece
+        self._unit.write({"page_first": first, "page_count": count})
+        registers: list[int] = []
+        for start in range(0, count * trace.width, piece):
+            number = min(piece, count * trace.width - start)
+            registers += self._unit.registers(trace.address + start, number, f"trace from sample {first}")
+        return measuring.samples(registers, first, count, trace, self.profile, self._gear, self._trace_cycle)
+
+    # -- inside --------------------------------------------------------------------------------------------------
+
+    def _check_constant(self) -> None:
+        signal = self._map.signals["constant"]
+        registers = self._unit.registers(signal.address, signal.format.width, str(signal))
+        read = int(signal.format.decode(registers)[0])
+        if read == self._map.constant:
+            return
+        other = signal.format.order.other
+        turned = int(Format(signal.format.type, other).decode(registers)[0])
+        told = f"{self.place}: {signal} reads {read:08X}h, the register map says {self._map.constant:08X}h; "
+        if turned == self._map.constant:
+            raise WrongIdentity(f"{told}with word_order '{other.value}' it is that: the map's word order is wrong")
+        raise WrongIdentity(f"{told}with word_order '{other.value}' it would be {turned:08X}h")
+
+    def _check_identity(self) -> tuple[int, int, int, int]:
+        read = self._unit.read("vendor", "product", "revision", "serial")
+        found = (int(read["vendor"]), int(read["product"]), int(read["revision"]), int(read["serial"]))
+        expected = self.profile.identity
+        wanted = (expected.vendor, expected.product, expected.revision, expected.serial)
+        for name, have, want in zip(("vendor", "product", "revision", "serial"), found, wanted, strict=True):
+            if want is not None and have != want:
+                raise WrongIdentity(f"{self.place}: {name} is {have:08X}h, the profile says {want:08X}h")
+        return found
+
+    def _look(self) -> None:
+        """One short exchange: for a fault, and every other time for a restart."""
+        self._looks += 1
+        if self._looks % 2:
+            self._faulty = states.decode(self.statusword()) in (State.FAULT, State.FAULT_REACTION)
+        else:
+            self._look_for_restart()
+
+    def _look_for_restart(self) -> None:
+        if self._restarted or "watchdog" not in self._map.signals:
+            return
+        if self._unit.value("watchdog") != self._watchdog:
+            logger.warning("%s: its watchdog is off: it restarted", self.place)
+            self._restarted = True
+
+    @property
+    def _watchdog(self) -> float:
+        """ms, as its register holds it."""
+        form = self._map.signals["watchdog"].format
+        return float(form.decode(form.encode(self._machine.line.watchdog * 1e3))[0])
+
+    def _settle_session(self) -> None:
+        """What holds for the whole session, as far as the map has it."""
+        options = self._machine.stop_options
+        acceleration = self._gear.speed(self.profile.acceleration)
+        settings = {
+            "watchdog": self._machine.line.watchdog * 1e3,
+            "connection_loss_option": options.connection_loss,
+            "quick_stop_option": options.quick_stop,
+            "shutdown_option": options.shutdown,
+            "disable_option": options.disable_operation,
+            "halt_option": options.halt,
+            "fault_option": options.fault_reaction,
+            "profile_acceleration": acceleration,
+            "profile_deceleration": acceleration,
+            "quick_stop_deceleration": self._gear.speed(self.profile.quick_stop_deceleration),
+        }
+        signals = self._map.signals
+        self._unit.settle(*(Setting(signals[name], value) for name, value in settings.items() if name in signals))
+
+    @property
+    def _piece(self) -> int:
+        """Registers of the whole samples that one request brings."""
+        width = self._trace().width
+        return self._map.max_read // width * width
+
+    def _trace(self) -> Trace:
+        if self._map.trace is None:
+            raise WrongConfiguration(f"{self.place}: the register map has no measuring function")
+        return self._map.trace

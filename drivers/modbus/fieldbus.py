@@ -1,0 +1,91 @@
+"""The Modbus line of a profile: opened, every unit introduced, kept awake by the heartbeat."""
+
+import asyncio
+import hashlib
+import logging
+import math
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from drivers.cia402.axis import Axis
+from drivers.cia402.checks import Envelope
+from drivers.cia402.connection import Run, capabilities
+from drivers.cia402.thread import DriveThread, to_the_end
+from drivers.errors import DriveError, NotReady
+from drivers.modbus.device import ModbusDevice
+from drivers.modbus.line import Line
+from drivers.modbus.profile import ModbusProfile
+from drivers.modbus.registers import load_registers
+from drivers.ports import AxisIdentity, Capabilities, SweepCommand
+
+logger = logging.getLogger(__name__)
+
+
+class ModbusFieldbus:
+    """See `drivers.cia402.connection.Fieldbus`. BadProfile where the register map cannot be used."""
+
+    def __init__(self, profile: ModbusProfile) -> None:
+        self._profile = profile
+        self._map = load_registers(profile.registers)
+
+    async def open(self) -> "ModbusConnection":
+        profile, thread, line = self._profile, DriveThread("modbus"), Line(self._profile.line)
+        digest = hashlib.sha256(profile.registers.read_bytes()).hexdigest()
+        devices = [ModbusDevice(each, profile, self._map, digest, line) for each in profile.axes]
+        axes = {device.profile.joint: Axis(device) for device in devices}
+        try:
+            await thread.run(line.open)
+            identities = await thread.run(_introduce, axes.values())
+        except BaseException:
+            await to_the_end(_release(thread, line, None))
+            raise
+        heart = asyncio.create_task(_beat(thread, devices, line.beat), name="modbus-heartbeat")
+        return ModbusConnection(thread, line, heart, axes, identities, capabilities(axes.values()))
+
+
+@dataclass(frozen=True, slots=True)
+class ModbusConnection:
+    """See `drivers.cia402.connection.Connection`."""
+
+    thread: DriveThread
+    line: Line
+    heart: asyncio.Task[None]
+    axes: Mapping[str, Axis]
+    identities: tuple[AxisIdentity, ...]
+    capabilities: Capabilities
+    sync_period: float = math.inf  # there is no cycle
+
+    async def stream(self, sweeps: Sequence[tuple[SweepCommand, Envelope]], stop: threading.Event) -> Run:
+        """NotReady: polling is too slow and too uneven for set-points."""
+        raise NotReady("host-streamed sweeps are not possible through Modbus")
+
+    async def close(self) -> None:
+        await _release(self.thread, self.line, self.heart)
+
+
+async def _beat(thread: DriveThread, devices: Sequence[ModbusDevice], period: float) -> None:
+    """A word to every unit, from the event loop on purpose: a host that hangs falls silent, and the drives stop.
+
+    It stands in the thread's queue behind at most one page of the trace (`ModbusDevice.page_size`).
+    """
+    while True:
+        for device in devices:
+            try:
+                await thread.run(device.beat)
+            except DriveError as error:  # one drive's refusal must not let the others starve
+                logger.error("heartbeat: %s", error)
+        await asyncio.sleep(period)
+
+
+def _introduce(axes: Iterable[Axis]) -> tuple[AxisIdentity, ...]:
+    return tuple(axis.introduce() for axis in axes)
+
+
+async def _release(thread: DriveThread, line: Line, heart: asyncio.Task[None] | None) -> None:
+    """Ends heartbeat, line and thread, after what is under way on it."""
+    if heart is not None:
+        heart.cancel()
+        await asyncio.gather(heart, return_exceptions=True)
+    await thread.run(line.close)
+    await thread.close()

@@ -1,0 +1,286 @@
+"""The register map of a type of drive (docs/how-to/connect-a-modbus-drive.md): which signal lies where, and how."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal, cast
+
+import yaml
+from pydantic import Field, model_validator
+
+from drivers.cia402.profile import Frozen, parse
+from drivers.errors import BadProfile
+from drivers.modbus.codec import Format, WireType, WordOrder
+
+MAX_WRITE = 123  # registers a request, Modbus application protocol V1.1b3, 6.12
+
+# Unit by signal; None for what has none and lies as a whole number without scale.
+NEEDED: dict[str, str | None] = {
+    "constant": None,
+    "vendor": None,
+    "product": None,
+    "revision": None,
+    "serial": None,
+    "rated_torque": "N m",
+    "controlword": None,
+    "statusword": None,
+    "error_code": None,
+    "mode": None,
+    "mode_display": None,
+    "position": "rev",
+    "velocity": "rev/min",
+    "torque": "permille",
+    "target_position": "rev",
+    "profile_velocity": "rev/min",
+    "profile_acceleration": "rev/min/s",
+    "profile_deceleration": "rev/min/s",
+    "quick_stop_deceleration": "rev/min/s",
+}
+OPTIONAL: dict[str, str | None] = {
+    "max_torque": "permille",
+    "max_speed": "rev/min",
+    "position_min": "rev",
+    "position_max": "rev",
+    "quick_stop_option": None,
+    "shutdown_option": None,
+    "disable_option": None,
+    "halt_option": None,
+    "fault_option": None,
+    "connection_loss_option": None,
+    "watchdog": "ms",
+}
+MEASURING: dict[str, str | None] = {  # all of them and a trace, or none
+    "measuring_command": None,
+    "measuring_state": None,
+    "measuring_reason": None,
+    "offset_speed": "rev/min",
+    "ramp": "s",
+    "settle": "s",
+    "period": "s",
+    "periods": None,
+    "sines": None,
+    "trace_cycle": "ms",
+    "samples_recorded": None,
+    "frequency": "Hz",
+    "amplitude": "rev/min",
+    "phase": "rad",
+    "page_first": None,
+    "page_count": None,
+}
+SAMPLE: dict[str, str | None] = {
+    "cycle": None,
+    "torque": "N m",
+    "set_speed": "rev/min",
+    "speed": "rev/min",
+    "position": "rev",
+    "load_position": "rev",
+}
+READ_ONLY = {
+    "constant", "vendor", "product", "revision", "serial", "rated_torque", "statusword", "error_code", "mode_display",
+    "position", "velocity", "torque", "measuring_state", "measuring_reason", "samples_recorded",
+}  # fmt: skip
+ARRAYS = {"frequency", "amplitude", "phase"}
+_SIGNALS = NEEDED | OPTIONAL | MEASURING
+
+
+class _Wire(Frozen):
+    type: WireType
+    scale: float = Field(default=1.0, gt=0)  # physical = raw * scale
+    unit: str | None = None
+
+
+class _Place(_Wire):
+    address: int = Field(ge=0, le=0xFFFF)
+    access: Literal["ro", "rw"]
+    count: int = Field(default=1, ge=1, le=16)
+    value: int | None = None
+
+
+class _Field(_Wire):
+    signal: str
+
+
+class _Page(Frozen):
+    address: int = Field(ge=0, le=0xFFFF)
+    registers: int = Field(ge=1, le=0x10000)
+
+
+class _Trace(Frozen):
+    page: _Page
+    sample: tuple[_Field, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _complete(self) -> "_Trace":
+        names = [field.signal for field in self.sample]
+        if len(set(names)) < len(names) or set(names) | {"load_position"} != set(SAMPLE):
+            raise ValueError(f"sample: signals {names} must be {list(SAMPLE)}, the last only if there is one")
+        for field in self.sample:
+            _check_unit(f"sample {field.signal}", field, SAMPLE[field.signal])
+        return self
+
+
+class _Map(Frozen):
+    word_order: WordOrder
+    max_read: int = Field(default=125, ge=2, le=125)  # registers a request
+    signals: dict[str, _Place]
+    trace: _Trace | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> "_Map":
+        missing, unknown = sorted(NEEDED.keys() - self.signals), sorted(self.signals.keys() - _SIGNALS)
+        if missing or unknown:
+            raise ValueError(f"signals: missing {missing}, unknown {unknown}")
+        measuring = set(MEASURING) & set(self.signals)
+        if measuring and len(measuring) < len(MEASURING):
+            raise ValueError(f"signals: a measuring function needs {sorted(MEASURING.keys() - measuring)} as well")
+        if bool(measuring) is not (self.trace is not None):
+            raise ValueError("trace: belongs to a measuring function, and a measuring function needs it")
+        for name, place in self.signals.items():
+            self._check(name, place)
+        self._check_places()
+        return self
+
+    def _check(self, name: str, place: _Place) -> None:
+        _check_unit(f"signals.{name}", place, _SIGNALS[name])
+        if (place.access == "ro") is not (name in READ_ONLY):
+            raise ValueError(f"signals.{name}: access must be {'ro' if name in READ_ONLY else 'rw'}")
+        if place.count > 1 and name not in ARRAYS:
+            raise ValueError(f"signals.{name}: count must be 1")
+        if (place.value is not None) is not (name == "constant"):
+            raise ValueError(f"signals.{name}: the constant has a value, and nothing else has")
+        if name == "constant" and not _tells_the_word_order(place, self.word_order):
+            raise ValueError("signals.constant: must be u32 or i32, hold its value, and have two different words")
+
+    def _check_places(self) -> None:
+        places = [(p.address, p.address + p.count * _width(p), name) for name, p in self.signals.items()]
+        if self.trace is not None:
+            page, width = self.trace.page, sum(_width(field) for field in self.trace.sample)
+            places.append((page.address, page.address + page.registers, "trace.page"))
+            if width > min(page.registers, self.max_read):
+                raise ValueError(f"trace.sample: {width} registers do not fit a page, or a request (max_read)")
+        places.sort()
+        for (_, end, name), (start, _, other) in pairwise(places):
+            if start < end:
+                raise ValueError(f"{other}: register {start:04X}h belongs to {name}")
+        if places[-1][1] > 0x10000:
+            raise ValueError(f"{places[-1][2]}: reaches beyond register FFFFh")
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """One signal of the map."""
+
+    name: str
+    address: int
+    format: Format
+    count: int = 1
+
+    def __str__(self) -> str:
+        return f"{self.name} ({self.address:04X}h)"
+
+    @property
+    def end(self) -> int:
+        """The first register behind it."""
+        return self.address + self.count * self.format.width
+
+    def elements(self) -> list["Signal"]:
+        """Each value by itself."""
+        width = self.format.width
+        return [
+            Signal(f"{self.name} {number + 1}", self.address + number * width, self.format)
+            for number in range(self.count)
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """The page buffer and one sample as it lies in it."""
+
+    address: int
+    registers: int
+    sample: tuple[tuple[str, Format], ...]
+
+    @property
+    def width(self) -> int:
+        """Registers of one sample."""
+        return sum(each.width for _, each in self.sample)
+
+
+@dataclass(frozen=True, slots=True)
+class RegisterMap:
+    """A checked map."""
+
+    max_read: int
+    signals: Mapping[str, Signal]
+    constant: int
+    trace: Trace | None
+
+
+def spans(signals: Iterable[Signal], most: int) -> list[list[Signal]]:
+    """The signals by address, joined where they follow one another and one request of `most` registers carries them."""
+    joined: list[list[Signal]] = []
+    for signal in sorted(signals, key=lambda signal: signal.address):
+        last = joined[-1] if joined else None
+        if last and signal.address == last[-1].end and signal.end - last[0].address <= most:
+            last.append(signal)
+        else:
+            joined.append([signal])
+    return joined
+
+
+def load_registers(path: Path) -> RegisterMap:
+    """BadProfile names the file, the place and the reason."""
+    try:
+        content: object = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadProfile(f"registers: {path}: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise BadProfile(f"registers: {path}: not YAML: {error}") from None
+    try:
+        return parse_registers(content)
+    except BadProfile as error:
+        raise BadProfile(f"registers: {path}: {error}") from None
+
+
+def parse_registers(content: object) -> RegisterMap:
+    """BadProfile names the first wrong place and the reason."""
+    if not isinstance(content, Mapping):
+        raise BadProfile("must be a mapping with the key 'signals'")
+    parsed = parse(_Map, cast("Mapping[str, object]", content))
+    order = parsed.word_order
+    trace = None
+    if parsed.trace is not None:
+        page, sample = parsed.trace.page, parsed.trace.sample
+        layout = tuple((field.signal, Format(field.type, order, field.scale)) for field in sample)
+        trace = Trace(page.address, page.registers, layout)
+    return RegisterMap(
+        max_read=parsed.max_read,
+        signals={
+            name: Signal(name, place.address, Format(place.type, order, place.scale), place.count)
+            for name, place in parsed.signals.items()
+        },
+        constant=parsed.signals["constant"].value or 0,
+        trace=trace,
+    )
+
+
+def _check_unit(what: str, wire: _Wire, unit: str | None) -> None:
+    if wire.unit != unit:
+        raise ValueError(f"{what}: unit {wire.unit} must be {unit}")
+    if unit is None and (wire.type == "f32" or wire.scale != 1):
+        raise ValueError(f"{what}: must be a whole number without scale")
+
+
+def _tells_the_word_order(place: _Place, order: WordOrder) -> bool:
+    if place.type not in ("u32", "i32") or place.value is None:
+        return False
+    here = Format(place.type, order)
+    if not here.least <= place.value <= here.most:
+        return False
+    high, low = here.encode(place.value)
+    return high != low
+
+
+def _width(wire: _Wire) -> int:
+    return Format(wire.type, WordOrder.HIGH_FIRST).width

@@ -1,0 +1,118 @@
+"""The signals of one unit: physical values in and out of its registers, with read-back."""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from drivers.errors import LimitExceeded, WrongConfiguration
+from drivers.modbus.codec import Rounding
+from drivers.modbus.line import Line
+from drivers.modbus.registers import MAX_WRITE, RegisterMap, Signal, spans
+
+HELD = 1e-4  # of a float that the drive keeps in its own way; integers must be held exactly
+
+Registers = dict[Signal, list[int]]
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What a signal is to hold; `resolution`: how far off the steps of its register may put it."""
+
+    signal: Signal
+    value: float
+    resolution: float = math.inf
+    rounding: Rounding = round
+
+
+class Unit:
+    """Blocking. CommunicationLost when the unit does not answer, WrongConfiguration when it refuses."""
+
+    def __init__(self, line: Line, number: int, registers: RegisterMap, place: str) -> None:
+        """`place` as in "joint_1 (unit 1)"."""
+        self._line, self._number, self._map, self._place = line, number, registers, place
+
+    def read(self, *names: str) -> dict[str, float]:
+        """Physical values; one request for all whose registers follow one another."""
+        held = self._held(self._map.signals[name] for name in names)
+        return {signal.name: float(signal.format.decode(words)[0]) for signal, words in held.items()}
+
+    def value(self, name: str) -> float:
+        return self.read(name)[name]
+
+    def integer(self, name: str) -> int:
+        return int(self.value(name))
+
+    def write(self, values: Mapping[str, float]) -> None:
+        """Not read back. LimitExceeded where a register cannot hold its value."""
+        self._write({signal: self._encode(Setting(signal, values[signal.name])) for signal in self._named(values)})
+
+    def settle(self, *settings: Setting) -> None:
+        """Make sure that the signals hold these values: written where they differ, and read back.
+
+        LimitExceeded if a register's steps come no nearer than the resolution; WrongConfiguration if the drive holds
+        another value after all.
+        """
+        wanted = {setting.signal: self._encode(setting) for setting in settings}
+        different = self._different(wanted)
+        if not different:
+            return
+        self._write(different)
+        for signal in self._different(different):
+            held = self._held([signal])[signal]
+            raise WrongConfiguration(
+                f"{self._place}: {signal}: wrote {_shown(signal, wanted[signal])}, drive holds {_shown(signal, held)}"
+            )
+
+    def tell(self, name: str, value: float) -> None:
+        """Write without waiting for an answer."""
+        signal = self._map.signals[name]
+        self._line.tell(self._number, signal.address, self._encode(Setting(signal, value)), f"{self._place}: {signal}")
+
+    def registers(self, address: int, count: int, what: str) -> list[int]:
+        """Raw registers, at most `max_read`."""
+        return self._line.read(self._number, address, count, f"{self._place}: {what}")
+
+    # -- inside --------------------------------------------------------------------------------------------------
+
+    def _named(self, names: Iterable[str]) -> list[Signal]:
+        return [self._map.signals[name] for name in names]
+
+    def _encode(self, setting: Setting) -> list[int]:
+        signal, value = setting.signal, setting.value
+        try:
+            registers = signal.format.encode(value, setting.rounding)
+        except LimitExceeded as error:
+            raise LimitExceeded(f"{self._place}: {signal}: {error}") from None
+        near = float(signal.format.decode(registers)[0])
+        if abs(near - value) > setting.resolution:
+            raise LimitExceeded(f"{self._place}: {signal}: {value:.9g} would be {near:.9g} in the drive's steps")
+        return registers
+
+    def _held(self, signals: Iterable[Signal]) -> Registers:
+        held: Registers = {}
+        for span in spans(signals, self._map.max_read):
+            start = span[0].address
+            words = self.registers(start, span[-1].end - start, ", ".join(str(signal) for signal in span))
+            held |= {signal: words[signal.address - start : signal.end - start] for signal in span}
+        return held
+
+    def _write(self, wanted: Registers) -> None:
+        for span in spans(wanted, MAX_WRITE):
+            what = ", ".join(f"{signal} = {_shown(signal, wanted[signal])}" for signal in span)
+            words = [word for signal in span for word in wanted[signal]]
+            self._line.write(self._number, span[0].address, words, f"{self._place}: {what}")
+
+    def _different(self, wanted: Registers) -> Registers:
+        """What of it the drive does not hold."""
+        held = self._held(wanted)
+        return {signal: words for signal, words in wanted.items() if not _same(signal, words, held[signal])}
+
+
+def _same(signal: Signal, wanted: list[int], held: list[int]) -> bool:
+    if signal.format.whole:
+        return wanted == held
+    return math.isclose(signal.format.decode(wanted)[0], signal.format.decode(held)[0], rel_tol=HELD)
+
+
+def _shown(signal: Signal, registers: list[int]) -> str:
+    return f"{signal.format.decode(registers)[0]:.9g}"

@@ -1,0 +1,43 @@
+"""What of the kernel's timing needs no kernel; tests/vcan does the rest."""
+
+import random
+
+import pytest
+
+from drivers.canopen.bcm import Steering, set_point_source
+from tests.unit.drivers.streaming_bench import Drive, bench
+
+
+@pytest.mark.parametrize(
+    ("nominal", "delay"), [(1e-3, 5e-6), (1e-3, 60e-6), (2e-3, 5e-6), (2e-3, 90e-6), (5e-3, 250e-6)]
+)
+def test_a_kernel_that_is_late_in_each_interval_keeps_the_mean_all_the_same(delay: float, nominal: float) -> None:
+    """As net/can/bcm.c: an interval counts from the moment of waking up, which jitters about a constant delay."""
+    chance, per_cycle, per_step = random.Random(1), 2, 16
+    steering = Steering(nominal, per_cycle * per_step)
+    now, lateness = 0.0, list[float]()
+    for cycle in range(1, 20_001):
+        for _ in range(per_cycle):
+            now += round(steering.interval, 6) + chance.uniform(0.0, 2 * delay)
+        lateness.append(now - cycle * per_cycle * nominal)
+        steering.note(lateness[-1])
+        if cycle % per_step == 0:
+            steering.adjust()
+    settled = lateness[2000:]
+    assert abs(sum(settled) / len(settled)) < 20e-6 + 0.1 * delay
+    assert max(map(abs, settled)) < 50 * delay
+    assert now == pytest.approx(20_000 * per_cycle * nominal, rel=1e-4)
+
+
+def test_the_steering_stays_within_reason() -> None:
+    steering = Steering(1e-3, 32)
+    for late in (10.0, -10.0, 1e6, -1e6):
+        for _ in range(50):
+            steering.note(late)
+            steering.adjust()
+            assert 0.899e-3 <= steering.interval <= 1.101e-3
+
+
+async def test_only_socketcan_has_a_kernel_that_times() -> None:
+    async with bench(Drive(1)) as on:
+        assert set_point_source(on.bus) == "thread"

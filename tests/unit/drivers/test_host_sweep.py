@@ -1,0 +1,288 @@
+"""Host-streamed sweeps of small drives over python-can's virtual bus: one clock, one end, nothing mixed or missed."""
+
+import ctypes
+import re
+import struct
+import threading
+
+import numpy as np
+import pytest
+
+from drivers.canopen import frames
+from drivers.canopen.host_sweep import HostSweep
+from drivers.canopen.lane import Ending
+from drivers.errors import CommunicationLost
+from drivers.ports import SampleBlock
+from tests.unit.drivers.streaming_bench import ENABLED, OFF, PERIOD, SWITCHED_ON, Bench, Drive, Frame, bench, run_to_end
+
+SAMPLES = round(0.5 / PERIOD) + 1
+
+
+def of(blocks: list[SampleBlock], joint: str) -> SampleBlock:
+    mine = [block for block in blocks if block.joint == joint]
+    columns = ("index", "time", "effort", "velocity", "position", "velocity_setpoint")
+    return SampleBlock(joint, *(np.concatenate([getattr(block, name) for block in mine]) for name in columns))
+
+
+def never_told_to_enable(drive: Drive) -> bool:
+    return not any(controlword & 0x08 for controlword, _ in drive.obeyed)
+
+
+async def test_three_axes_run_on_one_clock() -> None:
+    async with bench(Drive(1), Drive(2), Drive(3)) as on:
+        run = on.start()
+        blocks = await run_to_end(run)
+        assert (run.ending, run.reason, run.joint) == (Ending.COMPLETED, "", "")
+        for node in (1, 2, 3):
+            samples = of(blocks, f"joint_{node}")
+            assert samples.index.tolist() == list(range(SAMPLES))
+            assert samples.time == pytest.approx(np.arange(SAMPLES) * PERIOD)
+            # what was asked for SYNC k is what the drive shows there, to half a raw unit
+            assert samples.velocity == pytest.approx(samples.velocity_setpoint, abs=0.5001e-3)
+            assert np.max(samples.velocity) > 0.5 * node
+        heard = "".join({0x80: "S", 0x201: "1", 0x202: "2", 0x203: "3"}[each] for each in on.cabinet.heard)
+        opening = len(heard) - len(heard.lstrip("S"))
+        assert opening >= 1
+        assert heard[opening:] == "123S" * (heard.count("S") - opening)
+        timing = run.timing()
+        assert timing.source == "thread"
+        assert timing.cycles >= SAMPLES
+        assert 0.0 <= timing.median_lateness <= timing.worst_lateness
+
+
+async def test_axes_may_have_sweeps_of_different_length() -> None:
+    async with bench(Drive(1), Drive(2)) as on:
+        run = on.start(on.lane(1), on.lane(2, periods=2))
+        blocks = await run_to_end(run)
+        assert run.ending is Ending.COMPLETED
+        assert len(of(blocks, "joint_1").index) == SAMPLES
+        assert len(of(blocks, "joint_2").index) == SAMPLES + round(0.2 / PERIOD)
+
+
+async def test_a_stop_brings_all_down_by_a_ramp() -> None:
+    stop = threading.Event()
+    async with bench(Drive(1), Drive(2)) as on:
+        run = on.start(on.lane(1, periods=300), on.lane(2, periods=300), stop=stop)
+        await run_to_end(run, lambda _: stop.set())
+        assert run.ending is Ending.STOPPED
+        assert run.reason == "joint_1 (node 1), joint_2 (node 2): sweep was stopped"
+        for drive in on.cabinet.drives.values():
+            assert (drive.statusword, drive.velocity) == (OFF, 0)
+            speeds = np.array([target for _, target in drive.obeyed])
+            assert np.abs(np.diff(speeds)).max() <= 1000 * 20.0 * PERIOD + 1
+            assert {controlword for controlword, _ in drive.obeyed} == {0x0F, 0x00}
+
+
+def leave_envelope(on: Bench) -> None:
+    on.cabinet.drives[2].offset = 60 * 10**6
+
+
+def restart(on: Bench) -> None:
+    on.cabinet.say(frames.HEARTBEAT + 2, b"\0")
+
+
+def fail(on: Bench) -> None:
+    on.cabinet.say(frames.EMERGENCY + 2, bytes.fromhex("057321 0000000000"))
+
+
+def switch_off(on: Bench) -> None:
+    on.cabinet.drives[2].statusword = OFF
+
+
+def fall_silent(on: Bench) -> None:
+    on.cabinet.drives[2].mangle = lambda _, __: []
+
+
+def freeze(on: Bench) -> None:
+    counter = on.cabinet.drives[2].counter
+    on.cabinet.drives[2].mangle = lambda _, answer: [
+        answer[0],
+        (answer[1][0], answer[1][1][:4] + struct.pack("<I", counter)),
+    ]
+
+
+def count_double(on: Bench) -> None:
+    on.cabinet.drives[2].counter += 20
+
+
+def jump(on: Bench) -> None:
+    on.cabinet.drives[2].counter += 10**6
+
+
+@pytest.mark.parametrize(
+    ("mishap", "ending", "reason"),
+    [
+        (leave_envelope, Ending.LEFT_ENVELOPE, "position .* is outside -50 to 50 rad"),
+        (restart, Ending.LEFT_STATE, "node restarted"),
+        (fail, Ending.LEFT_STATE, "error 7305h"),
+        (switch_off, Ending.LEFT_STATE, "is 'switch on disabled'"),
+        (fall_silent, Ending.SILENT, "no sample for 101 cycles of 4 ms"),
+        (freeze, Ending.SILENT, "no sample for 101 cycles of 4 ms"),
+        (count_double, Ending.MISCOUNTED, "sample counter is [0-9]+ ahead of SYNC"),
+        (jump, Ending.SILENT, "no sample for 101 cycles of 4 ms"),
+    ],
+)
+async def test_whatever_ends_one_axis_ends_all(mishap: object, ending: Ending, reason: str) -> None:
+    async with bench(Drive(1), Drive(2), Drive(3)) as on:
+        run = on.start(*(on.lane(node, periods=300) for node in (1, 2, 3)))
+        done: list[SampleBlock] = []
+
+        def once(block: SampleBlock) -> None:
+            done.append(block)
+            if len(done) == 1:
+                mishap(on)  # pyright: ignore[reportCallIssue]
+
+        await run_to_end(run, once)
+        assert (run.ending, run.joint) == (ending, "joint_2")
+        assert run.reason.startswith("joint_2 (node 2): ")
+        assert re.search(reason, run.reason), run.reason
+        for drive in on.cabinet.drives.values():
+            assert drive.statusword == OFF
+            assert drive.obeyed[-1] == (0x00, 0)
+
+
+async def test_a_node_that_missed_a_sync_has_shifted_its_clock_and_is_found_out() -> None:
+    drive = Drive(1)
+
+    def miss(number: int, answer: list[Frame]) -> list[Frame]:
+        if number != 40:
+            return answer
+        drive.counter -= 1  # as if this SYNC had never come
+        return []
+
+    drive.mangle = miss
+    async with bench(drive) as on:
+        run = on.start()
+        await run_to_end(run)
+        assert run.ending is Ending.MISCOUNTED
+        assert run.reason == "joint_1 (node 1): its sample counter is 1 behind SYNC"
+
+
+@pytest.mark.parametrize("state", [SWITCHED_ON, OFF, 0x21, 0x07, 0x08, 0x00, 0xFFFF])
+async def test_a_drive_that_is_not_enabled_is_never_told_to_enable(state: int) -> None:
+    async with bench(Drive(1), Drive(2, statusword=state)) as on:
+        run = on.start()
+        assert await run_to_end(run) == []
+        assert (run.ending, run.joint) == (Ending.LEFT_STATE, "joint_2")
+        assert on.cabinet.drives[2].statusword == state
+        assert all(never_told_to_enable(drive) for drive in on.cabinet.drives.values())
+
+
+async def test_before_a_drive_said_its_state_it_is_not_told_to_enable() -> None:
+    async with bench(Drive(1, mangle=lambda _, __: []), Drive(2), silence=0.05) as on:
+        run = on.start()
+        assert await run_to_end(run) == []
+        assert (run.ending, run.joint) == (Ending.SILENT, "joint_1")
+        assert run.reason == "joint_1 (node 1): does not answer SYNC within 0.05 s"
+        assert all(never_told_to_enable(drive) for drive in on.cabinet.drives.values())
+
+
+def lose(*which: int) -> object:
+    return lambda number, answer: [each for k, each in enumerate(answer) if number != 40 or k not in which]
+
+
+def double(number: int, answer: list[Frame]) -> list[Frame]:
+    return [answer[0], answer[0], answer[1], answer[1]] if number == 40 else answer
+
+
+class Postman:
+    """Holds back one TPDO (0 or 1, or both) of the 40th SYNC and delivers it among the next one's."""
+
+    def __init__(self, which: tuple[int, ...], place: int) -> None:
+        self._which, self._place, self._held = which, place, list[Frame]()
+
+    def __call__(self, number: int, answer: list[Frame]) -> list[Frame]:
+        if number == 40:
+            self._held = [answer[k] for k in self._which]
+            return [each for k, each in enumerate(answer) if k not in self._which]
+        if number == 41:
+            return [*answer[: self._place], *self._held, *answer[self._place :]]
+        return answer
+
+
+@pytest.mark.parametrize(
+    ("mangle", "gap"),
+    [
+        (lose(0), True),
+        (lose(1), True),
+        (lose(0, 1), True),
+        (double, False),
+        *((Postman(which, place), True) for which in ((0,), (0, 1)) for place in (1, 2)),
+        (Postman((0,), 0), True),
+        (Postman((1,), 0), False),  # late, and still in order
+        (Postman((1,), 1), True),
+        (Postman((1,), 2), True),
+        (Postman((0, 1), 0), False),
+    ],
+)
+async def test_frames_lost_doubled_or_late_leave_a_gap_and_no_mixed_sample(mangle: object, gap: bool) -> None:
+    drive = Drive(1, mangle=mangle)  # pyright: ignore[reportArgumentType]
+    async with bench(drive) as on:
+        run = on.start()
+        samples = of(await run_to_end(run), "joint_1")
+        assert run.ending is Ending.COMPLETED
+        missing = set(range(SAMPLES)) - set(samples.index.tolist())
+        assert np.all(np.diff(samples.index) > 0)
+        assert bool(missing) == gap
+        assert len(missing) <= 3
+        # TPDO1 tells the velocity, TPDO2 the position: both must be of the SYNC that the index says
+        velocity = np.round(samples.velocity_setpoint * 1e3)
+        planned = np.zeros(SAMPLES)
+        planned[samples.index] = velocity
+        assert np.round(samples.velocity * 1e3) == pytest.approx(velocity)
+        told = np.round(samples.position * 1e6)
+        for k, number in enumerate(samples.index[1:], start=1):
+            if samples.index[k - 1] == number - 1:
+                assert told[k] - told[k - 1] == planned[number]
+
+
+def hold_up(seconds: float) -> None:
+    """A busy moment of the host: nothing of this process runs, as usleep is called without giving away the GIL."""
+    ctypes.PyDLL(None).usleep(round(seconds * 1e6))
+
+
+async def late_once(on: Bench, seconds: float) -> HostSweep:
+    run = on.start(on.lane(1, periods=3))
+    held = threading.Event()
+
+    def once(_: SampleBlock) -> None:
+        if not held.is_set():
+            held.set()
+            hold_up(seconds)
+
+    await run_to_end(run, once)
+    return run
+
+
+async def test_a_late_host_is_counted_and_goes_on_where_the_profile_allows_it() -> None:
+    async with bench(Drive(1)) as on:
+        run = await late_once(on, 0.1)
+        assert run.ending is Ending.COMPLETED
+        assert run.timing().missed >= 20
+        assert run.timing().worst_lateness >= 0.08
+
+
+async def test_more_missed_deadlines_than_allowed_end_the_sweep() -> None:
+    async with bench(Drive(1), missed_cycles=20, host_timeout=10.0) as on:
+        run = await late_once(on, 0.2)
+        assert run.ending is Ending.LATE
+        assert "deadlines of 4 ms were missed, 20 are allowed; the worst set-point was" in run.reason
+        assert on.cabinet.drives[1].statusword == OFF
+
+
+async def test_one_very_late_set_point_is_too_late_whatever_is_allowed() -> None:
+    async with bench(Drive(1), host_timeout=0.25) as on:
+        run = await late_once(on, 0.5)
+        assert run.ending is Ending.LATE
+        assert "s late, 0.25 s are the limit" in run.reason
+        assert on.cabinet.drives[1].statusword == OFF
+
+
+async def test_bus_off_ends_it_at_once() -> None:
+    async with bench(Drive(1)) as on:
+        run = on.start(on.lane(1, periods=300))
+        with pytest.raises(CommunicationLost, match=r"bus-off; controller bus-off \(transmit errors 248"):
+            await run_to_end(run, lambda _: on.cabinet.say(0x040, bytes([0, 0, 0, 0, 0, 0, 248, 0]), error=True))
+        with pytest.raises(CommunicationLost, match="bus-off"):
+            on.bus.send(frames.SYNC, b"")
+        assert on.cabinet.drives[1].statusword == ENABLED  # its own watch of SYNC must stop it

@@ -1,0 +1,99 @@
+"""The connection over both lines: heartbeat, loss, and what it refuses."""
+
+import asyncio
+import threading
+import time
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import pytest
+
+from drivers.errors import (
+    CommunicationLost,
+    NotReady,
+    WrongIdentity,
+)
+from drivers.modbus import line as line_module
+from drivers.modbus.fieldbus import ModbusConnection, ModbusFieldbus
+from drivers.modbus.registers import RegisterMap
+from drivers.ports import SweepMode
+from tests.unit.drivers.modbus_bank import Bank, serving
+from tests.unit.drivers.modbus_drive import HIGH, KINDS, LOW, drive, following, profile_on
+
+
+@asynccontextmanager
+async def opened(kind: str) -> AsyncGenerator[tuple[Bank, ModbusConnection]]:
+    registers = HIGH if kind == "tcp" else LOW
+    bank = Bank(kind)
+    for unit, torque in ((1, 17.544), (2, 18.717)):
+        drive(bank, registers, unit, torque)
+    following(bank, registers)
+    with serving(bank) as served:
+        served = served.model_copy(update={"watchdog": 0.4})
+        connection = await ModbusFieldbus(profile_on(served, kind, axes=2)).open()
+        try:
+            yield bank, connection
+        finally:
+            await connection.close()
+
+
+async def eventually(condition: Any) -> None:
+    deadline = time.monotonic() + 10
+    while not condition():
+        assert time.monotonic() < deadline, "condition never came true"
+        await asyncio.sleep(0.01)
+
+
+@KINDS
+async def test_the_heartbeat_speaks_to_every_unit_and_notices_a_loss(
+    kind: str, registers: RegisterMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(line_module, "LOOK_AGAIN", 0.3)
+    async with opened(kind) as (bank, connection):
+        assert connection.capabilities.sweep_modes == {SweepMode.DRIVE_SIDE}
+        assert connection.capabilities.set_point_timing == "none"
+        bank.requests.clear()
+        await eventually(lambda: [r.unit for r in bank.requests].count(1) > 3)
+        assert {request.unit for request in bank.requests} == {1, 2}
+        device = connection.axes["joint_2"].device
+        device.check_alive()
+        bank.spoil = lambda request, frame: None if request.unit == 2 else frame
+        await eventually(lambda: _lost(connection, "joint_2"))
+        connection.axes["joint_1"].device.check_alive()
+        bank.spoil = lambda _, frame: frame
+        await eventually(lambda: not _lost(connection, "joint_2"))
+
+
+def _lost(connection: ModbusConnection, joint: str) -> bool:
+    try:
+        connection.axes[joint].device.check_alive()
+    except CommunicationLost:
+        return True
+    return False
+
+
+async def test_a_host_that_hangs_falls_silent() -> None:
+    async with opened("tcp") as (bank, _):
+        await eventually(lambda: len(bank.requests) > 0)
+        time.sleep(0.3)  # noqa: ASYNC251  the event loop hangs; a beat under way may end
+        before = len(bank.requests)
+        time.sleep(0.5)  # noqa: ASYNC251
+        assert len(bank.requests) == before
+        await eventually(lambda: len(bank.requests) > before)
+
+
+async def test_host_streamed_sweeps_are_refused() -> None:
+    async with opened("tcp") as (_, connection):
+        with pytest.raises(NotReady, match="not possible through Modbus"):
+            await connection.stream([], threading.Event())
+
+
+async def test_a_wrong_drive_leaves_nothing_open() -> None:
+    bank = Bank("tcp")
+    drive(bank, HIGH, 1, 99.0)
+    following(bank, HIGH)
+    with serving(bank) as served:
+        with pytest.raises(WrongIdentity, match="rated torque"):
+            await ModbusFieldbus(profile_on(served, "tcp")).open()
+        assert len(asyncio.all_tasks()) == 1

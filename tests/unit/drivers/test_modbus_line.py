@@ -1,0 +1,280 @@
+"""Requests over a real line, TCP and RTU, to units that answer well, badly, late or never."""
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Generator
+from contextlib import suppress
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, WrongConfiguration
+from drivers.modbus import line as line_module
+from drivers.modbus.line import Line
+from drivers.modbus.profile import RtuLine, TcpLine
+from tests.unit.drivers.modbus_bank import TIMEOUT, Bank, Request, crc, rtu_frame, serving
+
+REGISTERS = {0x10: 0x1111, 0x11: 0x2222, 0x12: 0x3333}
+
+
+@pytest.fixture(params=["tcp", "rtu"])
+def bank(request: pytest.FixtureRequest) -> Bank:
+    return Bank(request.param, {1: dict(REGISTERS), 2: dict(REGISTERS)})
+
+
+@pytest.fixture
+def line(bank: Bank) -> Generator[Line]:
+    with serving(bank) as profile:
+        opened = Line(profile)
+        opened.open()
+        yield opened
+        opened.close()
+
+
+def eventually(condition: Callable[[], bool], within: float = 10.0) -> None:
+    deadline = time.monotonic() + within
+    while not condition():
+        assert time.monotonic() < deadline, "condition never came true"
+        time.sleep(0.005)
+
+
+def test_read_and_write(bank: Bank, line: Line) -> None:
+    assert line.read(1, 0x10, 3, "three") == [0x1111, 0x2222, 0x3333]
+    line.write(1, 0x11, [7], "one")
+    line.write(1, 0x11, [8, 9], "two")
+    assert bank.registers[1] == {0x10: 0x1111, 0x11: 8, 0x12: 9}
+    assert {request.function for request in bank.requests} == {3, 16}
+    line.check(1, "unit 1")
+    with pytest.raises(CommunicationLost, match="unit 2: no answer"):
+        line.check(2, "unit 2")
+
+
+def test_a_refusal_is_no_loss(bank: Bank, line: Line) -> None:
+    with pytest.raises(WrongConfiguration, match=r"there: Modbus exception 2: no such register"):
+        line.read(1, 0x99, 1, "there")
+    with pytest.raises(WrongConfiguration):
+        line.write(1, 0x99, [1], "there")
+    assert line.read(1, 0x10, 1, "here") == [0x1111]
+
+
+def test_silence_is_a_loss_at_once_and_until_it_is_found_again(
+    bank: Bank, line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(line_module, "LOOK_AGAIN", 0.0)
+    bank.spoil = lambda request, frame: None if request.unit == 1 else frame
+    with pytest.raises(CommunicationLost, match="unit 1 speed"):
+        line.read(1, 0x10, 1, "unit 1 speed")
+    asked = len(bank.requests)
+    for attempt in (
+        lambda: line.read(1, 0x10, 1, "x"),
+        lambda: line.write(1, 0x10, [1], "x"),
+        lambda: line.check(1, "x"),
+    ):
+        with pytest.raises(CommunicationLost, match="unit 1 speed"):
+            attempt()
+    assert len(bank.requests) == asked
+    assert line.read(2, 0x10, 1, "the other") == [0x1111]
+    line.use(2)
+    assert not line.due(1)  # looking costs a time-out, and unit 2 may be moving
+    line.release(2)
+    bank.spoil = lambda _, frame: frame
+    assert line.due(1)
+    assert line.read(1, 0x10, 1, "found") == [0x1111]
+
+
+def test_the_heartbeat_is_due_where_nobody_asked(line: Line) -> None:
+    assert line.due(1)
+    line.read(1, 0x10, 1, "x")
+    assert not line.due(1)
+    eventually(lambda: line.due(1))
+
+
+def test_no_write_is_ever_repeated(bank: Bank, line: Line) -> None:
+    def garbled(_: Request, frame: bytes) -> bytes:
+        return b"\xff" * 9 if bank.transport == "tcp" else frame[:-1] + bytes([frame[-1] ^ 1])
+
+    def silent(_: Request, __: bytes) -> None:
+        """No answer."""
+
+    for unit, spoil in ((1, silent), (2, garbled)):
+        bank.spoil = spoil
+        with pytest.raises(CommunicationLost):
+            line.write(unit, 0x10, [5], "word")
+    time.sleep(TIMEOUT)  # for a repetition that must not come
+    assert bank.writes(0x10) == [5, 5]
+
+
+@pytest.mark.parametrize("bank", ["rtu"], indirect=True)
+def test_a_garbled_read_on_a_serial_line_is_asked_once_more(bank: Bank, line: Line) -> None:
+    def spoil_first(_: Request, frame: bytes) -> bytes:
+        return frame[:-1] + bytes([frame[-1] ^ 1]) if len(bank.requests) == 1 else frame
+
+    bank.spoil = spoil_first
+    assert line.read(1, 0x10, 1, "noisy") == [0x1111]
+    assert len(bank.requests) == 2
+    bank.spoil = lambda _, frame: frame[:-1] + bytes([frame[-1] ^ 1])
+    with pytest.raises(CommunicationLost):
+        line.read(1, 0x10, 1, "noise")
+    assert len(bank.requests) == 4
+
+
+def test_a_late_answer_is_never_taken_for_that_of_a_later_request(
+    bank: Bank, line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The unit's first two answers come after the time-out, each with the unit, function and length of the next."""
+    monkeypatch.setattr(line_module, "LOOK_AGAIN", 3 * TIMEOUT)
+    late: list[threading.Timer] = []
+
+    def hold_back(request: Request, frame: bytes) -> bytes | None:
+        if request.unit == 2 or len(late) == 2:
+            return frame
+        late.append(threading.Timer(1.5 * TIMEOUT, lambda: _try(bank, frame)))
+        late[-1].start()
+        return None
+
+    bank.spoil = hold_back
+    with pytest.raises(CommunicationLost):
+        line.read(1, 0x10, 1, "late")
+    assert line.read(2, 0x12, 1, "meanwhile") == [0x3333]
+    answers: list[list[int]] = []
+
+    def answered() -> bool:
+        line.due(1)
+        with suppress(CommunicationLost):
+            answers.append(line.read(1, 0x11, 1, "next"))
+        return bool(answers)
+
+    eventually(answered)
+    for timer in late:
+        timer.join()
+    assert answers == [[0x2222]]
+
+
+def _try(bank: Bank, frame: bytes) -> None:
+    try:
+        bank.send(frame)
+    except OSError:
+        return  # the connection was given up meanwhile
+
+
+def test_answers_of_somebody_else_are_no_answers(bank: Bank, line: Line) -> None:
+    """Another unit, another function, another length, another address."""
+
+    def answer(unit: int, pdu: bytes) -> None:
+        if bank.transport == "rtu":
+            bank.spoil = lambda _r, _f: rtu_frame(unit, pdu)
+        else:
+            bank.spoil = lambda _r, frame: frame[:4] + (len(pdu) + 1).to_bytes(2, "big") + bytes([unit]) + pdu
+
+    for number, (unit, pdu) in enumerate(
+        [
+            (2, b"\x03\x02\x00\x07"),
+            (1, b"\x04\x02\x00\x07"),
+            (1, b"\x03\x04\x00\x07\x00\x07"),
+            (1, b"\x03\x00"),
+            (1, b"\x83\x0b"),  # a gateway whose unit is away
+            (1, b"\x10\x00\x10\x00\x01"),
+        ]
+    ):
+        answer(unit, pdu)
+        line._lost.clear()  # pyright: ignore[reportPrivateUsage]
+        with pytest.raises(CommunicationLost):
+            line.read(1, 0x10, 1, f"read {number}")
+    answer(1, b"\x10\x00\x11\x00\x01")
+    line._lost.clear()  # pyright: ignore[reportPrivateUsage]
+    with pytest.raises(CommunicationLost, match="another request"):
+        line.write(1, 0x10, [1], "write")
+
+
+def test_tell_waits_for_nothing_and_reaches_a_lost_unit(bank: Bank, line: Line) -> None:
+    bank.spoil = lambda _r, _f: None
+    with pytest.raises(CommunicationLost):
+        line.write(1, 0x10, [1], "lost")
+    line.tell(1, 0x10, [2], "told")
+    line.tell(1, 0x10, [3], "told")
+    eventually(lambda: bank.writes(0x10) == [1, 2, 3])
+
+
+def test_the_silence_between_frames_is_kept() -> None:
+    bank = Bank("rtu", {1: dict(REGISTERS)})
+    with serving(bank) as profile:
+        line = Line(profile.model_copy(update={"silence_between_frames": 0.03}))
+        line.open()
+        start = time.monotonic()
+        for _ in range(5):
+            line.read(1, 0x10, 1, "x")
+        assert time.monotonic() - start >= 4 * 0.03
+        line.close()
+
+
+def test_a_line_that_cannot_be_opened_and_one_that_is_closed(bank: Bank, line: Line) -> None:
+    line.close()
+    line.close()
+    with pytest.raises(CommunicationLost, match="closed"):
+        line.read(1, 0x10, 1, "x")
+    with pytest.raises(CommunicationLost, match="closed"):
+        line.tell(1, 0x10, [1], "x")
+    assert bank.requests == []
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    nowhere = [
+        TcpLine(transport="tcp", host="127.0.0.1", port=port, timeout=TIMEOUT),
+        RtuLine(transport="rtu", device="/dev/there-is-none", timeout=TIMEOUT),
+    ]
+    for profile in nowhere:
+        with pytest.raises(ConnectionFailed, match="could not be opened"):
+            Line(profile).open()
+
+
+def test_a_server_that_goes_away_is_a_loss() -> None:
+    bank = Bank("tcp", {1: dict(REGISTERS)})
+    with serving(bank) as profile:
+        line = Line(profile)
+        line.open()
+        line.read(1, 0x10, 1, "x")
+    with pytest.raises(CommunicationLost):
+        line.read(1, 0x10, 1, "x")
+    with pytest.raises(CommunicationLost):
+        line.tell(1, 0x10, [1], "x")
+    line.close()
+
+
+def test_crc_by_the_standards_example() -> None:
+    assert crc(b"\x02\x07") == b"\x41\x12"
+
+
+@pytest.mark.parametrize("transport", ["tcp", "rtu"])
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(data=st.data())
+def test_any_bytes_are_an_answer_or_a_drive_error(transport: str, data: st.DataObject) -> None:
+    """Bytes of every kind: noise, a spoilt PDU in a good frame, a good frame with something behind it."""
+    bank = Bank(transport, {1: dict(REGISTERS)})
+    pdu = data.draw(st.binary(min_size=1, max_size=12), "pdu")
+    noise = data.draw(st.binary(max_size=20), "noise")
+    kind = data.draw(st.sampled_from(["noise", "pdu", "prefix", "behind", "cut"]), "kind")
+
+    def spoil(request: Request, frame: bytes) -> bytes | None:
+        header = frame[:4] + (len(pdu) + 1).to_bytes(2, "big") + frame[6:7]
+        built = header + pdu if transport == "tcp" else rtu_frame(request.unit, pdu)
+        return {
+            "noise": noise,
+            "pdu": built,
+            "prefix": noise + frame,
+            "behind": frame + noise,
+            "cut": frame[: len(noise)],
+        }[kind]
+
+    bank.spoil = spoil
+    with serving(bank, timeout=0.01) as profile:
+        line = Line(profile)
+        line.open()
+        results: list[object] = []
+        with suppress(DriveError):
+            results.append(len(line.read(1, 0x10, 2, "read")))
+        with suppress(DriveError):
+            results.append(line.write(1, 0x10, [1, 2], "write"))
+        assert set(results) <= {2, None}
+        line.close()
+    assert len([request for request in bank.requests if request.function == 16]) <= 1
