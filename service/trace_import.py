@@ -13,108 +13,29 @@ Both ends are continued by odd reflection, which keeps value and slope. Identifi
 the corner five times above.
 """
 
+import math
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 from scipy.io import loadmat
 from scipy.signal import butter, sosfiltfilt
 
 from service.configuration import read_robot, read_yaml
 from service.errors import BadInput
+from service.identification.excitation import Excitation
+from service.identification.sweep_path import way
 from service.recording import Recording, Sweep, SweepSpec
-from service.robot import Axis, Prior, Robot, RobotDescription, build_robot
+from service.robot import Axis, Robot, RobotDescription, build_robot
 from service.store.columns import CsvForm, read_table
+from service.trace_alignment import check_follows, motion_start
+from service.trace_mapping import CncAxis, Column, Columns, FromPosition, Mapping, SingleAxis, TraceSweep
 
 Array = NDArray[np.float64]
 
 # f'(x) h of order 8 from samples at x+1 h ... x+4 h minus those at x-1 h ... x-4 h (Fornberg 1988, table 1)
 _CENTRAL = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
-
-
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Column(_Part):
-    """A column of the source: ``scale * source + offset`` is SI on the joint side."""
-
-    source: str
-    scale: float = 1.0
-    offset: float = 0.0
-
-
-class FromPosition(_Part):
-    """Velocity by differentiating the position; low-pass corner in Hz."""
-
-    from_position: float = Field(gt=0)
-
-
-# which of the two is meant decides before the fields do, so that a complaint names the right field
-def _velocity_kind(given: Any) -> str:
-    return "derived" if isinstance(given, dict) and "from_position" in given else "measured"
-
-
-def _robot_kind(given: Any) -> str:
-    return "axis" if isinstance(given, dict) else "file"
-
-
-class Columns(_Part):
-    """Where each column of the bundle comes from; without `time` the sample rate makes it."""
-
-    time: Column | None = None
-    effort: Column
-    velocity: Annotated[
-        Annotated[Column, Tag("measured")] | Annotated[FromPosition, Tag("derived")], Discriminator(_velocity_kind)
-    ]
-    position: Column
-    velocity_setpoint: Column | None = None
-    excitation_effort: Column | None = None
-    load_velocity: Column | None = None
-    load_position: Column | None = None
-    temperature: Column | None = None
-
-
-class SingleAxis(_Part):
-    """A robot of one axis, told without a URDF: it turns about or slides along the base's x."""
-
-    name: str = Field(min_length=1)
-    joint: str = Field(min_length=1, pattern=r"^[\w.-]+$")
-    kind: Literal["revolute", "prismatic"]
-    inertia: float = Field(gt=0)  # nominal, load side: kg m^2 about the axis; prismatic: kg
-    lower: float  # rad (m)
-    upper: float
-    velocity: float = Field(gt=0)  # rad/s (m/s)
-    rated_effort: float = Field(gt=0)  # N m (N)
-    gear_ratio: float = 1.0
-    motor_inertia: float | None = Field(default=None, ge=0)
-    viscous_friction: float | None = Field(default=None, ge=0)
-    prior: Prior = Prior()
-
-
-class Csv(_Part):
-    """How a CSV source is written."""
-
-    delimiter: str = Field(default=",", min_length=1, max_length=1)
-    decimal_point: str = Field(default=".", min_length=1, max_length=1)
-    skip_rows: int = Field(default=0, ge=0)
-
-
-class TraceSweep(SweepSpec):
-    """One sweep of BUNDLE.md with the trace it was recorded in, relative to the mapping file."""
-
-    source: Path
-
-
-class Mapping(_Part):
-    """The mapping file. `robot`: a side file of ``config/robots`` relative to this file, or one axis in place."""
-
-    robot: Annotated[Annotated[Path, Tag("file")] | Annotated[SingleAxis, Tag("axis")], Discriminator(_robot_kind)]
-    columns: Columns
-    csv: Csv = Csv()
-    sweeps: tuple[TraceSweep, ...] = Field(min_length=1)
 
 
 def import_trace(mapping_file: Path, source: Path | None = None) -> tuple[Robot, tuple[Sweep, ...]]:
@@ -130,10 +51,22 @@ def import_trace(mapping_file: Path, source: Path | None = None) -> tuple[Robot,
     else:
         robot = read_robot(mapping_file.parent / mapping.robot)
     sweeps: list[Sweep] = []
+    for joint in mapping.axes:
+        if joint not in robot.joints:
+            raise BadInput(f"{mapping_file} axes", f"unknown joint {joint}; there are {', '.join(robot.joints)}")
     for entry in mapping.sweeps:
         path = source or mapping_file.parent / entry.source
-        spec = SweepSpec.model_validate(entry.model_dump(exclude={"source"}))
-        sweeps.append(Sweep(spec, _recording(mapping, path, spec.sample_rate)))
+        place = f"{path} sweep {entry.id}"
+        if entry.axis not in robot.joints or len(entry.pose) != len(robot.joints):
+            raise BadInput(place, f"axis {entry.axis} in pose {entry.pose} is none of robot {robot.name}")
+        taken = _columns(mapping, robot, entry, path)
+        set_position = taken.pop("set_position", None)
+        recording = Recording(**taken)
+        spec = SweepSpec.model_validate(entry.model_dump(exclude={"source", "path"}))
+        if entry.path is not None and set_position is not None:
+            start = _aligned(entry, recording, set_position, entry.pose[robot.index(entry.axis)], place)
+            spec = spec.model_copy(update={"measure_from": start + entry.path.ramp + entry.path.settle})
+        sweeps.append(Sweep(spec, recording))
     return robot, tuple(sweeps)
 
 
@@ -156,30 +89,63 @@ def _run_in(sample_rate: float, corner: float) -> int:
     return int(10 * sample_rate / corner)
 
 
-def _recording(mapping: Mapping, path: Path, sample_rate: float) -> Recording:
-    columns = mapping.columns
+def _aligned(entry: TraceSweep, recording: Recording, set_position: Array, position: float, place: str) -> float:
+    """When the sweep's motion starts in its trace, s; BadInput where the trace does not show this motion."""
+    if entry.path is None or entry.period is None or entry.periods is None:
+        raise BadInput(place, "has no path")
+    ramp, settle = entry.path.ramp, entry.path.settle
+    path = Excitation(entry.offset_velocity, entry.sines, entry.period, entry.periods, ramp, settle)
+    if not np.isfinite(set_position).all():
+        raise BadInput(place, "a set position is missing")
+    start = motion_start(path, position, recording.time, set_position, place)
+    time = recording.time - start
+    moving = (time >= 0) & (time <= path.duration)
+    expected = way(path, time[moving])
+    check_follows("position", recording.position[moving], expected, place)
+    # speeds by their integral, which is the way whatever the control loops make of 5 Hz
+    step = 1 / entry.sample_rate
+    check_follows("velocity", np.cumsum(recording.velocity[moving]) * step, expected, place)
+    if recording.velocity_setpoint is not None:
+        check_follows("velocity_setpoint", np.cumsum(recording.velocity_setpoint[moving]) * step, expected, place)
+    return start
+
+
+def _columns(mapping: Mapping, robot: Robot, entry: TraceSweep, path: Path) -> dict[str, Array]:
+    """The columns of a sweep's trace, SI on the joint side, `set_position` among them."""
+    columns, sample_rate = mapping.columns, entry.sample_rate
     wanted = {name: value for name in Columns.model_fields if isinstance(value := getattr(columns, name), Column)}
     sources = tuple(dict.fromkeys(column.source for column in wanted.values()))
     if path.suffix == ".mat":
         raw = _read_mat(path, sources)
     else:
         raw = read_table(path, str(path), sources, form=CsvForm(**mapping.csv.model_dump()))
-    taken = {name: column.scale * raw[column.source] + column.offset for name, column in wanted.items()}
+    axis = robot.axis(entry.axis)
+    cnc = mapping.axes.get(entry.axis, CncAxis(name="axis"))
+    prismatic = robot.chain.joints[robot.index(entry.axis)].kind == "prismatic"
+    position_unit = 1e-3 if prismatic else math.radians(1.0)
+    taken: dict[str, Array] = {}
+    for name, column in wanted.items():
+        scale, offset = column.to_si(axis, cnc, position_unit, sample_rate)
+        taken[name] = scale * raw[column.source] + offset
     position = taken["position"]
     if "time" in taken:
         taken["time"] = taken["time"] - taken["time"][:1]  # a bundle's clock starts with the sweep
     else:
         taken["time"] = np.arange(len(position)) / sample_rate
     if isinstance(columns.velocity, FromPosition):
-        corner = columns.velocity.from_position
-        if corner >= sample_rate / 2:
-            raise BadInput(str(path), f"low-pass of {corner} Hz is not below half the sample rate {sample_rate} Hz")
-        if not np.isfinite(position).all():
-            raise BadInput(str(path), "a position is missing; the filter needs all")
-        if len(position) <= _run_in(sample_rate, corner):
-            raise BadInput(str(path), f"{len(position)} samples are too few for a low-pass of {corner} Hz")
-        taken["velocity"] = differentiate(position, sample_rate, corner)
-    return Recording(**taken)
+        taken["velocity"] = _derived(position, sample_rate, columns.velocity.from_position, str(path))
+    return taken
+
+
+def _derived(position: Array, sample_rate: float, corner: float, place: str) -> Array:
+    """Velocity of a position (n,), or BadInput where the filter cannot be run."""
+    if corner >= sample_rate / 2:
+        raise BadInput(place, f"low-pass of {corner} Hz is not below half the sample rate {sample_rate} Hz")
+    if not np.isfinite(position).all():
+        raise BadInput(place, "a position is missing; the filter needs all")
+    if len(position) <= _run_in(sample_rate, corner):
+        raise BadInput(place, f"{len(position)} samples are too few for a low-pass of {corner} Hz")
+    return differentiate(position, sample_rate, corner)
 
 
 def _read_mat(path: Path, names: tuple[str, ...]) -> dict[str, Array]:

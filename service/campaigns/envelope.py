@@ -163,6 +163,10 @@ class Envelope:
         joint = self._robot.chain.joints[index]
         return joint.lower + self._cell.joint_margin, joint.upper - self._cell.joint_margin
 
+    def units(self) -> dict[str, str]:
+        """The unit of every joint's position, rad or m."""
+        return {joint: self._unit(index) for index, joint in enumerate(self._robot.joints)}
+
     def velocity_limit(self, index: int) -> float:
         """Most that a sweep's velocity limit may be, rad/s (m/s)."""
         return min(self.limits.sweep_velocity, self._robot.chain.joints[index].velocity)

@@ -49,6 +49,9 @@ class PlanRequest(BaseModel):
     step: float = Field(default=5.0, ge=0.5, le=90.0)  # deg (prismatic: cm) between grid positions
     poses: int = Field(default=24, ge=1, le=1000)
     modes: Literal["drive_side", "host_streamed", "one_host_streamed"] = "drive_side"  # the last: one sweep an axis
+    lines: tuple[float, ...] = Field(
+        default=(), max_length=16
+    )  # whole Hz, sines of every sweep; (): as the method has it
     sample_rate: float = Field(default=250.0, gt=0, le=20_000)  # Hz
     move_velocity: float = Field(default=0.1, gt=0)  # rad/s (m/s), between poses; for the estimate of the duration
     locked_rotor: dict[str, float] = {}  # lowest first locked-rotor frequency by joint, Hz, where it is known
@@ -173,10 +176,14 @@ def _check(robot: Robot, request: PlanRequest) -> None:
     for joint, frequency in request.locked_rotor.items():
         if not frequency > LINES[0]:
             raise BadInput(f"locked_rotor.{joint}", f"{frequency} Hz is not above the lowest line of {LINES[0]} Hz")
-    if request.sample_rate < 10 * LINES[-1]:
-        raise BadInput(
-            "sample_rate", f"{request.sample_rate} Hz is below {10 * LINES[-1]} Hz, 10 times the highest line"
-        )
+    for line in request.lines:
+        if not (line >= 1 and line.is_integer()):
+            raise BadInput("lines", f"{line} Hz is not a whole number of Hz above 0: a sweep's period is 1 s")
+    if len(set(request.lines)) < len(request.lines):
+        raise BadInput("lines", "names a frequency twice")
+    highest = max(request.lines or LINES)
+    if request.sample_rate < 10 * highest:
+        raise BadInput("sample_rate", f"{request.sample_rate} Hz is below {10 * highest} Hz, 10 times the highest line")
 
 
 def _grid(robot: Robot, request: PlanRequest, envelope: Envelope, home: Array) -> Array:
@@ -356,6 +363,7 @@ class _Course:
             joint,
             np.array(pose),
             load_inertia=load,
+            lines=sorted(self._request.lines),
             # at constant stiffness the frequency goes with 1 / sqrt(inertia)
             locked_rotor_frequency=None if lowest is None else lowest * math.sqrt(self._heaviest[joint] / load),
             direction=direction,

@@ -1,11 +1,13 @@
 """Writes the samples of a running sweep to the disk as they come, and makes a recording of them afterwards.
 
 The stream is Arrow IPC: whatever happens, all but the block being written can be read back. Samples that are
-missing end the sweep; what came before them is kept and marked partial.
+missing end the sweep; what came before them is kept and marked partial. The stream holds what the drive gave; in a
+complete recording the channels are put right (`service.channels`), in a partial one they are as they came.
 """
 
 import os
 from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,7 +15,9 @@ import numpy as np
 import pyarrow as pa
 from pydantic import JsonValue
 
-from drivers.ports import SampleBlock, SweepCommand
+from drivers.ports import ChannelTiming, SampleBlock, SweepCommand
+from service.campaigns.plausibility import check_channels
+from service.channels import align, noise_gain
 from service.errors import SweepidError
 from service.recording import Recording, SweepSpec
 from service.store.documents import NewRecording, RecordingState
@@ -61,12 +65,7 @@ class Recorder:
 
     def check_complete(self) -> None:
         """SamplesMissing if the samples end before the measured window."""
-        end = self._command.duration - self._command.ramp
-        period = self._last_time / max(self._next_index - 1, 1)
-        if self._last_time < end - 1.5 * period:
-            raise SamplesMissing(
-                f"{self._command.joint}: samples end at {self._last_time:.4f} s, window at {end:.4f} s"
-            )
+        _check_window(self._command, self._last_time, self._last_time / max(self._next_index - 1, 1))
 
     def close(self) -> None:
         """Close the file. Without an end mark: a stream that is cut off is as readable, and a full disk takes none."""
@@ -114,9 +113,13 @@ def read_stream(path: Path) -> tuple[Recording, float] | None:
 
 
 def finish(
-    files: RecordingFiles, run: Run, planned: SweepSpec, command: SweepCommand, facts: Facts
+    files: RecordingFiles, run: Run, planned: SweepSpec, command: SweepCommand, timing: ChannelTiming, facts: Facts
 ) -> tuple[SweepSpec, NewRecording]:
-    """Make the recording of a complete stream, and the planned sweep with the clock it was measured on."""
+    """Make the recording of a complete stream, and the planned sweep with the clock it was measured on.
+
+    ImplausibleChannels, and nothing saved, where the channels contradict one another; else they are put right by
+    `timing`, and the facts say so.
+    """
     path = files.stream(run)
     found = read_stream(path)
     if found is None:
@@ -124,7 +127,14 @@ def finish(
     recording, start = found
     rate = (len(recording.time) - 1) / float(recording.time[-1])
     spec = planned.model_copy(update={"sample_rate": round(rate, 6), "measure_from": command.measure_from - start})
-    facts = {**facts, "spec": spec.model_dump(mode="json")}
+    check_channels(spec, recording)
+    recording = align(recording, timing)
+    cut = float(recording.time[0])
+    if cut:
+        _check_window(command, start + float(recording.time[-1]), 1 / rate)
+        spec = spec.model_copy(update={"measure_from": spec.measure_from - cut})
+        recording = replace(recording, time=recording.time - cut)
+    facts = {**facts, "spec": spec.model_dump(mode="json"), "channels": _correction(timing, rate)}
     return spec, files.save(path.with_suffix(".parquet"), recording, RecordingState.COMPLETE, facts)
 
 
@@ -134,4 +144,25 @@ def salvage(files: RecordingFiles, run: Run, facts: Facts) -> NewRecording | Non
     found = read_stream(path) if path.exists() else None
     if found is None:
         return None
+    facts = {**facts, "channels": {"corrected": False}}
     return files.save(path.with_suffix(".parquet"), found[0], RecordingState.PARTIAL, facts)
+
+
+def _check_window(command: SweepCommand, last: float, period: float) -> None:
+    end = command.duration - command.ramp
+    if last < end - 1.5 * period:
+        raise SamplesMissing(f"{command.joint}: samples end at {last:.4f} s, window at {end:.4f} s")
+
+
+def _correction(timing: ChannelTiming, rate: float) -> dict[str, JsonValue]:
+    """What was done to the channels: s, and by how much their white noise grew."""
+    if timing == ChannelTiming():
+        return {"corrected": False}
+    return {
+        "corrected": True,
+        "timing": asdict(timing),
+        "noise_gain": {
+            "effort": noise_gain(timing.effort_delay, timing.effort_smoothing, rate),
+            "velocity": noise_gain(timing.velocity_delay, timing.velocity_smoothing, rate),
+        },
+    }

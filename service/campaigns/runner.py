@@ -133,6 +133,7 @@ class Runner:
         """The task: sweep after sweep until none is left, a pause is due, or something goes wrong."""
         started_at = campaign.started_at or datetime.now(UTC)
         origin = time.monotonic() - (datetime.now(UTC) - started_at).total_seconds()
+        checked: set[str] = set()  # joints that made their check move since this start or resume
         try:
             with self._machine.used_by(f"campaign {campaign.id}"):
                 while await self._next_is_due(campaign.id):
@@ -142,7 +143,7 @@ class Runner:
                         await self._move(campaign.id, CampaignEvent.MEASURED)
                         await self._jobs.settle(campaign.id)
                         return
-                    self._jobs.submit(await self._station.run(planned, course, origin))
+                    self._jobs.submit(await self._station.run(planned, course, origin, checked))
         except BaseException as error:
             # the station has brought the machine to standstill before it let the error out
             await asyncio.shield(self._move(campaign.id, CampaignEvent.TROUBLE, cause_of(self._machine, error)))

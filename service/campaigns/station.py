@@ -1,6 +1,7 @@
 """Runs one sweep at the machine: to the pose, energy on, sweep, energy off, recording. Any error: stand still first."""
 
 import asyncio
+import math
 import time
 from collections.abc import AsyncGenerator, Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +15,7 @@ from pydantic import JsonValue
 
 from drivers.errors import CommunicationLost, DriveError, SweepInterrupted
 from drivers.ports import SweepCommand
+from service.campaigns.check_move import DURATION, WAY, CheckMove, make
 from service.campaigns.course import Course
 from service.campaigns.live import LiveHub
 from service.campaigns.machine import Machine
@@ -21,7 +23,7 @@ from service.campaigns.recorder import Facts, Recorder, finish, salvage
 from service.campaigns.session import SweepEvent, sweep_move
 from service.errors import EnvelopeViolation
 from service.recording import SweepSpec
-from service.store.documents import NewRecording, SweepDocument
+from service.store.documents import EventKind, NewRecording, SweepDocument
 from service.store.recordings import RecordingFiles, Run
 from service.store.store import Store
 
@@ -43,8 +45,10 @@ class Station:
         """Wait for the disk."""
         self._disk.shutdown()
 
-    async def run(self, sweep: SweepDocument, course: Course, origin: float) -> SweepDocument:
+    async def run(self, sweep: SweepDocument, course: Course, origin: float, checked: set[str]) -> SweepDocument:
         """Run a planned sweep; returns it recorded. `origin`: start of the campaign on the monotonic clock, s.
+
+        `checked`: the joints that made their check move in this run of the campaign; those that make it now are added.
 
         Whatever is raised (also on cancellation): the machine stands, the sweep is failed or interrupted with its
         cause, and what came of samples is kept as a partial recording.
@@ -70,13 +74,16 @@ class Station:
             if cancelled is not None:
                 raise cancelled
             await asyncio.to_thread(course.envelope.check_sweep, command, sweep.spec.pose)
-            await self._approach(sweep, course)
+            await self._approach(sweep, course, checked)
             started_at = time.monotonic() - origin
             await self._record(run, command, course)
             here = await self._pose(sweep, course)  # did the others stand? A brake may have slipped
             course.envelope.check_standing(sweep.spec.pose, here, course.pose_tolerance, moving=command.joint)
             spec = sweep.spec.model_copy(update={"started_at": started_at})
-            spec, recording = await self._on_disk(finish, self._files, run, spec, command, facts)
+            streamed = self._machine.port.set_point_timing
+            facts["set_point_timing"] = None if streamed is None else asdict(streamed)
+            timing = self._machine.port.channel_timing[command.joint]
+            spec, recording = await self._on_disk(finish, self._files, run, spec, command, timing, facts)
             sweep = await self._on_disk(self._end, run, SweepEvent.RECORD, "", recording, spec)
         except BaseException as error:
             await asyncio.shield(self._give_up(run, facts, error))
@@ -84,19 +91,47 @@ class Station:
         _log.info("recorded", campaign=run.campaign_id, sweep=run.number, axis=command.joint)
         return sweep
 
-    async def _approach(self, sweep: SweepDocument, course: Course) -> None:
-        """Bring the axes to the sweep's pose, one at a time; then check that they are there."""
-        envelope, pose = course.envelope, sweep.spec.pose
+    async def _approach(self, sweep: SweepDocument, course: Course, checked: set[str]) -> None:
+        """Bring the axes to the sweep's pose, one at a time; then check that they are there.
+
+        An axis makes its check move before it goes further than that, and before it is swept.
+        """
+        envelope, pose, command = course.envelope, sweep.spec.pose, course.commands[sweep.number]
+        units = envelope.units()
         here = await self._pose(sweep, course)
         for index, target in await asyncio.to_thread(envelope.order_of_legs, here, pose):
             joint = course.joints[index]
             here = await self._pose(sweep, course)
+            if joint not in checked and abs(target - here[index]) > WAY[units[joint]]:
+                await self._check(joint, target - here[index], sweep, course)
+                checked.add(joint)
+                here = await self._pose(sweep, course)
             await asyncio.to_thread(envelope.check_move, joint, here, target, course.move_velocity)
             async with self._energised(joint):
                 await self._machine.port.move_to(joint, target, course.move_velocity)
+        if command.joint not in checked:
+            await self._check(command.joint, command.offset_velocity, sweep, course)
+            checked.add(command.joint)
         here = await self._pose(sweep, course)
         envelope.check_standing(pose, here, course.pose_tolerance)
-        await asyncio.to_thread(envelope.check_sweep, course.commands[sweep.number], here)
+        await asyncio.to_thread(envelope.check_sweep, command, here)
+
+    async def _check(self, joint: str, towards: float, sweep: SweepDocument, course: Course) -> None:
+        """The check move of a joint in the direction of `towards`, and back."""
+        units = course.envelope.units()
+        way = math.copysign(WAY[units[joint]], towards)
+        velocity = min(course.move_velocity, abs(way) / DURATION)
+        here = await self._pose(sweep, course)
+        start = {each: status.position for each, status in (await self._machine.status()).items()}
+        there = start[joint] + way
+        await asyncio.to_thread(course.envelope.check_move, joint, here, there, velocity)
+        _log.info("check_move", campaign=sweep.campaign_id, sweep=sweep.number, axis=joint, way=way, unit=units[joint])
+        told: dict[str, JsonValue] = {"number": sweep.number, "axis": joint, "way": way, "unit": units[joint]}
+        await asyncio.to_thread(self._store.add_event, sweep.campaign_id, EventKind.CHECK_MOVE, told)
+        async with self._energised(joint):
+            await make(self._machine, CheckMove(joint, way, start, units), velocity)
+            reached = {each: status.position for each, status in (await self._machine.status()).items()}
+            await make(self._machine, CheckMove(joint, start[joint] - reached[joint], reached, units), velocity)
 
     async def _record(self, run: Run, command: SweepCommand, course: Course) -> None:
         """Run the sweep and stream its samples to the disk; SamplesMissing if there are not all of them."""

@@ -20,7 +20,9 @@ _OWN = (
     ("import", "service.cli.bundles:import_bundle"),
     ("export", "service.cli.bundles:export_bundle"),
     ("identify", "service.cli.identify:identify"),
+    ("channels", "service.cli.channels:channels"),
     ("import-trace", "service.cli.import_trace:import_trace"),
+    ("export-path", "service.cli.export_path:export_path"),
 )
 
 

@@ -31,6 +31,7 @@ def plan(
     step: Annotated[float | None, typer.Option(help="deg (cm) between grid positions.")] = None,
     cell: Annotated[str | None, typer.Option(help="Name of the cell around the robot.")] = None,
     modes: Annotated[Modes | None, typer.Option(help="Who generates the motion; the last: one sweep an axis.")] = None,
+    lines: Annotated[str | None, typer.Option(help="Frequencies of the sines, whole Hz, separated by commas.")] = None,
     sample_rate: Annotated[float | None, typer.Option(help="Hz.")] = None,
     out: Annotated[Path | None, typer.Option(help="Write the plan to this file as well.")] = None,
     url: Url = DEFAULT_URL,
@@ -45,6 +46,7 @@ def plan(
         "step": step,
         "cell": cell,
         "modes": None if modes is None else modes.value,
+        "lines": None if lines is None else _frequencies(lines),
         "sample_rate": sample_rate,
     }
     request: Json = {name: value for name, value in options.items() if value is not None}
@@ -61,6 +63,13 @@ def plan(
 
 def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _frequencies(text: str) -> list[float]:
+    try:
+        return [float(name) for name in _names(text)]
+    except ValueError:
+        raise BadInput("--lines", f"{text} is not a list of numbers") from None
 
 
 def _write(path: Path, document: Json) -> None:

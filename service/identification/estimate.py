@@ -166,8 +166,8 @@ def _identify_axis(
     if periodic:
         fit = fit_axis(
             [spectra[k] for k in periodic],
-            _shared_prior(robot, number, _typical(robot, number, reference, [spectra[k] for k in periodic])),
-            [_pose_prior(robot, number, reference[k], gravity[k]) for k in periodic],
+            shared_prior(robot, number, reference, [spectra[k] for k in periodic]),
+            [pose_prior(robot, number, reference[k], gravity[k]) for k in periodic],
             NOISE_GUESS * robot.axes[number].rated_effort,
         )
         covariance[np.ix_(periodic, periodic)] = fit.covariance
@@ -245,9 +245,13 @@ def _typical(robot: Robot, number: int, reference: Array, spectra: list[Spectrum
     return float(np.median(response)) / (2 * np.pi)
 
 
-def _shared_prior(robot: Robot, number: int, typical: float) -> SharedPrior:
-    """The data sheet's drive train. What it does not know (null, or zero) gets a spread wide enough not to matter."""
+def shared_prior(robot: Robot, number: int, reference: Array, spectra: list[Spectrum]) -> SharedPrior:
+    """The data sheet's drive train. What it does not know (null, or zero) gets a spread wide enough not to matter.
+
+    `reference` (m,): the model's inertias in the axis' poses.
+    """
     axis, prior = robot.axes[number], robot.prior
+    typical = _typical(robot, number, reference, spectra)
     motor = axis.reflected_motor_inertia
     motor_mean, motor_sigma = (motor, prior.motor_inertia * motor) if motor else (0.5 * typical, 0.5 * typical)
     friction = axis.viscous_friction
@@ -262,7 +266,8 @@ def _shared_prior(robot: Robot, number: int, typical: float) -> SharedPrior:
     )
 
 
-def _pose_prior(robot: Robot, number: int, reference: float, gravity: Array) -> PosePrior:
+def pose_prior(robot: Robot, number: int, reference: float, gravity: Array) -> PosePrior:
+    """The model's axis inertia and `gravity` (2,) torque and stiffness in a pose, and how far they may be off."""
     motor = robot.axes[number].reflected_motor_inertia or 0.0
     load = max(reference - motor, 0.1 * reference)
     # torque and stiffness are two components of one vector: either may be off by the error of its length

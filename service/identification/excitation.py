@@ -18,6 +18,7 @@ Travel. v0 (ramp + settle + P) stays within the travel; at fixed travel the stan
 Schroeder phases (1970), phi_i = -pi i (i - 1) / n, keep the crest factor low.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from math import gcd
@@ -72,6 +73,7 @@ def design_sweep(
     pose: Array,
     *,
     load_inertia: float,
+    lines: Sequence[float] | None = None,
     locked_rotor_frequency: float | None = None,
     direction: int = 1,
     travel: float = np.radians(4.0),
@@ -82,7 +84,8 @@ def design_sweep(
 
     `load_inertia` is the predicted inertia behind the spring, kg m^2 (kg); `locked_rotor_frequency` the predicted one
     at that inertia, Hz (None: the drive train is taken as stiff). `effort_limit` bounds the effort of the sines
-    alone, N m (N): what gravity and friction leave over.
+    alone, N m (N): what gravity and friction leave over. `lines`, whole Hz, are taken as they are; None: the paper's,
+    without those too near to the locked-rotor frequency.
     """
     axis = robot.axis(joint)
     if not effort_limit > 0:
@@ -90,11 +93,11 @@ def design_sweep(
     if locked_rotor_frequency is not None and not locked_rotor_frequency > LINES[0]:
         raise BadInput(joint, f"locked rotor at {locked_rotor_frequency:.4g} Hz is not above {LINES[0]:.4g} Hz")
     highest = np.inf if locked_rotor_frequency is None else LINE_MARGIN * locked_rotor_frequency
-    lines = np.array([line for line in LINES if line <= highest] or LINES[:1])
-    gain = np.ones_like(lines)
+    frequency = np.array(lines or [line for line in LINES if line <= highest] or LINES[:1])
+    gain = np.ones_like(frequency)
     if locked_rotor_frequency is not None:
-        gain = np.maximum(1.0, 1.0 / np.abs(1.0 - (lines / locked_rotor_frequency) ** 2))
-    share = LOAD_MARGIN / len(lines) / gain  # amplitude of each line as a part of the offset
+        gain = np.maximum(1.0, 1.0 / np.abs(1.0 - (frequency / locked_rotor_frequency) ** 2))
+    share = LOAD_MARGIN / len(frequency) / gain  # amplitude of each line as a part of the offset
 
     orders = tuple(max(1, round(order)) for order in axis.cogging_orders)
     speed_limit = velocity_limit / (1.0 + float(share.sum()))
@@ -107,12 +110,13 @@ def design_sweep(
             f"{joint}", f"no sweep fits into a travel of {travel:.4g} and a velocity of {velocity_limit:.4g}"
         )
     inertia = load_inertia * gain + (axis.reflected_motor_inertia or 0.0)
-    effort = float(np.sum(2 * np.pi * lines * inertia * share)) * offset
+    effort = float(np.sum(2 * np.pi * frequency * inertia * share)) * offset
     amplitudes = share * offset * min(1.0, effort_limit / effort if effort > 0 else 1.0)
-    phases = -np.pi * np.arange(len(lines)) * (np.arange(len(lines)) + 1) / len(lines)
+    number = np.arange(len(frequency))
+    phases = -np.pi * number * (number + 1) / len(frequency)
     sines = tuple(
         Sine(frequency=float(f), amplitude=float(a), phase=float(p % (2 * np.pi)))
-        for f, a, p in zip(lines, amplitudes, phases, strict=True)
+        for f, a, p in zip(frequency, amplitudes, phases, strict=True)
     )
     return Excitation(direction * offset, sines, 1.0, periods, RAMP, SETTLE)
 

@@ -94,7 +94,7 @@ def fit_axis(
 ) -> JointFit:
     """Fit all periodic sweeps of one axis; `noise_guess` is the effort noise of one sample, N m (N)."""
     noise = np.array([noise_guess / np.sqrt(2 * spectrum.samples) for spectrum in spectra])
-    priors = _Priors(shared_prior, tuple(map(_complete, spectra, pose_priors)))
+    priors = _Priors(shared_prior, tuple(map(complete_prior, spectra, pose_priors)))
     point = min(
         (_minimise(spectra, priors, noise, _start(priors, frequency), 8) for frequency in STARTS),
         key=lambda candidate: _cost(spectra, priors, noise, candidate),
@@ -112,7 +112,7 @@ class _Priors:
     poses: tuple[PosePrior, ...]  # of all own parameters
 
 
-def _complete(spectrum: Spectrum, prior: PosePrior) -> PosePrior:
+def complete_prior(spectrum: Spectrum, prior: PosePrior) -> PosePrior:
     """The prior with a wide one for the own parameters that no model knows: it only matters where bins are few."""
     wide = FREE * float(np.abs(spectrum.effort).max())
     slope = wide / (2 * np.pi * float(spectrum.frequency[-1]))
@@ -132,8 +132,8 @@ def _start(priors: _Priors, locked_rotor: float) -> _Point:
     return _Point(shared, tuple(prior.mean for prior in priors.poses))
 
 
-def _residual(spectrum: Spectrum, shared: Array, own: Array) -> tuple[Complex, Complex, Complex]:
-    """Residual (b,) and its derivatives by the shared (b, 5) and own (b, OWN + r) parameters."""
+def effort_residual(spectrum: Spectrum, shared: Array, own: Array) -> tuple[Complex, Complex, Complex]:
+    """Effort not explained (b,); derivatives of what is by the shared (b, 5) and own (b, OWN + r) parameters."""
     motor_inertia, motor_friction, load_friction, compliance, damping_time = shared
     train = DriveTrain(motor_inertia, motor_friction, load_friction, compliance, damping_time)
     z = impedance(spectrum.frequency, train, own[0], own[1])
@@ -170,8 +170,8 @@ def _gravity(spectrum: Spectrum, s: Complex) -> tuple[Complex, Complex]:
 
 
 def _normal(spectrum: Spectrum, prior: PosePrior, noise: float, shared: Array, own: Array) -> _Normal:
-    residual, by_shared, by_own = _residual(spectrum, shared, own)
-    r, a, b = (_real(part) / noise for part in (residual, by_shared, by_own))
+    residual, by_shared, by_own = effort_residual(spectrum, shared, own)
+    r, a, b = (real_parts(part) / noise for part in (residual, by_shared, by_own))
     weight = 1 / prior.sigma**2
     pull = weight * (prior.mean - own)
     return _Normal(b.T @ b + np.diag(weight), b.T @ a, a.T @ a, b.T @ r + pull, a.T @ r)
@@ -180,7 +180,7 @@ def _normal(spectrum: Spectrum, prior: PosePrior, noise: float, shared: Array, o
 def _cost(spectra: Sequence[Spectrum], priors: _Priors, noise: Array, point: _Point) -> float:
     total = float(np.sum(((point.shared - priors.shared.mean) / priors.shared.sigma) ** 2))
     for spectrum, prior, sigma, own in zip(spectra, priors.poses, noise, point.own, strict=True):
-        residual = _residual(spectrum, point.shared, own)[0]
+        residual = effort_residual(spectrum, point.shared, own)[0]
         total += float(np.sum(np.abs(residual) ** 2)) / sigma**2
         total += float(np.sum(((own - prior.mean) / prior.sigma) ** 2))
     return total
@@ -214,12 +214,12 @@ def _step(normals: Sequence[_Normal], priors: _Priors, point: _Point, damping: f
     gradient = weight * (priors.shared.mean - point.shared)
     eliminated: list[tuple[Array, Array]] = []
     for normal in normals:
-        inverse = _inverse(normal.own + damping * np.diag(np.diag(normal.own)))
+        inverse = scaled_inverse(normal.own + damping * np.diag(np.diag(normal.own)))
         gain = inverse @ normal.coupling
         matrix = matrix + normal.shared - normal.coupling.T @ gain
         gradient = gradient + normal.shared_gradient - gain.T @ normal.own_gradient
         eliminated.append((inverse @ normal.own_gradient, gain))
-    shared_step = _inverse(matrix + damping * np.diag(np.diag(matrix))) @ gradient
+    shared_step = scaled_inverse(matrix + damping * np.diag(np.diag(matrix))) @ gradient
     own = tuple(values + step - gain @ shared_step for values, (step, gain) in zip(point.own, eliminated, strict=True))
     return _Point(point.shared + shared_step, own)
 
@@ -227,7 +227,7 @@ def _step(normals: Sequence[_Normal], priors: _Priors, point: _Point, damping: f
 def _pooled_noise(spectra: Sequence[Spectrum], point: _Point, guess: float) -> tuple[Array, Array]:
     squares = np.array(
         [
-            float(np.sum(np.abs(_residual(spectrum, point.shared, own)[0]) ** 2)) * spectrum.samples
+            float(np.sum(np.abs(effort_residual(spectrum, point.shared, own)[0]) ** 2)) * spectrum.samples
             for spectrum, own in zip(spectra, point.own, strict=True)
         ]
     )
@@ -256,12 +256,12 @@ def _result(spectra: Sequence[Spectrum], priors: _Priors, noise: Array, point: _
     own_variance: list[float] = []
     for spectrum, prior, sigma, own in zip(spectra, priors.poses, noise, point.own, strict=True):
         normal = _normal(spectrum, prior, sigma, point.shared, own)
-        inverse = _inverse(normal.own)
+        inverse = scaled_inverse(normal.own)
         gain = inverse @ normal.coupling
         matrix = matrix + normal.shared - normal.coupling.T @ gain
         sensitivity.append(-gain[0])  # d J_l / d shared
         own_variance.append(inverse[0, 0])
-    shared_covariance = _inverse(matrix)
+    shared_covariance = scaled_inverse(matrix)
     by_shared = np.array(sensitivity)
     by_shared[:, 0] += 1  # J = Jm + J_l
     load = np.array([own[0] for own in point.own])
@@ -278,11 +278,11 @@ def _result(spectra: Sequence[Spectrum], priors: _Priors, noise: Array, point: _
     )
 
 
-def _real(values: Complex) -> Array:
+def real_parts(values: Complex) -> Array:
     return np.concatenate([values.real, values.imag])
 
 
-def _inverse(matrix: Array) -> Array:
+def scaled_inverse(matrix: Array) -> Array:
     """Inverse of a positive definite matrix, scaled to a unit diagonal first: the units differ by ten decades."""
     scale = np.sqrt(np.diag(matrix))
     scale = np.where(scale > 0, scale, 1.0)

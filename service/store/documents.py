@@ -54,6 +54,7 @@ class EventKind(Enum):
 
     CAMPAIGN = "campaign"  # {"state", "cause", "version"}
     SWEEP = "sweep"  # {"number", "state", "cause", "axis", "attempt"}
+    CHECK_MOVE = "check_move"  # {"number", "axis", "way", "unit"}: before it is made
     ESTIMATE = "estimate"  # {"revision", "sweep"}
     STOP = "stop"  # {"latched", "by", "why"}; belongs to no campaign
 

@@ -287,6 +287,11 @@ class Store:
 
     # outbox
 
+    def add_event(self, campaign_id: int, kind: EventKind, data: dict[str, JsonValue]) -> None:
+        """Tell of something that changes nothing in the store."""
+        with self._database.write() as session:
+            session.add(t.EventRow(campaign_id=campaign_id, kind=kind, data=data))
+
     def events(self, after: int, campaign_id: int | None = None, limit: int = 100) -> tuple[EventDocument, ...]:
         """Events of one campaign (with the machine's stops) or of all."""
         query = select(t.EventRow).where(t.EventRow.id > after).order_by(t.EventRow.id).limit(limit)

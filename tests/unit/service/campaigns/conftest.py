@@ -33,7 +33,7 @@ ROOT = Path(__file__).parents[4]
 POSES = ((0.0, 0.0, 0.0), (0.4, 0.0, 0.0), (0.4, 0.3, 0.0), (0.0, 0.3, -0.2))
 SINES = ((2.0, 0.002, 0.3), (3.0, 0.0015, 1.1))
 OFFSET, PERIODS, RAMP, SETTLE, RATE = 0.0105, 5, 0.3, 0.7, 250.0
-TIMEOUT = 20.0  # s
+TIMEOUT = 60.0  # s
 REACHED = ("joint_1", "joint_2", "joint_3")
 
 

@@ -141,9 +141,29 @@ def test_workspace_is_the_free_part_of_the_grid(max100: Robot, workshop: Cell, p
     assert Envelope(max100, workshop).checker.collision_free(grid).all()
 
 
+def test_lines_and_rate_of_one_s_choice(max100: Robot, workshop: Cell) -> None:
+    """Calibration sweeps: lines above the free resonance, traced at 1 kHz, within the same envelope."""
+    lines = (90.0, 2.0, 5.0, 40.0, 60.0)
+    request = REQUEST.model_copy(
+        update={"lines": lines, "sample_rate": 1000.0, "poses": 2, "locked_rotor": {}, "modes": "drive_side"}
+    )
+    plan = build_plan(max100, request, workshop)
+    assert {sweep.spec.axis for sweep in plan.sweeps} == set(request.axes)
+    envelope = Envelope(max100, workshop)
+    for sweep in plan.sweeps:
+        assert [sine.frequency for sine in sweep.spec.sines] == sorted(lines)
+        assert sum(sine.amplitude for sine in sweep.spec.sines) < abs(sweep.spec.offset_velocity)
+        assert sweep.spec.sample_rate == 1000.0
+        envelope.check_sweep(sweep.command(), sweep.spec.pose)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        ({"lines": (2.0, 2.5)}, "lines: 2.5 Hz is not a whole number of Hz"),
+        ({"lines": (0.0, 2.0)}, "lines: 0.0 Hz is not a whole number of Hz above 0"),
+        ({"lines": (3.0, 3.0)}, "lines: names a frequency twice"),
+        ({"lines": (2.0, 90.0)}, "sample_rate: 250.0 Hz is below 900.0 Hz"),
         ({"axes": ("joint_9",)}, "axes: unknown joint joint_9"),
         ({"varied": ("joint_2", "joint_2")}, "varied: names a joint twice"),
         ({"poses": 1000}, "poses: 1000 wanted"),

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.ports import SampleBlock, Sine, SweepCommand, SweepMode
+from drivers.ports import ChannelTiming, SampleBlock, Sine, SweepCommand, SweepMode
+from service.campaigns.plausibility import ImplausibleChannels
 from service.campaigns.recorder import Recorder, SamplesMissing, finish, read_stream, salvage
 from service.recording import SweepSpec
 from service.store.columns import read_columns
@@ -43,7 +44,7 @@ def block(start: int, stop: int, late: float = 0.0) -> SampleBlock:
     """Samples whose time is that of the middle of a cycle when `late` is half a cycle."""
     index = np.arange(start, stop)
     time = (index + late) / RATE
-    return SampleBlock("joint_1", index, time, 3 * time, 2 * time, time**2, time, load_position=time**3)
+    return SampleBlock("joint_1", index, time, 3 * time, 2 * time, time**2, time, load_position=1.02 * time**2)
 
 
 @pytest.fixture
@@ -57,7 +58,7 @@ def test_a_complete_stream_becomes_a_recording_with_manifest(files: RecordingFil
         recorder.write(block(start, start + 100, late=0.5))
     recorder.check_complete()
     recorder.close()
-    spec, new = finish(files, RUN, SPEC, COMMAND, {"campaign": 1})
+    spec, new = finish(files, RUN, SPEC, COMMAND, ChannelTiming(), {"campaign": 1})
     path = files.stream(RUN).with_suffix(".parquet")
     recording = read_columns(path)
     assert new.state is RecordingState.COMPLETE
@@ -68,11 +69,58 @@ def test_a_complete_stream_becomes_a_recording_with_manifest(files: RecordingFil
     assert (spec.sample_rate, spec.measure_from) == (RATE, pytest.approx(0.2 - 0.5e-3, abs=1e-12))
     drive_time = (np.arange(1300) + 0.5) / RATE
     np.testing.assert_array_equal(recording.effort, 3 * drive_time)
-    np.testing.assert_array_equal(recording.load_position, drive_time**3)
+    np.testing.assert_array_equal(recording.load_position, 1.02 * drive_time**2)
     manifest = json.loads(path.with_suffix(".json").read_text())
     assert (manifest["sha256"], manifest["state"], manifest["campaign"]) == (new.sha256, "complete", 1)
     assert manifest["spec"]["measure_from"] == spec.measure_from
+    assert manifest["channels"] == {"corrected": False}
     assert sorted(p.name for p in path.parent.iterdir()) == ["0003-1.arrows", "0003-1.json", "0003-1.parquet"]
+
+
+def whole(files: RecordingFiles, samples: SampleBlock) -> None:
+    recorder = Recorder(files.stream(RUN), COMMAND)
+    recorder.write(samples)
+    recorder.check_complete()
+    recorder.close()
+
+
+def test_a_complete_recording_is_corrected_and_says_so(files: RecordingFiles) -> None:
+    """Effort 4 ms late on a ramp: 4 more is what it should have been, and the window stays where it was."""
+    timing = ChannelTiming(effort_delay=3e-3, effort_smoothing=1e-3)
+    whole(files, block(0, 1300))
+    spec, new = finish(files, RUN, SPEC, COMMAND, timing, {})
+    path = files.stream(RUN).with_suffix(".parquet")
+    recording = read_columns(path)
+    cut = 3e-3  # six samples of the filter, less three of the delay
+    assert spec.measure_from == pytest.approx(COMMAND.measure_from - cut, abs=1e-12)
+    assert recording.time[0] == 0.0
+    np.testing.assert_allclose(recording.effort, 3 * (recording.time + cut + 4e-3), atol=1e-9)
+    np.testing.assert_allclose(recording.position, (recording.time + cut) ** 2, atol=1e-12)
+    assert new.samples == 1300 - 12
+    channels = json.loads(path.with_suffix(".json").read_text())["channels"]
+    assert channels["corrected"] is True
+    assert channels["timing"]["effort_delay"] == 3e-3
+    assert channels["noise_gain"]["velocity"] == 1.0 < channels["noise_gain"]["effort"]
+
+
+def test_the_correction_may_not_cut_into_the_window(files: RecordingFiles) -> None:
+    whole(files, block(0, 1201))
+    with pytest.raises(SamplesMissing, match=r"samples end at 1\.19"):
+        finish(files, RUN, SPEC, COMMAND, ChannelTiming(effort_delay=2e-3), {})
+
+
+def test_contradicting_channels_make_no_complete_recording(files: RecordingFiles) -> None:
+    good = block(0, 1300)
+    whole(files, dataclasses.replace(good, velocity=-good.velocity))
+    with pytest.raises(ImplausibleChannels):
+        finish(files, RUN, SPEC, COMMAND, ChannelTiming(effort_delay=2e-3), {})
+    path = files.stream(RUN).with_suffix(".parquet")
+    assert not path.exists()
+    new = salvage(files, RUN, {})
+    assert new is not None
+    assert (new.state, new.samples) == (RecordingState.PARTIAL, 1300)
+    np.testing.assert_array_equal(read_columns(path).effort, good.effort)
+    assert json.loads(path.with_suffix(".json").read_text())["channels"] == {"corrected": False}
 
 
 BROKEN = {
@@ -150,6 +198,7 @@ WRITER = """
 import sys
 from pathlib import Path
 from tests.unit.service.campaigns.test_recorder import COMMAND, block
+from service.campaigns.plausibility import ImplausibleChannels
 from service.campaigns.recorder import Recorder
 recorder = Recorder(Path(sys.argv[1]), COMMAND)
 for n in range(10**6):

@@ -49,9 +49,13 @@ async def test_a_campaign_runs_to_its_end(bench: Bench) -> None:
 async def test_one_axis_has_energy_at_a_time_and_only_to_move(bench: Bench) -> None:
     await bench.runner.start(bench.campaign.id)
     await run_out(bench)
-    # each sweep starts where the last one ended: joint_1 goes back to its pose first
-    assert [entry for entry in bench.drive.trace if entry != "standstill"][1:10] == [
+    # the check move comes first; each sweep starts where the last one ended: joint_1 goes back to its pose first
+    assert [entry for entry in bench.drive.trace if entry != "standstill"][1:14] == [
         "connect",
+        "enable joint_1",
+        "move joint_1 0.00872665",
+        "move joint_1 0",
+        "disable joint_1",
         "enable joint_1",
         "sweep joint_1",
         "disable joint_1",

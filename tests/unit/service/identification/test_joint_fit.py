@@ -7,7 +7,7 @@ from scipy.signal import lsim
 from service.identification.axis_inertia import DriveTrain
 from service.identification.excitation import design_sweep, velocity_setpoint
 from service.identification.frequency_response import Spectrum, spectrum
-from service.identification.joint_fit import PosePrior, SharedPrior, _direct, _residual, fit_axis
+from service.identification.joint_fit import PosePrior, SharedPrior, _direct, effort_residual, fit_axis
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot
 
@@ -93,7 +93,7 @@ def test_derivatives_equal_difference_quotients(robot: Robot) -> None:
     spectrum_ = _measure(robot, 1, 300.0, 5.0, np.random.default_rng(0))
     shared = TRAIN.as_array()
     own = np.concatenate([[310.0, 250.0, -120.0, 0.4, 0.02], np.full(len(_direct(spectrum_)), 1.5)])
-    _, by_shared, by_own = _residual(spectrum_, shared, own)
+    _, by_shared, by_own = effort_residual(spectrum_, shared, own)
     for analytic, values, of_shared in ((by_shared, shared, True), (by_own, own, False)):
         for k, value in enumerate(values):
             step = 1e-5 * abs(value)
@@ -101,7 +101,7 @@ def test_derivatives_equal_difference_quotients(robot: Robot) -> None:
             up[k] += step
             down[k] -= step
             pair = [
-                _residual(spectrum_, side, own)[0] if of_shared else _residual(spectrum_, shared, side)[0]
+                effort_residual(spectrum_, side, own)[0] if of_shared else effort_residual(spectrum_, shared, side)[0]
                 for side in (up, down)
             ]
             quotient = -(pair[0] - pair[1]) / (2 * step)

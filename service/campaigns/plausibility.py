@@ -1,0 +1,153 @@
+"""Do the channels of a recording fit together? Pure; asked of every sweep before it counts as recorded.
+
+What a drive delivers can be wrong although nothing failed: a channel that stands still, a sign or a unit of a
+parameter, an encoder that loses steps. Each shows in what the channels say of one another over the measured window:
+
+    position    is the integral of velocity, and steps no further than velocity explains
+    load        follows the motor
+    effort      accelerates what it drives: Im(E/V) > 0 at the lowest line
+    all         change while the axis moves
+
+Asked of the samples as the drive gave them: a delay of milliseconds disturbs none of this.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.errors import SweepidError
+from service.recording import Recording, SweepSpec
+
+Array = NDArray[np.float64]
+
+FROZEN = 0.2  # s: no channel repeats one value for longer while the axis moves; a slow line may ask for more, see below
+VELOCITY_GAIN = 0.01  # encoder and speed come from one sensor: a wrong unit or gear is off by far more, noise by less
+LOAD_GAIN = 0.05  # what gear error and twist take of a few degrees of travel
+GLITCH = 12.0  # robust standard deviations: never reached by noise in 1e5 samples, nor by the tails of dry friction
+HARMLESS = 0.5  # of the commanded peak velocity, or of the way it makes in a sample: smaller steps spoil no result
+STEPS = 3.0  # steps of a channel's resolution that rounding may make
+SIGNIFICANT = 3.0  # times the neighbouring bins: an apparent inertia below zero is then no noise
+
+
+class ImplausibleChannels(SweepidError):
+    """The samples contradict one another: encoder, unit, sign, or a channel that stands still. Not identified."""
+
+
+def check_channels(spec: SweepSpec, recording: Recording) -> None:
+    """ImplausibleChannels with axis, quantity, value and limit; nothing is asked of a standstill."""
+    if not (spec.offset_velocity or spec.sines):
+        return
+    part = _window(spec, recording.time)
+    time, effort = recording.time[part], recording.effort[part]
+    velocity, position = recording.velocity[part], recording.position[part]
+    load = None if recording.load_position is None else recording.load_position[part]
+    _check_frozen(spec, {"effort": effort, "velocity": velocity, "position": position})
+    _check_velocity(spec, time, velocity, position)
+    if load is not None:
+        _check_load(spec, time, position, load)
+    if spec.sines:
+        _check_effort(spec, time, effort, velocity)
+
+
+def _window(spec: SweepSpec, time: Array) -> slice:
+    first = int(np.searchsorted(time, spec.measure_from - 0.5 / spec.sample_rate))
+    if spec.period is None or spec.periods is None:
+        return slice(first, None)
+    return slice(first, first + round(spec.period * spec.periods * spec.sample_rate))
+
+
+def _peak(spec: SweepSpec) -> float:
+    """The fastest that was commanded, rad/s (m/s)."""
+    return abs(spec.offset_velocity) + sum(sine.amplitude for sine in spec.sines)
+
+
+def _check_frozen(spec: SweepSpec, channels: dict[str, Array]) -> None:
+    # round the crest of a slow line a coarse channel may stand for half a period
+    limit = max([FROZEN, *(0.5 / sine.frequency for sine in spec.sines)])
+    for name, values in channels.items():
+        edges = np.flatnonzero(np.diff(values))
+        runs = np.diff(np.concatenate([[-1], edges, [len(values) - 1]])) - 1
+        longest = float(runs.max()) / spec.sample_rate
+        if longest > limit:
+            raise ImplausibleChannels(
+                f"{spec.axis}: {name} stands still for {longest:.3g} s while the axis moves, limit {limit:.3g} s"
+            )
+
+
+def _check_velocity(spec: SweepSpec, time: Array, velocity: Array, position: Array) -> None:
+    """Steps of position and velocity, and the slope of position over the integral of velocity."""
+    step = np.diff(time)
+    explained = step * (velocity[1:] + velocity[:-1]) / 2
+    harmless = HARMLESS * _peak(spec)
+    _check_steps(spec, "position", np.diff(position) - explained, harmless / spec.sample_rate, _resolution(position))
+    _check_steps(spec, "velocity", np.diff(velocity), harmless, _resolution(velocity))
+    travelled = np.concatenate([[0.0], np.cumsum(explained)])
+    # without an offset a constant error of velocity would outweigh the sines: both are then taken without their trend
+    slope = _slope(time, travelled, position, trend=spec.offset_velocity == 0)
+    # a drive that cuts off to whole units is off by half of one in the mean
+    rounding = _resolution(velocity) / 2 / abs(spec.offset_velocity) if spec.offset_velocity else 0.0
+    limit = VELOCITY_GAIN + rounding
+    if not abs(slope - 1) <= limit:
+        raise ImplausibleChannels(
+            f"{spec.axis}: position changes {slope:.4g} times as velocity says, limit 1 +- {limit:.2g}"
+        )
+
+
+def _check_load(spec: SweepSpec, time: Array, position: Array, load: Array) -> None:
+    """The direct encoder. Without an offset the load may sway more than the motor, or stick: nothing is asked of it."""
+    if not spec.offset_velocity:
+        return
+    _check_frozen(spec, {"load position": load})
+    harmless = HARMLESS * _peak(spec) / spec.sample_rate
+    _check_steps(spec, "load position", np.diff(load) - np.diff(position), harmless, _resolution(load))
+    slope = _slope(time, position, load, trend=False)
+    if not abs(slope - 1) <= LOAD_GAIN:
+        raise ImplausibleChannels(
+            f"{spec.axis}: the direct encoder moves {slope:.4g} times as far as the motor, limit 1 +- {LOAD_GAIN}"
+        )
+
+
+def _check_steps(spec: SweepSpec, name: str, steps: Array, harmless: float, resolution: float) -> None:
+    middle = float(np.median(steps))
+    deviation = np.abs(steps - middle)
+    spread = 1.4826 * float(np.median(deviation))  # of a normal distribution its standard deviation
+    limit = max(GLITCH * spread, harmless, STEPS * resolution)
+    worst = int(np.argmax(deviation))
+    if not deviation[worst] <= limit:
+        raise ImplausibleChannels(
+            f"{spec.axis}: {name} jumps {deviation[worst]:.3g} at sample {worst + 1} of the window, limit {limit:.3g}"
+        )
+
+
+def _check_effort(spec: SweepSpec, time: Array, effort: Array, velocity: Array) -> None:
+    """At the lowest line alone: above the locked-rotor frequency the motor feels the spring, not the load."""
+    line = min(sine.frequency for sine in spec.sines)
+    turn = np.exp(-2j * np.pi * line * time)
+    slow = np.exp(-2j * np.pi * np.arange(len(time)) / len(time))  # one bin further
+    drive, noise = _without_trend(time, effort), 0.0
+    response = np.mean(drive * turn) / np.mean(velocity * turn)
+    if spec.periods is not None and spec.periods > 2:  # bins between the lines show what is no answer
+        beside = [abs(np.mean(drive * turn * slow**k)) for k in (-1, 1)]
+        noise = float(max(beside) / abs(np.mean(velocity * turn)))
+    if response.imag < -SIGNIFICANT * noise:
+        raise ImplausibleChannels(
+            f"{spec.axis}: apparent inertia {response.imag / (2 * np.pi * line):.4g} at {line:g} Hz is below 0: "
+            "effort has the wrong sign or belongs to another axis"
+        )
+
+
+def _slope(time: Array, x: Array, y: Array, trend: bool) -> float:
+    """Least squares slope of y over x, both without mean or trend."""
+    x, y = (_without_trend(time, values) if trend else values - values.mean() for values in (x, y))
+    return float(x @ y / (x @ x))
+
+
+def _without_trend(time: Array, values: Array) -> Array:
+    centred = time - time.mean()
+    level = values - values.mean()
+    return level - centred * (centred @ level) / (centred @ centred)
+
+
+def _resolution(values: Array) -> float:
+    """The smallest step a channel makes; 0 if it makes none."""
+    steps = np.abs(np.diff(values))
+    return float(np.min(steps, where=steps > 0, initial=np.inf)) if np.any(steps) else 0.0

@@ -1,0 +1,43 @@
+"""A CNC as the export of paths needs it (`config/controls/*.yaml`): its axes, its cycle, its memory, its trace."""
+
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from service.configuration import read_yaml
+from service.errors import BadInput
+from service.robot import Robot
+from service.trace_mapping import CncAxis, Columns, Csv
+
+
+class Trace(BaseModel):
+    """How the CNC exports its trace."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    sample_rate: float = Field(gt=0)  # Hz
+    csv: Csv = Csv()
+    columns: Columns
+
+
+class Control(BaseModel):
+    """One CNC. `axes` by joint; every joint of the robot must be there."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    name: str = Field(min_length=1)
+    axes: dict[str, CncAxis]
+    interpolation_cycle: float = Field(default=0.004, ge=0.0005, le=0.02)  # s
+    largest_program: int = Field(default=1_000_000, ge=10_000)  # bytes
+    trace: Trace
+
+
+def read_control(path: Path, robot: Robot) -> Control:
+    """The control of a robot; BadInput unless it names every joint once, each with an axis of its own."""
+    control = read_yaml(path, Control)
+    if set(control.axes) != set(robot.joints):
+        raise BadInput(f"{path} axes", f"must be the joints of {robot.name}: {', '.join(robot.joints)}")
+    names = [axis.name.upper() for axis in control.axes.values()]
+    if len(set(names)) < len(names):
+        raise BadInput(f"{path} axes", f"an axis stands twice: {', '.join(names)}")
+    if control.trace.columns.set_position is None:
+        raise BadInput(f"{path} trace.columns", "set_position is missing: it tells where a trace's motion starts")
+    return control

@@ -1,0 +1,168 @@
+"""The mapping file of a trace import (docs/how-to/your-own-trace.md): what the columns of a trace are, in what unit.
+
+A unit gives scale and offset from what is known of the sweep's axis, so that nobody types a gear ratio twice.
+"""
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+
+from service.recording import SweepSpec
+from service.robot import Axis, Prior
+
+Unit = Literal[
+    "axis position",  # deg or mm as the CNC shows it: with the axis' direction and zero
+    "deg",
+    "mm",
+    "motor rev",
+    "motor rev/min",
+    "motor N m",
+    "percent",  # of the rated torque
+    "ms",
+    "samples",  # counts at the sweep's sample rate
+]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class CncAxis(_Part):
+    """A joint as the CNC knows it: its position is ``zero + direction * joint position``, in deg (mm)."""
+
+    name: str = Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,30}$")
+    direction: Literal[1, -1] = 1
+    zero: float = 0.0
+
+
+class Column(_Part):
+    """A column of the source: ``scale * source + offset`` is SI on the joint side; a unit gives both."""
+
+    source: str
+    unit: Unit | None = None
+    scale: float = 1.0
+    offset: float = 0.0
+
+    @model_validator(mode="after")
+    def _one_way(self) -> "Column":
+        if self.unit is not None and self.model_fields_set & {"scale", "offset"}:
+            raise ValueError("give a unit, or scale and offset")
+        return self
+
+    def to_si(self, axis: Axis, cnc: CncAxis, position_unit: float, sample_rate: float) -> tuple[float, float]:
+        """Scale and offset for a sweep of `axis`; `position_unit` is what 1 deg (1 mm) is in rad (m)."""
+        turn = math.tau / axis.gear_ratio
+        scales: dict[Unit, float] = {
+            "axis position": cnc.direction * position_unit,
+            "deg": math.radians(1.0),
+            "mm": 1e-3,
+            "motor rev": turn,
+            "motor rev/min": turn / 60,
+            "motor N m": axis.gear_ratio,
+            "percent": math.copysign(axis.rated_effort / 100, axis.gear_ratio),
+            "ms": 1e-3,
+            "samples": 1 / sample_rate,
+        }
+        if self.unit is None:
+            return self.scale, self.offset
+        scale = scales[self.unit]
+        return scale, -scale * cnc.zero if self.unit == "axis position" else 0.0
+
+
+class FromPosition(_Part):
+    """Velocity by differentiating the position; low-pass corner in Hz."""
+
+    from_position: float = Field(gt=0)
+
+
+# which of the two is meant decides before the fields do, so that a complaint names the right field
+def _velocity_kind(given: Any) -> str:
+    derived = "from_position" in given if isinstance(given, dict) else isinstance(given, FromPosition)
+    return "derived" if derived else "measured"
+
+
+def _robot_kind(given: Any) -> str:
+    return "axis" if isinstance(given, dict | SingleAxis) else "file"
+
+
+class Columns(_Part):
+    """Where each column of the bundle comes from; without `time` the sample rate makes it.
+
+    `set_position` is no column of the bundle: it tells where in the trace the sweep's path begins.
+    """
+
+    time: Column | None = None
+    effort: Column
+    velocity: Annotated[
+        Annotated[Column, Tag("measured")] | Annotated[FromPosition, Tag("derived")], Discriminator(_velocity_kind)
+    ]
+    position: Column
+    velocity_setpoint: Column | None = None
+    excitation_effort: Column | None = None
+    load_velocity: Column | None = None
+    load_position: Column | None = None
+    temperature: Column | None = None
+    set_position: Column | None = None
+
+
+class SingleAxis(_Part):
+    """A robot of one axis, told without a URDF: it turns about or slides along the base's x."""
+
+    name: str = Field(min_length=1)
+    joint: str = Field(min_length=1, pattern=r"^[\w.-]+$")
+    kind: Literal["revolute", "prismatic"]
+    inertia: float = Field(gt=0)  # nominal, load side: kg m^2 about the axis; prismatic: kg
+    lower: float  # rad (m)
+    upper: float
+    velocity: float = Field(gt=0)  # rad/s (m/s)
+    rated_effort: float = Field(gt=0)  # N m (N)
+    gear_ratio: float = 1.0
+    motor_inertia: float | None = Field(default=None, ge=0)
+    viscous_friction: float | None = Field(default=None, ge=0)
+    prior: Prior = Prior()
+
+
+class Csv(_Part):
+    """How a CSV source is written."""
+
+    delimiter: str = Field(default=",", min_length=1, max_length=1)
+    decimal_point: str = Field(default=".", min_length=1, max_length=1)
+    skip_rows: int = Field(default=0, ge=0)
+
+
+class Motion(_Part):
+    """What beside the fields of the sweep makes its path, s; `measure_from` is then found in the trace."""
+
+    ramp: float = Field(gt=0)
+    settle: float = Field(ge=0)
+
+
+class TraceSweep(SweepSpec):
+    """One sweep of BUNDLE.md with the trace it was recorded in, relative to the mapping file."""
+
+    source: Path
+    path: Motion | None = None
+
+    @model_validator(mode="after")
+    def _known_path(self) -> "TraceSweep":
+        if self.path is not None and not self.periodic:
+            raise ValueError("path needs sines, period and periods")
+        return self
+
+
+class Mapping(_Part):
+    """The mapping file. `robot`: a side file of ``config/robots`` relative to this file, or one axis in place."""
+
+    robot: Annotated[Annotated[Path, Tag("file")] | Annotated[SingleAxis, Tag("axis")], Discriminator(_robot_kind)]
+    axes: dict[str, CncAxis] = {}  # by joint; one that is not named has the joint's direction and zero
+    columns: Columns
+    csv: Csv = Csv()
+    sweeps: tuple[TraceSweep, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _can_be_aligned(self) -> "Mapping":
+        if self.columns.set_position is None and any(sweep.path is not None for sweep in self.sweeps):
+            raise ValueError("a sweep with a path needs columns.set_position")
+        return self

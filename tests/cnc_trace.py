@@ -1,0 +1,78 @@
+"""Traces as a CNC exports them, made from simulated sweeps: German numbers, a trigger some time before the motion."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.campaigns.plan import PlannedSweep
+from service.identification.excitation import Excitation
+from service.identification.sweep_path import way
+from service.robot import Robot
+from simulator import Scenario, SweepRun, run_sweeps
+
+Array = NDArray[np.float64]
+HEAD = ("CYCLE", "ENC_POS", "DES_POS", "CMD_SPEED", "TORQUE")
+AFTER = 0.3  # s of standstill recorded after the motion
+
+
+def excitation(planned: PlannedSweep) -> Excitation:
+    spec = planned.spec
+    assert spec.period is not None
+    assert spec.periods is not None
+    return Excitation(spec.offset_velocity, spec.sines, spec.period, spec.periods, planned.ramp, planned.settle)
+
+
+def simulate(scenario: Scenario, sweeps: list[PlannedSweep], seed: int) -> list[dict[str, Array]]:
+    """Columns of the sweeps at 1 kHz."""
+    runs = [
+        SweepRun(
+            axis=planned.spec.axis,
+            pose=planned.spec.pose,
+            offset_velocity=planned.spec.offset_velocity,
+            sines=tuple((sine.frequency, sine.amplitude, sine.phase) for sine in planned.spec.sines),
+            period=planned.spec.period or 0.0,
+            periods=planned.spec.periods or 0,
+            ramp=planned.ramp,
+            settle=planned.settle,
+        )
+        for planned in sweeps
+    ]
+    return run_sweeps(scenario, runs, seed)
+
+
+def cnc_columns(planned: PlannedSweep, robot: Robot, columns: Mapping[str, Array], trigger: int) -> dict[str, Array]:
+    """The trace's channels at 250 Hz; the motion starts `trigger` ms after it. deg, motor rev/min, motor N m."""
+    axis = robot.axis(planned.spec.axis)
+    turn = 60 * axis.gear_ratio / (2 * np.pi)
+    start = planned.spec.pose[robot.index(planned.spec.axis)]
+    count = trigger + len(columns["time"]) + round(1000 * AFTER)
+    count -= count % 4
+
+    def whole(name: str) -> Array:
+        still = {"velocity": 0.0, "velocity_setpoint": 0.0}
+        values = columns[name]
+        before, after = still.get(name, values[0]), still.get(name, values[-1])
+        return np.concatenate([np.full(trigger, before), values, np.full(count, after)])[:count]
+
+    def sampled(values: Array) -> Array:
+        return values.reshape(-1, 4).mean(axis=1)
+
+    desired = start + way(excitation(planned), (np.arange(count) + 0.5 - trigger) / 1000)
+    return {
+        "CYCLE": 17.0 + np.arange(count // 4),
+        "ENC_POS": np.degrees(sampled(whole("position"))),
+        "DES_POS": np.degrees(sampled(desired)),
+        "CMD_SPEED": turn * sampled(whole("velocity_setpoint")),
+        "TORQUE": sampled(whole("effort")) / axis.gear_ratio,
+    }
+
+
+def write_trace(path: Path, columns: Mapping[str, Array]) -> None:
+    """Semicolons between the numbers and a comma in each."""
+    formats = {"CYCLE": "%d", "ENC_POS": "%.7f", "DES_POS": "%.7f", "CMD_SPEED": "%.5f", "TORQUE": "%.5f"}
+    rows = zip(*(columns[name] for name in HEAD), strict=True)
+    form = ";".join(formats[name] for name in HEAD)
+    lines = [";".join(HEAD), *(form % row for row in rows)]
+    path.write_text("\n".join(lines).replace(".", ",") + "\n")

@@ -1,0 +1,126 @@
+"""Where no fieldbus reaches: paths out, the CNC's traces back in, and the inertia that the fieldbus gives."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.campaigns.plan import PlanDocument, PlannedSweep, PlanRequest, build_plan
+from service.cell import read_cell
+from service.configuration import read_robot
+from service.errors import BadInput
+from service.identification import identify, spectrum
+from service.paths.control import read_control
+from service.paths.export import export_paths
+from service.recording import Recording, Sweep
+from service.robot import Robot
+from service.store.bundle import write_bundle
+from service.trace_import import import_trace
+from simulator import load_scenario
+from tests.cnc_trace import Array, cnc_columns, simulate, write_trace
+
+CONFIG = Path(__file__).parents[2] / "config"
+TRIGGERS = (713, 402, 998, 551, 640, 877)  # ms before the motion; not whole samples of 4 ms
+
+
+@dataclasses.dataclass(frozen=True)
+class Measured:
+    """The sweeps of a plan at a virtual machine, and the folder they were exported to."""
+
+    robot: Robot
+    plan: PlanDocument
+    columns: list[dict[str, Array]]
+    folder: Path
+
+    @property
+    def planned(self) -> list[PlannedSweep]:
+        return list(self.plan.sweeps)
+
+    def trace(self, number: int) -> dict[str, Array]:
+        return cnc_columns(self.planned[number], self.robot, self.columns[number], TRIGGERS[number])
+
+    def trace_file(self, number: int) -> Path:
+        return self.folder / f"traces/SWEEP_{number + 1:04d}.csv"
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Measured:
+    robot, cell = read_robot(CONFIG / "robots/max100-class.yaml"), read_cell(CONFIG / "cells/workshop.yaml")
+    request = PlanRequest(robot_id=1, axes=("joint_1", "joint_3"), varied=("joint_2", "joint_3"), step=30, poses=3)
+    plan = build_plan(robot, request, cell)
+    folder = tmp_path_factory.mktemp("cnc") / "paths"
+    export_paths(folder, plan, robot, cell, read_control(CONFIG / "controls/sinumerik.yaml", robot))
+    columns = simulate(load_scenario(CONFIG / "scenarios/max100-full.yaml"), list(plan.sweeps), seed=8)
+    measured = Measured(robot, plan, columns, folder)
+    for number in range(len(columns)):
+        write_trace(measured.trace_file(number), measured.trace(number))
+    return measured
+
+
+def fieldbus(measured: Measured) -> list[Sweep]:
+    """The same sweeps as a drive's 250 Hz samples."""
+    sweeps: list[Sweep] = []
+    for planned, columns in zip(measured.planned, measured.columns, strict=True):
+        count = len(columns["time"]) // 4
+        samples = {name: values[: 4 * count].reshape(-1, 4).mean(axis=1) for name, values in columns.items()}
+        sweeps.append(Sweep(planned.spec, Recording(**samples | {"time": np.arange(count) / 250})))
+    return sweeps
+
+
+def test_traces_give_the_inertia_of_the_fieldbus(measured: Measured, tmp_path: Path) -> None:
+    robot, sweeps = import_trace(measured.folder / "mapping.yaml")
+    write_bundle(tmp_path / "bundle", robot, sweeps)  # which checks all that a bundle must be
+    for sweep, planned, trigger in zip(sweeps, measured.planned, TRIGGERS, strict=True):
+        # a sample is the mean over 4 ms and its time their beginning
+        assert abs(sweep.spec.measure_from - planned.ramp - planned.settle - (trigger - 2) / 1000) < 5e-6
+    there, here = (
+        [one for axis in identify(robot, [spectrum(robot, sweep) for sweep in way]).axes for one in axis.sweeps]
+        for way in (fieldbus(measured), sweeps)
+    )
+    for bus, trace in zip(there, here, strict=True):
+        print(f"{bus.value:.2f} +- {bus.std:.2f} by bus, {trace.value:.2f} +- {trace.std:.2f} by trace")
+        assert abs(trace.value - bus.value) < 0.3 * bus.std
+        assert trace.std == pytest.approx(bus.std, rel=0.1)
+
+
+def refused(measured: Measured, number: int, columns: dict[str, Array], tmp_path: Path) -> str:
+    """What import says when one of the traces is another one."""
+    folder = tmp_path / "paths"
+    folder.mkdir()
+    for path in measured.folder.glob("*.yaml"):
+        (folder / path.name).write_text(path.read_text())
+    (folder / "robot.urdf").write_text(measured.robot.urdf_text)
+    (folder / "traces").mkdir()
+    for other in range(len(measured.columns)):
+        target = folder / f"traces/SWEEP_{other + 1:04d}.csv"
+        if other == number:
+            write_trace(target, columns)
+        else:
+            target.write_text(measured.trace_file(other).read_text())
+    with pytest.raises(BadInput) as refusal:
+        import_trace(folder / "mapping.yaml")
+    return str(refusal.value)
+
+
+def test_the_trace_of_another_sweep_is_refused(measured: Measured, tmp_path: Path) -> None:
+    """Sweep 0003 is of the same axis in another pose, sweep 0002 of another axis."""
+    message = refused(measured, 0, measured.trace(1), tmp_path)
+    assert "SWEEP_0001.csv sweep 0001: the set position is not this sweep's path" in message
+
+
+def test_the_torque_of_another_axis_unit_or_sign_shows(measured: Measured, tmp_path: Path) -> None:
+    columns = measured.trace(0)
+    message = refused(measured, 0, columns | {"CMD_SPEED": -columns["CMD_SPEED"]}, tmp_path)
+    assert "sweep 0001: velocity_setpoint moves -1 times as far as the path" in message
+
+
+def test_a_trace_with_a_lost_sample_is_no_bundle(measured: Measured, tmp_path: Path) -> None:
+    columns = {name: np.delete(values, 700) for name, values in measured.trace(0).items()}
+    write_trace(measured.trace_file(0), columns)
+    try:
+        robot, sweeps = import_trace(measured.folder / "mapping.yaml")
+        with pytest.raises(BadInput, match="sweep 0001: gap in time"):
+            write_bundle(tmp_path / "bundle", robot, sweeps)
+    finally:
+        write_trace(measured.trace_file(0), measured.trace(0))

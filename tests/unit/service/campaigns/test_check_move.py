@@ -1,0 +1,206 @@
+"""The check move: when it is made, what it finds, and that nothing else moves then."""
+
+import asyncio
+import math
+
+import pytest
+
+from drivers.errors import CommunicationLost, DriveFault, SweepInterrupted
+from drivers.ports import AxisState, AxisStatus
+from service.campaigns.check_move import CheckMove, CheckMoveFailed
+from service.errors import EnvelopeViolation
+from service.store.documents import CampaignState, EventKind, SweepState
+from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
+
+WAY = math.radians(0.5)
+STEP = WAY / 20  # of the drives that do not do as they are told, every few milliseconds
+UNITS = {"joint_1": "rad", "joint_2": "rad", "slide": "m"}
+START = {"joint_1": 0.3, "joint_2": -0.1, "slide": 0.5}
+
+
+def status(**moved: float) -> dict[str, AxisStatus]:
+    return {
+        joint: AxisStatus(joint, AxisState.ENABLED, start + moved.get(joint, 0.0), 0.0, 0.0, None)
+        for joint, start in START.items()
+    }
+
+
+@pytest.mark.parametrize("way", [WAY, -WAY])
+def test_an_axis_that_does_as_it_is_told_passes(way: float) -> None:
+    move = CheckMove("joint_1", way, START, UNITS)
+    assert move.target == START["joint_1"] + way
+    for share in (-0.05, 0.0, 0.5, 1.0, 1.2):
+        move.check_under_way(status(joint_1=share * way, joint_2=5e-4, slide=1e-4))
+    for share in (0.8, 1.0, 1.2):
+        move.check_end(status(joint_1=share * way))
+
+
+@pytest.mark.parametrize("way", [WAY, -WAY])
+@pytest.mark.parametrize(
+    ("share", "others", "message"),
+    [
+        (-0.15, {}, "joint_1: went .* rad in its check move of .* rad: the wrong way; limit .* rad"),
+        (1.3, {}, "joint_1: went .* rad in its check move of .* rad: limit .* rad"),
+        (0.5, {"joint_2": 1e-3}, r"joint_2: moved by \+0.001 rad in the check move of joint_1, limit 0.00087 rad"),
+        (0.5, {"slide": -3e-4}, r"slide: moved by -0.0003 m in the check move of joint_1, limit 0.0002 m"),
+        (math.nan, {}, "the wrong way"),
+    ],
+)
+def test_what_goes_astray_is_told_with_value_and_limit(way: float, share: float, others: dict, message: str) -> None:
+    move = CheckMove("joint_1", way, START, UNITS)
+    with pytest.raises(CheckMoveFailed, match=message):
+        move.check_under_way(status(joint_1=share * way, **others))
+
+
+def test_a_drive_that_does_not_answer_ends_the_watch() -> None:
+    silent = AxisStatus("joint_2", AxisState.UNKNOWN, math.nan, math.nan, math.nan, None)
+    with pytest.raises(CommunicationLost, match="joint_2: did not answer in the check move of joint_1"):
+        CheckMove("joint_1", WAY, START, UNITS).check_under_way(status() | {"joint_2": silent})
+
+
+def test_an_axis_that_does_not_arrive_is_told() -> None:
+    with pytest.raises(CheckMoveFailed, match=r"not there; limit of the difference 0\.0022 rad"):
+        CheckMove("joint_1", WAY, START, UNITS).check_end(status(joint_1=0.7 * WAY))
+
+
+def moves(bench: Bench) -> list[str]:
+    return [entry for entry in bench.drive.trace if entry.startswith(("move", "sweep"))]
+
+
+async def run_out(bench: Bench) -> None:
+    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
+    assert bench.drive.energised == set()
+
+
+async def test_every_axis_is_checked_once_in_a_run_and_before_it_goes_far(bench: Bench) -> None:
+    bench.drive.hold = 2
+    await bench.runner.start(bench.campaign.id)
+    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
+    await bench.runner.pause(bench.campaign.id)
+    bench.drive.hold = None
+    bench.drive.go.set()
+    await run_out(bench)
+    assert moves(bench) == ["move joint_1 0.00872665", "move joint_1 0", "sweep joint_1"]
+    bench.drive.trace.clear()
+    await bench.runner.resume(bench.campaign.id)  # a new run: somebody may have worked at the machine
+    await run_out(bench)
+    assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
+    far = [entry for entry in moves(bench) if entry in ("move joint_1 0.4", "move joint_2 0.3", "move joint_3 -0.2")]
+    assert [entry.split()[1] for entry in far] == ["joint_1", "joint_2", "joint_3"]
+    for entry in far:
+        joint = entry.split()[1]
+        at = moves(bench).index(entry)
+        assert [each.split()[1] for each in moves(bench)[at - 2 : at]] == [joint, joint]
+    told = [event for event in bench.store.events(0) if event.kind is EventKind.CHECK_MOVE]
+    assert [event.data["axis"] for event in told] == ["joint_1", "joint_1", "joint_2", "joint_3"]
+    assert [event.data["number"] for event in told] == [1, 2, 3, 4]
+    assert told[3].data["way"] == pytest.approx(-WAY)
+
+
+async def failed(bench: Bench, cause: str) -> None:
+    """The campaign has come to its pause by this cause, and nothing but the check move moved."""
+    await run_out(bench)
+    sweep = bench.store.sweep(bench.campaign.id, 1)
+    assert sweep.state is SweepState.FAILED
+    assert cause in sweep.cause
+    campaign = bench.store.campaign(bench.campaign.id)
+    assert (campaign.state, campaign.cause) == (CampaignState.PAUSED, sweep.cause)
+    assert bench.drive.trace[-1] == "stop"
+    assert not any(entry.startswith("sweep") for entry in bench.drive.trace)
+
+
+async def test_an_axis_that_runs_the_wrong_way_is_stopped_early(bench: Bench) -> None:
+    async def runaway(joint, position, velocity):
+        while True:  # until it is stopped
+            bench.drive.position[joint] -= STEP
+            await asyncio.sleep(0.005)
+
+    bench.drive.move_to = runaway
+    await bench.runner.start(bench.campaign.id)
+    await failed(bench, "CheckMoveFailed: joint_1: went -")
+    assert bench.drive.position["joint_2"] == bench.drive.position["joint_3"] == 0.0
+
+
+async def test_a_joint_that_moves_along_stops_the_machine(bench: Bench) -> None:
+    async def coupled(joint, position, velocity):
+        while bench.drive.position[joint] < position:
+            bench.drive.position[joint] += STEP
+            bench.drive.position["joint_3"] += STEP / 2
+            await asyncio.sleep(0.005)
+
+    bench.drive.move_to = coupled
+    await bench.runner.start(bench.campaign.id)
+    await failed(bench, "CheckMoveFailed: joint_3: moved by +")
+    # a repeat is refused in the same way: nothing is remembered as checked
+    await bench.runner.resume(bench.campaign.id, repeat=True)
+    await run_out(bench)
+    assert "joint_3" in bench.store.sweep(bench.campaign.id, 1).cause
+
+
+async def test_an_axis_that_does_not_move_is_found(bench: Bench) -> None:
+    async def stuck(joint, position, velocity):
+        bench.drive.trace.append(f"move {joint}")
+
+    bench.drive.move_to = stuck
+    await bench.runner.start(bench.campaign.id)
+    await failed(bench, "not there; limit of the difference")
+
+
+async def test_a_fault_in_the_check_move_is_the_cause(bench: Bench) -> None:
+    async def faulty(joint, position, velocity):
+        raise DriveFault(f"{joint}: 0x8611 following error")
+
+    bench.drive.move_to = faulty
+    await bench.runner.start(bench.campaign.id)
+    await failed(bench, "DriveFault: joint_1: 0x8611 following error")
+
+
+async def test_a_stop_in_the_check_move_is_a_stop(bench: Bench) -> None:
+    moving = asyncio.Event()
+
+    async def slow(joint, position, velocity):
+        moving.set()
+        await until(lambda: "stop" in bench.drive.trace)
+        raise SweepInterrupted(f"{joint}: move was stopped")
+
+    bench.drive.move_to = slow
+    await bench.runner.start(bench.campaign.id)
+    await asyncio.wait_for(moving.wait(), TIMEOUT)
+    await bench.machine.stop("operator", "smoke")
+    await run_out(bench)
+    sweep = bench.store.sweep(bench.campaign.id, 1)
+    assert (sweep.state, sweep.cause) == (SweepState.INTERRUPTED, "stopped by operator: smoke")
+
+
+async def test_a_check_move_outside_of_the_envelope_moves_nothing(bench: Bench) -> None:
+    def refuse(joint, pose, target, velocity):
+        raise EnvelopeViolation("no room")
+
+    envelope = bench.runner._course_of(bench.campaign).envelope
+    check_move = envelope.check_move
+    envelope.check_move = refuse
+    try:
+        await bench.runner.start(bench.campaign.id)
+        await run_out(bench)
+    finally:
+        envelope.check_move = check_move
+    assert bench.drive.trace == ["close", "connect", "stop"]
+
+
+async def test_implausible_channels_fail_the_sweep_and_keep_it_partial(bench: Bench) -> None:
+    samples = bench.drive._samples
+
+    def reversed_effort(command):
+        block = samples(command)
+        block.effort[:] = -block.effort
+        return block
+
+    bench.drive._samples = reversed_effort
+    await bench.runner.start(bench.campaign.id)
+    await run_out(bench)
+    sweep = bench.store.sweep(bench.campaign.id, 1)
+    assert sweep.state is SweepState.FAILED
+    assert sweep.cause.startswith("ImplausibleChannels: joint_1: apparent inertia -")
+    assert bench.store.campaign(bench.campaign.id).state is CampaignState.PAUSED
+    recording = bench.store.recording(bench.campaign.id, 1)
+    assert (recording.state.value, recording.samples) == ("partial", round(6.3 * 250))

@@ -1,0 +1,151 @@
+"""The exported folder, and what is refused before anything is written."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from service.campaigns.plan import PlanDocument
+from service.cell import Cell
+from service.configuration import read_robot, read_yaml
+from service.errors import BadInput
+from service.paths.control import Control, read_control
+from service.paths.export import export_paths
+from service.robot import Robot
+from service.trace_mapping import Mapping
+from tests.unit.service.paths.conftest import CELL, CONTROL, ROBOT, ROOT
+
+
+def changed(plan: PlanDocument, number: int, **changes: Any) -> PlanDocument:
+    """The plan with other fields in one sweep; `spec_...` are fields of its spec."""
+    sweep = plan.sweeps[number]
+    spec = {name.removeprefix("spec_"): value for name, value in changes.items() if name.startswith("spec_")}
+    own = {name: value for name, value in changes.items() if not name.startswith("spec_")}
+    new = sweep.model_copy(update=own | {"spec": sweep.spec.model_copy(update=spec)})
+    return plan.model_copy(update={"sweeps": (*plan.sweeps[:number], new, *plan.sweeps[number + 1 :])})
+
+
+def test_the_folder(tmp_path: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: Control) -> None:
+    count = export_paths(tmp_path / "paths", plan, robot, cell, control)
+    assert count == len(plan.sweeps) == 9
+    names = {path.name for path in (tmp_path / "paths").iterdir()}
+    sweeps = {f"SWEEP_{number:04d}" for number in range(1, 10)}
+    assert names == {f"{name}.{kind}" for name in sweeps for kind in ("MPF", "csv")} | {
+        "mapping.yaml",
+        "robot.yaml",
+        "robot.urdf",
+        "traces",
+    }
+    assert [path.name for path in tmp_path.iterdir()] == ["paths"]
+    assert read_robot(tmp_path / "paths/robot.yaml").description.axes == robot.axes
+    mapping = read_yaml(tmp_path / "paths/mapping.yaml", Mapping)
+    for entry, planned in zip(mapping.sweeps, plan.sweeps, strict=True):
+        assert (entry.axis, entry.pose, entry.sines) == (planned.spec.axis, planned.spec.pose, planned.spec.sines)
+        assert entry.path is not None
+        assert (entry.path.ramp, entry.path.settle) == (planned.ramp, planned.settle)
+
+
+def test_the_table(tmp_path: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: Control) -> None:
+    export_paths(tmp_path / "paths", plan, robot, cell, control)
+    with (tmp_path / "paths/SWEEP_0002.csv").open() as file:
+        head, *rows = csv.reader(file)
+    assert head == ["time [s]", *(f"A{k} [deg]" for k in range(1, 7)), "velocity of A2 [deg/s]"]
+    table = np.array(rows, dtype=float)
+    planned = plan.sweeps[1]
+    np.testing.assert_allclose(np.diff(table[:, 0]), 0.004, atol=1e-9)
+    np.testing.assert_allclose(table[0, 1:7], np.degrees(planned.spec.pose), atol=1e-9)
+    assert np.ptp(np.delete(table[:, 1:7], 1, axis=1), axis=0).max() == 0
+    assert table[0, 7] == table[-1, 7] == 0
+    # trapezoids of the velocity are the position but for their own error, h^2 / 12 of the acceleration's change
+    trapezoids = np.concatenate([[0.0], np.cumsum((table[1:, 7] + table[:-1, 7]) / 2) * 0.004])
+    np.testing.assert_allclose(table[:, 2] - table[0, 2], trapezoids, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"spec_offset_velocity": 0.2}, "sweep 0002: joint_2: travel 0.8"),
+        ({"velocity_limit": 0.5}, "sweep 0002: joint_2: velocity limit 0.5 rad/s is above the limit 0.1 rad/s"),
+        ({"spec_pose": (0.0, 1.38, 0.0, 0.0, 0.0, 0.0)}, "sweep 0002: joint_2: distance from the planned pose"),
+        ({"spec_sines": (), "spec_period": None, "spec_periods": None}, "sweep 0002: has no sines and periods"),
+        ({"legs": ()}, "sweep 0002: joint_1: distance from the planned pose"),
+    ],
+)
+def test_what_leaves_the_envelope_is_not_written(
+    changes: dict[str, Any],
+    reason: str,
+    tmp_path: Path,
+    plan: PlanDocument,
+    robot: Robot,
+    cell: Cell,
+    control: Control,
+) -> None:
+    with pytest.raises(BadInput) as refusal:
+        export_paths(tmp_path / "paths", changed(plan, 1, **changes), robot, cell, control)
+    assert reason in str(refusal.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_plan_of_another_robot_or_cell_is_refused(
+    tmp_path: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: Control
+) -> None:
+    with pytest.raises(BadInput, match="is for robot max100-class in cell workshop, not for max100-class in hall"):
+        export_paths(tmp_path / "paths", plan, robot, cell.model_copy(update={"name": "hall"}), control)
+
+
+def test_a_cycle_too_slow_for_the_sines_is_refused(
+    tmp_path: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: Control
+) -> None:
+    with pytest.raises(BadInput, match=r"sine of 5 Hz: a cycle of 0\.020001 s gives it under 10 steps"):
+        export_paths(
+            tmp_path / "paths", plan, robot, cell, control.model_copy(update={"interpolation_cycle": 0.020001})
+        )
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"axes": {"joint_1": {"name": "A1"}}}, "axes: must be the joints of max100-class: joint_1, joint_2"),
+        ({"axes": {f"joint_{k}": {"name": "A1"} for k in range(1, 7)}}, "axes: an axis stands twice"),
+        ({"axes": {f"joint_{k}": {"name": f"A {k}"} for k in range(1, 7)}}, "axes.joint_1.name: String should match"),
+        ({"interpolation_cycle": 0.1}, "interpolation_cycle: Input should be less than or equal to 0.02"),
+    ],
+)
+def test_a_control_that_does_not_fit_is_refused(
+    change: dict[str, Any], reason: str, tmp_path: Path, robot: Robot
+) -> None:
+    path = tmp_path / "control.yaml"
+    path.write_text(yaml.safe_dump(yaml.safe_load(CONTROL.read_text()) | change))
+    with pytest.raises(BadInput) as refusal:
+        read_control(path, robot)
+    assert reason in str(refusal.value)
+
+
+def test_every_example_control_is_one() -> None:
+    files = sorted((ROOT / "config/controls").glob("*.yaml"))
+    assert files
+    assert all(read_yaml(path, Control).axes for path in files)
+
+
+def command(plan_file: Path, out: Path) -> list[str]:
+    sweepid = str(Path(sys.executable).with_name("sweepid"))
+    files = ["--robot", str(ROBOT), "--cell", str(CELL), "--control", str(CONTROL), "--out", str(out)]
+    return [sweepid, "export-path", str(plan_file), *files]
+
+
+def test_from_the_command_line(plan_file: Path, tmp_path: Path) -> None:
+    done = subprocess.run(command(plan_file, tmp_path / "paths"), capture_output=True, text=True, timeout=300)
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
+    assert "9 sweeps of max100-class" in done.stderr
+    again = subprocess.run(command(plan_file, tmp_path / "paths"), capture_output=True, text=True, timeout=300)
+    assert (again.returncode, again.stdout) == (2, "")
+    assert "is there already" in again.stderr
+    plan_file.write_text(json.dumps({"id": 1}))
+    bad = subprocess.run(command(plan_file, tmp_path / "more"), capture_output=True, text=True, timeout=300)
+    assert (bad.returncode, bad.stderr) == (2, f"sweepid: {plan_file} document: Field required\n")
