@@ -83,9 +83,14 @@ def test_docker_compose_accepts_its_file(root: Path) -> None:
 
 
 def test_the_image_is_built_of_what_there_is(root: Path) -> None:
-    """Every file that the Dockerfile copies exists and passes .dockerignore."""
+    """Every file that the Dockerfile copies from here exists and passes .dockerignore."""
     allowed = {line[1:] for line in (root / ".dockerignore").read_text().splitlines() if line.startswith("!")}
-    copied = re.findall(r"^COPY (.+) \S+$", (root / "Dockerfile").read_text(), re.MULTILINE)
+    copied = re.findall(r"^COPY (?!--from)(.+) \S+$", (root / "Dockerfile").read_text(), re.MULTILINE)
     names = {name for names in copied for name in names.split()}
     assert names == allowed
     assert all((root / name).exists() for name in names)
+
+
+def test_docker_and_docker_compose_build_on_one_base(root: Path) -> None:
+    default = re.findall(r"^ARG BASE=(\S+)$", (root / "Dockerfile").read_text(), re.MULTILINE)
+    assert re.findall(r"\$\{SWEEPID_BASE:-(\S+)\}", (root / "docker-compose.yml").read_text()) == default != []
