@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Callable
-from typing import cast
+from typing import Any, cast
 
 import can
 from canopen.sdo.client import BlockUploadStream, SdoClient
@@ -12,6 +12,13 @@ from drivers.canopen.objects import Entry
 from drivers.errors import CommunicationLost, WrongConfiguration
 
 ABSENT = frozenset({0x06020000, 0x06090011})  # object, sub-index does not exist
+
+
+class _BlockUpload(BlockUploadStream):
+    """canopen 2.4 calls an `abort` of the stream's when a block does not come; it has none."""
+
+    def abort(self, code: int) -> None:
+        cast(Any, self.sdo_client).abort(code)
 
 
 class ObjectAbsent(WrongConfiguration):
@@ -66,7 +73,7 @@ class Sdo:
         try:
             if not block:
                 return self._client.upload(index, sub)
-            with BlockUploadStream(self._client, index, sub) as stream:
+            with _BlockUpload(self._client, index, sub) as stream:
                 return cast(bytes, stream.read())
         except (SdoAbortedError, SdoCommunicationError, can.CanError, OSError) as error:
             raise self._explain(entry, error) from None

@@ -56,6 +56,7 @@ class Axis:
         self._cyclic_velocity.restart()
         self._supervision = Supervision(self.limits, self._cycle)
         self._controlword = 0
+        self.speed = 0.0
         self._hold()
         self._motion_time = 0.0
         self._after: State | None = None  # state at the end of the ramp
