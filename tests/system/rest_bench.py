@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +24,26 @@ SWEEPID = str(Path(sys.executable).with_name("sweepid"))
 PATIENCE = 60.0  # s for anything on a busy computer
 
 
+class Fieldbus(Enum):
+    """How the machine is reached."""
+
+    CANOPEN = "canopen"
+    MODBUS_TCP = "modbus-tcp"
+
+
 class VirtualMachine:
     """`sweepid drive`, its control port, and a profile that leads to it."""
 
-    def __init__(self, folder: Path, ready: dict[str, Any]) -> None:
+    def __init__(self, folder: Path, ready: dict[str, Any], fieldbus: Fieldbus) -> None:
         self._control_port = int(ready["control_port"])
-        content = yaml.safe_load((CONFIG / "drives" / "virtual-max100.yaml").read_text("utf-8"))
-        content["bus"]["port"] = ready["port"]
-        content["eds"] = str(CONFIG / "eds" / "virtual-axis.eds")
+        if fieldbus is Fieldbus.CANOPEN:
+            content = yaml.safe_load((CONFIG / "drives" / "virtual-max100.yaml").read_text("utf-8"))
+            content["bus"]["port"] = ready["port"]
+            content["eds"] = str(CONFIG / "eds" / "virtual-axis.eds")
+        else:
+            content = yaml.safe_load((CONFIG / "drives" / "virtual-max100-modbus-tcp.yaml").read_text("utf-8"))
+            content["line"]["port"] = ready["port"]
+            content["registers"] = str(CONFIG / "registers" / "virtual-high-first.yaml")
         self.profile = folder / "profile.yaml"
         self.profile.write_text(yaml.safe_dump(content), "utf-8")
 
@@ -83,6 +96,10 @@ class Service:
         children = psutil.Process(self._running().pid).children(recursive=True)
         return [child for child in children if any("spawn_main" in word for word in child.cmdline())]
 
+    def log(self) -> str:
+        """What it wrote so far."""
+        return self._log.read_text("utf-8")
+
     def kill(self) -> None:
         """SIGKILL, as a power cut does it: the service and all it has started."""
         service = self._running()
@@ -115,14 +132,18 @@ class Service:
 
 
 @contextmanager
-def virtual_machine(folder: Path, speed_factor: float = 20.0) -> Iterator[VirtualMachine]:
+def virtual_machine(
+    folder: Path, speed_factor: float = 20.0, fieldbus: Fieldbus = Fieldbus.CANOPEN
+) -> Iterator[VirtualMachine]:
     command = [SWEEPID, "drive", "--port", "0", "--speed-factor", str(speed_factor)]
+    if fieldbus is not Fieldbus.CANOPEN:
+        command += ["--fieldbus", fieldbus.value]
     command += ["--scenario", str(CONFIG / "scenarios" / "max100-full.yaml")]
     command += ["--eds", str(CONFIG / "eds" / "virtual-axis.eds")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         try:
             line = process.stdout.readline() if process.stdout else b""
-            yield VirtualMachine(folder, json.loads(line))
+            yield VirtualMachine(folder, json.loads(line), fieldbus)
         finally:
             process.send_signal(signal.SIGTERM)
             process.wait(10)
