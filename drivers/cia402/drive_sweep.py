@@ -12,7 +12,7 @@ from drivers.cia402.axis import Axis
 from drivers.cia402.checks import Envelope
 from drivers.cia402.device import MeasuringState
 from drivers.cia402.thread import DriveThread
-from drivers.errors import CommunicationLost, DriveError, DriveFault, EnvelopeLeft, SweepInterrupted, WrongConfiguration
+from drivers.errors import CommunicationLost, DriveError, DriveFault, EnvelopeLeft, SweepInterrupted
 from drivers.ports import SampleBlock, SweepCommand
 
 LIVE_TIME = 0.1  # s of samples that make a page worth while during the run
@@ -69,8 +69,8 @@ class DriveSweep:
                 await self._bring_down()
                 if isinstance(error, DriveFault | EnvelopeLeft | SweepInterrupted):
                     await self._hand_over(await self._thread.run(self._axis.device.samples_recorded))
-                elif isinstance(error, WrongConfiguration):  # what it refused may come of a fault or a restart
-                    await self._thread.run(self._axis.check_standing)
+                else:
+                    await self._thread.run(self._look_for_cause)
                 raise
         finally:
             self._blocks.put_nowait(None)
@@ -108,6 +108,11 @@ class DriveSweep:
         if violation is not None:
             raise EnvelopeLeft(f"{self._axis.place}: {violation}")
         return self._axis.device.measuring_state(), self._axis.device.samples_recorded()
+
+    def _look_for_cause(self) -> None:
+        """What was refused or not understood may come of a fault or a restart; raises that."""
+        self._axis.device.measuring_state()
+        self._axis.check_standing()
 
     def _ended(self, state: MeasuringState) -> None:
         """Raises what ended it: a fault may have come after `_watch` had asked for the statusword."""

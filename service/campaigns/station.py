@@ -14,7 +14,7 @@ import structlog
 from pydantic import JsonValue
 
 from drivers.errors import CommunicationLost, DriveError, SweepInterrupted
-from drivers.ports import SweepCommand
+from drivers.ports import AxisState, SweepCommand
 from service.campaigns.check_move import DURATION, WAY, CheckMove, make
 from service.campaigns.course import Course
 from service.campaigns.live import LiveHub
@@ -161,8 +161,14 @@ class Station:
         await self._machine.port.disable(joint)
 
     async def _pose(self, sweep: SweepDocument, course: Course) -> tuple[float, ...]:
-        """Where the axes stand; those that this machine does not reach are taken to be where the plan says."""
+        """Where the axes stand; those that this machine does not reach are taken to be where the plan says.
+
+        CommunicationLost where a drive does not answer: what its axis does is not known then.
+        """
         status = await self._machine.status()
+        for joint, axis in status.items():
+            if axis.state is AxisState.UNKNOWN:
+                raise CommunicationLost(f"{joint}: its drive does not answer")
         return tuple(
             status[joint].position if joint in status else planned
             for joint, planned in zip(course.joints, sweep.spec.pose, strict=True)
