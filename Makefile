@@ -4,13 +4,19 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: demo test check format lock openapi clean
+.PHONY: demo test test-vcan test-compose check format lock openapi clean
 
 demo: $(READY)  ## measure, identify and report a virtual robot
 	$(BIN)/sweepid demo --out demo-out
 
 test: check  ## all checks, then all tests
 	$(BIN)/python -m pytest
+
+test-vcan: $(READY)  ## what needs a real SocketCAN vcan0; in a guest (user-mode-linux) where the kernel has no CAN
+	VCAN_TIMEOUT=900 tests/vcan/run $(BIN)/python -m pytest --vcan --color=no tests/vcan tests/contract
+
+test-compose: $(READY)  ## start docker-compose.yml for real and measure in it; with an engine of its own where none runs
+	tests/compose/run sh -c 'docker-compose build && $(BIN)/python -m pytest --color=no tests/compose'
 
 check: $(READY)  ## format, lint, types, import arrows
 	$(BIN)/ruff format --check .

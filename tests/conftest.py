@@ -17,6 +17,22 @@ ROOMS = ("service", "drivers", "simulator")
 PATIENCE = 2.0  # s that a thread or task may take to end after its test
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--vcan", action="store_true", help="test what needs the kernel's vcan0, instead of what does not")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """tests/vcan is for `make test-vcan` alone."""
+    return True if collection_path == ROOT / "tests" / "vcan" and not config.getoption("vcan") else None
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """With --vcan a skipped test is a failed run: what the kernel lacks must not look green."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if session.config.getoption("vcan") and reporter is not None and reporter.stats.get("skipped"):
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
 @pytest.fixture(scope="session")
 def root() -> Path:
     """The checkout."""

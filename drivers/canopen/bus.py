@@ -52,6 +52,7 @@ class Bus:
         remote: canopen.RemoteNode = self._network.add_node(node, eds)
         client: SdoClient = remote.sdo
         client.RESPONSE_TIMEOUT = self._profile.sdo_timeout
+        self._heard[node] = time.monotonic()  # reading the dictionary took its time
         return client
 
     def send(self, identifier: int, data: bytes) -> None:

@@ -158,7 +158,7 @@ class Cia402Machine:
                 run = await self._start(link, commands, motion)
                 async with aclosing(run.blocks()) as blocks:
                     async for block in blocks:
-                        for other in _others(link, motion):
+                        for other in () if motion.stop.is_set() else _others(link, motion):
                             await link.thread.run(other.check_standing)
                         yield block
                 completed = True

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import uuid
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, cast
 
@@ -28,6 +30,7 @@ ROOT = Path(__file__).parents[2]
 DRIVES = ROOT / "config" / "drives"
 SCENARIO = ROOT / "config" / "scenarios" / "max100-full.yaml"
 EDS = ROOT / "config" / "eds" / "virtual-axis.eds"
+REGISTERS = ROOT / "config" / "registers"
 SPEED_FACTOR = 20.0
 
 AXIS, OTHER = "joint_1", "joint_3"
@@ -35,10 +38,15 @@ AXIS, OTHER = "joint_1", "joint_3"
 
 @dataclass(frozen=True)
 class Virtual:
-    """A running virtual machine: its profile, and its control port for faults to order and for the truth."""
+    """A running virtual machine: its profile, and its control port for faults to order and for the truth.
 
+    `process` is its process where it has one of its own.
+    """
+
+    bench: "Bench"
     profile: Mapping[str, object]
     control_port: int
+    process: subprocess.Popen[bytes] | None = None
 
     def order(self, order: str, **fields: object) -> dict[str, Any]:
         with socket.create_connection(("127.0.0.1", self.control_port), timeout=10) as client:
@@ -53,39 +61,74 @@ class Virtual:
     def energised(self) -> list[str]:
         return [joint for joint, axis in self.order("status")["axes"].items() if axis["energised"]]
 
+    def recover(self) -> None:
+        """Take back every disturbance that lasts; faults stay until they are acknowledged."""
+        for joint, (order, nothing) in product((AXIS, OTHER), LASTING.items()):
+            if order in self.bench.orders:
+                self.order(order, joint=joint, **nothing)
+        if "bus_off" in self.bench.orders:
+            self.order("bus_on")
+        self.order("emergency_stop", on=False)
+
     def open(self) -> DrivePort:
         return open_drive(self.profile, DRIVES)
 
 
-def _profile(**bus: object) -> dict[str, object]:
-    profile = load_profile(DRIVES / "virtual-max100.yaml")
-    profile["bus"] = {**cast("dict[str, object]", profile["bus"]), **bus}
+@dataclass(frozen=True)
+class Bench:
+    """An adapter on a bus, and what there is to test with it."""
+
+    adapter: str
+    modes: frozenset[SweepMode]
+    orders: frozenset[str]  # of the control port, as far as this fieldbus can have the fault
+    machine: Callable[["Bench"], AbstractContextManager[Virtual]]
+    own_process: bool = True  # which can die
+    exclusive: bool = False  # one host at a time on the line
+    vcan: bool = False  # needs a kernel with CAN: runs with --vcan, and then no other does
+
+
+def _profile(name: str, section: str, **changes: object) -> dict[str, object]:
+    profile = load_profile(DRIVES / f"{name}.yaml")
+    profile[section] = {**cast("dict[str, object]", profile[section]), **changes}
     return profile
 
 
 @contextmanager
-def socketcand_machine() -> Iterator[tuple[subprocess.Popen[bytes], Virtual]]:
-    """`sweepid drive` in a process of its own."""
-    command = [str(Path(sys.executable).with_name("sweepid")), "drive", "--scenario", str(SCENARIO), "--eds", str(EDS)]
-    command += ["--port", "0", "--speed-factor", str(SPEED_FACTOR)]
+def _process(bench: Bench, *options: str, profile: Callable[[Any], dict[str, object]]) -> Iterator[Virtual]:
+    """`sweepid drive` in a process of its own; `profile` leads to what its ready line tells."""
+    command = [str(Path(sys.executable).with_name("sweepid")), "drive", "--scenario", str(SCENARIO)]
+    command += ["--speed-factor", str(SPEED_FACTOR), *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=ROOT) as process:
         try:
             assert process.stdout is not None
-            ready = json.loads(process.stdout.readline())
-            yield process, Virtual(_profile(port=ready["port"]), ready["control_port"])
+            line = process.stdout.readline()
+            assert line, f"{' '.join(command)} ended before it was ready"
+            ready = json.loads(line)
+            yield Virtual(bench, profile(ready), ready["control_port"], process)
         finally:
             process.terminate()
+    assert process.returncode in (0, -signal.SIGKILL)
+
+
+def _over_socketcand(bench: Bench) -> AbstractContextManager[Virtual]:
+    options = ("--eds", str(EDS), "--port", "0")
+    return _process(bench, *options, profile=lambda ready: _profile("virtual-max100", "bus", port=ready["port"]))
+
+
+def _over_vcan(bench: Bench) -> AbstractContextManager[Virtual]:
+    options = ("--eds", str(EDS), "--bus", "socketcan", "--channel", "vcan0")
+    bus = {"interface": "socketcan", "channel": "vcan0", "host": None, "port": None}
+    patience = {
+        "drive_timeout": 3.0,
+        "host_timeout": 3.0,
+        "sdo_timeout": 2.0,
+        "silence": 0.3,
+    }  # the guest's one slow CPU
+    return _process(bench, *options, profile=lambda _: _profile("virtual-max100", "bus", **bus, **patience))
 
 
 @contextmanager
-def _over_socketcand() -> Iterator[Virtual]:
-    with socketcand_machine() as (process, virtual):
-        yield virtual
-    assert process.returncode == 0
-
-
-@contextmanager
-def _in_one_process() -> Iterator[Virtual]:
+def _in_one_process(bench: Bench) -> Iterator[Virtual]:
     channel = f"contract-{os.getpid()}-{uuid.uuid4()}"
     virtual = VirtualDrive(
         Machine(load_scenario(SCENARIO), 0), EDS, bus="virtual", channel=channel, speed_factor=SPEED_FACTOR
@@ -93,17 +136,49 @@ def _in_one_process() -> Iterator[Virtual]:
     thread = threading.Thread(target=virtual.run, name="virtual-drive")
     thread.start()
     try:
-        profile = _profile(interface="virtual", channel=channel, host=None, port=None)
-        yield Virtual(profile, virtual.control_port)
+        profile = _profile("virtual-max100", "bus", interface="virtual", channel=channel, host=None, port=None)
+        yield Virtual(bench, profile, virtual.control_port)
     finally:
         virtual.stop()
         thread.join()
         virtual.close()
 
 
-BENCHES: dict[str, Callable[[], AbstractContextManager[Virtual]]] = {
-    "canopen-socketcand": _over_socketcand,
-    "canopen-virtual": _in_one_process,
+SLOW_LINE = {"timeout": 2.0, "watchdog": 5.0}  # s: a computer busy with tests is no lost drive
+
+
+def _over_modbus_tcp(bench: Bench) -> AbstractContextManager[Virtual]:
+    options = ("--fieldbus", "modbus-tcp", "--registers", str(REGISTERS / "virtual-high-first.yaml"), "--port", "0")
+    name = "virtual-max100-modbus-tcp"
+    return _process(bench, *options, profile=lambda ready: _profile(name, "line", port=ready["port"], **SLOW_LINE))
+
+
+def _over_modbus_rtu(bench: Bench) -> AbstractContextManager[Virtual]:
+    options = ("--fieldbus", "modbus-rtu", "--registers", str(REGISTERS / "virtual-low-first.yaml"), "--device", "pty")
+    name = "virtual-max100-modbus-rtu"
+    line = {**SLOW_LINE, "silence_between_frames": 0.002}  # the virtual drive needs none
+    return _process(bench, *options, profile=lambda ready: _profile(name, "line", device=ready["device"], **line))
+
+
+BOTH, DRIVE_SIDE = frozenset(SweepMode), frozenset({SweepMode.DRIVE_SIDE})
+ORDERS = frozenset({"fault", "emergency_stop", "silence", "limit", "glitch", "saturate", "reboot", "swap", "identity"})
+CAN_ORDERS = ORDERS | {"emcy", "drop_tpdos", "duplicate_tpdos", "delay_tpdos", "freeze_counter", "bus_off"}
+LASTING: dict[str, dict[str, object]] = {  # what takes an order back
+    "silence": {"on": False},
+    "limit": {"on": False},
+    "saturate": {"torque_permille": None},
+    "freeze_counter": {"on": False},
+    "drop_tpdos": {"count": 0},
+    "duplicate_tpdos": {"count": 0},
+    "delay_tpdos": {"count": 0, "cycles": 0},
+}
+
+BENCHES: dict[str, Bench] = {
+    "canopen-socketcand": Bench("canopen", BOTH, CAN_ORDERS, _over_socketcand),
+    "canopen-virtual": Bench("canopen", BOTH, CAN_ORDERS, _in_one_process, own_process=False),
+    "canopen-vcan": Bench("canopen", BOTH, CAN_ORDERS, _over_vcan, vcan=True),
+    "modbus-tcp": Bench("modbus", DRIVE_SIDE, ORDERS, _over_modbus_tcp),
+    "modbus-rtu": Bench("modbus", DRIVE_SIDE, ORDERS, _over_modbus_rtu, exclusive=True),
 }
 
 
@@ -135,7 +210,7 @@ async def consume(
         each(block)
 
 
-async def eventually(condition: Callable[[], bool], within: float = 10.0) -> None:
+async def eventually(condition: Callable[[], bool], within: float = 20.0) -> None:
     """Wait for a condition, s."""
     deadline = time.monotonic() + within
     while not condition():

@@ -12,16 +12,24 @@ import numpy as np
 import pytest
 from canopen.sdo.client import SdoClient
 
-from drivers.canopen.host_sweep import HostSweep
-from drivers.canopen.machine import CanopenMachine
+from drivers.canopen.fieldbus import CanopenConnection, StreamedSweep
 from drivers.canopen.measuring import ABORT, COMMAND
 from drivers.canopen.objects import Entry
+from drivers.cia402.machine import Cia402Machine
 from drivers.errors import WrongConfiguration, WrongIdentity
 from drivers.ports import AxisState, DrivePort, SweepMode
 from drivers.registry import open_drive
 from tests.contract.bench import AXIS, DRIVES, Virtual, consume, eventually, sweep
 
-both_modes = pytest.mark.parametrize("mode", list(SweepMode), ids=lambda mode: mode.value)
+pytestmark = pytest.mark.adapter("canopen")
+
+
+def link_of(port: DrivePort) -> CanopenConnection:
+    """The open connection behind a port."""
+    assert isinstance(port, Cia402Machine)
+    link = port._link
+    assert isinstance(link, CanopenConnection)
+    return link
 
 
 @contextmanager
@@ -46,7 +54,6 @@ async def test_a_mapping_that_somebody_changed_is_noticed_before_moving(port: Dr
     assert virtual.energised() == []
 
 
-@both_modes
 async def test_limits_that_somebody_changed_are_put_right(port: DrivePort, virtual: Virtual, mode: SweepMode) -> None:
     await port.enable(AXIS)
     with another_client(virtual) as sdo:
@@ -87,18 +94,17 @@ async def test_the_cycle_is_paced_and_its_lateness_told(port: DrivePort) -> None
     await port.enable(AXIS)
     command = await sweep(port, SweepMode.HOST_STREAMED)
     await consume(port, command)
-    assert isinstance(port, CanopenMachine)
-    assert port.timing is not None
-    assert len(port.timing.lateness) >= round(command.duration / 0.004)
-    assert min(port.timing.lateness) >= 0.0
-    assert sorted(port.timing.lateness)[len(port.timing.lateness) // 2] < 0.002
+    timing = port.set_point_timing
+    assert timing is not None
+    assert timing.cycles >= round(command.duration / 0.004)
+    assert 0.0 <= timing.median_lateness <= timing.worst_lateness
+    assert timing.median_lateness < 0.002
 
 
 async def test_a_drive_that_refuses_a_rung_of_the_ladder_loses_its_energy_all_the_same(
     port: DrivePort, virtual: Virtual
 ) -> None:
-    assert isinstance(port, CanopenMachine)
-    sdo = port._connected().axes[AXIS].sdo
+    sdo = link_of(port).devices[AXIS].sdo
     write = sdo.write
 
     def refuse_abort(entry: Entry, value: float) -> None:
@@ -126,8 +132,7 @@ async def test_a_drive_that_is_lost_while_the_consumer_hangs_is_told_to_stop(por
 
 
 async def test_many_readers_of_the_status_are_not_ahead_of_a_stop(port: DrivePort) -> None:
-    assert isinstance(port, CanopenMachine)
-    waiting = port._connected().sdo._executor._work_queue
+    waiting = link_of(port).thread._executor._work_queue
     readers = [asyncio.create_task(port.status()) for _ in range(30)]
     most = 0
     while not all(reader.done() for reader in readers):
@@ -138,15 +143,17 @@ async def test_many_readers_of_the_status_are_not_ahead_of_a_stop(port: DrivePor
 
 
 async def test_a_stop_brings_every_axis_down_whatever_ended_the_stream(port: DrivePort, virtual: Virtual) -> None:
-    assert isinstance(port, CanopenMachine)
+    assert isinstance(port, Cia402Machine)
     await port.enable(AXIS)
     running = port.run_sweep(await sweep(port, SweepMode.HOST_STREAMED, periods=200, offset_velocity=0.002, sines=()))
     await anext(running)
     motion = port._motion
     assert motion is not None
-    assert isinstance(motion.run, HostSweep)
-    motion.run._wave = np.empty(0)  # the thread fails with an IndexError at the next samples
-    await eventually(motion.run._thread.done)
+    assert isinstance(motion.run, StreamedSweep)
+    stream = motion.run.run
+    for lane in stream._lanes.values():
+        lane._wave = np.empty(0)  # the thread fails with an IndexError at the next samples
+    await eventually(stream._thread.done)
     await port.stop()
     assert virtual.energised() == []
     with pytest.raises(IndexError):

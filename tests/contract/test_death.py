@@ -12,7 +12,7 @@ import pytest
 
 from drivers.errors import CommunicationLost
 from drivers.ports import AxisState, SweepMode
-from tests.contract.bench import AXIS, DRIVES, ROOT, Virtual, consume, socketcand_machine, sweep
+from tests.contract.bench import AXIS, DRIVES, ROOT, Virtual, consume, sweep
 
 HOST = """
 import asyncio, json, sys
@@ -43,49 +43,45 @@ def wait_until_off(virtual: Virtual) -> None:
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize("mode", list(SweepMode), ids=lambda mode: mode.value)
-def test_axes_stand_after_the_host_was_killed(mode: SweepMode) -> None:
-    with socketcand_machine() as (_, virtual):
-        command = [sys.executable, "-c", HOST, json.dumps(virtual.profile), str(DRIVES), mode.value]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as host:
-            assert host.stdout is not None
-            assert host.stdout.readline() == b"moving\n"
-            assert virtual.energised() == [AXIS]
-            host.send_signal(signal.SIGKILL)
-        wait_until_off(virtual)
-        assert virtual.truth()["velocity"] == pytest.approx(0.0, abs=1e-3)
+def test_axes_stand_after_the_host_was_killed(mortal: Virtual, mode: SweepMode) -> None:
+    command = [sys.executable, "-c", HOST, json.dumps(mortal.profile), str(DRIVES), mode.value]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as host:
+        assert host.stdout is not None
+        assert host.stdout.readline() == b"moving\n"
+        assert mortal.energised() == [AXIS]
+        host.send_signal(signal.SIGKILL)
+    wait_until_off(mortal)
+    assert mortal.truth()["velocity"] == pytest.approx(0.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("mode", list(SweepMode), ids=lambda mode: mode.value)
-def test_axes_stand_after_the_host_hung_and_nothing_resumes(mode: SweepMode) -> None:
-    with socketcand_machine() as (_, virtual):
-        command = [sys.executable, "-c", HOST, json.dumps(virtual.profile), str(DRIVES), mode.value]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT) as host:
-            assert host.stdout is not None
-            assert host.stdout.readline() == b"moving\n"
-            host.send_signal(signal.SIGSTOP)
-            wait_until_off(virtual)
-            host.send_signal(signal.SIGCONT)
-            _, errors = host.communicate(timeout=20)
-        assert host.returncode == 1
-        # python-can may add a word of its own while the interpreter ends
-        assert any(line.startswith("drivers.errors.") for line in errors.decode().splitlines()), errors.decode()
-        assert virtual.energised() == []
+def test_axes_stand_after_the_host_hung_and_nothing_resumes(mortal: Virtual, mode: SweepMode) -> None:
+    command = [sys.executable, "-c", HOST, json.dumps(mortal.profile), str(DRIVES), mode.value]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT) as host:
+        assert host.stdout is not None
+        assert host.stdout.readline() == b"moving\n"
+        host.send_signal(signal.SIGSTOP)
+        wait_until_off(mortal)
+        host.send_signal(signal.SIGCONT)
+        _, errors = host.communicate(timeout=30)
+    assert host.returncode == 1
+    # python-can may add a word of its own while the interpreter ends
+    assert any(line.startswith("drivers.errors.") for line in errors.decode().splitlines()), errors.decode()
+    assert mortal.energised() == []
 
 
-@pytest.mark.parametrize("mode", list(SweepMode), ids=lambda mode: mode.value)
-async def test_a_machine_that_dies_is_lost_communication(mode: SweepMode) -> None:
-    with socketcand_machine() as (process, virtual):
-        port = virtual.open()
-        await port.connect()
+async def test_a_machine_that_dies_is_lost_communication(mortal: Virtual, mode: SweepMode) -> None:
+    port = mortal.open()
+    await port.connect()
+    await port.enable(AXIS)
+    command = await sweep(port, mode, periods=200, offset_velocity=0.002, sines=())
+    process = mortal.process
+    assert process is not None
+    with pytest.raises(CommunicationLost):
+        await consume(port, command, lambda _: process.kill())
+    status = await port.status()
+    assert {axis.state for axis in status.values()} == {AxisState.UNKNOWN}
+    with pytest.raises(CommunicationLost):
         await port.enable(AXIS)
-        command = await sweep(port, mode, periods=200, offset_velocity=0.002, sines=())
-        with pytest.raises(CommunicationLost):
-            await consume(port, command, lambda _: process.kill())
-        status = await port.status()
-        assert {axis.state for axis in status.values()} == {AxisState.UNKNOWN}
-        with pytest.raises(CommunicationLost):
-            await port.enable(AXIS)
-        await port.close()
+    await port.close()
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("can-")]
     assert len(asyncio.all_tasks()) == 1

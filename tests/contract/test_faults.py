@@ -13,12 +13,9 @@ from drivers.errors import (
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
 from tests.contract.bench import AXIS, OTHER, Virtual, column, consume, eventually, sweep
 
-MODES = [SweepMode.DRIVE_SIDE, SweepMode.HOST_STREAMED]
 LONG = 20  # periods; long enough to be interrupted at 20 times real time
-both_modes = pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.value)
 
 
-@both_modes
 async def test_fault_in_a_sweep_delivers_what_there_is_and_waits_for_a_person(
     port: DrivePort, virtual: Virtual, mode: SweepMode
 ) -> None:
@@ -56,7 +53,6 @@ async def test_fault_at_rest_is_seen_and_kept(port: DrivePort, virtual: Virtual)
     await port.enable(AXIS)
 
 
-@both_modes
 async def test_emergency_stop_in_a_sweep(port: DrivePort, virtual: Virtual, mode: SweepMode) -> None:
     await port.enable(AXIS)
     with pytest.raises(EmergencyStop):
@@ -74,7 +70,6 @@ async def test_emergency_stop_in_a_sweep(port: DrivePort, virtual: Virtual, mode
     await port.enable(AXIS)
 
 
-@both_modes
 async def test_envelope_left_while_moving_stops_the_axis(port: DrivePort, virtual: Virtual, mode: SweepMode) -> None:
     await port.enable(AXIS)
     with pytest.raises((EnvelopeLeft, DriveFault)):  # by the host or by the drive's own limit, whichever comes first
@@ -82,7 +77,7 @@ async def test_envelope_left_while_moving_stops_the_axis(port: DrivePort, virtua
     assert virtual.energised() == []
 
 
-@both_modes
+@pytest.mark.orders("silence")
 async def test_a_node_that_falls_silent_is_lost_communication(
     port: DrivePort, virtual: Virtual, mode: SweepMode
 ) -> None:
@@ -99,6 +94,8 @@ async def test_a_node_that_falls_silent_is_lost_communication(
     virtual.order("silence", joint=AXIS, on=False)
 
 
+@pytest.mark.has(SweepMode.HOST_STREAMED)
+@pytest.mark.orders("drop_tpdos")
 async def test_a_lost_sample_shows_as_a_jump_of_the_index(port: DrivePort, virtual: Virtual) -> None:
     await port.enable(AXIS)
     blocks: list[SampleBlock] = []
@@ -112,6 +109,8 @@ async def test_a_lost_sample_shows_as_a_jump_of_the_index(port: DrivePort, virtu
     assert np.allclose(column(blocks, "time"), index * 0.004)
 
 
+@pytest.mark.has(SweepMode.HOST_STREAMED)
+@pytest.mark.orders("freeze_counter")
 async def test_a_sample_counter_that_stands_still_ends_the_sweep(port: DrivePort, virtual: Virtual) -> None:
     await port.enable(AXIS)
     with pytest.raises(CommunicationLost, match="no sample"):

@@ -1,0 +1,190 @@
+"""What the benchmarks do with a machine: sweeps of known lines, their sample indices, their inertias."""
+
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import aclosing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from drivers.ports import DrivePort, SampleBlock, SetPointTiming, Sine, SweepCommand, SweepMode
+from service.identification import identify, spectrum
+from service.recording import Recording, Sweep, SweepSpec
+from service.recording import Sine as RecordedSine
+from service.robot import Robot, RobotDescription, build_robot
+
+ROBOT = Path(__file__).parents[2] / "config" / "robots" / "max100-class.yaml"
+# Hz; each axis has lines of its own, so that on a real arm what one axis does to another shows at neither's lines
+LINES = {"joint_1": (2.0, 4.0), "joint_2": (2.5, 4.5), "joint_3": (3.0, 5.0)}
+POSE = {"joint_1": 0.0, "joint_2": -0.3, "joint_3": 0.72}  # rad, where sweeps begin or end; forearm level
+PERIOD, PERIODS = 2.0, 3  # s: all lines are whole in it
+RAMP = SETTLE = 0.5  # s
+MOVING = RAMP + SETTLE + PERIOD * PERIODS  # s of the offset's full velocity
+TRAVEL = np.radians(4.0)
+SHARE = 0.28  # of the offset for each line; twice that and an elastic load still does not reverse
+VELOCITY = 0.5  # rad/s, of moves
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Indices:
+    """What the drive's sample counter says of one axis' samples in one sweep."""
+
+    count: int
+    lost: int
+    doubled: int
+    misordered: int
+
+    @property
+    def gapless(self) -> bool:
+        return self.lost == self.doubled == self.misordered == 0
+
+
+@dataclass(frozen=True)
+class Run:
+    """One `run_sweep`: of each axis what was commanded and delivered; begin and end on the wall clock, s."""
+
+    mode: SweepMode
+    sweeps: Mapping[str, Sweep]
+    indices: Mapping[str, Indices]
+    timing: SetPointTiming | None
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Inertia of one axis, kg m^2: host-streamed against drive-side sweeps of the same pose, with covariance."""
+
+    streamed: float
+    drive_side: float
+    difference_std: float
+    std: float  # of one streamed sweep, median
+    each: Array  # (n,) z of each streamed sweep against the mean of the drive-side ones
+
+    @property
+    def z(self) -> float:
+        return (self.streamed - self.drive_side) / self.difference_std
+
+
+def robot() -> Robot:
+    description = RobotDescription.model_validate(yaml.safe_load(ROBOT.read_text("utf-8")))
+    return build_robot(description, (ROBOT.parent / description.urdf).read_text("utf-8"))
+
+
+def count(index: NDArray[np.integer]) -> Indices:
+    """Judge the indices of one sweep, which must be 0, 1, 2, ..."""
+    steps = np.diff(index.astype(np.int64), prepend=-1)
+    distinct = len(np.unique(index))
+    return Indices(
+        count=len(index),
+        lost=int(index.max(initial=-1)) + 1 - distinct,
+        doubled=len(index) - distinct,
+        misordered=int(np.count_nonzero(steps < 0)),
+    )
+
+
+def command(robot: Robot, joint: str, start: float, forward: bool, mode: SweepMode, rate: float) -> SweepCommand:
+    """A sweep of `joint` from `start`, rad."""
+    offset = _offset(robot, joint)
+    sines = tuple(Sine(f, SHARE * offset, phase) for f, phase in zip(LINES[joint], (0.0, -np.pi / 2), strict=True))
+    return SweepCommand(
+        joint=joint,
+        mode=mode,
+        offset_velocity=offset if forward else -offset,
+        sines=sines,
+        period=PERIOD,
+        periods=PERIODS,
+        ramp=RAMP,
+        settle=SETTLE,
+        sample_rate=rate,
+        velocity_limit=0.05,
+        effort_limit=3000.0,
+        position_window=(start - 0.1, start + 0.1),
+    )
+
+
+def way(robot: Robot, joint: str) -> float:
+    """From start to end of a forward sweep, rad."""
+    return _offset(robot, joint) * MOVING
+
+
+async def run(port: DrivePort, robot: Robot, commands: Sequence[SweepCommand], pose: Mapping[str, float]) -> Run:
+    """Enable, sweep, disable. `pose`: where the joints are on the average of the sweep, rad."""
+    blocks: dict[str, list[SampleBlock]] = {each.joint: [] for each in commands}
+    await port.enable(*blocks)
+    begin = time.time()
+    async with aclosing(port.run_sweep(*commands)) as samples:
+        async for block in samples:
+            blocks[block.joint].append(block)
+    end = time.time()
+    timing = port.set_point_timing
+    for joint in blocks:
+        await port.disable(joint)
+    return Run(
+        mode=commands[0].mode,
+        sweeps={each.joint: _sweep(robot, each, blocks[each.joint], pose, f"{begin:.3f}") for each in commands},
+        indices={joint: count(np.concatenate([block.index for block in own])) for joint, own in blocks.items()},
+        timing=timing,
+        begin=begin,
+        end=end,
+    )
+
+
+async def move(port: DrivePort, pose: Mapping[str, float]) -> None:
+    """One joint after the other, to rad."""
+    for joint, target in pose.items():
+        await port.enable(joint)
+        await port.move_to(joint, target, VELOCITY)
+        await port.disable(joint)
+
+
+def compare(robot: Robot, runs: Sequence[Run], joint: str) -> Comparison:
+    """All sweeps of an axis identified together; difference of the two kinds with the covariance between them."""
+    mine = sorted((run for run in runs if joint in run.sweeps), key=lambda run: run.sweeps[joint].spec.id)
+    (axis,) = identify(robot, [spectrum(robot, run.sweeps[joint]) for run in mine]).axes
+    values, covariance = np.array([sweep.value for sweep in axis.sweeps]), axis.covariance
+    streamed = np.array([run.mode is SweepMode.HOST_STREAMED for run in mine])
+    means = streamed / streamed.sum(), ~streamed / (~streamed).sum()
+    single = np.eye(len(mine))[streamed] - means[1]
+    return Comparison(
+        streamed=float(means[0] @ values),
+        drive_side=float(means[1] @ values),
+        difference_std=float(np.sqrt((means[0] - means[1]) @ covariance @ (means[0] - means[1]))),
+        std=float(np.median(np.sqrt(np.diag(covariance)[streamed]))),
+        each=(single @ values) / np.sqrt(np.einsum("ij,jk,ik->i", single, covariance, single)),
+    )
+
+
+def _offset(robot: Robot, joint: str) -> float:
+    """The fastest offset within `TRAVEL` that keeps cogging off the lines (see `excitation`), rad/s."""
+    axis = robot.axis(joint)
+    step = 2 * np.pi / (axis.cogging_orders[0] * axis.gear_ratio * PERIOD * PERIODS)
+    return float(next(n for n in range(int(TRAVEL / MOVING / step), 0, -1) if n % PERIODS) * step)
+
+
+def _sweep(
+    robot: Robot, command: SweepCommand, blocks: list[SampleBlock], pose: Mapping[str, float], name: str
+) -> Sweep:
+    def column(field: str) -> Array:
+        return np.concatenate([getattr(block, field) for block in blocks])
+
+    start = float(blocks[0].position[0])
+    spec = SweepSpec(
+        id=f"{name} {command.joint}",
+        axis=command.joint,
+        pose=tuple(start if joint == command.joint else pose.get(joint, 0.0) for joint in robot.joints),
+        offset_velocity=command.offset_velocity,
+        sines=tuple(RecordedSine(frequency=s.frequency, amplitude=s.amplitude, phase=s.phase) for s in command.sines),
+        period=command.period,
+        periods=command.periods,
+        measure_from=command.measure_from,
+        sample_rate=command.sample_rate,
+        started_at=float(name),
+    )
+    fields = ("time", "effort", "velocity", "position", "velocity_setpoint")
+    return Sweep(spec, Recording(**{field: column(field) for field in fields}))
