@@ -1,0 +1,78 @@
+"""Whatever a node answers to SDO requests: a value or one of our errors, and the next request is not hurt."""
+
+import contextlib
+import queue
+import uuid
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import can
+import pytest
+from canopen.objectdictionary import ObjectDictionary
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from drivers.canopen import frames, objects
+from drivers.canopen.bus import Bus
+from drivers.canopen.profile import BusProfile
+from drivers.canopen.sdo import Sdo
+from drivers.errors import DriveError
+
+NODE = 1
+# commands of an SDO server: uploads, downloads, segments, block transfer, abort; with other bytes than it would send
+COMMAND = st.sampled_from([0x43, 0x4F, 0x41, 0x40, 0x60, 0x20, 0x00, 0x01, 0x10, 0x11, 0xC6, 0xC2, 0xC1, 0xA1, 0x80])
+OBJECT = st.just(bytes.fromhex("641000")) | st.just(bytes.fromhex("102103")) | st.binary(min_size=3, max_size=3)
+ANSWER = st.builds(
+    lambda command, index, data: bytes([command]) + index + data,
+    COMMAND | st.integers(0, 255),
+    OBJECT,
+    st.sampled_from([bytes(4), b"\x08\x00\x00\x00", b"\xff\xff\xff\xff"]) | st.binary(min_size=4, max_size=4),
+)
+
+
+@dataclass
+class Desk:
+    sdo: Sdo
+    answers: "queue.SimpleQueue[bytes]"
+
+
+@pytest.fixture
+def desk() -> Iterator[Desk]:
+    """A client, and a node that says what it is told to say, one answer a request; an abort is not answered."""
+    channel = f"hostile-{uuid.uuid4()}"
+    answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    node = can.Bus(interface="virtual", channel=channel)
+
+    def answer(message: can.Message) -> None:
+        if message.arbitration_id == 0x600 + NODE and message.data[0] != 0x80 and not answers.empty():
+            node.send(can.Message(arbitration_id=frames.SDO_RESPONSE + NODE, data=answers.get(), is_extended_id=False))
+
+    listening = can.Notifier(node, [answer], timeout=0.05)
+    bus = Bus(BusProfile(interface="virtual", channel=channel, sdo_timeout=0.03, drive_timeout=3600.0), (NODE,))
+    yield Desk(Sdo(bus.add_node(NODE, ObjectDictionary()), "joint_1 (node 1)", bus.check_alive), answers)
+    bus.close()
+    listening.stop()
+    node.shutdown()
+
+
+REQUESTS: dict[str, Callable[[Sdo], object]] = {
+    "read": lambda sdo: sdo.read(objects.POSITION),
+    "write": lambda sdo: sdo.write(objects.CONTROLWORD, 0),
+    "segments": lambda sdo: sdo.upload(0x2110, 3, block=False),
+    "blocks": lambda sdo: sdo.upload(0x2110, 3, block=True),
+}
+
+
+@pytest.mark.parametrize("request_name", REQUESTS)
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(answers=st.lists(ANSWER, max_size=4))
+@example(answers=[bytes.fromhex("c610210300000000")])  # begins a block upload, and nothing comes
+def test_any_answer_ends_in_a_value_or_an_error_of_ours(desk: Desk, request_name: str, answers: list[bytes]) -> None:
+    for each in answers:
+        desk.answers.put(each)
+    with contextlib.suppress(DriveError):
+        REQUESTS[request_name](desk.sdo)
+    while not desk.answers.empty():
+        desk.answers.get()
+    desk.answers.put(bytes.fromhex("4364600007000000"))
+    assert desk.sdo.read(objects.POSITION) == 7
