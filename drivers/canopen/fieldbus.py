@@ -19,8 +19,10 @@ from drivers.cia402.checks import Envelope
 from drivers.cia402.connection import capabilities
 from drivers.cia402.device import Mode
 from drivers.cia402.thread import DriveThread, to_the_end
-from drivers.errors import CommunicationLost, DriveError, EnvelopeLeft, SweepInterrupted
+from drivers.errors import CommunicationLost, DriveError, EnvelopeLeft, LimitExceeded, SweepInterrupted
 from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTiming, SweepCommand
+
+STEPS_OF_A_SINE = 20  # of the velocity unit in an amplitude: rounding then moves a line by less than one in a thousand
 
 
 class CanopenFieldbus:
@@ -74,6 +76,8 @@ class CanopenConnection:
 
     async def stream(self, sweeps: Sequence[tuple[SweepCommand, Envelope]], stop: threading.Event) -> "StreamedSweep":
         lanes: list[Lane] = []
+        for command, _ in sweeps:
+            _check_resolution(self.devices[command.joint], command)
         for command, envelope in sweeps:
             device = self.devices[command.joint]
             counter = await self.thread.run(device.prepare_streaming)
@@ -128,6 +132,17 @@ class StreamedSweep:
                 raise SweepInterrupted(run.reason)
             case Ending.LEFT_ENVELOPE | Ending.NO_STANDSTILL:
                 raise EnvelopeLeft(run.reason)
+
+
+def _check_resolution(device: CanopenDevice, command: SweepCommand) -> None:
+    """LimitExceeded if the drive's velocity unit would turn the sines into stairs."""
+    step = abs(float(device.codec.velocity(1.0)))
+    for sine in command.sines:
+        if 0 < sine.amplitude < STEPS_OF_A_SINE * step:
+            raise LimitExceeded(
+                f"{device.place}: a sine of {sine.amplitude:.3g} {device.profile.unit}/s has fewer than "
+                f"{STEPS_OF_A_SINE} steps of the drive's velocity unit of {step:.3g} {device.profile.unit}/s"
+            )
 
 
 async def _beat(bus: Bus, profile: CanopenProfile) -> None:

@@ -128,10 +128,11 @@ def _over_vcan(bench: Bench) -> AbstractContextManager[Virtual]:
 
 
 @contextmanager
-def _in_one_process(bench: Bench) -> Iterator[Virtual]:
+def in_one_process(bench: Bench, eds: Path = EDS) -> Iterator[Virtual]:
+    """On python-can's virtual bus, drives with the dictionary `eds`."""
     channel = f"contract-{os.getpid()}-{uuid.uuid4()}"
     virtual = VirtualDrive(
-        Machine(load_scenario(SCENARIO), 0), EDS, bus="virtual", channel=channel, speed_factor=SPEED_FACTOR
+        Machine(load_scenario(SCENARIO), 0), eds, bus="virtual", channel=channel, speed_factor=SPEED_FACTOR
     )
     thread = threading.Thread(target=virtual.run, name="virtual-drive")
     thread.start()
@@ -175,7 +176,7 @@ LASTING: dict[str, dict[str, object]] = {  # what takes an order back
 
 BENCHES: dict[str, Bench] = {
     "canopen-socketcand": Bench("canopen", BOTH, CAN_ORDERS, _over_socketcand),
-    "canopen-virtual": Bench("canopen", BOTH, CAN_ORDERS, _in_one_process, own_process=False),
+    "canopen-virtual": Bench("canopen", BOTH, CAN_ORDERS, in_one_process, own_process=False),
     "canopen-vcan": Bench("canopen", BOTH, CAN_ORDERS, _over_vcan, vcan=True),
     "modbus-tcp": Bench("modbus", DRIVE_SIDE, ORDERS, _over_modbus_tcp),
     "modbus-rtu": Bench("modbus", DRIVE_SIDE, ORDERS, _over_modbus_rtu, exclusive=True),

@@ -31,7 +31,7 @@ def _exists(item: pytest.Item, vcan: bool) -> bool:
     given = item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
     name = given.get("virtual", given.get("mortal"))
     if name is None:
-        return True
+        return not vcan or "vcan" in item.path.parts
     bench, marks = BENCHES[name], {mark.name: mark.args for mark in reversed(list(item.iter_markers()))}
     return (
         bench.vcan is vcan

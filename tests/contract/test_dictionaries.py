@@ -1,0 +1,123 @@
+"""Drives of several makers: one adapter on dictionaries that lack objects, offer other options, count otherwise."""
+
+import asyncio
+import threading
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from drivers.errors import BadProfile, DriveFault, EnvelopeLeft, LimitExceeded, WrongIdentity
+from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
+from drivers.registry import open_drive
+from tests.contract.bench import AXIS, BENCHES, DRIVES, EDS, Virtual, column, consume, in_one_process, sweep
+
+FULL, BARE, RPM = EDS, EDS.with_stem("virtual-axis-no-limits"), EDS.with_stem("virtual-axis-rpm")
+
+
+def fitted(virtual: Virtual, eds: str, product: int = 0x0402, **changes: Any) -> dict[str, object]:
+    """The machine's profile with another EDS, for drives of another product."""
+    axes = [
+        {**axis, "load_encoder": "rpm" not in eds, "identity": {**axis["identity"], "product": product}}
+        for axis in cast("list[dict[str, Any]]", virtual.profile["axes"])
+    ]
+    return {**virtual.profile, "eds": eds, "axes": axes, **changes}
+
+
+@asynccontextmanager
+async def connected(profile: dict[str, object]) -> AsyncIterator[DrivePort]:
+    port = open_drive(profile, DRIVES)
+    await port.connect()
+    try:
+        yield port
+    finally:
+        await port.close()
+        assert not [thread for thread in threading.enumerate() if thread.name.startswith("can-")]
+        assert len(asyncio.all_tasks()) == 1
+
+
+@pytest.fixture(scope="module")
+def bare() -> Iterator[Virtual]:
+    with in_one_process(BENCHES["canopen-virtual"], BARE) as virtual:
+        yield virtual
+
+
+@pytest.fixture(scope="module")
+def rpm() -> Iterator[Virtual]:
+    with in_one_process(BENCHES["canopen-virtual"], RPM) as virtual:
+        yield virtual
+
+
+async def test_what_the_drive_cannot_limit_is_told(bare: Virtual) -> None:
+    async with connected(fitted(bare, str(BARE))) as port:
+        can = port.capabilities
+        assert (can.velocity_limit_in_drive, can.effort_limit_in_drive, can.position_limits_in_drive) == (False,) * 3
+        assert can.host_watchdog_in_drive
+        assert can.sweep_modes == frozenset(SweepMode)
+
+
+@pytest.mark.parametrize("mode", list(SweepMode), ids=lambda mode: mode.value)
+async def test_the_host_enforces_the_effort_that_the_drive_does_not(bare: Virtual, mode: SweepMode) -> None:
+    async with connected(fitted(bare, str(BARE))) as port:
+        await port.enable(AXIS)
+        with pytest.raises(EnvelopeLeft, match=f"{AXIS} .*effort .* is beyond 100 N m"):
+            await consume(port, await sweep(port, mode, effort_limit=100.0, periods=20))
+        assert bare.energised() == []
+        assert (await port.status())[AXIS].state is AxisState.DISABLED
+
+
+@pytest.mark.parametrize("mode", list(SweepMode), ids=lambda mode: mode.value)
+async def test_the_host_enforces_the_window_that_the_drive_does_not(bare: Virtual, mode: SweepMode) -> None:
+    async with connected(fitted(bare, str(BARE))) as port:
+        await port.enable(AXIS)
+        start = (await port.status())[AXIS].position
+        with pytest.raises(LimitExceeded, match=r"highest position .* is outside its window"):
+            await consume(port, await sweep(port, mode, position_window=(start - 0.001, start + 0.001)))
+        with pytest.raises(LimitExceeded, match=r"target position 3\.5 rad is outside -2\.96 to 2\.96 rad"):
+            await port.move_to(AXIS, 3.5, 0.1)
+        assert bare.truth()["position"] == pytest.approx(start, abs=1e-4)
+        await port.disable(AXIS)
+
+
+async def test_a_drive_that_counts_in_whole_rev_per_min_measures_by_itself(rpm: Virtual) -> None:
+    profile = fitted(rpm, str(RPM), 0x0403, stop_options={"quick_stop": 6})
+    async with connected(profile) as port:
+        assert not port.capabilities.load_encoder
+        await port.enable(AXIS)
+        blocks: list[SampleBlock] = []
+        await consume(port, await sweep(port, SweepMode.DRIVE_SIDE), blocks.append)
+        position, velocity, time = (column(blocks, name) for name in ("position", "velocity", "time"))
+        travelled = np.sum((velocity[1:] + velocity[:-1]) / 2 * np.diff(time))
+        assert position[-1] - position[0] == pytest.approx(travelled, rel=1e-2)
+        assert 0.01 < travelled < 0.02
+        with pytest.raises(LimitExceeded, match="fewer than 20 steps of the drive's velocity unit"):
+            await consume(port, await sweep(port, SweepMode.HOST_STREAMED))
+        assert rpm.energised() == []
+
+
+async def test_a_drive_that_stays_in_quick_stop_loses_its_energy_all_the_same(rpm: Virtual) -> None:
+    async with connected(fitted(rpm, str(RPM), 0x0403, stop_options={"quick_stop": 6})) as port:
+        await port.enable(AXIS)
+        running = port.run_sweep(await sweep(port, SweepMode.DRIVE_SIDE, periods=200, offset_velocity=0.002, sines=()))
+        await anext(running)
+        await port.stop()
+        assert rpm.energised() == []
+        await running.aclose()
+        rpm.order("fault", joint=AXIS, code=0x7305)
+        with pytest.raises(DriveFault, match="7305h"):
+            await port.enable(AXIS)
+        await port.acknowledge(AXIS)
+
+
+async def test_an_eds_of_another_product_is_refused_before_the_bus_is_opened(rpm: Virtual) -> None:
+    with pytest.raises(BadProfile, match="product 00000403h; joint_1 is 00005357h, 00000402h"):
+        open_drive(fitted(rpm, str(RPM)), DRIVES)
+
+
+async def test_drives_that_are_not_those_of_the_eds_are_refused(rpm: Virtual) -> None:
+    port = open_drive(fitted(rpm, str(FULL)), DRIVES)
+    with pytest.raises(WrongIdentity, match="product is 00000403h, the profile says 00000402h"):
+        await port.connect()
+    assert rpm.energised() == []
