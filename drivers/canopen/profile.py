@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from drivers.cia402.profile import AxisProfile, Frozen, StopOptions, parse
+from drivers.cia402.profile import AxisProfile, Frozen, StopOptions, existing_file, parse, require_different
 from drivers.errors import BadProfile
 
 
@@ -70,10 +70,8 @@ class CanopenProfile(Frozen):
 
     @model_validator(mode="after")
     def _consistent(self) -> "CanopenProfile":
-        joints = [axis.joint for axis in self.axes]
         nodes = [axis.node for axis in self.axes]
-        if len(set(joints)) < len(joints) or len(set(nodes)) < len(nodes):
-            raise ValueError(f"joints {joints} and nodes {nodes} must each be different")
+        require_different(self.axes, "nodes", nodes)
         if self.bus.host_node in nodes:
             raise ValueError(f"host_node {self.bus.host_node} is the node of an axis")
         return self
@@ -82,9 +80,7 @@ class CanopenProfile(Frozen):
 def parse_profile(profile: Mapping[str, object], base: Path) -> CanopenProfile:
     """A checked profile whose `eds` is an existing file, relative to `base` where it is not absolute."""
     parsed = parse(CanopenProfile, profile)
-    eds = base / parsed.eds
-    if not eds.is_file():
-        raise BadProfile(f"eds: no file {eds}")
+    eds = existing_file("eds", base / parsed.eds)
     _check_eds(parsed, eds)
     return parsed.model_copy(update={"eds": eds})
 

@@ -1,6 +1,7 @@
 """What a person knows of a drive before the bus is opened, whatever the fieldbus."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -95,3 +96,17 @@ def parse(kind: type[Parsed], content: Mapping[str, object]) -> Parsed:
         place = ".".join(str(part) for part in first["loc"]) or "profile"
         given = "" if isinstance(first["input"], Mapping) else f" (given: {first['input']!r})"
         raise BadProfile(f"{place}: {first['msg']}{given}") from None
+
+
+def require_different(axes: Sequence[AxisProfile], what: str, addresses: Sequence[int]) -> None:
+    """ValueError unless every axis has a joint and an address of its own; `what` names the addresses."""
+    joints = [axis.joint for axis in axes]
+    if len(set(joints)) < len(joints) or len(set(addresses)) < len(addresses):
+        raise ValueError(f"joints {joints} and {what} {list(addresses)} must each be different")
+
+
+def existing_file(key: str, path: Path) -> Path:
+    """`path`, which a profile names under `key`; BadProfile if no such file is there."""
+    if not path.is_file():
+        raise BadProfile(f"{key}: no file {path}")
+    return path

@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from drivers.cia402.profile import AxisProfile, Frozen, StopOptions, parse
-from drivers.errors import BadProfile
+from drivers.cia402.profile import AxisProfile, Frozen, StopOptions, existing_file, parse, require_different
 
 ROUND_TRIP = 4e-3  # s, of a Modbus TCP request: most drives answer from a cycle of some ms
 
@@ -96,17 +95,12 @@ class ModbusProfile(Frozen):
 
     @model_validator(mode="after")
     def _consistent(self) -> "ModbusProfile":
-        joints = [axis.joint for axis in self.axes]
-        units = [axis.unit_id for axis in self.axes]
-        if len(set(joints)) < len(joints) or len(set(units)) < len(units):
-            raise ValueError(f"joints {joints} and unit ids {units} must each be different")
+        require_different(self.axes, "unit ids", [axis.unit_id for axis in self.axes])
         return self
 
 
 def parse_profile(profile: Mapping[str, object], base: Path) -> ModbusProfile:
     """A checked profile whose `registers` is an existing file, relative to `base` where it is not absolute."""
     parsed = parse(ModbusProfile, profile)
-    registers = base / parsed.registers
-    if not registers.is_file():
-        raise BadProfile(f"registers: no file {registers}")
+    registers = existing_file("registers", base / parsed.registers)
     return parsed.model_copy(update={"registers": registers})
