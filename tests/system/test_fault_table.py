@@ -38,6 +38,7 @@ ADAPTERS = (
     Adapter("CANopen, streamed sweep", Fieldbus.CANOPEN, "host_streamed"),
     Adapter("Modbus TCP", Fieldbus.MODBUS_TCP, "drive_side"),
 )
+OR = "<br>or "  # between the outcomes of a race, in a cell that a person has completed
 STREAMED = {ADAPTERS[1].name}
 ON_CAN = {ADAPTERS[0].name, ADAPTERS[1].name}
 EVERYWHERE = {adapter.name for adapter in ADAPTERS}
@@ -199,10 +200,11 @@ def table(request: pytest.FixtureRequest) -> Iterator[Callable[[Fault, Adapter, 
     written = read_table()
 
     def cell(fault: Fault, adapter: Adapter, seen: str) -> None:
-        if writing:
+        documented = written.get(fault.name, {}).get(adapter.name, "").split(OR)
+        if not writing:
+            assert seen in documented
+        elif seen not in documented:
             written.setdefault(fault.name, {})[adapter.name] = seen
-        else:
-            assert written[fault.name][adapter.name] == seen
 
     yield cell
     if writing:
