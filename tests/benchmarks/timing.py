@@ -33,8 +33,7 @@ is typed. One axis, 250 Hz, {seconds:.0f} s of sweeps a row. The machine is {pro
 server (Linux {kernel}): no real-time kernel, no priorities. vcan is in user-mode Linux on one of these cores, where a
 system call costs some ten times as much. "Loaded" means two more processes that do nothing but calculate: host and
 virtual machine share the cores with them, on vcan host, virtual machine and kernel one core with one of them. A
-computer at a machine does better. Other programs worked on this one meanwhile (load average 3 to 5): "idle" means that
-the run itself added nothing to that.
+computer at a machine does better. Short jobs of the lowest priority (SCHED_IDLE) ran beside all rows now and then.
 
 ## On the bus
 
