@@ -1,12 +1,16 @@
 """Settings of the service: ``config/service.yaml``, overridden by the environment (``SWEEPID_DATA_DIR`` ...)."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field, StringConstraints, ValidationError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from service.configuration import bad_field, read_yaml
+
+_LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+HostName = Annotated[str, StringConstraints(to_lower=True, pattern=r"^([A-Za-z0-9_.-]+|[0-9A-Fa-f:.]+)$")]
 
 
 class Settings(BaseSettings):
@@ -20,12 +24,24 @@ class Settings(BaseSettings):
     robots_dir: Path = Path("config/robots")
     cells_dir: Path = Path("config/cells")
     host: str = "127.0.0.1"
+    allowed_hosts: tuple[HostName, ...] = ()  # names it answers to besides this computer's own; see `answers_to`
     port: int = Field(default=8642, ge=0, le=65535)  # 0: any free port
     dask_scheduler: str | None = None  # e.g. tcp://host:8786; None: one worker process of our own
     lease_time: float = Field(default=6.0, ge=0.5, le=60.0)  # s without a sign of life until the machine is free again
     pose_tolerance: float = Field(default=2e-3, gt=0)  # rad (m), actual against planned pose at the start of a sweep
     live_rate: float = Field(default=100.0, gt=0)  # Hz, thinned samples for subscribers
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
+
+    @property
+    def answers_to(self) -> tuple[str, ...]:
+        """Host names in requests that are meant for this service; empty: any.
+
+        Any only where it listens beyond this computer and nobody said under which names: then a web page anywhere can
+        reach it through an operator's browser by letting its own name point here (DNS rebinding).
+        """
+        if self.host not in _LOOPBACK and not self.allowed_hosts:
+            return ()
+        return (*_LOOPBACK, self.host, *self.allowed_hosts)
 
     @property
     def url(self) -> str:

@@ -10,6 +10,7 @@ from socket import socket
 from types import FrameType
 from typing import Annotated, Any
 
+import structlog
 import typer
 import uvicorn
 from fastapi import FastAPI
@@ -20,7 +21,8 @@ from service.cli.logs import configure_logs
 from service.errors import SweepidError
 from service.settings import load_settings
 
-_LOOPBACK = ("127.0.0.1", "localhost", "::1")
+_log = structlog.get_logger(__name__)
+
 _GRACE = 3  # s for requests under way when the service is told to end
 # with the default of 5 ms a busy thread delays the thread of the set-points by more than a cycle
 _SWITCH_INTERVAL = 1e-3  # s
@@ -39,7 +41,9 @@ def serve(
     settings = load_settings(config).model_copy(update=given)
     configure_logs(settings.log_level)
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    app = create_app(settings, _LOOPBACK if settings.host in _LOOPBACK else ())
+    if not settings.answers_to:
+        _log.warning("answers_to_any_host_name", host=settings.host, setting="allowed_hosts")
+    app = create_app(settings, settings.answers_to)
     server = _Server(
         app,
         uvicorn.Config(
