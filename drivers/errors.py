@@ -29,7 +29,7 @@ class LimitExceeded(DriveError):
 
 
 class EnvelopeLeft(DriveError):
-    """A moving axis left its position window, speed or effort limit. It was stopped and disabled."""
+    """A moving axis left its position window, speed, effort or time limit. It was stopped and disabled."""
 
 
 class NotReady(DriveError):

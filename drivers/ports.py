@@ -7,7 +7,7 @@ profile being relative to `base`; `drivers.registry` loads it.
 Rules that every adapter keeps (tests/contract):
 
 - Nothing energises an axis but `enable`. A fault is cleared by `acknowledge` alone, and that never energises.
-- Leaving `run_sweep` early, for whatever reason (error, ``aclose``, cancellation), stops the axis.
+- Leaving `run_sweep` or `run_noise` early, for whatever reason (error, ``aclose``, cancellation), stops the axis.
 - `stop` may be called at any time, from any task, and twice.
 - Whatever a drive cannot enforce itself is enforced here before the command is sent (`Capabilities`).
 """
@@ -54,6 +54,7 @@ class Capabilities:
     host_watchdog_in_drive: bool  # the drive stops by itself when the host falls silent
     set_point_timing: str  # "thread", "bcm" (the kernel's), "none"
     simultaneous_axes: int  # that one `run_sweep` may move at once
+    torque_injection: bool = False  # `run_noise`: the drive's own torque noise, with its speed control softened
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,8 +160,45 @@ class SweepCommand:
 
 
 @dataclass(frozen=True, slots=True)
+class NoiseCommand:
+    """Pseudo-random torque on top of a slow turn, from standstill to standstill; the drive makes and records it.
+
+    Velocity set-point ``e(t) offset_velocity`` and injected torque ``e(t) sum_k a sin(2 pi f_k t + phi_k)`` with the
+    envelope and times of `SweepCommand`. f_k is every multiple of 1/`period` in the band, a the same for all,
+    phi_k random by `seed`. While it runs, the gain of the drive's speed control is multiplied and its reset time
+    divided by `softening`; the drive's own values are restored whatever ends the run.
+    """
+
+    joint: str
+    offset_velocity: float  # rad/s (m/s), signed
+    effort: float  # N m (N), RMS of the injected torque
+    lowest: float  # Hz
+    highest: float  # Hz
+    period: float  # s
+    periods: int
+    seed: int  # 32 bits
+    softening: float  # above 0, at most 1
+    ramp: float  # s
+    settle: float  # s
+    sample_rate: float  # Hz, wanted
+    velocity_limit: float  # rad/s (m/s), absolute
+    effort_limit: float  # N m (N), absolute; of control and injection together
+    position_window: tuple[float, float]  # rad (m), absolute joint positions never to be left
+
+    @property
+    def measure_from(self) -> float:
+        """Start of the measured window, s."""
+        return self.ramp + self.settle
+
+    @property
+    def duration(self) -> float:
+        """From standstill to standstill, s."""
+        return 2 * self.ramp + self.settle + self.period * self.periods
+
+
+@dataclass(frozen=True, slots=True)
 class SampleBlock:
-    """Consecutive samples of one sweep on the drive's clock; arrays of one length, joint side.
+    """Consecutive samples of one sweep or noise run on the drive's clock; arrays of one length, joint side.
 
     `index` counts the drive's samples from the start of the sweep; a jump means that samples were lost. Blocks
     arrive in order; a block never overlaps the one before. `time` is index / rate of the drive's clock, s.
@@ -174,6 +212,7 @@ class SampleBlock:
     position: Array
     velocity_setpoint: Array
     load_position: Array | None = None
+    excitation_effort: Array | None = None  # N m (N), the injected part of `effort`; None where nothing is injected
 
 
 class DrivePort(Protocol):
@@ -231,6 +270,13 @@ class DrivePort(Protocol):
 
         Several commands, one an axis and all host-streamed with the same times, move their axes at once on one clock;
         whatever ends one of them ends all.
+        """
+        ...
+
+    def run_noise(self, command: NoiseCommand) -> AsyncGenerator[SampleBlock, None]:
+        """Inject torque noise on one enabled axis: as a drive-side `run_sweep`, with `excitation_effort`.
+
+        NotReady where `Capabilities.torque_injection` is False.
         """
         ...
 

@@ -21,7 +21,7 @@ from simulator.scenario import (
     Spring,
     load_scenario,
 )
-from simulator.sweeps import SweepRun, run_sweeps
+from simulator.sweeps import NoiseRun, SweepRun, run_sweeps
 from simulator.truth import true_inertia
 from simulator.waveform import Waveform
 
@@ -35,6 +35,7 @@ __all__ = [
     "Measurement",
     "Motion",
     "MovingAxis",
+    "NoiseRun",
     "Ripple",
     "Scenario",
     "ScenarioError",

@@ -20,7 +20,8 @@ from simulator.machine import AxisInfo, Machine
 _MOVING_CHUNK = (4, 16)  # cycles run at a time while something moves
 _HOLDING_CHUNK = 20  # cycles run at a time while nothing does
 _BACKLOG = 4  # chunks that may be made up for when the computer was busy
-_MOTOR = ((0x6072, 0), (0x6076, 0), (0x6080, 0))  # hold inside of the drive even where its EDS has no such object
+_CONTROL = ((0x2140, 1), (0x2140, 2), (0x2140, 3), (0x2140, 4))
+_INSIDE = ((0x6072, 0), (0x6076, 0), (0x6080, 0), *_CONTROL)  # hold even where the EDS has no such object
 
 
 class Node(Protocol):
@@ -67,9 +68,13 @@ class Cabinet(Generic[AnyNode]):
         for info in machine.axes:
             dictionary = self.nodes[info.joint].dictionary
             plate = _nameplate(info, limits[info.joint], speed_unit(dictionary))
-            dictionary.nameplate |= {k: value for k, value in plate.items() if k in _MOTOR or k in dictionary}
+            dictionary.nameplate |= {k: value for k, value in plate.items() if k in _INSIDE or k in dictionary}
         self._axes = [(info, self.nodes[info.joint].axis) for info in machine.axes]
         self._effort_limits = {info.joint: inf for info in machine.axes}
+        self._controls = {
+            joint: (node.dictionary.nameplate[0x2140, 1], node.dictionary.nameplate[0x2140, 2])
+            for joint, node in self.nodes.items()
+        }
 
     def boot(self) -> None:
         """Power on."""
@@ -124,16 +129,21 @@ class Cabinet(Generic[AnyNode]):
             "fault": self.nodes[info.joint].dictionary[0x603F, 0] or None,
             "measuring": axis.measuring.run.name.lower(),
             "samples": axis.measuring.count,
+            "softened": axis.speed_control.softened,
         }
 
     def advance(self, cycles: int) -> None:
         """Run the machine for so many of its cycles."""
         setpoints = np.zeros((cycles, len(self._axes)))
+        injected = np.zeros_like(setpoints) if any(axis.measuring.injecting for _, axis in self._axes) else None
         for k, (info, axis) in enumerate(self._axes):
             if axis.energised:
                 self._limit_effort(info, axis)
+                self._tune(info, axis)
+                if injected is not None:
+                    injected[:, k] = axis.measuring.injection(cycles) * info.gear_ratio
                 setpoints[:, k] = axis.setpoints(cycles) * tau / info.gear_ratio
-        samples = self._machine.advance(setpoints)
+        samples = self._machine.advance(setpoints, injected)
         self.cycles += cycles
         for k, (info, axis) in enumerate(self._axes):
             if axis.energised:
@@ -146,6 +156,7 @@ class Cabinet(Generic[AnyNode]):
                         speed=samples.velocity[:, k] * turns,
                         position=samples.position[:, k] * turns,
                         load=samples.load_position[:, k] / tau if info.load_encoder else np.full(cycles, nan),
+                        injected=samples.excitation_effort[:, k] / info.gear_ratio,
                     )
                 )
 
@@ -173,13 +184,21 @@ class Cabinet(Generic[AnyNode]):
             self._effort_limits[info.joint] = limit
             self._machine.set_effort_limit(info.joint, limit)
 
+    def _tune(self, info: AxisInfo, axis: Axis) -> None:
+        control = axis.speed_control.active
+        if control != self._controls[info.joint]:
+            self._controls[info.joint] = control
+            self._machine.tune(info.joint, control[0] * info.gear_ratio**2, control[1])
+
 
 def _nameplate(info: AxisInfo, limits: Mapping[str, float], speed: float) -> dict[Key, Value]:
     """Start values that depend on the motor; limits of the joint in rad, rad/s; `speed` units in 1 rev/s."""
     turns = info.gear_ratio / tau
     ends = sorted((limits["lower"] * turns * INCREMENTS, limits["upper"] * turns * INCREMENTS))
     fastest = round(limits["velocity"] * abs(turns) * speed)
+    control = (info.gain / info.gear_ratio**2, info.reset_time)
     return {
+        **dict(zip(_CONTROL, control * 2, strict=True)),
         (0x6072, 0): round(PER_MILLE * info.effort_limit / info.rated_effort),
         (0x6076, 0): round(PER_MILLE * info.rated_effort / abs(info.gear_ratio)),
         (0x607D, 1): round(ends[0]),

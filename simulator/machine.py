@@ -1,15 +1,17 @@
-"""The live virtual machine: axes with brakes that take velocity set-points and give samples, one cycle a row."""
+"""The live virtual machine: axes with brakes that take velocity set-points and give samples, one cycle a row.
+
+While more than one brake is open, the axes feel each other (`coupled`).
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.moving_axis import MovingAxis, moving_axis
+from simulator.coupled import CoupledTrains
 from simulator.noise import measure
 from simulator.plant import Plant, Samples
-from simulator.rigid_body import RigidBody
-from simulator.scenario import CYCLE, Scenario, ScenarioError
+from simulator.scenario import CYCLE, STEP, Scenario, ScenarioError
 
 Array = NDArray[np.float64]
 
@@ -25,6 +27,8 @@ class AxisInfo:
     motor_inertia: float  # nominal, kg m^2
     rated_effort: float  # N m
     effort_limit: float  # N m
+    gain: float  # N m s/rad, of the speed control; 0 where locked
+    reset_time: float  # s
     load_encoder: bool
     locked: bool  # its brake cannot be opened
 
@@ -38,16 +42,14 @@ class Machine:
         self.scenario = scenario
         self.joints = scenario.joints
         self.axes = tuple(_info(scenario, joint) for joint in self.joints)
-        self._body = RigidBody(scenario)
         self._driven = tuple(k for k, axis in enumerate(self.axes) if not axis.locked)
         self._row = {joint: row for row, joint in enumerate(scenario.joints[k] for k in self._driven)}
         self._pose = np.zeros(len(self.joints))
         self._loaded = self._pose.copy()  # the pose whose inertia and gravity the plant has
-        self._plant = Plant(
-            self._moving_axes(self._pose),
-            [scenario.axes[joint].control for joint in self._row],
-            scenario.measurement,
-        )
+        self._trains = CoupledTrains(scenario, STEP)
+        controls = [scenario.axes[joint].control for joint in self._row]
+        self._plant = Plant(self._trains.axes, controls, scenario.measurement)
+        self._plant.trains = self._trains
         self._rated = np.array([self.axes[k].rated_effort for k in self._driven])
         self._random = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(len(self._driven))]
 
@@ -85,15 +87,25 @@ class Machine:
         self._pose[list(self._driven)] = self._plant.trains.position[0]
         return self._pose.copy()
 
-    def advance(self, setpoints: Array) -> Samples:
-        """Run m cycles under velocity set-points (m, n) rad/s; measured samples (m, n). Braked joints stay put."""
+    def tune(self, joint: str, gain: float, reset_time: float) -> None:
+        """Speed control of a joint, N m s/rad on the joint side and s, both above 0; ScenarioError if it is locked."""
+        self.scenario.driven(joint)
+        self._plant.tune(self._row[joint], gain, reset_time)
+
+    def advance(self, setpoints: Array, injected: Array | None = None) -> Samples:
+        """Run m cycles under velocity set-points (m, n) rad/s; measured samples (m, n). Braked joints stay put.
+
+        `injected` (m, n): torque on top of the speed controllers', N m on the joint side; none by default.
+        """
         if setpoints.ndim != 2 or setpoints.shape[1] != len(self.joints):
             raise ValueError(f"set-points {setpoints.shape} must be (cycles, {len(self.joints)})")
         driven = list(self._driven)
         pose = self.positions()
         if np.abs(pose - self._loaded).max() > _MOVED:  # an axis' own motion changes nothing for itself
             self._load_pose(pose)
-        clean = self._plant.advance(setpoints[:, driven] * self._plant.trains.free)
+        free = self._plant.trains.free
+        torque = None if injected is None else injected[:, driven] * free
+        clean = self._plant.advance(setpoints[:, driven] * free, torque)
         measured = measure(clean, self.scenario.measurement, self._rated, self._random)
 
         def whole(part: Array, locked: Array) -> Array:
@@ -110,15 +122,13 @@ class Machine:
             load_position=whole(measured.load_position, self._pose),
             load_velocity=whole(measured.load_velocity, nothing),
             velocity_setpoint=whole(measured.velocity_setpoint, nothing),
+            excitation_effort=whole(measured.excitation_effort, nothing),
             torque_limited=whole(measured.torque_limited.astype(float), nothing) > 0,
         )
 
     def _load_pose(self, pose: Array) -> None:
-        self._plant.trains.load(self._moving_axes(pose))
+        self._trains.take_pose(pose)
         self._loaded = pose
-
-    def _moving_axes(self, pose: Array) -> list[MovingAxis]:
-        return [moving_axis(self.scenario, self._body, joint, pose.tolist()) for joint in self._row]
 
 
 def _info(scenario: Scenario, joint: str) -> AxisInfo:
@@ -129,6 +139,8 @@ def _info(scenario: Scenario, joint: str) -> AxisInfo:
         motor_inertia=nominal.motor_inertia,
         rated_effort=nominal.rated_effort,
         effort_limit=driven.control.effort_limit if driven else nominal.rated_effort,
+        gain=driven.control.gain if driven else 0.0,
+        reset_time=driven.control.reset_time if driven else 0.0,
         load_encoder=driven.load_encoder if driven else False,
         locked=driven is None,
     )

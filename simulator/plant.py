@@ -1,9 +1,9 @@
 """The plant under cascade control: drive trains, PI speed controllers, and what happens within each 1 ms cycle.
 
-A cycle has `SUBSTEPS` steps of control and mechanics. The set-point runs straight from the last cycle's value to the
-new one (the drive's fine interpolator; a staircase would alias into the torque). Every channel of a sample is the mean
-over the same instants of the cycle, so any linear relation between torque and motion holds between the samples too;
-unless the scenario says that effort or motor speed reach the drive's samples late or smoothed.
+A cycle has `SUBSTEPS` steps of control and mechanics. Set-point and injected torque run straight from the last cycle's
+value to the new one (the drive's fine interpolator; a staircase would alias into the torque). Every channel of a sample
+is the mean over the same instants of the cycle, so any linear relation between torque and motion holds between the
+samples too; unless the scenario says that effort or motor speed reach the drive's samples late or smoothed.
 """
 
 from collections.abc import Sequence
@@ -33,6 +33,7 @@ class Samples:
     load_position: Array
     load_velocity: Array
     velocity_setpoint: Array
+    excitation_effort: Array  # the injected part of the torque
     torque_limited: NDArray[np.bool_]
 
 
@@ -43,41 +44,54 @@ class Plant:
         rows = len(axes)
         self.trains = DriveTrains(axes, STEP)
         self.effort_limit = np.array([c.effort_limit for c in controls])
-        self._gain = np.array([c.gain for c in controls])
-        self._reset = np.array([STEP / c.reset_time for c in controls]) * self._gain
+        self._gain, self._reset = np.zeros((2, rows))
+        for row, control in enumerate(controls):
+            self.tune(row, control.gain, control.reset_time)
         self._integral = np.zeros(rows)
         self._setpoint = np.zeros(rows)
+        self._injected = np.zeros(rows)
         self._effort = Channel(rows, STEP, measurement.effort_delay, measurement.effort_smoothing)
         self._velocity = Channel(rows, STEP, measurement.velocity_delay, measurement.velocity_smoothing)
+
+    def tune(self, row: int, gain: float, reset_time: float) -> None:
+        """Other speed control of a row, N m s/rad and s; its torque of this moment stays."""
+        self._gain[row] = gain
+        self._reset[row] = gain * STEP / reset_time
 
     def release(self, row: int) -> None:
         """Open the brake of a standing row with the torque that holds gravity."""
         self._integral[row] = self.trains.settle(row)
         self._effort.restart(row, self._integral[row])
         self._velocity.restart(row, 0.0)
-        self._setpoint[row] = 0.0
+        self._setpoint[row] = self._injected[row] = 0.0
         self.trains.free[row] = 1.0
 
     def brake(self, row: int) -> None:
         """Close the brake of a row: it stands at once and its motor has no torque."""
         self.trains.free[row] = 0.0
         self.trains.velocity[:, row] = 0.0
-        self._setpoint[row] = 0.0
+        self._setpoint[row] = self._injected[row] = 0.0
 
-    def advance(self, setpoints: Array) -> Samples:
-        """Run ``len(setpoints)`` cycles; set-points (cycles, rows) rad/s are reached at the end of their cycles."""
-        parts = [self._chunk(setpoints[k : k + _CHUNK]) for k in range(0, len(setpoints), _CHUNK)]
+    def advance(self, setpoints: Array, injected: Array | None = None) -> Samples:
+        """Run ``len(setpoints)`` cycles; set-points (cycles, rows) rad/s are reached at the end of their cycles.
+
+        So is the `injected` torque, N m, on top of the speed controller's; none by default.
+        """
+        parts = [
+            self._chunk(setpoints[k : k + _CHUNK], None if injected is None else injected[k : k + _CHUNK])
+            for k in range(0, len(setpoints), _CHUNK)
+        ]
         if not parts:
             raise ValueError("nothing to advance: no set-points")
         return Samples(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Samples)))
 
-    def _chunk(self, setpoints: Array) -> Samples:
+    def _chunk(self, setpoints: Array, torques: Array | None) -> Samples:
         cycles, rows = setpoints.shape
         steps = cycles * SUBSTEPS
-        before = np.concatenate([self._setpoint[None], setpoints[:-1]])
-        part = np.arange(1, SUBSTEPS + 1)[:, None] / SUBSTEPS
-        wanted = (before[:, None] + part * (setpoints - before)[:, None]).reshape(steps, rows)
+        wanted = _straight(self._setpoint, setpoints)
         self._setpoint = setpoints[-1].copy()
+        injected = np.zeros((steps, rows)) if torques is None else _straight(self._injected, torques)
+        self._injected = injected[-1].copy()
 
         trains, masses = self.trains, len(self.trains.position)
         effort = np.empty((steps, rows))
@@ -85,7 +99,7 @@ class Plant:
         velocity = np.empty((steps + 1, masses, rows))
         velocity[0] = trains.velocity
         for n in range(steps):
-            effort[n] = torque = self._control(wanted[n], trains.velocity[0])
+            effort[n] = torque = self._control(wanted[n], trains.velocity[0], injected[n])
             position[n] = trains.position
             trains.step(torque)
             velocity[n + 1] = trains.velocity
@@ -98,21 +112,30 @@ class Plant:
             load_position=_means(position[:, -1]),
             load_velocity=_means(velocity[:, -1]),
             velocity_setpoint=_means(wanted),
+            excitation_effort=_means(injected),
             torque_limited=limited.reshape(cycles, SUBSTEPS, rows).max(axis=1),
         )
 
-    def _control(self, setpoint: Array, velocity: Array) -> Array:
-        """PI with torque limit; the integrator gives way while the limit holds (back-calculation)."""
+    def _control(self, setpoint: Array, velocity: Array, injected: Array) -> Array:
+        """PI and injected torque within the limit; the integrator gives way while it holds (back-calculation)."""
         error = setpoint - velocity
         integral = self._integral
         integral += self._reset * error
         wanted = self._gain * error
         wanted += integral
+        wanted += injected
         effort = np.minimum(np.maximum(wanted, -self.effort_limit), self.effort_limit)
         integral += effort
         integral -= wanted
         effort *= self.trains.free
         return effort
+
+
+def _straight(before: Array, values: Array) -> Array:
+    """Steps (cycles * SUBSTEPS, rows) from the last cycle's value `before` (rows,) through `values` (cycles, rows)."""
+    starts = np.concatenate([before[None], values[:-1]])
+    part = np.arange(1, SUBSTEPS + 1)[:, None] / SUBSTEPS
+    return (starts[:, None] + part * (values - starts)[:, None]).reshape(-1, values.shape[1])
 
 
 def _means(steps: Array) -> Array:

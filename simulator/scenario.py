@@ -96,6 +96,10 @@ class SpeedControl(_Data):
     reset_time: Positive
     effort_limit: Positive
 
+    def softened(self, softening: float) -> "SpeedControl":
+        """Gain times `softening`, reset time divided by it; 0 < softening <= 1."""
+        return self.model_copy(update={"gain": self.gain * softening, "reset_time": self.reset_time / softening})
+
 
 class DrivenAxis(_Data):
     """A joint that can move."""

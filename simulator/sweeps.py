@@ -1,4 +1,4 @@
-"""Sweeps of a scenario in closed loop, all in one vectorised pass: the recordings a real machine would give."""
+"""Sweeps and noise runs of a scenario in closed loop, in one vectorised pass: what a real machine would record."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,7 +10,8 @@ from simulator.moving_axis import moving_axis
 from simulator.noise import measure
 from simulator.plant import Plant, Samples
 from simulator.rigid_body import RigidBody
-from simulator.scenario import CYCLE, Scenario, ScenarioError
+from simulator.scenario import CYCLE, Scenario, ScenarioError, SpeedControl
+from simulator.torque_noise import torque_noise
 from simulator.waveform import Waveform
 
 Array = NDArray[np.float64]
@@ -34,14 +35,41 @@ class SweepRun:
     def waveform(self) -> Waveform:
         return Waveform(self.offset_velocity, self.sines, self.period, self.periods, self.ramp, self.settle)
 
+
+@dataclass(frozen=True, slots=True)
+class NoiseRun:
+    """Torque noise on a slow turn from standstill at `pose` (all joints, rad), under softened speed control.
+
+    Torque ``e(t) sum_k a sin(2 pi f_k t + phi_k)`` with the envelope e of `Waveform`: f_k every multiple of 1/period
+    in the band, equal amplitudes, phases by `seed`.
+    """
+
+    axis: str
+    pose: tuple[float, ...]
+    offset_velocity: float  # rad/s, signed
+    effort: float  # N m, RMS of the injected torque
+    lowest: float  # Hz
+    highest: float  # Hz
+    period: float  # s
+    periods: int
+    seed: int
+    softening: float  # gain times this, reset time divided by it
+    ramp: float  # s
+    settle: float  # s
+    sample_rate: float = 1000.0  # Hz; 1000 divided by a whole number
+
     @property
-    def decimation(self) -> int:
-        """Cycles averaged into one sample."""
-        return round(1 / (CYCLE * self.sample_rate))
+    def waveform(self) -> Waveform:
+        return Waveform(self.offset_velocity, (), self.period, self.periods, self.ramp, self.settle)
 
 
-def run_sweeps(scenario: Scenario, sweeps: Sequence[SweepRun], seed: int) -> list[dict[str, Array]]:
+Run = SweepRun | NoiseRun
+
+
+def run_sweeps(scenario: Scenario, sweeps: Sequence[Run], seed: int) -> list[dict[str, Array]]:
     """Columns of every sweep as in a bundle: time, effort, velocity, position, velocity_setpoint and load_*.
+
+    A noise run has `excitation_effort` as well: the injected torque, N m, itself without noise and delay.
 
     A sample is the mean over its cycle for all channels alike; `time` is sample number / rate, so the cycle's middle
     lies half a sample later. Sweep i draws noise from child i of the seed. ScenarioError where a sweep does not fit.
@@ -51,27 +79,53 @@ def run_sweeps(scenario: Scenario, sweeps: Sequence[SweepRun], seed: int) -> lis
     body = RigidBody(scenario)
     plant = Plant(
         [moving_axis(scenario, body, sweep.axis, sweep.pose) for sweep in sweeps],
-        [scenario.driven(sweep.axis).control for sweep in sweeps],
+        [_control(scenario, sweep) for sweep in sweeps],
         scenario.measurement,
     )
     cycles = [_cycles(sweep) for sweep in sweeps]
     end_of_cycle = np.linspace(CYCLE, CYCLE * max(cycles), max(cycles))
     setpoints = np.stack([sweep.waveform.velocity(end_of_cycle) for sweep in sweeps], axis=1)
+    injected = np.stack([_injected(sweep, end_of_cycle) for sweep in sweeps], axis=1)
     plant.trains.position[:] = [sweep.pose[scenario.joints.index(sweep.axis)] for sweep in sweeps]
     for row in range(len(sweeps)):
         plant.release(row)
     random = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(len(sweeps))]
     rated = np.array([scenario.nominal(sweep.axis).rated_effort for sweep in sweeps])
-    samples = measure(plant.advance(setpoints), scenario.measurement, rated, random)
+    samples = measure(plant.advance(setpoints, injected), scenario.measurement, rated, random)
     return [
         _columns(samples, row, cycles[row], sweep, scenario.driven(sweep.axis).load_encoder)
         for row, sweep in enumerate(sweeps)
     ]
 
 
-def _cycles(sweep: SweepRun) -> int:
+def _control(scenario: Scenario, sweep: Run) -> SpeedControl:
+    commissioned = scenario.driven(sweep.axis).control
+    if isinstance(sweep, SweepRun):
+        return commissioned
+    if not 0 < sweep.softening <= 1:
+        raise ScenarioError(f"{sweep.axis}: softening {sweep.softening} is not above 0 and at most 1")
+    return commissioned.softened(sweep.softening)
+
+
+def _injected(sweep: Run, time: Array) -> Array:
+    """Injected torque (n,) N m at the ends of the cycles `time` (n,)."""
+    if isinstance(sweep, SweepRun):
+        return np.zeros_like(time)
+    try:
+        period = torque_noise(sweep.effort, sweep.lowest, sweep.highest, sweep.period, sweep.seed, CYCLE)
+    except ValueError as error:
+        raise ScenarioError(f"{sweep.axis}: {error}") from None
+    return sweep.waveform.envelope(time) * np.resize(period, len(time))
+
+
+def _decimation(sweep: Run) -> int:
+    """Cycles averaged into one sample."""
+    return round(1 / (CYCLE * sweep.sample_rate))
+
+
+def _cycles(sweep: Run) -> int:
     """Whole samples that fit, in cycles."""
-    block = sweep.decimation
+    block = _decimation(sweep)
     if block < 1 or abs(block * CYCLE * sweep.sample_rate - 1) > 1e-9:
         raise ScenarioError(
             f"{sweep.axis}: sample rate {sweep.sample_rate} Hz is not {1 / CYCLE:g} Hz over a whole number"
@@ -82,12 +136,15 @@ def _cycles(sweep: SweepRun) -> int:
     return cycles
 
 
-def _columns(samples: Samples, row: int, cycles: int, sweep: SweepRun, load_encoder: bool) -> dict[str, Array]:
+def _columns(samples: Samples, row: int, cycles: int, sweep: Run, load_encoder: bool) -> dict[str, Array]:
     names = ["effort", "velocity", "position", "velocity_setpoint"]
     if load_encoder:
         names += ["load_position", "load_velocity"]
-    columns = {"time": np.arange(cycles // sweep.decimation) / sweep.sample_rate}
+    if isinstance(sweep, NoiseRun):
+        names.append("excitation_effort")
+    block = _decimation(sweep)
+    columns = {"time": np.arange(cycles // block) / sweep.sample_rate}
     for name in names:
         channel: Array = getattr(samples, name)
-        columns[name] = channel[:cycles, row].reshape(-1, sweep.decimation).mean(axis=1)
+        columns[name] = channel[:cycles, row].reshape(-1, block).mean(axis=1)
     return columns

@@ -34,9 +34,10 @@ class Waveform:
         wave = np.full_like(time, self.offset_velocity)
         for frequency, amplitude, phase in self.sines:
             wave += amplitude * np.sin(2 * np.pi * frequency * (time - self.measure_from) + phase)
-        return wave * self._envelope(time)
+        return wave * self.envelope(time)
 
-    def _envelope(self, time: Array) -> Array:
+    def envelope(self, time: Array) -> Array:
+        """e(t) at any times (n,), s since the start; zero outside."""
         to_edge = np.minimum(time, self.duration - time)
         if self.ramp == 0:
             return (to_edge >= 0).astype(float)

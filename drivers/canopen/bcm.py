@@ -54,8 +54,12 @@ def _connect(interface: str) -> socket.socket:
     return connected
 
 
+class KernelRefused(CommunicationLost):
+    """The kernel does not take set-points (any more): interface down or gone, no memory."""
+
+
 class KernelStream:
-    """The cycles of a sweep, sent by the kernel. Every method raises CommunicationLost where the kernel refuses."""
+    """The cycles of a sweep, sent by the kernel. Every method raises KernelRefused where it does not take them."""
 
     def __init__(self, interface: str, period: float, plan: Callable[[int], Cycle], rest: Cycle) -> None:
         """`plan(k)` is cycle k of the sweep, set-points and SYNC; `rest` follows when nobody tops up. `period` s."""
@@ -73,7 +77,7 @@ class KernelStream:
         try:
             self._socket = _connect(interface)
         except OSError as error:
-            raise CommunicationLost(f"{interface}: the kernel's timer is not to be had: {error}") from None
+            raise KernelRefused(f"{interface}: the kernel's timer is not to be had: {error}") from None
         self._interface = interface
 
     def begin(self) -> None:
@@ -115,7 +119,7 @@ class KernelStream:
         try:
             self._socket.send(head + b"".join(self._ring))
         except OSError as error:
-            raise CommunicationLost(f"{self._interface}: the kernel refused the set-points: {error}") from None
+            raise KernelRefused(f"{self._interface}: the kernel refused the set-points: {error}") from None
 
 
 class Steering:

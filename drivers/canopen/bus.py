@@ -139,6 +139,8 @@ class Bus:
             raise
 
     def _sort(self, message: can.Message) -> None:
+        if message.is_extended_id and not message.is_error_frame:
+            return  # 29 bits: whoever sends it is none of our nodes, whatever its lower bits say
         identifier, data = message.arbitration_id, bytes(message.data)
         if not message.is_error_frame and identifier & ~0x7F == frames.SDO_RESPONSE:
             node = identifier & 0x7F

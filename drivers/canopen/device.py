@@ -1,18 +1,21 @@
 """A CiA 402 drive on CANopen: `drivers.cia402.device.Device` over SDO, NMT and EMCY."""
 
+import logging
 import math
 import time
 
-from drivers.canopen import configuration, frames, measuring, objects
+from drivers.canopen import configuration, frames, measuring, objects, speed_control
 from drivers.canopen.bus import Bus
 from drivers.canopen.objects import Entry
 from drivers.canopen.profile import CanopenAxis, CanopenProfile
 from drivers.canopen.sdo import ObjectAbsent, Sdo
 from drivers.canopen.units import Codec, velocity_unit
 from drivers.cia402 import states
-from drivers.cia402.device import Abilities, MeasuringState, Mode, Motion
+from drivers.cia402.device import Abilities, Injector, MeasuringState, Mode, Motion
 from drivers.errors import WrongConfiguration, WrongIdentity
-from drivers.ports import AxisIdentity, SampleBlock, SweepCommand
+from drivers.ports import AxisIdentity, NoiseCommand, SampleBlock, SweepCommand
+
+logger = logging.getLogger(__name__)
 
 MODE_TIMEOUT = 2.0  # s
 POLL = 0.002  # s
@@ -32,6 +35,8 @@ class CanopenDevice:
         self.sdo = Sdo(bus.add_node(profile.node, str(machine.eds)), self.place, bus.check_alive)
         self._pdos_mapped = False
         self._block_transfer = True  # until the drive refuses it
+        self._noise = False  # what the measuring function was prepared for
+        self.injector: Injector | None = None
 
     # -- at connect ----------------------------------------------------------------------------------------------
 
@@ -67,12 +72,15 @@ class CanopenDevice:
     def configure(self) -> Abilities:
         """In NMT pre-operational: PDOs, session settings, limits. WrongConfiguration names what differs."""
         self._pdos_mapped = configuration.configure_pdos(self.sdo, self.profile.node)
+        needed = (measuring.KIND, measuring.SEED, speed_control.COMMISSIONED_RESET_TIME)
+        self.injector = self if all(self._has(entry) for entry in needed) else None
         absent = self._settle_session() | self._settle(
             self.profile.velocity_limit, self.profile.effort_limit, self.profile.position_limits
         )
         self._bus.note_configured(self.profile.node)
         return Abilities(
             measures=self._has(measuring.STATE),
+            injects=self.injector is not None,
             streams=self._pdos_mapped and self._supports_cyclic_velocity() and objects.SYNC_PERIOD not in absent,
             velocity_limit=objects.MAX_MOTOR_SPEED not in absent,
             effort_limit=objects.MAX_TORQUE not in absent,
@@ -83,6 +91,8 @@ class CanopenDevice:
     # -- power ---------------------------------------------------------------------------------------------------
 
     def allow_motion(self) -> None:
+        """Under the commissioned speed control."""
+        self._harden()
         self._nmt(frames.NMT_START)
 
     def forbid_motion(self) -> None:
@@ -168,10 +178,19 @@ class CanopenDevice:
     page_size = 256  # a page occupies the SDO channel, and a stop waits for it
 
     def prepare_measuring(self, command: SweepCommand) -> None:
-        self._trace_cycle = measuring.trace_cycle(command)
-        self.sdo.write(measuring.COMMAND, measuring.NONE)
-        for entry, value in measuring.parameters(command, self.codec):
-            self.sdo.settle(entry, value)
+        settings = measuring.parameters(command, self.codec)
+        if self.injector is not None:
+            settings.append((measuring.KIND, measuring.MULTI_SINE))
+        self._prepare(settings, measuring.trace_cycle(command), noise=False)
+
+    def prepare_noise(self, command: NoiseCommand) -> None:
+        self._prepare(measuring.noise_parameters(command, self.codec), measuring.trace_cycle(command), noise=True)
+
+    def soften(self, softening: float) -> None:
+        speed_control.soften(self.sdo, softening)
+
+    def restore_control(self) -> None:
+        speed_control.restore(self.sdo)
 
     def start_measuring(self) -> None:
         self.sdo.write(measuring.COMMAND, measuring.START)
@@ -197,9 +216,24 @@ class CanopenDevice:
     def page(self, first: int, count: int) -> SampleBlock:
         self.sdo.write(measuring.PAGE_FIRST, first)
         self.sdo.write(measuring.PAGE_COUNT, count)
-        return measuring.samples(self._upload(), first, count, self.profile, self.codec, self._trace_cycle, self.place)
+        raw = self._upload()
+        return measuring.samples(
+            raw, first, count, self.profile, self.codec, self._trace_cycle, self.place, noise=self._noise
+        )
 
     # -- inside --------------------------------------------------------------------------------------------------
+
+    def _harden(self) -> None:
+        """Put right what a noise run of another host, or one that could not end as it should, left soft."""
+        found = speed_control.restore(self.sdo) if self.injector is not None else None
+        if found is not None:
+            logger.warning("%s: its speed control had been left soft and is restored: %s", self.place, found)
+
+    def _prepare(self, settings: list[configuration.Setting], trace_cycle: int, *, noise: bool) -> None:
+        self._trace_cycle, self._noise = trace_cycle, noise
+        self.sdo.write(measuring.COMMAND, measuring.NONE)
+        for entry, value in settings:
+            self.sdo.settle(entry, value)
 
     def _upload(self) -> bytes:
         if self._block_transfer:
@@ -215,6 +249,7 @@ class CanopenDevice:
         """What holds for the whole session; gives the absent objects that a profile can do without."""
         for maker in self._machine.maker_settings:
             self.sdo.settle(Entry(maker.index, maker.sub, maker.type, maker.name), maker.value)
+        self._harden()
         settings = configuration.standing(self.profile, self._machine.bus, self._machine.stop_options, self.codec)
         return configuration.settle(self.sdo, settings)
 

@@ -13,9 +13,10 @@ import threading
 import time
 from collections.abc import AsyncGenerator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 
 from drivers.canopen import frames
-from drivers.canopen.bcm import Cycle, KernelStream, set_point_source
+from drivers.canopen.bcm import Cycle, KernelRefused, KernelStream, set_point_source
 from drivers.canopen.bus import Bus
 from drivers.canopen.ladder import Rung
 from drivers.canopen.lane import STANDING_SAMPLES, Ending, Lane, RunningLane, Trouble
@@ -60,6 +61,7 @@ class HostSweep:
         self._kernel: KernelStream | None = None
         self._seen: dict[int, bytes] = {}  # the kernel's set-points since its last SYNC, by node
         self._released = threading.Event()
+        self._held = False  # all axes stand and wait to be released; the thread goes on
         self._loop = asyncio.get_running_loop()
         self._blocks: asyncio.Queue[SampleBlock | None] = asyncio.Queue()
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="can-stream")
@@ -70,8 +72,8 @@ class HostSweep:
         """The samples as they come, in order for each axis. Ends when all stand: held (COMPLETED), else disabled."""
         while (block := await self._blocks.get()) is not None:
             yield block
-        if self._thread.done():
-            self._thread.result()
+        if not self._held:
+            await self.finished()
 
     def release(self) -> None:
         """End SYNC after COMPLETED, once the axes have left the cyclic mode."""
@@ -101,13 +103,24 @@ class HostSweep:
             if self._source == "bcm" and not self._ended:
                 self._by_kernel(events)
             self._by_thread(events)
+        except BaseException:  # nobody plans or watches any more, and the consumer may be slow to hear of it
+            self._last_word()
+            raise
         finally:
             self._bus.close_stream(*self._lanes)
             self._hand_over(at_least=1)
             self._post(None)
 
+    def _last_word(self) -> None:
+        """Quick stop to every axis, as far as the bus still takes it."""
+        with suppress(CommunicationLost):
+            for node in self._lanes:
+                self._bus.send(frames.RPDO1 + node, REST)
+            self._bus.send(frames.SYNC, b"")
+
     def _meet(self, events: Events) -> None:
         """SYNC without set-points until every drive has said that it is enabled: none is told so before."""
+        self._check()  # a stop that came first is a stop, and no drive that does not answer
         for _ in range(OPENING_SYNCS):
             self._bus.send(frames.SYNC, b"")
             self._count_sync()
@@ -147,6 +160,8 @@ class HostSweep:
                 elif event is None and time.monotonic() - heard > max(self._silence, 3 * self._period):
                     self._end(Trouble(Ending.NOT_SENT, f"the kernel sent no SYNC for {self._silence:g} s"))
                 self._check()
+        except KernelRefused as error:  # the bus may live: the ladder is the thread's
+            self._end(Trouble(Ending.NOT_SENT, str(error)))
         finally:
             kernel.close()
 
@@ -181,6 +196,7 @@ class HostSweep:
             elif self._number > self._last + STANDING_SAMPLES:
                 hold_until = now + HOLD_TIMEOUT
                 self._hand_over(at_least=1)
+                self._held = True
                 self._post(None)
 
     # -- one cycle -----------------------------------------------------------------------------------------------

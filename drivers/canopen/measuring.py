@@ -1,4 +1,4 @@
-"""The drive's measuring function (2100h-2103h, 2110h): objects, parameters, and the bytes of a trace page. Pure."""
+"""The drive's measuring function (2100h-2104h, 2110h): objects, parameters, and the bytes of a trace page. Pure."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from drivers.canopen.objects import Entry
 from drivers.canopen.units import Codec
 from drivers.cia402.profile import AxisProfile
 from drivers.errors import CommunicationLost, WrongConfiguration
-from drivers.ports import SampleBlock, SweepCommand
+from drivers.ports import NoiseCommand, SampleBlock, SweepCommand
 
 COMMAND = Entry(0x2100, 1, "H", "measuring command")
 STATE = Entry(0x2100, 2, "H", "measuring state")
@@ -20,34 +20,33 @@ PERIODS = Entry(0x2100, 8, "H", "periods")
 SINES = Entry(0x2100, 9, "H", "number of sines")
 TRACE_CYCLE = Entry(0x2100, 10, "H", "trace cycle in ms")
 RECORDED = Entry(0x2100, 11, "I", "samples recorded")
+KIND = Entry(0x2100, 12, "H", "kind of excitation")
+NOISE_RMS = Entry(0x2104, 1, "d", "RMS of the injected torque")
+LOWEST = Entry(0x2104, 2, "d", "lowest frequency")
+HIGHEST = Entry(0x2104, 3, "d", "highest frequency")
+SEED = Entry(0x2104, 4, "I", "seed of the phases")
 PAGE_FIRST = Entry(0x2110, 1, "I", "first sample of the page")
 PAGE_COUNT = Entry(0x2110, 2, "H", "samples of the page")
 
 NONE, START, ABORT = 0, 1, 2  # commands
+MULTI_SINE, TORQUE_NOISE = 0, 1  # kinds
 
 SAMPLE = np.dtype(
     [("cycle", "<u4"), ("torque", "<f4"), ("command", "<f4"), ("speed", "<f4"), ("motor", "<f8"), ("load", "<f8")]
 )
+NOISE_SAMPLE = np.dtype([*SAMPLE.descr, ("injected", "<f4")])
 
-REASONS = {1: "axis not enabled, or not at standstill", 2: "speed", 3: "position window", 4: "parameters"}
+REASONS = {1: "axis not enabled, or not at standstill", 2: "speed", 3: "position window", 4: "parameters", 5: "torque"}
 
 
-def trace_cycle(command: SweepCommand) -> int:
+def trace_cycle(command: SweepCommand | NoiseCommand) -> int:
     """ms, as near to the wanted sample rate as the drive can."""
     return max(1, round(1e3 / command.sample_rate))
 
 
 def parameters(command: SweepCommand, codec: Codec) -> list[Setting]:
-    """Every parameter of a sweep in drive units."""
-    settings: list[Setting] = [
-        (OFFSET, codec.rev_per_min(command.offset_velocity)),
-        (RAMP, command.ramp),
-        (SETTLE, command.settle),
-        (PERIOD, command.period),
-        (PERIODS, command.periods),
-        (SINES, len(command.sines)),
-        (TRACE_CYCLE, trace_cycle(command)),
-    ]
+    """Every parameter of a sweep in drive units; not the kind of excitation, which not every drive has."""
+    settings = [*_turn(command, codec), (SINES, len(command.sines))]
     for number, sine in enumerate(command.sines, start=1):
         # A negative gear ratio makes the amplitude negative, and leaves the phase as it is.
         settings += [
@@ -58,16 +57,49 @@ def parameters(command: SweepCommand, codec: Codec) -> list[Setting]:
     return settings
 
 
+def noise_parameters(command: NoiseCommand, codec: Codec) -> list[Setting]:
+    """Every parameter of a noise run in drive units."""
+    return [
+        *_turn(command, codec),
+        (KIND, TORQUE_NOISE),
+        (NOISE_RMS, codec.motor_torque(command.effort)),
+        (LOWEST, command.lowest),
+        (HIGHEST, command.highest),
+        (SEED, command.seed),
+    ]
+
+
+def _turn(command: SweepCommand | NoiseCommand, codec: Codec) -> list[Setting]:
+    return [
+        (OFFSET, codec.rev_per_min(command.offset_velocity)),
+        (RAMP, command.ramp),
+        (SETTLE, command.settle),
+        (PERIOD, command.period),
+        (PERIODS, command.periods),
+        (TRACE_CYCLE, trace_cycle(command)),
+    ]
+
+
 def samples(
-    raw: bytes, first: int, count: int, axis: AxisProfile, codec: Codec, cycle_ms: int, place: str
+    raw: bytes,
+    first: int,
+    count: int,
+    axis: AxisProfile,
+    codec: Codec,
+    cycle_ms: int,
+    place: str,
+    *,
+    noise: bool = False,
 ) -> SampleBlock:
-    """The samples `first` to `first + count` in a page's bytes; CommunicationLost if it holds others.
+    """The samples `first` to `first + count` in a page's bytes, of a noise run or a sweep; CommunicationLost if it
+    holds others.
 
     WrongConfiguration if the direct encoder of the profile is not in it.
     """
-    if len(raw) != count * SAMPLE.itemsize:
+    layout = NOISE_SAMPLE if noise else SAMPLE
+    if len(raw) != count * layout.itemsize:
         raise CommunicationLost(f"{place}: trace page of {len(raw)} bytes instead of {count} samples")
-    page = np.frombuffer(raw, SAMPLE)
+    page = np.frombuffer(raw, layout)
     index = page["cycle"].astype(np.int64)
     if not np.array_equal(index, np.arange(first, first + count)):
         raise CommunicationLost(f"{place}: trace page from {first} holds other samples")
@@ -83,4 +115,5 @@ def samples(
         position=codec.motor_position(np.asarray(page["motor"], dtype=float)),
         velocity_setpoint=codec.motor_velocity(page["command"].astype(float)),
         load_position=load * (axis.load_encoder_direction * 2 * np.pi) if axis.load_encoder else None,
+        excitation_effort=codec.motor_effort(page["injected"].astype(float)) if noise else None,
     )

@@ -52,6 +52,10 @@ class Codec:
         """Motor torque N m -> N m (N) on the joint side."""
         return np.asarray(torque) * self.gear_ratio
 
+    def motor_torque(self, effort: float) -> float:
+        """Magnitude of an effort N m (N) on the joint side -> N m of the motor."""
+        return abs(effort / self.gear_ratio)
+
     def raw_position(self, position: float) -> int:
         """rad (m) -> increments; LimitExceeded beyond 32 bits."""
         return _int32((position - self.position_offset) * self.gear_ratio / math.tau * self.increments, "position")

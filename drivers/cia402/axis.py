@@ -1,6 +1,7 @@
 """One axis: power, faults and readings over a `Device`, and its latched fault. Blocking, on the machine's thread."""
 
 import math
+import threading
 import time
 from dataclasses import dataclass
 
@@ -128,8 +129,8 @@ class Axis:
             raise
 
     def disable(self) -> None:
-        """Disable voltage, whatever the state, and wait for it."""
-        self.device.control(states.step(self.state(), Wish.DISABLED))
+        """Disable voltage, whatever the state and before asking for it, and wait for it."""
+        self.device.control(states.DISABLE_VOLTAGE)
         deadline = time.monotonic() + TRANSITION_TIMEOUT
         while (state := self.state()) in states.ENERGISED:
             if time.monotonic() > deadline:
@@ -138,7 +139,7 @@ class Axis:
         self.device.forbid_motion()
 
     def quick_stop(self) -> None:
-        self.device.control(states.step(self.state(), Wish.QUICK_STOP))
+        self.device.control(states.QUICK_STOP)
 
     def halt(self) -> None:
         """The ladder's first rung for a positioning move: slow down by 605Dh, stay in closed loop."""
@@ -178,13 +179,18 @@ class Axis:
             raise NotReady(f"{self.place}: still moves at {reading.velocity:.4g} {self.profile.unit}/s")
         return reading
 
-    def start_positioning(self, position: float, velocity: float) -> None:
-        """Profile position: target, speed, rising edge of the new set-point bit, hand-shake by bit 12."""
+    def start_positioning(self, position: float, velocity: float, stop: threading.Event) -> None:
+        """Profile position: target, speed, rising edge of the new set-point bit, hand-shake by bit 12.
+
+        The axis may move before the drive acknowledges: `stop` ends the waiting, so that the ladder gets the thread.
+        """
         self.device.control(states.ENABLE_OPERATION)
         self.device.set_target(position, velocity)
         self.device.control(states.ENABLE_OPERATION | states.NEW_SET_POINT)
         deadline = time.monotonic() + TRANSITION_TIMEOUT
         while not self.device.statusword() & states.SET_POINT_ACKNOWLEDGED:
+            if stop.is_set():
+                return
             self.check(self.state())
             if time.monotonic() > deadline:
                 raise WrongConfiguration(f"{self.place}: does not acknowledge the set-point (statusword bit 12)")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from drivers.cia402.profile import AxisProfile
 from drivers.cia402.waveform import travel
 from drivers.errors import LimitExceeded
-from drivers.ports import SweepCommand, SweepMode
+from drivers.ports import NoiseCommand, SweepCommand, SweepMode
 
 MAX_SINES = 16  # of the measuring function
 OVERSHOOT = 1.1  # of the speed during a positioning move, over the highest speed that may be commanded
@@ -41,8 +41,8 @@ def move_envelope(axis: AxisProfile) -> Envelope:
     )
 
 
-def sweep_envelope(axis: AxisProfile, command: SweepCommand) -> Envelope:
-    """The envelope of a sweep: the command's limits."""
+def sweep_envelope(axis: AxisProfile, command: SweepCommand | NoiseCommand) -> Envelope:
+    """The envelope of a sweep or noise run: the command's limits."""
     return Envelope(command.velocity_limit, command.effort_limit, command.position_window, axis.unit, axis.effort_unit)
 
 
@@ -90,6 +90,37 @@ def check_sweep(axis: AxisProfile, command: SweepCommand, start: float, sync_per
             f"{axis.joint}: window {low:.5g} to {high:.5g} {axis.unit} is outside "
             f"{axis.position_limits[0]:.5g} to {axis.position_limits[1]:.5g} {axis.unit}"
         )
+
+
+def check_noise(axis: AxisProfile, command: NoiseCommand, start: float) -> None:
+    """LimitExceeded if the turn under the noise is outside the limits, or the noise itself cannot be.
+
+    How far the noise moves the axis is the plant's matter: the envelope watches it.
+    """
+    turn = SweepCommand(
+        joint=command.joint,
+        mode=SweepMode.DRIVE_SIDE,
+        offset_velocity=command.offset_velocity,
+        sines=(),
+        period=command.period,
+        periods=command.periods,
+        ramp=command.ramp,
+        settle=command.settle,
+        sample_rate=command.sample_rate,
+        velocity_limit=command.velocity_limit,
+        effort_limit=command.effort_limit,
+        position_window=command.position_window,
+    )
+    check_sweep(axis, turn, start, math.inf)
+    _at_most(axis, "RMS of the injected effort", command.effort, command.effort_limit, axis.effort_unit)
+    _at_most(axis, "softening", command.softening, 1.0, "of the speed control")
+    if not 0 <= command.lowest <= command.highest < command.sample_rate / 2:
+        raise LimitExceeded(
+            f"{axis.joint}: band {command.lowest:.4g} to {command.highest:.4g} Hz must rise and end below half the "
+            f"sample rate of {command.sample_rate:.4g} Hz"
+        )
+    if not 0 <= command.seed < 1 << 32:
+        raise LimitExceeded(f"{axis.joint}: seed {command.seed} does not fit 32 bits")
 
 
 def _at_most(axis: AxisProfile, what: str, value: float, limit: float, unit: str) -> None:

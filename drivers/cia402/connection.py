@@ -83,4 +83,5 @@ def capabilities(axes: Iterable[Axis], set_point_timing: str = "none") -> Capabi
         host_watchdog_in_drive=all(abilities.host_watchdog for abilities in each),
         set_point_timing=set_point_timing if streams else "none",
         simultaneous_axes=len(everyone) if streams else 1,
+        torque_injection=all(abilities.injects for abilities in each),
     )

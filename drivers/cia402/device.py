@@ -9,7 +9,7 @@ from enum import IntEnum
 from typing import Protocol
 
 from drivers.cia402.profile import AxisProfile
-from drivers.ports import AxisIdentity, SampleBlock, SweepCommand
+from drivers.ports import AxisIdentity, NoiseCommand, SampleBlock, SweepCommand
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +17,7 @@ class Abilities:
     """What one drive has; learnt while it is configured."""
 
     measures: bool  # a measuring function
+    injects: bool  # torque noise
     streams: bool  # cyclic synchronous velocity
     velocity_limit: bool
     effort_limit: bool
@@ -48,6 +49,22 @@ class Mode(IntEnum):
 
     PROFILE_POSITION = 1
     CYCLIC_VELOCITY = 9
+
+
+class Injector(Protocol):
+    """Torque noise of the measuring function, and the softer speed control under it."""
+
+    def prepare_noise(self, command: NoiseCommand) -> None:
+        """The run's parameters, with read-back; `Device.start_measuring` starts it."""
+        ...
+
+    def soften(self, softening: float) -> None:
+        """Commissioned gain times `softening`, commissioned reset time divided by it, with read-back."""
+        ...
+
+    def restore_control(self) -> None:
+        """The commissioned gain and reset time, with read-back."""
+        ...
 
 
 class Device(Protocol):
@@ -137,6 +154,11 @@ class Device(Protocol):
         ...
 
     # -- measuring function
+
+    @property
+    def injector(self) -> Injector | None:
+        """None where the drive injects no torque; known after `configure`."""
+        ...
 
     def prepare_measuring(self, command: SweepCommand) -> None:
         """The sweep's parameters, with read-back."""

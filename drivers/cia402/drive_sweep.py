@@ -1,4 +1,5 @@
-"""The drive-side sweep: a task starts the measuring function, watches it, and pages its trace out as it grows.
+"""The drive-side sweep or noise run: a task starts the measuring function, watches it, and pages its trace out as it
+grows.
 
 The task runs whether or not the samples are being consumed, so that the live checks never wait for a slow consumer.
 """
@@ -11,13 +12,15 @@ from collections.abc import AsyncGenerator, Awaitable, Callable
 from drivers.cia402.axis import Axis
 from drivers.cia402.checks import Envelope
 from drivers.cia402.device import MeasuringState
+from drivers.cia402.preparation import prepared
 from drivers.cia402.thread import DriveThread
 from drivers.errors import CommunicationLost, DriveError, DriveFault, EnvelopeLeft, SweepInterrupted
-from drivers.ports import SampleBlock, SweepCommand
+from drivers.ports import NoiseCommand, SampleBlock, SweepCommand
 
 LIVE_TIME = 0.1  # s of samples that make a page worth while during the run
 POLL = 0.01  # s
 STALLED = 5.0  # s without a new sample
+OVERLONG = 1.6  # of the samples that the run should have: a trace cycle in whole ms may be finer than asked for
 
 
 class DriveSweep:
@@ -27,7 +30,7 @@ class DriveSweep:
         self,
         thread: DriveThread,
         axis: Axis,
-        command: SweepCommand,
+        command: SweepCommand | NoiseCommand,
         envelope: Envelope,
         stop: threading.Event,
         bring_down: Callable[[], Awaitable[None]],
@@ -37,6 +40,7 @@ class DriveSweep:
         self._envelope, self._stop, self._bring_down = envelope, stop, bring_down
         self._largest = axis.device.page_size
         self._live = max(1, min(self._largest, round(LIVE_TIME * command.sample_rate)))
+        self._most = round(OVERLONG * (command.duration + 1.0) * command.sample_rate)
         self._done = 0  # samples handed over
         self._blocks: asyncio.Queue[SampleBlock | None] = asyncio.Queue()
         self._task = asyncio.create_task(self._run())
@@ -61,19 +65,23 @@ class DriveSweep:
 
     async def _run(self) -> None:
         try:
-            await self._thread.run(self._axis.device.prepare_measuring, self._command)
-            await self._thread.run(self._start)
-            try:
-                await self._follow()
-            except DriveError as error:  # nobody watches the axis from here on: it must not wait for the consumer
-                await self._bring_down()
-                if isinstance(error, DriveFault | EnvelopeLeft | SweepInterrupted):
-                    await self._hand_over(await self._thread.run(self._axis.device.samples_recorded))
-                else:
-                    await self._thread.run(self._look_for_cause)
-                raise
+            async with prepared(self._thread, self._axis, self._command):
+                await self._thread.run(self._start)
+                await self._follow_down()
         finally:
             self._blocks.put_nowait(None)
+
+    async def _follow_down(self) -> None:
+        """To the run's end, or to standstill by the stop ladder with what ended it."""
+        try:
+            await self._follow()
+        except DriveError as error:  # nobody watches the axis from here on: it must not wait for the consumer
+            await self._bring_down()
+            if isinstance(error, DriveFault | EnvelopeLeft | SweepInterrupted):
+                await self._hand_over(await self._thread.run(self._axis.device.samples_recorded))
+            else:
+                await self._thread.run(self._look_for_cause)
+            raise
 
     def _start(self) -> None:
         """On the machine's thread, so that no stop can come between the question and the start."""
@@ -92,6 +100,8 @@ class DriveSweep:
                 return
             if state is not MeasuringState.RUNNING:
                 await self._thread.run(self._ended, state)
+            if recorded > self._most:  # by the drive's own clock; a run without offset would never leave its window
+                raise EnvelopeLeft(f"{self._axis.place}: runs on after {recorded} samples, {self._most} are the limit")
             if recorded - self._done >= self._live:
                 grown = time.monotonic()
                 await self._hand_over(min(recorded, self._done + self._largest))

@@ -21,6 +21,7 @@ from drivers.ports import (
     Capabilities,
     ChannelTiming,
     Fault,
+    NoiseCommand,
     SampleBlock,
     SetPointTiming,
     SweepCommand,
@@ -28,6 +29,8 @@ from drivers.ports import (
 )
 
 logger = logging.getLogger(__name__)
+
+Command = SweepCommand | NoiseCommand
 
 
 @dataclass(slots=True)
@@ -48,6 +51,7 @@ class Cia402Machine:
         self._link: Connection | None = None
         self._motion: Motion | None = None
         self._cleanups: set[asyncio.Task[None]] = set()
+        self._closing: asyncio.Task[None] | None = None
         self._reading = asyncio.Lock()  # one status at a time in the thread's queue: a stop must not wait for many
         self._last_run: Run | None = None
 
@@ -71,26 +75,43 @@ class Cia402Machine:
     # -- connection ----------------------------------------------------------------------------------------------
 
     async def connect(self) -> tuple[AxisIdentity, ...]:
+        await self._closed()
         if self._link is not None:
             raise NotReady("already connected")
         self._link = await self._fieldbus.open()
         return self._link.identities
 
     async def close(self) -> None:
-        if self._link is None:
-            return
-        await self._interrupt()
-        if self._motion is not None and self._motion.run is not None:
-            await self._motion.run.over()
-        for task in tuple(self._cleanups):
-            await task
-        link, self._link = self._link, None
-        for axis in link.axes.values():
+        if self._link is not None and self._closing is None:
+            self._closing = asyncio.create_task(self._close(self._link))
+        await self._closed()
+
+    async def _close(self, link: Connection) -> None:
+        """Once and to its end, whoever asked is cancelled: on a bus left half closed our heartbeat would go on, and
+        with it the energy of the drives."""
+        try:
+            await self._interrupt()
+            if self._motion is not None and self._motion.run is not None:
+                await self._motion.run.over()
+            if self._cleanups:
+                await asyncio.wait(tuple(self._cleanups))  # how they ended is their callers' matter
+            self._link = None
+            for axis in link.axes.values():
+                try:
+                    await bring_down(link.thread, axis)
+                except DriveError as error:
+                    logger.error("while closing: %s", error)
+        finally:
+            self._link = None
             try:
-                await bring_down(link.thread, axis)
-            except DriveError as error:
-                logger.error("while closing: %s", error)
-        await self._shield(link.close())
+                await link.close()
+            finally:
+                self._closing = None
+
+    async def _closed(self) -> None:
+        """Until a closing under way is over."""
+        if self._closing is not None:
+            await asyncio.shield(self._closing)
 
     # -- state ---------------------------------------------------------------------------------------------------
 
@@ -112,8 +133,7 @@ class Cia402Machine:
         try:
             await link.thread.run(_enable_alone, axes, tuple(link.axes.values()))
         except asyncio.CancelledError:  # the call goes on without us, and what it enables nobody would know of
-            for axis in axes:
-                await self._shield(bring_down(link.thread, axis))
+            await self._shield(self._abandon(Motion(axes)))
             raise
 
     async def disable(self, joint: str) -> None:
@@ -125,6 +145,8 @@ class Cia402Machine:
     async def stop(self) -> None:
         if self._link is not None:
             await self._shield(self._stop(self._link))
+        else:
+            await self._closed()  # which brings every axis down as well
 
     async def _stop(self, link: Connection) -> None:
         """Every axis down, the moving ones first."""
@@ -147,12 +169,28 @@ class Cia402Machine:
 
     async def run_sweep(self, *commands: SweepCommand) -> AsyncGenerator[SampleBlock, None]:
         axes = tuple(self._axis(command.joint) for command in commands)
+        _check_together(axes, commands, self._connected().capabilities)
+        async with aclosing(self._run(axes, commands)) as blocks:
+            async for block in blocks:
+                yield block
+
+    async def run_noise(self, command: NoiseCommand) -> AsyncGenerator[SampleBlock, None]:
+        axis = self._axis(command.joint)
+        if not self._connected().capabilities.torque_injection:
+            raise NotReady(f"{axis.place}: torque noise is not supported by this drive")
+        async with aclosing(self._run((axis,), (command,))) as blocks:
+            async for block in blocks:
+                yield block
+
+    async def _run(self, axes: tuple[Axis, ...], commands: Sequence[Command]) -> AsyncGenerator[SampleBlock, None]:
         link = self._connected()
-        _check_together(axes, commands, link.capabilities)
         with self._moving(axes) as motion:
             for axis, command in zip(axes, commands, strict=True):
                 start = await link.thread.run(axis.require_enabled)
-                checks.check_sweep(axis.profile, command, start.position, link.sync_period)
+                if isinstance(command, NoiseCommand):
+                    checks.check_noise(axis.profile, command, start.position)
+                else:
+                    checks.check_sweep(axis.profile, command, start.position, link.sync_period)
             completed = False
             try:
                 run = await self._start(link, commands, motion)
@@ -166,19 +204,23 @@ class Cia402Machine:
                 if not completed:
                     await self._shield(self._abandon(motion))
 
-    async def _start(self, link: Connection, commands: Sequence[SweepCommand], motion: Motion) -> Run:
-        sweeps = [
-            (command, checks.sweep_envelope(axis.profile, command))
-            for axis, command in zip(motion.axes, commands, strict=True)
+    async def _start(self, link: Connection, commands: Sequence[Command], motion: Motion) -> Run:
+        envelopes = [
+            checks.sweep_envelope(axis.profile, command) for axis, command in zip(motion.axes, commands, strict=True)
         ]
-        for axis, (_, envelope) in zip(motion.axes, sweeps, strict=True):
+        for axis, envelope in zip(motion.axes, envelopes, strict=True):
             await link.thread.run(axis.device.read_back)
             limits = (envelope.velocity_limit, envelope.effort_limit, envelope.window)
             await link.thread.run(axis.device.settle_limits, *limits)
-        if commands[0].mode is SweepMode.HOST_STREAMED:
-            motion.run = await link.stream(sweeps, motion.stop)
+        streamed = [
+            (command, envelope)
+            for command, envelope in zip(commands, envelopes, strict=True)
+            if isinstance(command, SweepCommand) and command.mode is SweepMode.HOST_STREAMED
+        ]
+        if streamed:
+            motion.run = await link.stream(streamed, motion.stop)
         else:
-            (axis,), ((command, envelope),) = motion.axes, sweeps
+            (axis,), (command,), (envelope,) = motion.axes, commands, envelopes
             motion.run = DriveSweep(
                 link.thread, axis, command, envelope, motion.stop, lambda: bring_down(link.thread, axis)
             )
@@ -280,5 +322,8 @@ def _enable_alone(axes: tuple[Axis, ...], all_axes: tuple[Axis, ...]) -> None:
             axis.enable()
     except BaseException:
         for axis in axes:
-            axis.disable()
+            try:
+                axis.disable()
+            except DriveError as error:  # the others must be disabled all the same
+                logger.error("after enabling failed: %s", error)
         raise

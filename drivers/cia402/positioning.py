@@ -63,7 +63,7 @@ def _start(axis: Axis, position: float, velocity: float, stop: threading.Event) 
     """On the SDO thread, so that no stop can come between the question and the start."""
     if stop.is_set():
         raise SweepInterrupted(f"{axis.place}: move was stopped before it started")
-    axis.start_positioning(position, velocity)
+    axis.start_positioning(position, velocity, stop)
 
 
 def _arrived(axis: Axis, reading: Reading, position: float) -> bool:

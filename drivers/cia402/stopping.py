@@ -8,7 +8,7 @@ from contextlib import suppress
 from drivers.cia402 import states
 from drivers.cia402.axis import Axis
 from drivers.cia402.thread import DriveThread
-from drivers.errors import CommunicationLost, WrongConfiguration
+from drivers.errors import DriveError, WrongConfiguration
 
 logger = logging.getLogger(__name__)
 
@@ -19,12 +19,13 @@ MARGIN = 0.5  # s that a rung gets above its ramp
 async def bring_down(thread: DriveThread, axis: Axis) -> None:
     """Axis to standstill and de-energised, whatever it does now.
 
-    CommunicationLost if the drive does not answer; it was then told to stop by what needs no answer.
+    CommunicationLost if the drive does not answer, WrongConfiguration if it refuses; it was then told to stop by what
+    needs no answer.
     """
     try:
         await _ladder(thread, axis)
-    except CommunicationLost:
-        with suppress(CommunicationLost):
+    except DriveError:
+        with suppress(DriveError):
             await thread.run(axis.device.stop_unheard)
         raise
 
@@ -34,9 +35,18 @@ async def _ladder(thread: DriveThread, axis: Axis) -> None:
         await _come_to_rest(thread, axis)
     except WrongConfiguration as error:  # a refused rung must not keep the drive from the next ones
         logger.error("stop ladder, next rung: %s", error)
-        await thread.run(axis.quick_stop)
-        await asyncio.sleep(axis.profile.velocity_limit / axis.profile.quick_stop_deceleration)
+        await _quick_stop(thread, axis)
     await thread.run(axis.disable)
+
+
+async def _quick_stop(thread: DriveThread, axis: Axis) -> None:
+    """As far as it is known of a drive that does not say how it moves: told, and given the time of its ramp."""
+    try:
+        await thread.run(axis.quick_stop)
+    except WrongConfiguration as error:
+        logger.error("stop ladder, next rung: %s", error)
+    else:
+        await asyncio.sleep(axis.profile.velocity_limit / axis.profile.quick_stop_deceleration)
 
 
 async def _come_to_rest(thread: DriveThread, axis: Axis) -> None:

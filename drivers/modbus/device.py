@@ -29,6 +29,8 @@ PAGE_TIME = 0.1  # s that a page may keep the line busy: a stop waits for it
 class ModbusDevice:
     """One unit. See `Device`."""
 
+    injector = None  # a register map has no torque noise
+
     def __init__(
         self, profile: ModbusAxis, machine: ModbusProfile, registers: RegisterMap, sha256: str, line: Line
     ) -> None:
@@ -68,6 +70,7 @@ class ModbusDevice:
         self.settle_limits(self.profile.velocity_limit, self.profile.effort_limit, self.profile.position_limits)
         return Abilities(
             measures=self._map.trace is not None,
+            injects=False,
             streams=False,
             velocity_limit="max_speed" in self._map.signals,
             effort_limit="max_torque" in self._map.signals,

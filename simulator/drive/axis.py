@@ -15,6 +15,7 @@ from simulator.drive.errors import ErrorCode, ErrorLog
 from simulator.drive.limits import Limits
 from simulator.drive.measuring import MeasuringFunction, Run, Samples
 from simulator.drive.profile import Motion, brake, travel
+from simulator.drive.speed_control import SpeedControl
 from simulator.drive.states import ENERGISED, TRANSITIONS, Command, Mode, State, command_of, fault_reset
 from simulator.drive.supervision import Supervision
 from simulator.drive.units import INCREMENTS
@@ -37,7 +38,8 @@ class Axis:
         self.errors = ErrorLog(dictionary)
         self.limits = Limits(dictionary)
         self._actual = ActualValues(dictionary, self.limits)
-        self.measuring = MeasuringFunction(dictionary, cycle)
+        self.speed_control = SpeedControl(dictionary)
+        self.measuring = MeasuringFunction(dictionary, self.limits, cycle)
         self._cyclic_velocity = CyclicVelocity(dictionary, self.limits)
         self.position = 0.0
         self.speed = 0.0
@@ -115,16 +117,15 @@ class Axis:
                 self.state = State.SWITCH_ON_DISABLED
                 self.errors.clear()
         else:
-            command = command_of(controlword)
-            if command is not None:
-                self._obey(command)
+            self._obey(command_of(controlword))
             if self.state is State.OPERATION_ENABLED and self._after is None:
                 self._operate(before)
         self._publish()
 
     def fail(self, code: int) -> None:
-        """A fault: enter it and react as 605Eh says; the axis ends in FAULT."""
+        """A fault: enter it and react as 605Eh says; the axis ends in FAULT. Its speed control is no softer now."""
         self.errors.enter(code)
+        self.speed_control.restore()
         if self.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
             option = self._dictionary[0x605E, 0]
             if self.energised and option:
@@ -152,6 +153,7 @@ class Axis:
         self._dictionary[0x2130, 1] = int(on)
         if on:
             self.errors.enter(ErrorCode.EMERGENCY_STOP)
+            self.speed_control.restore()
             self._release(State.FAULT)
         self._publish()
 
@@ -224,10 +226,8 @@ class Axis:
         glitch, code = self.disturbance.take_glitch(recorded), self.disturbance.take_fault(recorded)
         if glitch is not None:
             self._actual.glitch(glitch.revolutions, span)
-            if recorded:
-                self.measuring.falsify(
-                    recorded - 1 if glitch.at_sample is None else glitch.at_sample, glitch.revolutions
-                )
+            if recorded and glitch.at_sample is not None:
+                self.measuring.falsify(glitch.at_sample, glitch.revolutions)
             if abs(glitch.revolutions) > self.limits.following_window:
                 self.fail(ErrorCode.ENCODER)
         if code is not None:
@@ -258,8 +258,8 @@ class Axis:
 
     # Inside
 
-    def _obey(self, command: Command) -> None:
-        to = TRANSITIONS.get(self.state, {}).get(command)
+    def _obey(self, command: Command | None) -> None:
+        to = None if command is None else TRANSITIONS.get(self.state, {}).get(command)
         if to is None:
             return
         d = self._dictionary
@@ -346,7 +346,7 @@ class Axis:
             if self.measuring.run is Run.RUNNING:
                 raise Abort(AbortCode.STATE)
             ready = self.state is State.OPERATION_ENABLED and not self.moving and self.mode is not Mode.CYCLIC_VELOCITY
-            self.measuring.start(self.position, ready=ready, limit=self.limits.speed, window=self.limits.window)
+            self.measuring.start(self.position, ready=ready)
         elif command == 2 and self.measuring.driving:
             self._brake(fast=True, then=None)
         self._publish()

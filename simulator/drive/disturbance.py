@@ -45,9 +45,9 @@ class Disturbance:
         return fault.code
 
     def take_glitch(self, recorded: int) -> Glitch | None:
-        """The ordered glitch if its time has come, with so many trace samples recorded."""
+        """The ordered glitch if its time has come, with so many trace samples recorded, and which one it hit."""
         glitch = self.glitch
         if glitch is None or (glitch.at_sample is not None and recorded <= glitch.at_sample):
             return None
         self.glitch = None
-        return glitch
+        return glitch if glitch.at_sample is not None else Glitch(glitch.revolutions, recorded - 1)

@@ -6,7 +6,8 @@ from simulator.drive.errors import ErrorCode
 
 
 def lose_host(axis: Axis, dictionary: Dictionary) -> None:
-    """React as 6007h says. An axis without torque stands already."""
+    """React as 6007h says, under the commissioned speed control. An axis without torque stands already."""
+    axis.speed_control.restore()
     match dictionary[0x6007, 0] if axis.energised else 0:
         case 1:
             axis.fail(ErrorCode.HEARTBEAT)

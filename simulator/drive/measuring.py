@@ -1,11 +1,9 @@
-"""The measuring function: sweep parameters in, speed set-points out, a trace of every sample kept.
+"""The measuring function: parameters in, speed set-points and torque noise out, a trace of every sample kept.
 
-Set-point ``e(t) (offset + sum a_i sin(2 pi f_i (t - t0) + phi_i))``, t0 = ramp + settle, with the envelope
-``e = (1 - cos(pi t / ramp)) / 2`` while rising, one, and mirrored while falling. Motor side: parameters and trace in
-rev, rev/min and N m as the dictionary has them; what goes to and comes from the axis is in rev/s.
+Motion and injected torque are those of `excitation`. Motor side: parameters and trace in rev, rev/min and N m as the
+dictionary has them; speeds that go to and come from the axis are in rev/s.
 """
 
-import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -13,14 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.drive.dictionary import Abort, AbortCode, Dictionary
+from simulator.drive.excitation import Noise, Sweep
+from simulator.drive.limits import Limits
+from simulator.drive.units import PER_MILLE
 
 Array = NDArray[np.float64]
 
 _RECORD = np.dtype(
     [("cycle", "<u4"), ("torque", "<f4"), ("command", "<f4"), ("speed", "<f4"), ("position", "<f8"), ("load", "<f8")]
 )
-_LONGEST = 600.0  # s
-_HIGHEST = 500.0  # Hz
+_NOISE_RECORD = np.dtype([*_RECORD.descr, ("injected", "<f4")])
+
+
+class Kind(IntEnum):
+    """Of excitation, 2100h:0C."""
+
+    MULTI_SINE = 0
+    TORQUE_NOISE = 1
 
 
 class Run(IntEnum):
@@ -41,6 +48,7 @@ class Rejection(IntEnum):
     SPEED = 2
     POSITION_WINDOW = 3
     PARAMETERS = 4
+    TORQUE = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,71 +61,38 @@ class Samples:
     speed: Array  # rev/s
     position: Array  # rev
     load: Array  # revolutions of the joint, NaN without direct encoder
-
-
-@dataclass(frozen=True, slots=True)
-class Sweep:
-    """Parameters as in 2100h to 2103h; `sines` are (Hz, rev/min, rad)."""
-
-    offset: float
-    ramp: float
-    settle: float
-    period: float
-    periods: int
-    sines: tuple[tuple[float, float, float], ...]
-
-    @property
-    def duration(self) -> float:
-        """From standstill to standstill, s."""
-        return 2 * self.ramp + self.settle + self.period * self.periods
-
-    @property
-    def peak(self) -> float:
-        """An upper bound of the speed, rev/min."""
-        return abs(self.offset) + sum(abs(amplitude) for _, amplitude, _ in self.sines)
-
-    def valid(self) -> bool:
-        """Whether every number is finite, times are positive and neither length nor frequencies are absurd."""
-        numbers = [self.offset, self.ramp, self.settle, self.period, *(n for sine in self.sines for n in sine)]
-        return (
-            all(math.isfinite(number) for number in numbers)
-            and self.ramp > 0
-            and self.settle >= 0
-            and self.period > 0
-            and self.duration <= _LONGEST
-            and all(0 < frequency <= _HIGHEST for frequency, _, _ in self.sines)
-        )
-
-    def setpoints(self, cycle: float) -> Array:
-        """Speed at the end of every drive cycle (m,), rev/s."""
-        time = np.arange(1, round(self.duration / cycle) + 1) * cycle
-        edge = np.clip(np.minimum(time, self.duration - time) / self.ramp, 0.0, 1.0)
-        speed = np.full_like(time, self.offset / 60)
-        for frequency, amplitude, phase in self.sines:
-            speed += amplitude / 60 * np.sin(2 * np.pi * frequency * (time - self.ramp - self.settle) + phase)
-        return (1 - np.cos(np.pi * edge)) / 2 * speed
+    injected: Array  # N m, part of `torque`
 
 
 class Trace:
-    """Block means over `stride` drive cycles, at most `capacity` samples."""
+    """Block means over `stride` drive cycles, at most `capacity` samples; of torque noise with the injected torque."""
 
-    def __init__(self, stride: int, capacity: int, cycle: float) -> None:
+    def __init__(self, stride: int, capacity: int, cycle: float, kind: Kind = Kind.MULTI_SINE) -> None:
         self.period = stride * cycle  # of a sample, s
         self._stride = stride
-        self._records = np.zeros(capacity, _RECORD)
-        self._rest = np.empty((5, 0))
+        self._fields = ("torque", "command", "speed", "position", "load")
+        self._fields += ("injected",) if kind is Kind.TORQUE_NOISE else ()
+        self._records = np.zeros(capacity, _NOISE_RECORD if kind is Kind.TORQUE_NOISE else _RECORD)
+        self._rest = np.empty((len(self._fields), 0))
         self.count = 0
 
     def extend(self, samples: Samples) -> None:
         """Take the samples of some drive cycles."""
-        columns = (samples.torque, 60 * samples.command, 60 * samples.speed, samples.position, samples.load)
-        rows = np.hstack((self._rest, np.vstack(columns)))
+        columns = (
+            samples.torque,
+            60 * samples.command,
+            60 * samples.speed,
+            samples.position,
+            samples.load,
+            samples.injected,
+        )
+        rows = np.hstack((self._rest, np.vstack(columns[: len(self._fields)])))
         blocks = min(rows.shape[1] // self._stride, len(self._records) - self.count)
         used = blocks * self._stride
-        means = rows[:, :used].reshape(5, blocks, self._stride).mean(axis=2)
+        means = rows[:, :used].reshape(len(self._fields), blocks, self._stride).mean(axis=2)
         page = self._records[self.count : self.count + blocks]
         page["cycle"] = np.arange(self.count, self.count + blocks)
-        for field, values in zip(("torque", "command", "speed", "position", "load"), means, strict=True):
+        for field, values in zip(self._fields, means, strict=True):
             page[field] = values
         self._rest = rows[:, used:]
         self.count += blocks
@@ -136,12 +111,11 @@ class Trace:
 class MeasuringFunction:
     """The function behind 2100h to 2110h: gives the axis set-points while it runs; the axis brakes after `stop`."""
 
-    def __init__(self, dictionary: Dictionary, cycle: float) -> None:
+    def __init__(self, dictionary: Dictionary, limits: Limits, cycle: float) -> None:
         self._dictionary = dictionary
+        self._limits = limits
         self._cycle = cycle
-        self._setpoints: Array = np.empty(0)
-        self._next = 0
-        self._trace = Trace(1, 0, cycle)
+        self.reset()
         dictionary.on_upload((0x2110, 3), self._page)
 
     @property
@@ -155,39 +129,39 @@ class MeasuringFunction:
         return self._next < len(self._setpoints)
 
     @property
+    def injecting(self) -> bool:
+        """Whether `injection` may be other than zero."""
+        return self._next < len(self._injected)
+
+    @property
     def count(self) -> int:
         """Samples recorded so far."""
         return self._trace.count
 
     def reset(self) -> None:
         """Forget everything, as at power-on."""
-        self._setpoints, self._next, self._trace = np.empty(0), 0, Trace(1, 0, self._cycle)
+        self._setpoints: Array = np.empty(0)
+        self._injected: Array = np.empty(0)
+        self._next = 0
+        self._trace = Trace(1, 0, self._cycle)
 
-    def start(self, position: float, *, ready: bool, limit: float, window: tuple[float, float]) -> None:
-        """Check the parameters and start from `position`, rev, or say why not; `limit` rev/s, `window` rev."""
-        sweep = self._sweep()
-        reason = Rejection.NONE
-        if not ready:
-            reason = Rejection.NOT_ENABLED
-        elif not sweep.valid():
-            reason = Rejection.PARAMETERS
-        elif sweep.peak > 60 * limit:
-            reason = Rejection.SPEED
-        else:
-            setpoints = sweep.setpoints(self._cycle)
-            path = position + np.cumsum(setpoints) * self._cycle
-            if path.min() < window[0] or path.max() > window[1]:
-                reason = Rejection.POSITION_WINDOW
-            else:
-                self._begin(setpoints)
+    def start(self, position: float, *, ready: bool) -> None:
+        """Check the parameters and start from `position`, rev, or say why not."""
+        sweep, reason = self._sweep(), Rejection.NOT_ENABLED
+        if ready:
+            reason = self._begin(sweep, position) if sweep.valid() else Rejection.PARAMETERS
         self._dictionary[0x2100, 2] = Run.RUNNING if reason is Rejection.NONE else Run.REJECTED
         self._dictionary[0x2100, 3] = reason
+
+    def injection(self, cycles: int) -> Array:
+        """Torque to inject at the end of each of the next cycles (cycles,), N m: to be asked before `setpoints`."""
+        return _padded(self._injected[self._next : self._next + cycles], cycles)
 
     def setpoints(self, cycles: int) -> Array:
         """The next set-points (cycles,), rev/s; zeros after the end."""
         part = self._setpoints[self._next : self._next + cycles]
         self._next += cycles
-        return np.concatenate((part, np.zeros(cycles - len(part))))
+        return _padded(part, cycles)
 
     def record(self, samples: Samples) -> None:
         """Keep what the axis did, and be done after the last set-point."""
@@ -203,23 +177,44 @@ class MeasuringFunction:
         self._trace.falsify(sample, revolutions)
 
     def stop(self) -> None:
-        """No more set-points, no more samples; `aborted` follows when the axis stands."""
-        self._setpoints = np.empty(0)
+        """No more set-points and torque, no more samples; `aborted` follows when the axis stands."""
+        self._setpoints = self._injected = np.empty(0)
 
     def aborted(self) -> None:
         """The axis stands after a stop."""
         if self.run is Run.RUNNING:
             self._dictionary[0x2100, 2] = Run.ABORTED
 
-    def _begin(self, setpoints: Array) -> None:
-        stride = round(self._dictionary[0x2100, 0x0A] * 1e-3 / self._cycle)
-        self._setpoints, self._next = setpoints, 0
-        self._trace = Trace(stride, len(setpoints) // stride, self._cycle)
-        self._dictionary[0x2100, 0x0B] = 0
+    def _begin(self, sweep: Sweep, position: float) -> Rejection:
+        d, limits = self._dictionary, self._limits
+        kind = Kind(d[0x2100, 0x0C])
+        setpoints = sweep.setpoints(self._cycle)
+        injected = np.empty(0)
+        if kind is Kind.TORQUE_NOISE:
+            noise = Noise(d[0x2104, 1], d[0x2104, 2], d[0x2104, 3], d[0x2104, 4])
+            try:
+                injected = noise.torques(sweep, self._cycle)
+            except ValueError:
+                return Rejection.PARAMETERS
+        if sweep.peak > 60 * limits.speed:
+            return Rejection.SPEED
+        path = position + np.cumsum(setpoints) * self._cycle
+        low, high = limits.window
+        if path.min() < low or path.max() > high:
+            return Rejection.POSITION_WINDOW
+        if np.abs(injected).max(initial=0.0) > limits.torque * d[0x6076, 0] / PER_MILLE:
+            return Rejection.TORQUE
+        stride = round(d[0x2100, 0x0A] * 1e-3 / self._cycle)
+        self._setpoints, self._injected, self._next = setpoints, injected, 0
+        self._trace = Trace(stride, len(setpoints) // stride, self._cycle, kind)
+        d[0x2100, 0x0B] = 0
+        return Rejection.NONE
 
     def _sweep(self) -> Sweep:
+        """Noise lies on the offset alone."""
         d = self._dictionary
-        sines = tuple((d[0x2101, k], d[0x2102, k], d[0x2103, k]) for k in range(1, d[0x2100, 9] + 1))
+        number = d[0x2100, 9] if d[0x2100, 0x0C] == Kind.MULTI_SINE else 0
+        sines = tuple((d[0x2101, k], d[0x2102, k], d[0x2103, k]) for k in range(1, number + 1))
         return Sweep(d[0x2100, 4], d[0x2100, 5], d[0x2100, 6], d[0x2100, 7], d[0x2100, 8], sines)
 
     def _page(self) -> bytes:
@@ -227,3 +222,7 @@ class MeasuringFunction:
         if not page:
             raise Abort(AbortCode.NO_DATA)
         return page
+
+
+def _padded(part: Array, cycles: int) -> Array:
+    return np.concatenate((part, np.zeros(cycles - len(part))))

@@ -20,7 +20,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.ports import DrivePort, SampleBlock, Sine, SweepCommand, SweepMode
+from drivers.ports import DrivePort, NoiseCommand, SampleBlock, Sine, SweepCommand, SweepMode
 from drivers.registry import load_profile, open_drive
 from simulator.machine import Machine
 from simulator.scenario import load_scenario
@@ -82,6 +82,7 @@ class Bench:
     modes: frozenset[SweepMode]
     orders: frozenset[str]  # of the control port, as far as this fieldbus can have the fault
     machine: Callable[["Bench"], AbstractContextManager[Virtual]]
+    injects: bool = False  # torque noise
     own_process: bool = True  # which can die
     exclusive: bool = False  # one host at a time on the line
     vcan: bool = False  # needs a kernel with CAN: runs with --vcan, and then no other does
@@ -175,9 +176,9 @@ LASTING: dict[str, dict[str, object]] = {  # what takes an order back
 }
 
 BENCHES: dict[str, Bench] = {
-    "canopen-socketcand": Bench("canopen", BOTH, CAN_ORDERS, _over_socketcand),
-    "canopen-virtual": Bench("canopen", BOTH, CAN_ORDERS, in_one_process, own_process=False),
-    "canopen-vcan": Bench("canopen", BOTH, CAN_ORDERS, _over_vcan, vcan=True),
+    "canopen-socketcand": Bench("canopen", BOTH, CAN_ORDERS, _over_socketcand, injects=True),
+    "canopen-virtual": Bench("canopen", BOTH, CAN_ORDERS, in_one_process, injects=True, own_process=False),
+    "canopen-vcan": Bench("canopen", BOTH, CAN_ORDERS, _over_vcan, injects=True, vcan=True),
     "modbus-tcp": Bench("modbus", DRIVE_SIDE, ORDERS, _over_modbus_tcp),
     "modbus-rtu": Bench("modbus", DRIVE_SIDE, ORDERS, _over_modbus_rtu, exclusive=True),
 }
@@ -203,11 +204,35 @@ async def sweep(port: DrivePort, mode: SweepMode, periods: int = 2, **changes: o
     return SweepCommand(**(fields | changes))  # pyright: ignore[reportArgumentType]
 
 
+async def noise(port: DrivePort, periods: int = 4, **changes: object) -> NoiseCommand:
+    """A short noise run of `AXIS` from where it stands, 2 % of rated torque from 2 to 40 Hz."""
+    start = (await port.status())[AXIS].position
+    fields: dict[str, object] = {
+        "joint": AXIS,
+        "offset_velocity": 0.0105,
+        "effort": 60.0,
+        "lowest": 2.0,
+        "highest": 40.0,
+        "period": 0.5,
+        "periods": periods,
+        "seed": 7,
+        "softening": 0.5,
+        "ramp": 0.2,
+        "settle": 0.2,
+        "sample_rate": 250.0,
+        "velocity_limit": 0.1,
+        "effort_limit": 5000.0,
+        "position_window": (start - 0.5, start + 0.5),
+    }
+    return NoiseCommand(**(fields | changes))  # pyright: ignore[reportArgumentType]
+
+
 async def consume(
-    port: DrivePort, command: SweepCommand, each: Callable[[SampleBlock], object] = lambda _: None
+    port: DrivePort, command: SweepCommand | NoiseCommand, each: Callable[[SampleBlock], object] = lambda _: None
 ) -> None:
-    """Run a sweep to its end, calling `each` with every block."""
-    async for block in port.run_sweep(command):
+    """Run a sweep or noise to its end, calling `each` with every block."""
+    run = port.run_noise(command) if isinstance(command, NoiseCommand) else port.run_sweep(command)
+    async for block in run:
         each(block)
 
 

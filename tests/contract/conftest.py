@@ -4,6 +4,7 @@ A test that asks for `mode` runs once for every sweep mode. Marks say what a tes
 
 - ``adapter(name)``: this adapter
 - ``has(mode)``: this sweep mode; ``missing``: not the mode of `mode`
+- ``injects(yes)``: a drive that makes torque noise, or one that does not
 - ``orders(name, ...)``: these orders of the control port
 - ``exclusive(yes)``: a line that takes one host at a time, or one that takes several
 """
@@ -19,7 +20,7 @@ from tests.contract.bench import BENCHES, Virtual
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    for marker in ("adapter(name)", "has(mode)", "missing", "orders(*names)", "exclusive(yes)"):
+    for marker in ("adapter(name)", "has(mode)", "missing", "injects(yes)", "orders(*names)", "exclusive(yes)"):
         config.addinivalue_line("markers", f"{marker}: see tests/contract/conftest.py")
 
 
@@ -40,6 +41,7 @@ def _exists(item: pytest.Item, vcan: bool) -> bool:
         and marks.get("adapter", (bench.adapter,)) == (bench.adapter,)
         and bench.modes.issuperset(marks.get("has", ()))
         and bench.orders.issuperset(marks.get("orders", ()))
+        and marks.get("injects", (bench.injects,)) == (bench.injects,)
         and marks.get("exclusive", (bench.exclusive,)) == (bench.exclusive,)
     )
 

@@ -15,11 +15,12 @@ from canopen.sdo.client import SdoClient
 from drivers.canopen.fieldbus import CanopenConnection, StreamedSweep
 from drivers.canopen.measuring import ABORT, COMMAND
 from drivers.canopen.objects import Entry
+from drivers.canopen.speed_control import GAIN
 from drivers.cia402.machine import Cia402Machine
 from drivers.errors import WrongConfiguration, WrongIdentity
 from drivers.ports import AxisState, DrivePort, SweepMode
 from drivers.registry import open_drive
-from tests.contract.bench import AXIS, DRIVES, Virtual, consume, eventually, sweep
+from tests.contract.bench import AXIS, DRIVES, Virtual, consume, eventually, noise, sweep
 
 pytestmark = pytest.mark.adapter("canopen")
 
@@ -119,6 +120,34 @@ async def test_a_drive_that_refuses_a_rung_of_the_ladder_loses_its_energy_all_th
     await port.stop()
     assert virtual.energised() == []
     await running.aclose()
+
+
+async def test_a_speed_control_that_cannot_be_restored_costs_the_axis_its_energy(
+    port: DrivePort, virtual: Virtual, caplog: pytest.LogCaptureFixture
+) -> None:
+    sdo = link_of(port).devices[AXIS].sdo
+    write = sdo.write
+    softened = False
+
+    def stay_soft(entry: Entry, value: float) -> None:
+        nonlocal softened
+        if entry == GAIN and softened:
+            raise WrongConfiguration("abort 0800 0022h")
+        softened = softened or entry == GAIN
+        write(entry, value)
+
+    sdo.write = stay_soft
+    await port.enable(AXIS)
+    with pytest.raises(WrongConfiguration, match="0800 0022h"):
+        await consume(port, await noise(port, periods=1))
+    assert virtual.energised() == []
+    with pytest.raises(WrongConfiguration, match="0800 0022h"):
+        await port.enable(AXIS)
+    assert virtual.energised() == []
+    sdo.write = write
+    await port.enable(AXIS)
+    assert virtual.truth()["softened"] is False
+    assert "joint_1 (node 1): its speed control had been left soft and is restored" in caplog.text
 
 
 async def test_a_drive_that_is_lost_while_the_consumer_hangs_is_told_to_stop(port: DrivePort, virtual: Virtual) -> None:

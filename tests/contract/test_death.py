@@ -7,29 +7,34 @@ import subprocess
 import sys
 import threading
 import time
+from typing import cast
 
 import pytest
 
 from drivers.errors import CommunicationLost
 from drivers.ports import AxisState, SweepMode
+from drivers.registry import open_drive
 from tests.contract.bench import AXIS, DRIVES, ROOT, Virtual, consume, sweep
 
 HOST = """
 import asyncio, json, sys
 from pathlib import Path
-from drivers.ports import Sine, SweepCommand, SweepMode
+from drivers.ports import NoiseCommand, Sine, SweepCommand, SweepMode
 from drivers.registry import open_drive
 
 async def main() -> None:
     port = open_drive(json.loads(sys.argv[1]), Path(sys.argv[2]))
     await port.connect()
     await port.enable("joint_1")
-    command = SweepCommand(
-        joint="joint_1", mode=SweepMode(sys.argv[3]), offset_velocity=0.002, sines=(Sine(2.0, 0.001, 0.0),),
-        period=1.0, periods=200, ramp=0.5, settle=0.5, sample_rate=250.0, velocity_limit=0.05, effort_limit=5000.0,
-        position_window=(-2.0, 2.0),
+    turn = dict(
+        joint="joint_1", offset_velocity=0.002, period=1.0, periods=200, ramp=0.5, settle=0.5, sample_rate=250.0,
+        velocity_limit=0.05, effort_limit=5000.0, position_window=(-2.0, 2.0),
     )
-    async for block in port.run_sweep(command):
+    if sys.argv[3] == "noise":
+        run = port.run_noise(NoiseCommand(effort=30.0, lowest=1.0, highest=40.0, seed=3, softening=0.5, **turn))
+    else:
+        run = port.run_sweep(SweepCommand(mode=SweepMode(sys.argv[3]), sines=(Sine(2.0, 0.001, 0.0),), **turn))
+    async for block in run:
         print("moving", flush=True)
 
 asyncio.run(main())
@@ -52,6 +57,47 @@ def test_axes_stand_after_the_host_was_killed(mortal: Virtual, mode: SweepMode) 
         host.send_signal(signal.SIGKILL)
     wait_until_off(mortal)
     assert mortal.truth()["velocity"] == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.injects(True)
+def test_the_drive_restores_its_speed_control_after_the_host_was_killed_in_a_noise_run(mortal: Virtual) -> None:
+    command = [sys.executable, "-c", HOST, json.dumps(mortal.profile), str(DRIVES), "noise"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as host:
+        assert host.stdout is not None
+        assert host.stdout.readline() == b"moving\n"
+        before = mortal.truth()
+        host.send_signal(signal.SIGKILL)
+    assert (before["energised"], before["softened"]) == (True, True)
+    wait_until_off(mortal)
+    after = mortal.truth()
+    assert after["velocity"] == pytest.approx(0.0, abs=1e-3)
+    assert after["softened"] is False
+
+
+@pytest.mark.injects(True)
+def test_connect_restores_the_speed_control_that_a_killed_host_left_soft(
+    mortal: Virtual, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The next host is there before the drive misses the first one: the drive itself has noticed nothing."""
+    bus = {**cast("dict[str, object]", mortal.profile["bus"]), "host_timeout": 60.0}
+    profile = {**mortal.profile, "bus": bus}
+    command = [sys.executable, "-c", HOST, json.dumps(profile), str(DRIVES), "noise"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as host:
+        assert host.stdout is not None
+        assert host.stdout.readline() == b"moving\n"
+        host.send_signal(signal.SIGKILL)
+    assert mortal.truth()["softened"] is True
+    assert mortal.energised() == [AXIS]
+
+    async def connect() -> None:
+        port = open_drive(profile, DRIVES)
+        await port.connect()
+        assert mortal.energised() == []
+        assert mortal.truth()["softened"] is False
+        await port.close()
+
+    asyncio.run(connect())
+    assert "joint_1 (node 1): its speed control had been left soft and is restored: active gain" in caplog.text
 
 
 def test_axes_stand_after_the_host_hung_and_nothing_resumes(mortal: Virtual, mode: SweepMode) -> None:

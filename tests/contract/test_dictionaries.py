@@ -9,10 +9,10 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from drivers.errors import BadProfile, DriveFault, EnvelopeLeft, LimitExceeded, WrongIdentity
+from drivers.errors import BadProfile, DriveFault, EnvelopeLeft, LimitExceeded, NotReady, WrongIdentity
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
 from drivers.registry import open_drive
-from tests.contract.bench import AXIS, BENCHES, DRIVES, EDS, Virtual, column, consume, in_one_process, sweep
+from tests.contract.bench import AXIS, BENCHES, DRIVES, EDS, Virtual, column, consume, in_one_process, noise, sweep
 
 FULL, BARE, RPM = EDS, EDS.with_stem("virtual-axis-no-limits"), EDS.with_stem("virtual-axis-rpm")
 
@@ -66,6 +66,25 @@ async def test_the_host_enforces_the_effort_that_the_drive_does_not(bare: Virtua
             await consume(port, await sweep(port, mode, effort_limit=100.0, periods=20))
         assert bare.energised() == []
         assert (await port.status())[AXIS].state is AxisState.DISABLED
+
+
+async def test_the_host_enforces_the_effort_of_a_noise_run_and_restores_the_control(bare: Virtual) -> None:
+    async with connected(fitted(bare, str(BARE))) as port:
+        assert port.capabilities.torque_injection
+        await port.enable(AXIS)
+        with pytest.raises(EnvelopeLeft, match=f"{AXIS} .*effort .* is beyond 100 N m"):
+            await consume(port, await noise(port, effort_limit=100.0, periods=80))
+        assert bare.energised() == []
+        assert bare.truth()["softened"] is False
+
+
+async def test_a_drive_without_torque_noise_is_told_and_sweeps_all_the_same(rpm: Virtual) -> None:
+    async with connected(fitted(rpm, str(RPM), 0x0403, stop_options={"quick_stop": 6})) as port:
+        assert not port.capabilities.torque_injection
+        await port.enable(AXIS)
+        with pytest.raises(NotReady, match=r"joint_1 \(node 1\): torque noise is not supported by this drive"):
+            await consume(port, await noise(port))
+        await consume(port, await sweep(port, SweepMode.DRIVE_SIDE, periods=1))
 
 
 @pytest.mark.parametrize("mode", list(SweepMode), ids=lambda mode: mode.value)

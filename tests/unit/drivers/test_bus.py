@@ -132,6 +132,15 @@ def test_a_bus_on_which_nobody_speaks_is_lost_for_good(pair: Pair) -> None:
         pair.bus.check(NODE)
 
 
+def test_frames_with_29_bits_are_nobodys_word(pair: Pair) -> None:
+    stream = pair.bus.open_stream(NODE)
+    for identifier in (frames.EMERGENCY + NODE, frames.TPDO1 + NODE, frames.HEARTBEAT + NODE):
+        pair.peer.send(can.Message(arbitration_id=identifier, data=bytes(8), is_extended_id=True))
+    pair.say(frames.HEARTBEAT + NODE, b"\x05")
+    assert stream.get(timeout=5.0) == frames.Heartbeat(NODE, 5)
+    assert pair.bus.emergency(NODE) is None
+
+
 def test_emergencies_are_kept_until_withdrawn(pair: Pair) -> None:
     pair.say(frames.EMERGENCY + NODE, bytes.fromhex("057321 0000000000"))
     eventually(lambda: pair.bus.emergency(NODE) is not None)

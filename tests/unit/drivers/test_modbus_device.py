@@ -159,10 +159,10 @@ def test_enabling_takes_the_one_path_and_losing_the_drive_stops_it_unheard(
             axis.quick_stop()
         device.stop_unheard()
         deadline = time.monotonic() + 10
-        while len(written()) < 2:
+        while len(written()) < 3:
             assert time.monotonic() < deadline
             time.sleep(0.01)
-        assert written() == [0x02, 0x00]
+        assert written() == [0x02, 0x02, 0x00]
 
 
 @KINDS

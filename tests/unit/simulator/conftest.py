@@ -78,16 +78,18 @@ def turn(axis: Axis) -> Callable[..., np.ndarray]:
     def run(cycles: int, chunk: int = 8, *, torque: float = 0.0, limited: bool = False) -> np.ndarray:
         speeds = []
         for _ in range(cycles // chunk):
+            injected = axis.measuring.injection(chunk)
             command = axis.setpoints(chunk)
             position = axis.position + np.cumsum(command) * CYCLE
             axis.observe(
                 Samples(
-                    torque=np.full(chunk, torque),
+                    torque=torque + injected,
                     torque_limited=np.full(chunk, limited),
                     command=command,
                     speed=command,
                     position=position,
                     load=np.full(chunk, np.nan),
+                    injected=injected,
                 )
             )
             speeds.append(command)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from simulator import Measurement, Scenario, ScenarioError, SweepRun, run_sweeps
+from simulator import Measurement, NoiseRun, Scenario, ScenarioError, SweepRun, run_sweeps, true_inertia
 
 Make = Callable[..., SweepRun]
 Load = Callable[[str], Scenario]
@@ -100,3 +100,89 @@ def test_sweeps_that_do_not_fit_are_refused(scenario: Load, sweep: Make) -> None
     short = SweepRun("joint_1", (0.0, 0.0), 0.01, (), 1.0, 1, 0.5, 0.5)
     with pytest.raises(ScenarioError, match="2 positions"):
         run_sweeps(full, [short], seed=1)
+
+
+def noise(axis: str = "joint_1", **changes: object) -> NoiseRun:
+    """1 % of rated torque from 1 to 40 Hz, four periods of 2 s."""
+    fields: dict[str, object] = {
+        "axis": axis,
+        "pose": (0.1, 0.4, -0.9, 0.0, 0.0, 0.0),
+        "offset_velocity": 0.0105,
+        "effort": 30.0,
+        "lowest": 1.0,
+        "highest": 40.0,
+        "period": 2.0,
+        "periods": 4,
+        "seed": 5,
+        "softening": 0.5,
+        "ramp": 0.5,
+        "settle": 3.0,
+    }
+    return NoiseRun(**(fields | changes))  # pyright: ignore[reportArgumentType]
+
+
+def spectrum(columns: dict[str, np.ndarray], name: str, run: NoiseRun) -> np.ndarray:
+    """Complex amplitudes at every multiple of 1/period, mean over the periods of the window."""
+    start, count = round(run.waveform.measure_from * 1000), round(run.period * 1000)
+    periods = columns[name][start : start + count * run.periods].reshape(run.periods, count)
+    return 2 * np.fft.rfft(periods.mean(axis=0)) / count
+
+
+def test_injected_torque_is_the_wanted_noise(noise_free: Load) -> None:
+    run = noise()
+    (columns,) = run_sweeps(noise_free("full"), [run], seed=1)
+    injected = columns["excitation_effort"]
+    window = injected[3500:11500]
+    assert np.std(window) == pytest.approx(30.0, rel=0.01)
+    np.testing.assert_allclose(window[:2000], window[2000:4000], atol=1e-9)
+    lines = np.abs(spectrum(columns, "excitation_effort", run))
+    amplitude = 30.0 * np.sqrt(2 / 79)
+    np.testing.assert_allclose(lines[2:81], amplitude, rtol=0.02)  # the cycle's mean takes 0.5 % at 40 Hz
+    assert max(lines[:2].max(), lines[81:200].max()) < 1e-3 * amplitude
+    assert abs(injected[0]) < 0.1
+    assert abs(injected[-1]) < 0.1
+    other = run_sweeps(noise_free("full"), [noise(seed=6)], seed=1)[0]["excitation_effort"]
+    assert np.corrcoef(other[3500:11500], window)[0, 1] < 0.3
+
+
+def test_injected_torque_moves_the_plant_as_its_physics_say(noise_free: Load) -> None:
+    """Effort over velocity at the excited lines is i w J + mu, whatever the controller does."""
+    rigid = noise_free("rigid")
+    run = noise()
+    (columns,) = run_sweeps(rigid, [run], seed=1)
+    lines = np.arange(2, 81)
+    impedance = spectrum(columns, "effort", run)[lines] / spectrum(columns, "velocity", run)[lines]
+    inertia = impedance.imag / (2 * np.pi * lines / run.period)
+    (truth,) = true_inertia(rigid, "joint_1", [run.pose])
+    np.testing.assert_allclose(inertia, truth, rtol=0.01)
+    # the controller's part: effort = excitation - C * velocity, with the softened PI
+    control = rigid.driven("joint_1").control
+    laplace = 2j * np.pi * lines / run.period
+    pi = control.gain * 0.5 * (1 + 0.5 / (control.reset_time * laplace))
+    wanted = spectrum(columns, "excitation_effort", run) - spectrum(columns, "effort", run)
+    np.testing.assert_allclose(wanted[lines] / spectrum(columns, "velocity", run)[lines] / pi, 1.0, atol=0.05)
+
+
+def test_a_noise_run_beside_a_sweep_equals_each_alone(noise_free: Load, sweep: Make) -> None:
+    full, runs = noise_free("full"), [noise(periods=1), sweep("joint_3")]
+    together = run_sweeps(full, runs, seed=1)
+    assert "excitation_effort" not in together[1]
+    for run, columns in zip(runs, together, strict=True):
+        (alone,) = run_sweeps(full, [run], seed=1)
+        for column, values in alone.items():
+            np.testing.assert_allclose(columns[column], values, rtol=1e-10, atol=1e-12, err_msg=column)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"softening": 0.0}, "softening 0.0"),
+        ({"softening": 1.5}, "softening 1.5"),
+        ({"period": 2.0003}, "period 2.0003 s is not a multiple of 0.001 s"),
+        ({"lowest": 3.1, "highest": 3.4}, "no line"),
+        ({"highest": 500.0}, "above the rate"),
+    ],
+)
+def test_noise_that_cannot_be_is_refused(scenario: Load, changes: dict[str, object], message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        run_sweeps(scenario("full"), [noise(**changes)], seed=1)

@@ -6,7 +6,8 @@ import pytest
 
 from simulator.drive.axis import Axis
 from simulator.drive.dictionary import Abort, AbortCode, Dictionary
-from simulator.drive.measuring import Rejection, Run, Samples, Sweep, Trace
+from simulator.drive.excitation import Sweep
+from simulator.drive.measuring import Rejection, Run, Samples, Trace
 from simulator.drive.states import State
 
 Turn = Callable[..., np.ndarray]
@@ -47,7 +48,7 @@ def test_the_trace_keeps_block_means() -> None:
     trace = Trace(stride=4, capacity=3, cycle=0.001)
     rows = np.arange(14.0)
     for part in (rows[:3], rows[3:9], rows[9:]):
-        trace.extend(Samples(part, part > 99, part / 60, -part / 60, 2 * part, np.full_like(part, np.nan)))
+        trace.extend(Samples(part, part > 99, part / 60, -part / 60, 2 * part, np.full_like(part, np.nan), part))
     assert trace.count == 3  # the last two rows are no whole block, and it is full
     page = trace.page(1, 512)
     assert [RECORD.unpack_from(page, at)[:5] for at in (0, 32)] == [

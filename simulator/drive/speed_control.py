@@ -1,0 +1,42 @@
+"""The speed controller's gain and reset time (2140h), N m s/rad of the motor and s.
+
+The active ones lie in RAM and may be made softer while the axis moves; the commissioned ones are stored and only read.
+"""
+
+from simulator.drive.dictionary import Abort, AbortCode, Dictionary
+
+
+class SpeedControl:
+    """A view of one dictionary."""
+
+    def __init__(self, dictionary: Dictionary) -> None:
+        self._dictionary = dictionary
+        dictionary.on_download((0x2140, 1), self._check_gain)
+        dictionary.on_download((0x2140, 2), self._check_reset_time)
+
+    @property
+    def active(self) -> tuple[float, float]:
+        """Gain and reset time just now."""
+        return self._dictionary[0x2140, 1], self._dictionary[0x2140, 2]
+
+    @property
+    def softened(self) -> bool:
+        """Whether the active ones are not the commissioned ones."""
+        return self.active != (self._dictionary[0x2140, 3], self._dictionary[0x2140, 4])
+
+    def restore(self) -> None:
+        """Back to what was commissioned."""
+        d = self._dictionary
+        d[0x2140, 1], d[0x2140, 2] = d[0x2140, 3], d[0x2140, 4]
+
+    def _check_gain(self, value: float) -> None:
+        if not value > 0:
+            raise Abort(AbortCode.TOO_LOW)
+        if value > self._dictionary[0x2140, 3]:
+            raise Abort(AbortCode.TOO_HIGH)
+
+    def _check_reset_time(self, value: float) -> None:
+        if not value >= self._dictionary[0x2140, 4]:
+            raise Abort(AbortCode.TOO_LOW)
+        if value == float("inf"):
+            raise Abort(AbortCode.TOO_HIGH)

@@ -1,0 +1,179 @@
+"""A small CiA 402 servo without a wire, and a machine of some of them: for what the machine does around its drives."""
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drivers.cia402 import states
+from drivers.cia402.axis import Axis
+from drivers.cia402.connection import Run, capabilities
+from drivers.cia402.device import Abilities, MeasuringState, Mode, Motion
+from drivers.cia402.machine import Cia402Machine
+from drivers.cia402.profile import AxisProfile, IdentityProfile
+from drivers.cia402.states import State
+from drivers.cia402.thread import DriveThread
+from drivers.errors import CommunicationLost
+from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SweepCommand
+
+SHOWN = {State.SWITCH_ON_DISABLED: 0x40, State.READY: 0x21, State.SWITCHED_ON: 0x23, State.OPERATION_ENABLED: 0x27}
+STEPS = {
+    states.SHUTDOWN: State.READY,
+    states.SWITCH_ON: State.SWITCHED_ON,
+    states.ENABLE_OPERATION: State.OPERATION_ENABLED,
+}
+
+
+def profile(joint: str) -> AxisProfile:
+    return AxisProfile(
+        joint=joint,
+        identity=IdentityProfile(vendor=1, product=2, revision=3),
+        gear_ratio=100.0,
+        rated_torque=10.0,
+        position_limits=(-1.0, 1.0),
+        velocity_limit=1.0,
+        effort_limit=1000.0,
+        acceleration=20.0,
+        quick_stop_deceleration=50.0,
+        standstill_velocity=1e-3,
+    )
+
+
+@dataclass
+class Servo:
+    """`before` is asked at every exchange with its name and may raise or wait; `told` is every controlword."""
+
+    joint: str
+    state: State = State.SWITCH_ON_DISABLED
+    velocity: float = 0.0
+    before: Callable[[str], None] = lambda _: None
+    told: list[int] = field(default_factory=list)
+    unheard: int = 0  # times it was told to stop by what needs no answer
+    acknowledges: bool = True  # set-points, by bit 12
+    recorded: int = 0  # samples of the measuring function
+    samples_a_look: int = 0
+    emergency_stop_codes: tuple[int, ...] = ()
+    page_size: int = 64
+    injector: None = None
+
+    def __post_init__(self) -> None:
+        self.profile = profile(self.joint)
+        self.place = f"{self.joint} (small)"
+        self.measuring = MeasuringState.IDLE
+
+    @property
+    def energised(self) -> bool:
+        return self.state in states.ENERGISED
+
+    def identify(self) -> AxisIdentity:
+        return AxisIdentity(self.joint, "small", 1, 2, 3, 4, "")
+
+    def configure(self) -> Abilities:
+        has = dict.fromkeys(Abilities.__dataclass_fields__, False)
+        return Abilities(**(has | {"measures": True}))
+
+    def allow_motion(self) -> None: ...
+
+    def forbid_motion(self) -> None: ...
+
+    def statusword(self) -> int:
+        self.before("statusword")
+        acknowledged = self.acknowledges and bool(self.told) and self.told[-1] & states.NEW_SET_POINT
+        return SHOWN[self.state] | (states.SET_POINT_ACKNOWLEDGED if acknowledged else 0)
+
+    def control(self, controlword: int) -> None:
+        self.before(f"control {controlword:02X}")
+        self.told.append(controlword)
+        self.state = STEPS.get(controlword & 0x0F, State.SWITCH_ON_DISABLED)
+        if not self.energised:
+            self.velocity = 0.0
+            self.measuring = MeasuringState.ABORTED if self.measuring is MeasuringState.RUNNING else self.measuring
+
+    def set_mode(self, mode: Mode) -> None: ...
+
+    def check_alive(self) -> None: ...
+
+    def announced_error(self) -> int | None:
+        return None
+
+    def forget_error(self) -> None: ...
+
+    def error_code(self) -> int:
+        return 0
+
+    def error_text(self, code: int) -> str:
+        return f"error {code:04X}h"
+
+    def stop_unheard(self) -> None:
+        self.unheard += 1
+        self.state = State.SWITCH_ON_DISABLED
+
+    def motion(self) -> Motion:
+        self.before("motion")
+        return Motion(0.0, self.velocity, 0.0)
+
+    def read_back(self) -> None: ...
+
+    def settle_limits(self, velocity: float, effort: float, window: tuple[float, float]) -> None: ...
+
+    def hold_target(self) -> None: ...
+
+    def set_target(self, position: float, velocity: float) -> None: ...
+
+    def prepare_measuring(self, command: SweepCommand) -> None: ...
+
+    def start_measuring(self) -> None:
+        self.measuring = MeasuringState.RUNNING
+
+    def abort_measuring(self) -> None:
+        self.measuring = MeasuringState.ABORTED
+
+    def measuring_state(self) -> MeasuringState:
+        return self.measuring
+
+    def rejection(self) -> str:
+        return ""
+
+    def samples_recorded(self) -> int:
+        self.recorded += self.samples_a_look
+        return self.recorded
+
+    def page(self, first: int, count: int) -> SampleBlock:
+        index = np.arange(first, first + count)
+        zero = np.zeros(count)
+        return SampleBlock(self.joint, index, index / 250.0, zero, zero, zero, zero)
+
+
+class Link:
+    """A connection, and the fieldbus that opens it."""
+
+    sync_period = 0.004
+
+    def __init__(self, servos: Sequence[Servo]) -> None:
+        self._servos = servos
+        self.opened = self.closed = 0
+
+    async def open(self) -> "Link":
+        self.opened += 1
+        self.thread = DriveThread("small")
+        self.axes = {servo.joint: Axis(servo) for servo in self._servos}  # pyright: ignore[reportArgumentType]
+        self.identities = tuple([await self.thread.run(axis.introduce) for axis in self.axes.values()])
+        return self
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return capabilities(self.axes.values())
+
+    async def stream(self, sweeps: object, stop: threading.Event) -> Run:
+        raise CommunicationLost("no streams here")
+
+    async def close(self) -> None:
+        self.closed += 1
+        await self.thread.close()
+
+
+def machine(*servos: Servo) -> tuple[Cia402Machine, Link]:
+    """Not connected yet."""
+    link = Link(servos)
+    return Cia402Machine([servo.profile for servo in servos], link), link  # pyright: ignore[reportArgumentType]

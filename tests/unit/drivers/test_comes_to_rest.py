@@ -1,0 +1,248 @@
+"""Stop, close, cancel and refusals that meet: the drives lose their energy all the same, each of them."""
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable
+
+import pytest
+
+from drivers.cia402.thread import DriveThread
+from drivers.errors import CommunicationLost, EnvelopeLeft, SweepInterrupted, WrongConfiguration
+from drivers.ports import Sine, SweepCommand, SweepMode
+from tests.unit.drivers.small_servo import Servo, machine
+
+PATIENCE = 20.0  # s
+
+
+class Gate:
+    """Holds a servo's exchange of a name, from `shut` on, until it is opened. Blocking, on the machine's thread."""
+
+    def __init__(self, exchange: str) -> None:
+        self._exchange = exchange
+        self._open = threading.Event()
+        self.reached = threading.Event()
+        self._shut = False
+
+    def shut(self) -> None:
+        self._shut = True
+
+    def open(self) -> None:
+        self._open.set()
+
+    def __call__(self, exchange: str) -> None:
+        if self._shut and exchange == self._exchange:
+            self.reached.set()
+            assert self._open.wait(PATIENCE)
+
+
+async def reached(gate: Gate) -> None:
+    assert await asyncio.to_thread(gate.reached.wait, PATIENCE)
+
+
+async def test_closed_twice_at_once_it_is_closed_once_and_both_wait() -> None:
+    gate = Gate("statusword")
+    servo = Servo("joint_1", before=gate)
+    port, link = machine(servo)
+    await port.connect()
+    await port.enable("joint_1")
+    gate.shut()
+    first, second = asyncio.create_task(port.close()), asyncio.create_task(port.close())
+    await reached(gate)
+    stop = asyncio.create_task(port.stop())  # a stop while closing waits for it, too
+    await asyncio.sleep(0)
+    assert [task.done() for task in (first, second, stop)] == [False, False, False]
+    gate.open()
+    await asyncio.wait_for(asyncio.gather(first, second, stop), PATIENCE)
+    assert (link.opened, link.closed) == (1, 1)
+    assert not servo.energised
+
+
+async def test_a_closing_that_is_cancelled_goes_on_to_its_end() -> None:
+    gate = Gate("statusword")
+    servo = Servo("joint_1", before=gate)
+    port, link = machine(servo)
+    await port.connect()
+    await port.enable("joint_1")
+    gate.shut()
+    closing = asyncio.create_task(port.close())
+    await reached(gate)
+    closing.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await closing
+    gate.open()
+    await asyncio.wait_for(port.close(), PATIENCE)
+    assert not servo.energised
+    assert link.closed == 1
+    await port.connect()  # nothing of the old connection is in the way
+    await port.close()
+    assert (link.opened, link.closed) == (2, 2)
+
+
+async def test_closing_survives_a_stop_that_failed_beside_it() -> None:
+    gate = Gate("statusword")
+    servo = Servo("joint_1", before=gate)
+    port, link = machine(servo)
+    await port.connect()
+    gate.shut()
+    stop = asyncio.create_task(port.stop())
+    await reached(gate)
+    servo.before = lose
+    closing = asyncio.create_task(port.close())
+    await asyncio.sleep(0)
+    gate.open()
+    with pytest.raises(CommunicationLost):
+        await asyncio.wait_for(stop, PATIENCE)
+    await asyncio.wait_for(closing, PATIENCE)
+    assert link.closed == 1
+
+
+def lose(exchange: str) -> None:
+    raise CommunicationLost(f"no answer to {exchange}")
+
+
+async def test_who_waits_for_the_thread_when_it_is_closed_gets_an_answer_and_who_comes_later_an_error() -> None:
+    thread, begun, go = DriveThread("test"), threading.Event(), threading.Event()
+
+    def first() -> bool:
+        begun.set()
+        return go.wait(PATIENCE)
+
+    under_way = asyncio.create_task(thread.run(first))
+    assert await asyncio.to_thread(begun.wait, PATIENCE)
+    waiting = asyncio.create_task(thread.run(int, "7"))
+    await asyncio.sleep(0)
+    closing = asyncio.create_task(thread.close())
+    await asyncio.sleep(0)
+    with pytest.raises(CommunicationLost, match="closed"):
+        await thread.run(int, "8")
+    go.set()
+    assert await asyncio.wait_for(asyncio.gather(under_way, waiting), PATIENCE) == [True, 7]
+    await asyncio.wait_for(closing, PATIENCE)
+
+
+async def test_axes_enabled_together_all_lose_their_energy_when_one_cannot_be() -> None:
+    def fail(exchange: str) -> None:
+        if exchange == "control 0F":
+            first.before = lose  # falls silent just now
+            raise WrongConfiguration("refused")
+
+    first, second, third = Servo("joint_1"), Servo("joint_2"), Servo("joint_3", before=fail)
+    port, _ = machine(first, second, third)
+    await port.connect()
+    with pytest.raises(WrongConfiguration, match="refused"):
+        await port.enable("joint_1", "joint_2", "joint_3")
+    assert not second.energised
+    assert not third.energised
+    await port.close()
+    assert first.unheard
+
+
+async def test_enabling_that_is_cancelled_leaves_no_axis_with_energy() -> None:
+    gate = Gate("control 0F")
+    silent, other = Servo("joint_1"), Servo("joint_2", before=gate)
+    port, _ = machine(silent, other)
+    await port.connect()
+    gate.shut()
+    enabling = asyncio.create_task(port.enable("joint_1", "joint_2"))
+    await reached(gate)
+    assert silent.energised
+    silent.before = lose
+    enabling.cancel()
+    gate.open()
+    with pytest.raises(asyncio.CancelledError):  # and not the trouble of the first axis
+        await asyncio.wait_for(enabling, PATIENCE)
+    assert not other.energised
+    assert silent.unheard
+    await port.close()
+
+
+@pytest.mark.parametrize("refused", ["statusword", "motion", "control 02"])
+async def test_a_refused_rung_does_not_keep_the_drive_from_the_next(refused: str) -> None:
+    def refuse(exchange: str) -> None:
+        if exchange in (refused, "motion"):
+            raise WrongConfiguration(f"{exchange} refused")
+
+    servo = Servo("joint_1")
+    port, _ = machine(servo)
+    await port.connect()
+    await port.enable("joint_1")
+    servo.velocity, servo.before = 0.5, refuse
+    if refused == "statusword":  # nothing confirms it then
+        with pytest.raises(WrongConfiguration):
+            await port.stop()
+    else:
+        await port.stop()
+    assert bool(servo.unheard) is (refused == "statusword")
+    assert servo.told[-1] == 0
+    assert not servo.energised
+    servo.before = lambda _: None
+    await port.close()
+
+
+async def test_a_drive_that_refuses_to_be_disabled_is_told_by_what_needs_no_answer() -> None:
+    def refuse(exchange: str) -> None:
+        if exchange == "control 00":
+            raise WrongConfiguration("refused")
+
+    servo = Servo("joint_1")
+    port, _ = machine(servo)
+    await port.connect()
+    await port.enable("joint_1")
+    servo.before = refuse
+    with pytest.raises(WrongConfiguration, match="refused"):
+        await port.stop()
+    assert servo.unheard
+    assert not servo.energised
+    await port.close()
+
+
+async def test_a_stop_does_not_wait_for_a_set_point_that_is_never_acknowledged(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("drivers.cia402.axis.TRANSITION_TIMEOUT", 2 * PATIENCE)
+    servo = Servo("joint_1", acknowledges=False)
+    port, _ = machine(servo)
+    await port.connect()
+    await port.enable("joint_1")
+    moving = asyncio.create_task(port.move_to("joint_1", 0.5, 0.1))
+    await eventually(lambda: servo.told[-1] == 0x1F)
+    await asyncio.wait_for(port.stop(), PATIENCE)
+    assert not servo.energised
+    with pytest.raises(SweepInterrupted):
+        await asyncio.wait_for(moving, PATIENCE)
+    await port.close()
+
+
+async def test_a_drive_side_sweep_that_goes_on_and_on_is_stopped() -> None:
+    servo = Servo("joint_1", samples_a_look=200)
+    port, _ = machine(servo)
+    await port.connect()
+    await port.enable("joint_1")
+    command = SweepCommand(
+        joint="joint_1",
+        mode=SweepMode.DRIVE_SIDE,
+        offset_velocity=0.0,
+        sines=(Sine(2.0, 0.1, 0.0),),
+        period=1.0,
+        periods=2,
+        ramp=0.2,
+        settle=0.2,
+        sample_rate=250.0,
+        velocity_limit=0.5,
+        effort_limit=1000.0,
+        position_window=(-0.5, 0.5),
+    )
+    with pytest.raises(EnvelopeLeft, match="samples"):
+        async for _ in port.run_sweep(command):
+            pass
+    assert not servo.energised
+    assert servo.recorded < 5000
+    await port.close()
+
+
+async def eventually(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline
+        await asyncio.sleep(0.002)

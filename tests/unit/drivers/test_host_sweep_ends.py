@@ -1,0 +1,78 @@
+"""A streamed sweep whose host fails in itself: the axes are told to stop, and the consumer is told why."""
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable
+
+import pytest
+
+from drivers.canopen import host_sweep
+from drivers.canopen.bcm import KernelRefused
+from drivers.canopen.host_sweep import HostSweep
+from drivers.canopen.lane import Ending
+from tests.unit.drivers.streaming_bench import OFF, Drive, bench, run_to_end
+
+
+async def test_an_error_that_nobody_thought_of_stops_the_axes_before_the_consumer_hears_of_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """And the consumer gets that error, not the end of a sweep that it would take the mode from while it moves."""
+    hand_over = HostSweep._hand_over
+
+    def fail(self: HostSweep, at_least: int) -> None:
+        hand_over(self, at_least)
+        if at_least > 1 and self._number > 20:
+            raise ArithmeticError("unforeseen")
+
+    async with bench(Drive(1), Drive(2)) as on:
+        monkeypatch.setattr(HostSweep, "_hand_over", fail)
+        run = on.start(on.lane(1, periods=300), on.lane(2, periods=300))
+        await run.over()
+        with pytest.raises(ArithmeticError, match="unforeseen"):
+            await run_to_end(run)
+        drives = list(on.cabinet.drives.values())
+        await until(lambda: all(drive.statusword == OFF for drive in drives))
+        assert [drive.obeyed[-1] for drive in drives] == [(0x02, 0)] * 2
+
+
+async def test_a_kernel_that_takes_no_more_set_points_is_no_dead_bus(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Kernel:
+        """Refuses the first topping up, as one without memory does."""
+
+        def __init__(self, *_: object) -> None: ...
+
+        def begin(self) -> None: ...
+
+        def top_up(self, sent: int) -> None:
+            raise KernelRefused("vcan0: the kernel refused the set-points: no buffer space available")
+
+        def close(self) -> None: ...
+
+    async with bench(Drive(1), Drive(2)) as on:
+        monkeypatch.setattr(host_sweep, "set_point_source", lambda _: "bcm")
+        monkeypatch.setattr(host_sweep, "KernelStream", Kernel)
+        run = on.start(on.lane(1, periods=300), on.lane(2, periods=300))
+        await run_to_end(run)
+        assert run.ending is Ending.NOT_SENT
+        assert "no buffer space" in run.reason
+        assert [drive.statusword for drive in on.cabinet.drives.values()] == [OFF, OFF]
+
+
+async def test_a_stop_that_came_first_is_a_stop_though_a_drive_says_nothing() -> None:
+    stop = threading.Event()
+    stop.set()
+    async with bench(Drive(1, mangle=lambda _, __: [])) as on:
+        run = on.start(stop=stop)
+        await run_to_end(run)
+        assert run.ending is Ending.STOPPED
+        obeyed = on.cabinet.drives[1].obeyed
+        await until(lambda: (0x00, 0) in obeyed)
+        assert {controlword for controlword, _ in obeyed} == {0x02, 0x00}
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < deadline
+        await asyncio.sleep(0.002)
