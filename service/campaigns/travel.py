@@ -39,29 +39,35 @@ def route(
 def order_poses(poses: Array, start: Array) -> list[int]:
     """An order of `poses` (m, n) that makes the way from `start` through all of them short; it ends anywhere.
 
-    Nearest neighbour, then 2-opt (Croes 1958) until no reversal of a stretch shortens the way.
+    Nearest neighbour, then 2-opt (Croes 1958) until no reversal of a stretch shortens the way; of the stretches that
+    begin at one pose the best is taken.
     """
     points = np.vstack([start, poses])
     distance = np.sum(np.abs(points[:, None] - points[None]), axis=-1)
-    tour = [0]
-    left = set(range(1, len(points)))
-    while left:
-        nearest = min(sorted(left), key=lambda k: distance[tour[-1], k])
-        tour.append(nearest)
-        left.remove(nearest)
+    tour = _nearest_neighbours(distance)
     improved = True
     while improved:
         improved = False
         for i in range(1, len(tour) - 1):
-            for j in range(i + 1, len(tour)):
-                before, first, last = tour[i - 1], tour[i], tour[j]
-                gain = distance[before, first] - distance[before, last]
-                if j + 1 < len(tour):  # an open way: nothing follows the last pose
-                    gain += distance[last, tour[j + 1]] - distance[first, tour[j + 1]]
-                if gain > 1e-9:
-                    tour[i : j + 1] = tour[i : j + 1][::-1]
-                    improved = True
-    return [k - 1 for k in tour[1:]]
+            before, first, last = tour[i - 1], tour[i], tour[i + 1 :]  # a stretch ends at any of `last`
+            gain = distance[before, first] - distance[before, last]
+            # an open way: nothing follows the last pose
+            gain[:-1] += distance[last[:-1], last[1:]] - distance[first, last[1:]]
+            best = int(np.argmax(gain))
+            if gain[best] > 1e-9:
+                tour[i : i + best + 2] = tour[i : i + best + 2][::-1].copy()
+                improved = True
+    return [int(k) - 1 for k in tour[1:]]
+
+
+def _nearest_neighbours(distance: Array) -> NDArray[np.intp]:
+    """From point 0 always to the nearest one left; the first of those equally near."""
+    tour = np.zeros(len(distance), dtype=np.intp)
+    far = distance.copy()
+    for k in range(1, len(tour)):
+        far[:, tour[k - 1]] = np.inf
+        tour[k] = np.argmin(far[tour[k - 1]])
+    return tour
 
 
 def _direct(checker: CollisionChecker, start: Sequence[float], goal: Sequence[float]) -> tuple[Leg, ...] | None:

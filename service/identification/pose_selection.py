@@ -1,17 +1,36 @@
 r"""Chooses, one by one, the poses that tell the base parameters apart best (the paper's section 4.3).
 
-With the rows W_i (a, p) of candidate i (one row an axis measured there), the criterion after a choice C is the
-condition number
+With the rows V_i (a, p) of candidate i (one row an axis measured there, columns scaled), each step looks for the
+candidate that is best beside the choice so far, G = sum V_c' V_c:
 
-    kappa(C) = sqrt( lambda_max(G) / lambda_min(G) ),    G = sum_{i in C} V_i' V_i,    V_i = W_i D^-1
+    condition               least  kappa_i = sqrt( lambda_max(G + V_i' V_i) / lambda_min(G + V_i' V_i) )
+    condition_and_travel    of all with kappa_i <= SLACK x the least, the one nearest to a pose already chosen
+    d_optimal               largest  log det(G + ridge + V_i' V_i)
 
-Scaling: D holds the lengths of the columns over *all* candidates, so kappa does not depend on units and all steps are
-judged by one measure. Start: while G is singular, kappa is infinite for every candidate; then the largest
-sum log(lambda + ridge), ridge = 1e-6 of the mean eigenvalue of a single candidate, is taken: it gains rank first and
-volume second. Each step evaluates every candidate left by one batched `eigvalsh`. Ties go to the first candidate.
+Scaling: by the lengths of the columns over *all* candidates, so nothing depends on units and all steps are judged by
+one measure. Start: while no candidate makes G regular, kappa is infinite for all; then the D-optimal one is taken: it
+gains rank first and volume second. ridge = 1e-6 of the mean eigenvalue of a single candidate. Ties, to a relative TIE,
+go to the first candidate.
+
+How it is fast, and still exact:
+
+Volume. By the matrix determinant lemma the gain is  log det(I + V_i (G + ridge)^-1 V_i'), of (a, a) matrices.
+
+No candidate can make G regular as long as its eigenvalue number a + 1 (ascending) is zero: V_i' V_i has rank a, and by
+Weyl's inequality  lambda_1(G + V_i' V_i) <= lambda_{a+1}(G).
+
+Condition. For any orthonormal columns U the eigenvalues of U'(G + V_i' V_i)U lie between those of the whole (Cauchy
+interlacing). With U the k lowest eigenvectors of G its least eigenvalue is an upper bound of lambda_min, with U the k
+highest its largest is a lower bound of lambda_max: their quotient is a lower bound of kappa_i^2. With k = 1 this costs
+two products a row and no eigenvalues. The most promising few are evaluated exactly; who cannot beat the best of them,
+or cannot make G regular, by its bound for k = 1 or k = p/4 is out; those left are evaluated exactly. So the choice is
+that of evaluating all.
 """
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from enum import Enum
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +38,21 @@ from numpy.typing import NDArray
 from service.errors import BadInput
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
 
 RIDGE = 1e-6
 SINGULAR = 1e-12  # of the largest eigenvalue: below it G counts as rank deficient
+TIE = 1e-8
+SLACK = 1.05  # of the least condition number, that condition_and_travel may give for a shorter way
+PROMISING = 16  # candidates evaluated first
+
+
+class Criterion(Enum):
+    """What makes a pose the best next one (see the module's header)."""
+
+    CONDITION = "condition"
+    CONDITION_AND_TRAVEL = "condition_and_travel"
+    D_OPTIMAL = "d_optimal"
 
 
 @dataclass(frozen=True)
@@ -32,32 +63,45 @@ class Selection:
     condition: tuple[float, ...]
 
 
-def select_poses(rows: Array, count: int) -> Selection:
-    """Greedy choice of `count` out of the candidates `rows` (m, a, p); BadInput if there are fewer than `count`."""
+def select_poses(rows: Array, count: int, criterion: Criterion = Criterion.CONDITION) -> Selection:
+    """Greedy choice of `count` out of the candidates `rows` (m, a, p); BadInput if there are fewer than `count`.
+
+    For condition_and_travel, whose choice needs the poses, see `choices`.
+    """
     if len(rows) < count:
         raise BadInput("poses", f"{count} wanted, but only {len(rows)} can be measured")
-    length = np.sqrt(np.sum(rows**2, axis=(0, 1)))
-    scaled = rows / np.where(length > 0, length, 1.0)
-    grams = np.einsum("map,maq->mpq", scaled, scaled)
-    ridge = RIDGE * float(np.trace(grams, axis1=1, axis2=2).mean()) / rows.shape[2]
+    chosen = list(islice(choices(rows, criterion), count))
+    return Selection(tuple(pick for pick, _ in chosen), tuple(condition for _, condition in chosen))
 
-    left = np.arange(len(rows))
-    gram = np.zeros(grams.shape[1:])
-    picks: list[int] = []
-    condition: list[float] = []
-    for _ in range(count):
-        eigenvalues = np.asarray(np.linalg.eigvalsh(gram + grams[left]), dtype=float)
-        kappa = condition_numbers(eigenvalues)
-        if np.isfinite(kappa).any():
-            best = int(np.argmin(kappa))
-        else:
-            best = int(np.argmax(np.sum(np.log(np.maximum(eigenvalues, 0.0) + ridge), axis=1)))
-        pick = int(left[best])
-        picks.append(pick)
-        condition.append(float(kappa[best]))
-        gram = gram + grams[pick]
-        left = np.delete(left, best)
-    return Selection(tuple(picks), tuple(condition))
+
+def choices(
+    rows: Array,
+    criterion: Criterion,
+    poses: Array | None = None,
+    start: Sequence[float] | Array = (),
+    accept: Callable[[int], bool] = lambda _: True,
+) -> Iterator[tuple[int, float]]:
+    """All candidates in the order of choice, each with the condition number after it; evaluated as they are asked for.
+
+    `poses` (m, n) and `start` (n,), where the robot stands at first: for condition_and_travel, whose measure of the
+    way is the sum over the joints, rad (m), as one moves at a time. A candidate about to be taken that `accept` refuses
+    is left out.
+    """
+    greedy = _Greedy(rows)
+    away = np.zeros(len(rows)) if poses is None else _way(poses, np.asarray(start, dtype=float))
+    slack = 1.0
+    if criterion is Criterion.CONDITION_AND_TRAVEL:
+        if poses is None:
+            raise ValueError("condition_and_travel needs the poses")
+        slack = SLACK
+    for _ in range(len(rows)):
+        by_volume = criterion is Criterion.D_OPTIMAL
+        pick = greedy.largest_volume() if by_volume else greedy.best_conditioned(slack, away)
+        greedy.leave_out(pick)
+        if accept(pick):
+            yield pick, greedy.take(pick)
+            if poses is not None:
+                away = np.minimum(away, _way(poses, poses[pick]))
 
 
 def condition_numbers(eigenvalues: Array) -> Array:
@@ -65,3 +109,99 @@ def condition_numbers(eigenvalues: Array) -> Array:
     largest, smallest = eigenvalues[:, -1], eigenvalues[:, 0]
     regular = smallest > SINGULAR * largest
     return np.sqrt(np.divide(largest, smallest, out=np.full_like(largest, np.inf), where=regular))
+
+
+class _Greedy:
+    """The candidates left and the Gram matrix of those taken."""
+
+    def __init__(self, rows: Array) -> None:
+        length = np.sqrt(np.sum(rows**2, axis=(0, 1)))
+        self._rows = np.ascontiguousarray(rows / np.where(length > 0, length, 1.0))
+        count, _, size = rows.shape
+        self._ridge = RIDGE * float(np.sum(self._rows**2)) / count / size
+        self._left: Indices = np.arange(count)
+        self._gram = np.zeros((size, size))
+
+    def leave_out(self, pick: int) -> None:
+        """Consider this candidate no more."""
+        self._left = self._left[self._left != pick]
+
+    def take(self, pick: int) -> float:
+        """Add a candidate to the choice; the condition number with it."""
+        self._gram = self._gram + self._rows[pick].T @ self._rows[pick]
+        return float(condition_numbers(np.asarray(np.linalg.eigvalsh(self._gram)[None], dtype=float))[0])
+
+    def largest_volume(self) -> int:
+        """The D-optimal candidate."""
+        size = len(self._gram)
+        inverse = np.asarray(np.linalg.inv(self._gram + self._ridge * np.eye(size)), dtype=float)
+        rows = self._rows[self._left]
+        seen = (rows.reshape(-1, size) @ inverse).reshape(rows.shape) @ rows.swapaxes(1, 2)
+        gain = np.asarray(np.linalg.slogdet(np.eye(rows.shape[1]) + seen)[1], dtype=float)
+        return self._first(self._left, -gain, TIE)
+
+    def best_conditioned(self, slack: float, away: Array) -> int:
+        """Of the candidates within `slack` of the least condition number the one that is least `away` (m,)."""
+        eigenvalues, vectors = np.linalg.eigh(self._gram)
+        spare = self._rows.shape[1]  # what one candidate can add to the rank
+        if spare < len(eigenvalues) and eigenvalues[spare] <= SINGULAR * eigenvalues[-1]:
+            return self.largest_volume()
+        quick = self._bound(self._rows, eigenvalues, vectors, 1)[self._left]
+        tried = self._left[np.argsort(quick, kind="stable")[:PROMISING]]
+        limit = (1 + TIE) * min(float(self._condition(tried).min()), SINGULAR**-0.5)
+        within = self._left[quick <= slack * limit]  # who may be within the slack of the best
+        bound = self._bound(self._rows[within], eigenvalues, vectors, max(2, len(eigenvalues) // 4))
+        left, within = within[bound <= limit], within[bound <= slack * limit]
+        left = np.union1d(left, tried)
+        condition = self._condition(left)
+        least = float(condition.min())
+        if not np.isfinite(least):
+            return self.largest_volume()
+        if slack > 1:
+            left, condition = self._nearest(np.union1d(within, tried), away, slack * (1 + TIE) * least)
+        return self._first(left, condition, TIE * least)
+
+    def _nearest(self, candidates: Indices, away: Array, limit: float) -> tuple[Indices, Array]:
+        """Those of the candidates with a condition number up to `limit` that are least away, with that number."""
+        level = np.round(away[candidates] / TIE)
+        for nearest in np.unique(level):
+            same = candidates[level == nearest]
+            condition = self._condition(same)
+            if (condition <= limit).any():
+                return same[condition <= limit], condition[condition <= limit]
+        raise ValueError(f"no candidate has a condition number up to {limit}")
+
+    def _condition(self, candidates: Indices) -> Array:
+        """Condition numbers (c,) with each of the candidates (c,)."""
+        rows = self._rows[candidates]
+        return condition_numbers(np.asarray(np.linalg.eigvalsh(self._gram + rows.swapaxes(1, 2) @ rows), dtype=float))
+
+    @staticmethod
+    def _bound(rows: Array, eigenvalues: Array, vectors: Array, width: int) -> Array:
+        """Lower bounds (c,) of `_condition` with each of `rows` (c, a, p).
+
+        From the `width` lowest and highest eigenvectors of the Gram matrix.
+        """
+        parts = (slice(None, width), slice(-width, None))
+        ends = np.hstack([vectors[:, part] for part in parts])
+        seen = (rows.reshape(-1, rows.shape[2]) @ ends).reshape(*rows.shape[:2], -1)
+        lowest, highest = (
+            _ritz(np.diag(eigenvalues[part]) + own.swapaxes(1, 2) @ own)
+            for part, own in zip(parts, (seen[..., :width], seen[..., width:]), strict=True)
+        )
+        large, small = highest[:, -1], lowest[:, 0]
+        return np.sqrt(large / np.maximum(small, SINGULAR**2 * large + np.finfo(float).tiny))
+
+    @staticmethod
+    def _first(candidates: Indices, cost: Array, tie: float) -> int:
+        """The candidate of least cost, the first of those that tie."""
+        return int(candidates[cost <= cost.min() + tie].min())
+
+
+def _ritz(matrices: Array) -> Array:
+    """Ascending eigenvalues (c, k) of (c, k, k)."""
+    return matrices[:, 0] if matrices.shape[1] == 1 else np.asarray(np.linalg.eigvalsh(matrices), dtype=float)
+
+
+def _way(poses: Array, pose: Array) -> Array:
+    return np.abs(poses - pose).sum(axis=1)

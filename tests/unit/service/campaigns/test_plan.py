@@ -125,6 +125,26 @@ def test_way_is_much_shorter_than_the_order_of_choice() -> None:
     assert length(order) < 0.6 * length(list(range(40)))
 
 
+def test_no_stretch_of_the_way_is_better_reversed() -> None:
+    poses = np.random.default_rng(2).uniform(-1, 1, (60, 2))
+    way = np.vstack([np.zeros(2), poses[order_poses(poses, np.zeros(2))]])
+
+    def length(points: np.ndarray) -> float:
+        return float(np.abs(np.diff(points, axis=0)).sum())
+
+    whole = length(way)
+    for i in range(1, 60):
+        for j in range(i + 2, 62):
+            assert length(np.vstack([way[:i], way[i:j][::-1], way[j:]])) > whole - 1e-9
+
+
+def test_few_and_many_poses_have_an_order() -> None:
+    start = np.zeros(2)
+    assert order_poses(np.zeros((0, 2)), start) == []
+    assert order_poses(np.ones((1, 2)), start) == [0]
+    assert sorted(order_poses(np.random.default_rng(3).uniform(-1, 1, (300, 2)), start)) == list(range(300))
+
+
 def test_a_pose_behind_a_wall_is_dropped_with_its_reason(arm: Robot) -> None:
     # a wall on top of the shoulder: the arm bent over it is free, but no single axis can bring it there
     wall = Box(name="wall", center=(0.0, 0.0, 2.6), size=(0.02, 1.0, 2.4))

@@ -1,12 +1,14 @@
-"""Greedy pose selection: against exhaustive SVD, and its start while the matrix is singular."""
+"""Greedy pose selection: against exhaustive SVD, its bounds, its criteria, its start while the matrix is singular."""
 
 import time
+from itertools import islice
 
 import numpy as np
 import pytest
 
 from service.errors import BadInput
-from service.identification.pose_selection import select_poses
+from service.identification.pose_selection import RIDGE, SLACK, Criterion, _Greedy, choices, select_poses
+from tests.naive_selection import naive_condition
 
 
 def candidates(m: int, a: int, p: int, seed: int = 0) -> np.ndarray:
@@ -61,3 +63,81 @@ def test_the_grid_of_two_axes_takes_seconds() -> None:
     start = time.perf_counter()
     select_poses(rows, 24)
     assert time.perf_counter() - start < 10.0
+
+
+@pytest.mark.parametrize(("m", "a", "p"), [(60, 3, 11), (60, 2, 9), (50, 1, 5), (40, 6, 4)])
+def test_bounds_spare_work_and_change_no_pick(m: int, a: int, p: int) -> None:
+    """Rows of low variety, as those of a robot: a few directions are seldom seen."""
+    rng = np.random.default_rng(p)
+    rows = rng.normal(size=(m, a, p)) * rng.lognormal(sigma=1.5, size=(m, 1, 1)) * rng.lognormal(sigma=1.5, size=p)
+    chosen = select_poses(rows, 25)
+    picks, condition = naive_condition(rows, 25)
+    assert list(chosen.picks) == picks
+    assert chosen.condition == pytest.approx(condition, rel=1e-6)
+
+
+def test_symmetric_candidates_tie_and_the_first_is_taken() -> None:
+    rows = candidates(20, 2, 5)
+    mirrored = np.concatenate([rows, -rows])
+    assert list(select_poses(mirrored, 15).picks) == naive_condition(mirrored, 15)[0]
+
+
+@pytest.mark.parametrize("width", [1, 3])
+def test_a_bound_is_one(width: int) -> None:
+    greedy = _Greedy(candidates(200, 2, 8))
+    for pick in range(30):
+        greedy.take(pick)
+    left = greedy._left
+    bound = greedy._bound(greedy._rows[left], *np.linalg.eigh(greedy._gram), width)
+    exact = greedy._condition(left)
+    assert np.all(bound <= exact * (1 + 1e-12))
+    assert np.median(bound / exact) > 0.7
+
+
+def test_d_optimal_takes_the_largest_determinant() -> None:
+    rows = candidates(80, 2, 6)
+    chosen = select_poses(rows, 20, Criterion.D_OPTIMAL)
+    scaled = rows / np.sqrt(np.sum(rows**2, axis=(0, 1)))
+    ridge = RIDGE * np.sum(scaled**2) / 80 / 6 * np.eye(6)
+    for k in range(20):
+        before = chosen.picks[:k]
+
+        def volume(i: int, before: tuple[int, ...] = before) -> float:
+            stacked = scaled[[*before, i]].reshape(-1, 6)
+            return float(np.linalg.slogdet(stacked.T @ stacked + ridge)[1])
+
+        rest = [i for i in range(80) if i not in before]
+        assert volume(chosen.picks[k]) >= max(map(volume, rest)) - 1e-7
+
+
+def test_travel_takes_the_nearest_of_the_well_conditioned() -> None:
+    rows = candidates(100, 2, 5)
+    poses = np.random.default_rng(1).uniform(-1, 1, (100, 3))
+    home = np.zeros(3)
+    chosen = list(islice(choices(rows, Criterion.CONDITION_AND_TRAVEL, poses, home), 30))
+    picks = tuple(pick for pick, _ in chosen)
+    for k in range(6, 30):
+        before = picks[:k]
+        been = np.vstack([home, poses[list(before)]])
+        condition = {i: svd_condition(rows, (*before, i)) for i in range(100) if i not in before}
+        away = {i: float(np.abs(been - poses[i]).sum(axis=1).min()) for i in condition}
+        near = [i for i in condition if condition[i] <= SLACK * min(condition.values())]
+        assert picks[k] in near
+        assert away[picks[k]] == pytest.approx(min(away[i] for i in near))
+        assert chosen[k][1] == pytest.approx(condition[picks[k]], rel=1e-6)
+    with pytest.raises(ValueError, match="needs the poses"):
+        select_poses(rows, 5, Criterion.CONDITION_AND_TRAVEL)
+
+
+def test_a_candidate_that_is_refused_leaves_its_place_to_the_next() -> None:
+    rows = candidates(30, 1, 4)
+    asked: list[int] = []
+
+    def accept(pick: int) -> bool:
+        asked.append(pick)
+        return pick % 3 != 0
+
+    picks = [pick for pick, _ in choices(rows, Criterion.CONDITION, accept=accept)]
+    assert picks == [pick for pick in asked if pick % 3 != 0]
+    assert sorted(picks) == [k for k in range(30) if k % 3 != 0]
+    assert sorted(asked) == list(range(30))

@@ -1,0 +1,17 @@
+"""Has a campaign reached the confidence that its plan wants?"""
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+
+def enough(estimate: Mapping[str, Any], joints: Collection[str], wanted: float) -> str:
+    """Why the campaign may end, or "" while it may not.
+
+    `estimate`: document of its latest revision; `joints` that the campaign measures; `wanted`: largest standard
+    deviation of J over the workspace, percent. What the data leave open has no confidence and is never enough.
+    """
+    axes: Mapping[str, Any] = estimate["axes"]
+    reached = [axes[joint]["confidence_percent"] for joint in joints if joint in axes]
+    if len(reached) < len(joints) or None in reached or max(reached) > wanted:
+        return ""
+    return f"confidence of {wanted:.4g} % reached: J is known to {max(reached):.3g} % over the workspace"

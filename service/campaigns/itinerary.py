@@ -1,0 +1,157 @@
+"""The sweeps of the chosen poses along the way through them, each with its legs, its limits and its duration."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.ports import SweepMode
+from service.campaigns.envelope import Envelope
+from service.campaigns.plan_documents import DroppedPose, PlannedLeg, PlannedSweep, PlanRequest
+from service.campaigns.travel import order_poses
+from service.errors import BadInput, EnvelopeViolation
+from service.identification.excitation import Excitation
+from service.recording import Sine, SweepSpec
+from service.robot import Robot
+
+Array = NDArray[np.float64]
+
+LEG_OVERHEAD = 1.0  # s to switch an axis on, settle and switch it off
+
+
+@dataclass(frozen=True)
+class ChosenPose:
+    """`pose` (n,), the condition number with it (inf while singular), and the sweeps of the request's axes."""
+
+    pose: Array
+    condition: float
+    sweeps: tuple[Excitation, ...]
+
+
+class Itinerary:
+    """Plans the way through chosen poses."""
+
+    def __init__(self, robot: Robot, request: PlanRequest, envelope: Envelope) -> None:
+        self._robot, self._request, self._envelope = robot, request, envelope
+
+    def through(
+        self, chosen: Sequence[ChosenPose], home: Array
+    ) -> tuple[tuple[PlannedSweep, ...], tuple[DroppedPose, ...]]:
+        """Sweeps of all axes in each of the poses on a short way from home; and the poses left out."""
+        here = [float(position) for position in home]
+        streamed: set[str] = set()  # axes that have their host-streamed sweep
+        sweeps: list[PlannedSweep] = []
+        dropped: list[DroppedPose] = []
+        clock = 0.0
+        for one in _in_order(chosen, home):
+            goal = tuple(float(position) for position in one.pose)
+            try:
+                planned, end = self._pose(here, goal, one.sweeps, streamed, len(sweeps), clock)
+            except (EnvelopeViolation, BadInput) as error:
+                dropped.append(DroppedPose(pose=goal, reason=str(error)))
+                continue
+            streamed |= {sweep.spec.axis for sweep in planned if sweep.mode is SweepMode.HOST_STREAMED}
+            here, clock = end, clock + sum(sweep.duration for sweep in planned)
+            sweeps += planned
+        return tuple(sweeps), tuple(dropped)
+
+    def _pose(
+        self,
+        here: list[float],
+        goal: tuple[float, ...],
+        excitations: Sequence[Excitation],
+        streamed: set[str],
+        number: int,
+        clock: float,
+    ) -> tuple[list[PlannedSweep], list[float]]:
+        """The sweeps of all axes in one pose, and where they leave the robot."""
+        planned: list[PlannedSweep] = []
+        for joint, excitation in zip(self._request.axes, excitations, strict=True):
+            legs = self._envelope.order_of_legs(here, goal)
+            mode = self._mode(joint, streamed)
+            sweep = self._sweep(f"{number + len(planned) + 1:04d}", joint, goal, excitation, mode)
+            self._envelope.check_sweep(sweep.command(), goal)
+            way = sum(abs(target - position) for position, target in _moves(here, legs))
+            travelling = way / self._request.move_velocity + LEG_OVERHEAD * (len(legs) + 1)
+            sweep = sweep.model_copy(
+                update={
+                    "legs": tuple(PlannedLeg(joint=self._robot.joints[k], target=target) for k, target in legs),
+                    "spec": sweep.spec.model_copy(update={"started_at": clock + travelling}),
+                    "duration": travelling + excitation.duration,
+                }
+            )
+            clock += sweep.duration
+            here = list(goal)
+            here[self._robot.index(joint)] += excitation.travel
+            planned.append(sweep)
+        return planned, here
+
+    def _mode(self, joint: str, streamed: set[str]) -> SweepMode:
+        modes = self._request.modes
+        if modes == "host_streamed" or (modes == "one_host_streamed" and joint not in streamed):
+            return SweepMode.HOST_STREAMED
+        return SweepMode.DRIVE_SIDE
+
+    def _sweep(
+        self, name: str, joint: str, pose: tuple[float, ...], excitation: Excitation, mode: SweepMode
+    ) -> PlannedSweep:
+        """The sweep with its limits and without a way to it."""
+        envelope, index = self._envelope, self._robot.index(joint)
+        sway = sum(sine.amplitude / (math.pi * sine.frequency) for sine in excitation.sines)
+        margin = envelope.limits.window_margin + sway
+        start, end = pose[index], pose[index] + excitation.travel
+        return PlannedSweep(
+            spec=SweepSpec(
+                id=name,
+                axis=joint,
+                pose=pose,
+                offset_velocity=excitation.offset_velocity,
+                sines=tuple(
+                    Sine(frequency=sine.frequency, amplitude=sine.amplitude, phase=sine.phase)
+                    for sine in excitation.sines
+                ),
+                period=excitation.period,
+                periods=excitation.periods,
+                measure_from=excitation.measure_from,
+                sample_rate=self._request.sample_rate,
+                block="forward" if excitation.offset_velocity > 0 else "backward",
+            ),
+            mode=mode,
+            ramp=excitation.ramp,
+            settle=excitation.settle,
+            velocity_limit=envelope.velocity_limit(index),
+            effort_limit=envelope.effort_limit(index),
+            position_window=(min(start, end) - margin, max(start, end) + margin),
+            legs=(),
+            duration=excitation.duration,
+        )
+
+
+def least_duration(sweeps: Sequence[Excitation]) -> float:
+    """The time a pose takes without the way to it, s: its sweeps, each with its way back and switching on and off."""
+    return sum(sweep.duration + 2 * LEG_OVERHEAD for sweep in sweeps)
+
+
+def _in_order(chosen: Sequence[ChosenPose], home: Array) -> list[ChosenPose]:
+    """A short way through the poses that make the matrix regular, then one through the rest."""
+    singular = sum(not math.isfinite(one.condition) for one in chosen)
+    here = home
+    ordered: list[ChosenPose] = []
+    for part in (chosen[: singular + 1], chosen[singular + 1 :]):
+        if part:
+            poses = np.array([one.pose for one in part])
+            ordered += [part[k] for k in order_poses(poses, here)]
+            here = ordered[-1].pose
+    return ordered
+
+
+def _moves(here: Sequence[float], legs: Sequence[tuple[int, float]]) -> list[tuple[float, float]]:
+    """From and to of each leg."""
+    pose = list(here)
+    moves: list[tuple[float, float]] = []
+    for joint, target in legs:
+        moves.append((pose[joint], target))
+        pose[joint] = target
+    return moves

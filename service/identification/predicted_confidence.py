@@ -1,0 +1,100 @@
+r"""How well a choice of poses will tell the inertia everywhere in the workspace, before anything is measured.
+
+Sines of amplitude a_i [rad/s] at omega_i over N samples of effort noise s show, in the imaginary part of the response,
+
+    Im Z_i = omega_i J - k_g / omega_i + omega_i^3 J_l^2 c        each with   var = 2 s^2 / (N a_i^2)
+
+(`axis_inertia` for small compliance c). With J alone unknown that is the Cramer-Rao bound  var J = 2 s^2 / (N sum
+omega_i^2 a_i^2). Near a locked-rotor frequency f that is known, all three show F_i^2 = (1 - (f_i / f)^2)^-2 as much.
+The gravity stiffness k_g is known to its prior, for each sweep anew, and is eliminated; the compliance c is shared by
+all sweeps of an axis, and stays as an unknown beside the base parameters beta, J = w beta. The information of all
+sweeps on (beta, c) adds up. The confidence is the largest standard deviation of J over the workspace and the axes, in
+percent of J, conditional on the torque gain.
+
+The noise is what is reckoned with until one knows better: white, of a drive that samples at NOISE_RATE and averages
+down to the rate it is asked for, so that the noise at a line does not depend on that rate.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.recording import Sine
+
+Array = NDArray[np.float64]
+
+EFFORT_NOISE = 0.002  # of the rated effort, of one sample at NOISE_RATE
+NOISE_RATE = 1000.0  # Hz
+SOFTEST = 3.0  # Hz, locked-rotor frequency at one sigma of the compliance
+SINGULAR = 1e-12  # of the largest eigenvalue of the scaled information
+NO_GAIN = 0.1  # of what one more pose gains on average: a pose with less adds nothing
+
+
+def sweep_information(
+    sines: Sequence[Sine],
+    duration: float,
+    rated_effort: float,
+    load_inertia: float,
+    stiffness_sigma: float,
+    locked_rotor: float | None = None,
+) -> Array:
+    """Information (2, 2) of one sweep on [J, c], 1/(kg m^2)^2 and so on.
+
+    `duration` of its window, s; `load_inertia` kg m^2 (kg); `stiffness_sigma` of the gravity stiffness' prior,
+    N m/rad; `locked_rotor` frequency, Hz, where it is known.
+    """
+    frequency = np.array([sine.frequency for sine in sines])
+    omega = 2 * np.pi * frequency
+    gain = np.ones_like(omega) if locked_rotor is None else (1 - (frequency / locked_rotor) ** 2) ** -2
+    noise = EFFORT_NOISE * rated_effort / np.sqrt(NOISE_RATE * duration / 2)
+    weight = gain * np.array([sine.amplitude for sine in sines]) / noise
+    seen = weight[:, None] * np.stack([omega, omega**3 * load_inertia**2], -1)
+    stiffness = -weight / omega * stiffness_sigma
+    along = stiffness @ seen
+    return seen.T @ seen - np.outer(along, along) / (1 + stiffness @ stiffness)
+
+
+class PredictedConfidence:
+    """Grows pose by pose. a axes are measured in each pose; p base parameters."""
+
+    def __init__(self, rows: Array, inertia: Array) -> None:
+        """`rows` (w, a, p) and the model's `inertia` (w, a) of the axes in the poses of the workspace."""
+        count, axes, size = rows.shape
+        self._size = size
+        self._workspace = np.zeros((count * axes, size + axes))
+        self._workspace[:, :size] = rows.reshape(-1, size) / inertia.reshape(-1, 1)
+        softest = 1 / (np.median(inertia, axis=0) * (2 * np.pi * SOFTEST) ** 2)
+        self._information = np.diag(np.concatenate([np.zeros(size), softest**-2]))
+
+    def add(self, rows: Array, information: Array) -> None:
+        """A pose with its rows (a, p) and the `sweep_information` (a, 2, 2) of its sweeps."""
+        for axis, (row, about) in enumerate(zip(rows, information, strict=True)):
+            parts = np.zeros((2, len(self._information)))
+            parts[0, : self._size] = row
+            parts[1, self._size + axis] = 1.0
+            self._information += parts.T @ about @ parts
+
+    def percent(self) -> float:
+        """Largest standard deviation of J over the workspace, percent of J; inf while something is not determined."""
+        scale = np.sqrt(np.diag(self._information))
+        if not scale.all():
+            return float("inf")
+        eigenvalues, vectors = np.linalg.eigh(self._information / np.outer(scale, scale))
+        if eigenvalues[0] <= SINGULAR * eigenvalues[-1]:
+            return float("inf")
+        parts = (self._workspace / scale) @ (vectors / np.sqrt(eigenvalues))
+        return 100 * float(np.sqrt(np.max(np.sum(parts**2, axis=1))))
+
+
+def without_gain(percent: Sequence[float]) -> list[int]:
+    """Numbers (from 0) of the poses that add nothing, from the confidence after each.
+
+    Noise averaged over n + 1 instead of n poses falls by 1/(2 n); a pose that gains less than NO_GAIN of that is one.
+    """
+    return [
+        n
+        for n, (before, after) in enumerate(pairwise(percent), 1)
+        if np.isfinite(before) and 1 - after / before < NO_GAIN / (2 * n)
+    ]

@@ -1,0 +1,118 @@
+"""Budgets and criteria of a plan, on the small arm: so many poses, so much time, or so much confidence."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from service.campaigns.plan import PlanDocument, PlanRequest, build_plan
+from service.cell import Cell, read_cell
+from service.configuration import read_robot
+from service.errors import BadInput
+from service.identification.pose_selection import SLACK, Criterion
+from tests.unit.service.campaigns.small_arm import small_arm
+
+CONFIG = Path(__file__).parents[4] / "config"
+CELL = Cell(name="plain", floor=0.0)
+TRAVEL_AND_NOT = (Criterion.CONDITION_AND_TRAVEL, Criterion.CONDITION)
+
+
+def request(**budget: object) -> PlanRequest:
+    fields = {"robot_id": 1, "axes": ("j1", "j2"), "varied": ("j1", "j2"), "step": 20.0} | budget
+    return PlanRequest.model_validate(fields)
+
+
+def plan(**budget: object) -> PlanDocument:
+    return build_plan(small_arm(), request(**budget), CELL)
+
+
+@pytest.fixture(scope="module")
+def all_poses() -> PlanDocument:
+    document = plan(poses=60)
+    assert len(document.condition) == len(document.confidence) == 60
+    return document
+
+
+def finite(values: tuple[float | None, ...]) -> list[float]:
+    return [value for value in values if value is not None]
+
+
+def test_one_budget_and_24_poses_where_none_is_named() -> None:
+    assert request().poses == 24
+    assert request(poses=None, confidence=1.0).poses is None
+    with pytest.raises(ValidationError, match="poses and duration are budgets: name one"):
+        request(poses=24, duration=600.0)
+    with pytest.raises(ValidationError, match="greater than 0"):
+        request(confidence=0.0)
+
+
+def test_confidence_is_told_after_each_pose_and_only_grows(all_poses: PlanDocument) -> None:
+    told = finite(all_poses.confidence)
+    assert all_poses.confidence[0] is None
+    assert told == sorted(told, reverse=True)
+    assert 0 < told[-1] < told[0]
+
+
+def test_poses_that_add_nothing_are_named(all_poses: PlanDocument) -> None:
+    assert all_poses.spare
+    poses = {sweep.spec.pose for sweep in all_poses.sweeps} | {one.pose for one in all_poses.dropped}
+    for spare in all_poses.spare:
+        before, after = all_poses.confidence[spare.number - 2 : spare.number]
+        assert before is not None
+        assert after is not None
+        assert after > before * (1 - 0.05 / (spare.number - 1))
+        assert spare.pose in poses
+
+
+def test_a_budget_of_confidence_takes_the_fewest_poses_that_reach_it(all_poses: PlanDocument) -> None:
+    wanted = 1.001 * finite(all_poses.confidence)[12]
+    document = plan(confidence=wanted)
+    number = len(document.confidence)
+    assert document.confidence == all_poses.confidence[:number]
+    assert finite(document.confidence)[-1] <= wanted < finite(document.confidence)[-2]
+
+
+def test_a_confidence_out_of_reach_says_what_is_in_reach() -> None:
+    with pytest.raises(BadInput, match=r"confidence: 0\.001 % wanted, but the best (\d+) of \1 .* reach only 0\.\d+ %"):
+        plan(confidence=0.001)
+
+
+@pytest.mark.parametrize("duration", [120.0, 600.0])
+def test_a_budget_of_time_is_kept_and_used(duration: float) -> None:
+    document = plan(duration=duration)
+    assert document.duration <= duration
+    longest = max(
+        sum(sweep.duration for sweep in document.sweeps[k : k + 2]) for k in range(0, len(document.sweeps), 2)
+    )
+    assert document.duration > duration - 2 * longest
+    assert len(document.condition) == len(document.confidence) == len(document.sweeps) / 2
+
+
+def test_too_little_time_for_one_pose_is_refused() -> None:
+    with pytest.raises(BadInput, match=r"duration: 5 s do not suffice for one pose, \d+"):
+        plan(duration=5.0)
+
+
+def test_d_optimal_is_another_choice_with_the_larger_determinant(all_poses: PlanDocument) -> None:
+    document = plan(poses=20, criterion="d_optimal")
+    assert document.request.criterion is Criterion.D_OPTIMAL
+    assert document.condition[-1] is not None
+    assert all_poses.condition[19] is not None
+    assert document.condition[-1] >= all_poses.condition[19]
+
+
+def test_travel_buys_a_shorter_way_with_a_little_condition() -> None:
+    """24 poses of the MAX 100 class robot, as planned by default."""
+    robot, cell = read_robot(CONFIG / "robots/max100-class.yaml"), read_cell(CONFIG / "cells/workshop.yaml")
+    joints = {"axes": ("joint_1", "joint_2", "joint_3"), "varied": ("joint_2", "joint_3"), "step": 5.0}
+    near, best = (build_plan(robot, request(criterion=criterion, **joints), cell) for criterion in TRAVEL_AND_NOT)
+
+    def way(document: PlanDocument) -> float:
+        poses = np.array([(0.0,) * 6, *dict.fromkeys(sweep.spec.pose for sweep in document.sweeps)])
+        return float(np.abs(np.diff(poses, axis=0)).sum())
+
+    assert way(near) < 0.85 * way(best)
+    assert near.condition[-1] is not None
+    assert best.condition[-1] is not None
+    assert near.condition[-1] < SLACK**4 * best.condition[-1]

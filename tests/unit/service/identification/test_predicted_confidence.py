@@ -1,0 +1,82 @@
+"""Predicted confidence: against the Cramer-Rao formula and against least squares written out."""
+
+import numpy as np
+import pytest
+
+from service.identification.predicted_confidence import (
+    EFFORT_NOISE,
+    NOISE_RATE,
+    SOFTEST,
+    PredictedConfidence,
+    sweep_information,
+    without_gain,
+)
+from service.recording import Sine
+
+SINES = tuple(Sine(frequency=f, amplitude=a, phase=0.0) for f, a in ((2.0, 0.003), (3.0, 0.002), (5.0, 0.001)))
+RATED, DURATION, LOAD = 3000.0, 5.0, 150.0
+
+
+def rows_of_lines(stiffness_sigma: float) -> np.ndarray:
+    """Whitened rows of Im Z in [J, c, k_g], and the prior of k_g as one row more."""
+    omega = 2 * np.pi * np.array([sine.frequency for sine in SINES])
+    amplitude = np.array([sine.amplitude for sine in SINES])
+    samples = NOISE_RATE * DURATION
+    std = EFFORT_NOISE * RATED * np.sqrt(2 / samples) / amplitude
+    rows = np.stack([omega, omega**3 * LOAD**2, -1 / omega], -1) / std[:, None]
+    return np.vstack([rows, [0, 0, 1 / stiffness_sigma]])
+
+
+def test_with_inertia_alone_unknown_it_is_the_cramer_rao_bound() -> None:
+    information = sweep_information(SINES, DURATION, RATED, LOAD, 1e-9)
+    squares = sum((2 * np.pi * sine.frequency * sine.amplitude) ** 2 for sine in SINES)
+    noise = EFFORT_NOISE * RATED
+    assert 1 / information[0, 0] == pytest.approx(2 * noise**2 / (NOISE_RATE * DURATION * squares))
+
+
+def test_an_unknown_gravity_stiffness_costs_what_it_costs_in_least_squares() -> None:
+    rows = rows_of_lines(200.0)
+    whole = np.linalg.inv(rows.T @ rows)[:2, :2]
+    information = sweep_information(SINES, DURATION, RATED, LOAD, 200.0)
+    assert np.linalg.inv(information) == pytest.approx(whole, rel=1e-6)
+
+
+def test_near_the_locked_rotor_frequency_more_is_seen() -> None:
+    rigid = sweep_information(SINES[:1], DURATION, RATED, LOAD, 1.0)
+    elastic = sweep_information(SINES[:1], DURATION, RATED, LOAD, 1.0, locked_rotor=4.0)
+    assert elastic[0, 0] == pytest.approx(rigid[0, 0] / (1 - 0.25) ** 4, rel=1e-3)
+
+
+def test_confidence_is_that_of_the_whole_least_squares() -> None:
+    """Two axes, three base parameters, six poses; all rows stacked and inverted at once."""
+    rng = np.random.default_rng(0)
+    rows, workspace = rng.normal(size=(6, 2, 3)), rng.normal(size=(50, 2, 3))
+    inertia = rng.uniform(50, 200, (50, 2))
+    about = rng.normal(size=(6, 2, 4, 2)) * [10.0, 1e6]  # whitened rows of [J, c]
+    information = about.swapaxes(-1, -2) @ about
+    predicted = PredictedConfidence(workspace, inertia)
+    percent = []
+    for row, own in zip(rows, information, strict=True):
+        predicted.add(row, own)
+        percent.append(predicted.percent())
+    prior = np.median(inertia, axis=0) * (2 * np.pi * SOFTEST) ** 2
+    stacked = [np.concatenate([np.zeros(3), one]) for one in np.diag(prior)]
+    for pose in range(6):
+        for axis in range(2):
+            for inertia_part, compliance_part in about[pose, axis]:
+                row = np.zeros(5)
+                row[:3] = inertia_part * rows[pose, axis]
+                row[3 + axis] = compliance_part
+                stacked.append(row)
+    whole = np.array(stacked)
+    covariance = np.linalg.inv(whole.T @ whole)[:3, :3]
+    std = np.sqrt(np.einsum("wai,ij,waj->wa", workspace, covariance, workspace))
+    assert percent[-1] == pytest.approx(100 * float((std / inertia).max()), rel=1e-6)
+    assert percent[0] == np.inf  # two rows, three parameters
+    assert percent[1:] == sorted(percent[1:], reverse=True)
+
+
+def test_a_pose_that_sees_nothing_new_adds_nothing() -> None:
+    assert without_gain([np.inf, np.inf, 2.0, 1.5, 1.499, 1.2]) == [4]
+    # noise that averages out is a gain
+    assert without_gain([1 / np.sqrt(n) for n in range(1, 300)]) == []
