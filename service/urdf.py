@@ -73,10 +73,10 @@ def read_chain(text: str, place: str = "urdf") -> Chain:
         if link not in links:
             raise BadInput(place, f"link {link!r} of a joint is not defined")
         if inertial:
-            inertial[-1] = inertial[-1] + transform_inertial(_inertial(links[link], place), rotation, translation)
+            inertial[-1] = inertial[-1] + transform_inertial(read_inertial(links[link], place), rotation, translation)
         moving_children = 0
         for element in children.get(link, []):
-            own_rotation, own_translation = _origin(element, f"{place} joint {element.get('name')}")
+            own_rotation, own_translation = read_origin(element, f"{place} joint {element.get('name')}")
             joint_rotation = rotation @ own_rotation
             joint_translation = translation + rotation @ own_translation
             child = _ref(element, "child", place)
@@ -169,7 +169,8 @@ def _joint(element: ET.Element, link: str, rotation: Array, translation: Array, 
     )
 
 
-def _inertial(link: ET.Element, place: str) -> Array:
+def read_inertial(link: ET.Element, place: str) -> Array:
+    """Ten parameters of a ``<link>`` at its frame's origin, zeros if it has none; BadInput if they are no numbers."""
     element = link.find("inertial")
     if element is None:
         return np.zeros(10)
@@ -179,11 +180,12 @@ def _inertial(link: ET.Element, place: str) -> Array:
         raise BadInput(here, "<inertial> needs <mass> and <inertia>")
     mass = _number(mass_element, "value", here)
     tensor = [_number(inertia_element, name, here) for name in ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")]
-    rotation, translation = _origin(element, here)
+    rotation, translation = read_origin(element, here)
     return transform_inertial(np.array([mass, 0.0, 0.0, 0.0, *tensor]), rotation, translation)
 
 
-def _origin(element: ET.Element, here: str) -> tuple[Array, Array]:
+def read_origin(element: ET.Element, here: str) -> tuple[Array, Array]:
+    """Rotation (3, 3) and translation (3,) of the ``<origin>`` in an element; BadInput if they are no numbers."""
     origin = element.find("origin")
     if origin is None:
         return np.eye(3), np.zeros(3)

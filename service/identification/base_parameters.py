@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 TOLERANCE = 1e-9  # of a unit column that its part outside the span of the chosen columns must exceed
 SAMPLES = 400  # random poses that stand for the workspace
+NEGLIGIBLE = 1e-8  # of the largest share in a base parameter, columns of unit length: rounding
+FEW_SAMPLES = 60  # enough where the rank is known
 
 
 @dataclass(frozen=True)
@@ -42,11 +44,16 @@ class BaseParameters:
 
 def base_parameters(chain: Chain, axes: tuple[int, ...], seed: int = 0) -> BaseParameters:
     """The base parameters that the inertias about `axes` hold, over the chain's whole joint range."""
-    rng = np.random.default_rng(seed)
-    lower, upper = joint_ranges(chain)
-    poses = rng.uniform(lower, upper, (SAMPLES, len(lower)))
-    rows = np.vstack([axis_rows(chain, axis, poses) for axis in axes])
-    return reduce_columns(rows, parameter_names(chain))
+    return reduce_columns(_sampled_rows(chain, axes, SAMPLES, seed), parameter_names(chain))
+
+
+def combination_of(chain: Chain, axes: tuple[int, ...], columns: tuple[int, ...]) -> Array | None:
+    """`BaseParameters.combination` for columns that are given; None where they are not a base of this chain."""
+    rows = _sampled_rows(chain, axes, FEW_SAMPLES, seed=1)
+    scale = _scale(rows)
+    combination = _combination(rows, scale, list(columns))
+    left = (rows - rows[:, list(columns)] @ combination) / scale
+    return combination if np.abs(left).max() < 1e3 * TOLERANCE else None
 
 
 def joint_ranges(chain: Chain) -> tuple[Array, Array]:
@@ -60,15 +67,13 @@ def joint_ranges(chain: Chain) -> tuple[Array, Array]:
 
 def reduce_columns(rows: Array, names: tuple[str, ...]) -> BaseParameters:
     """The base set of an observation matrix (m, p) whose columns bear `names`."""
-    length = np.linalg.norm(rows, axis=0)
-    scale = np.where(length > TOLERANCE * length.max(initial=0.0), length, 1.0)
+    scale = _scale(rows)
     scaled = rows / scale
     chosen = _independent(scaled)
     singular = np.linalg.svd(scaled[:, chosen], compute_uv=False)
     if singular[-1] < TOLERANCE:
         raise BadInput("base parameters", f"the chosen columns are dependent to {singular[-1]:.1e}")
-    combination = np.linalg.lstsq(scaled[:, chosen], scaled, rcond=None)[0] * scale / scale[chosen][:, None]
-    combination[np.abs(combination) < 1e-7 * np.abs(combination).max(initial=1.0)] = 0.0
+    combination = _combination(rows, scale, chosen)
     return BaseParameters(
         tuple(_name(row, names, column) for row, column in zip(combination, chosen, strict=True)),
         tuple(chosen),
@@ -83,6 +88,27 @@ def condition_number(rows: Array) -> float:
         return float("inf")
     singular = np.linalg.svd(rows / length, compute_uv=False)
     return float(singular[0] / singular[-1]) if singular[-1] > TOLERANCE * singular[0] else float("inf")
+
+
+def _sampled_rows(chain: Chain, axes: tuple[int, ...], samples: int, seed: int) -> Array:
+    """Rows (m, 11 n) of all `axes` in random poses over the joints' ranges."""
+    lower, upper = joint_ranges(chain)
+    poses = np.random.default_rng(seed).uniform(lower, upper, (samples, len(lower)))
+    return np.vstack([axis_rows(chain, axis, poses) for axis in axes])
+
+
+def _scale(rows: Array) -> Array:
+    """Lengths (p,) of the columns; 1 for those that are zero."""
+    length = np.linalg.norm(rows, axis=0)
+    return np.where(length > TOLERANCE * length.max(initial=0.0), length, 1.0)
+
+
+def _combination(rows: Array, scale: Array, chosen: list[int]) -> Array:
+    """K (r, p) with ``rows = rows[:, chosen] @ K``."""
+    scaled = rows / scale
+    share = np.linalg.lstsq(scaled[:, chosen], scaled, rcond=None)[0]
+    share[np.abs(share) < NEGLIGIBLE * np.abs(share).max(axis=1, keepdims=True, initial=1.0)] = 0.0
+    return share * scale / scale[chosen][:, None]
 
 
 def _independent(scaled: Array) -> list[int]:

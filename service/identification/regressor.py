@@ -98,6 +98,19 @@ def lock(chain: Chain, fixed: dict[int, float]) -> Chain:
     return Chain(tuple(joints), np.array(inertial).reshape(-1, 10))
 
 
+def fold(chain: Chain, fixed: dict[int, float]) -> Array:
+    """(11 u, 11 n): what `lock` does, for any parameters: ``fold @ parameters`` are those of the u joints left."""
+    count = len(chain.joints)
+    left = [k for k in range(count) if k not in fixed]
+    links = np.zeros((10 * len(left), 10 * count))
+    for column, unit in enumerate(np.eye(10 * count)):
+        links[:, column] = lock(replace(chain, inertial=unit.reshape(-1, 10)), fixed).inertial.ravel()
+    matrix = np.zeros((11 * len(left), 11 * count))
+    matrix[: 10 * len(left), : 10 * count] = links
+    matrix[10 * len(left) :, 10 * count :] = np.eye(count)[left]
+    return matrix
+
+
 def parameter_names(chain: Chain) -> tuple[str, ...]:
     """Names of the 11 n parameters: ``Izz(link_2)``, ..., ``Jm(joint_2)``; a folded body goes by its first link."""
     links = [f"{name}({joint.link})" for joint in chain.joints for name in INERTIAL_NAMES]

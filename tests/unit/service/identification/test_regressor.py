@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 from service.identification.base_parameters import base_parameters, condition_number
-from service.identification.regressor import axis_rows, gravity_terms, inertia_rows, lock, parameter_names
+from service.identification.regressor import axis_rows, fold, gravity_terms, inertia_rows, lock, parameter_names
 from service.urdf import read_chain
 from tests.random_chain import random_urdf
 
@@ -114,3 +114,12 @@ def test_condition_number_is_that_of_unit_columns() -> None:
         np.linalg.cond([[1.0, 2**-0.5], [0.0, 2**-0.5]])
     )
     assert condition_number(np.ones((3, 2))) == np.inf
+
+
+def test_folding_is_what_locking_does() -> None:
+    rng = np.random.default_rng(2)
+    chain = read_chain(random_urdf(rng, 5))
+    fixed = {0: 0.3, 2: -0.4, 4: 0.2}
+    motors = rng.uniform(1, 2, 5)
+    folded = fold(chain, fixed) @ np.concatenate([chain.inertial.ravel(), motors])
+    np.testing.assert_allclose(folded, [*lock(chain, fixed).inertial.ravel(), *motors[[1, 3]]], atol=1e-12)

@@ -1,0 +1,91 @@
+"""The files of an identified robot: URDF, MJCF, YAML, and the side file with which sweepid reads it again."""
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from service.errors import BadInput
+from service.export.mjcf import as_mjcf
+from service.export.model import Body, IdentifiedModel
+from service.export.urdf import as_urdf
+from service.robot import INERTIAL_NAMES
+
+URDF = "model.urdf"
+
+
+def model_files(model: IdentifiedModel) -> dict[str, str]:
+    """Name and text of each file."""
+    return {
+        URDF: as_urdf(model),
+        "model.xml": as_mjcf(model),
+        "model.yaml": as_yaml(model),
+        "robot.yaml": as_side_file(model),
+    }
+
+
+def write_model(folder: Path, model: IdentifiedModel) -> None:
+    """Write the files into a folder that is empty or does not exist; BadInput if it is not so or cannot be written."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise BadInput(str(folder), "exists already and is not an empty folder")
+    files = model_files(model)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in files.items():
+            (folder / name).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise BadInput(str(folder), f"cannot be written: {error.strerror or error}") from None
+
+
+def as_yaml(model: IdentifiedModel) -> str:
+    """All parameters, SI, for readers that speak neither URDF nor MJCF. Inertias of motors are on the joint side."""
+    joints = {
+        joint.name: {
+            "kind": joint.kind,
+            "link": joint.link,
+            "parent_to_joint": {"translation": joint.translation.tolist(), "rotation": joint.rotation.tolist()},
+            "axis": joint.axis.tolist(),
+            "motor_inertia": float(motor),
+            "viscous_friction": friction,
+        }
+        for joint, motor, friction in zip(model.robot.chain.joints, model.motor_inertias, model.friction, strict=True)
+    }
+    return _dump(
+        {
+            "robot": model.robot.name,
+            "gravity": model.robot.gravity.tolist(),
+            "joints": joints,
+            "links": {body.link: _link(body) for body in model.bodies},
+            "base_parameters": [parameter.model_dump() for parameter in model.base_parameters],
+            "symbols": {name: symbol.model_dump() for name, symbol in model.symbols.items()},
+            "deviation_in_std": model.deviation_in_std,
+        }
+    )
+
+
+def as_side_file(model: IdentifiedModel) -> str:
+    """The robot's side file with the identified motors and frictions, beside `model.urdf`."""
+    axes = [
+        axis.model_copy(
+            update={
+                "motor_inertia": float(motor) / axis.gear_ratio**2 if motor > 0 else axis.motor_inertia,
+                "viscous_friction": axis.viscous_friction if friction is None else friction,
+            }
+        )
+        for axis, motor, friction in zip(model.robot.axes, model.motor_inertias, model.friction, strict=True)
+    ]
+    description = model.robot.description.model_copy(update={"urdf": URDF, "axes": tuple(axes)})
+    return _dump(description.model_dump(mode="json"))
+
+
+def _link(body: Body) -> dict[str, Any]:
+    return {
+        "mass": body.mass,
+        "centre_of_mass": body.centre.tolist(),
+        "inertia_about_centre": body.inertia.tolist(),
+        "at_frame": dict(zip(INERTIAL_NAMES, body.parameters.tolist(), strict=True)),
+    }
+
+
+def _dump(content: dict[str, Any]) -> str:
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)

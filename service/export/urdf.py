@@ -1,0 +1,84 @@
+"""The robot's own URDF with the identified inertial parameters.
+
+No motion can tell the shares of links that are fixed to each other apart: what was identified is their total. It is
+shared out among those that have an ``<inertial>``, as near to theirs as can be (`physical_consistency`), so that every
+link stays physical and the total is kept whatever a reader does with fixed joints. The base and what is fixed to it
+stay as they were. URDF has no place for the motors' inertia; it stands in the side file.
+
+MuJoCo would give links without ``<inertial>`` the mass of their shapes; a ``<mujoco>`` element, which others skip, says
+no.
+"""
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.export.links import PlacedLink, placed_links
+from service.export.model import Body, IdentifiedModel, body
+from service.identification.physical_consistency import nearest_physical
+from service.urdf import read_inertial, transform_inertial
+
+Array = NDArray[np.float64]
+
+
+def as_urdf(model: IdentifiedModel) -> str:
+    """The text of the file; shapes and comments of the original are kept."""
+    root = ET.fromstring(model.robot.urdf_text, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True)))
+    links = placed_links(root)
+    for whole in model.bodies:
+        for link, part in _shares(whole, [link for link in links if link.carrier == whole.link]):
+            for old in link.element.findall("inertial"):
+                link.element.remove(old)
+            link.element.insert(0, _inertial(part))
+    joints = {element.get("name"): element for element in root.findall("joint")}
+    for joint, friction in zip(model.robot.joints, model.friction, strict=True):
+        if friction is not None:
+            _child(joints[joint], "dynamics").set("damping", repr(friction))
+    _child(_child(root, "mujoco"), "compiler").set("inertiafromgeom", "false")
+    ET.indent(root)
+    return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _shares(whole: Body, group: list[PlacedLink]) -> list[tuple[PlacedLink, Body]]:
+    """The links of a rigid group that have mass, each with its share of the whole; the moving one, if none has."""
+    nominal = {link.name: read_inertial(link.element, "urdf") for link in group}
+    heavy = [link for link in group if nominal[link.name][0] > 0]
+    if len(heavy) < 2:
+        alone = heavy[0] if heavy else group[0]
+        return [(alone, body(alone.name, _seen_from(alone, whole.parameters)))]
+    rows = np.hstack([_transform(link) for link in heavy])
+    motors = np.zeros(len(heavy))
+    found = nearest_physical(
+        np.concatenate([*(nominal[link.name] for link in heavy), motors]),
+        (1.0, motors + 1.0),
+        np.hstack([rows, np.zeros((10, len(heavy)))]),
+        whole.parameters,
+        np.eye(10),
+    )
+    shares = found.parameters[: 10 * len(heavy)].reshape(-1, 10)
+    return [(link, body(link.name, share)) for link, share in zip(heavy, shares, strict=True)]
+
+
+def _transform(link: PlacedLink) -> Array:
+    """(10, 10): parameters in the link's own frame to those in its carrier's."""
+    return np.stack([transform_inertial(unit, link.rotation, link.translation) for unit in np.eye(10)], -1)
+
+
+def _seen_from(link: PlacedLink, parameters: Array) -> Array:
+    return transform_inertial(parameters, link.rotation.T, -link.rotation.T @ link.translation)
+
+
+def _inertial(part: Body) -> ET.Element:
+    element = ET.Element("inertial")
+    ET.SubElement(element, "origin", xyz=" ".join(repr(float(x)) for x in part.centre), rpy="0 0 0")
+    ET.SubElement(element, "mass", value=repr(part.mass))
+    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    values = part.inertia[np.triu_indices(3)]
+    ET.SubElement(element, "inertia", {name: repr(float(value)) for name, value in zip(names, values, strict=True)})
+    return element
+
+
+def _child(element: ET.Element, tag: str) -> ET.Element:
+    found = element.find(tag)
+    return ET.SubElement(element, tag) if found is None else found

@@ -1,0 +1,289 @@
+r"""Standard parameters nearest to a nominal model that a real robot can have and that give the base parameters.
+
+A link is physical when some distribution of mass has its ten parameters. That is so when its pseudo-inertia
+(Wensing, Kim and Slotine 2018) is positive definite, which holds the mass, the triangle inequalities and the products:
+
+    P = [ tr(I)/2 1 - I   mc ]
+        [      mc^T        m ]  > 0,                       and Jm > 0 for a motor.
+
+Nearest: in the entropic divergence (Lee, Wensing and Park 2020), which no choice of frame or unit changes,
+
+    D(P, P0) = tr(P0^-1 P) - log det(P0^-1 P) - 4,         d(Jm, Jm0) = Jm/Jm0 - log(Jm/Jm0) - 1.
+
+A link scaled by 1 + s has D = 2 s^2 + ..., a motor d = s^2/2 + ...; with s the relative standard deviation the weights
+w = 1/(4 s^2) and 1/s^2 make both half a squared number of standard deviations. With A x = b the base parameters:
+
+    min  sum w D   with  A x = b                     the nearest robot that has exactly these base parameters, or
+    min  sum w D + |A x - b|^2 / 2   (b white)       where noise made them impossible: the most probable one
+
+In Y = L^-1 P L^-T, P0 = L L^T, link by link, and with G(nu) the combination of the rows of A as 4 x 4 matrices, the
+minimum over P is Y = (1 + G(nu)/w)^-1, positive definite by construction, and the dual is concave and smooth:
+
+    max over nu:   sum w log det(1 + G(nu)/w) - nu.b - e |nu|^2 / 2,         gradient  A x - b - e nu,
+
+with e = 0 for the first problem and e = 1 for the second. Newton's method solves it. Where no physical x gives b, the
+dual of the first has no maximum; that of the second always has one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.urdf import inertia_matrix
+
+Array = NDArray[np.float64]
+
+EXACT = 1e-10  # of a row's terms and nominal spread: what is left of A x - b when it counts as reproduced
+STEPS = 100  # of Newton's method at most; some ten are taken
+HALVINGS = 60  # of a step's length
+SOFTENING = (1.0, 1e-2, 1e-4, 1e-6, 0.0)
+SMALL = 1e-12  # ratio of eigenvalues below which the lesser is no longer told from zero
+SMALL_SLOPE = 1e-12  # of the dual along the step: from here Newton's method needs no supervision
+LIGHTEST = 1e-6  # of the heaviest link's mass: least nominal mass
+THINNEST = 1e-4  # of a link's largest second moment about its centre of mass: least nominal one
+SMALLEST = 1e-3  # m, least nominal radius of gyration
+
+
+@dataclass(frozen=True)
+class Physical:
+    """parameters (11 n,); `deviation`: Mahalanobis distance of their base parameters from those given, 0 if exact."""
+
+    parameters: Array
+    deviation: float
+
+
+def nearest_physical(
+    nominal: Array, spread: tuple[float, Array], rows: Array, values: Array, covariance: Array
+) -> Physical:
+    """Parameters (11 n,) nearest to `nominal` with ``rows @ parameters = values``, all links and motors physical.
+
+    Where there are none, those most probable in view of both: `deviation` tells how far they are from `values`.
+
+    spread: relative standard deviation of the nominal links, and (n,) of the nominal motors. rows (k, 11 n) linearly
+    independent, values (k,), covariance (k, k) positive definite. Motors that are nominally 0 stay 0: they must not
+    appear in the rows. What the rows do not touch stays nominal, but for links that are not physical.
+    """
+    problem = _Problem.of(nominal, spread, rows, values)
+    parameters = _exactly(problem)
+    if parameters is not None:
+        size = np.abs(rows) @ np.abs(parameters) + np.abs(values) + np.sqrt(np.diag(problem.nominal_covariance()))
+        if np.all(np.abs(rows @ parameters - values) <= EXACT * size):
+            return Physical(parameters, 0.0)
+    noise = _whitening(covariance)
+    white = problem.transformed(noise)
+    multipliers = _maximise(white, 1.0, np.zeros(len(noise)))
+    if multipliers is None:
+        raise ArithmeticError("Newton's method found no maximum of a concave function")
+    parameters = problem.parameters(white.blocks(multipliers))
+    return Physical(parameters, float(np.linalg.norm(noise @ (rows @ parameters - values))))
+
+
+def pseudo_inertia(parameters: Array) -> Array:
+    """(..., 10) parameters of links -> (..., 4, 4)."""
+    inertia = inertia_matrix(parameters)
+    pseudo = np.empty((*parameters.shape[:-1], 4, 4))
+    trace = np.trace(inertia, axis1=-2, axis2=-1)[..., None, None]
+    pseudo[..., :3, :3] = trace / 2 * np.eye(3) - inertia
+    pseudo[..., :3, 3] = pseudo[..., 3, :3] = parameters[..., 1:4]
+    pseudo[..., 3, 3] = parameters[..., 0]
+    return pseudo
+
+
+def is_physical(parameters: Array) -> NDArray[np.bool_]:
+    """(..., 10) -> (...): is the pseudo-inertia positive definite, about the link's own centre of mass?"""
+    mass = parameters[..., 0]
+    heavy = mass > 0
+    centre = parameters[..., 1:4] / np.where(heavy, mass, 1.0)[..., None]
+    second = pseudo_inertia(parameters)[..., :3, :3] - mass[..., None, None] * _outer(centre)
+    return heavy & (np.linalg.eigvalsh(second)[..., 0] > 0)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """The constraints in the coordinates Y (n, 4, 4) of the links and y (j,) of the motors; both nominally 1."""
+
+    factor: Array  # (n, 4, 4), L
+    motors: Array  # (n,) nominal
+    free: NDArray[np.bool_]  # (n,) motors that are not nominally 0
+    link_weight: float
+    motor_weight: Array  # (j,)
+    link_rows: Array  # (k, n, 4, 4), symmetric
+    motor_rows: Array  # (k, j)
+    values: Array  # (k,)
+
+    @classmethod
+    def of(cls, nominal: Array, spread: tuple[float, Array], rows: Array, values: Array) -> "_Problem":
+        count = len(nominal) // 11
+        pseudo = _nominal_pseudo_inertia(nominal[: 10 * count].reshape(-1, 10))
+        factor = np.asarray(np.linalg.cholesky(pseudo), dtype=float)
+        matrices = np.einsum("knj,jab->knab", rows[:, : 10 * count].reshape(-1, count, 10), _BASIS)
+        motors = nominal[10 * count :]
+        free = motors > 0
+        return cls(
+            factor=factor,
+            motors=motors,
+            free=free,
+            link_weight=1 / (4 * spread[0] ** 2),
+            motor_weight=1 / spread[1][free] ** 2,
+            link_rows=np.swapaxes(factor, -1, -2) @ matrices @ factor,
+            motor_rows=(rows[:, 10 * count :] * motors)[:, free],
+            values=values,
+        )
+
+    def transformed(self, left: Array) -> "_Problem":
+        """The same with the constraints combined by `left` (l, k)."""
+        return _Problem(
+            self.factor,
+            self.motors,
+            self.free,
+            self.link_weight,
+            self.motor_weight,
+            np.einsum("lk,knab->lnab", left, self.link_rows),
+            left @ self.motor_rows,
+            left @ self.values,
+        )
+
+    def blocks(self, multipliers: Array) -> tuple[Array, Array]:
+        """Y (n, 4, 4) and y (j,) that belong to multipliers (k,) inside of the domain."""
+        links, motors = self.dual_blocks(multipliers)
+        return np.asarray(np.linalg.inv(links), dtype=float), 1 / motors
+
+    def dual_blocks(self, multipliers: Array) -> tuple[Array, Array]:
+        """1 + G(nu)/w: (n, 4, 4) and (j,); the domain is where they are positive definite."""
+        links = np.eye(4) + np.einsum("k,knab->nab", multipliers, self.link_rows) / self.link_weight
+        return links, 1 + multipliers @ self.motor_rows / self.motor_weight
+
+    def inside(self, multipliers: Array) -> bool:
+        links, motors = self.dual_blocks(multipliers)
+        moments = np.linalg.eigvalsh(links)
+        return bool(np.all(moments[:, 0] > SMALL * moments[:, -1]) and motors.min(initial=1.0) > SMALL)
+
+    def impossible(self, multipliers: Array) -> bool:
+        """Do they prove that no physical x gives b?  G(nu) >= 0 makes nu.Ax >= 0 for all of them, against nu.b < 0."""
+        links, motors = self.dual_blocks(multipliers)
+        moments = np.concatenate([np.linalg.eigvalsh(links).ravel(), motors]) - 1
+        return bool(multipliers @ self.values < 0 and moments.min() >= -1e-9 * moments.max())
+
+    def residual(self, blocks: tuple[Array, Array]) -> Array:
+        """A x - b, (k,)."""
+        return np.einsum("knab,nab->k", self.link_rows, blocks[0]) + self.motor_rows @ blocks[1] - self.values
+
+    def curvature(self, blocks: tuple[Array, Array]) -> Array:
+        """Minus the Hessian of the dual, (k, k)."""
+        root = np.linalg.cholesky((blocks[0] + np.swapaxes(blocks[0], -1, -2)) / 2)
+        turned = (np.swapaxes(root, -1, -2) @ self.link_rows @ root).reshape(len(self.values), -1)
+        turned_motors = self.motor_rows * blocks[1] / np.sqrt(self.motor_weight)
+        return turned @ turned.T / self.link_weight + turned_motors @ turned_motors.T
+
+    def nominal_covariance(self) -> Array:
+        """(k, k) of A x by the nominal model's spread."""
+        return self.curvature(self.blocks(np.zeros(len(self.values))))
+
+    def parameters(self, blocks: tuple[Array, Array]) -> Array:
+        """(11 n,) of the links and motors."""
+        pseudo = self.factor @ blocks[0] @ np.swapaxes(self.factor, -1, -2)
+        motors = self.motors.copy()
+        motors[self.free] *= blocks[1]
+        return np.concatenate([np.einsum("jab,nab->nj", _BASIS, pseudo).ravel(), motors])
+
+
+def _exactly(problem: _Problem) -> Array | None:
+    """Parameters (11 n,) that give the base parameters; None where it is proven that none do, or none are found.
+
+    In units in which the nominal model's uncertainty is white, the softened problem is easy; softening ends in steps.
+    """
+    white = problem.transformed(_whitening(problem.nominal_covariance()))
+    multipliers = np.zeros(len(problem.values))
+    for softness in SOFTENING:
+        found = _maximise(white, softness, multipliers)
+        if found is None or white.impossible(found):
+            return None
+        multipliers = found
+    return problem.parameters(white.blocks(multipliers))
+
+
+def _maximise(problem: _Problem, softness: float, start: Array) -> Array | None:
+    """Multipliers (k,) at the maximum of the dual, softness = e; None where there is none (or none is found).
+
+    Near the maximum full steps are taken until rounding stops the progress.
+    """
+    multipliers, last = start, np.inf
+    for _ in range(STEPS):
+        if softness == 0 and problem.impossible(multipliers):
+            return None
+        blocks = problem.blocks(multipliers)
+        gradient = problem.residual(blocks) - softness * multipliers
+        curvature = problem.curvature(blocks) + softness * np.eye(len(gradient))
+        scale = np.sqrt(np.diag(curvature))
+        if not np.isfinite(curvature).all() or not scale.all():
+            return None
+        step = np.asarray(np.linalg.lstsq(curvature / np.outer(scale, scale), gradient / scale, rcond=None)[0]) / scale
+        slope = float(gradient @ step)
+        if slope < SMALL_SLOPE:
+            if slope >= last / 100:
+                return multipliers
+            length = 1.0
+        else:
+            length = _length(problem, softness, multipliers, step, slope)
+        last = slope
+        multipliers = multipliers + length * step
+    return None
+
+
+def _length(problem: _Problem, softness: float, start: Array, step: Array, slope: float) -> float:
+    """How far to go along a step: to where the dual's slope, which only falls, is less than half of `slope`."""
+    shortest, longest, length = 0.0, np.inf, 1.0
+    for _ in range(HALVINGS):
+        there = start + length * step
+        now = -np.inf
+        if problem.inside(there):
+            now = float((problem.residual(problem.blocks(there)) - softness * there) @ step)
+        if abs(now) <= slope / 2:
+            return length
+        shortest, longest = (length, longest) if now > 0 else (shortest, length)
+        length = 2 * length if np.isinf(longest) else (shortest + longest) / 2
+    return shortest
+
+
+def _whitening(covariance: Array) -> Array:
+    """(k, k) that turns values of this covariance into white noise of standard deviation 1."""
+    scale = np.sqrt(np.diag(covariance))
+    moments, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return (directions / np.sqrt(np.maximum(moments, SMALL * moments[-1]))).T / scale
+
+
+def _nominal_pseudo_inertia(links: Array) -> Array:
+    """(n, 4, 4) of nominal links (n, 10); what is not physical is lifted to the least mass and second moments."""
+    mass = np.maximum(links[:, 0], LIGHTEST * (links[:, 0].max(initial=0.0) or 1.0))
+    centre = links[:, 1:4] / mass[:, None]
+    pseudo = pseudo_inertia(links)
+    moments, axes = np.linalg.eigh(pseudo[:, :3, :3] - mass[:, None, None] * _outer(centre))
+    least = np.maximum(THINNEST * moments[:, -1], SMALLEST**2 * mass)
+    lifted = np.maximum(moments, least[:, None])
+    second = (axes * lifted[:, None, :]) @ np.swapaxes(axes, -1, -2) + mass[:, None, None] * _outer(centre)
+    pseudo[:, :3, :3] = np.where((moments[:, 0] < least)[:, None, None], second, pseudo[:, :3, :3])
+    pseudo[:, 3, 3] = mass
+    return pseudo
+
+
+def _outer(vectors: Array) -> Array:
+    return vectors[..., :, None] * vectors[..., None, :]
+
+
+def _basis() -> Array:
+    """(10, 4, 4) symmetric matrices E with parameter j of a link = <E_j, P>."""
+    basis = np.zeros((10, 4, 4))
+    basis[0, 3, 3] = 1.0
+    for k in range(3):
+        basis[1 + k, k, 3] = basis[1 + k, 3, k] = 0.5
+    for j, (a, b) in zip(range(4, 10), ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)), strict=True):
+        if a == b:
+            basis[j, :3, :3] = np.eye(3)
+            basis[j, a, a] = 0.0
+        else:
+            basis[j, a, b] = basis[j, b, a] = -0.5
+    return basis
+
+
+_BASIS = _basis()

@@ -1,0 +1,155 @@
+"""What stands in the exported files, how sweepid reads them again, and what is refused."""
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+
+from service.configuration import read_robot
+from service.errors import BadInput
+from service.export import identified_model, model_files, write_model
+from service.export.mjcf import quaternion
+from service.identification.physical_consistency import is_physical
+from service.robot import INERTIAL_NAMES, Axis, Robot, RobotDescription, build_robot, rotation_about
+from service.urdf import read_chain, read_inertial
+from tests.unit.service.export.conftest import estimate_of
+
+MOTORS = np.array([60.0, 70.0, 20.0, 4.0, 0.0, 2.0])
+
+
+@pytest.fixture
+def document(max100: Robot) -> dict[str, Any]:
+    return estimate_of(max100, 1.1 * max100.chain.inertial, MOTORS)
+
+
+def test_sweepid_reads_the_robot_again(max100: Robot, document: dict[str, Any], tmp_path: Path) -> None:
+    write_model(tmp_path / "out", identified_model(max100, document))
+    again = read_robot(tmp_path / "out/robot.yaml")
+    np.testing.assert_allclose(again.chain.inertial, 1.1 * max100.chain.inertial, rtol=1e-12, atol=1e-12)
+    motors = [axis.reflected_motor_inertia for axis in again.axes]
+    kept = max100.axes[4].reflected_motor_inertia  # found to be 0: not measured, not known
+    np.testing.assert_allclose(motors, [60.0, 70.0, 20.0, 4.0, kept, 2.0])
+    assert [axis.viscous_friction for axis in again.axes] == [150.5, 210.0, 90.0, 30.0, 26.0, 15.0]
+    for joint, old in zip(again.chain.joints, max100.chain.joints, strict=True):
+        assert (joint.name, joint.link, joint.lower, joint.upper) == (old.name, old.link, old.lower, old.upper)
+
+
+def test_links_fixed_to_each_other_share_the_total(max100: Robot, document: dict[str, Any]) -> None:
+    text = model_files(identified_model(max100, document))["model.urdf"]
+    root = ET.fromstring(text)
+    masses = {
+        link.get("name"): float(mass.get("value", "0")) for link in root.findall("link") for mass in link.iter("mass")
+    }
+    assert masses["link_6"] + masses["tool"] == pytest.approx(1.1 * (2.6 + 6.6))
+    assert masses["tool"] == pytest.approx(1.1 * 6.6, rel=0.05)  # about ten per cent more, as the whole
+    assert masses["base"] == 1010  # nothing turns it: as it was
+    np.testing.assert_allclose(read_chain(text).inertial, 1.1 * max100.chain.inertial, rtol=1e-12, atol=1e-12)
+    assert "upper arm" in text  # comments and shapes of the original
+    assert len(root.findall("link/collision")) == len(ET.fromstring(max100.urdf_text).findall("link/collision"))
+
+
+def test_any_physical_total_is_shared_out(max100: Robot, document: dict[str, Any]) -> None:
+    """Lighter than the nominal tool alone: no share may become negative."""
+    small = 0.3 * max100.chain.inertial[5] * [1, 1, 1, 1, 2, 2, 2, 2, 2, 2]
+    document["standard_parameters"]["links"]["link_6"] = dict(zip(INERTIAL_NAMES, small.tolist(), strict=True))
+    text = model_files(identified_model(max100, document))["model.urdf"]
+    np.testing.assert_allclose(read_chain(text).inertial[5], small, rtol=1e-9, atol=1e-12)
+    links = {link.get("name"): link for link in ET.fromstring(text).findall("link")}
+    assert is_physical(np.array([read_inertial(links[name], "urdf") for name in ("link_6", "tool")])).all()
+
+
+def test_urdf_holds_the_friction(max100: Robot, document: dict[str, Any]) -> None:
+    root = ET.fromstring(model_files(identified_model(max100, document))["model.urdf"])
+    found = {joint.get("name"): joint.find("dynamics") for joint in root.findall("joint")}
+    first = found.pop("joint_1")
+    assert first is not None
+    assert first.get("damping") == "150.5"
+    assert not any(found.values())
+
+
+def test_yaml_holds_all_parameters(max100: Robot, document: dict[str, Any]) -> None:
+    content = yaml.safe_load(model_files(identified_model(max100, document))["model.yaml"])
+    assert content["links"]["link_2"]["mass"] == pytest.approx(1.1 * 176)
+    np.testing.assert_allclose(content["links"]["link_2"]["centre_of_mass"], [0, 0.02, 0.5386])
+    np.testing.assert_allclose(
+        np.diag(content["links"]["link_2"]["inertia_about_centre"]), [32.95314, 33.31581, 1.84052]
+    )
+    assert content["joints"]["joint_1"]["motor_inertia"] == 60.0
+    assert content["joints"]["joint_2"]["viscous_friction"] is None
+    assert content["base_parameters"] == [{"name": "m(a)", "symbolic": "m(a)", "value": 1.0, "std": None}]
+    assert content["symbols"]["l1"] == {"value": 0.5, "unit": "m", "meaning": "from a to b"}
+
+
+def test_shapes_are_there_to_look_at(max100: Robot, document: dict[str, Any]) -> None:
+    loaded = mujoco.MjModel.from_xml_string(model_files(identified_model(max100, document))["model.xml"])
+    root = ET.fromstring(max100.urdf_text)
+    assert loaded.ngeom == len(root.findall("link/collision"))
+    state = mujoco.MjData(loaded)
+    mujoco.mj_forward(loaded, state)
+    assert state.ncon == 0  # nothing collides by them
+    places = {tuple(np.round(place, 4)) for place in state.geom_xpos}
+    # by hand, all joints at 0: the floor, and the tip of the tool 0.345 beyond joint 6's 1.63, at 2.15 above the floor
+    assert (0.0, 0.0, -0.06) in places
+    assert (1.945, 0.0, 2.15) in places
+
+
+def test_a_continuous_joint_has_no_range() -> None:
+    text = """<robot name="r"><link name="base"/><link name="table"/><joint name="c" type="continuous">
+    <parent link="base"/><child link="table"/><axis xyz="0 0 1"/></joint></robot>"""
+    axes = (Axis(joint="c", gear_ratio=50.0, rated_effort=10.0),)
+    robot = build_robot(RobotDescription(name="table", urdf="r.urdf", axes=axes), text)
+    link = np.array([[4.0, 0, 0, 0, 1.0, 0, 1.0, 0, 0, 1.5]])
+    loaded = mujoco.MjModel.from_xml_string(
+        model_files(identified_model(robot, estimate_of(robot, link, np.array([0.2]))))["model.xml"]
+    )
+    assert not loaded.jnt_limited[0]
+
+
+def test_quaternions_at_every_angle() -> None:
+    rng = np.random.default_rng(0)
+    for angle in (0.0, 1e-9, 0.3, np.pi / 2, np.pi - 1e-9, np.pi, -2.0):
+        axis = rng.normal(size=3)
+        rotation = rotation_about(axis / np.linalg.norm(axis), np.asarray(angle))
+        back = np.zeros(9)
+        mujoco.mju_quat2Mat(back, quaternion(rotation))
+        np.testing.assert_allclose(back.reshape(3, 3), rotation, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"axes": {}}, "identified nothing"),
+        ({"axes": {"joint_9": {"inertia": []}}}, "joint_9: unknown joint"),
+        ({"standard_parameters": {"links": {}, "motor_inertias": {}}}, "ten parameters of link link_1"),
+        ({"physical": {}}, "identified nothing"),
+        ({"base_parameters": [{"name": "a"}]}, "base_parameters.0.symbolic"),
+    ],
+)
+def test_an_estimate_of_something_else_is_refused(
+    max100: Robot, document: dict[str, Any], change: dict[str, Any], reason: str
+) -> None:
+    with pytest.raises(BadInput, match=reason):
+        identified_model(max100, document | change)
+
+
+def test_a_massless_link_is_refused(max100: Robot, document: dict[str, Any]) -> None:
+    document["standard_parameters"]["links"]["link_4"]["m"] = 0.0
+    with pytest.raises(BadInput, match=r"mass of link link_4 is 0.0 kg"):
+        identified_model(max100, document)
+
+
+def test_a_missing_motor_is_refused(max100: Robot, document: dict[str, Any]) -> None:
+    del document["standard_parameters"]["motor_inertias"]["Jm(joint_3)"]
+    with pytest.raises(BadInput, match="no motor inertia of joint joint_3"):
+        identified_model(max100, document)
+
+
+def test_nothing_is_overwritten(max100: Robot, document: dict[str, Any], tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(BadInput, match="not an empty folder"):
+        write_model(tmp_path, identified_model(max100, document))
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
