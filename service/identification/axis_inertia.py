@@ -45,7 +45,7 @@ class DriveTrain:
 
 @dataclass(frozen=True, slots=True)
 class Impedance:
-    """Z and F at some frequencies (b,), with what their derivatives need."""
+    """Z and F at some frequencies (..., b), with what their derivatives need."""
 
     s: Complex
     load: Complex  # Z_l
@@ -54,16 +54,18 @@ class Impedance:
     total: Complex  # Z
 
     def by_load(self, velocity: Complex, on_load: Complex) -> Complex:
-        """d(Z velocity + F on_load) / d Z_l, (b,)."""
+        """d(Z velocity + F on_load) / d Z_l, (..., b)."""
         return self.through**2 * (velocity - self.spring * on_load)
 
     def by_spring(self, velocity: Complex, on_load: Complex) -> Complex:
-        """d(Z velocity + F on_load) / d Y, (b,)."""
+        """d(Z velocity + F on_load) / d Y, (..., b)."""
         return -(self.through**2) * self.load * (self.load * velocity + on_load)
 
 
-def impedance(frequency: Array, train: DriveTrain, load_inertia: float, gravity_stiffness: float) -> Impedance:
-    """The two-mass impedance at `frequency` (b,), Hz."""
+def impedance(
+    frequency: Array, train: DriveTrain, load_inertia: float | Array, gravity_stiffness: float | Array
+) -> Impedance:
+    """The two-mass impedance at `frequency` (..., b), Hz; loads that broadcast against it."""
     s: Complex = np.multiply(2j * np.pi, frequency, dtype=np.complex128)
     load = s * load_inertia + train.load_friction + gravity_stiffness / s
     spring = s * train.compliance / (1 + s * train.damping_time)

@@ -31,20 +31,18 @@ from scipy.optimize import least_squares
 
 from service.errors import BadInput
 from service.identification.axis_inertia import DriveTrain
-from service.identification.estimate import NOISE_GUESS, pose_prior, shared_prior
 from service.identification.frequency_response import Complex, Spectrum, spectrum, window
 from service.identification.joint_fit import (
-    OWN,
-    SHARED,
     STARTS,
     PosePrior,
     SharedPrior,
     complete_prior,
-    effort_residual,
     real_parts,
     scaled_inverse,
 )
+from service.identification.nominal_priors import NOISE_GUESS, pose_prior, shared_prior
 from service.identification.regressor import axis_rows, gravity_terms
+from service.identification.sweep_model import OWN, SHARED, effort_residual
 from service.recording import Sweep
 from service.robot import Robot
 
@@ -88,7 +86,7 @@ def channel_lags(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> ChannelLa
     own = [sweep for sweep in sweeps if sweep.spec.axis == joint and sweep.spec.periodic]
     if not own:
         raise BadInput(joint, "has no sweep with sines")
-    spectra = [spectrum(robot, sweep) for sweep in own]
+    spectra = [_of_motor(robot, sweep) for sweep in own]
     cycle = 1 / min(sweep.spec.sample_rate for sweep in own)
     positions = [_position(sweep, one) for sweep, one in zip(own, spectra, strict=True)]
     velocity = _velocity_lag(spectra, positions, cycle)
@@ -96,7 +94,7 @@ def channel_lags(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> ChannelLa
     effort, train, load_inertia = _effort_lag(robot, joint, spectra, cycle)
     whole = round(effort.total / cycle)
     if whole:
-        moved = [spectrum(robot, _earlier(sweep, whole)) for sweep in own]
+        moved = [_of_motor(robot, _earlier(sweep, whole)) for sweep in own]
         spectra = [replace(one, velocity=late.velocity) for one, late in zip(moved, spectra, strict=True)]
         effort, train, load_inertia = _effort_lag(robot, joint, spectra, cycle, whole * cycle)
     resonance = float(train.locked_rotor_frequency(load_inertia) * np.sqrt(1 + load_inertia / train.motor_inertia))
@@ -107,6 +105,11 @@ def channel_lags(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> ChannelLa
             f"the highest line of {highest:g} Hz is not above the free resonance at {resonance:.3g} Hz: no delay shows",
         )
     return ChannelLags(effort, velocity, train, resonance)
+
+
+def _of_motor(robot: Robot, sweep: Sweep) -> Spectrum:
+    """The spectrum without a direct encoder, whose lag would be one unknown more."""
+    return replace(spectrum(robot, sweep), load_velocity=None)
 
 
 def _earlier(sweep: Sweep, samples: int) -> Sweep:

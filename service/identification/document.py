@@ -5,11 +5,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.base_parameters import combination_of
 from service.identification.estimate import AxisEstimate, Estimate
-from service.identification.regressor import parameter_names
+from service.identification.standard_parameters import standard_parameters
+from service.identification.symbols import Dimension, symbolic_names
 from service.robot import INERTIAL_NAMES
 
 Array = NDArray[np.float64]
+
+WITHIN = 1.96  # standard deviations: 95 % of a normal error
 
 
 def rmse_percent(a: Array, b: Array) -> float:
@@ -22,16 +26,25 @@ def as_document(estimate: Estimate, workspace: Array) -> dict[str, Any]:
 
     `workspace` (m, all joints): the poses over which reference and identified model are compared.
     """
+    standard = standard_parameters(estimate)
+    symbolic, symbols = _in_words(estimate)
     return {
         "axes": {axis.joint: _axis(estimate, axis, workspace) for axis in estimate.axes},
         "base_parameters": [
-            {"name": name, "value": float(value), "std": _finite(std)}
-            for name, value, std in zip(
-                estimate.base.names, estimate.solution.values, estimate.solution.std, strict=True
+            {"name": name, "symbolic": words, "value": float(value), "std": _finite(std)}
+            for name, words, value, std in zip(
+                estimate.base.names, symbolic, estimate.solution.values, estimate.solution.std, strict=True
             )
         ],
+        "symbols": {
+            symbol.symbol: {"value": symbol.value, "unit": symbol.unit, "meaning": symbol.meaning} for symbol in symbols
+        },
         "condition_number": _finite(estimate.condition_number),
-        "standard_parameters": _standard(estimate),
+        "standard_parameters": _standard(estimate, standard.parameters),
+        "physical": {"deviation_in_std": standard.deviation},
+        "suspect": [
+            {"axis": one.axis, "sweep": one.sweep, "why": one.why, "weight": one.weight} for one in estimate.suspects
+        ],
     }
 
 
@@ -55,6 +68,7 @@ def _axis(estimate: Estimate, axis: AxisEstimate, workspace: Array) -> dict[str,
                     for frequency, z, std in sweep.response
                 ],
                 **({"terms": _terms(sweep.terms)} if sweep.terms else {}),
+                **({"warning": sweep.warning} if sweep.warning else {}),
             }
             for sweep, model in zip(axis.sweeps, identified, strict=True)
         ],
@@ -66,6 +80,47 @@ def _axis(estimate: Estimate, axis: AxisEstimate, workspace: Array) -> dict[str,
             ),
         },
         "drive_train": _train(axis),
+        "load_motion": "direct_encoder" if axis.direct_encoder else "motor_encoder",
+        "torque_gain": {"value": axis.gain.gain, "std": axis.gain.std},
+        **_confidence(estimate, axis, workspace),
+        **_quality(estimate, axis),
+    }
+
+
+def _confidence(estimate: Estimate, axis: AxisEstimate, workspace: Array) -> dict[str, Any]:
+    """Standard deviation of the identified inertia over the workspace; null while a base parameter is open."""
+    if not estimate.solution.determined.all():
+        return {"confidence_percent": None, "workspace_std_percent": None}
+    percent = 100 * estimate.identified_std(axis.joint, workspace) / np.abs(estimate.identified(axis.joint, workspace))
+    return {
+        "confidence_percent": float(percent.max()),
+        "workspace_std_percent": {"median": float(np.median(percent)), "worst": float(percent.max())},
+    }
+
+
+def _quality(estimate: Estimate, axis: AxisEstimate) -> dict[str, Any]:
+    """Do the standard deviations keep what they promise? J = W beta, poses held out, Cramer and Rao."""
+    squares, freedom = estimate.chi_squared[axis.joint]
+    held_out = estimate.held_out[axis.joint]
+    told = np.isfinite(held_out.std)
+    error, z = held_out.error[told], held_out.error[told] / held_out.std[told]
+    bound = [(sweep.bound, sweep.std, sweep.value) for sweep in axis.sweeps if sweep.bound is not None]
+    return {
+        "reduced_chi_squared": squares / freedom if freedom > 0.5 else None,
+        "held_out": {
+            "sweeps": int(told.sum()),
+            "rmse_percent": 100 * float(np.sqrt(np.mean((error / axis.values[told]) ** 2))),
+            "standardized_rmse": float(np.sqrt(np.mean(z**2))),
+            "within_95_percent": 100 * float(np.mean(np.abs(z) < WITHIN)),
+        }
+        if told.any()
+        else None,
+        "cramer_rao": {
+            "bound_percent": 100 * float(np.median([limit / abs(value) for limit, _, value in bound])),
+            "std_over_bound": float(np.median([std / limit for limit, std, _ in bound])),
+        }
+        if bound
+        else None,
     }
 
 
@@ -84,43 +139,28 @@ def _train(axis: AxisEstimate) -> dict[str, Any] | None:
     }
 
 
-def _standard(estimate: Estimate) -> dict[str, Any]:
-    """Link parameters nearest to the nominal model, in units of its prior, that reproduce the base parameters.
+def _in_words(estimate: Estimate) -> tuple[tuple[str, ...], tuple[Dimension, ...]]:
+    """The base parameters with distances and angles of the robot in place of numbers."""
+    axes = tuple(estimate.unlocked.index(estimate.robot.index(axis.joint)) for axis in estimate.axes)
+    columns = estimate.base.columns
+    return symbolic_names(
+        estimate.chain, columns, estimate.base.combination, lambda chain: combination_of(chain, axes, columns)
+    )
 
-    x = x0 + S K' (K S K')^-1 (beta - K x0) with S the prior covariance. Not yet constrained to be physical.
-    """
-    count = len(estimate.chain.joints)
-    links = estimate.nominal[: 10 * count].reshape(-1, 10)
-    mass = np.maximum(links[:, :1], 1e-9)
-    length = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(-1, keepdims=True), 0) / 2 / mass) + 1e-3
-    size = np.hstack([mass, np.repeat(mass * length, 3, 1), np.repeat(mass * length**2, 6, 1)]).ravel()
-    prior = estimate.robot.prior
-    spread = np.concatenate([prior.inertia * size, _motor_spread(estimate)]) ** 2
-    combination = estimate.base.combination
-    missing = estimate.solution.values - combination @ estimate.nominal
-    weighted = combination * spread
-    scale = np.sqrt(np.einsum("ij,ij->i", weighted, combination))
-    normal = weighted @ combination.T / np.outer(scale, scale)
-    step = np.asarray(np.linalg.solve(normal, missing / scale), dtype=float)
-    values = estimate.nominal + weighted.T @ (step / scale)
-    names = parameter_names(estimate.chain)
+
+def _standard(estimate: Estimate, parameters: Array) -> dict[str, Any]:
+    """Parameters (11 n,) of all links and motors of the robot, by name."""
+    joints = estimate.robot.chain.joints
+    count = 10 * len(joints)
     return {
         "links": {
-            joint.link: dict(zip(INERTIAL_NAMES, values[10 * k : 10 * k + 10].tolist(), strict=True))
-            for k, joint in enumerate(estimate.chain.joints)
+            joint.link: dict(zip(INERTIAL_NAMES, values.tolist(), strict=True))
+            for joint, values in zip(joints, parameters[:count].reshape(-1, 10), strict=True)
         },
-        "motor_inertias": dict(zip(names[10 * count :], values[10 * count :].tolist(), strict=True)),
+        "motor_inertias": {
+            f"Jm({joint.name})": float(value) for joint, value in zip(joints, parameters[count:], strict=True)
+        },
     }
-
-
-def _motor_spread(estimate: Estimate) -> Array:
-    """One sigma (n,) of the reflected motor inertias; one the data sheet leaves out may be all that was measured."""
-    measured = {axis.joint: float(np.median([sweep.value for sweep in axis.sweeps])) for axis in estimate.axes}
-    motors = [estimate.robot.axes[number] for number in estimate.unlocked]
-    known = [estimate.robot.prior.motor_inertia * (axis.reflected_motor_inertia or 0.0) for axis in motors]
-    return np.array(
-        [sigma or abs(measured.get(axis.joint, 0.0)) or 1e-9 for sigma, axis in zip(known, motors, strict=True)]
-    )
 
 
 def _finite(value: float) -> float | None:

@@ -1,63 +1,51 @@
 r"""From the spectra of a campaign to its estimate: axis inertias, base parameters, Table 1.
 
-For each axis the periodic sweeps are fitted jointly (`joint_fit`), free records one by one (`time_domain`). The
-inertias J with their covariance C are then the right-hand side of  J = W beta  over all axes (`least_squares`), W in
-the base parameters of the chain in which every joint that never moved is locked. Whatever the order in which sweeps
-came in, the same set of spectra gives the same estimate: they are sorted by sweep id first.
-
-A torque constant that is wrong by 5 % scales every J by 5 % and no sweep shows it: `std` is conditional on the gain,
-`std_total` includes its prior.
+The inertias J of each axis (`axis_estimate`) with their covariance C are the right-hand side of  J = W beta  over all
+axes (`least_squares`), W in the base parameters of the chain in which every joint that never moved is locked. Sweeps
+that do not fit the others are named and count less (`suspects`). What J = W beta leaves unexplained beyond chance on an
+axis (chi-squared at `CHANCE`) enlarges the covariance of that axis, so that no standard deviation promises more than
+the data keep. Whatever the order in which sweeps came in, the same set of spectra gives the same estimate: they are
+sorted by sweep id first.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
+from scipy.stats import chi2, qmc
 
 from service.errors import BadInput
-from service.identification.axis_inertia import paper_inertia
+from service.identification.axis_estimate import AxisEstimate, identify_axis
 from service.identification.base_parameters import BaseParameters, base_parameters, condition_number, joint_ranges
 from service.identification.frequency_response import Spectrum
-from service.identification.joint_fit import JointFit, PosePrior, SharedPrior, fit_axis
-from service.identification.least_squares import Information, Solution
-from service.identification.regressor import axis_rows, gravity_terms, lock
-from service.identification.time_domain import fit_record
+from service.identification.ideal_frequency import AxisAnalysis
+from service.identification.joint_fit import CHANCE, FEW
+from service.identification.least_squares import Information, LeftOut, Solution
+from service.identification.nominal_priors import TorqueGain, uncalibrated
+from service.identification.regressor import axis_rows, lock
+from service.identification.suspects import Suspect, judge
 from service.robot import Robot
 from service.urdf import Chain
 
 Array = NDArray[np.float64]
 
 SAME_POSITION = 2e-3  # rad (m): a joint whose position differs by less over all sweeps was locked
-NOISE_GUESS = 0.002  # of the rated effort: start value only, the noise is then estimated
 WORKSPACE = 2000  # poses that stand for the workspace where no collision-free grid is given
+FOLDS = 10  # parts into which the poses are divided; each is predicted from the others
 
 
 @dataclass(frozen=True)
-class SweepInertia:
-    """One sweep's result, SI on the joint side. `response` rows: frequency Hz, Z complex, std of its parts."""
+class HeldOut:
+    """Inertias (n,) of an axis predicted from the sweeps of other poses.
 
-    sweep: str
-    value: float
-    std: float
-    std_total: float
-    reference: float  # of the nominal model in that pose
-    paper_value: float | None  # equation (8) at the ideal sweep frequency; None without lines
-    viscous_friction: float
-    response: tuple[tuple[float, complex, float], ...]
-    terms: dict[str, tuple[float, float]]  # of a free record: the other terms' value and std
+    `error` measured - predicted, `std` its standard deviation: inf where the other poses do not tell it.
+    """
 
-
-@dataclass(frozen=True)
-class AxisEstimate:
-    """Result of one axis: its sweeps, covariance (n, n) of their inertias, and the joint fit of the periodic ones."""
-
-    joint: str
-    sweeps: tuple[SweepInertia, ...]
-    covariance: Array
-    fit: JointFit | None
+    error: Array
+    std: Array
 
 
 @dataclass(frozen=True)
@@ -74,6 +62,9 @@ class Estimate:
     solution: Solution
     condition_number: float
     observation: dict[str, Array]  # rows (n, r) of each axis' sweeps in the base parameters
+    chi_squared: dict[str, tuple[float, float]]  # of J = W beta on each axis and its degrees of freedom
+    suspects: tuple[Suspect, ...]
+    held_out: dict[str, HeldOut]
 
     @cached_property
     def workspace(self) -> Array:
@@ -109,170 +100,113 @@ class Estimate:
         return self.base.rows(self.chain, self._own(joint), poses)
 
 
-def identify(robot: Robot, spectra: Sequence[Spectrum]) -> Estimate:
-    """The estimate from these spectra; BadInput when none of them shows inertia (noise and standstill do not)."""
+def identify(
+    robot: Robot,
+    spectra: Sequence[Spectrum],
+    analyses: Mapping[str, AxisAnalysis] | None = None,
+    gains: Mapping[str, TorqueGain] | None = None,
+) -> Estimate:
+    """The estimate from these spectra; BadInput when none of them shows inertia (noise and standstill do not).
+
+    `analyses` and `gains` by joint: initial analyses, and torque gains that a test mass calibrated.
+    """
     spectra = sorted((s for s in spectra if s.spec.shows_inertia), key=lambda spectrum: spectrum.spec.id)
     if not spectra:
         raise BadInput("estimate", "there is no sweep to identify from")
     poses = np.array([spectrum.spec.pose for spectrum in spectra])
-    moved = {robot.index(spectrum.spec.axis) for spectrum in spectra}
-    fixed = {
-        number: float(poses[:, number].mean())
-        for number in range(len(robot.axes))
-        if number not in moved and np.ptp(poses[:, number]) < SAME_POSITION
-    }
-    unlocked = tuple(number for number in range(len(robot.axes)) if number not in fixed)
-    chain = lock(robot.chain, fixed)
-    motors = [robot.axes[number].reflected_motor_inertia or 0.0 for number in unlocked]
-    nominal = np.concatenate([chain.inertial.ravel(), motors])
-    base = base_parameters(chain, tuple(unlocked.index(number) for number in sorted(moved)))
+    moved = sorted({robot.index(spectrum.spec.axis) for spectrum in spectra})
+    chain, unlocked = moving_chain(robot, moved, poses)
+    nominal = nominal_parameters(robot, chain, unlocked)
+    base = base_parameters(chain, tuple(unlocked.index(number) for number in moved))
 
     axes: list[AxisEstimate] = []
-    information = Information.empty(len(base.columns))
+    places: list[Array] = []
     observation: dict[str, Array] = {}
-    for number in sorted(moved):
+    for number in moved:
         own = [spectrum for spectrum in spectra if robot.index(spectrum.spec.axis) == number]
-        axis = _identify_axis(robot, number, chain, unlocked, nominal, own)
-        axes.append(axis)
-        rows = base.rows(chain, unlocked.index(number), np.array([s.spec.pose for s in own])[:, list(unlocked)])
-        values = np.array([sweep.value for sweep in axis.sweeps])
-        information = information.add(rows, values, axis.covariance)
-        observation[axis.joint] = rows
+        joint = robot.joints[number]
+        analysis, gain = (analyses or {}).get(joint), (gains or {}).get(joint) or uncalibrated(robot)
+        axes.append(identify_axis(robot, number, chain, unlocked, nominal, own, analysis, gain))
+        places.append(np.array([s.spec.pose for s in own]))
+        observation[joint] = base.rows(chain, unlocked.index(number), places[-1][:, list(unlocked)])
+    judged = _judge(axes, observation, np.vstack(places))
+    information = Information.empty(len(base.columns))
+    for axis in judged.axes:
+        information = information.add(observation[axis.joint], axis.values, axis.covariance)
     return Estimate(
         robot=robot,
         chain=chain,
         unlocked=unlocked,
         poses=poses,
-        axes=tuple(axes),
+        axes=judged.axes,
         base=base,
         nominal=nominal,
         solution=information.solve(base.combination @ nominal),
         condition_number=condition_number(np.vstack(list(observation.values()))),
         observation=observation,
+        chi_squared=judged.chi_squared,
+        suspects=judged.suspects,
+        held_out=judged.held_out,
     )
 
 
-def _identify_axis(
-    robot: Robot, number: int, chain: Chain, unlocked: tuple[int, ...], nominal: Array, spectra: list[Spectrum]
-) -> AxisEstimate:
-    own = unlocked.index(number)
-    poses = np.array([spectrum.spec.pose for spectrum in spectra])[:, list(unlocked)]
-    reference = axis_rows(chain, own, poses) @ nominal
-    gravity = gravity_terms(chain, nominal, robot.gravity, own, poses)
-    periodic = [k for k, spectrum in enumerate(spectra) if spectrum.spec.periodic]
-    sweeps: dict[int, SweepInertia] = {}
-    covariance = np.zeros((len(spectra), len(spectra)))
-    fit = None
-    if periodic:
-        fit = fit_axis(
-            [spectra[k] for k in periodic],
-            shared_prior(robot, number, reference, [spectra[k] for k in periodic]),
-            [pose_prior(robot, number, reference[k], gravity[k]) for k in periodic],
-            NOISE_GUESS * robot.axes[number].rated_effort,
-        )
-        covariance[np.ix_(periodic, periodic)] = fit.covariance
-        for row, k in enumerate(periodic):
-            sweeps[k] = _from_joint_fit(robot, spectra[k], float(reference[k]), fit, row)
-    for k, spectrum in enumerate(spectra):
-        if not spectrum.spec.periodic:
-            sweeps[k] = _from_record(robot, spectrum, float(reference[k]))
-            covariance[k, k] = sweeps[k].std ** 2
-    return AxisEstimate(robot.joints[number], tuple(sweeps[k] for k in sorted(sweeps)), covariance, fit)
+def moving_chain(robot: Robot, moved: Sequence[int], poses: Array) -> tuple[Chain, tuple[int, ...]]:
+    """The chain without the joints that never moved over `poses` (n, all joints), and the numbers of those left."""
+    fixed = {
+        number: float(poses[:, number].mean())
+        for number in range(len(robot.axes))
+        if number not in moved and np.ptp(poses[:, number]) < SAME_POSITION
+    }
+    return lock(robot.chain, fixed), tuple(number for number in range(len(robot.axes)) if number not in fixed)
 
 
-def _from_joint_fit(robot: Robot, spectrum: Spectrum, reference: float, fit: JointFit, row: int) -> SweepInertia:
-    value, std = float(fit.inertia[row]), float(np.sqrt(fit.covariance[row, row]))
-    response = _lines(spectrum, float(fit.noise[row]))
-    return SweepInertia(
-        sweep=spectrum.spec.id,
-        value=value,
-        std=std,
-        std_total=float(np.hypot(std, robot.prior.effort_gain * value)),
-        reference=reference,
-        paper_value=_paper_value(response, fit, row),
-        viscous_friction=fit.train.motor_friction + fit.train.load_friction,
-        response=response,
-        terms={},
-    )
+def nominal_parameters(robot: Robot, chain: Chain, unlocked: Sequence[int]) -> Array:
+    """The model's parameters (11 n,) of a chain of the robot's joints `unlocked`."""
+    motors = [robot.axes[number].reflected_motor_inertia or 0.0 for number in unlocked]
+    return np.concatenate([chain.inertial.ravel(), motors])
 
 
-def _paper_value(response: tuple[tuple[float, complex, float], ...], fit: JointFit, row: int) -> float:
-    """Equation (8) at the line nearest to the paper's ideal frequency (section 4.2).
-
-    That is the geometric mean of the locked-rotor frequency and the corner mu/(2 pi J) below which friction rules.
-    """
-    friction = max(fit.train.motor_friction + fit.train.load_friction, 0.0)
-    corner = friction / (2 * np.pi * float(fit.inertia[row]))
-    resonance = fit.train.locked_rotor_frequency(float(fit.load_inertia[row]))
-    ideal = np.sqrt(corner * resonance)
-    frequency, z, _ = min(response, key=lambda line: abs(line[0] - ideal))
-    return paper_inertia(frequency, z)
+@dataclass(frozen=True)
+class _Judged:
+    axes: tuple[AxisEstimate, ...]
+    chi_squared: dict[str, tuple[float, float]]
+    suspects: tuple[Suspect, ...]
+    held_out: dict[str, HeldOut]
 
 
-def _from_record(robot: Robot, spectrum: Spectrum, reference: float) -> SweepInertia:
-    fit = fit_record(spectrum)
-    return SweepInertia(
-        sweep=spectrum.spec.id,
-        value=fit.inertia,
-        std=fit.inertia_std,
-        std_total=float(np.hypot(fit.inertia_std, robot.prior.effort_gain * fit.inertia)),
-        reference=reference,
-        paper_value=None,
-        viscous_friction=fit.terms["viscous_friction"][0],
-        response=(),
-        terms=fit.terms,
-    )
+def _judge(axes: Sequence[AxisEstimate], observation: Mapping[str, Array], poses: Array) -> _Judged:
+    """Axes with the covariance that J = W beta leaves them; `poses` (n, all joints) of the axes' sweeps in turn."""
+    rows = np.vstack([observation[axis.joint] for axis in axes])
+    values = np.concatenate([axis.values for axis in axes])
+    judged = judge(rows, values, [axis.covariance for axis in axes])
+    edges = list(accumulate((len(axis.sweeps) for axis in axes), initial=0))
+    members = {axis.joint: np.arange(a, b) for axis, (a, b) in zip(axes, pairwise(edges), strict=True)}
+    found = [suspect for axis in axes for suspect in axis.suspects]
+    enlarged: list[AxisEstimate] = []
+    chi_squared: dict[str, tuple[float, float]] = {}
+    for axis in axes:
+        own = members[axis.joint]
+        squares, freedom = chi_squared[axis.joint] = judged.left_out.chi_squared(own)
+        unexplained = freedom >= FEW and squares > float(chi2.isf(CHANCE, freedom))
+        covariance = axis.covariance + np.diag(judged.extra[own])
+        enlarged.append(axis.with_covariance(covariance * (squares / freedom if unexplained else 1.0)))
+        for sweep, error, extra in zip(axis.sweeps, judged.errors[own], judged.extra[own], strict=True):
+            if extra > 0:
+                why = f"its inertia is {abs(error):.1f} standard deviations from what the other sweeps say of its pose"
+                found.append(Suspect(sweep.sweep, axis.joint, why, float(error**-2)))
+    left_out = LeftOut.of(rows, values, [axis.covariance for axis in enlarged])
+    error, std = _predicted(left_out, poses)
+    held_out = {joint: HeldOut(error[own], std[own]) for joint, own in members.items()}
+    return _Judged(tuple(enlarged), chi_squared, tuple(found), held_out)
 
 
-def _lines(spectrum: Spectrum, noise: float) -> tuple[tuple[float, complex, float], ...]:
-    return tuple(
-        (float(frequency), complex(effort / velocity), float(noise / abs(velocity)))
-        for frequency, effort, velocity in zip(
-            spectrum.frequency[spectrum.line],
-            spectrum.effort[spectrum.line],
-            spectrum.velocity[spectrum.line],
-            strict=True,
-        )
-    )
-
-
-def _typical(robot: Robot, number: int, reference: Array, spectra: list[Spectrum]) -> float:
-    """The size of an axis' inertia: the model's; as measured if the rotor, which may outweigh all links, is unknown."""
-    if robot.axes[number].reflected_motor_inertia:
-        return float(np.median(reference))
-    first = [int(np.argmax(spectrum.line)) for spectrum in spectra]
-    response = [abs((s.effort[k] / s.velocity[k]).imag) / s.frequency[k] for s, k in zip(spectra, first, strict=True)]
-    return float(np.median(response)) / (2 * np.pi)
-
-
-def shared_prior(robot: Robot, number: int, reference: Array, spectra: list[Spectrum]) -> SharedPrior:
-    """The data sheet's drive train. What it does not know (null, or zero) gets a spread wide enough not to matter.
-
-    `reference` (m,): the model's inertias in the axis' poses.
-    """
-    axis, prior = robot.axes[number], robot.prior
-    typical = _typical(robot, number, reference, spectra)
-    motor = axis.reflected_motor_inertia
-    motor_mean, motor_sigma = (motor, prior.motor_inertia * motor) if motor else (0.5 * typical, 0.5 * typical)
-    friction = axis.viscous_friction
-    # a corner frequency of 1 Hz where nothing is known; half of it on either side of the spring
-    total, spread = (friction, prior.viscous_friction) if friction else (2 * np.pi * typical, 1.0)
-    half = total / 2
-    half_sigma = max(2 * spread, 1.0) * half
-    softest = 1 / (typical * (2 * np.pi * 3.0) ** 2)  # locked rotor at 3 Hz
-    return SharedPrior(
-        mean=np.array([motor_mean, half, half, 0.0, 1e-3]),
-        sigma=np.array([motor_sigma, half_sigma, half_sigma, softest, 2e-3]),
-    )
-
-
-def pose_prior(robot: Robot, number: int, reference: float, gravity: Array) -> PosePrior:
-    """The model's axis inertia and `gravity` (2,) torque and stiffness in a pose, and how far they may be off."""
-    motor = robot.axes[number].reflected_motor_inertia or 0.0
-    load = max(reference - motor, 0.1 * reference)
-    # torque and stiffness are two components of one vector: either may be off by the error of its length
-    spread = robot.prior.gravity * float(np.hypot(*gravity)) + 1e-3 * robot.axes[number].rated_effort
-    return PosePrior(
-        mean=np.array([load, gravity[1], gravity[0]]),
-        sigma=np.array([2 * robot.prior.inertia * reference, spread, spread]),
-    )
+def _predicted(left_out: LeftOut, poses: Array) -> tuple[Array, Array]:
+    """Every sweep against the sweeps of the other poses, in up to `FOLDS` folds: errors and their std, (n,) each."""
+    places = np.unique(np.round(poses / SAME_POSITION), axis=0, return_inverse=True)[1].ravel()
+    error, std = np.zeros(len(poses)), np.full(len(poses), np.inf)
+    for fold in range(min(FOLDS, int(places.max()) + 1)):
+        members = np.flatnonzero(places % FOLDS == fold)
+        told = left_out.together(members)
+        if told is not None:
+            error[members], std[members] = told[0], np.sqrt(np.diag(told[1]))
+    return error, std

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from service.errors import BadInput
 from service.recording import Sine
-from service.robot import Robot
+from service.robot import Axis, Robot
 
 Array = NDArray[np.float64]
 
@@ -99,10 +99,12 @@ def design_sweep(
         gain = np.maximum(1.0, 1.0 / np.abs(1.0 - (frequency / locked_rotor_frequency) ** 2))
     share = LOAD_MARGIN / len(frequency) / gain  # amplitude of each line as a part of the offset
 
-    orders = tuple(max(1, round(order)) for order in axis.cogging_orders)
     speed_limit = velocity_limit / (1.0 + float(share.sum()))
     periods, offset = max(
-        ((periods, _offset(periods, travel, speed_limit, abs(axis.gear_ratio), orders)) for periods in WINDOWS),
+        (
+            (periods, ripple_free_offset(axis, min(travel / (RAMP + SETTLE + periods), speed_limit), 1.0, periods))
+            for periods in WINDOWS
+        ),
         key=lambda choice: choice[1] ** 2 * choice[0],
     )
     if offset <= 0:
@@ -132,13 +134,16 @@ def velocity_setpoint(excitation: Excitation, time: Array) -> Array:
     return envelope * shape
 
 
-def _offset(periods: int, travel: float, speed_limit: float, gear: float, orders: tuple[int, ...]) -> float:
-    """The fastest offset for a window of `periods` seconds that keeps every cogging order off the lines."""
-    fastest = min(travel / (RAMP + SETTLE + periods), speed_limit)
+def ripple_free_offset(axis: Axis, fastest: float, period: float, periods: int) -> float:
+    """The fastest offset up to `fastest` that keeps cogging off the lines of `periods` (prime) periods; 0: none does.
+
+    rad/s (m/s), s.
+    """
+    orders = tuple(max(1, round(order)) for order in axis.cogging_orders)
     if not orders:
         return fastest
     common = reduce(gcd, orders)
-    step = 2 * np.pi / (common * gear * periods)
+    step = 2 * np.pi / (common * abs(axis.gear_ratio) * period * periods)
     for n in range(int(fastest / step), 0, -1):
         if all((order // common) * n % periods for order in orders):
             return n * step

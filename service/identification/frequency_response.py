@@ -10,6 +10,10 @@ DFT over the same window (never a formula for it): nothing has to be periodic fo
 to hold bin by bin. X = 1/N sum_n x_n exp(-2 pi i f n / rate): a sine of amplitude a gives |X| = a/2, white noise of
 standard deviation s gives real and imaginary parts of variance s^2 / (2 N).
 
+A direct encoder gives the way q of the load. Its velocity is differentiated in the frequency domain, after the straight
+line through both ends of the window is taken out:  DFT[dq/dt] = i omega DFT[q - ramp]  at bins above 0 Hz. (Difference
+quotients would mimic elasticity.) Its noise enters as a regressor's noise, 10^-4 of the motion and less.
+
 Records without lines (a plain trajectory) use the trapezoidal rule, which approximates the integral over the record to
 second order also when its ends differ, and keep the bins from 0 Hz to `FREE_BAND`. At those bins the first and the last
 sample turn alike, so it is the DFT of all but the last sample with their mean in the first's place.
@@ -31,6 +35,7 @@ Bins = NDArray[np.int_]
 LOW = 1.0  # Hz: below, load- and position-dependent friction takes over
 MARGIN = 3.0  # Hz above the last line
 FREE_BAND = 20.0  # Hz
+SAME_WAY = 0.5  # by which the ways of load and motor over the window may differ, relative
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,7 @@ class Spectrum:
     `regressors` (r, b): DFTs of the signals named by `names`: "gravity_torque" cos d and "gravity_stiffness" sin d of
     the way d since the start pose (revolute), "ripple" cos and sin of each cogging and transmission order of the motor
     angle, "coulomb" sign of the velocity where it reverses. A free record also has "acceleration" and "offset".
+    `load_velocity` (b,) is the direct encoder's, None without one.
     """
 
     spec: SweepSpec
@@ -50,6 +56,7 @@ class Spectrum:
     velocity: Complex  # (b,)
     names: tuple[str, ...]
     regressors: Complex  # (r, b)
+    load_velocity: Complex | None = None  # (b,)
 
     def named(self, name: str) -> Complex:
         """All regressors of one name, (r', b)."""
@@ -66,12 +73,14 @@ class Spectrum:
             "velocity": _pairs(self.velocity),
             "names": list(self.names),
             "regressors": [_pairs(row) for row in self.regressors],
+            "load_velocity": None if self.load_velocity is None else _pairs(self.load_velocity),
         }
 
     @classmethod
     def from_document(cls, document: dict[str, Any]) -> "Spectrum":
         """The inverse of `to_document`."""
         bins = len(document["frequency"])
+        load = document.get("load_velocity")  # spectra stored before there was one do not have the key
         return cls(
             spec=SweepSpec.model_validate(document["spec"]),
             samples=document["samples"],
@@ -81,6 +90,7 @@ class Spectrum:
             velocity=_complex(document["velocity"]),
             names=tuple(document["names"]),
             regressors=np.array([_complex(row) for row in document["regressors"]]).reshape(-1, bins),
+            load_velocity=None if load is None else _complex(load),
         )
 
 
@@ -105,7 +115,29 @@ def _periodic(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> S
         velocity=_dft(record.velocity[part], bins),
         names=names,
         regressors=_dft(signals, bins),
+        load_velocity=_load_velocity(spec, record, first, count, bins),
     )
+
+
+def _load_velocity(spec: SweepSpec, record: Recording, first: int, count: int, bins: Bins) -> Complex | None:
+    """Of the direct encoder at `bins`; BadInput where it moves another way than the motor does."""
+    if record.load_position is None:
+        return None if record.load_velocity is None else _dft(record.load_velocity[first : first + count], bins)
+    way, motor = _way(record.load_position, first, count), _way(record.position, first, count)
+    if spec.offset_velocity and not abs(way[-1] / motor[-1] - 1) < SAME_WAY:
+        raise BadInput(
+            f"sweep {spec.id} load_position",
+            f"moves {way[-1] / motor[-1]:.3g} times as far as position, limit 1 +- {SAME_WAY:g}",
+        )
+    ramp = way[-1] * np.arange(count) / count
+    omega = 2 * np.pi * bins * (spec.sample_rate / count)
+    return np.asarray(1j * omega * _dft(way[:-1] - ramp, bins), dtype=np.complex128)
+
+
+def _way(position: Array, first: int, count: int) -> Array:
+    """Way (count + 1,) since the window's start, up to the sample that follows it; carried on where there is none."""
+    way = position[first : first + count + 1] - position[first]
+    return way if len(way) > count else np.append(way, 2 * way[-1] - way[-2])
 
 
 def _free(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> Spectrum:
@@ -193,7 +225,7 @@ def _signals(
         way = position - spec.pose[index]
         names += ["gravity_torque", "gravity_stiffness"]
         rows += [np.cos(way), np.sin(way)]
-    for order in _ripple_orders(axis):
+    for order in ripple_orders(axis):
         angle = order * axis.gear_ratio * position
         names += ["ripple", "ripple"]
         rows += [np.cos(angle), np.sin(angle)]
@@ -203,7 +235,7 @@ def _signals(
     return tuple(names), np.array(rows).reshape(len(rows), len(position))
 
 
-def _ripple_orders(axis: Axis) -> tuple[float, ...]:
+def ripple_orders(axis: Axis) -> tuple[float, ...]:
     return tuple(sorted({*axis.cogging_orders, *axis.transmission_orders}))
 
 

@@ -1,48 +1,52 @@
 r"""All sweeps of one axis fitted at once: the drive train is shared, the load inertia belongs to the pose.
 
-Bin by bin (see `frequency_response` and `axis_inertia` for the symbols), for sweep p,
+The equations are those of `sweep_model`. Gauss-Newton with Levenberg's damping on the real and imaginary parts, every
+prior of the data sheet a row more. The own parameters are eliminated sweep by sweep (Schur complement), so the cost
+grows linearly with the number of sweeps. The noise variance is pooled over the sweeps of one sample rate, from
+residuals with the degrees of freedom used up removed.
 
-    DFT[effort] = Z Omega + F (G0 R0 + k_g R1 + t0 + s t1) + sum of ripple and dry friction + noise
-    R0 = DFT[cos d],   R1 = DFT[sin d] - Omega / s
-
-G0 and k_g are gravity's torque and stiffness at the start pose; Z already carries the linear, periodic part of k_g, R1
-what is left of it (the way along the offset leaks onto every line). t0, t1 are the swing-out of the load: over a window
-that does not start at rest a rational system leaves a polynomial over the same denominator (Pintelon and Schoukens
-2012, sec. 6.3). Shared: Jm, mu_m, mu_l, c, h. Own to each sweep: J_l, k_g, G0, t0, t1, and one factor
-for each ripple and for the sign of a velocity that reverses.
-
-Gauss-Newton with Levenberg's damping on the real and imaginary parts, every prior of the data sheet a row more. The own
-parameters are eliminated sweep by sweep (Schur complement), so the cost grows linearly with the number of sweeps. The
-noise variance is pooled over the sweeps of one sample rate, from residuals with the degrees of freedom used up removed.
+A sweep whose residual is larger than chance allows (a torque spike, a collision, a loose cable) would spoil the drive
+train and the noise of all: it gets the variance that its own residual shows, the likeliest under a Gaussian error of
+its own (`weight` = pooled over own variance). Chance: chi-squared at `CHANCE` over the number of sweeps.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
-from service.identification.axis_inertia import DriveTrain, impedance
+from service.identification.axis_inertia import DriveTrain
 from service.identification.frequency_response import Complex, Spectrum
+from service.identification.load_motion import spring
+from service.identification.sweep_model import SHARED, Stack, direct_terms, stack_residual, stacks
 
 Array = NDArray[np.float64]
 
-SHARED = 5  # parameters of DriveTrain
-OWN = 5  # J_l, k_g, G0, t0, t1; the factors of the direct terms follow
 FREE = 10.0  # times the largest effort bin: one sigma of what nothing is known of
 ITERATIONS = 60
 ROUNDS = 4  # of fitting and estimating the noise
 STARTS = (np.inf, 25.0, 16.0, 11.0, 8.0, 6.0)  # Hz, locked-rotor frequencies tried as start
+STARTERS = 24  # sweeps, or a few more, that are enough to choose between the starts
 FEW = 4.0  # degrees of freedom left, below which residuals do not show the noise: the guess stands
 NOISE_FLOOR = 1e-7  # of the largest effort at a line: rounding, where a simulation has no noise
+CHANCE = 0.01  # that any sweep of an axis is suspected although all are sound
+MATERIAL = 1e-3  # of the largest effort bin: a residual below does not matter, whatever the others'
 
 
 @dataclass(frozen=True)
 class SharedPrior:
-    """Mean (5,) and one sigma (5,) of the drive train, in the order of `DriveTrain.as_array`."""
+    """Mean (5,) and covariance (5, 5) of the drive train, in the order of `DriveTrain.as_array`."""
 
     mean: Array
-    sigma: Array
+    covariance: Array
+
+    @property
+    def sigma(self) -> Array:
+        """One sigma (5,)."""
+        return np.sqrt(np.diag(self.covariance))
 
 
 @dataclass(frozen=True)
@@ -57,9 +61,11 @@ class PosePrior:
 class JointFit:
     """Result for n sweeps of one axis, in the order given.
 
-    `inertia` (n,) = Jm + J_l, `covariance` (n, n) of it; `gravity` (n, 2) the fitted k_g and G0; `noise` (n,) the
-    standard deviation of real and imaginary part of an effort bin; `chi_squared` (n,) each sweep's share of it, per
-    degree of freedom, with the noise pooled.
+    `inertia` (n,) = Jm + J_l, `covariance` (n, n) of it, of which `own_variance` (n,) is each sweep's own part and the
+    rest comes with the shared drive train; `bound` (n,) the Cramer-Rao bound of its standard deviation if all but J_l
+    were known; `gravity` (n, 2) the fitted k_g and G0; `noise` (n,) the standard deviation of real and imaginary part
+    of an effort bin; `chi_squared` (n,) each sweep's share of it, per degree of freedom, with the noise pooled;
+    `weight` (n,) below 1 where a sweep's own residual is used instead; `freedom` degrees of freedom in all.
     """
 
     train: DriveTrain
@@ -68,224 +74,274 @@ class JointFit:
     gravity: Array
     inertia: Array
     covariance: Array
+    own_variance: Array
+    bound: Array
     noise: Array
     chi_squared: Array
+    weight: Array
+    freedom: float
+
+
+@dataclass(frozen=True)
+class _Priors:
+    mean: Array  # (5,)
+    precision: Array  # (5, 5)
+    own_mean: tuple[Array, ...]  # a stack (n, p) each
+    own_precision: tuple[Array, ...]
 
 
 @dataclass(frozen=True)
 class _Point:
     shared: Array  # (5,)
-    own: tuple[Array, ...]  # n of (OWN + direct terms,)
+    own: tuple[Array, ...]  # a stack (n, p) each
 
 
 @dataclass(frozen=True)
 class _Normal:
-    """Normal equations of one sweep, bordered: own block, coupling, shared block and the gradient of each."""
+    """Normal equations of n sweeps, bordered: own blocks, couplings, shared block and the gradient of each."""
 
-    own: Array
-    coupling: Array
-    shared: Array
-    own_gradient: Array
-    shared_gradient: Array
+    own: Array  # (n, p, p)
+    coupling: Array  # (n, p, 5)
+    shared: Array  # (5, 5)
+    own_gradient: Array  # (n, p)
+    shared_gradient: Array  # (5,)
+
+
+@dataclass(frozen=True)
+class _Noise:
+    sigma: Array  # (n,) of all sweeps, as used
+    chi_squared: Array
+    weight: Array
+    freedom: float
 
 
 def fit_axis(
     spectra: Sequence[Spectrum], shared_prior: SharedPrior, pose_priors: Sequence[PosePrior], noise_guess: float
 ) -> JointFit:
     """Fit all periodic sweeps of one axis; `noise_guess` is the effort noise of one sample, N m (N)."""
-    noise = np.array([noise_guess / np.sqrt(2 * spectrum.samples) for spectrum in spectra])
-    priors = _Priors(shared_prior, tuple(map(complete_prior, spectra, pose_priors)))
-    point = min(
-        (_minimise(spectra, priors, noise, _start(priors, frequency), 8) for frequency in STARTS),
-        key=lambda candidate: _cost(spectra, priors, noise, candidate),
-    )
-    chi_squared = np.ones(len(spectra))
+    poses = [complete_prior(*pair) for pair in zip(spectra, pose_priors, strict=True)]
+    sigma = np.array([noise_guess / np.sqrt(2 * spectrum.samples) for spectrum in spectra])
+    some = slice(None, None, max(1, len(spectra) // STARTERS))
+    shared = _first_train(stacks(spectra[some]), shared_prior, poses[some], sigma[some])
+    parts = stacks(spectra)
+    priors = _priors(parts, shared_prior, poses)
+    point = _Point(shared, priors.own_mean)
+    rate = np.array([spectrum.spec.sample_rate for spectrum in spectra])
+    noise = _Noise(sigma, np.ones(len(spectra)), np.ones(len(spectra)), 0.0)
     for _ in range(ROUNDS):
-        point = _minimise(spectra, priors, noise, point, ITERATIONS)
-        noise, chi_squared = _pooled_noise(spectra, point, noise_guess)
-    return _result(spectra, priors, noise, point, chi_squared)
-
-
-@dataclass(frozen=True)
-class _Priors:
-    shared: SharedPrior
-    poses: tuple[PosePrior, ...]  # of all own parameters
+        point, _ = _minimise(parts, priors, noise.sigma, point, ITERATIONS)
+        noise = _pooled_noise(parts, priors, noise.sigma, point, rate, noise_guess)
+    return _result(parts, priors, noise, point)
 
 
 def complete_prior(spectrum: Spectrum, prior: PosePrior) -> PosePrior:
     """The prior with a wide one for the own parameters that no model knows: it only matters where bins are few."""
     wide = FREE * float(np.abs(spectrum.effort).max())
     slope = wide / (2 * np.pi * float(spectrum.frequency[-1]))
-    unknown = np.array([wide, slope, *(wide for _ in _direct(spectrum))])
+    unknown = np.array([wide, slope, *(wide for _ in direct_terms(spectrum))])
     return PosePrior(np.concatenate([prior.mean, np.zeros_like(unknown)]), np.concatenate([prior.sigma, unknown]))
 
 
-def _direct(spectrum: Spectrum) -> Complex:
-    """Regressors of what acts on the motor itself, (r, b)."""
-    return np.concatenate([spectrum.named("ripple"), spectrum.named("coulomb")])
+def _priors(parts: Sequence[Stack], shared: SharedPrior, poses: Sequence[PosePrior]) -> _Priors:
+    own = [[poses[place] for place in cast(list[int], stack.place.tolist())] for stack in parts]
+    return _Priors(
+        shared.mean,
+        scaled_inverse(shared.covariance),
+        tuple(np.stack([prior.mean for prior in priors]) for priors in own),
+        tuple(np.stack([prior.sigma**-2.0 for prior in priors]) for priors in own),
+    )
+
+
+def _first_train(parts: Sequence[Stack], shared: SharedPrior, poses: Sequence[PosePrior], sigma: Array) -> Array:
+    """The drive train (5,) of the best of several starts, to begin with."""
+    priors = _priors(parts, shared, poses)
+    starts = STARTS if any(stack.load_velocity is None for stack in parts) else STARTS[:1]
+    tries = [_minimise(parts, priors, sigma, _start(priors, frequency), 8) for frequency in starts]
+    return min(tries, key=lambda one: one[1])[0].shared
 
 
 def _start(priors: _Priors, locked_rotor: float) -> _Point:
-    shared = priors.shared.mean.copy()
-    typical = float(np.median([prior.mean[0] for prior in priors.poses]))
-    shared[3] = 0.0 if np.isinf(locked_rotor) else 1 / (typical * (2 * np.pi * locked_rotor) ** 2)
-    return _Point(shared, tuple(prior.mean for prior in priors.poses))
+    """At the prior's own spring for inf, else at the spring of a locked-rotor frequency."""
+    shared = priors.mean.copy()
+    if np.isfinite(locked_rotor):
+        typical = float(np.median(np.concatenate([mean[:, 0] for mean in priors.own_mean])))
+        shared[3] = 1 / (typical * (2 * np.pi * locked_rotor) ** 2)
+    return _Point(shared, priors.own_mean)
 
 
-def effort_residual(spectrum: Spectrum, shared: Array, own: Array) -> tuple[Complex, Complex, Complex]:
-    """Effort not explained (b,); derivatives of what is by the shared (b, 5) and own (b, OWN + r) parameters."""
-    motor_inertia, motor_friction, load_friction, compliance, damping_time = shared
-    train = DriveTrain(motor_inertia, motor_friction, load_friction, compliance, damping_time)
-    z = impedance(spectrum.frequency, train, own[0], own[1])
-    s, velocity = z.s, spectrum.velocity
-    gravity_torque, gravity_rest = _gravity(spectrum, s)
-    on_load = own[2] * gravity_torque + own[1] * gravity_rest + own[3] + s * own[4]
-    direct = _direct(spectrum)
-    model = z.total * velocity + z.through * on_load + own[OWN:] @ direct
-    by_load = z.by_load(velocity, on_load)
-    by_spring = z.by_spring(velocity, on_load)
-    damped = 1 + s * damping_time
-    by_shared = np.stack(
-        [s * velocity, velocity, by_load, by_spring * s / damped, -by_spring * s**2 * compliance / damped**2], -1
-    )
-    by_own = np.stack(
-        [
-            s * by_load,
-            by_load / s + z.through * gravity_rest,
-            z.through * gravity_torque,
-            z.through,
-            s * z.through,
-            *direct,
-        ],
-        -1,
-    )
-    return spectrum.effort - model, by_shared, by_own
+def _equations(
+    parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point
+) -> tuple[float, tuple[_Normal, ...]]:
+    """Cost at a point, in squared standard deviations, and the normal equations there."""
+    away = point.shared - priors.mean
+    cost = float(away @ priors.precision @ away)
+    normals: list[_Normal] = []
+    for stack, own, mean, precision in zip(parts, point.own, priors.own_mean, priors.own_precision, strict=True):
+        scale = 1 / sigma[stack.place][:, None, None]
+        residual, by_shared, by_own = stack_residual(stack, point.shared, own)
+        r, a, b = (_real(part) * scale for part in (residual[:, None], by_shared, by_own))
+        pull = precision * (mean - own)
+        matrix = b @ b.transpose(0, 2, 1)
+        matrix[:, range(own.shape[1]), range(own.shape[1])] += precision
+        turned = a.transpose(0, 2, 1)
+        normals.append(
+            _Normal(
+                own=matrix,
+                coupling=b @ turned,
+                shared=(a @ turned).sum(axis=0),
+                own_gradient=(b @ r.transpose(0, 2, 1))[:, :, 0] + pull,
+                shared_gradient=(a @ r.transpose(0, 2, 1)).sum(axis=0)[:, 0],
+            )
+        )
+        cost += float(np.sum(r**2)) + float(np.sum(precision * (own - mean) ** 2))
+    return cost, tuple(normals)
 
 
-def _gravity(spectrum: Spectrum, s: Complex) -> tuple[Complex, Complex]:
-    torque, stiffness = spectrum.named("gravity_torque"), spectrum.named("gravity_stiffness")
-    if not len(torque):
-        return np.zeros_like(s), np.zeros_like(s)
-    return torque[0], stiffness[0] - spectrum.velocity / s
-
-
-def _normal(spectrum: Spectrum, prior: PosePrior, noise: float, shared: Array, own: Array) -> _Normal:
-    residual, by_shared, by_own = effort_residual(spectrum, shared, own)
-    r, a, b = (real_parts(part) / noise for part in (residual, by_shared, by_own))
-    weight = 1 / prior.sigma**2
-    pull = weight * (prior.mean - own)
-    return _Normal(b.T @ b + np.diag(weight), b.T @ a, a.T @ a, b.T @ r + pull, a.T @ r)
-
-
-def _cost(spectra: Sequence[Spectrum], priors: _Priors, noise: Array, point: _Point) -> float:
-    total = float(np.sum(((point.shared - priors.shared.mean) / priors.shared.sigma) ** 2))
-    for spectrum, prior, sigma, own in zip(spectra, priors.poses, noise, point.own, strict=True):
-        residual = effort_residual(spectrum, point.shared, own)[0]
-        total += float(np.sum(np.abs(residual) ** 2)) / sigma**2
-        total += float(np.sum(((own - prior.mean) / prior.sigma) ** 2))
-    return total
-
-
-def _minimise(spectra: Sequence[Spectrum], priors: _Priors, noise: Array, point: _Point, iterations: int) -> _Point:
-    damping, cost = 1e-3, _cost(spectra, priors, noise, point)
+def _minimise(
+    parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point, iterations: int
+) -> tuple[_Point, float]:
+    """The point of least cost and that cost."""
+    damping = 1e-3
+    cost, normals = _equations(parts, priors, sigma, point)
     for _ in range(iterations):
-        normals = [
-            _normal(spectrum, prior, sigma, point.shared, own)
-            for spectrum, prior, sigma, own in zip(spectra, priors.poses, noise, point.own, strict=True)
-        ]
         while True:
             trial = _step(normals, priors, point, damping)
-            trial_cost = _cost(spectra, priors, noise, trial)
+            trial_cost, trial_normals = _equations(parts, priors, sigma, trial)
             if trial_cost <= cost or damping > 1e8:
                 break
             damping *= 10
         if trial_cost > cost:
-            return point
-        gained, point, cost = cost - trial_cost, trial, trial_cost
+            break
+        gained, point, cost, normals = cost - trial_cost, trial, trial_cost, trial_normals
         damping = max(damping / 10, 1e-12)
         if gained < 1e-9 * (1 + cost):
-            return point
-    return point
+            break
+    return point, cost
 
 
 def _step(normals: Sequence[_Normal], priors: _Priors, point: _Point, damping: float) -> _Point:
-    weight = 1 / priors.shared.sigma**2
-    matrix = np.diag(weight)
-    gradient = weight * (priors.shared.mean - point.shared)
+    matrix = priors.precision.copy()
+    gradient = priors.precision @ (priors.mean - point.shared)
     eliminated: list[tuple[Array, Array]] = []
     for normal in normals:
-        inverse = scaled_inverse(normal.own + damping * np.diag(np.diag(normal.own)))
-        gain = inverse @ normal.coupling
-        matrix = matrix + normal.shared - normal.coupling.T @ gain
-        gradient = gradient + normal.shared_gradient - gain.T @ normal.own_gradient
-        eliminated.append((inverse @ normal.own_gradient, gain))
+        size = range(normal.own.shape[1])
+        own = normal.own.copy()
+        own[:, size, size] *= 1 + damping
+        solved = _solve(own, np.concatenate([normal.coupling, normal.own_gradient[:, :, None]], axis=2))
+        gain, step = solved[:, :, :SHARED], solved[:, :, SHARED]
+        matrix += normal.shared - np.einsum("npi,npj->ij", normal.coupling, gain)
+        gradient += normal.shared_gradient - np.einsum("npi,np->i", gain, normal.own_gradient)
+        eliminated.append((step, gain))
     shared_step = scaled_inverse(matrix + damping * np.diag(np.diag(matrix))) @ gradient
     own = tuple(values + step - gain @ shared_step for values, (step, gain) in zip(point.own, eliminated, strict=True))
     return _Point(point.shared + shared_step, own)
 
 
-def _pooled_noise(spectra: Sequence[Spectrum], point: _Point, guess: float) -> tuple[Array, Array]:
-    squares = np.array(
-        [
-            float(np.sum(np.abs(effort_residual(spectrum, point.shared, own)[0]) ** 2)) * spectrum.samples
-            for spectrum, own in zip(spectra, point.own, strict=True)
-        ]
-    )
-    # the prior leaves k_g and G0 nearly free, the shared parameters are spread over all sweeps
-    freedom = np.array(
-        [
-            2 * len(spectrum.frequency) - len(own) - SHARED / len(spectra)
-            for spectrum, own in zip(spectra, point.own, strict=True)
-        ]
-    )
-    rate = np.array([spectrum.spec.sample_rate for spectrum in spectra])
-    variance = np.empty(len(spectra))
+def _pooled_noise(
+    parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point, rate: Array, guess: float
+) -> _Noise:
+    """The noise that the residuals at a point show; `sigma` (n,) is what was taken for it so far."""
+    count = len(rate)
+    squares, freedom, samples, largest = np.zeros((4, count))
+    normals = _equations(parts, priors, sigma, point)[1]
+    for stack, own, normal, precision in zip(parts, point.own, normals, priors.own_precision, strict=True):
+        residual = stack_residual(stack, point.shared, own)[0]
+        squares[stack.place] = np.sum(np.abs(residual) ** 2, axis=1) * stack.samples
+        # a parameter costs a degree of freedom as far as the data told it and not its prior; all share the train's
+        by_prior = np.sum(precision * np.diagonal(scaled_inverse(normal.own), axis1=1, axis2=2), axis=1)
+        freedom[stack.place] = 2 * residual.shape[1] - (stack.parameters - by_prior) - SHARED / count
+        samples[stack.place], largest[stack.place] = stack.samples, stack.largest
+    variance, sound = np.empty(count), np.ones(count, dtype=bool)
     for value in np.unique(rate):
         same = rate == value
-        left = float(freedom[same].sum())
-        variance[same] = squares[same].sum() / left if left >= FEW else guess**2 / 2
-    samples = np.array([spectrum.samples for spectrum in spectra])
-    floor = np.array([NOISE_FLOOR * float(np.abs(spectrum.effort).max()) for spectrum in spectra])
-    noise = np.maximum(np.sqrt(variance / samples), floor)
-    return noise, squares / samples / noise**2 / np.maximum(freedom, 1.0)
+        variance[same], sound[same] = _pool(
+            squares[same], freedom[same], samples[same] * (MATERIAL * largest[same]) ** 2, guess
+        )
+    sigma = np.maximum(np.sqrt(variance / samples), NOISE_FLOOR * largest)
+    ratio = squares / samples / sigma**2 / np.maximum(freedom, 1.0)
+    weight = np.where(sound, 1.0, 1 / np.maximum(ratio, 1.0))
+    return _Noise(sigma / np.sqrt(weight), ratio, weight, float(freedom[sound].sum()))
 
 
-def _result(spectra: Sequence[Spectrum], priors: _Priors, noise: Array, point: _Point, chi_squared: Array) -> JointFit:
-    matrix = np.diag(1 / priors.shared.sigma**2)
-    sensitivity: list[Array] = []
-    own_variance: list[float] = []
-    for spectrum, prior, sigma, own in zip(spectra, priors.poses, noise, point.own, strict=True):
-        normal = _normal(spectrum, prior, sigma, point.shared, own)
+def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tuple[float, NDArray[np.bool_]]:
+    """Variance of the sweeps (n,) of one sample rate, and which of them are sound: no worse than chance makes them."""
+    everyone = np.ones(len(squares), dtype=bool)
+    if freedom.sum() < FEW:
+        return guess**2 / 2, everyone
+    each = squares / np.maximum(freedom, 1.0)
+    worst = chi2.isf(CHANCE / len(squares), np.maximum(freedom, 1.0)) / np.maximum(freedom, 1.0)
+    variance = float(np.median(each))  # half of the sweeps may be spoiled
+    sound = everyone
+    for _ in range(10):
+        before, sound = sound, (each <= worst * variance) | (each <= immaterial)
+        variance = float(squares[sound].sum() / freedom[sound].sum())
+        if np.array_equal(before, sound):
+            break
+    return variance, sound
+
+
+def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Point) -> JointFit:
+    count = len(noise.sigma)
+    load, own_variance, bound = np.zeros((3, count))
+    gravity, by_shared = np.zeros((count, 2)), np.zeros((count, SHARED))
+    matrix = priors.precision.copy()
+    normals = _equations(parts, priors, noise.sigma, point)[1]
+    for stack, own, normal, precision in zip(parts, point.own, normals, priors.own_precision, strict=True):
         inverse = scaled_inverse(normal.own)
         gain = inverse @ normal.coupling
-        matrix = matrix + normal.shared - normal.coupling.T @ gain
-        sensitivity.append(-gain[0])  # d J_l / d shared
-        own_variance.append(inverse[0, 0])
-    shared_covariance = scaled_inverse(matrix)
-    by_shared = np.array(sensitivity)
+        matrix += normal.shared - np.einsum("npi,npj->ij", normal.coupling, gain)
+        by_shared[stack.place] = -gain[:, 0]  # d J_l / d shared
+        own_variance[stack.place] = inverse[:, 0, 0]
+        told = normal.own[:, 0, 0] - precision[:, 0]
+        bound[stack.place] = 1 / np.sqrt(np.maximum(told, 1e-12 * precision[:, 0]))
+        load[stack.place], gravity[stack.place] = own[:, 0], own[:, 1:3]
     by_shared[:, 0] += 1  # J = Jm + J_l
-    load = np.array([own[0] for own in point.own])
-    motor_inertia, motor_friction, load_friction, compliance, damping_time = (float(value) for value in point.shared)
+    shared_covariance = scaled_inverse(matrix)
+    shared, shared_std = point.shared.copy(), np.sqrt(np.diag(shared_covariance))
+    if all(stack.load_velocity is not None for stack in parts):  # the inertias did not need the spring
+        shared[3:], shared_std[3:] = spring(parts, point.shared, point.own, float(shared_std[2]))
+    motor_inertia, motor_friction, load_friction, compliance, damping_time = (float(value) for value in shared)
     return JointFit(
         train=DriveTrain(motor_inertia, motor_friction, load_friction, compliance, damping_time),
-        train_std=np.sqrt(np.diag(shared_covariance)),
+        train_std=shared_std,
         load_inertia=load,
-        gravity=np.array([own[1:3] for own in point.own]),
+        gravity=gravity,
         inertia=load + motor_inertia,
         covariance=by_shared @ shared_covariance @ by_shared.T + np.diag(own_variance),
-        noise=noise,
-        chi_squared=chi_squared,
+        own_variance=own_variance,
+        bound=bound,
+        noise=noise.sigma,
+        chi_squared=noise.chi_squared,
+        weight=noise.weight,
+        freedom=noise.freedom,
     )
+
+
+def _real(values: Complex) -> Array:
+    """(n, p, b) complex as (n, p, 2 b) real; the parts of a bin stand side by side."""
+    return np.ascontiguousarray(values).view(np.float64)
 
 
 def real_parts(values: Complex) -> Array:
     return np.concatenate([values.real, values.imag])
 
 
+def _scale(matrix: Array) -> Array:
+    """Square roots of the diagonals of matrices (..., p, p): the units differ by ten decades."""
+    scale = np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
+    return np.where(scale > 0, scale, 1.0)
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    """Solutions (n, p, m) of positive definite systems (n, p, p), scaled to unit diagonals first."""
+    scale = _scale(matrix)[..., None]
+    return np.linalg.solve(matrix / scale / np.swapaxes(scale, -1, -2), right / scale) / scale
+
+
 def scaled_inverse(matrix: Array) -> Array:
-    """Inverse of a positive definite matrix, scaled to a unit diagonal first: the units differ by ten decades."""
-    scale = np.sqrt(np.diag(matrix))
-    scale = np.where(scale > 0, scale, 1.0)
-    eigenvalues, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
-    eigenvalues = np.maximum(eigenvalues, 1e-14 * eigenvalues[-1])
-    return (vectors / eigenvalues) @ vectors.T / np.outer(scale, scale)
+    """Inverses of positive definite matrices (..., p, p), scaled to unit diagonals first."""
+    scale = _scale(matrix)[..., None]
+    eigenvalues, vectors = np.linalg.eigh(matrix / scale / np.swapaxes(scale, -1, -2))
+    eigenvalues = np.maximum(eigenvalues, 1e-14 * eigenvalues[..., -1:])
+    turned = np.swapaxes(vectors, -1, -2)
+    return (vectors / eigenvalues[..., None, :]) @ turned / scale / np.swapaxes(scale, -1, -2)

@@ -7,6 +7,7 @@ With rows W, values y and covariance C of one batch,
 so batches may come in any number and order. Columns are scaled by the diagonal of Lambda before anything is inverted.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy import linalg
 Array = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-12  # of the scaled information matrix's largest eigenvalue
+NOT_TOLD = 1e-8  # of a value's own precision: what is left of it when no other value tells the same
 
 
 @dataclass(frozen=True)
@@ -66,3 +68,60 @@ class Solution:
     def std(self) -> Array:
         """(n,) standard deviations; inf where the data do not determine the parameter."""
         return np.where(self.determined, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), np.inf)
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    r"""What the other values say of each value, without solving anew (generalised least squares, n values).
+
+    With M = L^-1 of the covariance C = L L^T, white rows M W = Q R and  P = M^T (1 - Q Q^T) M,  any set f of values is
+    off from what all others predict (their correlation with it included) by
+
+        e_f = P_ff^-1 (P y)_f,    cov e_f = P_ff^-1.
+
+    `white` (n, n) is M, `span` (n, k) an orthonormal basis Q, `residual` (n,) white.
+    """
+
+    white: Array
+    span: Array
+    residual: Array
+
+    @classmethod
+    def of(cls, rows: Array, values: Array, covariances: Sequence[Array]) -> "LeftOut":
+        """Rows (n, p), values (n,), and the blocks of a block-diagonal covariance in the order of the values."""
+        white = linalg.block_diag(
+            *(
+                linalg.solve_triangular(linalg.cholesky(block, lower=True), np.eye(len(block)), lower=True)
+                for block in covariances
+            )
+        )
+        white_rows, white_values = white @ rows, white @ values
+        length = np.linalg.norm(white_rows, axis=0)
+        left, singular, _ = np.linalg.svd(white_rows / np.where(length > 0, length, 1.0), full_matrices=False)
+        span = left[:, singular > np.sqrt(RANK_TOLERANCE) * singular.max(initial=0.0)]
+        return cls(white, span, white_values - span @ (span.T @ white_values))
+
+    def each(self) -> tuple[Array, Array]:
+        """Error and its variance of every value left out alone, (n,) each; infinite variance where no other tells."""
+        precision = np.sum(self.white**2, axis=0)
+        left = precision - np.sum((self.span.T @ self.white) ** 2, axis=0)
+        told = left > NOT_TOLD * precision
+        left = np.where(told, left, 1.0)
+        return np.where(told, self.white.T @ self.residual / left, 0.0), np.where(told, 1 / left, np.inf)
+
+    def together(self, members: NDArray[np.int_]) -> tuple[Array, Array] | None:
+        """Errors (f,) and covariance (f, f) of some values left out at once; None where the others do not tell them."""
+        white = self.white[:, members]
+        spanned = self.span.T @ white
+        precision = white.T @ white
+        left = precision - spanned.T @ spanned
+        scale = np.sqrt(np.diag(precision))
+        if np.linalg.eigvalsh(left / np.outer(scale, scale))[0] < NOT_TOLD:
+            return None
+        covariance = np.asarray(np.linalg.inv(left / np.outer(scale, scale)), dtype=float) / np.outer(scale, scale)
+        return covariance @ (white.T @ self.residual), covariance
+
+    def chi_squared(self, members: NDArray[np.int_]) -> tuple[float, float]:
+        """Squared white residual of some values and the degrees of freedom that are left to them."""
+        squares = float(np.sum(self.residual[members] ** 2))
+        return squares, len(members) - float(np.sum(self.span[members] ** 2))

@@ -1,6 +1,7 @@
 """Simulated campaigns for the numeric tests: scenario -> sweeps -> spectra, with the truth kept apart."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -41,19 +42,38 @@ def max100() -> Robot:
     return build_robot(description, (CONFIG / "robots" / description.urdf).read_text())
 
 
-def measure(name: str, seed: int, poses: int = 24, sample_rate: float = 1000.0) -> SimulatedCampaign:
+def scenario_named(name: str) -> Scenario:
+    """A scenario of the configuration."""
+    return load_scenario(CONFIG / f"scenarios/{name}.yaml")
+
+
+def measure(
+    name: str, seed: int, poses: int = 24, sample_rate: float = 1000.0, direct_encoder: bool = False
+) -> SimulatedCampaign:
     """`poses` random poses of axes 2 and 3, each measured on axes 1 to 3 of scenario `name`."""
-    robot, scenario = max100(), load_scenario(CONFIG / f"scenarios/{name}.yaml")
     rng = np.random.default_rng(seed)
     grid = np.zeros((poses, 6))
     grid[:, 1], grid[:, 2] = rng.uniform(-1.2, 1.2, poses), rng.uniform(-2.0, 1.2, poses)
+    return measure_at(scenario_named(name), seed, grid, sample_rate, direct_encoder)
+
+
+def measure_at(
+    scenario: Scenario,
+    seed: int,
+    poses: np.ndarray,
+    sample_rate: float = 1000.0,
+    direct_encoder: bool = False,
+    axes: Sequence[str] = AXES,
+) -> SimulatedCampaign:
+    """Sweeps of `axes` in `poses` (m, 6). Recordings have the load's motion only with `direct_encoder`."""
+    robot = max100()
     locked = lock(robot.chain, {3: 0.0, 4: 0.0, 5: 0.0})
     specs: list[SweepSpec] = []
     runs: list[SweepRun] = []
-    for number, joint in enumerate(AXES):
-        loads = inertia_rows(locked, number, grid[:, :3]) @ locked.inertial.ravel()
-        for pose, load in zip(grid, loads, strict=True):
-            stiff = name.endswith("rigid")
+    for joint in axes:
+        loads = inertia_rows(locked, robot.index(joint), poses[:, :3]) @ locked.inertial.ravel()
+        for pose, load in zip(poses, loads, strict=True):
+            stiff = scenario.name.endswith("rigid")
             resonance = None if stiff else float(np.sqrt(STIFFNESS[joint] / load) / (2 * np.pi))
             sweep = design_sweep(robot, joint, pose, load_inertia=float(load), locked_rotor_frequency=resonance)
             specs.append(
@@ -83,4 +103,6 @@ def measure(name: str, seed: int, poses: int = 24, sample_rate: float = 1000.0) 
                 )
             )
     recordings = [Recording(**columns) for columns in run_sweeps(scenario, runs, seed)]
+    if not direct_encoder:
+        recordings = [replace(one, load_position=None, load_velocity=None) for one in recordings]
     return SimulatedCampaign(robot, scenario, tuple(map(Sweep, specs, recordings)))

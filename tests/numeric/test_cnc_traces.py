@@ -59,11 +59,12 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Measured:
 
 
 def fieldbus(measured: Measured) -> list[Sweep]:
-    """The same sweeps as a drive's 250 Hz samples."""
+    """The same sweeps as a drive's 250 Hz samples; without the direct encoder, as the traces."""
     sweeps: list[Sweep] = []
     for planned, columns in zip(measured.planned, measured.columns, strict=True):
         count = len(columns["time"]) // 4
-        samples = {name: values[: 4 * count].reshape(-1, 4).mean(axis=1) for name, values in columns.items()}
+        motor = {name: values for name, values in columns.items() if not name.startswith("load")}
+        samples = {name: values[: 4 * count].reshape(-1, 4).mean(axis=1) for name, values in motor.items()}
         sweeps.append(Sweep(planned.spec, Recording(**samples | {"time": np.arange(count) / 250})))
     return sweeps
 

@@ -1,13 +1,17 @@
 """The joint fit on an exact linear two-mass plant (scipy's lsim, no code of ours), and its derivatives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 from scipy.signal import lsim
 
 from service.identification.axis_inertia import DriveTrain
 from service.identification.excitation import design_sweep, velocity_setpoint
 from service.identification.frequency_response import Spectrum, spectrum
-from service.identification.joint_fit import PosePrior, SharedPrior, _direct, effort_residual, fit_axis
+from service.identification.joint_fit import PosePrior, SharedPrior, complete_prior, fit_axis
+from service.identification.sweep_model import SHARED, direct_terms, effort_residual
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot
 
@@ -64,7 +68,8 @@ def _measure(
 
 
 def _priors() -> tuple[SharedPrior, list[PosePrior]]:
-    shared = SharedPrior(np.array([NOMINAL_MOTOR, 100.0, 100.0, 0.0, 1e-3]), np.array([5.7, 100.0, 100.0, 1e-5, 2e-3]))
+    sigma = np.array([5.7, 100.0, 100.0, 1e-5, 2e-3])
+    shared = SharedPrior(np.array([NOMINAL_MOTOR, 100.0, 100.0, 0.0, 1e-3]), np.diag(sigma**2))
     return shared, [PosePrior(np.array([1.15 * load, 0.0, 0.0]), np.array([load, 500.0, 500.0])) for load in LOADS]
 
 
@@ -92,7 +97,7 @@ def test_without_noise_nothing_is_left(robot: Robot) -> None:
 def test_derivatives_equal_difference_quotients(robot: Robot) -> None:
     spectrum_ = _measure(robot, 1, 300.0, 5.0, np.random.default_rng(0))
     shared = TRAIN.as_array()
-    own = np.concatenate([[310.0, 250.0, -120.0, 0.4, 0.02], np.full(len(_direct(spectrum_)), 1.5)])
+    own = np.concatenate([[310.0, 250.0, -120.0, 0.4, 0.02], np.full(len(direct_terms(spectrum_)), 1.5)])
     _, by_shared, by_own = effort_residual(spectrum_, shared, own)
     for analytic, values, of_shared in ((by_shared, shared, True), (by_own, own, False)):
         for k, value in enumerate(values):
@@ -142,3 +147,64 @@ def test_reversing_about_standstill_costs_dry_friction_not_inertia(robot: Robot)
         spectra.append(spectrum(robot, Sweep(spec, Recording(time, effort, velocity, position))))
     fit = fit_axis(spectra, *_priors(), noise_guess=1.0)
     np.testing.assert_allclose(fit.inertia, LOADS + NOMINAL_MOTOR, rtol=2e-3)
+
+
+def test_the_stacked_fit_is_the_least_of_the_plain_sum(robot: Robot) -> None:
+    """Sweeps of three lengths, two of them with a direct encoder: SciPy on the sum over single sweeps agrees."""
+    rng = np.random.default_rng(8)
+    spectra = [_measure(robot, k, load, 6.0, rng, periods=3 - (k == 4)) for k, load in enumerate(LOADS[:6])]
+    for k in (1, 2):
+        amplified = 1 / (1 - (spectra[k].frequency / TRAIN.locked_rotor_frequency(LOADS[k])) ** 2)
+        spectra[k] = replace(spectra[k], load_velocity=amplified * spectra[k].velocity)
+    shared, poses = _priors()
+    fit = fit_axis(spectra, shared, poses[:6], noise_guess=6.0)
+    priors = [complete_prior(*pair) for pair in zip(spectra, poses[:6], strict=True)]
+    edges = np.cumsum([SHARED, *(len(prior.mean) for prior in priors)])
+
+    def rows(values: np.ndarray) -> np.ndarray:
+        parts = [(values[:SHARED] - shared.mean) / shared.sigma]
+        for one, prior, noise, a, b in zip(spectra, priors, fit.noise, edges[:-1], edges[1:], strict=True):
+            residual = effort_residual(one, values[:SHARED], values[a:b])[0] / noise
+            parts += [residual.real, residual.imag, (values[a:b] - prior.mean) / prior.sigma]
+        return np.concatenate(parts)
+
+    start = np.concatenate([shared.mean, *(prior.mean for prior in priors)])
+    start[3] = 1 / (300 * (2 * np.pi * 11) ** 2)
+    plain = least_squares(rows, start, method="lm", x_scale="jac", xtol=1e-14, ftol=1e-14)
+    # SciPy's difference quotients stop a little short of the least
+    away = fit.inertia - plain.x[edges[:-1]] - plain.x[0]
+    assert np.abs(away / np.sqrt(np.diag(fit.covariance))).max() < 0.1
+    information = plain.jac.T @ plain.jac
+    scale = np.sqrt(np.diag(information))
+    covariance = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    pick = np.zeros((6, len(start)))
+    pick[:, 0] = 1.0
+    pick[range(6), edges[:-1]] = 1.0
+    np.testing.assert_allclose(fit.covariance, pick @ covariance @ pick.T, rtol=0.02, atol=0.02)
+
+
+def test_the_noise_of_a_spoiled_sweep_is_its_own(robot: Robot) -> None:
+    rng = np.random.default_rng(6)
+    spectra = [_measure(robot, number, load, 6.0, rng) for number, load in enumerate(LOADS)]
+    sound = fit_axis(spectra, *_priors(), noise_guess=6.0)
+    assert (sound.weight == 1).all()
+    spike = np.exp(-2j * np.pi * spectra[3].frequency * 0.7)
+    spectra[3] = replace(spectra[3], effort=spectra[3].effort + spike)
+    fit = fit_axis(spectra, *_priors(), noise_guess=6.0)
+    assert np.flatnonzero(fit.weight < 1).tolist() == [3]
+    np.testing.assert_allclose(np.delete(fit.noise, 3), np.delete(sound.noise, 3), rtol=0.05)
+    assert fit.noise[3] > 5 * fit.noise[2]
+    others = np.delete(np.arange(8), 3)
+    assert np.abs(fit.inertia - sound.inertia)[others].max() < 0.8 * np.sqrt(np.diag(sound.covariance)).min()
+
+
+def test_a_prior_may_be_correlated(robot: Robot) -> None:
+    """Motor and load friction cannot be told apart by sweeps, but an analysis may know their sum."""
+    rng = np.random.default_rng(2)
+    spectra = [_measure(robot, number, load, 6.0, rng) for number, load in enumerate(LOADS)]
+    shared, poses = _priors()
+    covariance = shared.covariance.copy()
+    covariance[1, 2] = covariance[2, 1] = -0.9999 * covariance[1, 1]
+    mean = shared.mean + np.array([0, 5, 5, 0, 0])
+    fit = fit_axis(spectra, SharedPrior(mean, covariance), poses, noise_guess=6.0)
+    assert fit.train.motor_friction + fit.train.load_friction == pytest.approx(210, abs=3)

@@ -1,6 +1,7 @@
 import numpy as np
+import pytest
 
-from service.identification.least_squares import Information
+from service.identification.least_squares import Information, LeftOut
 
 
 def _problem(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -39,3 +40,42 @@ def test_what_the_data_do_not_determine_stays_at_the_start_and_is_called_so() ->
     assert solution.determined.tolist() == [False, False, True]
     assert np.isinf(solution.std[:2]).all()
     assert solution.std[2] == 1 / 3
+
+
+def test_left_out_equals_solving_without() -> None:
+    """Each value, and five at once, against a fit of all others; the values are correlated in two blocks."""
+    rng = np.random.default_rng(4)
+    rows = rng.normal(size=(20, 3)) * [1.0, 1e3, 1e-3]
+    roots = [rng.normal(size=(10, 10)) for _ in range(2)]
+    blocks = [root @ root.T + np.eye(10) for root in roots]
+    covariance = np.zeros((20, 20))
+    covariance[:10, :10], covariance[10:, 10:] = blocks
+    values = rows @ np.array([1.0, 2.0, 3.0]) + rng.normal(size=20)
+    left_out = LeftOut.of(rows, values, blocks)
+    error, variance = left_out.each()
+    for members in [np.array([k]) for k in range(20)] + [np.array([0, 3, 9, 11, 19])]:
+        rest = np.setdiff1d(np.arange(20), members)
+        inner = np.linalg.inv(covariance[np.ix_(rest, rest)])
+        normal = np.linalg.inv(rows[rest].T @ inner @ rows[rest])
+        beta = normal @ rows[rest].T @ inner @ values[rest]
+        # best prediction of correlated values: the model, and what the others' errors tell of theirs
+        gain = covariance[np.ix_(members, rest)] @ inner
+        expected = values[members] - rows[members] @ beta - gain @ (values[rest] - rows[rest] @ beta)
+        away = rows[members] - gain @ rows[rest]
+        own = covariance[np.ix_(members, members)] - gain @ covariance[np.ix_(rest, members)]
+        told = left_out.together(members)
+        assert told is not None
+        np.testing.assert_allclose(told[0], expected, rtol=1e-7)
+        np.testing.assert_allclose(told[1], own + away @ normal @ away.T, rtol=1e-7)
+        if len(members) == 1:
+            np.testing.assert_allclose([error[members[0]], variance[members[0]]], [told[0][0], told[1][0, 0]])
+
+
+def test_a_value_that_no_other_tells_is_not_judged() -> None:
+    rows = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    left_out = LeftOut.of(rows, np.array([1.0, 2.0, 5.0]), [np.eye(3)])
+    error, variance = left_out.each()
+    np.testing.assert_allclose(error, [-1.0, 1.0, 0.0])
+    assert np.isinf(variance[2])
+    assert left_out.together(np.array([2])) is None
+    assert left_out.chi_squared(np.array([0, 1, 2])) == (pytest.approx(0.5), pytest.approx(1.0))
