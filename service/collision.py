@@ -81,6 +81,19 @@ class CollisionChecker:
         poses[:, joint] = np.linspace(start, target, len(poses))
         return bool(self.collision_free(poses).all())
 
+    def path_free(self, path: Array) -> bool:
+        """Is the way through these poses (m, n), all joints moving at once, free?
+
+        Poses are put in between until the steps of all joints together are no more than one of `step`, which leaves
+        half of the clearance everywhere as for a leg.
+        """
+        counts = np.ceil((np.abs(np.diff(path, axis=0)) / self._step).sum(axis=1)).astype(int)
+        parts = [
+            start + np.linspace(0.0, 1.0, max(count, 1), endpoint=False)[:, None] * (end - start)
+            for start, end, count in zip(path[:-1], path[1:], counts, strict=True)
+        ]
+        return bool(self.collision_free(np.vstack([*parts, path[-1:]])).all())
+
     def travel_free(self, poses: Array, joint: int, travel: float) -> Mask:
         """`leg_free` for many poses at once, each moving `joint` by the signed `travel`; (m, n) -> (m,)."""
         free = np.ones(len(poses), dtype=bool)

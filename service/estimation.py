@@ -1,20 +1,82 @@
-"""The estimate of a set of spectra as a document: one function for the service's worker and for `sweepid identify`."""
+"""From recorded sweeps to the estimate's document: the same for the service's worker and for `sweepid identify`."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from service.collision import reachable
-from service.identification import Spectrum, as_document, identify
+from service.identification import Estimate, Spectrum, as_document, identify, spectrum
+from service.identification.analysis_document import analyses_document
+from service.identification.combination import combine, inertias_of
+from service.identification.combination_document import combination_document
+from service.identification.ideal_frequency import AxisAnalysis
+from service.identification.initial_analysis import analyse
+from service.identification.noise_response import NoiseSpectrum, has_reference, noise_spectrum
+from service.identification.nominal_priors import TorqueGain
+from service.identification.trajectory_record import AxisTrack, axis_track, runs_at_once, trajectories
+from service.recording import Sweep
 from service.robot import Robot
 
+SweepSpectrum = Spectrum | NoiseSpectrum | AxisTrack
 
-def estimate_document(robot: Robot, spectra: Sequence[Spectrum]) -> dict[str, Any]:
+
+def sweep_spectrum(robot: Robot, sweep: Sweep) -> SweepSpectrum:
+    """What is kept of a sweep; BadInput where the record cannot hold it."""
+    if runs_at_once(sweep.spec):
+        return axis_track(sweep)
+    return noise_spectrum(robot, sweep) if has_reference(sweep) else spectrum(robot, sweep)
+
+
+def spectrum_from(document: dict[str, Any]) -> SweepSpectrum:
+    """The inverse of `to_document` of any kind."""
+    if "harmonics" in document:
+        return AxisTrack.from_document(document)
+    return (NoiseSpectrum if "reference" in document else Spectrum).from_document(document)
+
+
+def estimate_document(
+    robot: Robot,
+    spectra: Sequence[SweepSpectrum],
+    analyses: Mapping[str, AxisAnalysis] | None = None,
+    gains: Mapping[str, TorqueGain] | None = None,
+) -> dict[str, Any]:
     """Identify, and compare with the nominal model over the poses of the workspace that the robot can take.
 
-    While only noise and standstill were recorded, nothing is known: a document without axes.
+    The initial analysis of noise runs and stepped sines among the `spectra` stands in "analysis"; it is the prior of
+    its axes' drive trains, as are `analyses` of other campaigns for axes that have none here. `gains`: what a test mass
+    calibrated, by joint. With trajectories of axes that moved at once, "combination" is the joint estimate of sweeps
+    and trajectories; else it is null.
     """
-    if not any(spectrum.spec.shows_inertia for spectrum in spectra):
+    sweeps = [each for each in spectra if isinstance(each, Spectrum)]
+    runs = [each for each in spectra if isinstance(each, NoiseSpectrum)]
+    own = analyse(robot, runs, [sweep for sweep in sweeps if sweep.spec.stepped])
+    estimate = None
+    if any(sweep.spec.shows_inertia for sweep in sweeps):
+        estimate = identify(robot, sweeps, {**(analyses or {}), **own}, gains or {})
+    return {
+        **_document(robot, estimate),
+        "analysis": analyses_document(own),
+        "combination": _combination(robot, estimate, [each for each in spectra if isinstance(each, AxisTrack)]),
+    }
+
+
+def _combination(robot: Robot, estimate: Estimate | None, tracks: Sequence[AxisTrack]) -> dict[str, Any] | None:
+    records = trajectories(robot, tracks)
+    if not records:
+        return None
+    return combination_document(combine(robot, inertias_of(estimate) if estimate else (), records))
+
+
+def _document(robot: Robot, estimate: Estimate | None) -> dict[str, Any]:
+    """Of the sweeps. While only noise and standstill were recorded, nothing is known: a document without axes."""
+    if estimate is None:
         nothing: dict[str, Any] = {"links": {}, "motor_inertias": {}}
-        return {"axes": {}, "base_parameters": [], "condition_number": None, "standard_parameters": nothing}
-    estimate = identify(robot, spectra)
+        return {
+            "axes": {},
+            "base_parameters": [],
+            "symbols": {},
+            "condition_number": None,
+            "standard_parameters": nothing,
+            "physical": {"deviation_in_std": None},
+            "suspect": [],
+        }
     return as_document(estimate, reachable(robot, estimate.poses, estimate.workspace))

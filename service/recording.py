@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 Array = NDArray[np.float64]
 
 REQUIRED_COLUMNS = ("time", "effort", "velocity", "position")
+STEPPED = "stepped_sine"  # how the block of an initial analysis by sines is called
 OPTIONAL_COLUMNS = ("velocity_setpoint", "excitation_effort", "load_velocity", "load_position", "temperature")
 
 
@@ -47,8 +48,13 @@ class SweepSpec(BaseModel):
 
     @property
     def shows_inertia(self) -> bool:
-        """True for sines and trajectories; noise and standstill serve other ends and take no part in J."""
-        return self.excitation in ("multisine", "trajectory")
+        """True for sines and trajectories; noise, stepped sines and standstill serve other ends: no part in J."""
+        return self.excitation in ("multisine", "trajectory") and not self.stepped
+
+    @property
+    def stepped(self) -> bool:
+        """True for a few lines of a stepped sine, the initial analysis of a drive without torque injection."""
+        return self.excitation == "multisine" and self.block.startswith(STEPPED)
 
 
 @dataclass(frozen=True, slots=True)

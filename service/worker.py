@@ -17,8 +17,8 @@ import distributed
 from pydantic import JsonValue
 
 from service.errors import SweepidError
-from service.estimation import estimate_document
-from service.identification import Spectrum, spectrum
+from service.estimation import estimate_document, spectrum_from, sweep_spectrum
+from service.identification.analysis_document import analyses_from
 from service.recording import Sweep, SweepSpec
 from service.robot import RobotDescription, build_robot
 from service.store.columns import read_columns
@@ -49,11 +49,12 @@ class Job:
     spec: SweepSpec
     path: Path
     earlier: tuple[dict[str, JsonValue], ...]  # spectrum documents
+    analyses: dict[str, JsonValue]  # "analysis" of the campaign that the plan names, {} if it names none
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """`Spectrum.to_document()` of the sweep and `estimate_document` with it."""
+    """`to_document()` of the sweep's spectrum and `estimate_document` with it."""
 
     spectrum: dict[str, JsonValue]
     estimate: dict[str, JsonValue]
@@ -64,9 +65,10 @@ def work(job: Job) -> Result:
     if sys.platform != "win32":
         os.setpriority(os.PRIO_PROCESS, 0, _NICE)
     robot = build_robot(job.robot, job.urdf_text)
-    new = spectrum(robot, Sweep(job.spec, read_columns(job.path)))
-    earlier = [Spectrum.from_document(document) for document in job.earlier]
-    return Result(new.to_document(), estimate_document(robot, [*earlier, new]))
+    new = sweep_spectrum(robot, Sweep(job.spec, read_columns(job.path)))
+    earlier = [spectrum_from(document) for document in job.earlier]
+    analyses = analyses_from(cast("dict[str, Any]", job.analyses))
+    return Result(new.to_document(), estimate_document(robot, [*earlier, new], analyses))
 
 
 class Worker:

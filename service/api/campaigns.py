@@ -13,6 +13,7 @@ from starlette.concurrency import run_in_threadpool
 
 from service.api.dependencies import After, Id, IfMatch, LabOf, Limit, Page, set_etag
 from service.api.idempotent import IdempotentRoute
+from service.campaigns.check_move import CheckMove
 from service.lab import Lab
 from service.store.documents import LARGEST_ID, CampaignDocument, CampaignState, SweepDocument, SweepState
 
@@ -52,10 +53,19 @@ class Progress(BaseModel):
     current: SweepDocument | None
 
 
+class CheckMoveView(BaseModel):
+    """An axis goes `way` rad (m) and back: the right one, the right way? Only a person sees that from outside."""
+
+    axis: str
+    way: float
+    unit: str
+
+
 class CampaignView(CampaignDocument):
-    """A campaign with its progress."""
+    """A campaign with its progress, and the check move that it makes at this moment."""
 
     progress: Progress
+    check_move: CheckMoveView | None
 
 
 @router.post("", status_code=201)
@@ -109,7 +119,11 @@ async def abort_campaign(
 
 def view(lab: Lab, campaign: CampaignDocument) -> CampaignView:
     """The campaign with its progress; reads the store."""
-    return CampaignView(**campaign.model_dump(), progress=progress(campaign.state, lab.store.sweeps(campaign.id)))
+    return CampaignView(
+        **campaign.model_dump(),
+        progress=progress(campaign.state, lab.store.sweeps(campaign.id)),
+        check_move=_check_move(lab.runner.check_move) if lab.runner.running == campaign.id else None,
+    )
 
 
 def progress(state: CampaignState, sweeps: Sequence[SweepDocument]) -> Progress:
@@ -125,6 +139,12 @@ def progress(state: CampaignState, sweeps: Sequence[SweepDocument]) -> Progress:
         remaining=remaining if state in _MOVING or state is CampaignState.PLANNED or not left else None,
         current=next((sweep for sweep in sweeps if sweep.state is SweepState.RUNNING), None),
     )
+
+
+def _check_move(move: CheckMove | None) -> CheckMoveView | None:
+    if move is None:
+        return None
+    return CheckMoveView(axis=move.joint, way=move.way, unit=move.units[move.joint])
 
 
 def _nominal_duration(sweep: SweepDocument) -> float:

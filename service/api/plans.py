@@ -1,25 +1,70 @@
 """Plans: which sweeps in which poses and in which order. A plan that leaves the safety envelope is not made."""
 
+from typing import Annotated, cast
+
 from fastapi import APIRouter, Request, Response
+from pydantic import Discriminator, Tag
 
 from service.api.dependencies import After, Id, LabOf, Limit, Page
 from service.api.idempotent import IdempotentRoute
+from service.api.problem import TAG
+from service.campaigns.analysis import latest_analysis
+from service.campaigns.analysis_documents import AnalysisRequest
+from service.campaigns.analysis_plan import build_analysis_plan
+from service.campaigns.beside import check_beside
 from service.campaigns.plan import PlanRequest, build_plan
+from service.campaigns.trajectory_documents import TrajectoryRequest
+from service.campaigns.trajectory_plan import build_trajectory_plan
 from service.cell import read_cell
+from service.identification.analysis_document import analyses_from
+from service.lab import Lab
 from service.store.documents import PlanRecord
+
+
+def _kind(body: object) -> str:
+    told = cast("dict[str, object]", body).get("kind") if isinstance(body, dict) else getattr(body, "kind", None)
+    return f"{TAG}{told}" if told in ("analysis", "trajectory") else f"{TAG}sweeps"
+
+
+Wanted = Annotated[
+    Annotated[AnalysisRequest, Tag(f"{TAG}analysis")]
+    | Annotated[TrajectoryRequest, Tag(f"{TAG}trajectory")]
+    | Annotated[PlanRequest, Tag(f"{TAG}sweeps")],
+    Discriminator(_kind),
+]
 
 router = APIRouter(prefix="/plans", tags=["plans"], route_class=IdempotentRoute)
 
 
 @router.post("", status_code=201)
-def add_plan(wanted: PlanRequest, request: Request, response: Response, lab: LabOf) -> PlanRecord:
-    """Choose poses and excitation and store the plan. Takes seconds to minutes; nothing moves."""
+def add_plan(wanted: Wanted, request: Request, response: Response, lab: LabOf) -> PlanRecord:
+    """Choose poses and excitation and store the plan. Takes seconds to minutes; nothing moves.
+
+    With `kind` "analysis": an initial analysis. A plan of sweeps may name the campaign of one (`analysis`). With `kind`
+    "trajectory": exciting trajectories of several axes at once.
+    """
     robot = lab.store.robot(wanted.robot_id).build()
     cell = read_cell(lab.settings.cells_dir / f"{wanted.cell}.yaml")
-    document = build_plan(robot, wanted, cell)
+    if isinstance(wanted, AnalysisRequest):
+        document = build_analysis_plan(robot, _with_excitation(wanted, lab), cell)
+    elif isinstance(wanted, TrajectoryRequest):
+        if wanted.sweeps is not None:
+            check_beside(lab.store, wanted.sweeps, wanted.robot_id)
+        document = build_trajectory_plan(robot, wanted, cell)
+    else:
+        found = {} if wanted.analysis is None else latest_analysis(lab.store, wanted.analysis)
+        document = build_plan(robot, wanted, cell, analyses_from(found))
     plan = lab.store.add_plan(wanted.robot_id, document.model_dump(mode="json"))
     response.headers["Location"] = str(request.url_for("get_plan", plan_id=plan.id))
     return plan
+
+
+def _with_excitation(wanted: AnalysisRequest, lab: Lab) -> AnalysisRequest:
+    """The kind of excitation that the machine can give; noise while nobody knows the machine."""
+    if wanted.excitation is not None:
+        return wanted
+    able = not lab.machine.connected or lab.machine.capabilities.torque_injection
+    return wanted.model_copy(update={"excitation": "noise" if able else "stepped_sine"})
 
 
 @router.get("")

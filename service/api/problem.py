@@ -22,6 +22,7 @@ from service.store.requests import KeyReused
 from service.store.store import StaleVersion
 
 MEDIA_TYPE = "application/problem+json"
+TAG = "kind:"  # begins the tags of bodies that come in kinds: they are no field of the body
 
 # From the special to the general; the first that fits decides.
 _STATUS: tuple[tuple[type[Exception], HTTPStatus], ...] = (
@@ -122,6 +123,7 @@ def _on_unknown_error(request: Request, error: Exception) -> Response:
 
 def _field_problem(detail: ErrorDetails) -> FieldProblem:
     where, *path = detail["loc"] or ("body",)
+    path = [part for part in path if not str(part).startswith(TAG)]
     escaped = [str(part).replace("~", "~0").replace("/", "~1") for part in path]
     pointer = "#" + "".join(f"/{part}" for part in escaped) if where == "body" else "/".join([str(where), *escaped])
     context = detail.get("ctx", {})

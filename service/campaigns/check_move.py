@@ -1,8 +1,10 @@
 """The check move: a little way and back, before an axis does anything larger in a run of a campaign.
 
-Whoever rewired a cabinet, swapped two node numbers or turned a sign finds out here, at half a degree and half a degree
-a second, and not on the way to the first pose. Watched while it goes, not only at its end: the axis goes the right way
-and no further than it was told, and every other joint stands (brakes hold, nothing is coupled).
+Whoever rewired a cabinet finds out here, at half a degree and half a degree a second, and not on the way to the first
+pose. Watched while it goes, not only at its end: the axis goes the right way and no further than it was told, and every
+other joint stands (brakes hold, nothing is coupled). What an axis' own encoder cannot tell is for a person to see, whom
+the operator's page tells which axis goes which way: two drives that changed places motor, encoder and all, or a gear
+ratio of the wrong sign, which turns command and position alike.
 """
 
 import asyncio

@@ -1,15 +1,17 @@
 """What a campaign's plan comes to at this machine: commands, and the envelope they are checked against."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from drivers.ports import SweepCommand
+from service.campaigns.analysis_documents import AnalysisPlan
 from service.campaigns.envelope import Envelope
+from service.campaigns.noise_motion import Command
 from service.campaigns.plan import PlanDocument
+from service.campaigns.trajectory_documents import TrajectoryPlan
 from service.cell import read_cell
 from service.errors import Conflict
 from service.settings import Settings
-from service.store.documents import CampaignDocument, NewSweep, PlanRecord
+from service.store.documents import CampaignDocument, NewSweep, PlanRecord, SweepDocument, SweepState
 from service.store.store import Store
 
 
@@ -18,15 +20,34 @@ class Course:
     """The commands of a campaign by sweep number."""
 
     joints: tuple[str, ...]  # of the robot, base to tip: the order of poses
-    commands: Mapping[int, SweepCommand]
+    commands: Mapping[int, Command]
     envelope: Envelope
     move_velocity: float  # rad/s (m/s), between poses
     pose_tolerance: float  # rad (m), actual against planned pose
+    trajectories: tuple[tuple[int, ...], ...] = ()  # numbers of the sweeps that run at once
+    confidence: float | None = None  # percent, at which the campaign may end (`enough`); None: all sweeps are wanted
+
+    def at_once(self, due: SweepDocument, sweeps: Sequence[SweepDocument]) -> list[SweepDocument]:
+        """The sweep that is due, with the others of its trajectory; Conflict where one of them has been measured."""
+        numbers = next((numbers for numbers in self.trajectories if due.number in numbers), (due.number,))
+        together = [sweep for sweep in sweeps if sweep.number in numbers]
+        for sweep in together:
+            if sweep.state is not SweepState.PLANNED:
+                raise Conflict(f"sweep {sweep.number} of the trajectory of sweep {due.number} is {sweep.state.value}")
+        return together
+
+
+def plan_of(record: PlanRecord) -> PlanDocument | AnalysisPlan | TrajectoryPlan:
+    """A stored plan of any kind."""
+    request = record.document.get("request")
+    kind = request.get("kind") if isinstance(request, dict) else None
+    kinds = {"analysis": AnalysisPlan, "trajectory": TrajectoryPlan}
+    return kinds.get(str(kind), PlanDocument).model_validate(record.document)
 
 
 def planned_sweeps(plan: PlanRecord) -> tuple[NewSweep, ...]:
     """The sweeps of a stored plan, in order."""
-    document = PlanDocument.model_validate(plan.document)
+    document = plan_of(plan)
     return tuple(NewSweep(spec=sweep.spec, mode=sweep.mode) for sweep in document.sweeps)
 
 
@@ -34,7 +55,7 @@ def course_of(store: Store, settings: Settings, campaign: CampaignDocument) -> C
     """The course of a planned campaign; BadInput for a bad cell file, Conflict for a campaign without plan."""
     if campaign.plan_id is None:
         raise Conflict(f"campaign {campaign.id} was imported and cannot be run")
-    plan = PlanDocument.model_validate(store.plan(campaign.plan_id).document)
+    plan = plan_of(store.plan(campaign.plan_id))
     robot = store.robot(campaign.robot_id).build()
     cell = read_cell(settings.cells_dir / f"{plan.request.cell}.yaml")
     return Course(
@@ -43,4 +64,6 @@ def course_of(store: Store, settings: Settings, campaign: CampaignDocument) -> C
         envelope=Envelope(robot, cell),
         move_velocity=plan.request.move_velocity,
         pose_tolerance=settings.pose_tolerance,
+        trajectories=plan.at_once if isinstance(plan, TrajectoryPlan) else (),
+        confidence=plan.request.confidence if isinstance(plan, PlanDocument) else None,
     )

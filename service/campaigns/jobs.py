@@ -10,6 +10,8 @@ from collections import defaultdict
 
 import structlog
 
+from service.campaigns.analysis import analysis_behind
+from service.campaigns.beside import campaign_beside
 from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.errors import BadInput
 from service.store.documents import CampaignState, SweepDocument, SweepState
@@ -52,7 +54,8 @@ class Jobs:
         """measured -> completed, if no sweep is left to identify."""
         campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
         if campaign.state is CampaignState.MEASURED and SweepState.RECORDED not in campaign.sweeps:
-            await asyncio.to_thread(self._store.move_campaign, campaign_id, campaign_move(CampaignEvent.IDENTIFIED))
+            identified = campaign_move(CampaignEvent.IDENTIFIED)
+            await asyncio.to_thread(self._store.move_campaign, campaign_id, identified, campaign.cause)
 
     async def close(self) -> None:
         """Leave open jobs to the next process."""
@@ -91,14 +94,18 @@ class Jobs:
     def _job(self, sweep: SweepDocument) -> Job:
         recording = self._store.recording(sweep.campaign_id, sweep.number)
         self._files.check(recording)
-        robot = self._store.robot(self._store.campaign(sweep.campaign_id).robot_id)
+        campaign = self._store.campaign(sweep.campaign_id)
+        robot = self._store.robot(campaign.robot_id)
+        beside = campaign_beside(self._store, campaign)
+        others = {} if beside is None else self._store.spectra(beside.id)
         return Job(
             key=f"identify-{recording.sha256}-{sweep.campaign_id}-{sweep.number}",
             robot=robot.description,
             urdf_text=robot.urdf_text,
             spec=sweep.spec,
             path=self._files.path(recording).absolute(),
-            earlier=tuple(self._store.spectra(sweep.campaign_id).values()),
+            earlier=(*others.values(), *self._store.spectra(sweep.campaign_id).values()),
+            analyses=analysis_behind(self._store, beside or campaign),
         )
 
     def _done(self, task: asyncio.Task[None]) -> None:

@@ -155,7 +155,19 @@ class Machine:
             self._user = None
 
     async def keep_lease(self, lease: MachineLease, lease_time: float) -> None:
-        """Renew the lease until it is another's. While it cannot be renewed (database blocked), the machine stands."""
+        """Renew the lease until it is another's. While it cannot be renewed (database blocked), the machine stands.
+
+        It also stands, until a restart, if this watch ends by an error that nobody thought of.
+        """
+        try:
+            await self._keep_lease(lease, lease_time)
+        except Exception as error:
+            self._lease_trouble = f"nobody watches over the right to the machine any more: {error!r}; restart this one"
+            _log.error("lease_watch_broke_off", exc_info=error)
+            await self._stop_quietly()
+            raise
+
+    async def _keep_lease(self, lease: MachineLease, lease_time: float) -> None:
         renewed = time.monotonic()
         while True:
             await asyncio.sleep(lease_time / 5)

@@ -15,7 +15,8 @@ import numpy as np
 import pyarrow as pa
 from pydantic import JsonValue
 
-from drivers.ports import ChannelTiming, SampleBlock, SweepCommand
+from drivers.ports import ChannelTiming, SampleBlock
+from service.campaigns.noise_motion import Command
 from service.campaigns.plausibility import check_channels
 from service.channels import align, noise_gain
 from service.errors import SweepidError
@@ -29,6 +30,7 @@ _arrow = cast(Any, pa)
 Facts = Mapping[str, JsonValue]
 
 _COLUMNS = ("time", "effort", "velocity", "position", "velocity_setpoint")
+_EXTRA = ("load_position", "excitation_effort")  # where the drive has them
 
 
 class SamplesMissing(SweepidError):
@@ -38,7 +40,7 @@ class SamplesMissing(SweepidError):
 class Recorder:
     """The stream of one sweep. Methods block until the disk has it; OSError when the disk does not take it."""
 
-    def __init__(self, path: Path, command: SweepCommand) -> None:
+    def __init__(self, path: Path, command: Command) -> None:
         self._command = command
         self._file = path.open("xb")
         self._writer: Any = None
@@ -53,7 +55,7 @@ class Recorder:
         if not len(block.index):
             return
         self._check(block)
-        names = _COLUMNS if block.load_position is None else (*_COLUMNS, "load_position")
+        names = (*_COLUMNS, *(name for name in _EXTRA if getattr(block, name) is not None))
         batch = _arrow.RecordBatch.from_pydict({"index": block.index} | {name: getattr(block, name) for name in names})
         if self._writer is None:
             self._writer = _arrow.ipc.new_stream(self._file, batch.schema)
@@ -80,7 +82,8 @@ class Recorder:
             raise SamplesMissing(f"{joint}: sample {block.index[at]} came where {expected[at]} was due")
         if not (np.diff(block.time, prepend=self._last_time) > 0).all():
             raise SamplesMissing(f"{joint}: time does not increase near sample {expected[0]}")
-        for name in _COLUMNS:
+        injected = () if block.excitation_effort is None else ("excitation_effort",)
+        for name in (*_COLUMNS, *injected):
             if not np.isfinite(getattr(block, name)).all():
                 raise SamplesMissing(f"{joint}: {name} is not a number near sample {expected[0]}")
 
@@ -113,7 +116,7 @@ def read_stream(path: Path) -> tuple[Recording, float] | None:
 
 
 def finish(
-    files: RecordingFiles, run: Run, planned: SweepSpec, command: SweepCommand, timing: ChannelTiming, facts: Facts
+    files: RecordingFiles, run: Run, planned: SweepSpec, command: Command, timing: ChannelTiming, facts: Facts
 ) -> tuple[SweepSpec, NewRecording]:
     """Make the recording of a complete stream, and the planned sweep with the clock it was measured on.
 
@@ -148,7 +151,7 @@ def salvage(files: RecordingFiles, run: Run, facts: Facts) -> NewRecording | Non
     return files.save(path.with_suffix(".parquet"), found[0], RecordingState.PARTIAL, facts)
 
 
-def _check_window(command: SweepCommand, last: float, period: float) -> None:
+def _check_window(command: Command, last: float, period: float) -> None:
     end = command.duration - command.ramp
     if last < end - 1.5 * period:
         raise SamplesMissing(f"{command.joint}: samples end at {last:.4f} s, window at {end:.4f} s")

@@ -2,21 +2,24 @@
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
+from types import MappingProxyType
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import DriveError
+from service.campaigns.check_move import CheckMove
 from service.campaigns.course import Course
+from service.campaigns.enough import enough
 from service.campaigns.jobs import Jobs
 from service.campaigns.machine import Machine
 from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.campaigns.station import Station, cause_of
-from service.errors import Conflict, SweepidError
+from service.errors import Conflict, NotFound, SweepidError
 from service.store.documents import CampaignDocument, CampaignState, SweepState
-from service.store.store import StaleVersion, Store
+from service.store.store import StaleVersion, Store, SweepMove
 
 _log = structlog.get_logger(__name__)
 
@@ -43,6 +46,11 @@ class Runner:
     def running(self) -> int | None:
         """The campaign that owns the machine, or None."""
         return self._running
+
+    @property
+    def check_move(self) -> CheckMove | None:
+        """The check move under way, or None."""
+        return self._station.check_move
 
     async def start(self, campaign_id: int, if_version: int | None = None) -> CampaignDocument:
         """planned -> running. Conflict while another campaign runs, the machine is stopped or does not answer."""
@@ -130,7 +138,7 @@ class Runner:
             _log.error("campaign_broke_off", task=task.get_name(), exc_info=error)
 
     async def _run(self, campaign: CampaignDocument, course: Course) -> None:
-        """The task: sweep after sweep until none is left, a pause is due, or something goes wrong."""
+        """The task: sweep after sweep until none is left, enough is known, a pause is due, or something goes wrong."""
         started_at = campaign.started_at or datetime.now(UTC)
         origin = time.monotonic() - (datetime.now(UTC) - started_at).total_seconds()
         checked: set[str] = set()  # joints that made their check move since this start or resume
@@ -139,11 +147,15 @@ class Runner:
                 while await self._next_is_due(campaign.id):
                     sweeps = await asyncio.to_thread(self._store.sweeps, campaign.id)
                     planned = next((sweep for sweep in sweeps if sweep.state is SweepState.PLANNED), None)
-                    if planned is None:
-                        await self._move(campaign.id, CampaignEvent.MEASURED)
+                    known = await asyncio.to_thread(self._enough, campaign.id, course)
+                    if planned is None or known:
+                        skip = {SweepState.PLANNED: sweep_move(SweepEvent.SKIP)}
+                        await self._move(campaign.id, CampaignEvent.MEASURED, known, skip)
                         await self._jobs.settle(campaign.id)
                         return
-                    self._jobs.submit(await self._station.run(planned, course, origin, checked))
+                    due = course.at_once(planned, sweeps)
+                    for sweep in await self._station.run(due, course, origin, checked):
+                        self._jobs.submit(sweep)
         except BaseException as error:
             # the station has brought the machine to standstill before it let the error out
             await asyncio.shield(self._move(campaign.id, CampaignEvent.TROUBLE, cause_of(self._machine, error)))
@@ -160,8 +172,24 @@ class Runner:
             return False
         return campaign.state is CampaignState.RUNNING
 
-    async def _move(self, campaign_id: int, event: CampaignEvent, cause: str = "") -> None:
-        await asyncio.to_thread(self._store.move_campaign, campaign_id, campaign_move(event), cause)
+    def _enough(self, campaign_id: int, course: Course) -> str:
+        """Why the latest estimate makes the sweeps that are left unnecessary, or ""."""
+        if course.confidence is None:
+            return ""
+        try:
+            estimate = self._store.estimate(campaign_id)
+        except NotFound:
+            return ""
+        return enough(estimate.document, {command.joint for command in course.commands.values()}, course.confidence)
+
+    async def _move(
+        self,
+        campaign_id: int,
+        event: CampaignEvent,
+        cause: str = "",
+        sweeps: Mapping[SweepState, SweepMove] = MappingProxyType({}),
+    ) -> None:
+        await asyncio.to_thread(self._store.move_campaign, campaign_id, campaign_move(event), cause, None, sweeps)
         _log.info("campaign", campaign=campaign_id, happened=event.value, cause=cause)
 
 

@@ -20,7 +20,7 @@ class CampaignEvent(Enum):
     ABORT = "abort"  # a person: now
     HELD = "held"  # the present sweep is over and a pause was asked for
     TROUBLE = "trouble"  # error, stop or end of the service: never goes on by itself
-    MEASURED = "measured"  # no sweep is left to run
+    MEASURED = "measured"  # no sweep is left to run, or the confidence wanted is reached
     IDENTIFIED = "identified"  # no sweep is left to identify
 
 
@@ -32,7 +32,7 @@ class SweepEvent(Enum):
     IDENTIFY = "identify"
     FAIL = "fail"
     INTERRUPT = "interrupt"
-    SKIP = "skip"  # its campaign was aborted before it ran
+    SKIP = "skip"  # its campaign was aborted or had enough before it ran
     REPEAT = "repeat"  # a person wants it measured once more
 
 

@@ -16,12 +16,15 @@ _OWN = (
     ("demo", "service.cli.demo:demo"),
     ("serve", "service.cli.serve:serve"),
     ("plan", "service.cli.plan:plan"),
+    ("plan-trajectories", "service.cli.plan_trajectories:plan_trajectories"),
     ("measure", "service.cli.measure:measure"),
     ("import", "service.cli.bundles:import_bundle"),
     ("export", "service.cli.bundles:export_bundle"),
     ("identify", "service.cli.identify:identify"),
+    ("torque-gain", "service.cli.torque_gain:torque_gain"),
     ("channels", "service.cli.channels:channels"),
     ("import-trace", "service.cli.import_trace:import_trace"),
+    ("export-model", "service.cli.export_model:export_model"),
     ("export-path", "service.cli.export_path:export_path"),
 )
 

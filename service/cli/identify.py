@@ -1,6 +1,7 @@
 """`sweepid identify BUNDLE`: the paper's Table 1, the base parameters and their quality from recorded sweeps."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,9 +10,15 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from service.cli.combination import print_combination
+from service.cli.gains_file import read_gains
 from service.errors import BadInput
-from service.estimation import estimate_document
-from service.identification import Spectrum, spectrum
+from service.estimation import SweepSpectrum, estimate_document, sweep_spectrum
+from service.identification.noise_response import has_reference
+from service.identification.nominal_priors import TorqueGain
+from service.identification.trajectory_record import runs_at_once
+from service.recording import Sweep
+from service.report import render_analysis
 from service.store.bundle import Bundle, read_bundle
 
 _ROWS = (
@@ -25,9 +32,18 @@ def identify(
     bundle: Annotated[Path, typer.Argument(help="Directory of the bundle.", show_default=False)],
     axis: Annotated[str | None, typer.Option(help="Use the sweeps of this joint only.")] = None,
     json_to: Annotated[str | None, typer.Option("--json", help="Write JSON here; - is stdout.", metavar="FILE")] = None,
+    gains: Annotated[Path | None, typer.Option("--torque-gain", help="JSON file of `sweepid torque-gain`.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Write the initial analysis with its figures to this HTML file.")
+    ] = None,
 ) -> None:
     """Identify a robot from the sweeps of a bundle."""
-    document = identify_bundle(read_bundle(bundle), axis, str(bundle))
+    measured = read_bundle(bundle)
+    document = identify_bundle(measured, axis, str(bundle), read_gains(gains) if gains else None)
+    if report is not None:
+        if not document["analysis"]:
+            raise BadInput(str(bundle), "has no noise runs and no stepped sines to report on")
+        write_json(report, render_analysis(measured.robot, document["analysis"]))
     text = json.dumps(document, indent=2, allow_nan=False)
     if json_to == "-":
         typer.echo(text)
@@ -37,25 +53,44 @@ def identify(
     print_estimate(document, Console())
 
 
-def identify_bundle(bundle: Bundle, axis: str | None, place: str) -> dict[str, Any]:
+def identify_bundle(
+    bundle: Bundle, axis: str | None, place: str, gains: Mapping[str, TorqueGain] | None = None
+) -> dict[str, Any]:
     """The estimate as in DESIGN.md, of all sweeps or of those of one joint; BadInput if that leaves none."""
     if axis is not None:
         bundle.robot.index(axis)
-    sweeps = [sweep for sweep in bundle.sweeps if axis in (None, sweep.spec.axis) and sweep.spec.shows_inertia]
+    sweeps = [sweep for sweep in bundle.sweeps if _of_axis(sweep, axis) and _tells(sweep)]
     if not sweeps:
         of_joint = "" if axis is None else f" of joint {axis}"
-        raise BadInput(place, f"has no sweep{of_joint} with sines or a trajectory")
+        raise BadInput(place, f"has no sweep{of_joint} with sines, a trajectory or injected torque noise")
     console = Console(stderr=True)
-    spectra: list[Spectrum] = [
-        spectrum(bundle.robot, sweep)
+    spectra: list[SweepSpectrum] = [
+        sweep_spectrum(bundle.robot, sweep)
         for sweep in track(sweeps, "Sweeps", console=console, transient=True, disable=not console.is_terminal)
     ]
-    return estimate_document(bundle.robot, spectra)
+    return estimate_document(bundle.robot, spectra, gains=gains)
+
+
+def _of_axis(sweep: Sweep, axis: str | None) -> bool:
+    """A trajectory of several axes is of none of them alone."""
+    return axis is None or (sweep.spec.axis == axis and not runs_at_once(sweep.spec))
+
+
+def _tells(sweep: Sweep) -> bool:
+    """Of inertia or of the drive train."""
+    return sweep.spec.shows_inertia or sweep.spec.stepped or has_reference(sweep)
 
 
 def print_estimate(document: dict[str, Any], console: Console) -> None:
-    """Table 1 of the paper for this robot, then the base parameters with standard deviation."""
+    """Initial analysis, Table 1 of the paper for this robot, and the base parameters with standard deviation."""
+    if document["analysis"]:
+        _print_analysis(document["analysis"], console)
+    combination = document.get("combination")  # estimates that were stored by an earlier version have none
+    if combination is not None:
+        print_combination(combination, console)
     axes: dict[str, Any] = document["axes"]
+    if not axes:
+        return
     table = Table(title="RMSE of the axis inertias in percent")
     table.add_column("")
     for joint in axes:
@@ -70,10 +105,40 @@ def print_estimate(document: dict[str, Any], console: Console) -> None:
     table.add_column("value", justify="right")
     table.add_column("std", justify="right")
     for parameter in document["base_parameters"]:
-        table.add_row(parameter["name"], f"{parameter['value']:.5g}", _number(parameter["std"]))
+        table.add_row(parameter["symbolic"], f"{parameter['value']:.5g}", _number(parameter["std"]))
     console.print(table)
+    for symbol, of in document["symbols"].items():
+        console.print(f"  {symbol} = {of['value']:.5g} {of['unit']}, {of['meaning']}", style="dim", highlight=False)
     _print_free_records(axes, console)
+    for suspect in document["suspect"]:
+        console.print(f"Suspect: sweep {suspect['sweep']} of {suspect['axis']}, {suspect['why']}")
     console.print(f"Condition number of the observation matrix: {_number(document['condition_number'])}")
+
+
+def _print_analysis(analysis: dict[str, Any], console: Console) -> None:
+    """Pose by pose: where the load swings, where friction rules, and which frequency lies between them."""
+    table = Table(title="Initial analysis; in brackets by asymptotes")
+    for name in ("axis", "pose in rad", "J", "locked rotor, Hz", "friction below, Hz", "ideal, Hz", "sweep, Hz"):
+        table.add_column(name, justify="left" if name in ("axis", "pose in rad") else "right")
+    for joint, axis in analysis.items():
+        for pose in axis["poses"]:
+            fit, read = pose["fit"], pose["asymptotes"]
+            table.add_row(
+                joint,
+                ", ".join(f"{position:.2f}" for position in pose["pose"]),
+                _with_std(fit["inertia"]),
+                *(f"{_with_std(fit[k])} ({_short(read[k]['value'])})" for k in ("locked_rotor", "corner", "frequency")),
+                f"{fit['sweep_frequency']:g}",
+            )
+    console.print(table)
+
+
+def _with_std(figure: dict[str, float | None]) -> str:
+    return f"{_short(figure['value'])} ± {_short(figure['std'])}"
+
+
+def _short(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
 
 
 def _print_free_records(axes: dict[str, Any], console: Console) -> None:

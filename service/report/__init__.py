@@ -1,6 +1,6 @@
 """Reports: what was measured and identified, as one HTML file that needs neither network nor service. Pure."""
 
 from service.report.content import Axis, Content, Revision, Row, axes_of
-from service.report.page import render
+from service.report.page import render, render_analysis
 
-__all__ = ["Axis", "Content", "Revision", "Row", "axes_of", "render"]
+__all__ = ["Axis", "Content", "Revision", "Row", "axes_of", "render", "render_analysis"]

@@ -7,8 +7,10 @@ from html import escape
 from importlib.resources import files
 from typing import Any
 
-from service.report import figures
-from service.report.content import Axis, Content, axes_of
+from service.identification.analysis_document import analyses_from
+from service.report import figures, initial_analysis
+from service.report.content import Axis, Content, Document, axes_of
+from service.robot import Robot
 
 _STYLE = """
 :root { color-scheme: light; }
@@ -49,12 +51,44 @@ def render(content: Content) -> str:
     axes = axes_of(content)
     page.add(f"<h1>{escape(content.title)}</h1>", f'<p class="lead">{escape(content.subtitle)}</p>')
     _facts(page, content, axes)
+    _initial_analysis(page, content.robot, content.estimate.get("analysis", {}))
     _inertias(page, content, axes)
     _accuracy(page, content, axes)
     _convergence(page, content)
     _example(page, content)
     _parameters(page, content)
     return page.html(content.title)
+
+
+def render_analysis(robot: Robot, analysis: Document) -> str:
+    """A report of an initial analysis alone ("analysis" of an estimate's document)."""
+    title = f"Initial analysis of the robot {robot.name}"
+    page = _Page()
+    page.add(f"<h1>{escape(title)}</h1>")
+    _initial_analysis(page, robot, analysis)
+    return page.html(title)
+
+
+def _initial_analysis(page: "_Page", robot: Robot, analysis: Document) -> None:
+    analyses = analyses_from(analysis)
+    if not analyses:
+        return
+    page.add(
+        "<h2>Initial analysis</h2>",
+        "<p>Torque noise, or a stepped sine, on a slow turn in some poses from light to heavy. In between the corner "
+        "below which friction rules and the first locked-rotor frequency, where the motor stands and the load swings, "
+        "an axis shows its inertia best: at their geometric mean.</p>",
+    )
+    for joint, axis in analyses.items():
+        page.add(f"<h3>{escape(joint)}</h3>", "<p>Amplitude responses; dots measured, lines fitted.</p>")
+        page.figure(initial_analysis.amplitude_responses(axis))
+        page.add(
+            "<p>The same as an apparent inertia, pose by pose. Dashed: the asymptotes of inertia and friction. Dotted: "
+            "the corner, the ideal frequency (blue) and the locked-rotor frequency of the fit.</p>"
+        )
+        page.figure(initial_analysis.ideal_frequencies(axis))
+    page.add("<p>Both ways side by side, with one standard deviation: by the fit, in brackets by the asymptotes.</p>")
+    page.table(*initial_analysis.table(analyses, robot.joints))
 
 
 def _facts(page: "_Page", content: Content, axes: Sequence[Axis]) -> None:
@@ -151,10 +185,19 @@ def _parameters(page: "_Page", content: Content) -> None:
         "joint's frame.</p>",
     )
     rows = [
-        [entry["name"], f"{entry['value']:.5g}", "–" if entry["std"] is None else f"{entry['std']:.2g}"]
+        [
+            entry.get("symbolic", entry["name"]),
+            f"{entry['value']:.5g}",
+            "–" if entry["std"] is None else f"{entry['std']:.2g}",
+        ]
         for entry in content.estimate["base_parameters"]
     ]
     page.table(["parameter", "value", "± std"], rows, "name")
+    symbols: dict[str, Any] = content.estimate.get("symbols", {})  # stored before there were words: none
+    for symbol, of in symbols.items():
+        page.add(
+            f'<p class="note">{escape(symbol)} = {of["value"]:.5g} {escape(of["unit"])}, {escape(of["meaning"])}</p>'
+        )
     page.add(
         '<p class="note">Standard deviations are conditional on the torque constants: a torque constant that is wrong '
         "by 1 % scales every inertia by 1 %, and no sweep shows it.</p>"

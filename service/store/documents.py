@@ -39,7 +39,7 @@ class SweepState(Enum):
     IDENTIFIED = "identified"  # an estimate revision contains it
     FAILED = "failed"  # something went wrong; `cause` says what
     INTERRUPTED = "interrupted"  # somebody stopped it, or the service ended under it
-    SKIPPED = "skipped"  # never run, its campaign was aborted
+    SKIPPED = "skipped"  # never run: its campaign was aborted, or had enough
 
 
 class RecordingState(Enum):

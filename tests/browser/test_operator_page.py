@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, expect, sync_playwright
+from playwright.sync_api import Page, Route, expect, sync_playwright
 
 from service.client import ServiceClient
 from tests.system.rest_bench import Service, VirtualMachine, add_plan, serving, until, virtual_machine
@@ -69,3 +69,21 @@ def test_a_fault_is_shown_and_acknowledged_by_a_person(machine: VirtualMachine, 
     page.get_by_role("button", name="I looked: acknowledge").click()
     expect(page.locator("#axes")).not_to_contain_text("2310h", timeout=PATIENCE)
     assert machine.stands()
+
+
+def test_a_check_move_is_told_while_it_is_under_way(service: Service, page: Page) -> None:
+    """It lasts a second or two: here for as long as the answer says so."""
+    under_way: list[dict[str, object]] = [{"axis": "joint_2", "way": -0.0087266, "unit": "rad"}]
+
+    def answer(route: Route) -> None:
+        real = route.fetch()
+        route.fulfill(response=real, json={**real.json(), "check_move": under_way[0] if under_way else None})
+
+    page.route("**/api/v1/campaigns/1", answer)
+    with ServiceClient(service.url) as client:
+        client.add_campaign(add_plan(client, axes=["joint_1"], poses=1))
+    told = page.locator("#check-move")
+    expect(told).to_contain_text("joint_2 goes \u22120.5\u00b0 and back", timeout=PATIENCE)
+    under_way.clear()  # no event tells it: the page asks by itself
+    expect(told).to_be_hidden(timeout=PATIENCE)
+    page.unroute_all(behavior="wait")

@@ -13,13 +13,16 @@ import yaml
 
 from drivers.ports import AxisState
 from service.campaigns.plan import PlanRequest, build_plan
+from service.campaigns.trajectory_documents import TrajectoryRequest
+from service.campaigns.trajectory_plan import build_trajectory_plan
 from service.cell import read_cell
+from service.cli.identify import identify_bundle
 from service.estimation import estimate_document
 from service.identification import spectrum
 from service.lab import Lab, open_lab
 from service.settings import Settings
 from service.store.bundle import read_bundle
-from service.store.documents import CampaignDocument, CampaignState, RecordingState, SweepState
+from service.store.documents import CampaignDocument, CampaignState, EventKind, RecordingState, SweepState
 from service.store.guards import MachineTaken
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,9 +31,16 @@ AXES = ("joint_1", "joint_2", "joint_3")
 
 
 @pytest.fixture
-def profile(tmp_path: Path) -> Iterator[Path]:
+def scenario() -> str:
+    """What the virtual machine really is."""
+    return "max100-full"
+
+
+@pytest.fixture
+def profile(tmp_path: Path, scenario: str) -> Iterator[Path]:
     """A virtual machine, and the profile that leads to it."""
     command = [sys.executable, "-c", "from service.cli import main; main()", "drive"]
+    command += ["--scenario", f"config/scenarios/{scenario}.yaml"]
     command += ["--port", "0", "--control-port", "0", "--speed-factor", "20", "--seed", "1"]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         assert process.stdout is not None
@@ -62,12 +72,13 @@ async def lab(settings: Settings) -> AsyncIterator[Lab]:
         yield lab
 
 
-async def campaign_of(lab: Lab, modes: str) -> CampaignDocument:
+async def campaign_of(lab: Lab, modes: str, **changes: object) -> CampaignDocument:
     """Two poses, three axes."""
     robot = next(robot for robot in lab.store.robots() if robot.name == "max100-class")
     request = PlanRequest.model_validate(
         {"robot_id": robot.id, "axes": AXES, "varied": AXES[1:], "step": 30.0, "poses": 2, "modes": modes}
         | {"move_velocity": 0.5}
+        | changes
     )
     plan = build_plan(robot.build(), request, read_cell(lab.settings.cells_dir / "workshop.yaml"))
     record = lab.store.add_plan(robot.id, plan.model_dump(mode="json"))
@@ -113,6 +124,63 @@ async def test_a_campaign_from_plan_to_estimate_and_bundle(lab: Lab, tmp_path: P
     assert imported.plan_id is None
     await completed(lab, imported.id)
     assert lab.store.estimate(imported.id).document == estimate.document
+
+
+@pytest.mark.parametrize("scenario", ["max100-rigid"])
+async def test_a_campaign_ends_when_the_confidence_wanted_is_reached(lab: Lab) -> None:
+    """The plan reckons with noise that this machine does not have: a few sweeps are enough, the rest is skipped."""
+    budget = {"axes": ("joint_2",), "varied": ("joint_3",), "step": 10.0, "poses": None, "confidence": 0.33}
+    campaign = await campaign_of(lab, "drive_side", **budget)
+    planned = campaign.sweeps[SweepState.PLANNED]
+    await lab.runner.start(campaign.id)
+    await until(lambda: lab.store.campaign(campaign.id).state not in (CampaignState.RUNNING, CampaignState.MEASURED))
+    done = lab.store.campaign(campaign.id)
+    assert done.state is CampaignState.COMPLETED, done.cause
+    assert done.cause.startswith("confidence of 0.33 % reached: J is known to ")
+    measured = done.sweeps[SweepState.IDENTIFIED]
+    assert done.sweeps == {SweepState.IDENTIFIED: measured, SweepState.SKIPPED: planned - measured}
+    assert 3 <= measured < planned
+    assert {sweep.cause for sweep in lab.store.sweeps(campaign.id)[measured:]} == {done.cause}
+    told = [event.data for event in lab.store.events(0, campaign.id, 1000) if event.kind is EventKind.CAMPAIGN]
+    assert ("measured", done.cause) in [(data["state"], data["cause"]) for data in told]
+    known = lab.store.estimate(campaign.id).document["axes"]["joint_2"]["confidence_percent"]
+    assert known <= 0.33
+    assert await standing(lab)
+
+
+@pytest.mark.parametrize("scenario", ["max100-six"])
+async def test_axes_that_move_at_once_are_identified_together(lab: Lab, tmp_path: Path) -> None:
+    robot = next(robot for robot in lab.store.robots() if robot.name == "max100-class")
+    alone = await campaign_of(lab, "drive_side", axes=("joint_3",), varied=("joint_5",))
+    await lab.runner.start(alone.id)
+    await completed(lab, alone.id)
+    request = TrajectoryRequest.model_validate(
+        {"kind": "trajectory", "robot_id": robot.id, "axes": ("joint_3", "joint_5"), "trajectories": 1, "period": 2.0}
+        | {"harmonics": 3, "move_velocity": 0.5, "sweeps": alone.id}
+    )
+    cell = read_cell(lab.settings.cells_dir / "workshop.yaml")
+    plan = await asyncio.to_thread(build_trajectory_plan, robot.build(), request, cell)
+    record = lab.store.add_plan(robot.id, plan.model_dump(mode="json"))
+    campaign = await lab.add_campaign(record.id)
+    await lab.runner.start(campaign.id)
+    done = await completed(lab, campaign.id)
+    assert done.sweeps == {SweepState.IDENTIFIED: 2}
+    assert await standing(lab)
+    first, second = (sweep.spec for sweep in lab.store.sweeps(campaign.id))
+    assert (first.started_at, first.block) == (second.started_at, "trajectory 1 of 2 axes")
+    estimate = lab.store.estimate(campaign.id).document
+    assert estimate["axes"].keys() == {"joint_3"}
+    found = {parameter["name"]: parameter for parameter in estimate["combination"]["base_parameters"]}
+    assert found["Fc(joint_3)"]["value"] == pytest.approx(75, rel=0.1)  # motor and load side of the scenario
+    assert found["Fc(joint_5)"]["value"] == pytest.approx(23, rel=0.1)
+    assert not found["Fc(joint_1)"]["identified"]
+    await lab.export_bundle(campaign.id, tmp_path / "bundle")
+    offline = identify_bundle(read_bundle(tmp_path / "bundle"), None, "bundle")
+    assert offline["axes"] == {}
+    assert offline["combination"]["trajectories"] == estimate["combination"]["trajectories"] == [["0001", "0002"]]
+    parts = {parameter["name"]: parameter for parameter in offline["combination"]["base_parameters"]}
+    assert found["Fc(joint_3)"]["std"] < 1.5 * parts["Fc(joint_3)"]["std"]
+    assert sum(p["identified"] for p in found.values()) >= sum(p["identified"] for p in parts.values())
 
 
 async def test_both_ways_of_measuring_give_the_same_inertia(lab: Lab) -> None:

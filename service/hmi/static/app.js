@@ -149,6 +149,7 @@ async function showCampaign() {
   const id = byId("campaigns").value;
   for (const button of document.querySelectorAll("[data-command]")) button.disabled = true;
   if (!id) {
+    showCheckMove(null);
     byId("progress-text").textContent = "no campaign yet: sweepid plan, then sweepid measure";
     return;
   }
@@ -159,6 +160,7 @@ async function showCampaign() {
   byId("progress").max = total;
   byId("progress").value = done;
   byId("progress-text").textContent = [`${done} of ${total} sweeps`, now, done < total ? duration(remaining) : ""].filter(Boolean).join(" \u00b7 ");
+  showCheckMove(campaign.check_move);
   byId("cause").textContent = campaign.cause;
   byId("campaign-state").textContent = campaign.state;
   byId("campaign-state").className = `badge ${campaign.state}`;
@@ -167,6 +169,15 @@ async function showCampaign() {
   }
   byId("repeat-choice").hidden = campaign.state !== "paused";
   await showEstimate(id);
+}
+
+function showCheckMove(move) {
+  byId("check-move").hidden = !move;
+  if (!move) return;
+  const [way, unit] = move.unit === "rad" ? [(move.way * 180) / Math.PI, "\u00b0"] : [move.way * 1e3, " mm"];
+  byId("check-move").textContent =
+    `Check move: ${move.axis} goes ${way > 0 ? "+" : "\u2212"}${Math.abs(way).toFixed(1)}${unit} and back. ` +
+    "Is it this axis, and does it go that way? If not: STOP.";
 }
 
 async function command(run) {
@@ -201,7 +212,7 @@ async function showEstimate(id) {
   byId("estimate-text").textContent =
     `revision ${estimate.revision}, after sweep ${estimate.number}; condition number ${number(found.condition_number)}`;
   byId("parameters").replaceChildren(...found.base_parameters.map((parameter) => row([
-    [parameter.name], [number(parameter.value), "number"], [number(parameter.std), "number"],
+    [parameter.symbolic ?? parameter.name], [number(parameter.value), "number"], [number(parameter.std), "number"],
   ])));
   choices(byId("axis"), Object.keys(found.axes).map((joint) => [joint, joint]));
   drawChart(found);
@@ -268,11 +279,12 @@ for (const button of document.querySelectorAll("[data-command]")) {
 
 const events = new EventSource(`${API}/events`);
 events.addEventListener("open", refresh); // whatever was missed meanwhile
-for (const kind of ["campaign", "sweep", "estimate"]) events.addEventListener(kind, refresh);
+for (const kind of ["campaign", "sweep", "check_move", "estimate"]) events.addEventListener(kind, refresh);
 events.addEventListener("stop", showMachine);
 
 async function watchMachine() {
   if (!document.hidden) await showMachine();
+  if (!byId("check-move").hidden) await refresh(); // nothing tells its end
   setTimeout(watchMachine, 1000);
 }
 watchMachine();

@@ -103,3 +103,17 @@ def test_what_nests_where_the_robot_stood_does_not_count_offline(root: Path) -> 
     poses = np.vstack([stood, folded])
     left = reachable(robot, stood, poses)
     assert left.tolist() == stood.tolist()
+
+
+def test_a_path_of_all_axes_at_once_is_sampled_finely(checker: Build) -> None:
+    # both ends are free, half-way the tool meets a small box
+    ends = np.array([[-0.8, -0.6], [0.0, 0.6]])
+    middle = ends.mean(axis=0)
+    angles = np.cumsum(middle)
+    tool = np.cos(angles).sum(), 1.0 - np.sin(angles).sum()
+    box = Box(name="post", center=(tool[0], 0.0, tool[1]), size=(0.05, 0.05, 0.05))
+    looked = checker(boxes=(box,))
+    assert looked.collision_free(ends).all()
+    assert not looked.path_free(ends)
+    assert checker().path_free(ends)
+    assert checker().path_free(ends[:1])

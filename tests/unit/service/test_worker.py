@@ -28,11 +28,11 @@ async def job(tmp_path: Path, robot: Robot) -> Job:
         await bench.runner.start(bench.campaign.id)
         await bench.runner.finished()
         jobs = [
-            Job(f"job-{n}", robot.description, robot.urdf_text, bench.store.sweep(1, n).spec, path, ())
+            Job(f"job-{n}", robot.description, robot.urdf_text, bench.store.sweep(1, n).spec, path, (), {})
             for n in (1, 2)
             for path in [bench.files.path(bench.store.recording(1, n))]
         ]
-    return Job("job", robot.description, robot.urdf_text, jobs[1].spec, jobs[1].path, (work(jobs[0]).spectrum,))
+    return Job("job", robot.description, robot.urdf_text, jobs[1].spec, jobs[1].path, (work(jobs[0]).spectrum,), {})
 
 
 @pytest.fixture

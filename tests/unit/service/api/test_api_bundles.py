@@ -200,3 +200,27 @@ def test_a_command_for_another_version_is_412_and_one_that_does_not_fit_409(
     assert http.post(command, headers={"If-Match": "3"}).status_code == 422
     assert http.post(command, headers={"If-Match": etag}).status_code == 409
     assert http.post(command, headers={"If-Match": "*"}).status_code == 409
+
+
+@pytest.mark.parametrize(
+    ("ending", "kind", "start"),
+    [
+        ("urdf", "application/xml", "<?xml"),
+        ("xml", "application/xml", "<mujoco"),
+        ("yaml", "application/yaml", "robot:"),
+    ],
+)
+def test_the_identified_robot_is_downloaded(
+    http: httpx.Client, campaign_id: int, ending: str, kind: str, start: str
+) -> None:
+    answer = http.get(f"/campaigns/{campaign_id}/model.{ending}")
+    assert answer.status_code == 200, answer.text
+    assert answer.headers["content-type"].startswith(kind)
+    assert f"campaign-{campaign_id}-model.{ending}" in answer.headers["content-disposition"]
+    assert answer.text.startswith(start)
+    assert "link_6" in answer.text
+
+
+def test_no_model_of_what_is_not_there(http: httpx.Client, campaign_id: int) -> None:
+    assert http.get(f"/campaigns/{campaign_id}/model.sdf").status_code == 422
+    assert http.get("/campaigns/999999/model.urdf").status_code == 404

@@ -67,13 +67,13 @@ class FormulaDrive:
             for joint in self.joints
         }
 
-    async def enable(self, joint: str) -> None:
+    async def enable(self, *joints: str) -> None:
         if self.energised:
             raise NotReady(f"{self.energised} has energy already")
         self._stopped.clear()
         await asyncio.sleep(0)
-        self.energised.add(joint)
-        self.trace.append(f"enable {joint}")
+        self.energised.update(joints)
+        self.trace.append(f"enable {' '.join(joints)}")
 
     async def disable(self, joint: str) -> None:
         self.energised.discard(joint)
@@ -85,13 +85,14 @@ class FormulaDrive:
         self.position[joint] = position
         self.trace.append(f"move {joint} {position:g}")
 
-    async def run_sweep(self, command: SweepCommand) -> AsyncGenerator[SampleBlock, None]:
-        if command.joint not in self.energised:
-            raise NotReady(f"{command.joint} has no energy")
-        self.trace.append(f"sweep {command.joint}")
-        samples = self._samples(command)
+    async def run_sweep(self, *commands: SweepCommand) -> AsyncGenerator[SampleBlock, None]:
+        joints = [command.joint for command in commands]
+        if not self.energised.issuperset(joints):
+            raise NotReady(f"{', '.join(joints)}: no energy")
+        self.trace.append(f"sweep {' '.join(joints)}")
+        together = [self._samples(command) for command in commands]
         try:
-            for number, start in enumerate(range(0, len(samples.index), BLOCK)):
+            for number, start in enumerate(range(0, len(together[0].index), BLOCK)):
                 if number in self.fail:
                     raise self.fail[number]
                 if number == self.hold:
@@ -103,8 +104,9 @@ class FormulaDrive:
                     for task in waiting:
                         task.cancel()
                 if self._stopped.is_set():
-                    raise SweepInterrupted(f"{command.joint}: sweep was stopped")
-                yield _part(samples, slice(start, start + BLOCK))
+                    raise SweepInterrupted(f"{', '.join(joints)}: sweep was stopped")
+                for samples in together:
+                    yield _part(samples, slice(start, start + BLOCK))
                 await asyncio.sleep(0)
         finally:
             self.trace.append("standstill")

@@ -97,6 +97,24 @@ async def test_every_axis_is_checked_once_in_a_run_and_before_it_goes_far(bench:
     assert told[3].data["way"] == pytest.approx(-WAY)
 
 
+async def test_while_it_goes_a_person_is_told_which_axis_goes_which_way(bench: Bench) -> None:
+    seen: list[tuple[str, float] | None] = []
+    move_to = bench.drive.move_to
+
+    async def watched(joint, position, velocity):
+        move = bench.runner.check_move
+        seen.append(None if move is None else (move.joint, move.way))
+        await move_to(joint, position, velocity)
+
+    bench.drive.move_to = watched
+    await bench.runner.start(bench.campaign.id)
+    await run_out(bench)
+    assert seen[:2] == [("joint_1", pytest.approx(WAY))] * 2  # there and back
+    far = moves(bench).index("move joint_1 0.4") - 1  # without the sweep before it
+    assert seen[far] is None
+    assert bench.runner.check_move is None
+
+
 async def failed(bench: Bench, cause: str) -> None:
     """The campaign has come to its pause by this cause, and nothing but the check move moved."""
     await run_out(bench)

@@ -62,6 +62,21 @@ async def test_trouble_of_another_kind_with_the_database_does_not_end_the_watch_
     await asyncio.wait([keeper])
 
 
+async def test_a_watch_over_the_lease_that_breaks_off_stops_the_machine(bench: Bench) -> None:
+    class Broken(MachineLease):
+        """Fails in a way that nobody thought of."""
+
+        def renew(self) -> None:
+            raise ArithmeticError("unforeseen")
+
+    with pytest.raises(ArithmeticError):
+        await bench.machine.keep_lease(Broken(bench.database, LEASE_TIME), LEASE_TIME)
+    assert "stop" in bench.drive.trace
+    assert "unforeseen" in bench.machine.held
+    with pytest.raises(Conflict, match="may not move"):
+        bench.machine.check_may_move()
+
+
 async def test_a_stop_cannot_be_reset_while_another_is_under_way(bench: Bench) -> None:
     await bench.machine.stop("anna", "smoke")
     pressed, go, stop = asyncio.Event(), asyncio.Event(), bench.drive.stop

@@ -224,3 +224,16 @@ def test_after_sigkill_every_block_that_was_written_is_there(files: RecordingFil
     assert new.samples in (50 * written, 50 * written + 50)
     recording = read_columns(path.with_suffix(".parquet"))
     np.testing.assert_array_equal(recording.time, np.arange(new.samples) / RATE)
+
+
+def test_the_injected_torque_of_a_noise_run_is_recorded(files: RecordingFiles) -> None:
+    recorder = Recorder(files.stream(RUN), COMMAND)
+    for start in range(0, 1300, 100):
+        whole = block(start, start + 100)
+        recorder.write(dataclasses.replace(whole, excitation_effort=np.sin(whole.time)))
+    with pytest.raises(SamplesMissing, match="excitation_effort is not a number"):
+        recorder.write(dataclasses.replace(block(1300, 1400), excitation_effort=np.full(100, np.nan)))
+    recorder.close()
+    found = read_stream(files.stream(RUN))
+    assert found is not None
+    assert found[0].excitation_effort == pytest.approx(np.sin(found[0].time))

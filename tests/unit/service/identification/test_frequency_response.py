@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -102,3 +103,42 @@ def test_a_free_record_gives_inertia_and_friction_without_differentiation(robot:
     for term, truth in (("viscous_friction", 90), ("coulomb_friction", 35)):
         value, std = fit.terms[term]
         assert abs(value - truth) < max(4 * std, 0.01 * truth)
+
+
+def _with_load(sweep: Sweep, factor: float) -> Recording:
+    """A load that swings `factor` times as wide as the motor about the same slow turn, 5 mrad behind."""
+    time, spec = sweep.recording.time, sweep.spec
+    ramp = 0.2 + spec.offset_velocity * time
+    return replace(sweep.recording, load_position=ramp + factor * (sweep.recording.position - ramp) - 0.005)
+
+
+@pytest.mark.parametrize("periods", [3, 4])
+def test_a_direct_encoder_gives_the_speed_of_the_load(robot: Robot, periods: int) -> None:
+    """Differentiated without a difference quotient; with four periods the window ends with the record."""
+    sweep = _sweep(periods=periods)
+    result = spectrum(robot, replace(sweep, recording=_with_load(sweep, 1.2)))
+    assert result.load_velocity is not None
+    np.testing.assert_allclose(
+        result.load_velocity[result.line], 1.2 * result.velocity[result.line], rtol=1e-6 if periods == 3 else 5e-3
+    )
+    assert np.abs(result.load_velocity[~result.line]).max() < (1e-8 if periods == 3 else 3e-5)
+    told = replace(sweep.recording, load_velocity=1.2 * sweep.recording.velocity)
+    from_speed = spectrum(robot, replace(sweep, recording=told)).load_velocity
+    assert from_speed is not None
+    np.testing.assert_allclose(from_speed, 1.2 * result.velocity, atol=1e-12)
+    back = Spectrum.from_document(json.loads(json.dumps(result.to_document())))
+    assert back.load_velocity is not None
+    assert np.array_equal(back.load_velocity, result.load_velocity)
+
+
+def test_a_direct_encoder_in_degrees_is_refused(robot: Robot) -> None:
+    sweep = _sweep()
+    recording = replace(sweep.recording, load_position=np.degrees(sweep.recording.position))
+    with pytest.raises(BadInput, match=r"load_position: moves 57\.3 times as far as position, limit 1 \+- 0\.5"):
+        spectrum(robot, replace(sweep, recording=recording))
+
+
+def test_a_spectrum_of_earlier_versions_has_no_load(robot: Robot) -> None:
+    document = spectrum(robot, _sweep()).to_document()
+    del document["load_velocity"]
+    assert Spectrum.from_document(document).load_velocity is None

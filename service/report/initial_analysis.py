@@ -1,0 +1,176 @@
+"""Figures 1a and 1b of the paper from the initial analysis of an axis ("analysis" of an estimate's document)."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.axis_inertia import impedance
+from service.identification.ideal_frequency import AxisAnalysis, PoseAnalysis
+from service.report.drawing import (
+    DECADES,
+    IDENTIFIED,
+    MEASURED,
+    REFERENCE,
+    Figure,
+    figure,
+    line,
+    points,
+    rounded,
+    scale,
+)
+
+Array = NDArray[np.float64]
+
+COLUMNS = 3
+_LIGHT, _HEAVY = np.array([14, 165, 233]), np.array([124, 45, 18])  # colours of the lightest and the heaviest pose
+
+
+def amplitude_responses(analysis: AxisAnalysis) -> Figure:
+    """Fig. 1a: velocity over effort in every pose, measured (dots) and fitted (lines), from light to heavy."""
+    traces: list[Figure] = []
+    poses = sorted(analysis.poses, key=lambda pose: pose.fit.inertia.value)
+    for number, pose in enumerate(poses):
+        share = number / max(len(poses) - 1, 1)
+        colour = "#" + "".join(f"{int(value):02x}" for value in (1 - share) * _LIGHT + share * _HEAVY)
+        frequency = pose.response.frequency
+        name = f"J = {pose.fit.inertia.value:.0f} kg m²"
+        measured = points(name, rounded(frequency), 1 / np.abs(pose.response.impedance), colour)
+        measured["marker"]["size"] = 4
+        fine = _fine(frequency)
+        fitted = line(name, rounded(fine), 1 / np.abs(_fitted(analysis, pose, fine)), colour, width=1.2)
+        traces += [{**measured, "showlegend": False}, fitted]
+    return figure(
+        traces,
+        {
+            "height": 460,
+            "xaxis": {**scale("frequency in Hz"), **_LOG},
+            "yaxis": {**scale("|Ω/Γ| in rad/s per N m"), **DECADES},
+        },
+    )
+
+
+def ideal_frequencies(analysis: AxisAnalysis) -> Figure:
+    """Fig. 1b in every pose: apparent inertia |Z|/ω, its asymptotes, and the ideal frequency between their ends."""
+    poses = sorted(analysis.poses, key=lambda pose: pose.fit.inertia.value)
+    rows = -(-len(poses) // COLUMNS)
+    traces: list[Figure] = []
+    layout: Figure = {"height": 40 + 290 * rows, "showlegend": False, "annotations": [], "shapes": []}
+    for k, pose in enumerate(poses):
+        number = "" if k == 0 else str(k + 1)
+        row, column = divmod(k, COLUMNS)
+        left, top, width, height = column / COLUMNS, 1 - row / rows, 1 / COLUMNS, 1 / rows
+        here: Figure = {"xaxis": f"x{number}", "yaxis": f"y{number}"}
+        ends = _ends(pose)
+        traces += [{**trace, **here} for trace in _one_pose(analysis, pose, ends)]
+        layout[f"xaxis{number}"] = {
+            **scale("frequency in Hz"),
+            **_LOG,
+            "tickvals": [0.1, 1, 10],
+            "domain": [left + 0.13 * width, left + 0.97 * width],
+            "anchor": f"y{number}",
+            "range": [math.log10(end) for end in ends],
+        }
+        layout[f"yaxis{number}"] = {
+            **scale("|Γ/Ω|/ω in kg m²" if column == 0 else ""),
+            **DECADES,
+            "domain": [top - 0.8 * height, top - 0.12 * height],
+            "anchor": f"x{number}",
+        }
+        layout["annotations"].append(
+            {
+                "text": f"J = {pose.fit.inertia.value:.0f} kg m², ideal {pose.fit.frequency.value:.2g} Hz → "
+                f"{pose.fit.sweep_frequency:.0f} Hz",
+                "x": left + 0.13 * width,
+                "y": top - 0.1 * height,
+                "xref": "paper",
+                "yref": "paper",
+                "xanchor": "left",
+                "yanchor": "bottom",
+                "showarrow": False,
+                "font": {"size": 12, "color": "#0f172a"},
+            }
+        )
+        layout["shapes"] += [
+            _upright(number, frequency, colour)
+            for frequency, colour in (
+                (pose.fit.corner.value, REFERENCE),
+                (pose.fit.frequency.value, IDENTIFIED),
+                (pose.fit.locked_rotor.value, REFERENCE),
+            )
+            if math.isfinite(frequency) and frequency > 0
+        ]
+    return figure(traces, layout)
+
+
+def table(analyses: Mapping[str, AxisAnalysis], joints: Sequence[str]) -> tuple[list[str], list[list[str]]]:
+    """Head and rows, pose by pose: by the fit, in brackets by asymptotes."""
+    head = ["axis", "pose in deg", "J in kg m²", "locked rotor in Hz", "friction corner in Hz", "ideal in Hz"]
+    rows: list[list[str]] = []
+    for joint in joints:
+        for pose in analyses[joint].poses if joint in analyses else ():
+            fit, read = pose.fit, pose.asymptotes
+            rows.append(
+                [
+                    joint,
+                    ", ".join(f"{math.degrees(position):.0f}" for position in pose.pose),
+                    f"{fit.inertia.value:.1f} ± {fit.inertia.std:.1f}",
+                    f"{fit.locked_rotor.value:.2f} ± {fit.locked_rotor.std:.2f} ({read.locked_rotor.value:.1f})",
+                    f"{fit.corner.value:.3f} ± {fit.corner.std:.3f} ({read.corner.value:.2f})",
+                    f"{fit.frequency.value:.2f} → {fit.sweep_frequency:.0f}",
+                ]
+            )
+    return head, rows
+
+
+_LOG = {"type": "log", "tickvals": [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40]}
+
+
+def _one_pose(analysis: AxisAnalysis, pose: PoseAnalysis, ends: tuple[float, float]) -> list[Figure]:
+    frequency, read = pose.response.frequency, pose.asymptotes
+    omega = 2 * np.pi * frequency
+    fine = np.geomspace(ends[0], ends[1], 400)
+    measured = points("measured", rounded(frequency), np.abs(pose.response.impedance) / omega, MEASURED)
+    measured["marker"]["size"] = 3.5
+    level = np.array([ends[0], read.locked_rotor.value])
+    friction = np.array([ends[0], max(3 * read.corner.value, 3 * ends[0])])
+    return [
+        measured,
+        line("fit", rounded(fine), np.abs(_fitted(analysis, pose, fine)) / (2 * np.pi * fine), IDENTIFIED, width=1.2),
+        line("inertia", rounded(level), np.full(2, read.inertia.value), "#475569", dash="dash", width=1.2),
+        line(
+            "friction",
+            rounded(friction),
+            max(read.friction.value, 1e-9) / (2 * np.pi * friction),
+            "#475569",
+            dash="dash",
+            width=1.2,
+        ),
+    ]
+
+
+def _fitted(analysis: AxisAnalysis, pose: PoseAnalysis, frequency: Array) -> NDArray[np.complex128]:
+    return impedance(frequency, analysis.train, pose.load_inertia, 0.0).total
+
+
+def _ends(pose: PoseAnalysis) -> tuple[float, float]:
+    """From half of the friction corner, within reason, to the last line."""
+    return max(min(0.5 * pose.fit.corner.value, 0.5), 0.02), float(pose.response.frequency[-1])
+
+
+def _fine(frequency: Array) -> Array:
+    return np.geomspace(float(frequency[0]), float(frequency[-1]), 300)
+
+
+def _upright(number: str, frequency: float, colour: str) -> Figure:
+    return {
+        "type": "line",
+        "xref": f"x{number}",
+        "yref": f"y{number} domain",
+        "x0": frequency,
+        "x1": frequency,
+        "y0": 0,
+        "y1": 1,
+        "line": {"color": colour, "width": 1.2, "dash": "dot"},
+    }

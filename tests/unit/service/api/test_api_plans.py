@@ -1,0 +1,84 @@
+"""Plans by budget, through the API and by the command."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import httpx
+import pytest
+
+from tests.unit.service.api.conftest import CONFIG
+
+SWEEPID = str(Path(sys.executable).with_name("sweepid"))
+ROBOT = str(CONFIG / "robots" / "max100-class.yaml")
+AXES = {"axes": ["joint_2"], "varied": ["joint_3"], "step": 10.0}
+
+
+def command(url: str, *options: str) -> subprocess.CompletedProcess[str]:
+    arguments = [SWEEPID, "plan", ROBOT, "--axes", "joint_2", "--varied", "joint_3", "--step", "10", "--url", url]
+    return subprocess.run([*arguments, *options], capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.fixture
+def robot_id(http: httpx.Client) -> int:
+    return next(robot["id"] for robot in http.get("/robots").json()["items"] if robot["name"] == "max100-class")
+
+
+def test_a_budget_of_confidence_is_planned_and_told(http: httpx.Client, robot_id: int) -> None:
+    answer = http.post("/plans", json=AXES | {"robot_id": robot_id, "confidence": 0.5, "criterion": "d_optimal"})
+    assert answer.status_code == 201, answer.text
+    document = answer.json()["document"]
+    assert document["request"]["poses"] is None
+    assert document["confidence"][:2] == [None, None]
+    assert document["confidence"][-1] <= 0.5 < document["confidence"][-2]
+
+
+@pytest.mark.parametrize(
+    ("budget", "told"),
+    [
+        ({"poses": 3, "confidence": 1.0}, "poses and confidence are budgets: name one"),
+        ({"confidence": 0.01}, "confidence: 0.01 % wanted, but the best"),
+        ({"duration": 2.0}, "duration: 2 s do not suffice for one pose"),
+        ({"criterion": "the_best"}, "criterion"),
+    ],
+)
+def test_a_budget_that_cannot_be_met_names_the_field(
+    http: httpx.Client, robot_id: int, budget: dict[str, object], told: str
+) -> None:
+    answer = http.post("/plans", json=AXES | {"robot_id": robot_id} | budget)
+    assert answer.status_code == 422
+    assert told in answer.json()["detail"]
+
+
+def test_the_command_tells_what_the_plan_promises(url: str, http: httpx.Client) -> None:
+    done = command(url, "--duration", "60")
+    assert done.returncode == 0, done.stderr
+    document = http.get(f"/plans/{done.stdout.strip()}").json()["document"]
+    assert document["duration"] <= 60
+    assert (
+        f"{len(document['confidence'])} poses, {len(document['sweeps'])} sweeps, 1 min; J will not be known"
+        in done.stderr
+    )
+
+
+def test_the_command_refuses_two_budgets(url: str) -> None:
+    done = command(url, "--poses", "2", "--confidence", "1")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "poses and confidence are budgets: name one" in done.stderr
+
+
+def test_trajectories_of_several_axes_are_planned(http: httpx.Client, robot_id: int) -> None:
+    wanted = {"kind": "trajectory", "robot_id": robot_id, "axes": ["joint_3", "joint_5"], "trajectories": 1}
+    quick = wanted | {"period": 2.0, "harmonics": 1}
+    answer = http.post("/plans", json=quick)
+    assert answer.status_code == 201, answer.text
+    blocks = [sweep["spec"]["block"] for sweep in answer.json()["document"]["sweeps"]]
+    assert blocks == ["trajectory 1 of 2 axes"] * 2
+    for change, told in (
+        ({"axes": ["joint_3", "joint_9"]}, "unknown joint joint_9"),
+        ({"sweeps": 99}, "99"),
+        ({"velocity": 2.0}, "velocity"),
+    ):
+        refused = http.post("/plans", json=quick | change)
+        assert refused.status_code == 422, refused.text
+        assert told in refused.text

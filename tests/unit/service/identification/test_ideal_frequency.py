@@ -1,0 +1,95 @@
+"""Fit and asymptotes on responses computed by hand from a known drive train."""
+
+import json
+
+import numpy as np
+import pytest
+
+from service.errors import BadInput
+from service.identification.analysis_document import analyses_document, analyses_from
+from service.identification.axis_inertia import DriveTrain, impedance
+from service.identification.ideal_frequency import AxisAnalysis, analyse_axis, nearest_line
+from service.identification.joint_fit import PosePrior, SharedPrior
+from service.identification.noise_response import Response
+
+TRAIN = DriveTrain(58.0, 300.0, 150.0, 1 / 7.4e5, 1.2e-3)
+LOADS = (140.0, 200.0, 330.0, 600.0)
+FREQUENCY = np.arange(2, 63) / 1.6
+PRIOR = SharedPrior(
+    np.array([55.0, 250.0, 250.0, 0.0, 1e-3]), np.diag(np.square([5.5, 250.0, 250.0, 1 / (200 * 350.0), 2e-3]))
+)
+
+
+def response(load: float, noise: float, rng: np.random.Generator) -> Response:
+    z = impedance(FREQUENCY, TRAIN, load, 0.0).total
+    velocity = 1 / (z + 5000.0)
+    error = noise * (rng.standard_normal(len(z)) + 1j * rng.standard_normal(len(z))) / np.sqrt(2)
+    covariance = np.zeros((len(z), 2, 2), dtype=complex)
+    covariance[:, 0, 0] = max(noise, 1e-9) ** 2
+    return Response(FREQUENCY, z * velocity + error, velocity, covariance, np.ones(len(z)))
+
+
+def analysis(noise: float = 0.01, seed: int = 1, loads: tuple[float, ...] = LOADS) -> AxisAnalysis:
+    rng = np.random.default_rng(seed)
+    priors = [PosePrior(np.array([1.2 * load, 0.0, 0.0]), np.array([0.6 * load, 1.0, 1.0])) for load in loads]
+    poses = [(0.0, float(k)) for k in range(len(loads))]
+    return analyse_axis("swing", poses, [response(load, noise, rng) for load in loads], PRIOR, priors)
+
+
+def test_the_drive_train_is_found_within_its_standard_deviations() -> None:
+    found = np.array([analysis(seed=seed).mean for seed in range(40)])
+    stated = np.sqrt(np.diag(analysis().covariance))
+    off = (found - TRAIN.as_array()) / stated
+    assert np.abs(off.mean(axis=0)).max() < 0.6
+    assert off.std(axis=0) == pytest.approx(np.ones(5), abs=0.35)
+    assert analysis().chi_squared == pytest.approx(1.0, abs=0.2)
+
+
+def test_frequencies_of_a_pose_by_both_ways() -> None:
+    for pose, load in zip(analysis(noise=1e-5).poses, LOADS, strict=True):
+        resonance, corner = TRAIN.locked_rotor_frequency(load), 450.0 / (2 * np.pi * (load + 58.0))
+        assert pose.fit.locked_rotor.value == pytest.approx(resonance, rel=1e-3)
+        assert pose.fit.corner.value == pytest.approx(corner, rel=1e-2)
+        assert pose.fit.frequency.value == pytest.approx(np.sqrt(resonance * corner), rel=1e-2)
+        assert pose.fit.sweep_frequency == nearest_line(np.sqrt(resonance * corner))
+        assert pose.asymptotes.locked_rotor.value == pytest.approx(resonance, abs=0.4)
+        assert pose.asymptotes.inertia.value == pytest.approx(load + 58.0, rel=0.2)
+        assert pose.asymptotes.corner.value == pytest.approx(corner, rel=0.3)
+
+
+@pytest.mark.parametrize(("frequency", "line"), [(0.3, 2.0), (2.4, 2.0), (2.6, 3.0), (4.4, 4.0), (9.0, 5.0)])
+def test_ideal_frequencies_are_rounded_to_the_papers(frequency: float, line: float) -> None:
+    assert nearest_line(frequency) == line
+
+
+def test_classes_of_poses_and_their_lines() -> None:
+    light, heavy = analysis().classes
+    assert (light.name, heavy.name) == ("light", "heavy")
+    assert light.up_to == pytest.approx(np.sqrt(198.0 * 658.0), rel=0.02)
+    assert light.locked_rotor == pytest.approx(TRAIN.locked_rotor_frequency(330.0), rel=0.02) or (
+        light.locked_rotor == pytest.approx(TRAIN.locked_rotor_frequency(200.0), rel=0.02)
+    )
+    assert heavy.locked_rotor == pytest.approx(TRAIN.locked_rotor_frequency(600.0), rel=0.02)
+    assert analysis().lines(140.0) == (2.0, 3.0, 4.0, 5.0)
+    assert analysis().lines(600.0) == (2.0, 3.0, 4.0)  # locked rotor at 5.6 Hz
+    assert [each.name for each in analysis(loads=(200.0, 210.0)).classes] == ["all"]
+
+
+def test_documents_keep_the_prior_exactly() -> None:
+    given = {"swing": analysis()}
+    document = analyses_document(given)
+    back = analyses_from(json.loads(json.dumps(document, allow_nan=False)))
+    assert np.array_equal(back["swing"].mean, given["swing"].mean)
+    assert np.array_equal(back["swing"].covariance, given["swing"].covariance)
+    assert back["swing"].classes == given["swing"].classes
+    assert back["swing"].lines(330.0) == given["swing"].lines(330.0)
+    again = analyses_document(back)["swing"]["poses"][0]["frequency_response"][5]
+    assert again["re"] == document["swing"]["poses"][0]["frequency_response"][5]["re"]
+
+
+def test_too_few_lines_are_refused() -> None:
+    full = response(200.0, 0.01, np.random.default_rng(1))
+    few = Response(full.frequency[:3], full.effort[:3], full.velocity[:3], full.covariance[:3], full.coherence[:3])
+    prior = PosePrior(np.array([200.0, 0.0, 0.0]), np.array([100.0, 1.0, 1.0]))
+    with pytest.raises(BadInput, match="swing: 6 numbers of its frequency responses for 7 unknown ones"):
+        analyse_axis("swing", [(0.0, 0.0)], [few], PRIOR, [prior])

@@ -1,0 +1,52 @@
+"""Figures 1a and 1b from an analysis worked out by hand."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from service.identification.analysis_document import analyses_document
+from service.identification.ideal_frequency import AxisAnalysis
+from service.report import render_analysis
+from service.report.initial_analysis import amplitude_responses, ideal_frequencies, table
+from tests.unit.service.campaigns.small_arm import small_arm
+from tests.unit.service.identification.test_ideal_frequency import FREQUENCY, LOADS, analysis
+
+
+@pytest.fixture(scope="module")
+def found() -> AxisAnalysis:
+    return analysis(noise=1e-5)
+
+
+def test_amplitude_responses_show_every_pose_twice(found: AxisAnalysis) -> None:
+    drawn = amplitude_responses(found)
+    assert len(drawn["data"]) == 2 * len(LOADS)
+    dots, fitted = drawn["data"][:2]
+    assert dots["x"] == pytest.approx(FREQUENCY, rel=1e-5)
+    assert dots["y"] == pytest.approx(1 / np.abs(found.poses[0].response.impedance), rel=1e-5)
+    assert np.interp(8.0, fitted["x"], fitted["y"]) == pytest.approx(np.interp(8.0, dots["x"], dots["y"]), rel=0.05)
+
+
+def test_ideal_frequencies_have_an_upright_at_each_end_and_between(found: AxisAnalysis) -> None:
+    drawn = ideal_frequencies(found)
+    first = [shape["x0"] for shape in drawn["layout"]["shapes"] if shape["xref"] == "x"]
+    corner, ideal, resonance = first
+    assert ideal == pytest.approx(np.sqrt(corner * resonance))
+    assert len(drawn["layout"]["annotations"]) == len(LOADS)
+    assert drawn["layout"]["annotations"][0]["text"].startswith("J = 198 kg m²")
+
+
+def test_the_table_has_both_ways_side_by_side(found: AxisAnalysis) -> None:
+    head, rows = table({"j1": found}, ("j1", "j2"))
+    assert len(rows) == len(LOADS)
+    assert {len(row) for row in rows} == {len(head)}
+    assert re.fullmatch(r"11\.57 ± 0\.\d\d \(11\.\d\)", rows[0][3])
+
+
+def test_the_page_holds_two_figures_an_axis(found: AxisAnalysis) -> None:
+    page = render_analysis(small_arm(), analyses_document({"j1": found}))
+    data = re.search(r'<script type="application/json" id="figures">(.*?)</script>', page, re.DOTALL)
+    assert data is not None
+    assert len(json.loads(data[1])) == 2
+    assert "<h3>j1</h3>" in page
