@@ -13,6 +13,7 @@ do not touch each other and the step is that of the single axes.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, cast
 
 import mujoco
@@ -30,6 +31,18 @@ _mujoco = cast(Any, mujoco)  # a binary module without type stubs
 
 _ROUNDS = 4  # of the projected Jacobi iteration, a step
 _RELAXATION = 0.7
+_KEPT = 4  # steps for which the inertia matrix stands: one cycle of 1 ms, in which the pose hardly changes
+
+
+@dataclass(frozen=True, slots=True)
+class _Masses:
+    """What the masses (k,) that may move answer to a force with."""
+
+    free: Array  # the brakes this was made for
+    moving: NDArray[np.int_]  # their numbers among all masses
+    momentum: Array  # (k, k) inertia less half a step of damping
+    gain: Array  # (k, k) inverse of the inertia and half a step of damping
+    relax: Array  # (k,) of the projected Jacobi iteration
 
 
 class Dynamics(RigidBody):
@@ -67,14 +80,21 @@ class CoupledTrains(DriveTrains):
             (self.velocity.size, self.velocity.size)
         )  # of the motors; the links' changes with the pose
         self._mass[:rows, :rows] = motors
-        self._resistance = np.diag(self._viscous.ravel())
-        if self.elastic:
-            springs = np.diag(self.damping)
-            self._resistance += np.block([[springs, -springs], [-springs, springs]])
-        self._resistance *= step / 2
+        self._resistance = self._resist(self.damping)
         self._links = slice(self.velocity.size - rows, None)
         self._before = self.velocity[-1].copy()  # of the load, a step ago
         self._impulse = np.zeros(self.velocity.size)
+        self._answering: _Masses | None = None
+        self._age = 0  # steps of the masses
+        self._dry = step * np.stack([-self._coulomb.ravel(), self._coulomb.ravel()])  # impulses of plain friction
+
+    def _resist(self, damping: Array) -> Array:
+        """Half a step of viscous friction and of the springs' `damping` (rows,), a matrix over all masses."""
+        resistance = np.diag(self._viscous.ravel())
+        if self.elastic:
+            springs = np.diag(damping)
+            resistance += np.block([[springs, -springs], [-springs, springs]])
+        return resistance * self._step / 2
 
     def stand(self, pose: Array) -> None:
         """Put the whole robot, all brakes closed, into a pose (all joints,) rad."""
@@ -87,77 +107,84 @@ class CoupledTrains(DriveTrains):
         self.load(self.axes)
 
     def settle(self, row: int) -> float:
-        """As for a single axis, gravity being that of the present pose of all joints."""
+        """As for a single axis; what friction remembers of the row is forgotten."""
         self._before[row] = 0.0
         self._impulse.reshape(self.velocity.shape)[:, row] = 0.0
-        if self.elastic:
-            self.position[1, row] = self.position[0, row]
-            for _ in range(30):  # contracts by gravity stiffness over spring stiffness
-                twist = self.position[0, row] - self.position[1, row]
-                stiffness = self._stiffness[row] + self._hardening[row] * twist**2
-                self.position[1, row] = self.position[0, row] - self._gravity_now()[row] / stiffness
-        self.velocity[:, row] = 0.0
-        if self._bristles is not None:
-            self._bristles.deflection[row] = 0.0
-        return float(self._gravity_now()[row])
+        return super().settle(row)
 
     def step(self, effort: Array) -> None:
         """Advance all rows by one step under motor torque `effort` (rows,), N m."""
-        free = np.flatnonzero(self.free)
         step, velocity = self._step, self.velocity
         now = 1.5 * velocity[-1] - 0.5 * self._before  # velocities are half a step old
         self._before = velocity[-1].copy()
-        if len(free) < 2:
+        if np.count_nonzero(self.free) < 2:
+            self._answering = None
             super().step(effort)
             return
         inertia, bias = self._dynamics(now)
-        motor = effort
-        if self._cogging is not None:
-            motor = motor - self._cogging(self.position[0])
-        if self._bristles is not None:
-            motor = motor - self._bristles.step(velocity[0])
-        mass, drag, old = self._mass.copy(), self._resistance, velocity.ravel()
-        mass[self._links, self._links] += inertia
+        masses = self._answer(inertia)
+        motor = self.motor_torque(effort)
+        if self.appendages is not None:
+            bias = bias + self.appendages.step(self.position[-1], velocity[-1])
         if self.elastic:
             spring = self.spring_torque()
-            force = np.concatenate([motor - spring, spring - bias])
+            force = np.concatenate([motor - self.on_motor(spring), spring - bias])
         else:
             force = motor - bias
-        moving = slice(None)
-        if len(free) < len(self.free):
-            moving = np.flatnonzero(np.tile(self.free, len(velocity)))
-            chosen = np.ix_(moving, moving)
-            mass, drag, old, force = mass[chosen], drag[chosen], old[moving], force[moving]
-        gain: Array = np.asarray(np.linalg.inv(mass + drag), dtype=float)
-        new = self._rub(gain @ ((mass - drag) @ old + step * force), gain, moving)
+        dry = self._dry
+        if self.friction is not None:
+            forward, backward, more = self.rub()
+            force = force - more.ravel()
+            dry = step * np.stack([-backward.ravel(), forward.ravel()])
+        moving, old = masses.moving, velocity.ravel()[masses.moving]
+        new = self._rub(masses.gain @ (masses.momentum @ old + step * force[moving]), masses, dry[:, moving])
         velocity[:] = 0.0
         velocity.reshape(-1)[moving] = new
         self.position[:] += step * velocity
 
-    def _rub(self, velocity: Array, gain: Array, moving: slice | NDArray[np.int_]) -> Array:
-        """Velocities (k,) of the moving masses after dry friction."""
-        most = self._step * self._coulomb.ravel()[moving]
-        impulse = np.clip(self._impulse[moving], -most, most)
-        rubbed = velocity - gain @ impulse
-        relax = _RELAXATION / np.diag(gain)
+    def _answer(self, inertia: Array) -> _Masses:
+        """Of this step: those of some steps ago while they may stand."""
+        self._age += 1
+        masses = self._answering
+        stale = self._age >= _KEPT or self._has_gap  # a gap opens and closes from step to step
+        if masses is None or stale or (masses.free != self.free).any():
+            mass, drag = self._mass.copy(), self._resistance
+            mass[self._links, self._links] += inertia[np.ix_(self._driven, self._driven)]
+            if self._has_gap:
+                drag = self._resist(self.damping * self.engaged())
+            moving = np.flatnonzero(np.tile(self.free, len(self.velocity)))
+            mass, drag = mass[np.ix_(moving, moving)], drag[np.ix_(moving, moving)]
+            gain: Array = np.asarray(np.linalg.inv(mass + drag), dtype=float)
+            relax = _RELAXATION / np.diag(gain)
+            self._answering = masses = _Masses(self.free.copy(), moving, mass - drag, gain, relax)
+            self._age = 0
+        return masses
+
+    def _rub(self, velocity: Array, masses: _Masses, dry: Array) -> Array:
+        """Velocities (k,) of the moving masses after dry friction, impulses `dry` (2, k): least and most."""
+        least, most = dry
+        impulse = np.minimum(np.maximum(self._impulse[masses.moving], least), most)
+        rubbed = velocity - masses.gain @ impulse
         for _ in range(_ROUNDS):
             before = impulse
-            impulse = np.minimum(np.maximum(impulse + relax * rubbed, -most), most)
-            if np.array_equal(impulse, before):  # every axis slips
+            impulse = np.minimum(np.maximum(impulse + masses.relax * rubbed, least), most)
+            if (impulse == before).all():  # every axis slips
                 break
-            rubbed = velocity - gain @ impulse
-        self._impulse[moving] = impulse
+            rubbed = velocity - masses.gain @ impulse
+        self._impulse[masses.moving] = impulse
         return rubbed
 
     def _dynamics(self, load_velocity: Array) -> tuple[Array, Array]:
-        """Inertia matrix (rows, rows) and bias (rows,) of the driven joints at the present load positions."""
+        """Inertia matrix (n, n) of all joints and bias (rows,) of the driven ones at the present load positions."""
         pose, velocity = self._standing.copy(), np.zeros_like(self._standing)
         pose[self._driven] = self.position[-1]
         velocity[self._driven] = load_velocity * self.free
         inertia, bias = self._body.at(pose, velocity)
-        return inertia[np.ix_(self._driven, self._driven)], bias[self._driven]
+        bias = bias[self._driven]
+        return inertia, bias + self.hose_torque() if self._has_hose else bias
 
-    def _gravity_now(self) -> Array:
+    def holding_torque(self) -> Array:
+        """As for single axes, gravity being that of the present pose of all joints."""
         return self._dynamics(np.zeros(len(self._driven)))[1]
 
     @property

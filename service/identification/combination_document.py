@@ -1,0 +1,41 @@
+"""The combination of sweeps and trajectories as JSON-able data: "combination" of the estimate's document."""
+
+from typing import Any
+
+import numpy as np
+
+from service.identification.combination import Combination
+
+
+def combination_document(combination: Combination) -> dict[str, Any]:
+    """All numbers; a standard deviation that a source does not determine is null.
+
+    "became_identifiable": names of the parameters that neither sweeps nor trajectories alone identify.
+    """
+    parameters = combination.parameters
+    return {
+        "base_parameters": [
+            {
+                "name": parameter.name,
+                "value": parameter.value,
+                "std": _finite(parameter.std),
+                "std_sweeps": _finite(parameter.std_sweeps),
+                "std_trajectories": _finite(parameter.std_trajectories),
+                "std_nominal": parameter.std_prior,
+                "source": parameter.source.value,
+                "identified": parameter.identified,
+                "reason": parameter.reason,
+            }
+            for parameter in parameters
+        ],
+        "became_identifiable": [parameter.name for parameter in parameters if parameter.by_combination],
+        "trajectories": [list(sweeps) for sweeps in combination.trajectories],
+        "noise": {
+            joint: {"harmonic": noise, "scatter": combination.scatter[joint]}
+            for joint, noise in combination.noise.items()
+        },
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None

@@ -1,0 +1,170 @@
+"""Six axes of the simulated machine: sweeps of all axes in many poses, exciting trajectories of all axes at once."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from service.cell import read_cell
+from service.collision import CollisionChecker
+from service.identification import Spectrum, spectrum
+from service.identification.base_parameters import joint_ranges
+from service.identification.combination import Combination, dynamic_base
+from service.identification.excitation import design_sweep
+from service.identification.exciting_trajectory import Shape, Trajectory, TrajectoryLimits, design_trajectory
+from service.identification.frequency_response import window
+from service.identification.regressor import inertia_rows
+from service.identification.trajectory_record import TrajectoryRecord, axis_track, trajectory
+from service.recording import Recording, Sweep, SweepSpec
+from service.robot import Robot
+from service.urdf import read_chain
+from simulator import Scenario, SweepRun, run_sweeps, run_trajectories
+from simulator.rigid_body import real_urdf
+from tests.numeric.campaign import CONFIG
+
+# data-sheet stiffness of the gears, N m/rad: only the design of the sweeps uses it
+STIFFNESS = (7e5, 1.8e6, 4e5, 5e4, 4.5e4, 1.2e4)
+VELOCITY, ACCELERATION = 0.8, 1.5  # rad/s, rad/s^2, of a trajectory
+
+
+def checker(robot: Robot) -> CollisionChecker:
+    return CollisionChecker(robot, read_cell(CONFIG / "cells" / "workshop.yaml"))
+
+
+def limits(robot: Robot, margin: float = 0.1) -> TrajectoryLimits:
+    lower, upper = joint_ranges(robot.chain)
+    effort = 0.9 * np.array([joint.effort for joint in robot.chain.joints])
+    joints = len(robot.axes)
+    return TrajectoryLimits(
+        lower + margin, upper - margin, np.full(joints, VELOCITY), np.full(joints, ACCELERATION), effort
+    )
+
+
+def design(robot: Robot, shape: Shape, seed: int, restarts: int = 30, steps: int = 150) -> Trajectory:
+    collisions = checker(robot)
+    columns = dynamic_base(robot).columns
+    return design_trajectory(
+        robot, columns, limits(robot), shape, collisions.path_free, seed=seed, restarts=restarts, steps=steps
+    )
+
+
+def measure_trajectories(
+    robot: Robot, scenario: Scenario, trajectories: Sequence[Trajectory], seed: int, sample_rate: float = 250.0
+) -> list[list[Sweep]]:
+    """The sweeps of every trajectory as the machine records them, one an axis."""
+    specs, runs = [], []
+    for number, run in enumerate(trajectories):
+        own = [
+            SweepSpec(
+                id=f"T{number:02}-{axis}",
+                axis=joint,
+                pose=tuple(run.start.tolist()),
+                offset_velocity=0.0,
+                excitation="trajectory",
+                sines=excitation.sines,
+                period=excitation.period,
+                periods=excitation.periods,
+                measure_from=excitation.measure_from,
+                sample_rate=sample_rate,
+                started_at=100.0 * number,
+                block=f"trajectory {number}",
+            )
+            for axis, (joint, excitation) in enumerate(zip(robot.joints, run.excitations, strict=True))
+        ]
+        specs.append(own)
+        runs.append(
+            [
+                _run(spec, excitation.ramp, excitation.settle)
+                for spec, excitation in zip(own, run.excitations, strict=True)
+            ]
+        )
+    recordings = run_trajectories(scenario, runs, seed)
+    return [
+        [Sweep(spec, Recording(**columns)) for spec, columns in zip(own, recorded, strict=True)]
+        for own, recorded in zip(specs, recordings, strict=True)
+    ]
+
+
+def measure_sweeps(
+    robot: Robot, scenario: Scenario, poses: np.ndarray, seed: int, sample_rate: float = 250.0
+) -> tuple[list[Sweep], list[Spectrum]]:
+    """One sweep of every axis in each of the poses (m, n), and their spectra."""
+    specs: list[SweepSpec] = []
+    runs: list[SweepRun] = []
+    for number, joint in enumerate(robot.joints):
+        loads = inertia_rows(robot.chain, number, poses) @ robot.chain.inertial.ravel()
+        for pose, load in zip(poses, loads, strict=True):
+            resonance = float(np.sqrt(STIFFNESS[number] / load) / (2 * np.pi))
+            sweep = design_sweep(robot, joint, pose, load_inertia=float(load), locked_rotor_frequency=resonance)
+            specs.append(
+                SweepSpec(
+                    id=f"{len(specs) + 1:04}",
+                    axis=joint,
+                    pose=tuple(pose.tolist()),
+                    offset_velocity=sweep.offset_velocity,
+                    sines=sweep.sines,
+                    period=sweep.period,
+                    periods=sweep.periods,
+                    measure_from=sweep.measure_from,
+                    sample_rate=sample_rate,
+                )
+            )
+            runs.append(_run(specs[-1], sweep.ramp, sweep.settle))
+    recordings = run_sweeps(scenario, runs, seed)
+    sweeps = [Sweep(spec, Recording(**columns)) for spec, columns in zip(specs, recordings, strict=True)]
+    return sweeps, [spectrum(robot, sweep) for sweep in sweeps]
+
+
+def free_poses(robot: Robot, rng: np.random.Generator, count: int) -> np.ndarray:
+    """Random collision-free poses with room for a sweep."""
+    lower, upper = joint_ranges(robot.chain)
+    poses = rng.uniform(lower + 0.1, upper - 0.1, (20 * count, len(lower)))
+    return poses[checker(robot).collision_free(poses)][:count]
+
+
+def deviation(both: Combination, scenario: Scenario) -> np.ndarray:
+    """Identified less true value of every base parameter, in its standard deviations."""
+    links = read_chain(real_urdf(scenario)).inertial.ravel()
+    trains = [scenario.driven(joint).train for joint in both.robot.joints]
+    motors = [t.motor_inertia * a.gear_ratio**2 for t, a in zip(trains, both.robot.axes, strict=True)]
+    viscous = [t.motor_friction.viscous + t.load_friction.viscous for t in trains]
+    dry = [t.motor_friction.coulomb + t.load_friction.coulomb for t in trains]
+    truth = both.base.combination @ np.concatenate([links, motors, viscous, dry, np.zeros(len(trains))])
+    return (both.solution.values - truth) / both.solution.std
+
+
+def prediction(both: Combination, record: TrajectoryRecord, sweeps: Sequence[Sweep]) -> dict[str, list[float]]:
+    """By axis, RMS in percent of the rated effort: of every sample, and below 10 Hz."""
+    robot = both.robot
+    first, count = window(sweeps[0].spec, sweeps[0].recording.time)
+    samples = count // record.periods
+    fine = 8 * samples
+    efforts = both.effort(record.motion(robot, fine, load=True), record.motion(robot, fine, load=False))
+    harmonics = np.fft.rfft(efforts, axis=0)[: len(record.frequency)] / fine
+    result: dict[str, list[float]] = {}
+    for k, (track, sweep) in enumerate(zip(record.tracks, sweeps, strict=True)):
+        rated = robot.axis(track.joint).rated_effort
+        error = sweep.recording.effort[first : first + count] - np.tile(efforts[::8, k], record.periods)
+        left = np.abs(harmonics[:, k] - track.effort) ** 2
+        result[track.joint] = [
+            100 * float(np.sqrt(np.mean(error**2))) / rated,
+            100 * float(np.sqrt(left[0] + 2 * left[1:].sum())) / rated,
+        ]
+    return result
+
+
+def records(robot: Robot, measured: Sequence[Sequence[Sweep]]) -> list[TrajectoryRecord]:
+    return [trajectory(robot, [axis_track(sweep) for sweep in sweeps]) for sweeps in measured]
+
+
+def _run(spec: SweepSpec, ramp: float, settle: float) -> SweepRun:
+    return SweepRun(
+        axis=spec.axis,
+        pose=spec.pose,
+        offset_velocity=spec.offset_velocity,
+        sines=tuple((sine.frequency, sine.amplitude, sine.phase) for sine in spec.sines),
+        period=spec.period or 0.0,
+        periods=spec.periods or 0,
+        ramp=ramp,
+        settle=settle,
+        sample_rate=spec.sample_rate,
+    )
