@@ -9,12 +9,12 @@ indices, which are the drive's own counter, must be 0, 1, 2, ...; the witness co
 have left out. Then all sweeps of an axis are identified together, drive-side ones of the same pose before and after
 among them: J must agree within the stated standard deviation. Exit code 0 if all that holds, else 1.
 
-Three axes stream at once, each with lines of its own. The virtual machine's axes are independent drive trains, but what
-one axis travels changes the others' gravity and J: a slope that looks like gravity stiffness of their own, and J of
-another pose than in the drive-side sweeps, which are taken in the middle of it all. Both change sign with the others'
-direction: all relative directions take part alike (`DIRECTIONS`), the mean of J is compared (without noise it is the
-same within 0.03 %), and single sweeps are compared only where one axis moves alone. On a real arm, inertial coupling
-would show at the *other* axes' lines.
+Three axes stream at once, each with lines of its own. Their robot's axes do not feel each other's inertia (`coupled:
+false` of the scenario), so that J can be compared with that of an axis which moves alone. But what one axis travels
+changes the others' gravity and J: a slope that looks like gravity stiffness of their own, and J of another pose than in
+the drive-side sweeps, which are taken in the middle of it all. Both change sign with the others' direction: all
+relative directions take part alike (`DIRECTIONS`), the mean of J is compared (without noise it is the same within
+0.03 %), and single sweeps are compared only where one axis moves alone.
 """
 
 import argparse
@@ -26,6 +26,7 @@ import os
 import platform
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
@@ -34,6 +35,7 @@ from typing import Any, cast
 from unittest.mock import patch
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from drivers.canopen import host_sweep
@@ -43,6 +45,7 @@ from service.robot import Robot
 from tests.benchmarks import sweeps
 from tests.benchmarks.punctuality import punctuality
 from tests.benchmarks.witness import TPDO2, witness
+from tests.contract import bench as contract
 from tests.contract.bench import BENCHES, DRIVES
 
 DRIVE_SIDE = 6  # sweeps of each axis before, and as many after
@@ -193,6 +196,15 @@ def summary(result: dict[str, Any]) -> str:
     return "\n".join([*lines, "PASSED" if result["passed"] else "FAILED"])
 
 
+def uncoupled(scenario: Path, folder: Path) -> Path:
+    """The scenario in a folder of its own, with axes that do not feel each other."""
+    data = yaml.safe_load(scenario.read_text("utf-8"))
+    data |= {"coupled": False, "robot": str((scenario.parent / data["robot"]).resolve())}
+    path = folder / scenario.name
+    path.write_text(yaml.safe_dump(data), "utf-8")
+    return path
+
+
 def stream(
     bus: str, joints: Sequence[str], seconds: float, rate: float, processes: int, *, thread: bool
 ) -> dict[str, Any]:
@@ -201,6 +213,8 @@ def stream(
     with contextlib.ExitStack() as stack:
         if thread:
             stack.enter_context(patch.object(host_sweep, "set_point_source", lambda _: "thread"))
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        stack.enter_context(patch.object(contract, "SCENARIO", uncoupled(contract.SCENARIO, folder)))
         machine = stack.enter_context(bench.machine(bench))
         where = dict(cast("Mapping[str, Any]", machine.profile["bus"])) | {"sync_period": 1 / rate}
 
