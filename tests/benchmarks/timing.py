@@ -63,9 +63,9 @@ LONG = """
 ## Long runs
 
 Several axes stream on one clock. Of every sweep the drive's sample counters must be 0, 1, 2, ... without a gap, as
-delivered, and J must agree with the drive-side sweeps; "wire" is what the witness counted. The axes of
-this virtual machine do not feel each other (`coupled: false`), so J of axes that move together can be compared with that
-of an axis alone; on a real arm their coupling shows, and wants the inverse dynamics of six-axes trajectories.
+delivered, and J must agree with the drive-side sweeps; "wire" is what the witness counted. The axes of this virtual
+machine do not feel each other (`coupled: false`), so J of axes that move together can be compared with that of an axis
+alone; on a real arm their coupling shows, and wants the inverse dynamics of six-axes trajectories.
 
 {rows}
 """
