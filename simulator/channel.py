@@ -1,4 +1,6 @@
-"""One measured channel on its way out of the drive: a delay of whole steps, then first-order smoothing.
+"""One measured channel on its way out of the drive: a delay, then first-order smoothing.
+
+A delay between two steps runs straight between their values: at most 8e-4 of a line at 50 Hz.
 
 Smoothing obeys ``T y' = u - y``, taken exactly for a signal u that runs straight between its steps h: with a =
 exp(-h/T) and g = (1 - a) T/h, y[n] = a y[n-1] + (1 - g) u[n] + (g - a) u[n-1]. So the channel's response to a line
@@ -15,13 +17,13 @@ Array = NDArray[np.float64]
 
 
 class Channel:
-    """State of many rows; `delay` and `smoothing` (T) in s. ValueError for a delay that is no multiple of `step`."""
+    """State of many rows; `delay` and `smoothing` (T) in s."""
 
     def __init__(self, rows: int, step: float, delay: float, smoothing: float) -> None:
-        steps = round(delay / step)
-        if abs(steps * step - delay) > 1e-9:
-            raise ValueError(f"delay {delay} s is not a multiple of the plant step {step} s")
-        self._late = np.zeros((steps, rows))
+        whole = math.floor(delay / step + 1e-9)
+        part = delay / step - whole
+        self._part = part if part > 1e-9 else 0.0  # of a step, on top of the whole ones
+        self._late = np.zeros((whole + bool(self._part), rows))
         self._smoothing = smoothing
         if smoothing:
             self._keep = math.exp(-step / smoothing)
@@ -40,7 +42,8 @@ class Channel:
         if len(self._late):
             delayed = np.concatenate([self._late, signal])
             self._late = delayed[len(signal) :]
-            signal = delayed[: len(signal)]
+            older = delayed[: len(signal)]
+            signal = older + (1 - self._part) * (delayed[1 : len(signal) + 1] - older) if self._part else older
         if self._smoothing:
             signal, self._state = lfilter([self._now, self._before], [1.0, -self._keep], signal, axis=0, zi=self._state)
         return signal

@@ -80,7 +80,7 @@ class CoupledTrains(DriveTrains):
             (self.velocity.size, self.velocity.size)
         )  # of the motors; the links' changes with the pose
         self._mass[:rows, :rows] = motors
-        self._resistance = self._resist(self.damping)
+        self._resistance = self._resist(self.damping, np.ones(rows))
         self._links = slice(self.velocity.size - rows, None)
         self._before = self.velocity[-1].copy()  # of the load, a step ago
         self._impulse = np.zeros(self.velocity.size)
@@ -88,12 +88,12 @@ class CoupledTrains(DriveTrains):
         self._age = 0  # steps of the masses
         self._dry = step * np.stack([-self._coulomb.ravel(), self._coulomb.ravel()])  # impulses of plain friction
 
-    def _resist(self, damping: Array) -> Array:
+    def _resist(self, damping: Array, lever: Array) -> Array:
         """Half a step of viscous friction and of the springs' `damping` (rows,), a matrix over all masses."""
         resistance = np.diag(self._viscous.ravel())
         if self.elastic:
-            springs = np.diag(damping)
-            resistance += np.block([[springs, -springs], [-springs, springs]])
+            both, across, load = (np.diag(damping * lever**power) for power in (2, 1, 0))
+            resistance += np.block([[both, -across], [-across, load]])
         return resistance * self._step / 2
 
     def stand(self, pose: Array) -> None:
@@ -117,7 +117,7 @@ class CoupledTrains(DriveTrains):
         step, velocity = self._step, self.velocity
         now = 1.5 * velocity[-1] - 0.5 * self._before  # velocities are half a step old
         self._before = velocity[-1].copy()
-        if np.count_nonzero(self.free) < 2:
+        if np.count_nonzero(self.free) < 2 or not self._scenario.coupled:
             self._answering = None
             super().step(effort)
             return
@@ -128,7 +128,7 @@ class CoupledTrains(DriveTrains):
             bias = bias + self.appendages.step(self.position[-1], velocity[-1])
         if self.elastic:
             spring = self.spring_torque()
-            force = np.concatenate([motor - self.on_motor(spring), spring - bias])
+            force = np.concatenate([motor - self.lever() * spring, spring - bias])
         else:
             force = motor - bias
         dry = self._dry
@@ -146,12 +146,13 @@ class CoupledTrains(DriveTrains):
         """Of this step: those of some steps ago while they may stand."""
         self._age += 1
         masses = self._answering
-        stale = self._age >= _KEPT or self._has_gap  # a gap opens and closes from step to step
+        changing = self._has_gap or self.gear_error is not None  # from step to step
+        stale = changing or self._age >= _KEPT
         if masses is None or stale or (masses.free != self.free).any():
             mass, drag = self._mass.copy(), self._resistance
             mass[self._links, self._links] += inertia[np.ix_(self._driven, self._driven)]
-            if self._has_gap:
-                drag = self._resist(self.damping * self.engaged())
+            if changing:
+                drag = self._resist(self.damping * self.engaged(), self.lever())
             moving = np.flatnonzero(np.tile(self.free, len(self.velocity)))
             mass, drag = mass[np.ix_(moving, moving)], drag[np.ix_(moving, moving)]
             gain: Array = np.asarray(np.linalg.inv(mass + drag), dtype=float)

@@ -1,7 +1,7 @@
 """Drive trains, one row each, stepped together: motor and load with a spring between them, or one rigid mass.
 
-    Jm vm' = u - Ts - fm(vm) - cogging(qm)          Ts = k e + k3 e^3 + d e',  e = qm - ql
-    Jl vl' = Ts - fl(vl) - gravity(ql)              f(v) = mu v + Fc sign(v)
+    Jm vm' = u - (1 + g') Ts - fm(vm) - cogging(qm)     Ts = k e + k3 e^3 + d e',  e = qm + g(qm) - ql, less backlash
+    Jl vl' = Ts - fl(vl) - gravity(ql) - hose(ql, vl)   f(v) = mu v + Fc sign(v); more of it in `effects.friction`
 
 Leapfrog: positions and effort at the steps n, velocities half-way between, so effort u_n, position q_n and velocity
 (v_{n-1/2} + v_{n+1/2})/2 belong to one instant to second order. Viscous and structural damping are trapezoidal. Coulomb
@@ -9,13 +9,16 @@ friction is the exact solution of the set-valued law over a step, v <- v - clip(
 A rigid mass thus obeys Gamma/Omega = (2J/h) i tan(wh/2) + mu, 5e-6 from iwJ at 5 Hz and h = 0.25 ms.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.effects.appendages import Appendages
+from simulator.effects.bristles import Bristles
+from simulator.effects.friction import friction_law, viscous
+from simulator.effects.ripples import cogging, gear_error
 from simulator.moving_axis import MovingAxis
-from simulator.scenario import LuGre
 
 Array = NDArray[np.float64]
 
@@ -40,26 +43,35 @@ class DriveTrains:
         self._hardening = np.array([spring.hardening for spring in springs])
         self._hardens = bool(self._hardening.any())
         self.damping = np.array([spring.damping for spring in springs])
-        viscous = np.array([[train.motor_friction.viscous, train.load_friction.viscous] for train in trains]).T
+        self._gap = np.array([spring.backlash / 2 for spring in springs])
+        self._has_gap = bool(self._gap.any())
+        hoses = [train.hose for train in trains]
+        self._hose = np.array([hose.stiffness if hose else 0.0 for hose in hoses])
+        self._hose_rest = np.array([hose.rest if hose else 0.0 for hose in hoses])
+        self._has_hose = any(hoses)
+        on_load = [viscous(t.load_friction) + (t.hose.damping if t.hose else 0.0) for t in trains]
+        on_motor = [viscous(train.motor_friction) for train in trains]
         coulomb = np.array([[train.motor_friction.coulomb, train.load_friction.coulomb] for train in trains]).T
-        self._viscous, self._coulomb = self._masses(viscous), self._masses(coulomb)
+        self._viscous, self._coulomb = self._masses(np.array([on_motor, on_load])), self._masses(coulomb)
+        self.friction = friction_law(trains, [axis.warmth for axis in axes], step)
         self._cogging = cogging(axes)
+        self.gear_error = gear_error(axes)
         self._bristles = Bristles([t.lugre for t in trains], step) if any(t.lugre for t in trains) else None
+        appendages = [train.appendage for train in trains]
+        self.appendages = Appendages(appendages, step) if any(appendages) else None
+        self._earlier = np.zeros(rows)  # speed of the load a step ago, as friction knows it
         self.load(axes)
 
     def load(self, axes: Sequence[MovingAxis]) -> None:
         """Take over inertia and gravity of another pose; the drive trains and their state stay."""
-        inertia = self._masses(np.array([[axis.motor_inertia, axis.load_inertia] for axis in axes]).T)
+        self._load_inertia = np.array([axis.load_inertia for axis in axes])
+        inertia = self._masses(np.array([[axis.motor_inertia for axis in axes], self._load_inertia]))
         half = self._step * self._viscous / 2
         self._mobility = self._step / (inertia + half)  # velocity gained per N m in one step
         self._keep = (inertia - half) / (inertia + half)
         self._stick = self._mobility * self._coulomb
         self._slip = -self._stick
-        if self.elastic:
-            drag = self.damping * self._step / 2
-            impulse = drag / (1 + drag * self._mobility.sum(axis=0) / self._step)
-            # velocity that the motor loses and the load gains per sum of old and new relative velocity
-            self._drag = self._mobility / self._step * np.stack([impulse, -impulse])
+        self._drag = self._dragged(np.ones(len(axes))) if self.elastic else np.zeros_like(inertia)
         gravity = [axis.gravity for axis in axes]
         self._gravity = np.array([np.hypot(g.cosine, g.sine) for g in gravity])
         self._gravity_phase = np.array([np.arctan2(g.cosine, g.sine) for g in gravity])
@@ -69,89 +81,123 @@ class DriveTrains:
         """(motor and load, rows) -> one row of values for each mass."""
         return values if self.elastic else values.sum(axis=0, keepdims=True)
 
+    def _dragged(self, lever: Array) -> Array:
+        """Speed (2, rows) that the motor loses and the load gains per sum of old and new speed of the spring."""
+        drag, ends = self.damping * self._step / 2, np.stack([lever, -np.ones_like(lever)])
+        impulse = drag / (1 + drag * (ends**2 * self._mobility).sum(axis=0) / self._step)
+        return self._mobility / self._step * ends * impulse
+
     def gravity(self) -> Array:
-        """Gravity torque at the present load position, (rows,) N m."""
-        return self._gravity * np.sin(self.position[-1] + self._gravity_phase) + self._gravity_constant
+        """Torque of gravity and hose on the load at its present position, (rows,) N m."""
+        torque = self._gravity * np.sin(self.position[-1] + self._gravity_phase) + self._gravity_constant
+        return torque + self.hose_torque() if self._has_hose else torque
+
+    def holding_torque(self) -> Array:
+        """What the loads need to stand where they are, (rows,) N m."""
+        return self.gravity()
+
+    def hose_torque(self) -> Array:
+        """Torque (rows,) N m of the hoses' springs."""
+        return self._hose * (self.position[-1] - self._hose_rest)
+
+    def twist(self) -> Array:
+        """How far the springs are wound, rad (rows,): nothing while the teeth are off both flanks."""
+        twist = self.position[0] - self.position[1]
+        if self.gear_error is not None:
+            twist = twist + self.gear_error.at(self.position[0])
+        return twist - np.minimum(np.maximum(twist, -self._gap), self._gap) if self._has_gap else twist
+
+    def engaged(self) -> Array:
+        """1.0 where the teeth touch, (rows,)."""
+        return (self.twist() != 0.0).astype(float) if self._has_gap else np.ones(len(self.free))
 
     def spring_torque(self) -> Array:
         """Torque of the springs alone, without their damping, (rows,) N m."""
-        twist = self.position[0] - self.position[1]
+        twist = self.twist()
         return (self._stiffness + self._hardening * (twist * twist) if self._hardens else self._stiffness) * twist
+
+    def lever(self) -> Array:
+        """How fast the gear turns for each rad/s of the motor, (rows,); what it takes, the motor feels times that."""
+        slope = np.zeros(len(self.free)) if self.gear_error is None else self.gear_error.slope(self.position[0])
+        return 1 + slope
+
+    def transmitted(self) -> Array:
+        """Torque (rows,) N m that the gear hands to the load; in a rigid train as of the last step's acceleration."""
+        if self.elastic:
+            return self.spring_torque()
+        return self.gravity() + self._load_inertia * (self.velocity[-1] - self._earlier) / self._step
 
     def settle(self, row: int) -> float:
         """Put the load of a standing row where the spring holds gravity; returns the torque the motor needs, N m."""
-        self.velocity[:, row] = 0.0
+        self.velocity[:, row] = self._earlier[row] = 0.0
         if self._bristles is not None:
             self._bristles.deflection[row] = 0.0
         if self.elastic:
+            ahead = 0.0 if self.gear_error is None else float(self.gear_error.at(self.position[0])[row])
             twist = 0.0
             for _ in range(30):  # contracts by gravity stiffness over spring stiffness, about 1e-2 a round
-                self.position[1, row] = self.position[0, row] - twist
-                twist = self.gravity()[row] / (self._stiffness[row] + self._hardening[row] * twist**2)
-        return float(self.gravity()[row])
+                flank = np.sign(twist) * self._gap[row]
+                self.position[1, row] = self.position[0, row] + ahead - twist - flank
+                twist = self.holding_torque()[row] / (self._stiffness[row] + self._hardening[row] * twist**2)
+        if self.appendages is not None:
+            self.appendages.settle(row, float(self.position[-1, row]))
+        return float((self.lever() * self.holding_torque())[row])
 
     def step(self, effort: Array) -> None:
         """Advance every row by one step under motor torque `effort` (rows,), N m."""
         force, position, velocity = self._force, self.position, self.velocity
-        motor = effort
-        if self._cogging is not None:
-            motor = motor - self._cogging(position[0])
-        if self._bristles is not None:
-            motor = motor - self._bristles.step(velocity[0])
+        motor = self.motor_torque(effort)
+        lever, drag = 1.0, self._drag
+        if self.gear_error is not None:
+            lever = self.lever()
+            drag = self._dragged(lever)
+        drift = lever * velocity[0] - velocity[-1]
         if self.elastic:
             spring = self.spring_torque()
-            np.subtract(motor, spring, out=force[0])
+            np.subtract(motor, lever * spring, out=force[0])
             np.subtract(spring, self.gravity(), out=force[1])
-            drift = velocity[0] - velocity[1]
         else:
             np.subtract(motor, self.gravity(), out=force[0])
-            drift = None
+        if self.appendages is not None:
+            force[-1] -= self.appendages.step(position[-1], velocity[-1])
+        stick, slip = self._stick, self._slip
+        if self.friction is not None:
+            forward, backward, more = self.rub()
+            stick, slip = self._mobility * forward, -self._mobility * backward
+            force -= more
         velocity *= self._keep
         force *= self._mobility
         velocity += force
-        if drift is not None:
-            drift += velocity[0]
+        if self.elastic:
+            drift += lever * velocity[0]
             drift -= velocity[1]
-            velocity -= self._drag * drift
-        velocity -= np.minimum(np.maximum(velocity, self._slip), self._stick)
+            if self._has_gap:
+                drift *= self.engaged()
+            velocity -= drag * drift
+        velocity -= np.minimum(np.maximum(velocity, slip), stick)
         velocity *= self.free
         position += self._step * velocity
 
+    def motor_torque(self, effort: Array) -> Array:
+        """What is left of `effort` (rows,) N m after cogging and bristles."""
+        if self._cogging is not None:
+            effort = effort - self._cogging.at(self.position[0])
+        return effort if self._bristles is None else effort - self._bristles.step(self.velocity[0])
 
-class Bristles:
-    """LuGre friction of the rows that have it; others feel none. z is stepped implicitly, so any speed is stable."""
+    def friction_torque(self, transmitted: Array) -> Array:
+        """Friction (masses, rows) N m against the present motion; the dry part counts as zero at standstill."""
+        if self.friction is None:
+            return self._viscous * self.velocity + self._coulomb * np.sign(self.velocity)
+        more = self.friction.torque(self.velocity, transmitted, self.position[-1])
+        return self._viscous * self.velocity + self._masses(more)
 
-    def __init__(self, rows: Sequence[LuGre | None], step: float) -> None:
-        self._step = step
-        self._stiffness = np.array([r.stiffness if r else 0.0 for r in rows])
-        self._damping = np.array([r.damping if r else 0.0 for r in rows])
-        self._coulomb = np.array([r.coulomb if r else 1.0 for r in rows])
-        self._extra = np.array([r.breakaway - r.coulomb if r else 0.0 for r in rows])
-        self._stribeck = np.array([r.stribeck_velocity if r else 1.0 for r in rows])
-        self.deflection = np.zeros(len(rows))
-
-    def step(self, velocity: Array) -> Array:
-        """Friction torque (rows,), N m."""
-        limit = self._coulomb + self._extra * np.exp(-((velocity / self._stribeck) ** 2))
-        rate = self._stiffness * np.abs(velocity) / limit
-        before = self.deflection
-        self.deflection = (before + self._step * velocity) / (1 + self._step * rate)
-        return self._stiffness * self.deflection + self._damping / self._step * (self.deflection - before)
-
-
-def cogging(axes: Sequence[MovingAxis]) -> Callable[[Array], Array] | None:
-    """Sum of the ripples as a function of the motor position (rows,) on the joint side; None if no row has one."""
-    most = max(len(axis.train.cogging) for axis in axes)
-    if most == 0:
-        return None
-    order, amplitude, phase = np.zeros((3, most, len(axes)))
-    for row, axis in enumerate(axes):
-        for k, ripple in enumerate(axis.train.cogging):
-            order[k, row] = ripple.order * axis.gear_ratio
-            amplitude[k, row] = ripple.amplitude
-            phase[k, row] = ripple.phase
-
-    def torque(position: Array) -> Array:
-        return (amplitude * np.sin(order * position + phase)).sum(axis=0)
-
-    return torque
+    def rub(self) -> tuple[Array, Array, Array]:
+        """A step of `friction`: dry forward, dry backward, and viscous beyond its mean, each (masses, rows) N m."""
+        if self.friction is None:
+            raise ValueError("every row has plain friction")
+        motion = (self.velocity, self.transmitted(), self.position[-1])
+        forward, backward = self.friction.limits(*motion)
+        more = self.friction.beyond_mean(self.velocity)
+        self.friction.warm(*motion)
+        self._earlier = self.velocity[-1].copy()
+        return self._masses(forward), self._masses(backward), self._masses(more)

@@ -15,6 +15,7 @@ class MovingAxis:
     gear_ratio: float  # motor revolutions per joint revolution
     load_inertia: float
     gravity: Gravity
+    warmth: float = 0.0  # temperature rise of the gear at the start, K
 
     @property
     def motor_inertia(self) -> float:

@@ -3,7 +3,7 @@
 A cycle has `SUBSTEPS` steps of control and mechanics. Set-point and injected torque run straight from the last cycle's
 value to the new one (the drive's fine interpolator; a staircase would alias into the torque). Every channel of a sample
 is the mean over the same instants of the cycle, so any linear relation between torque and motion holds between the
-samples too; unless the scenario says that effort or motor speed reach the drive's samples late or smoothed.
+samples too; unless the scenario says that effort or motor speed reach the drive's samples late, smoothed or falsified.
 """
 
 from collections.abc import Sequence
@@ -50,6 +50,8 @@ class Plant:
         self._integral = np.zeros(rows)
         self._setpoint = np.zeros(rows)
         self._injected = np.zeros(rows)
+        self._recorded_gain = np.array([axis.train.effort_gain for axis in axes])
+        self._recorded_offset = np.array([axis.train.effort_offset for axis in axes])
         self._effort = Channel(rows, STEP, measurement.effort_delay, measurement.effort_smoothing)
         self._velocity = Channel(rows, STEP, measurement.velocity_delay, measurement.velocity_smoothing)
 
@@ -106,7 +108,7 @@ class Plant:
         velocity = (velocity[1:] + velocity[:-1]) / 2
         limited = np.abs(effort) >= self.effort_limit
         return Samples(
-            effort=_means(self._effort.pass_on(effort)),
+            effort=_means(self._effort.pass_on(effort)) * self._recorded_gain + self._recorded_offset,
             velocity=_means(self._velocity.pass_on(velocity[:, 0])),
             position=_means(position[:, 0]),
             load_position=_means(position[:, -1]),

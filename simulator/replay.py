@@ -1,8 +1,9 @@
-"""The inverse run: recorded motor motion in, the torque the motor needs for it out. No controller enters.
+"""The inverse run: recorded motor motion in, the torque that a drive would record for it out. No controller enters.
 
 The motor is led along the recording, the load follows through its spring (the plant's own step, with a motor that
-nothing can disturb); then u = Jm a + fm(v) + cogging(q) + Ts. Samples are means over cycles; every linear relation
-holds between means too, so they are taken as point values at the samples' instants and not averaged again.
+nothing can disturb); then u = Jm a + fm(v) + cogging(q) + what the gear takes. Samples are means over cycles; every
+linear relation holds between means too, so they are taken as point values at the samples' instants and not averaged
+again.
 """
 
 from collections.abc import Sequence
@@ -12,13 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from simulator.drive_train import Bristles, DriveTrains, cogging
+from simulator.channel import Channel
+from simulator.drive_train import DriveTrains
+from simulator.effects.bristles import Bristles
+from simulator.effects.ripples import cogging
 from simulator.moving_axis import MovingAxis
-from simulator.scenario import STEP, DriveTrain, Friction
+from simulator.scenario import STEP, Measurement
 
 Array = NDArray[np.float64]
 
 _IMMOVABLE = 1e18  # kg m^2
+_EXACT = Measurement()
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,10 +35,11 @@ class Motion:
     velocity: Array
 
 
-def replay(axes: Sequence[MovingAxis], motions: Sequence[Motion]) -> list[Array]:
-    """Motor torque (n,) N m at the samples of each motion, one axis each (all rigid or all elastic), in one pass.
+def replay(axes: Sequence[MovingAxis], motions: Sequence[Motion], measurement: Measurement = _EXACT) -> list[Array]:
+    """Recorded torque (n,) N m at the samples of each motion, one axis each (all rigid or all elastic), in one pass.
 
-    At standstill dry friction may take any torque within its limits: there the motor's share counts as zero.
+    Of `measurement`, delay and smoothing of the effort count; there is no noise. How warm a gear is at the start, its
+    `MovingAxis` says. At standstill dry friction may take any torque within its limits: there it counts as zero.
     """
     if len(axes) != len(motions):
         raise ValueError(f"{len(axes)} axes for {len(motions)} motions")
@@ -49,56 +55,71 @@ def replay(axes: Sequence[MovingAxis], motions: Sequence[Motion]) -> list[Array]
         position[:, row] = CubicSpline(since, motion.position)(at)
         velocity[:, row] = speed(at)
         acceleration[:, row] = speed(at, 1)
-    effort = _motor_torque(axes, position, velocity, acceleration) + _load_torque(
-        axes, position, velocity, acceleration
-    )
+    effort = _motor_torque(axes, position, velocity, acceleration)
+    effort += (_elastic if axes[0].train.spring else _rigid)(axes, position, velocity, acceleration)
+    effort = _recorded(axes, effort, measurement)
     return [np.interp(motion.time - motion.time[0], grid, effort[:, row]) for row, motion in enumerate(motions)]
 
 
 def _motor_torque(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceleration: Array) -> Array:
-    """What the motor itself takes, (steps, rows)."""
-    friction = [axis.train.motor_friction for axis in axes]
+    """What the motor itself takes but for friction that `effects.friction` knows, (steps, rows)."""
     torque = acceleration * np.array([axis.motor_inertia for axis in axes])
-    torque += velocity * np.array([f.viscous for f in friction])
-    torque += np.sign(velocity) * np.array([f.coulomb for f in friction])
     ripple = cogging(axes)
     if ripple is not None:
-        torque += np.stack([ripple(row) for row in position])
+        torque += np.stack([ripple.at(row) for row in position])
     if any(axis.train.lugre for axis in axes):
         bristles = Bristles([axis.train.lugre for axis in axes], STEP)
         torque += np.stack([bristles.step(row) for row in velocity])
     return torque
 
 
-def _load_torque(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceleration: Array) -> Array:
-    """What the motor gives to the load, (steps, rows)."""
-    led = [replace(axis, train=_led(axis)) for axis in axes]
-    trains = DriveTrains(led, STEP)
-    trains.free[:] = 1.0
-    trains.position[:] = position[0]
-    if not trains.elastic:
-        inertia = np.array([axis.load_inertia for axis in axes])
-        viscous = np.array([axis.train.load_friction.viscous for axis in axes])
-        coulomb = np.array([axis.train.load_friction.coulomb for axis in axes])
-        torque = inertia * acceleration + viscous * velocity + coulomb * np.sign(velocity)
-        for n, here in enumerate(position):
-            trains.position[0] = here
-            torque[n] += trains.gravity()
-        return torque
-    for row in range(len(axes)):
-        trains.settle(row)
-    idle = np.zeros(len(axes))
-    torque = np.empty_like(position)
-    for n in range(len(position)):
-        trains.position[0] = position[n]
-        trains.velocity[0] = velocity[n]
-        elastic, before = trains.spring_torque(), trains.velocity[1].copy()
-        trains.step(idle)
-        torque[n] = elastic + trains.damping * (velocity[n] - (before + trains.velocity[1]) / 2)
+def _rigid(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceleration: Array) -> Array:
+    """Friction, and what the motor gives to a load that follows at once, (steps, rows)."""
+    trains = _led(axes, position[0])
+    torque = np.array([axis.load_inertia for axis in axes]) * acceleration
+    for n, here in enumerate(position):
+        trains.position[0], trains.velocity[0] = here, velocity[n]
+        torque[n] += trains.gravity()
+        if trains.appendages is not None:
+            torque[n] += trains.appendages.step(here, velocity[n])
+        transmitted = torque[n].copy()
+        torque[n] += trains.friction_torque(transmitted)[0]
+        if trains.friction is not None:
+            trains.friction.warm(trains.velocity, transmitted, here)
     return torque
 
 
-def _led(axis: MovingAxis) -> DriveTrain:
-    return axis.train.model_copy(
-        update={"motor_inertia": _IMMOVABLE, "motor_friction": Friction(), "cogging": (), "lugre": None}
-    )
+def _elastic(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceleration: Array) -> Array:
+    """Friction of the motor, and what it gives to the spring, (steps, rows)."""
+    trains = _led(axes, position[0])
+    idle = np.zeros(len(axes))
+    torque = np.empty_like(acceleration)
+    for n in range(len(position)):
+        trains.position[0] = position[n]
+        trains.velocity[0] = velocity[n]
+        spring, damping, before = trains.spring_torque(), trains.damping * trains.engaged(), trains.velocity[1].copy()
+        lever = trains.lever()
+        torque[n] = trains.friction_torque(spring)[0]
+        trains.step(idle)
+        torque[n] += lever * (spring + damping * (lever * velocity[n] - (before + trains.velocity[1]) / 2))
+    return torque
+
+
+def _led(axes: Sequence[MovingAxis], position: Array) -> DriveTrains:
+    """The drive trains at rest in `position` (rows,), their motors led: nothing disturbs them."""
+    bare = {"motor_inertia": _IMMOVABLE, "cogging": (), "lugre": None}
+    trains = DriveTrains([replace(axis, train=axis.train.model_copy(update=bare)) for axis in axes], STEP)
+    trains.free[:] = 1.0
+    trains.position[:] = position
+    for row in range(len(axes)):
+        trains.settle(row)
+    return trains
+
+
+def _recorded(axes: Sequence[MovingAxis], effort: Array, measurement: Measurement) -> Array:
+    """What the drive makes of the torque (steps, rows)."""
+    channel = Channel(len(axes), STEP, measurement.effort_delay, measurement.effort_smoothing)
+    for row, value in enumerate(effort[0]):
+        channel.restart(row, float(value))
+    gain = np.array([axis.train.effort_gain for axis in axes])
+    return channel.pass_on(effort) * gain + np.array([axis.train.effort_offset for axis in axes])

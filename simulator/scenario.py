@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, cast
 
 import yaml
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 CYCLE = 0.001
 """Cycle of the drive's set-points and samples, s."""
@@ -17,16 +17,9 @@ CYCLE = 0.001
 STEP = CYCLE / 4
 """Step of the plant, s."""
 
-
-def _whole_steps(delay: float) -> float:
-    if abs(round(delay / STEP) * STEP - delay) > 1e-9:
-        raise ValueError(f"{delay} s is not a multiple of the plant step {STEP} s")
-    return delay
-
-
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
-Delay = Annotated[float, Field(ge=0, le=1), AfterValidator(_whole_steps)]
+Delay = Annotated[float, Field(ge=0, le=1)]
 Smoothing = Annotated[float, Field(ge=0, le=1)]
 Vector = tuple[float, float, float]
 
@@ -39,11 +32,54 @@ class _Data(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+class Stribeck(_Data):
+    """More dry friction at low speed: ``extra exp(-|v / velocity|^exponent)``; N m, rad/s."""
+
+    extra: Positive
+    velocity: Positive
+    exponent: Positive = 2.0
+
+
+class PowerLaw(_Data):
+    """``coefficient |v|^exponent`` against the motion; N m (s/rad)^exponent."""
+
+    coefficient: Positive
+    exponent: Positive
+
+
+class Patch(_Data):
+    """More dry friction about one load position: ``coulomb`` N m at the centre, a raised cosine `width` to a side."""
+
+    centre: float  # rad
+    width: Positive  # rad
+    coulomb: Positive
+
+
 class Friction(_Data):
-    """``viscous * v + coulomb * sign(v)``; N m s/rad, N m. The Coulomb part sticks at v = 0."""
+    """``viscous v + (coulomb + what is added to it) sign(v)``; N m s/rad, N m. The dry part sticks at v = 0."""
 
     viscous: NotNegative = 0.0
     coulomb: NotNegative = 0.0
+    backward_viscous: NotNegative | None = None  # at v < 0, where it differs
+    backward_coulomb: NotNegative | None = None
+    stribeck: Stribeck | None = None
+    power: PowerLaw | None = None
+    load_dependence: NotNegative = 0.0  # N m more for each N m that the gear transmits
+    patch: Patch | None = None
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is the same viscous and Coulomb friction always and everywhere."""
+        return self == Friction(viscous=self.viscous, coulomb=self.coulomb)
+
+
+class Warming(_Data):
+    """The gear warms by its own friction, ``C T' = P - C T / time_constant``, and rubs exp(-loss T) of the cold."""
+
+    heat_capacity: Positive  # C, J/K
+    time_constant: Positive  # s
+    coulomb_loss: NotNegative = 0.0  # 1/K, of all dry friction
+    viscous_loss: NotNegative = 0.0  # 1/K
 
 
 class LuGre(_Data):
@@ -57,11 +93,15 @@ class LuGre(_Data):
 
 
 class Spring(_Data):
-    """Between motor and load: ``stiffness e + hardening e^3 + damping e'``; N m/rad, N m/rad^3, N m s/rad."""
+    """Between motor and load: ``stiffness e + hardening e^3 + damping e'``; N m/rad, N m/rad^3, N m s/rad.
+
+    With `backlash`, rad from flank to flank, e is what is left beyond half of it, and the damping acts only there.
+    """
 
     stiffness: Positive
     hardening: NotNegative = 0.0
     damping: NotNegative = 0.0
+    backlash: NotNegative = 0.0
 
 
 class Ripple(_Data):
@@ -72,20 +112,52 @@ class Ripple(_Data):
     phase: float = 0.0
 
 
+class GearError(_Data):
+    """The gear turns ahead by ``amplitude sin(order * motor angle + phase)``, rad; periods per motor turn."""
+
+    order: Positive
+    amplitude: NotNegative
+    phase: float = 0.0
+
+
+class Hose(_Data):
+    """From the base to the load: ``stiffness (q - rest) + damping v``; N m/rad, rad, N m s/rad."""
+
+    stiffness: Positive
+    rest: float
+    damping: NotNegative = 0.0
+
+
+class Appendage(_Data):
+    """A second body on the load, behind a spring of its own; kg m^2, N m/rad, N m s/rad. Gravity does not see it."""
+
+    inertia: Positive
+    stiffness: Positive
+    damping: NotNegative = 0.0
+
+
 class DriveTrain(_Data):
     """What stands between the torque-forming current and the load of one joint. No spring = one rigid mass."""
 
     motor_inertia: Positive  # kg m^2 on the motor side
     motor_friction: Friction = Friction()
     load_friction: Friction = Friction()
+    warming: Warming | None = None  # of both frictions, but not of lugre
     spring: Spring | None = None
+    gear_error: tuple[GearError, ...] = ()
     cogging: tuple[Ripple, ...] = ()
     lugre: LuGre | None = None  # on the motor side, instead of motor_friction.coulomb
+    hose: Hose | None = None
+    appendage: Appendage | None = None
+    effort_gain: Positive = 1.0  # recorded effort = gain * true + offset: error of the torque constant,
+    effort_offset: float = 0.0  # N m, and of the current's zero
 
     @model_validator(mode="after")
-    def _one_dry_friction(self) -> "DriveTrain":
-        if self.lugre and self.motor_friction.coulomb:
+    def _fits_together(self) -> "DriveTrain":
+        if self.lugre and (self.motor_friction.coulomb or self.motor_friction.backward_coulomb):
             raise ValueError("motor_friction.coulomb must be 0 where lugre is given")
+        if self.gear_error and self.spring is None:
+            raise ValueError("gear_error needs a spring, if a stiff one")
         return self
 
 
@@ -170,6 +242,7 @@ class Scenario(_Data):
     robot: NominalRobot
     links: dict[str, LinkDeviation] = {}
     axes: dict[str, DrivenAxis] = Field(min_length=1)
+    coupled: bool = True  # axes that move at once feel each other; False: each as if the others stood
     measurement: Measurement = Measurement()
 
     @model_validator(mode="after")

@@ -1,12 +1,13 @@
 """Sweeps and noise runs of a scenario in closed loop, in one vectorised pass: what a real machine would record."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.moving_axis import moving_axis
+from simulator.effects.thermal_order import Turn, warmth
+from simulator.moving_axis import MovingAxis, moving_axis
 from simulator.noise import measure
 from simulator.plant import Plant, Samples
 from simulator.rigid_body import RigidBody
@@ -30,6 +31,7 @@ class SweepRun:
     ramp: float  # s
     settle: float  # s
     sample_rate: float = 1000.0  # Hz; 1000 divided by a whole number
+    started_at: float = 0.0  # s since the campaign began: how warm the gear is
 
     @property
     def waveform(self) -> Waveform:
@@ -57,6 +59,7 @@ class NoiseRun:
     ramp: float  # s
     settle: float  # s
     sample_rate: float = 1000.0  # Hz; 1000 divided by a whole number
+    started_at: float = 0.0  # s since the campaign began: how warm the gear is
 
     @property
     def waveform(self) -> Waveform:
@@ -73,18 +76,17 @@ def run_sweeps(scenario: Scenario, sweeps: Sequence[Run], seed: int) -> list[dic
 
     A sample is the mean over its cycle for all channels alike; `time` is sample number / rate, so the cycle's middle
     lies half a sample later. Sweep i draws noise from child i of the seed. ScenarioError where a sweep does not fit.
+    A gear that warms is as warm as the sweeps before, by `started_at`, leave it.
     """
     if not sweeps:
         return []
     body = RigidBody(scenario)
-    plant = Plant(
-        [moving_axis(scenario, body, sweep.axis, sweep.pose) for sweep in sweeps],
-        [_control(scenario, sweep) for sweep in sweeps],
-        scenario.measurement,
-    )
+    axes = [moving_axis(scenario, body, sweep.axis, sweep.pose) for sweep in sweeps]
     cycles = [_cycles(sweep) for sweep in sweeps]
     end_of_cycle = np.linspace(CYCLE, CYCLE * max(cycles), max(cycles))
     setpoints = np.stack([sweep.waveform.velocity(end_of_cycle) for sweep in sweeps], axis=1)
+    controls = [_control(scenario, sweep) for sweep in sweeps]
+    plant = Plant(_warm(axes, sweeps, setpoints, cycles), controls, scenario.measurement)
     injected = np.stack([_injected(sweep, end_of_cycle) for sweep in sweeps], axis=1)
     plant.trains.position[:] = [sweep.pose[scenario.joints.index(sweep.axis)] for sweep in sweeps]
     for row in range(len(sweeps)):
@@ -96,6 +98,19 @@ def run_sweeps(scenario: Scenario, sweeps: Sequence[Run], seed: int) -> list[dic
         _columns(samples, row, cycles[row], sweep, scenario.driven(sweep.axis).load_encoder)
         for row, sweep in enumerate(sweeps)
     ]
+
+
+def _warm(
+    axes: Sequence[MovingAxis], sweeps: Sequence[Run], setpoints: Array, cycles: Sequence[int]
+) -> list[MovingAxis]:
+    """The axes as warm as their sweeps find them."""
+    warm = list(axes)
+    for joint in {sweep.axis for sweep, axis in zip(sweeps, axes, strict=True) if axis.train.warming}:
+        rows = [row for row, sweep in enumerate(sweeps) if sweep.axis == joint]
+        turns = [Turn(sweeps[row].started_at, CYCLE, setpoints[: cycles[row], row]) for row in rows]
+        for row, rise in zip(rows, warmth(axes[rows[0]].train, turns), strict=True):
+            warm[row] = replace(axes[row], warmth=float(rise))
+    return warm
 
 
 def _control(scenario: Scenario, sweep: Run) -> SpeedControl:

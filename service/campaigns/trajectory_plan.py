@@ -52,6 +52,11 @@ def build_trajectory_plan(robot: Robot, request: TrajectoryRequest, cell: Cell) 
             restarts=RESTARTS,
             steps=STEPS,
         )
+        if not np.isfinite(run.condition):
+            raise BadInput(
+                "harmonics",
+                f"{request.harmonics} do not tell the {len(base.columns)} base parameters of the axes apart",
+            )
         clock = sum(sweep.duration for sweep in sweeps)
         try:
             sweeps += _sweeps(robot, request, envelope, run, here, number, len(sweeps), clock)

@@ -64,8 +64,12 @@ def test_only_the_smoothed_channels_of_a_sweep_change(
     assert velocity == pytest.approx(np.exp(-1j * w * 0.00025) / (1 + 1j * w * 0.0005), rel=1e-4)
 
 
-def test_a_delay_between_two_steps_is_refused() -> None:
-    with pytest.raises(ValueError, match="multiple of the plant step"):
-        Measurement(velocity_delay=0.0003)
-    with pytest.raises(ValueError, match="multiple of the plant step"):
-        Channel(1, STEP, 0.0003, 0.0)
+def test_a_delay_between_two_steps_turns_a_line_by_just_that(
+    noise_free: Callable[[str], Scenario], sweep: Callable[..., SweepRun]
+) -> None:
+    rigid, run, delay = noise_free("rigid"), sweep("joint_1"), 0.00043
+    (plain,) = run_sweeps(rigid, [run], seed=1)
+    late = rigid.model_copy(update={"measurement": Measurement(effort_delay=delay)})
+    (delayed,) = run_sweeps(late, [run], seed=1)
+    turn = line(delayed, "effort", 5.0, run) / line(plain, "effort", 5.0, run)
+    assert turn == pytest.approx(np.exp(-2j * np.pi * 5.0 * delay), abs=2e-5)

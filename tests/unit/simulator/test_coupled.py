@@ -7,12 +7,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from simulator import Friction, Scenario, ScenarioError, SweepRun, run_sweeps
+from simulator import Friction, Scenario, ScenarioError, SweepRun, run_sweeps, run_trajectories
 from simulator.coupled import CoupledTrains
 from simulator.machine import Machine
 from simulator.rigid_body import real_urdf
 from simulator.scenario import STEP
-from simulator.trajectories import run_trajectories
 
 Load = Callable[[str], Scenario]
 POSE = (0.2, 0.3, -0.6, 0.4, 0.7, -0.3)

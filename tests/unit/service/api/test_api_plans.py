@@ -69,13 +69,14 @@ def test_the_command_refuses_two_budgets(url: str) -> None:
 
 def test_trajectories_of_several_axes_are_planned(http: httpx.Client, robot_id: int) -> None:
     wanted = {"kind": "trajectory", "robot_id": robot_id, "axes": ["joint_3", "joint_5"], "trajectories": 1}
-    quick = wanted | {"period": 2.0, "harmonics": 1}
+    quick = wanted | {"period": 2.0, "harmonics": 3}
     answer = http.post("/plans", json=quick)
     assert answer.status_code == 201, answer.text
     blocks = [sweep["spec"]["block"] for sweep in answer.json()["document"]["sweeps"]]
     assert blocks == ["trajectory 1 of 2 axes"] * 2
     for change, told in (
         ({"axes": ["joint_3", "joint_9"]}, "unknown joint joint_9"),
+        ({"harmonics": 1}, "harmonics: 1 do not tell the 13 base parameters of the axes apart"),
         ({"sweeps": 99}, "99"),
         ({"velocity": 2.0}, "velocity"),
     ):

@@ -1,0 +1,31 @@
+"""Presliding friction of the LuGre model (Canudas de Wit et al. 1995)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.scenario import LuGre
+
+Array = NDArray[np.float64]
+
+
+class Bristles:
+    """LuGre friction of the rows that have it; others feel none. z is stepped implicitly, so any speed is stable."""
+
+    def __init__(self, rows: Sequence[LuGre | None], step: float) -> None:
+        self._step = step
+        self._stiffness = np.array([r.stiffness if r else 0.0 for r in rows])
+        self._damping = np.array([r.damping if r else 0.0 for r in rows])
+        self._coulomb = np.array([r.coulomb if r else 1.0 for r in rows])
+        self._extra = np.array([r.breakaway - r.coulomb if r else 0.0 for r in rows])
+        self._stribeck = np.array([r.stribeck_velocity if r else 1.0 for r in rows])
+        self.deflection = np.zeros(len(rows))
+
+    def step(self, velocity: Array) -> Array:
+        """Friction torque (rows,), N m."""
+        limit = self._coulomb + self._extra * np.exp(-((velocity / self._stribeck) ** 2))
+        rate = self._stiffness * np.abs(velocity) / limit
+        before = self.deflection
+        self.deflection = (before + self._step * velocity) / (1 + self._step * rate)
+        return self._stiffness * self.deflection + self._damping / self._step * (self.deflection - before)

@@ -1,0 +1,42 @@
+"""What repeats with the motor's angle: sums of ``amplitude sin(order * motor angle + phase)``."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.moving_axis import MovingAxis
+from simulator.scenario import GearError, Ripple
+
+Array = NDArray[np.float64]
+
+
+class Ripples:
+    """One sum a row, as a function of the motor position (rows,) on the joint side, rad."""
+
+    def __init__(self, axes: Sequence[MovingAxis], sums: Sequence[Sequence[Ripple | GearError]]) -> None:
+        most = max(map(len, sums))
+        self._order, self._amplitude, self._phase = np.zeros((3, most, len(axes)))
+        for row, (axis, terms) in enumerate(zip(axes, sums, strict=True)):
+            for k, term in enumerate(terms):
+                self._order[k, row] = term.order * axis.gear_ratio
+                self._amplitude[k, row] = term.amplitude
+                self._phase[k, row] = term.phase
+
+    def at(self, position: Array) -> Array:
+        """The sums (rows,), in the unit of the amplitudes."""
+        return (self._amplitude * np.sin(self._order * position + self._phase)).sum(axis=0)
+
+    def slope(self, position: Array) -> Array:
+        """Their derivatives by the joint's angle (rows,)."""
+        return (self._amplitude * self._order * np.cos(self._order * position + self._phase)).sum(axis=0)
+
+
+def cogging(axes: Sequence[MovingAxis]) -> Ripples | None:
+    """Torque against the motor, N m; None if no row has any."""
+    return Ripples(axes, [a.train.cogging for a in axes]) if any(a.train.cogging for a in axes) else None
+
+
+def gear_error(axes: Sequence[MovingAxis]) -> Ripples | None:
+    """How far the gear turns ahead of its ratio, rad of the joint; None if every gear is true."""
+    return Ripples(axes, [a.train.gear_error for a in axes]) if any(a.train.gear_error for a in axes) else None
