@@ -26,6 +26,7 @@ class Course:
     pose_tolerance: float  # rad (m), actual against planned pose
     trajectories: tuple[tuple[int, ...], ...] = ()  # numbers of the sweeps that run at once
     confidence: float | None = None  # percent, at which the campaign may end (`enough`); None: all sweeps are wanted
+    base_parameters: int = 0  # that the plan is about
 
     def at_once(self, due: SweepDocument, sweeps: Sequence[SweepDocument]) -> list[SweepDocument]:
         """The sweep that is due, with the others of its trajectory; Conflict where one of them has been measured."""
@@ -66,4 +67,5 @@ def course_of(store: Store, settings: Settings, campaign: CampaignDocument) -> C
         pose_tolerance=settings.pose_tolerance,
         trajectories=plan.at_once if isinstance(plan, TrajectoryPlan) else (),
         confidence=plan.request.confidence if isinstance(plan, PlanDocument) else None,
+        base_parameters=len(plan.base_parameters) if isinstance(plan, PlanDocument) else 0,
     )

@@ -4,12 +4,16 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 
-def enough(estimate: Mapping[str, Any], joints: Collection[str], wanted: float) -> str:
+def enough(estimate: Mapping[str, Any], joints: Collection[str], parameters: int, wanted: float) -> str:
     """Why the campaign may end, or "" while it may not.
 
-    `estimate`: document of its latest revision; `joints` that the campaign measures; `wanted`: largest standard
-    deviation of J over the workspace, percent. What the data leave open has no confidence and is never enough.
+    `estimate`: document of its latest revision; `joints` that the campaign measures; `parameters`: how many base
+    parameters its plan is about; `wanted`: largest standard deviation of J over the workspace, percent. What the data
+    leave open has no confidence and is never enough. Nor is an estimate of fewer parameters: it takes the joints that
+    have not moved yet for locked, and knows the workspace of the others alone.
     """
+    if len(estimate["base_parameters"]) < parameters:
+        return ""
     axes: Mapping[str, Any] = estimate["axes"]
     reached = [axes[joint]["confidence_percent"] for joint in joints if joint in axes]
     if len(reached) < len(joints) or None in reached or max(reached) > wanted:

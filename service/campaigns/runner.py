@@ -180,7 +180,8 @@ class Runner:
             estimate = self._store.estimate(campaign_id)
         except NotFound:
             return ""
-        return enough(estimate.document, {command.joint for command in course.commands.values()}, course.confidence)
+        joints = {command.joint for command in course.commands.values()}
+        return enough(estimate.document, joints, course.base_parameters, course.confidence)
 
     async def _move(
         self,

@@ -20,7 +20,11 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="interrupts by P
 
 
 def start(root: Path, out: Path, poses: int) -> "subprocess.Popen[str]":
-    command = [sys.executable, "-c", "from service.cli import main; main()", "demo", "--out", str(out)]
+    # a background job of a shell hands an ignored Ctrl-C down; whoever tests it must have it
+    main = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); from service.cli import main; main()"
+    )
+    command = [sys.executable, "-c", main, "demo", "--out", str(out)]
     return subprocess.Popen(
         [*command, "--poses", str(poses)],
         cwd=root,

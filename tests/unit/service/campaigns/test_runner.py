@@ -82,10 +82,12 @@ async def test_one_axis_has_energy_at_a_time_and_only_to_move(bench: Bench) -> N
 def wants_confidence(bench: Bench, reached: list[float | None]) -> None:
     """The plan wants 1 %; the estimates, which come at once, have `reached` so many percent after each sweep."""
     course_of = bench.runner._course_of
-    bench.runner._course_of = lambda campaign: dataclasses.replace(course_of(campaign), confidence=1.0)
+    bench.runner._course_of = lambda campaign: dataclasses.replace(
+        course_of(campaign), confidence=1.0, base_parameters=1
+    )
 
     def identify(sweep: SweepDocument) -> None:
-        document = {"axes": {"joint_1": {"confidence_percent": reached.pop(0)}}}
+        document = {"base_parameters": ["Izz"], "axes": {"joint_1": {"confidence_percent": reached.pop(0)}}}
         bench.store.add_estimate(sweep, sweep_move(SweepEvent.IDENTIFY), {}, document)
 
     bench.jobs.submit = identify
@@ -113,15 +115,21 @@ async def test_a_campaign_that_does_not_know_enough_runs_to_its_end(bench: Bench
 
 
 def test_enough_is_every_axis_and_nothing_open() -> None:
-    def axes(**percent: float | None) -> dict[str, object]:
-        return {"axes": {joint: {"confidence_percent": value} for joint, value in percent.items()}}
+    def known(*parameters: str, **percent: float | None) -> dict[str, object]:
+        axes = {joint: {"confidence_percent": value} for joint, value in percent.items()}
+        return {"base_parameters": parameters, "axes": axes}
 
     both = ("j1", "j2")
-    assert enough(axes(j1=0.9, j2=0.5), both, 1.0).endswith("J is known to 0.9 % over the workspace")
-    assert enough(axes(j1=0.9, j2=1.1), both, 1.0) == ""
-    assert enough(axes(j1=0.9, j2=None), both, 1.0) == ""
-    assert enough(axes(j1=0.9), both, 1.0) == ""
-    assert enough({"axes": {}}, both, 1.0) == ""
+    assert enough(known("a", "b", j1=0.9, j2=0.5), both, 2, 1.0).endswith("J is known to 0.9 % over the workspace")
+    assert enough(known("a", "b", j1=0.9, j2=1.1), both, 2, 1.0) == ""
+    assert enough(known("a", "b", j1=0.9, j2=None), both, 2, 1.0) == ""
+    assert enough(known("a", "b", j1=0.9), both, 2, 1.0) == ""
+    assert enough(known(), both, 2, 1.0) == ""
+
+
+def test_enough_is_not_what_is_known_before_every_joint_has_moved() -> None:
+    one = {"base_parameters": ["Izz(link_2)"], "axes": {"j2": {"confidence_percent": 1e-5}}}
+    assert enough(one, ("j2",), 4, 1.0) == ""
 
 
 async def test_a_drive_fault_stops_the_machine_and_waits_for_a_person(bench: Bench) -> None:
