@@ -21,6 +21,7 @@ _OWN = (
     ("import", "service.cli.bundles:import_bundle"),
     ("export", "service.cli.bundles:export_bundle"),
     ("identify", "service.cli.identify:identify"),
+    ("diagnose", "service.cli.diagnose:diagnose"),
     ("torque-gain", "service.cli.torque_gain:torque_gain"),
     ("channels", "service.cli.channels:channels"),
     ("import-trace", "service.cli.import_trace:import_trace"),

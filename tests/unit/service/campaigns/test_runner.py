@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from drivers.errors import CommunicationLost, DriveFault
-from service.campaigns.enough import enough
 from service.campaigns.session import SweepEvent, sweep_move
 from service.errors import Conflict
 from service.store.columns import read_columns
@@ -112,24 +111,6 @@ async def test_a_campaign_that_does_not_know_enough_runs_to_its_end(bench: Bench
     campaign = bench.store.campaign(bench.campaign.id)
     assert (campaign.state, campaign.cause) == (CampaignState.COMPLETED, "")
     assert campaign.sweeps == {SweepState.IDENTIFIED: 4}
-
-
-def test_enough_is_every_axis_and_nothing_open() -> None:
-    def known(*parameters: str, **percent: float | None) -> dict[str, object]:
-        axes = {joint: {"confidence_percent": value} for joint, value in percent.items()}
-        return {"base_parameters": parameters, "axes": axes}
-
-    both = ("j1", "j2")
-    assert enough(known("a", "b", j1=0.9, j2=0.5), both, 2, 1.0).endswith("J is known to 0.9 % over the workspace")
-    assert enough(known("a", "b", j1=0.9, j2=1.1), both, 2, 1.0) == ""
-    assert enough(known("a", "b", j1=0.9, j2=None), both, 2, 1.0) == ""
-    assert enough(known("a", "b", j1=0.9), both, 2, 1.0) == ""
-    assert enough(known(), both, 2, 1.0) == ""
-
-
-def test_enough_is_not_what_is_known_before_every_joint_has_moved() -> None:
-    one = {"base_parameters": ["Izz(link_2)"], "axes": {"j2": {"confidence_percent": 1e-5}}}
-    assert enough(one, ("j2",), 4, 1.0) == ""
 
 
 async def test_a_drive_fault_stops_the_machine_and_waits_for_a_person(bench: Bench) -> None:

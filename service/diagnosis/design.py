@@ -1,0 +1,142 @@
+"""The sweeps that a diagnosis wants: both directions, two speeds, reversal, a wide band, standstill, each twice.
+
+What a block makes visible: the other direction tells Coulomb friction from an offset and from springs; the second speed
+tells friction that depends on speed from friction that drifts; reversal shows what happens about standstill
+(presliding, backlash); lines from 3 to 17 Hz tell a delay from elasticity; standstill is the noise reference. Repeats
+run back to back, so that nothing drifts between them; the first pose comes back last, so that drift shows at all.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.excitation import RAMP, SETTLE, Excitation, design_sweep
+from service.identification.regressor import inertia_rows
+from service.recording import Sine, SweepSpec
+from service.robot import Robot
+
+Array = NDArray[np.float64]
+
+FAST = 3.0  # times the travel of the slow sweeps
+WIDE = 2.0  # the same of the wide band
+WIDE_LINES = (3.0, 5.0, 7.0, 11.0, 13.0, 17.0)  # Hz
+REVERSAL_LINES = (1.0, 2.0, 3.0)  # Hz: low, so that the way between two reversals is long against presliding
+HOLD = 3  # s of standstill
+EFFORT = 0.4  # of the rated effort for the sines
+BETWEEN = 2.0  # s from one sweep to the next, besides the way back
+WAY_BACK = np.radians(2.0)  # rad/s (m/s)
+BLOCKS = ("forward_slow", "backward_slow", "forward_fast", "backward_fast", "reversal", "wide", "standstill")
+REVISITED = ("forward_slow", "backward_slow")
+REVISIT = "revisit_"
+
+
+@dataclass(frozen=True, slots=True)
+class DesignedSweep:
+    """A sweep to run; `ramp` and `settle`, s, add up to the spec's `measure_from`."""
+
+    spec: SweepSpec
+    ramp: float
+    settle: float
+
+    @property
+    def duration(self) -> float:
+        """From standstill to standstill, s."""
+        return 2 * self.ramp + self.settle + (self.spec.period or 0.0) * (self.spec.periods or 0)
+
+
+def full_design(
+    robot: Robot,
+    joint: str,
+    poses: Array,
+    *,
+    repeats: int = 2,
+    travel: float = np.radians(4.0),
+    sample_rate: float = 1000.0,
+    blocks: Sequence[str] = BLOCKS,
+    started_at: float = 0.0,
+) -> tuple[DesignedSweep, ...]:
+    """All blocks in each of `poses` (m, n), `repeats` times back to back, the first pose once more at the end.
+
+    The poses should hold at least three angles of the axis against gravity. `travel`, rad (m), is that of the slow
+    blocks; fast sweeps take three times as much. `started_at`: s since the campaign began. BadInput where none fits.
+    """
+    poses = np.atleast_2d(poses)
+    visits = [(pose, block, block) for pose in poses for block in blocks]
+    visits += [(poses[0], block, REVISIT + block) for block in REVISITED if block in blocks]
+    return tuple(_in_order(robot, joint, visits, repeats, travel, sample_rate, started_at))
+
+
+def paper_design(
+    robot: Robot, joint: str, poses: Array, *, travel: float = np.radians(4.0), sample_rate: float = 1000.0
+) -> tuple[DesignedSweep, ...]:
+    """What the paper measures: one direction, offset and 2 to 5 Hz, once in each of `poses` (m, n)."""
+    visits = [(pose, "forward_slow", "forward_slow") for pose in np.atleast_2d(poses)]
+    return tuple(_in_order(robot, joint, visits, 1, travel, sample_rate, 0.0))
+
+
+def _in_order(
+    robot: Robot,
+    joint: str,
+    visits: Sequence[tuple[Array, str, str]],
+    repeats: int,
+    travel: float,
+    sample_rate: float,
+    started_at: float,
+) -> Iterator[DesignedSweep]:
+    number, index = 0, robot.index(joint)
+    for pose, block, label in visits:
+        load = float(inertia_rows(robot.chain, index, pose[None])[0] @ robot.chain.inertial.ravel())
+        excitation = _excitation(robot, joint, pose, block, load, travel)
+        for repeat in range(repeats):
+            number += 1
+            spec = SweepSpec(
+                id=f"{number:04}",
+                axis=joint,
+                pose=tuple(pose.tolist()),
+                offset_velocity=excitation.offset_velocity,
+                excitation="multisine" if excitation.sines else "standstill",
+                sines=excitation.sines,
+                period=excitation.period,
+                periods=excitation.periods,
+                measure_from=excitation.measure_from,
+                sample_rate=sample_rate,
+                started_at=round(started_at, 3),
+                repeat=repeat,
+                block=label,
+            )
+            yield DesignedSweep(spec, excitation.ramp, excitation.settle)
+            started_at += excitation.duration + abs(excitation.travel) / WAY_BACK + BETWEEN
+
+
+def _excitation(robot: Robot, joint: str, pose: Array, block: str, load: float, travel: float) -> Excitation:
+    """The sweep of one block; sums of sines and speeds follow `design_sweep`, which knows the ripple."""
+    limit = EFFORT * robot.axis(joint).rated_effort
+    if block == "standstill":
+        return Excitation(0.0, (), 1.0, HOLD, RAMP, SETTLE)
+    fast, wide = block.endswith("fast"), block == "wide"
+    sweep = design_sweep(
+        robot,
+        joint,
+        pose,
+        load_inertia=load,
+        lines=WIDE_LINES if wide else None,
+        direction=-1 if block.startswith("backward") else 1,
+        travel=travel * (FAST if fast else WIDE if wide else 1.0),
+        effort_limit=limit,
+    )
+    if block == "reversal":
+        return _about_standstill(sweep)
+    return sweep
+
+
+def _about_standstill(sweep: Excitation) -> Excitation:
+    """The same peak speed without the offset."""
+    number = np.arange(len(REVERSAL_LINES))
+    amplitude = abs(sweep.offset_velocity) / len(REVERSAL_LINES)
+    phases = (-np.pi * number * (number + 1) / len(number)) % (2 * np.pi)
+    sines = tuple(
+        Sine(frequency=f, amplitude=amplitude, phase=p) for f, p in zip(REVERSAL_LINES, phases.tolist(), strict=True)
+    )
+    return replace(sweep, offset_velocity=0.0, sines=sines)

@@ -1,0 +1,16 @@
+"""A torque that is always there: the zero of the current measurement."""
+
+import numpy as np
+
+from service.diagnosis.effects.effect import Effect, named
+
+EFFECT = Effect(
+    name="effort_offset",
+    physics="tau = c",
+    source="Gautier and Briot, J. Dyn. Sys. Meas. Control 136 (2014), offset of the current sensor",
+    sentence="The drive tells a constant torque too much, in either direction and at standstill.",
+    visible_in=("standstill", "backward_slow"),
+    entry="effort_offset",
+    coefficients=named(("offset", "N m")),
+    columns=lambda tracks, model, shape: [np.ones_like(tracks.velocity)],
+)

@@ -1,0 +1,58 @@
+"""Friction that falls as the gear warms by what it dissipates."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.effects.effect import Effect, Model, Shape, ShapeParameter, named, spread
+from service.diagnosis.signals import Tracks
+
+Array = NDArray[np.float64]
+
+
+def warmth(tracks: Tracks, time_constant: float) -> Array:
+    """Temperature (n, t) of a gear heated by the way it goes and cooling with a time constant, in rad (m)."""
+    heat = np.zeros_like(tracks.velocity)
+    step = 1 / tracks.rate
+    keep = float(np.exp(-step / time_constant))
+    level, clock = 0.0, 0.0
+    ages = np.power(keep, np.arange(1.0, heat.shape[1] + 1))
+    for row in sorted(range(len(tracks.specs)), key=lambda k: tracks.specs[k].started_at):
+        spec, count = tracks.specs[row], int(tracks.inside[row].sum())
+        level *= np.exp(-max(spec.started_at - clock, 0.0) / time_constant)
+        # T_n = keep T_{n-1} + |v_n| step, written out so that no loop over samples is needed
+        gains = np.abs(tracks.velocity[row, :count]) * step
+        gained = np.multiply(np.cumsum(np.divide(gains, ages[:count])), ages[:count])
+        heat[row, :count] = level * ages[:count] + gained
+        heat[row, count:] = heat[row, count - 1]
+        level, clock = float(heat[row, count - 1]), spec.started_at + count * step
+    return heat
+
+
+def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
+    warm = warmth(tracks, shape[0])
+    return [tracks.direction, tracks.direction * warm, tracks.velocity * warm]
+
+
+def _shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
+    return (ShapeParameter("time_constant", "s", spread(20.0, 5000.0, 6), 10.0, 1e4),)
+
+
+def _lasts(tracks: Tracks) -> bool:
+    return float(np.ptp([spec.started_at for spec in tracks.specs])) > 60.0
+
+
+EFFECT = Effect(
+    name="friction_temperature_drift",
+    physics="tau = (Fc + fc T) sign(v) + fv T v, T' = |v| - T/tau",
+    source="Simoni et al., IEEE/ASME Trans. Mechatronics 20 (2015), friction of robot joints with temperature",
+    sentence="Friction changes as the axis warms up.",
+    visible_in=("revisit_forward_slow", "revisit_backward_slow"),
+    entry="warming",
+    coefficients=named(("coulomb", "N m"), ("coulomb_change", "N m/rad"), ("viscous_change", "N m s/rad2")),
+    columns=_columns,
+    essential=1,
+    shape=_shape,
+    applies=_lasts,
+)

@@ -1,0 +1,34 @@
+"""Torque and motion of one sample that do not belong to one instant."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.effects.effect import Effect, Model, Shape, ShapeParameter, named
+from service.diagnosis.signals import Tracks, bins, in_frequency
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
+    """Per second of delay, so that the coefficient is the delay itself."""
+    delay = shape[0]
+    s: Complex = np.multiply(2j * np.pi, bins(tracks.velocity.shape[1], tracks.rate)[None], dtype=np.complex128)
+    late = np.divide(np.exp(-s * delay) - 1, delay, dtype=np.complex128)
+    of_motion = model.inertia[:, None] * in_frequency(tracks.velocity, tracks.rate, late)
+    return [of_motion - (model.viscous * tracks.acceleration + tracks.stiffness[:, None] * tracks.velocity)]
+
+
+EFFECT = Effect(
+    name="measurement_delay",
+    physics="tau(t - T) - tau(t) = -T tau' + ...",
+    source="Pintelon and Schoukens, System Identification (2012), sec. 13.6: delay between channels",
+    sentence="Torque and motion are not of the same instant: one channel comes late.",
+    visible_in=("wide",),
+    entry="measurement.effort_delay",
+    coefficients=named(("delay", "s")),
+    columns=_columns,
+    shape=lambda tracks, model: (ShapeParameter("expansion_point", "s", (-4e-3, -1e-3, 1e-3, 4e-3), -2e-2, 2e-2),),
+)

@@ -1,0 +1,44 @@
+"""A gear that does not turn evenly: the load runs ahead and behind with the motor's angle."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.effects.effect import Effect, Model, Shape
+from service.diagnosis.signals import Tracks
+
+Array = NDArray[np.float64]
+
+
+def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
+    """The load's motion is q + g(q): its inertia feels g'', and the motor feels the load's torque times 1 + dg/dq."""
+    axis = tracks.robot.axis(tracks.joint)
+    inertia, load = model.load_inertia, tracks.gravity + model.load_inertia * tracks.acceleration
+    result: list[Array] = []
+    for order in axis.transmission_orders:
+        turn = order * axis.gear_ratio
+        sine, cosine = np.sin(turn * tracks.position), np.cos(turn * tracks.position)
+        rate, change = turn * tracks.velocity, turn * tracks.acceleration
+        stiffness = tracks.stiffness[:, None]
+        result.append(inertia * (cosine * change - sine * rate**2) + stiffness * sine + turn * cosine * load)
+        result.append(inertia * (-sine * change - cosine * rate**2) + stiffness * cosine - turn * sine * load)
+    return result
+
+
+def _coefficients(tracks: Tracks) -> Sequence[tuple[str, str]]:
+    orders = tracks.robot.axis(tracks.joint).transmission_orders
+    return [(f"{wave}_{order:g}", "rad") for order in orders for wave in ("sine", "cosine")]
+
+
+EFFECT = Effect(
+    name="transmission_error",
+    physics="q_l = q + g(q), g = sum over orders of A sin(o theta) + B cos(o theta); tau = J_l g'' + (dg/dq) Ts",
+    source="Tuttle and Seering, IEEE Trans. Robotics and Automation 12 (1996), harmonic drive kinematic error",
+    sentence="The gear turns unevenly: the load runs ahead and behind with the motor's angle.",
+    visible_in=("forward_fast", "backward_fast", "wide"),
+    entry="gear_error",
+    coefficients=_coefficients,
+    columns=_columns,
+    applies=lambda tracks: bool(tracks.robot.axis(tracks.joint).transmission_orders),
+)

@@ -1,0 +1,98 @@
+"""How far model and measurement are apart, in N m (N), on sweeps that took no part in the fit.
+
+Poses are left out one after the other; where there is one pose, its repeats are. A pose left out keeps its own inertia,
+which nothing else can tell; friction and effects come from the others.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.equations import Equations, Term, nominal_right, solve
+from service.diagnosis.grams import ORDER, Group, pairing
+
+Array = NDArray[np.float64]
+
+RIDGE = 1e-6  # of a column's product: what the others do not tell is drawn to zero
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """RMS of what is left, N m (N): rigid model, with effects, repeats against one another; of how many sweeps."""
+
+    before_rms: float
+    after_rms: float
+    noise_floor_rms: float
+    effort_rms: float
+    held_out_sweeps: int
+
+
+def gap(given: Equations, known: Sequence[Term], terms: Sequence[Term]) -> Gap:
+    """Before and after the added terms."""
+    usable = given.tracks.usable
+    before, after = residual(given, known), residual(given, terms)
+    return Gap(
+        before_rms=_rms(before[usable]),
+        after_rms=_rms(after[usable]),
+        noise_floor_rms=noise_floor(given, after),
+        effort_rms=_rms(given.tracks.rows(given.tracks.effort)[usable]),
+        held_out_sweeps=len(given.tracks.specs),
+    )
+
+
+def residual(given: Equations, terms: Sequence[Term]) -> Array:
+    """What each sweep leaves of its effort (n, rows), N m (N), filtered alike, with coefficients from the others."""
+    tracks = given.tracks
+    whitened = np.concatenate([given.base, *(given.rows(t) for t in terms), given.right[..., None]], axis=-1)
+    unfiltered = [tracks.acceleration, tracks.velocity, *(column for t in terms for column in given.columns(t))]
+    columns = np.stack([tracks.rows(column) for column in unfiltered], axis=-1)
+    right = tracks.rows(nominal_right(tracks))
+    result, folds = right.copy(), len(given.inertia_precision)
+    for train, test in splits(given.groups):
+        products = pairing(tracks.usable, train, ORDER, folds).products(whitened)
+        fitted = given.eliminated(products).sum(axis=0)
+        ridge = RIDGE * np.abs(np.diag(given.system_of(whitened)))[:-1]
+        fitted[range(len(ridge)), range(len(ridge))] += ridge
+        values = solve(fitted, given.viscous_precision)[0]
+        for group in test:
+            own = products[group.fold] if products[group.fold].any() else _own(given, whitened, test, group.fold)
+            change = (own[0, -1] - own[0, 1:-1] @ values) / (own[0, 0] + given.inertia_precision[group.fold])
+            for piece in group.pieces:
+                at = slice(piece.first, piece.first + piece.rows)
+                result[piece.sweep, at] -= columns[piece.sweep, at] @ np.concatenate([[change], values])
+    return result
+
+
+def splits(groups: Sequence[Group]) -> Iterator[tuple[list[Group], list[Group]]]:
+    """What is fitted and what is left out: pose by pose, or repeat by repeat where there is one pose."""
+    folds = sorted({group.fold for group in groups})
+    if len(folds) > 1:
+        for fold in folds:
+            yield [g for g in groups if g.fold != fold], [g for g in groups if g.fold == fold]
+        return
+    for repeat in range(max(len(group.pieces) for group in groups)):
+        train = [replace(g, pieces=g.pieces[:repeat] + g.pieces[repeat + 1 :]) for g in groups]
+        test = [replace(g, pieces=g.pieces[repeat : repeat + 1]) for g in groups if repeat < len(g.pieces)]
+        yield [g for g in train if g.pieces] or list(groups), test
+
+
+def noise_floor(given: Equations, left: Array) -> float:
+    """RMS of what repeats leave of their mean, N m (N); of everything left where nothing is repeated."""
+    squares = rows = 0.0
+    for group in given.groups:
+        parts = np.stack([left[p.sweep, p.first : p.first + p.rows] for p in group.pieces])
+        good = np.stack([given.tracks.usable[p.sweep, p.first : p.first + p.rows] for p in group.pieces]).all(axis=0)
+        if len(parts) > 1:
+            squares += float(np.sum((parts - parts.mean(axis=0))[:, good] ** 2))
+            rows += float((len(parts) - 1) * good.sum())
+    return float(np.sqrt(squares / rows)) if rows else _rms(left[given.tracks.usable])
+
+
+def _own(given: Equations, whitened: Array, groups: Sequence[Group], fold: int) -> Array:
+    return pairing(given.tracks.usable, groups, ORDER, fold + 1).products(whitened)[fold]
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

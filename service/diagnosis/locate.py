@@ -1,0 +1,158 @@
+"""Where model and measurement are apart: the gap cut along every property of a sweep and of a sample.
+
+A cell's significance is the sum of its residuals' products between repeats over what chance makes of it, so noise that
+does not repeat counts for nothing. Without repeats the squares beyond the noise power stand in.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.grams import Group
+from service.diagnosis.signals import Tracks, row_samples
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+SIGNIFICANT = 5.0
+BINS = 6
+MANY = 1.5  # times the RMS of the whole: a cell that stands out
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One bin of one property: RMS of the repeatable gap, N m (N), and how many standard deviations it is from none."""
+
+    dimension: str
+    value: str
+    rms: float
+    significance: float
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Rows that count, flat: the product of both repeats' residuals, and the signals to cut along."""
+
+    product: Array
+    number: NDArray[np.int_]  # of the sweep
+    row: NDArray[np.int_]
+
+
+def cells(tracks: Tracks, groups: Sequence[Group], residual: Array, noise: float) -> tuple[Cell, ...]:
+    """The map of a residual (n, rows), N m (N), over the properties of sweeps and samples."""
+    rows = _rows(tracks, groups, residual, noise)
+    if rows.product.size == 0:
+        return ()
+    found: list[Cell] = []
+    for dimension, labels in _labels(tracks, rows):
+        found.extend(_cell(dimension, str(value), rows.product[labels == value], noise) for value in np.unique(labels))
+    return tuple(sorted(found, key=lambda cell: -cell.significance))
+
+
+def lines(tracks: Tracks, residual: Array) -> tuple[Cell, ...]:
+    """The gap at the excited frequencies: RMS of the residual's part at each line over the sweeps that have it."""
+    every = np.diff(row_samples(tracks.effort.shape[1], tracks.rate)[:2])[0] / tracks.rate
+    power: dict[float, list[float]] = {}
+    for number, spec in enumerate(tracks.specs):
+        if not spec.periodic or spec.period is None or spec.periods is None:
+            continue
+        first = round(spec.measure_from / every)
+        count = round(spec.period * spec.periods / every)
+        window = residual[number, first : first + count]
+        time = np.arange(len(window)) * every
+        for sine in spec.sines:
+            wave: Complex = np.exp(-2j * np.pi * sine.frequency * time)
+            beside: Complex = np.exp(-2j * np.pi * (sine.frequency + 0.5 / (spec.period or 1.0)) * time)
+            power.setdefault(sine.frequency, []).append(_power(window, wave))
+            power.setdefault(-sine.frequency, []).append(_power(window, beside))
+    result: list[Cell] = []
+    for frequency in sorted(f for f in power if f > 0):
+        floor = max(float(np.mean(power[-frequency])), 1e-300)
+        mean = float(np.mean(power[frequency]))
+        significance = (mean / floor - 1) * np.sqrt(len(power[frequency]) / 2)
+        result.append(Cell("line frequency", f"{frequency:g} Hz", float(np.sqrt(mean)), float(significance)))
+    return tuple(result)
+
+
+def sentences(joint: str, found: Sequence[Cell]) -> tuple[str, ...]:
+    """What the map says, for a person; one sentence for each property along which the gap differs."""
+    significant = [cell for cell in found if cell.significance > SIGNIFICANT]
+    if not significant:
+        return (f"{joint}: no repeatable gap beyond the noise.",)
+    result: list[str] = []
+    for dimension in dict.fromkeys(cell.dimension for cell in significant):
+        own = [cell for cell in found if cell.dimension == dimension]
+        typical = float(np.sqrt(np.mean([cell.rms**2 for cell in own])))
+        high = [cell for cell in own if cell.rms > MANY * typical and cell.significance > SIGNIFICANT]
+        if len(own) == 2 and max(c.rms for c in own) > 2 * min(c.rms for c in own):
+            high = [max(own, key=lambda cell: cell.rms)]
+        if high:
+            where = " and ".join(cell.value for cell in sorted(high, key=lambda cell: -cell.rms)[:3])
+            result.append(
+                f"{joint}: the gap is largest at {dimension} {where} ({high[0].rms:.3g} against {typical:.3g})."
+            )
+    return tuple(result) or (f"{joint}: the gap is about the same everywhere.",)
+
+
+def _power(signal: Array, wave: Complex) -> float:
+    """Mean square of a signal's part at one frequency."""
+    return float(2 * np.abs(np.mean(signal * wave)) ** 2)
+
+
+def _cell(dimension: str, value: str, product: Array, noise: float) -> Cell:
+    mean = float(product.mean())
+    # neighbouring rows share a filter: about four of them are one independent value
+    significance = mean / max(noise**2, 1e-300) * np.sqrt(len(product) / 4)
+    return Cell(dimension, value, float(np.sqrt(max(mean, 0.0))), float(significance))
+
+
+def _rows(tracks: Tracks, groups: Sequence[Group], residual: Array, noise: float) -> _Rows:
+    products: list[Array] = []
+    numbers: list[NDArray[np.int_]] = []
+    at: list[NDArray[np.int_]] = []
+    for group in groups:
+        parts = np.stack([residual[p.sweep, p.first : p.first + p.rows] for p in group.pieces])
+        good = np.stack([tracks.usable[p.sweep, p.first : p.first + p.rows] for p in group.pieces]).all(axis=0)
+        count = len(parts)
+        square = np.sum(parts**2, axis=0)
+        across = (np.sum(parts, axis=0) ** 2 - square) / max(count * (count - 1), 1)
+        product = across if count > 1 else square - noise**2
+        where = np.flatnonzero(good)
+        products.append(product[where])
+        numbers.append(np.full(len(where), group.pieces[0].sweep))
+        at.append(where + group.pieces[0].first)
+    return _Rows(np.concatenate(products), np.concatenate(numbers), np.concatenate(at))
+
+
+def _labels(tracks: Tracks, rows: _Rows) -> Iterator[tuple[str, NDArray[np.str_]]]:
+    """For each property the bin of every row, as words."""
+    index = tracks.robot.index(tracks.joint)
+    samples = row_samples(tracks.effort.shape[1], tracks.rate)[rows.row]
+
+    def at(signal: Array) -> Array:
+        return signal[rows.number, samples]
+
+    yield "pose", np.array([f"{position:+.2f} rad" for position in tracks.poses[:, index]])[tracks.spot[rows.number]]
+    yield "block", np.array([spec.block or "sweep" for spec in tracks.specs])[rows.number]
+    speed = at(tracks.velocity)
+    yield "direction", np.where(speed >= 0, "forward", "backward")
+    yield "speed", _binned(np.abs(speed), "rad/s")
+    yield "acceleration", _binned(at(tracks.acceleration), "rad/s2")
+    if np.ptp(tracks.gravity) > 0:
+        yield "gravity torque", _binned(at(tracks.gravity), "N m")
+    yield "position within the sweep", _binned(at(tracks.position) - tracks.position[rows.number, 0], "rad")
+    turns = at(tracks.position) * tracks.robot.axis(tracks.joint).gear_ratio / (2 * np.pi)
+    yield "motor angle", np.array([f"{k}/8 turn" for k in range(8)])[(np.floor(8 * turns).astype(int)) % 8]
+    yield "time since start", _binned(at(tracks.clock), "s")
+    if tracks.temperature is not None:
+        yield "temperature", _binned(at(tracks.temperature), "deg C")
+
+
+def _binned(values: Array, unit: str) -> NDArray[np.str_]:
+    low, high = float(values.min()), float(values.max())
+    edges = [low + (high - low) * k / BINS for k in range(BINS + 1)]
+    number = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)
+    return np.array([f"{low:.3g} to {high:.3g} {unit}" for low, high in pairwise(edges)])[number]

@@ -1,0 +1,223 @@
+r"""All sweeps of one axis as arrays (sweeps, samples), and the one filter that every signal passes.
+
+The filter is a Gaussian of `BAND`: symmetric, so nothing is shifted; every column of the model and the effort pass it
+alike, so whatever linear relation holds between them before holds after. Samples are first averaged down to about
+`RATE`. The acceleration is the derivative of the velocity taken in the frequency domain, where a difference quotient
+would look like a delay or a spring.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.errors import BadInput
+from service.identification.regressor import gravity_terms
+from service.recording import Sweep, SweepSpec
+from service.robot import Robot
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+RATE = 250.0  # Hz, of the columns
+BAND = 20.0  # Hz, of the Gaussian
+EVERY = 2  # one row of the equations a so many samples
+TOP = 0.36  # of the rate: above, there is nothing but noise
+REACH = 4.0  # standard deviations of the Gaussian that count
+STUCK = 0.03  # of the slowest sweep's peak speed: below it friction may take any value
+STUCK_TIME = 0.016  # s below that make a standstill; a mere crossing is shorter
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """n sweeps of one axis, t samples at `rate`, padded with standstill; SI on the joint side.
+
+    `inside` says which samples were recorded, `usable` (n, rows) which rows of the equations count: recorded, and the
+    axis not stuck by friction. `spot` (n,) numbers the poses, `poses` (m, all joints) are they. `gravity` is the torque
+    that CAD predicts along the motion; `stiffness` (n,) its slope at the pose.
+    """
+
+    robot: Robot
+    joint: str
+    specs: tuple[SweepSpec, ...]
+    rate: float
+    spot: NDArray[np.int_]
+    poses: Array
+    time: Array
+    effort: Array
+    velocity: Array
+    position: Array
+    acceleration: Array
+    gravity: Array
+    stiffness: Array
+    inside: Mask
+    usable: Mask
+    temperature: Array | None
+
+    @property
+    def moving(self) -> Array:
+        """(n, t): 1 in sweeps that move at all, 0 in those that hold still."""
+        still = np.array([spec.excitation == "standstill" for spec in self.specs])
+        return np.broadcast_to(np.where(still, 0.0, 1.0)[:, None], self.velocity.shape)
+
+    @property
+    def direction(self) -> Array:
+        """(n, t): sign of the velocity."""
+        return np.sign(self.velocity) * self.moving
+
+    @property
+    def clock(self) -> Array:
+        """(n, t): s since the campaign began."""
+        return self.time + np.array([spec.started_at for spec in self.specs])[:, None]
+
+    @property
+    def speed(self) -> float:
+        """Peak speed of the slowest sweep that moves, rad/s (m/s)."""
+        return slowest(self.velocity)
+
+    def rows(self, signal: Array) -> Array:
+        """A signal (n, t) through the filter: (n, rows)."""
+        return lowpass(signal, self.rate)
+
+
+def lowpass(signal: Array, rate: float) -> Array:
+    """The Gaussian, one row each `EVERY` samples; only whole kernels, so no edge is invented: (n, rows)."""
+    kernel = _kernel(rate)
+    reach = len(kernel) // 2
+    count = len(range(reach, signal.shape[1] - reach, EVERY))
+    result = np.zeros((len(signal), count))
+    for k, weight in enumerate(kernel):
+        result += weight * signal[:, k : k + (count - 1) * EVERY + 1 : EVERY]
+    return result
+
+
+def white_covariance(signal: Array, inside: Mask, rate: float, lags: int) -> Array:
+    """Autocovariance (lags + 1,) of filtered rows if a signal's noise (n, t) is as white as in its top band."""
+    powers: list[float] = []
+    for row, good in zip(signal, inside, strict=True):
+        part = np.diff(row[good], 2)  # flattens drifts, so that no edge leaks into the top band; 16 at the top
+        transform = np.abs(np.fft.rfft(part)) ** 2 / len(part)
+        frequency = np.fft.rfftfreq(len(part))
+        top = frequency > TOP
+        powers.append(float(np.median(transform[top] / (2 * np.sin(np.pi * frequency[top])) ** 4)) / np.log(2))
+    kernel = _kernel(rate)
+    every = np.pad(kernel, (0, lags * EVERY))
+    return float(np.median(powers)) * np.array([kernel @ every[k * EVERY :][: len(kernel)] for k in range(lags + 1)])
+
+
+def row_samples(samples: int, rate: float) -> NDArray[np.int_]:
+    """At which samples the rows lie."""
+    reach = len(_kernel(rate)) // 2
+    return np.arange(reach, samples - reach, EVERY)
+
+
+def in_frequency(signal: Array, rate: float, response: "NDArray[np.complex128] | None" = None) -> Array:
+    """Derivative of signals (n, t), times a response (n or 1, bins) of `bins(t, rate)`.
+
+    The straight line between both ends is taken apart, so that a record may begin and end in motion.
+    """
+    count = signal.shape[1]
+    slope = np.subtract(signal[:, -1:], signal[:, :1]) / (count - 1)
+    away = np.subtract(np.subtract(signal, signal[:, :1]), np.multiply(slope, np.arange(float(count))))
+    transform = np.fft.rfft(away, _padded(count)) * (2j * np.pi * bins(count, rate))
+    still = np.ones((1, 1))
+    if response is not None:
+        transform, still = transform * response, response[:, :1].real
+    derivative = np.fft.irfft(transform, _padded(count))[:, :count].astype(np.float64)
+    straight: Array = np.multiply(slope * rate, still, dtype=np.float64)
+    return derivative + straight
+
+
+def bins(samples: int, rate: float) -> Array:
+    """Frequencies, Hz, of `in_frequency`."""
+    return np.fft.rfftfreq(_padded(samples), 1 / rate).astype(np.float64)
+
+
+def slowest(velocity: Array) -> float:
+    """Peak of the slowest row that moves, rad/s (m/s)."""
+    peaks = np.abs(velocity).max(axis=1)
+    return float(peaks[peaks > 0.05 * peaks.max()].min())
+
+
+def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
+    """The sweeps of `joint` that show torque under a motion (no noise blocks); BadInput if there is none."""
+    index = robot.index(joint)
+    own = [s for s in sweeps if s.spec.axis == joint and s.spec.excitation != "noise"]
+    if not any(s.spec.excitation != "standstill" for s in own):
+        raise BadInput(joint, "has no sweep that moves")
+    rates = {s.spec.sample_rate for s in own}
+    if len(rates) > 1:
+        raise BadInput(joint, f"sweeps have several sample rates: {sorted(rates)} Hz")
+    block = max(1, round(rates.pop() / RATE))
+    rate = own[0].spec.sample_rate / block
+    lengths = [len(s.recording.time) // block for s in own]
+    if min(lengths) < 4 * len(_kernel(rate)):
+        raise BadInput(f"sweep {own[int(np.argmin(lengths))].spec.id}", f"{min(lengths) / rate:.2f} s are too short")
+    most = max(lengths)
+
+    def stacked(column: str) -> Array:
+        parts = [_averaged(getattr(s.recording, column), block) for s in own]
+        return np.stack([np.pad(part, (0, most - len(part)), mode="edge") for part in parts])
+
+    inside = np.arange(most)[None] < np.array(lengths)[:, None]
+    velocity = stacked("velocity") * inside
+    position = stacked("position")
+    poses, spot = np.unique([s.spec.pose for s in own], axis=0, return_inverse=True)
+    spot = spot.reshape(-1)
+    away = position - poses[spot, index][:, None]
+    terms = gravity_terms(robot.chain, robot.chain.inertial.ravel(), robot.gravity, index, poses)[spot]
+    still = np.array([s.spec.excitation == "standstill" for s in own])
+    return Tracks(
+        robot=robot,
+        joint=joint,
+        specs=tuple(s.spec for s in own),
+        rate=rate,
+        spot=spot,
+        poses=poses,
+        time=np.broadcast_to(np.arange(most) / rate, velocity.shape),
+        effort=stacked("effort"),
+        velocity=velocity,
+        position=position,
+        acceleration=in_frequency(velocity, rate),
+        gravity=terms[:, :1] * np.cos(away) + terms[:, 1:] * np.sin(away),
+        stiffness=terms[:, 1],
+        inside=inside,
+        usable=_usable(velocity, inside, still, rate),
+        temperature=stacked("temperature") if all(s.recording.temperature is not None for s in own) else None,
+    )
+
+
+def _usable(velocity: Array, inside: Mask, still: Mask, rate: float) -> Mask:
+    """Rows (n, rows) whose kernel lies inside of the record and touches no standstill of a moving sweep."""
+    moving = velocity[~still]
+    stuck = _long(np.abs(velocity) < STUCK * slowest(moving), round(STUCK_TIME * rate))
+    stuck[still] = False
+    spoilt = (stuck | ~inside).astype(float)
+    return lowpass(spoilt, rate) < 1e-9
+
+
+def _long(flags: Mask, least: int) -> Mask:
+    """Only those runs of True along the rows that last `least` samples."""
+    result = np.zeros_like(flags)
+    for row, out in zip(flags, result, strict=True):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
+        for start, end in edges.reshape(-1, 2).tolist():
+            out[start:end] = end - start >= least
+    return result
+
+
+def _averaged(signal: Array, block: int) -> Array:
+    count = len(signal) // block
+    return signal[: count * block].reshape(count, block).mean(axis=1)
+
+
+def _padded(samples: int) -> int:
+    return 1 << int(np.ceil(np.log2(1.5 * samples)))
+
+
+def _kernel(rate: float) -> Array:
+    width = rate / (2 * np.pi * BAND)
+    reach = int(np.ceil(REACH * width))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
+    return kernel / kernel.sum()

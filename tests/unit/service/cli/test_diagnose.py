@@ -1,0 +1,76 @@
+"""`sweepid diagnose` as a person calls it: a table or JSON on stdout, one line and exit code 2 for bad input."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.diagnosis.design import full_design
+from service.diagnosis.experiments import expected
+from service.recording import Sweep
+from service.store.bundle import write_bundle
+from tests.numeric.campaign import max100
+
+FRICTION = 60.0  # N m, dry, that the model does not know
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The vertical axis of the representative robot, with dry friction and 3 N m of noise."""
+    robot, random = max100(), np.random.default_rng(5)
+    poses = np.array([[0.0, -0.6, 0.4, 0, 0, 0], [0.5, 0.4, -0.7, 0, 0, 0], [-0.5, 0.0, 0.0, 0, 0, 0]])
+    sweeps: list[Sweep] = []
+    for designed in full_design(robot, "joint_1", poses, sample_rate=250.0):
+        sweep = expected(designed, designed.spec.pose[0])
+        record = sweep.recording
+        turning = np.gradient(record.velocity, record.time)
+        effort = 300.0 * turning + 200.0 * record.velocity + FRICTION * np.sign(record.velocity)
+        record.effort[:] = effort + random.normal(0, 3.0, len(effort))
+        sweeps.append(sweep)
+    folder = tmp_path_factory.mktemp("diagnose") / "bundle"
+    write_bundle(folder, robot, sweeps)
+    return folder
+
+
+def sweepid(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [str(Path(sys.executable).with_name("sweepid")), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120)
+
+
+def test_json_alone_on_stdout(bundle: Path) -> None:
+    done = sweepid("diagnose", str(bundle), "--json", "-")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert set(document) == {"axes", "model"}
+    axis = document["axes"]["joint_1"]
+    contract = {"verdict", "effects", "candidates", "where", "gap", "next_experiment", "untestable"}
+    assert contract <= set(axis)
+    assert [effect["effect"] for effect in axis["effects"]] == ["coulomb_friction"]
+    coulomb = axis["effects"][0]["parameters"]["coulomb"]
+    assert coulomb["value"] == pytest.approx(FRICTION, abs=1.0)
+    assert axis["gap"]["after_rms"] < 0.1 * axis["gap"]["before_rms"]
+    assert "gravity_error" in axis["untestable"]
+
+
+def test_words_for_people(bundle: Path) -> None:
+    done = sweepid("diagnose", str(bundle), "--axis", "joint_1")
+    assert done.returncode == 0, done.stderr
+    for word in ("joint_1", "named", "coulomb_friction", "Dry friction of the same size"):
+        assert word in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--axis", "joint_9"], "joint_9: unknown joint"),
+        (["--axis", "joint_2"], "has no sweep that moves joint joint_2"),
+        (["--known", "magic"], "magic: unknown effect"),
+    ],
+)
+def test_bad_input_is_one_line_and_two(bundle: Path, arguments: list[str], reason: str) -> None:
+    done = sweepid("diagnose", str(bundle), *arguments)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert reason in done.stderr.splitlines()[-1]

@@ -1,0 +1,46 @@
+"""The sweeps of a diagnosis: which blocks, in which order, and that none leaves its bounds."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from service.diagnosis.design import BLOCKS, FAST, full_design, paper_design
+from service.identification.excitation import Excitation, velocity_setpoint
+from tests.numeric.campaign import max100
+
+POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.0, -0.5, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
+TRAVEL = float(np.radians(4.0))
+
+
+def test_every_block_twice_back_to_back_and_the_first_pose_once_more() -> None:
+    designed = full_design(max100(), "joint_2", POSES)
+    labels = [(sweep.spec.block, sweep.spec.repeat) for sweep in designed]
+    assert labels[: 2 * len(BLOCKS)] == [(block, repeat) for block in BLOCKS for repeat in (0, 1)]
+    assert [block for block, _ in labels[-4:]] == ["revisit_forward_slow"] * 2 + ["revisit_backward_slow"] * 2
+    assert designed[-1].spec.pose == designed[0].spec.pose
+    assert len(designed) == 2 * len(BLOCKS) * len(POSES) + 4
+
+
+def test_sweeps_follow_one_another_in_time() -> None:
+    designed = full_design(max100(), "joint_1", POSES)
+    for before, after in pairwise(designed):
+        assert after.spec.started_at > before.spec.started_at + before.duration
+
+
+def test_only_reversal_and_standstill_reverse_and_travel_stays_small() -> None:
+    for sweep in full_design(max100(), "joint_3", POSES[:1]):
+        spec = sweep.spec
+        excitation = Excitation(
+            spec.offset_velocity, spec.sines, spec.period or 1.0, spec.periods or 1, sweep.ramp, sweep.settle
+        )
+        velocity = velocity_setpoint(excitation, np.arange(0, sweep.duration, 0.001))
+        turning = spec.block not in ("reversal", "standstill")
+        assert (velocity.min() >= -1e-12 or velocity.max() <= 1e-12) == (turning or spec.block == "standstill")
+        assert abs(np.sum(velocity) * 0.001) <= 1.01 * FAST * TRAVEL
+        assert spec.measure_from == sweep.ramp + sweep.settle
+
+
+def test_the_paper_goes_one_way_once() -> None:
+    designed = paper_design(max100(), "joint_2", POSES)
+    assert [(s.spec.block, s.spec.repeat) for s in designed] == [("forward_slow", 0)] * 3
+    assert {sine.frequency for s in designed for sine in s.spec.sines} == {2.0, 3.0, 4.0, 5.0}

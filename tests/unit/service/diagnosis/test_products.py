@@ -1,0 +1,64 @@
+"""One filter for every signal, and products that noise does not bias."""
+
+import numpy as np
+import pytest
+
+from service.diagnosis.grams import PLAIN, Group, Piece, noise_model, pairing
+from service.diagnosis.periods import in_periods
+from service.diagnosis.signals import bins, in_frequency, lowpass, row_samples
+from service.recording import Recording, Sweep, SweepSpec
+
+RATE = 250.0
+
+
+def test_the_filter_shifts_nothing_and_forgets_no_constant() -> None:
+    time = np.arange(1000) / RATE
+    slow = np.sin(2 * np.pi * 3.0 * time)
+    filtered = lowpass(np.stack([np.full_like(time, 7.0), slow]), RATE)
+    at = row_samples(1000, RATE)
+    assert filtered[0] == pytest.approx(7.0)
+    gain = np.exp(-0.5 * (3.0 / 20.0) ** 2)
+    assert filtered[1] == pytest.approx(gain * slow[at], abs=2e-4)
+
+
+def test_derivative_in_the_frequency_domain_also_of_a_record_that_ends_in_motion() -> None:
+    time = np.arange(1500) / RATE
+    velocity = (1 - np.cos(2 * np.pi * time))[None] + 0.3 * time
+    expected = 2 * np.pi * np.sin(2 * np.pi * time) + 0.3
+    assert in_frequency(velocity, RATE)[0, 20:-20] == pytest.approx(expected[20:-20], abs=2e-3)
+    late = np.exp(-2j * np.pi * bins(1500, RATE)[None] * 0.02)
+    assert in_frequency(velocity, RATE, late)[0, 50:-50] == pytest.approx(expected[45:-55], abs=5e-3)
+
+
+def test_noise_of_regressors_does_not_bias_products_between_repeats() -> None:
+    random = np.random.default_rng(3)
+    true = random.normal(size=4000)
+    columns = (true + random.normal(size=(3, 4000)))[..., None]
+    group = Group(tuple(Piece(k, 0, 4000) for k in range(3)), 0)
+    pairs = pairing(np.ones((3, 4000), dtype=bool), [group], 0, 1)
+    across, same = pairs.products(columns)[0, 0, 0], pairs.plain(columns)[0, 0, 0]
+    assert pairs.rows == 12000
+    assert across == pytest.approx(3 * float(true @ true), rel=0.05)
+    assert same == pytest.approx(2 * across, rel=0.1)
+
+
+def test_what_repeats_leave_is_whitened_to_unit_variance() -> None:
+    random = np.random.default_rng(4)
+    white = 5.0 * random.normal(size=(2, 6000))
+    coloured = np.zeros_like(white)
+    for n in range(1, 6000):
+        coloured[:, n] = 0.9 * coloured[:, n - 1] + white[:, n]
+    group = Group((Piece(0, 0, 6000), Piece(1, 0, 6000)), 0)
+    whitened = noise_model(coloured, np.ones((2, 6000), dtype=bool), [group], np.eye(9)[0])(coloured)[:, 20:]
+    assert whitened.std() == pytest.approx(1.0, abs=0.05)
+    assert abs(np.mean(whitened[:, 1:] * whitened[:, :-1])) < 0.05
+    assert np.array_equal(PLAIN(coloured), coloured)
+
+
+def test_a_record_that_repeats_itself_is_cut_into_its_periods() -> None:
+    time = np.arange(10_500) / 500.0
+    velocity = np.sin(2 * np.pi * time / 6.0) + 0.5 * np.sin(2 * np.pi * time / 3.0 + 1.0)
+    spec = SweepSpec(id="1", axis="slide", pose=(0.0,), offset_velocity=0.0, excitation="trajectory", sample_rate=500.0)
+    cut = in_periods("slide", [Sweep(spec, Recording(time, velocity, velocity, velocity))])
+    assert [sweep.spec.repeat for sweep in cut] == [0, 1, 2]
+    assert all(len(sweep.recording.time) == pytest.approx(3000, abs=2) for sweep in cut)
