@@ -11,6 +11,7 @@ Array = NDArray[np.float64]
 
 REQUIRED_COLUMNS = ("time", "effort", "velocity", "position")
 STEPPED = "stepped_sine"  # how the block of an initial analysis by sines is called
+WARM_UP = "warm_up"  # the block of sweeps that bring the gears to their working temperature
 OPTIONAL_COLUMNS = ("velocity_setpoint", "excitation_effort", "load_velocity", "load_position", "temperature")
 
 
@@ -48,8 +49,8 @@ class SweepSpec(BaseModel):
 
     @property
     def shows_inertia(self) -> bool:
-        """True for sines and trajectories; noise, stepped sines and standstill serve other ends: no part in J."""
-        return self.excitation in ("multisine", "trajectory") and not self.stepped
+        """True for sines and trajectories; noise, stepped sines, warm-up and standstill serve other ends than J."""
+        return self.excitation in ("multisine", "trajectory") and not self.stepped and self.block != WARM_UP
 
     @property
     def stepped(self) -> bool:

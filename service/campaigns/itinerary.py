@@ -1,8 +1,11 @@
-"""The sweeps of the chosen poses along the way through them, each with its legs, its limits and its duration."""
+"""The sweeps of the chosen poses along the way through them, each with its legs, its limits and its duration.
+
+The first pose begins with the warm-up: rounds of its sweeps, which are recorded and take no part in the inertias.
+"""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +16,7 @@ from service.campaigns.plan_documents import DroppedPose, PlannedLeg, PlannedSwe
 from service.campaigns.travel import order_poses
 from service.errors import BadInput, EnvelopeViolation
 from service.identification.excitation import Excitation
-from service.recording import Sine, SweepSpec
+from service.recording import WARM_UP, Sine, SweepSpec
 from service.robot import Robot
 
 Array = NDArray[np.float64]
@@ -28,6 +31,16 @@ class ChosenPose:
     pose: Array
     condition: float
     sweeps: tuple[Excitation, ...]
+
+
+@dataclass(frozen=True)
+class _Run:
+    """One sweep of a pose; `block`: "" for the one that measures, by its direction."""
+
+    joint: str
+    excitation: Excitation
+    block: str = ""
+    repeat: int = 0
 
 
 class Itinerary:
@@ -47,8 +60,9 @@ class Itinerary:
         clock = 0.0
         for one in _in_order(chosen, home):
             goal = tuple(float(position) for position in one.pose)
+            warm_up = () if sweeps else self._warm_up(one.sweeps)
             try:
-                planned, end = self._pose(here, goal, one.sweeps, streamed, len(sweeps), clock)
+                planned, end = self._pose(here, goal, (*warm_up, *self._runs(one.sweeps)), streamed, len(sweeps), clock)
             except (EnvelopeViolation, BadInput) as error:
                 dropped.append(DroppedPose(pose=goal, reason=str(error)))
                 continue
@@ -57,21 +71,30 @@ class Itinerary:
             sweeps += planned
         return tuple(sweeps), tuple(dropped)
 
+    def _runs(self, excitations: Sequence[Excitation]) -> list[_Run]:
+        """The sweeps that a pose is there for."""
+        return [_Run(joint, sweep) for joint, sweep in zip(self._request.axes, excitations, strict=True)]
+
+    def _warm_up(self, excitations: Sequence[Excitation]) -> list[_Run]:
+        """Whole rounds of all axes that take the time wanted."""
+        rounds = math.ceil(self._request.warm_up / least_duration(excitations))
+        return [replace(run, block=WARM_UP, repeat=n) for n in range(rounds) for run in self._runs(excitations)]
+
     def _pose(
         self,
         here: list[float],
         goal: tuple[float, ...],
-        excitations: Sequence[Excitation],
+        runs: Sequence[_Run],
         streamed: set[str],
         number: int,
         clock: float,
     ) -> tuple[list[PlannedSweep], list[float]]:
-        """The sweeps of all axes in one pose, and where they leave the robot."""
+        """The sweeps of one pose, and where they leave the robot."""
         planned: list[PlannedSweep] = []
-        for joint, excitation in zip(self._request.axes, excitations, strict=True):
+        for run in runs:
+            joint, excitation = run.joint, run.excitation
             legs = self._envelope.order_of_legs(here, goal)
-            mode = self._mode(joint, streamed)
-            sweep = self._sweep(f"{number + len(planned) + 1:04d}", joint, goal, excitation, mode)
+            sweep = self._sweep(f"{number + len(planned) + 1:04d}", goal, run, self._mode(run, streamed))
             self._envelope.check_sweep(sweep.command(), goal)
             way = sum(abs(target - position) for position, target in _moves(here, legs))
             travelling = way / self._request.move_velocity + LEG_OVERHEAD * (len(legs) + 1)
@@ -88,16 +111,16 @@ class Itinerary:
             planned.append(sweep)
         return planned, here
 
-    def _mode(self, joint: str, streamed: set[str]) -> SweepMode:
+    def _mode(self, run: _Run, streamed: set[str]) -> SweepMode:
         modes = self._request.modes
-        if modes == "host_streamed" or (modes == "one_host_streamed" and joint not in streamed):
+        first = run.block != WARM_UP and run.joint not in streamed
+        if modes == "host_streamed" or (modes == "one_host_streamed" and first):
             return SweepMode.HOST_STREAMED
         return SweepMode.DRIVE_SIDE
 
-    def _sweep(
-        self, name: str, joint: str, pose: tuple[float, ...], excitation: Excitation, mode: SweepMode
-    ) -> PlannedSweep:
+    def _sweep(self, name: str, pose: tuple[float, ...], run: _Run, mode: SweepMode) -> PlannedSweep:
         """The sweep with its limits and without a way to it."""
+        joint, excitation = run.joint, run.excitation
         envelope, index = self._envelope, self._robot.index(joint)
         sway = sum(sine.amplitude / (math.pi * sine.frequency) for sine in excitation.sines)
         margin = envelope.limits.window_margin + sway
@@ -116,7 +139,8 @@ class Itinerary:
                 periods=excitation.periods,
                 measure_from=excitation.measure_from,
                 sample_rate=self._request.sample_rate,
-                block="forward" if excitation.offset_velocity > 0 else "backward",
+                repeat=run.repeat,
+                block=run.block or ("forward" if excitation.offset_velocity > 0 else "backward"),
             ),
             mode=mode,
             ramp=excitation.ramp,

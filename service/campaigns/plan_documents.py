@@ -41,6 +41,7 @@ class PlanRequest(BaseModel):
     )  # whole Hz, sines of every sweep; (): as the method has it
     sample_rate: float = Field(default=250.0, gt=0, le=20_000)  # Hz
     move_velocity: float = Field(default=0.1, gt=0)  # rad/s (m/s), between poses; for the estimate of the duration
+    warm_up: float = Field(default=0.0, ge=0, le=7200)  # s of sweeps in the first pose that serve the temperature alone
     locked_rotor: dict[str, float] = {}  # lowest first locked-rotor frequency by joint, Hz, where it is known
     # campaign of an initial analysis: its locked-rotor and ideal frequencies hold, its drive trains are the prior
     analysis: int | None = Field(default=None, ge=1, le=LARGEST_ID)

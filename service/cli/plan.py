@@ -39,6 +39,7 @@ def plan(
     modes: Annotated[Modes | None, typer.Option(help="Who generates the motion; the last: one sweep an axis.")] = None,
     lines: Annotated[str | None, typer.Option(help="Frequencies of the sines, whole Hz, separated by commas.")] = None,
     sample_rate: Annotated[float | None, typer.Option(help="Hz.")] = None,
+    warm_up: Annotated[float | None, typer.Option(help="s of sweeps before the first that counts.")] = None,
     initial_analysis: Annotated[
         bool, typer.Option("--initial-analysis", help="Noise runs that tell drive trains and ideal frequencies.")
     ] = False,
@@ -48,6 +49,7 @@ def plan(
 ) -> None:
     """Plan a campaign. Nothing moves. Prints the number of the plan, and on stderr what the plan promises."""
     numbers = {"--step": step, "--sample-rate": sample_rate, "--duration": duration, "--confidence": confidence}
+    numbers["--warm-up"] = warm_up
     for name, number in numbers.items():
         if number is not None and not math.isfinite(number):
             raise BadInput(name, f"{number} is not a finite number")
@@ -62,6 +64,7 @@ def plan(
         "modes": None if modes is None else modes.value,
         "lines": None if lines is None else _frequencies(lines),
         "sample_rate": sample_rate,
+        "warm_up": warm_up,
         "kind": "analysis" if initial_analysis else None,
         "analysis": analysis,
     }
