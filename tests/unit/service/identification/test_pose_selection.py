@@ -32,6 +32,14 @@ def test_each_step_takes_what_an_svd_of_every_candidate_takes() -> None:
         assert chosen.condition[k] == pytest.approx(svd_condition(rows, (*before, best)), rel=1e-6)
 
 
+@pytest.mark.parametrize("p", [1, 2])
+def test_few_parameters_are_chosen_for_as_well(p: int) -> None:
+    rows = candidates(20, 1, p)
+    chosen = select_poses(rows, 10)
+    assert len(set(chosen.picks)) == 10
+    assert chosen.condition[p:] == pytest.approx([svd_condition(rows, chosen.picks[:n]) for n in range(p + 1, 11)])
+
+
 def test_start_reaches_full_rank_with_the_fewest_poses() -> None:
     # every candidate but three repeats the same row; 3 parameters need all three odd ones within 3 picks
     rows = np.tile(np.array([[1.0, 1.0, 1.0]]), (50, 1, 1))
