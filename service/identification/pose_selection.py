@@ -150,7 +150,9 @@ class _Greedy:
         tried = self._left[np.argsort(quick, kind="stable")[:PROMISING]]
         limit = (1 + TIE) * min(float(self._condition(tried).min()), SINGULAR**-0.5)
         within = self._left[quick <= slack * limit]  # who may be within the slack of the best
-        bound = self._bound(self._rows[within], eigenvalues, vectors, min(len(eigenvalues), max(2, len(eigenvalues) // 4)))
+        bound = self._bound(
+            self._rows[within], eigenvalues, vectors, min(len(eigenvalues), max(2, len(eigenvalues) // 4))
+        )
         left, within = within[bound <= limit], within[bound <= slack * limit]
         left = np.union1d(left, tried)
         condition = self._condition(left)
