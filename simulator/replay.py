@@ -3,62 +3,90 @@
 The motor is led along the recording, the load follows through its spring (the plant's own step, with a motor that
 nothing can disturb); then u = Jm a + fm(v) + cogging(q) + what the gear takes. Samples are means over cycles; every
 linear relation holds between means too, so they are taken as point values at the samples' instants and not averaged
-again.
+again. What has no memory needs no steps between samples, and is computed for many at once.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
 
 from simulator.channel import Channel
 from simulator.drive_train import DriveTrains
 from simulator.effects.bristles import Bristles
+from simulator.effects.friction import FrictionLaw
 from simulator.effects.ripples import cogging
 from simulator.moving_axis import MovingAxis
-from simulator.scenario import STEP, Measurement
+from simulator.scenario import CYCLE, STEP, Measurement
 
 Array = NDArray[np.float64]
 
 _IMMOVABLE = 1e18  # kg m^2
 _EXACT = Measurement()
+_AT_ONCE = 200_000  # values, so that nothing grows beyond the cache by much
+_SETTLED = 1e-7  # of the friction: it agrees with the temperature
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Recorded motion of a motor, referred to the joint: arrays (n,), s, rad, rad/s; n >= 4, starts at standstill."""
+    """Recorded motion of a motor, referred to the joint: arrays (n,), s, rad, rad/s; n >= 4.
+
+    A load behind a spring begins at the motor's speed, without acceleration: best from standstill.
+    """
 
     time: Array
     position: Array
     velocity: Array
 
 
-def replay(axes: Sequence[MovingAxis], motions: Sequence[Motion], measurement: Measurement = _EXACT) -> list[Array]:
+def replay(
+    axes: Sequence[MovingAxis],
+    motions: Sequence[Motion],
+    measurement: Measurement | Sequence[Measurement] = _EXACT,
+) -> list[Array]:
     """Recorded torque (n,) N m at the samples of each motion, one axis each (all rigid or all elastic), in one pass.
 
-    Of `measurement`, delay and smoothing of the effort count; there is no noise. How warm a gear is at the start, its
-    `MovingAxis` says. At standstill dry friction may take any torque within its limits: there it counts as zero.
+    Of `measurement`, one for all or one a row, delay and smoothing of the effort and delay of the speed count; there is
+    no noise. How warm a gear is at the start, its `MovingAxis` says. At standstill dry friction may take any torque
+    within its limits: there it counts as zero.
     """
-    if len(axes) != len(motions):
-        raise ValueError(f"{len(axes)} axes for {len(motions)} motions")
+    measurements = [measurement] * len(axes) if isinstance(measurement, Measurement) else list(measurement)
+    if not len(axes) == len(motions) == len(measurements):
+        raise ValueError(f"{len(axes)} axes for {len(motions)} motions and {len(measurements)} measurements")
     if not axes:
         return []
-    steps = max(round(float(m.time[-1] - m.time[0]) / STEP) for m in motions) + 1
-    grid = np.linspace(0.0, STEP * (steps - 1), steps)
-    position, velocity, acceleration = np.empty((3, steps, len(motions)))
-    for row, motion in enumerate(motions):
-        since = motion.time - motion.time[0]
-        at = np.minimum(grid, since[-1])  # a shorter motion waits at its end
-        speed = CubicSpline(since, motion.velocity)
-        position[:, row] = CubicSpline(since, motion.position)(at)
-        velocity[:, row] = speed(at)
-        acceleration[:, row] = speed(at, 1)
+    remembers = any(axis.train.spring or axis.train.lugre or axis.train.appendage for axis in axes)
+    step = STEP if remembers else CYCLE
+    position, velocity, acceleration = _on_grid(motions, [one.velocity_delay for one in measurements], step)
     effort = _motor_torque(axes, position, velocity, acceleration)
-    effort += (_elastic if axes[0].train.spring else _rigid)(axes, position, velocity, acceleration)
-    effort = _recorded(axes, effort, measurement)
-    return [np.interp(motion.time - motion.time[0], grid, effort[:, row]) for row, motion in enumerate(motions)]
+    effort += (_elastic if axes[0].train.spring else _rigid)(axes, position, velocity, acceleration, step)
+    grid = np.linspace(0.0, step * (len(effort) - 1), len(effort))
+    return [
+        np.interp(motion.time - motion.time[0], grid, _recorded(axis, effort[:, row], measurements[row], step))
+        for row, (axis, motion) in enumerate(zip(axes, motions, strict=True))
+    ]
+
+
+def _on_grid(motions: Sequence[Motion], late: Sequence[float], step: float) -> Array:
+    """Position, velocity and acceleration (3, steps, rows), the speed as much earlier as it was recorded `late`, s; a
+    shorter motion waits at its end.
+    """
+    different = {(id(motion), delay): motion for motion, delay in zip(motions, late, strict=True)}
+    steps = max(round(float(m.time[-1] - m.time[0]) / step) for m in motions) + 1
+    grid = np.linspace(0.0, step * (steps - 1), steps)
+    result = np.empty((3, steps, len(motions)))
+    for (key, delay), motion in different.items():
+        since = motion.time - motion.time[0]
+        at, ahead = np.minimum(grid, since[-1]), np.minimum(grid + delay, since[-1])
+        speed = CubicSpline(since, motion.velocity)
+        rows = [row for row, other in enumerate(motions) if (id(other), late[row]) == (key, delay)]
+        values = (CubicSpline(since, motion.position)(at), speed(ahead), speed(ahead, 1))
+        for signal, value in zip(result, values, strict=True):
+            signal[:, rows] = value[:, None]
+    return result
 
 
 def _motor_torque(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceleration: Array) -> Array:
@@ -66,32 +94,55 @@ def _motor_torque(axes: Sequence[MovingAxis], position: Array, velocity: Array, 
     torque = acceleration * np.array([axis.motor_inertia for axis in axes])
     ripple = cogging(axes)
     if ripple is not None:
-        torque += np.stack([ripple.at(row) for row in position])
+        for at in _pieces(position):
+            torque[at] += ripple.at(position[at])
     if any(axis.train.lugre for axis in axes):
         bristles = Bristles([axis.train.lugre for axis in axes], STEP)
-        torque += np.stack([bristles.step(row) for row in velocity])
+        for n, speed in enumerate(velocity):
+            torque[n] += bristles.step(speed)
     return torque
 
 
-def _rigid(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceleration: Array) -> Array:
+def _rigid(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceleration: Array, step: float) -> Array:
     """Friction, and what the motor gives to a load that follows at once, (steps, rows)."""
-    trains = _led(axes, position[0])
+    trains = _led(axes, position[0], velocity[0], step)
+    law = FrictionLaw([axis.train for axis in axes], [axis.warmth for axis in axes], step)
+    damping = np.array([axis.train.hose.damping if axis.train.hose else 0.0 for axis in axes])
     torque = np.array([axis.load_inertia for axis in axes]) * acceleration
-    for n, here in enumerate(position):
-        trains.position[0], trains.velocity[0] = here, velocity[n]
-        torque[n] += trains.gravity()
+    for at in _pieces(position):
+        trains.position = position[None, at]
+        torque[at] += trains.gravity()
         if trains.appendages is not None:
-            torque[n] += trains.appendages.step(here, velocity[n])
-        transmitted = torque[n].copy()
-        torque[n] += trains.friction_torque(transmitted)[0]
-        if trains.friction is not None:
-            trains.friction.warm(trains.velocity, transmitted, here)
+            torque[at] += np.stack(
+                [trains.appendages.step(*now) for now in zip(position[at], velocity[at], strict=True)]
+            )
+        torque[at] += _friction(law, velocity[at], torque[at], position[at]) + damping * velocity[at]
     return torque
 
 
-def _elastic(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceleration: Array) -> Array:
+def _friction(law: FrictionLaw, velocity: Array, transmitted: Array, position: Array) -> Array:
+    """Friction of motor and load together (steps, rows), N m, with the warmth that it makes itself; warms `law`."""
+    motion = (velocity[:, None], transmitted[:, None], position[:, None])
+    start, torque = law.warmth, law.whole(*motion).sum(axis=1)
+    while law.warms:
+        gained = law.heating * torque * velocity
+        path = np.stack([_cooling(*row) for row in zip(gained.T, 1 - law.cooling, start, strict=True)], axis=1)
+        law.warmth = np.concatenate([start[None], path[:-1]])[:, None]
+        before, torque = torque, law.whole(*motion).sum(axis=1)
+        if np.abs(torque - before).max() < _SETTLED * np.abs(torque).max():
+            law.warmth = path[-1]
+            break
+    return torque
+
+
+def _cooling(gained: Array, keep: float, start: float) -> Array:
+    """``T[n] = keep T[n - 1] + gained[n]`` of one row (steps,)."""
+    return lfilter([1.0], [1.0, -keep], gained, zi=[keep * start])[0]
+
+
+def _elastic(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceleration: Array, step: float) -> Array:
     """Friction of the motor, and what it gives to the spring, (steps, rows)."""
-    trains = _led(axes, position[0])
+    trains = _led(axes, position[0], velocity[0], step)
     idle = np.zeros(len(axes))
     torque = np.empty_like(acceleration)
     for n in range(len(position)):
@@ -105,21 +156,27 @@ def _elastic(axes: Sequence[MovingAxis], position: Array, velocity: Array, accel
     return torque
 
 
-def _led(axes: Sequence[MovingAxis], position: Array) -> DriveTrains:
-    """The drive trains at rest in `position` (rows,), their motors led: nothing disturbs them."""
+def _led(axes: Sequence[MovingAxis], position: Array, velocity: Array, step: float) -> DriveTrains:
+    """The drive trains in balance at `position` and `velocity` (rows,), their motors led: nothing disturbs them."""
     bare = {"motor_inertia": _IMMOVABLE, "cogging": (), "lugre": None}
-    trains = DriveTrains([replace(axis, train=axis.train.model_copy(update=bare)) for axis in axes], STEP)
+    trains = DriveTrains([replace(axis, train=axis.train.model_copy(update=bare)) for axis in axes], step)
     trains.free[:] = 1.0
     trains.position[:] = position
     for row in range(len(axes)):
         trains.settle(row)
+    trains.velocity[:] = velocity
     return trains
 
 
-def _recorded(axes: Sequence[MovingAxis], effort: Array, measurement: Measurement) -> Array:
-    """What the drive makes of the torque (steps, rows)."""
-    channel = Channel(len(axes), STEP, measurement.effort_delay, measurement.effort_smoothing)
-    for row, value in enumerate(effort[0]):
-        channel.restart(row, float(value))
-    gain = np.array([axis.train.effort_gain for axis in axes])
-    return channel.pass_on(effort) * gain + np.array([axis.train.effort_offset for axis in axes])
+def _recorded(axis: MovingAxis, effort: Array, measurement: Measurement, step: float) -> Array:
+    """What the drive makes of the torque (steps,)."""
+    channel = Channel(1, step, measurement.effort_delay, measurement.effort_smoothing)
+    channel.restart(0, float(effort[0]))
+    return channel.pass_on(effort[:, None])[:, 0] * axis.train.effort_gain + axis.train.effort_offset
+
+
+def _pieces(signal: Array) -> Iterator[slice]:
+    """Steps in order, so many that work on all rows stays small."""
+    steps, rows = signal.shape
+    count = max(1, _AT_ONCE // rows)
+    return (slice(first, first + count) for first in range(0, steps, count))

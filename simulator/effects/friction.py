@@ -49,9 +49,9 @@ class FrictionLaw:
         self._width = of([[f.patch.width if f.patch else 1.0 for f in pair] for pair in both])
         self._has_power, self._has_patch = bool(self._power.any()), bool(self._patch.any())
         warming = [train.warming for train in trains]
-        self._warms = any(warming)
-        self._heating = step * np.array([1 / w.heat_capacity if w else 0.0 for w in warming])
-        self._cooling = step * np.array([1 / w.time_constant if w else 0.0 for w in warming])
+        self.warms = any(warming)
+        self.heating = step * np.array([1 / w.heat_capacity if w else 0.0 for w in warming])
+        self.cooling = step * np.array([1 / w.time_constant if w else 0.0 for w in warming])
         self._coulomb_loss = np.array([w.coulomb_loss if w else 0.0 for w in warming])
         self._viscous_loss = np.array([w.viscous_loss if w else 0.0 for w in warming])
         self.warmth = np.array(warmth, dtype=float)
@@ -80,16 +80,19 @@ class FrictionLaw:
         dry = np.where(velocity > 0, forward, np.where(velocity < 0, -backward, 0.0))
         return dry + self.beyond_mean(velocity)
 
+    def whole(self, velocity: Array, transmitted: Array, load_position: Array) -> Array:
+        """All friction (2, rows) N m against a motion; of (steps, 1, rows) each: (steps, 2, rows)."""
+        return self.torque(velocity, transmitted, load_position) + self._viscous * velocity
+
     def power(self, velocity: Array, transmitted: Array, load_position: Array) -> Array:
         """What all friction of a motion turns into heat, (rows,) W."""
-        torque = self.torque(velocity, transmitted, load_position) + self._viscous * velocity
-        return (torque * velocity).sum(axis=0)
+        return (self.whole(velocity, transmitted, load_position) * velocity).sum(axis=0)
 
     def warm(self, velocity: Array, transmitted: Array, load_position: Array) -> None:
         """One step of heating by this motion, and of cooling."""
-        if self._warms:
+        if self.warms:
             power = self.power(velocity, transmitted, load_position)
-            self.warmth += self._heating * power - self._cooling * self.warmth
+            self.warmth += self.heating * power - self.cooling * self.warmth
 
 
 def friction_law(trains: Sequence[DriveTrain], warmth: Sequence[float], step: float) -> FrictionLaw | None:

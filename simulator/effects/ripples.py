@@ -24,8 +24,8 @@ class Ripples:
                 self._phase[k, row] = term.phase
 
     def at(self, position: Array) -> Array:
-        """The sums (rows,), in the unit of the amplitudes."""
-        return (self._amplitude * np.sin(self._order * position + self._phase)).sum(axis=0)
+        """The sums (..., rows) at positions (..., rows), in the unit of the amplitudes."""
+        return (self._amplitude * np.sin(self._order * position[..., None, :] + self._phase)).sum(axis=-2)
 
     def slope(self, position: Array) -> Array:
         """Their derivatives by the joint's angle (rows,)."""

@@ -92,5 +92,23 @@ def test_a_warm_gear_is_replayed_warm(noise_free: Callable[[str], Scenario], swe
     np.testing.assert_allclose((first - second)[inside], 155.0 * (1 - np.exp(-0.2)), rtol=1e-4)
 
 
+def test_each_row_has_its_own_channels(noise_free: Callable[[str], Scenario], sweep: Callable[..., SweepRun]) -> None:
+    """Torque told late, and speed told late, which is torque that comes early."""
+    scenario, run = noise_free("rigid"), sweep("joint_2", periods=1)
+    axis = moving_axis(scenario, RigidBody(scenario), "joint_2", run.pose)
+    (columns,) = run_sweeps(scenario, [run], seed=1)
+    time, inside = columns["time"], window(run, columns["time"])
+    motion = Motion(time, columns["position"], columns["velocity"])
+    late = [Measurement(), Measurement(effort_delay=0.003), Measurement(velocity_delay=0.003)]
+    exact, effort, speed = replay([axis] * 3, [motion] * 3, late)
+    np.testing.assert_allclose(effort[inside], np.interp(time - 0.003, time, exact)[inside], atol=0.05)
+    early = np.interp(time + 0.003, time, exact)[inside]
+    # the position was told in time, and with it the weight
+    np.testing.assert_allclose(speed[inside], early, atol=0.003 * 0.025 * 3500.0)
+    assert np.abs(exact[inside] - early).max() > 2.0
+    with pytest.raises(ValueError, match="1 axes for 2 motions"):
+        replay([axis], [motion, motion])
+
+
 def test_nothing_in_nothing_out() -> None:
     assert replay([], []) == []
