@@ -6,13 +6,16 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+import yaml
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
 from service.cli.identify import write_json
-from service.diagnosis import AxisDiagnosis, as_document, diagnose_axis
+from service.diagnosis import AxisDiagnosis, as_document, diagnose_axis, model_document
 from service.errors import BadInput
+from service.report import diagnosis_page
+from service.robot import Robot
 from service.store.bundle import Bundle, read_bundle
 
 
@@ -23,9 +26,24 @@ def diagnose(
     known: Annotated[
         list[str] | None, typer.Option(help="Effect that the axes are known to have; may be repeated.")
     ] = None,
+    twin: Annotated[bool, typer.Option(help="Gap as the simulator leaves it; else as linear columns do.")] = True,
+    model: Annotated[Path | None, typer.Option(help="Write the model with named effects here.", metavar="FILE")] = None,
+    scenario: Annotated[
+        Path | None, typer.Option(help="Write what the twin is here, with its robot beside.", metavar="FILE")
+    ] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a page with figures here.", metavar="FILE")] = None,
 ) -> None:
     """Find where simulation and measurement disagree, and name the missing effect."""
-    document = diagnose_bundle(read_bundle(bundle), axis, str(bundle), known or ())
+    measured = read_bundle(bundle)
+    document = diagnose_bundle(measured, axis, str(bundle), known or (), twin=twin)
+    if model is not None:
+        write_json(model, json.dumps(model_document(measured.robot, document), indent=2, allow_nan=False))
+    if scenario is not None:
+        write_scenario(scenario, measured.robot, document["model"]["scenario"])
+    if report is not None:
+        write_json(
+            report, diagnosis_page(document, f"Diagnosis of the robot {document['model']['robot']}", str(bundle))
+        )
     text = json.dumps(document, indent=2, allow_nan=False)
     if json_to == "-":
         typer.echo(text)
@@ -35,7 +53,21 @@ def diagnose(
     print_diagnosis(document, Console())
 
 
-def diagnose_bundle(bundle: Bundle, axis: str | None, place: str, known: Sequence[str] = ()) -> dict[str, Any]:
+def write_scenario(path: Path, robot: Robot, scenario: dict[str, Any]) -> None:
+    """A scenario that the virtual machine can load: with the robot's description and URDF beside it."""
+    description = robot.description.model_dump(mode="json") | {"urdf": f"{path.stem}-robot.urdf"}
+    files = {
+        description["urdf"]: robot.urdf_text,
+        f"{path.stem}-robot.yaml": yaml.safe_dump(description, sort_keys=False),
+        path.name: yaml.safe_dump(scenario | {"robot": f"{path.stem}-robot.yaml"}, sort_keys=False),
+    }
+    for name, text in files.items():
+        write_json(path.parent / name, text)
+
+
+def diagnose_bundle(
+    bundle: Bundle, axis: str | None, place: str, known: Sequence[str] = (), *, twin: bool = True
+) -> dict[str, Any]:
     """The document of all axes that were swept, or of one; BadInput if that leaves none."""
     if axis is not None:
         bundle.robot.index(axis)
@@ -45,7 +77,7 @@ def diagnose_bundle(bundle: Bundle, axis: str | None, place: str, known: Sequenc
         raise BadInput(place, "has no sweep that moves" + ("" if axis is None else f" joint {axis}"))
     console = Console(stderr=True)
     found: list[AxisDiagnosis] = [
-        diagnose_axis(bundle.robot, joint, bundle.sweeps, known=known)
+        diagnose_axis(bundle.robot, joint, bundle.sweeps, known=known, twin=twin)
         for joint in track(joints, "Axes", console=console, transient=True, disable=not console.is_terminal)
     ]
     return as_document(bundle.robot, found)
@@ -53,7 +85,8 @@ def diagnose_bundle(bundle: Bundle, axis: str | None, place: str, known: Sequenc
 
 def print_diagnosis(document: dict[str, Any], console: Console) -> None:
     """Verdict, gap and effects of each axis, where the gap is, and what to measure next."""
-    table = Table(title="Diagnosis; gap on held-out sweeps, RMS")
+    sources = " and ".join(sorted({axis["gap"]["source"] for axis in document["axes"].values()}))
+    table = Table(title=f"Diagnosis; gap on held-out sweeps, RMS, by the {sources}")
     for name in ("axis", "verdict", "effects", "before", "after", "noise floor"):
         table.add_column(name, justify="right" if name in ("before", "after", "noise floor") else "left")
     for joint, axis in document["axes"].items():
@@ -69,6 +102,8 @@ def print_diagnosis(document: dict[str, Any], console: Console) -> None:
     for joint, axis in document["axes"].items():
         for sentence in axis["sentences"]:
             console.print(sentence)
+        if axis["rolled_back"]:
+            console.print(f"{joint}: rolled back, no better on held-out sweeps: {', '.join(axis['rolled_back'])}")
         for effect in axis["effects"]:
             console.print(f"{joint}: {effect['sentence']}")
             for name, value in effect["parameters"].items():

@@ -1,70 +1,93 @@
 """A diagnosis as the JSON object that `sweepid diagnose --json` prints (DESIGN.md, "Data contracts")."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from service.diagnosis.diagnose import AxisDiagnosis, NamedEffect
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.experiments import NextExperiment
+from service.diagnosis.revision import model_of
+from service.diagnosis.summary import summary
 from service.robot import Robot
 
 
 def as_document(robot: Robot, diagnoses: Sequence[AxisDiagnosis]) -> dict[str, Any]:
     """All axes, and the model that the named effects make."""
-    return {
-        "axes": {one.joint: axis_document(one) for one in diagnoses},
-        "model": {
-            "robot": robot.name,
-            "effects": {
-                one.joint: [
-                    _effect(effect) | {"scenario_entry": CATALOGUE[effect.name].entry} for effect in one.effects
-                ]
-                for one in diagnoses
-                if one.verdict.value == "named"
-            },
-        },
-    }
+    return compose(robot, {one.joint: axis_document(one) for one in diagnoses})
+
+
+def compose(robot: Robot, axes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The same from the documents of the axes."""
+    return {"axes": dict(axes), "model": model_of(robot, axes)}
 
 
 def axis_document(one: AxisDiagnosis) -> dict[str, Any]:
-    """One axis."""
-    return {
+    """One axis; torques in N m (forces in N), see docs/reference/cli.md."""
+    gap, effort = one.gap, one.gap.effort_rms
+    document: dict[str, Any] = {
         "verdict": one.verdict.value,
-        "effects": [_effect(effect) for effect in one.effects],
+        "unit": one.unit,
+        "effects": [_effect(effect, one.unit) for effect in one.effects],
+        "known": [_effect(effect, one.unit) for effect in one.known],
         "candidates": list(one.candidates),
-        "where": [
-            {
-                "dimension": cell.dimension,
-                "value": cell.value,
-                "rms": cell.rms,
-                "significance": cell.significance,
-            }
-            for cell in one.cells
-        ],
-        "sentences": list(one.sentences),
+        "rivals": [{"effect": effect, "behind": behind} for effect, behind in one.rivals],
+        "rolled_back": list(one.rolled_back),
+        "where": [asdict(cell) | {"value": _in_units(cell.value, one.unit)} for cell in one.cells],
+        "sentences": [_in_units(sentence, one.unit) for sentence in one.sentences],
         "gap": {
-            "before_rms": one.gap.before_rms,
-            "after_rms": one.gap.after_rms,
-            "noise_floor_rms": one.gap.noise_floor_rms,
-            "held_out_sweeps": one.gap.held_out_sweeps,
-            "before_percent": 100 * one.gap.before_rms / one.gap.effort_rms,
-            "after_percent": 100 * one.gap.after_rms / one.gap.effort_rms,
+            "before_rms": gap.before_rms,
+            "after_rms": gap.after_rms,
+            "noise_floor_rms": gap.noise_floor_rms,
+            "held_out_sweeps": gap.held_out_sweeps,
+            "before_percent": 100 * gap.before_rms / effort,
+            "after_percent": 100 * gap.after_rms / effort,
+            "source": one.source,
+            "by_pose": [asdict(pose) | {"pose": list(pose.pose)} for pose in gap.by_pose],
+        },
+        "example": {
+            "sweep": one.example.sweep,
+            "block": one.example.block,
+            **{name: getattr(one.example, name).tolist() for name in ("time", "measured", "before", "after")},
+        },
+        "fit": {
+            "inertia": [
+                {"pose": list(pose), "value": value, "std": std}
+                for pose, value, std in zip(
+                    one.poses, one.fit.inertia.tolist(), one.fit.inertia_std.tolist(), strict=True
+                )
+            ],
+            "viscous_friction": {"value": one.fit.viscous, "std": one.fit.viscous_std},
+            "torques": "true" if one.weighed else "recorded",
         },
         "unexplained": one.unexplained,
         "next_experiment": None if one.next_experiment is None else _experiment(one.next_experiment),
         "untestable": list(one.untestable),
     }
+    return document | {"summary": summary(one.joint, document)}
 
 
-def _effect(effect: NamedEffect) -> dict[str, Any]:
+def _in_units(text: str, effort: str) -> str:
+    """A prismatic axis, whose effort is in N, has no radians; the mathematics calls every axis a turning one."""
+    return text if effort != "N" else re.sub(r"\brad\b", "m", re.sub(r"\bN m\b", "N", text))
+
+
+def _effect(effect: NamedEffect, unit: str) -> dict[str, Any]:
+    entry = CATALOGUE[effect.name]
     return {
         "effect": effect.name,
-        "sentence": effect.sentence,
+        "sentence": entry.sentence,
+        "physics": entry.physics,
+        "source": entry.source,
         "parameters": {
-            name: {"value": parameter.value, "std": parameter.std, "unit": parameter.unit}
+            name: {"value": parameter.value, "std": parameter.std, "unit": _in_units(parameter.unit, unit)}
             for name, parameter in effect.parameters.items()
         },
+        "covariance": effect.covariance.tolist(),
         "evidence": {"chi_squared_gain": effect.gain, "criterion_gain": effect.criterion_gain},
+        "scenario_entry": entry.entry,
+        "scenario": effect.patch,
     }
 
 

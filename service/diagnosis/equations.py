@@ -7,14 +7,15 @@ priors, which enter as pseudo-data. dJ_p is eliminated pose by pose, so a pose c
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Model, Shape
-from service.diagnosis.grams import ORDER, Group, Pairing, Piece, Whitening, noise_model, pairing
+from service.diagnosis.grams import ORDER, Gathered, Group, Pairing, Piece, Whitening, noise_model, pairing
 from service.diagnosis.signals import Tracks, white_covariance
 from service.identification.regressor import axis_rows
 from service.robot import Robot
@@ -22,6 +23,7 @@ from service.robot import Robot
 Array = NDArray[np.float64]
 
 SMALLEST = 1e-60  # product of a column that is there
+SAME = 1e-3  # a model that moved by less is the same
 FLAT = 1e-9  # of a column's own product: below, it is a combination of the others
 
 
@@ -46,6 +48,7 @@ class Equations:
     right: Array  # (n, rows)
     inertia_precision: Array  # (folds,)
     viscous_precision: float
+    kept: dict[Term, Gathered] = field(init=False, repr=False, compare=False, default_factory=dict[Term, Gathered])
 
     def columns(self, term: Term) -> Sequence[Array]:
         """Signals of an effect, (n, t) each."""
@@ -53,7 +56,66 @@ class Equations:
 
     def rows(self, term: Term) -> Array:
         """The same filtered and whitened, (n, rows, k)."""
-        return np.stack([self.whitening(self.tracks.rows(column)) for column in self.columns(term)], axis=-1)
+        return self._whitened(self.columns(term))
+
+    def _whitened(self, columns: Sequence[Array]) -> Array:
+        rows = self.tracks.whitened(np.concatenate(columns), self.whitening.taps)
+        return np.moveaxis(rows.reshape(len(columns), -1, rows.shape[1]), 0, -1)
+
+    def _gathered(self, columns: Sequence[Array]) -> Gathered:
+        return self.pairs.gathered(self._whitened(columns))
+
+    def gathered(self, term: Term, *, keep: bool = True) -> Gathered:
+        """Of these the rows that count; once found, kept."""
+        if term in self.kept:
+            return self.kept[term]
+        found = self._gathered(self.columns(term))
+        if keep:
+            self.kept[term] = found
+        return found
+
+    def scanned(self, name: str, shapes: Sequence[Shape], *, keep: bool = True) -> list[Gathered]:
+        """The same of many shapes of an effect."""
+        terms = [Term(name, shape) for shape in shapes]
+        new = [term for term in terms if term not in self.kept]
+        scan = CATALOGUE[name].scan
+        if scan is None or not new:
+            return [self.gathered(term, keep=keep) for term in terms]
+        columns = scan(self.tracks, self.model, [term.shape for term in new])
+        found = {term: self._gathered(own) for term, own in zip(new, columns, strict=True)}
+        if keep:
+            self.kept.update(found)
+        return [found.get(term) or self.kept[term] for term in terms]
+
+    def column(self, term: Term, number: int) -> Gathered:
+        """One of an effect's columns, gathered."""
+        return tuple(fold[number : number + 1] for fold in self.gathered(term))
+
+    def width(self, term: Term) -> int:
+        """How many columns an effect has."""
+        return len(self.gathered(term)[0])
+
+    @cached_property
+    def ends(self) -> tuple[Gathered, Gathered]:
+        """The base columns [a, v] and the right side, gathered."""
+        return self.pairs.gathered(self.base), self.pairs.gathered(self.right[..., None])
+
+    def together(self, terms: Sequence[Term], *more: Gathered) -> Gathered:
+        """Gathered [a, v, terms, more, right side]."""
+        base, right = self.ends
+        parts = [base, *(self.gathered(term) for term in terms), *more, right]
+        return tuple(np.concatenate(fold) for fold in zip(*parts, strict=True))
+
+    def system_with(self, terms: Sequence[Term], *more: Gathered) -> Array:
+        """(folds, k, k) products of [v, terms, more, right side], the pose's inertia eliminated."""
+        columns = self.together(terms, *more)
+        return self.eliminated(self.pairs.crossed(columns, columns))
+
+    def system_against(self, right: Gathered, terms: Sequence[Term]) -> Array:
+        """(k, k) products of [v, terms, right], with a right side of its own, summed over folds."""
+        parts = [self.ends[0], *(self.gathered(term) for term in terms), right]
+        columns = tuple(np.concatenate(fold) for fold in zip(*parts, strict=True))
+        return self.eliminated(self.pairs.crossed(columns, columns)).sum(axis=0)
 
     def system_of(self, columns: Array) -> Array:
         """Products of [v, columns, right side], summed over folds, from whitened [a, v, columns, right side]."""
@@ -82,10 +144,9 @@ def solve(system: Array, viscous_precision: float) -> tuple[Array, float, int]:
 
 
 def covariance(system: Array, viscous_precision: float) -> Array:
-    """Covariance (k, k) of the same; what is not determined counts as certain."""
+    """Covariance (k, k) of the same; what is not determined is as uncertain as `FLAT` allows."""
     values, vectors, scale = _scaled(system, viscous_precision)
-    kept = values > FLAT
-    return (vectors[:, kept] / values[kept]) @ vectors[:, kept].T / np.outer(scale, scale)
+    return (vectors / np.maximum(values, FLAT)) @ vectors.T / np.outer(scale, scale)
 
 
 def _scaled(system: Array, viscous_precision: float) -> tuple[Array, Array, Array]:
@@ -164,8 +225,8 @@ def grouped(tracks: Tracks) -> tuple[Group, ...]:
 def remodelled(given: Equations, terms: Sequence[Term]) -> Equations:
     """With the inertias and friction that a fit with these terms finds, of which some columns are made."""
     tracks = given.tracks
-    columns = [given.base, *(given.rows(term) for term in terms), given.right[..., None]]
-    products = given.pairs.products(np.concatenate(columns, axis=-1))
+    columns = given.together(terms)
+    products = given.pairs.crossed(columns, columns)
     values, _, _ = solve(given.eliminated(products).sum(axis=0), given.viscous_precision)
     pivot = products[:, 0, 0] + given.inertia_precision
     change = (products[:, 0, -1] - products[:, 0, 1:-1] @ values) / pivot
@@ -175,4 +236,14 @@ def remodelled(given: Equations, terms: Sequence[Term]) -> Equations:
         fold[[piece.sweep for piece in group.pieces]] = group.fold
     viscous = (tracks.robot.axis(tracks.joint).viscous_friction or 0.0) + float(values[0])
     inertia = np.maximum(nominal + change[fold], 0.05 * nominal)
-    return replace(given, model=replace(given.model, inertia=inertia, viscous=max(viscous, 0.0)))
+    model = replace(given.model, inertia=inertia, viscous=max(viscous, 0.0))
+    if _alike(model, given.model):
+        return given
+    moved = replace(given, model=model)
+    moved.kept.update({term: rows for term, rows in given.kept.items() if not CATALOGUE[term.effect].of_model})
+    return moved
+
+
+def _alike(one: Model, other: Model) -> bool:
+    inertia = np.allclose(one.inertia, other.inertia, rtol=SAME, atol=0.0)
+    return bool(inertia and np.isclose(one.viscous, other.viscous, rtol=SAME, atol=0.0))

@@ -4,7 +4,7 @@ Poses are left out one after the other; where there is one pose, its repeats are
 which nothing else can tell; friction and effects come from the others.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,20 @@ from service.diagnosis.grams import ORDER, Group, pairing
 
 Array = NDArray[np.float64]
 
+ALIKE = 4  # neighbouring rows share a filter: so many are one independent value
+CERTAIN = 3.0  # standard deviations of a gain that is not chance
 RIDGE = 1e-6  # of a column's product: what the others do not tell is drawn to zero
+
+
+@dataclass(frozen=True, slots=True)
+class PoseGap:
+    """The same of one pose (all joints): rigid model, with effects, repeats against one another."""
+
+    pose: tuple[float, ...]
+    before_rms: float
+    after_rms: float
+    noise_floor_rms: float
+    sweeps: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,22 +40,40 @@ class Gap:
     noise_floor_rms: float
     effort_rms: float
     held_out_sweeps: int
+    by_pose: tuple[PoseGap, ...]
 
 
-def gap(given: Equations, known: Sequence[Term], terms: Sequence[Term]) -> Gap:
-    """Before and after the added terms."""
-    usable = given.tracks.usable
-    before, after = residual(given, known), residual(given, terms)
+def gap(given: Equations, before: Array, after: Array) -> Gap:
+    """Of what held-out sweeps leave (n, rows) before and after."""
+    tracks = given.tracks
+    every = np.arange(len(tracks.specs))
+    poses: list[PoseGap] = []
+    for spot, pose in enumerate(tracks.poses):
+        here = every[tracks.spot == spot]
+        usable = tracks.usable[here]
+        if usable.any():
+            sizes = (_rms(before[here][usable]), _rms(after[here][usable]), noise_floor(given, after, here))
+            poses.append(PoseGap(tuple(pose.tolist()), *sizes, len(here)))
     return Gap(
-        before_rms=_rms(before[usable]),
-        after_rms=_rms(after[usable]),
-        noise_floor_rms=noise_floor(given, after),
-        effort_rms=_rms(given.tracks.rows(given.tracks.effort)[usable]),
-        held_out_sweeps=len(given.tracks.specs),
+        before_rms=_rms(before[tracks.usable]),
+        after_rms=_rms(after[tracks.usable]),
+        noise_floor_rms=noise_floor(given, after, every),
+        effort_rms=_rms(tracks.rows(tracks.effort)[tracks.usable]),
+        held_out_sweeps=len(tracks.specs),
+        by_pose=tuple(poses),
     )
 
 
-def residual(given: Equations, terms: Sequence[Term]) -> Array:
+def improves(given: Equations, before: Array, after: Array) -> bool:
+    """Whether less is left after, beyond what the noise of the same rows could make of it."""
+    usable = given.tracks.usable
+    old, new = before[usable], after[usable]
+    noise = noise_floor(given, after, np.arange(len(before)))
+    chance = 2 * noise * _rms(old - new) * np.sqrt(ALIKE / len(old))
+    return float(np.mean(old**2) - np.mean(new**2)) > CERTAIN * chance
+
+
+def residual(given: Equations, terms: Sequence[Term], *, by_repeat: bool = False) -> Array:
     """What each sweep leaves of its effort (n, rows), N m (N), filtered alike, with coefficients from the others."""
     tracks = given.tracks
     whitened = np.concatenate([given.base, *(given.rows(t) for t in terms), given.right[..., None]], axis=-1)
@@ -50,7 +81,7 @@ def residual(given: Equations, terms: Sequence[Term]) -> Array:
     columns = np.stack([tracks.rows(column) for column in unfiltered], axis=-1)
     right = tracks.rows(nominal_right(tracks))
     result, folds = right.copy(), len(given.inertia_precision)
-    for train, test in splits(given.groups):
+    for train, test in splits(given.groups, by_repeat=by_repeat):
         products = pairing(tracks.usable, train, ORDER, folds).products(whitened)
         fitted = given.eliminated(products).sum(axis=0)
         ridge = RIDGE * np.abs(np.diag(given.system_of(whitened)))[:-1]
@@ -65,10 +96,10 @@ def residual(given: Equations, terms: Sequence[Term]) -> Array:
     return result
 
 
-def splits(groups: Sequence[Group]) -> Iterator[tuple[list[Group], list[Group]]]:
+def splits(groups: Sequence[Group], *, by_repeat: bool = False) -> Iterator[tuple[list[Group], list[Group]]]:
     """What is fitted and what is left out: pose by pose, or repeat by repeat where there is one pose."""
     folds = sorted({group.fold for group in groups})
-    if len(folds) > 1:
+    if len(folds) > 1 and not by_repeat:
         for fold in folds:
             yield [g for g in groups if g.fold != fold], [g for g in groups if g.fold == fold]
         return
@@ -78,16 +109,18 @@ def splits(groups: Sequence[Group]) -> Iterator[tuple[list[Group], list[Group]]]
         yield [g for g in train if g.pieces] or list(groups), test
 
 
-def noise_floor(given: Equations, left: Array) -> float:
-    """RMS of what repeats leave of their mean, N m (N); of everything left where nothing is repeated."""
-    squares = rows = 0.0
+def noise_floor(given: Equations, left: Array, sweeps: Iterable[int]) -> float:
+    """RMS of what repeats of some sweeps leave of their mean, N m (N); of all that is left where none is repeated."""
+    squares, rows, own = 0.0, 0.0, np.array(list(sweeps))
     for group in given.groups:
+        if group.pieces[0].sweep not in own:
+            continue
         parts = np.stack([left[p.sweep, p.first : p.first + p.rows] for p in group.pieces])
         good = np.stack([given.tracks.usable[p.sweep, p.first : p.first + p.rows] for p in group.pieces]).all(axis=0)
         if len(parts) > 1:
             squares += float(np.sum((parts - parts.mean(axis=0))[:, good] ** 2))
             rows += float((len(parts) - 1) * good.sum())
-    return float(np.sqrt(squares / rows)) if rows else _rms(left[given.tracks.usable])
+    return float(np.sqrt(squares / rows)) if rows else _rms(left[own][given.tracks.usable[own]])
 
 
 def _own(given: Equations, whitened: Array, groups: Sequence[Group], fold: int) -> Array:

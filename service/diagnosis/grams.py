@@ -13,6 +13,7 @@ than any model can follow, above all at high frequencies; a share of the gap cou
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from scipy.linalg import solve_toeplitz
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int_]
+Gathered = tuple[Array, ...]  # for each fold (k, rows)
 
 ORDER = 8  # of the autoregressive model
 MODEL_ERROR = 0.03  # of what the rigid model leaves: white, as no catalogue is exact, however quiet the drive
@@ -58,6 +60,11 @@ class Whitening:
         result[:, : len(self.coefficients)] = 0.0
         return result / self.sigma
 
+    @property
+    def taps(self) -> Array:
+        """The same as weights of rows from the oldest to the newest."""
+        return np.append(self.coefficients[::-1], 1.0) / self.sigma
+
 
 PLAIN = Whitening(np.empty(0), 1.0)
 
@@ -78,13 +85,25 @@ class Pairing:
         """(folds,): rows that nothing repeats; the noise of each adds 1 to a cost."""
         return np.array([float(sum(block.size for block in fold if len(block) == 1)) for fold in self.blocks])
 
+    def gathered(self, columns: Array) -> Gathered:
+        """The rows that count of columns (sweeps, rows, k), fold by fold (k, rows): products of them are `crossed`."""
+        flat = np.ascontiguousarray(columns.reshape(-1, columns.shape[-1]).T)
+        none = np.empty((len(flat), 0))
+        return tuple(np.concatenate([none, *(_summed(flat, block) for block in fold)], axis=1) for fold in self.blocks)
+
+    def crossed(self, left: Gathered, right: Gathered) -> Array:
+        """(folds, k, l): cross-repeat products of gathered columns."""
+        return np.stack([(a * signs) @ b.T for a, b, signs in zip(left, right, self._signs, strict=True)])
+
     def products(self, columns: Array, others: Array | None = None) -> Array:
         """(folds, k, l): cross-repeat products of columns (sweeps, rows, k), with `others` or with themselves."""
-        left = columns.reshape(-1, columns.shape[-1])
-        right = left if others is None else others.reshape(-1, others.shape[-1])
-        return np.stack(
-            [sum((_across(left[b], right[b]) for b in fold), start=_none(left, right)) for fold in self.blocks]
-        )
+        left = self.gathered(columns)
+        return self.crossed(left, left if others is None else self.gathered(others))
+
+    @cached_property
+    def _signs(self) -> tuple[Array, ...]:
+        """Of each fold's gathered rows: sums of repeats count, their squares go off."""
+        return tuple(np.concatenate([np.empty(0), *map(_signed, fold)]) for fold in self.blocks)
 
     def plain(self, columns: Array) -> Array:
         """(folds, k, k): products of the columns of each repeat with themselves."""
@@ -135,11 +154,22 @@ def noise_model(residual: Array, usable: Mask, groups: Sequence[Group], alone: A
     return Whitening(coefficients, float(np.sqrt(max(variance, 1e-9 * covariance[0]))))
 
 
-def _across(left: Array, right: Array) -> Array:
-    """Blocks (repeats, rows, k) and (repeats, rows, l)."""
-    same = _within(left, right)
-    count = len(left)
-    return same if count == 1 else (left.sum(axis=0).T @ right.sum(axis=0) - same) / (count - 1)
+def _summed(flat: Array, block: Index) -> Array:
+    """Rows (k, all) at a block (repeats, rows): their sum over the repeats, then each repeat, as `_signed` wants it."""
+    rows: Array = flat[:, block]
+    count = len(block)
+    if count == 1:
+        return flat[:, block[0]]
+    total: Array = rows.sum(axis=1)
+    together: Array = np.concatenate([total, rows.reshape(len(flat), -1)], axis=1) / np.sqrt(count - 1)
+    return together
+
+
+def _signed(block: Index) -> Array:
+    rows, every = int(block.shape[1]), int(block.size)
+    signs = np.ones(rows if every == rows else rows + every, dtype=np.float64)
+    signs[rows:] = -1.0
+    return signs
 
 
 def _within(left: Array, right: Array) -> Array:

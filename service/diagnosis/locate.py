@@ -24,56 +24,63 @@ MANY = 1.5  # times the RMS of the whole: a cell that stands out
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One bin of one property: RMS of the repeatable gap, N m (N), and how many standard deviations it is from none."""
+    """One bin of one property: RMS of the repeatable gap, N m (N), how many standard deviations it is from none, and
+    what the effects found leave of it.
+    """
 
     dimension: str
     value: str
     rms: float
     significance: float
+    rms_after: float
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rows that count, flat: the product of both repeats' residuals, and the signals to cut along."""
+    """Rows that count, flat: products of both repeats' residuals, before and after, and the signals to cut along."""
 
     product: Array
+    after: Array
     number: NDArray[np.int_]  # of the sweep
     row: NDArray[np.int_]
 
 
-def cells(tracks: Tracks, groups: Sequence[Group], residual: Array, noise: float) -> tuple[Cell, ...]:
-    """The map of a residual (n, rows), N m (N), over the properties of sweeps and samples."""
-    rows = _rows(tracks, groups, residual, noise)
+def cells(tracks: Tracks, groups: Sequence[Group], residual: Array, after: Array, noise: float) -> tuple[Cell, ...]:
+    """The map of a residual (n, rows), N m (N), and of that after, over the properties of sweeps and samples."""
+    rows = _rows(tracks, groups, residual, after, noise)
     if rows.product.size == 0:
         return ()
     found: list[Cell] = []
     for dimension, labels in _labels(tracks, rows):
-        found.extend(_cell(dimension, str(value), rows.product[labels == value], noise) for value in np.unique(labels))
+        found.extend(_cell(dimension, str(value), rows, labels == value, noise) for value in np.unique(labels))
     return tuple(sorted(found, key=lambda cell: -cell.significance))
 
 
-def lines(tracks: Tracks, residual: Array) -> tuple[Cell, ...]:
+def lines(tracks: Tracks, residual: Array, after: Array) -> tuple[Cell, ...]:
     """The gap at the excited frequencies: RMS of the residual's part at each line over the sweeps that have it."""
     every = np.diff(row_samples(tracks.effort.shape[1], tracks.rate)[:2])[0] / tracks.rate
     power: dict[float, list[float]] = {}
+    left: dict[float, list[float]] = {}
     for number, spec in enumerate(tracks.specs):
         if not spec.periodic or spec.period is None or spec.periods is None:
             continue
         first = round(spec.measure_from / every)
         count = round(spec.period * spec.periods / every)
-        window = residual[number, first : first + count]
+        window, later = residual[number, first : first + count], after[number, first : first + count]
         time = np.arange(len(window)) * every
         for sine in spec.sines:
             wave: Complex = np.exp(-2j * np.pi * sine.frequency * time)
             beside: Complex = np.exp(-2j * np.pi * (sine.frequency + 0.5 / (spec.period or 1.0)) * time)
             power.setdefault(sine.frequency, []).append(_power(window, wave))
             power.setdefault(-sine.frequency, []).append(_power(window, beside))
+            left.setdefault(sine.frequency, []).append(_power(later, wave))
     result: list[Cell] = []
     for frequency in sorted(f for f in power if f > 0):
         floor = max(float(np.mean(power[-frequency])), 1e-300)
         mean = float(np.mean(power[frequency]))
         significance = (mean / floor - 1) * np.sqrt(len(power[frequency]) / 2)
-        result.append(Cell("line frequency", f"{frequency:g} Hz", float(np.sqrt(mean)), float(significance)))
+        remaining = float(np.sqrt(np.mean(left[frequency])))
+        result.append(Cell("line frequency", f"{frequency:g} Hz", float(np.sqrt(mean)), float(significance), remaining))
     return tuple(result)
 
 
@@ -102,29 +109,33 @@ def _power(signal: Array, wave: Complex) -> float:
     return float(2 * np.abs(np.mean(signal * wave)) ** 2)
 
 
-def _cell(dimension: str, value: str, product: Array, noise: float) -> Cell:
-    mean = float(product.mean())
+def _cell(dimension: str, value: str, rows: _Rows, here: NDArray[np.bool_], noise: float) -> Cell:
+    mean, after = float(rows.product[here].mean()), float(rows.after[here].mean())
     # neighbouring rows share a filter: about four of them are one independent value
-    significance = mean / max(noise**2, 1e-300) * np.sqrt(len(product) / 4)
-    return Cell(dimension, value, float(np.sqrt(max(mean, 0.0))), float(significance))
+    significance = mean / max(noise**2, 1e-300) * np.sqrt(np.count_nonzero(here) / 4)
+    return Cell(dimension, value, float(np.sqrt(max(mean, 0.0))), float(significance), float(np.sqrt(max(after, 0.0))))
 
 
-def _rows(tracks: Tracks, groups: Sequence[Group], residual: Array, noise: float) -> _Rows:
+def _rows(tracks: Tracks, groups: Sequence[Group], residual: Array, after: Array, noise: float) -> _Rows:
     products: list[Array] = []
+    remaining: list[Array] = []
     numbers: list[NDArray[np.int_]] = []
     at: list[NDArray[np.int_]] = []
     for group in groups:
-        parts = np.stack([residual[p.sweep, p.first : p.first + p.rows] for p in group.pieces])
         good = np.stack([tracks.usable[p.sweep, p.first : p.first + p.rows] for p in group.pieces]).all(axis=0)
-        count = len(parts)
-        square = np.sum(parts**2, axis=0)
-        across = (np.sum(parts, axis=0) ** 2 - square) / max(count * (count - 1), 1)
-        product = across if count > 1 else square - noise**2
         where = np.flatnonzero(good)
-        products.append(product[where])
+        products.append(_repeated(group, residual, noise)[where])
+        remaining.append(_repeated(group, after, noise)[where])
         numbers.append(np.full(len(where), group.pieces[0].sweep))
         at.append(where + group.pieces[0].first)
-    return _Rows(np.concatenate(products), np.concatenate(numbers), np.concatenate(at))
+    return _Rows(np.concatenate(products), np.concatenate(remaining), np.concatenate(numbers), np.concatenate(at))
+
+
+def _repeated(group: Group, residual: Array, noise: float) -> Array:
+    """Mean product (rows,) of a residual between different repeats."""
+    parts = np.stack([residual[p.sweep, p.first : p.first + p.rows] for p in group.pieces])
+    count, square = len(parts), np.sum(parts**2, axis=0)
+    return (np.sum(parts, axis=0) ** 2 - square) / (count * (count - 1)) if count > 1 else square - noise**2
 
 
 def _labels(tracks: Tracks, rows: _Rows) -> Iterator[tuple[str, NDArray[np.str_]]]:

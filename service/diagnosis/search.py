@@ -6,16 +6,22 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Shape, ShapeParameter
 from service.diagnosis.equations import Equations, Term, solve
+from service.diagnosis.grams import Gathered
 
 Array = NDArray[np.float64]
 
-EVALUATIONS = 16  # of one refinement, for each shape parameter
-FIRST_STEP = 0.25  # of a shape's logarithm, or of its range
+STEPS = 4  # of one refinement
+HALVINGS = 3  # of a step that gains nothing
+LONGEST = 0.7  # step of a shape's logarithm
+NUDGE = 1e-3  # of it, for derivatives
+WIDTHS = (1.0, 0.3)  # of a grid's step, for rough costs
+POINTS = 7  # within it, either side
+REACH = 0.4  # where the grid has one point
+LITTLE = 0.5  # gain of a step after which none is worth while
 
 
 @dataclass(frozen=True)
@@ -37,10 +43,8 @@ class Beside:
 
     def __init__(self, given: Equations, terms: Sequence[Term]) -> None:
         self._given, self._terms = given, tuple(terms)
-        self._fixed = np.concatenate(
-            [given.base, *(given.rows(term) for term in terms), given.right[..., None]], axis=-1
-        )
-        self._products = given.pairs.products(self._fixed)
+        self._fixed = given.together(terms)
+        self._products = given.pairs.crossed(self._fixed, self._fixed)
 
     def alone(self) -> Explanation:
         """Without any more."""
@@ -48,49 +52,84 @@ class Beside:
 
     def explanation(self, term: Term) -> Explanation:
         """With one term more."""
-        columns = self._given.rows(term)
-        across = self._given.pairs.products(columns, self._fixed)
-        within = self._given.pairs.products(columns)
-        # the new columns go before the right side, which stays last
-        old, new = self._products, across.transpose(0, 2, 1)
-        top = np.concatenate([old[:, :-1, :-1], new[:, :-1], old[:, :-1, -1:]], axis=2)
-        middle = np.concatenate([across[:, :, :-1], within, across[:, :, -1:]], axis=2)
-        bottom = np.concatenate([old[:, -1:, :-1], new[:, -1:], old[:, -1:, -1:]], axis=2)
-        return self._judged((*self._terms, term), np.concatenate([top, middle, bottom], axis=1))
+        return self._judged((*self._terms, term), self._with(self._given.gathered(term, keep=False)))
 
     def best(self, name: str) -> Explanation:
         """An effect at the best shape of its grid."""
         shapes = CATALOGUE[name].shape(self._given.tracks, self._given.model)
-        return min(
-            (self.explanation(Term(name, values)) for values in product(*(shape.grid for shape in shapes))),
-            key=lambda one: one.cost,
-        )
+        found = self._at(name, list(product(*(shape.grid for shape in shapes))), keep=True)
+        return min(found, key=lambda one: one.cost)
+
+    def _at(self, name: str, shapes: Sequence[Shape], *, keep: bool) -> list[Explanation]:
+        return [
+            self._judged((*self._terms, Term(name, shape)), self._with(columns))
+            for shape, columns in zip(shapes, self._given.scanned(name, shapes, keep=keep), strict=True)
+        ]
 
     def refined(self, start: Explanation) -> Explanation:
         """The last term's shape moved to the least cost."""
-        term = start.terms[-1]
-        shapes = CATALOGUE[term.effect].shape(self._given.tracks, self._given.model)
+        effect = CATALOGUE[start.terms[-1].effect]
+        shapes = effect.shape(self._given.tracks, self._given.model)
         if not shapes:
             return start
+        return self._stepped(start, shapes) if effect.scan is None else self._rescanned(start, shapes)
 
-        def cost(vector: Array) -> float:
-            return self.explanation(Term(term.effect, _from_vector(shapes, vector))).cost
+    def _rescanned(self, start: Explanation, shapes: Sequence[ShapeParameter]) -> Explanation:
+        """One parameter after the other over the middles of narrower and narrower grids: for costs that are rough."""
+        best = start
+        for width in WIDTHS:
+            for k, shape in enumerate(shapes):
+                at = _to_vector(shapes, best.terms[-1].shape)
+                grid = _to_vector([shape] * len(shape.grid), shape.grid)
+                reach = width * (float(np.ptp(grid)) / (len(grid) - 1) if len(grid) > 1 else REACH)
+                moved = at + np.linspace(-reach, reach, POINTS)[:, None] * np.eye(len(at))[k]
+                name = best.terms[-1].effect
+                found = self._at(name, [_from_vector(shapes, vector) for vector in moved], keep=False)
+                best = min([best, *found], key=lambda one: one.cost)
+        return best
 
-        first = np.array([np.log(x) if s.low > 0 else x for s, x in zip(shapes, term.shape, strict=True)])
-        step = [FIRST_STEP * (1.0 if s.low > 0 else s.high - s.low) for s in shapes]
-        found = minimize(
-            cost,
-            first,
-            method="Nelder-Mead",
-            options={
-                "initial_simplex": np.vstack([first, first + np.diag(step)]),
-                "maxfev": EVALUATIONS * len(shapes),
-                "xatol": 1e-3,
-                "fatol": 0.1,
-            },
-        )
-        better = self.explanation(Term(term.effect, _from_vector(shapes, np.asarray(found.x, dtype=float))))
-        return better if better.cost < start.cost else start
+    def _stepped(self, start: Explanation, shapes: Sequence[ShapeParameter]) -> Explanation:
+        """By Gauss and Newton, each step shortened until it gains."""
+        best, name = start, start.terms[-1].effect
+        limits = _to_vector(shapes, [shape.high for shape in shapes])
+        for _ in range(STEPS):
+            at = _to_vector(shapes, best.terms[-1].shape)
+            step = self._step(best.terms[-1], shapes, at, np.where(at + NUDGE < limits, NUDGE, -NUDGE))
+            for _ in range(HALVINGS):
+                tried = self.explanation(Term(name, _from_vector(shapes, at + step)))
+                if tried.cost < best.cost:
+                    break
+                step = step / 3
+            else:
+                return best
+            gain, best = best.cost - tried.cost, tried
+            if gain < LITTLE:
+                return best
+        return best
+
+    def _step(self, term: Term, shapes: Sequence[ShapeParameter], at: Array, nudges: Array) -> Array:
+        """Of the shape's vector `at`, from derivatives beside the columns themselves."""
+        own = self._given.gathered(term, keep=False)
+        values = self._values(self._with(own))[-len(own[0]) :]
+        parts = [own]
+        for nudge in np.diag(nudges):
+            there = self._given.gathered(Term(term.effect, _from_vector(shapes, at + nudge)), keep=False)
+            parts.append(tuple(values[None] @ (b - a) / nudge.sum() for a, b in zip(own, there, strict=True)))
+        extended = tuple(np.concatenate(fold) for fold in zip(*parts, strict=True))
+        return np.clip(self._values(self._with(extended))[-len(at) :], -LONGEST, LONGEST)
+
+    def _with(self, columns: Gathered) -> Array:
+        """Products with columns put before the right side, which stays last."""
+        across = self._given.pairs.crossed(columns, self._fixed)
+        within = self._given.pairs.crossed(columns, columns)
+        old, new = self._products, across.transpose(0, 2, 1)
+        top = np.concatenate([old[:, :-1, :-1], new[:, :-1], old[:, :-1, -1:]], axis=2)
+        middle = np.concatenate([across[:, :, :-1], within, across[:, :, -1:]], axis=2)
+        bottom = np.concatenate([old[:, -1:, :-1], new[:, -1:], old[:, -1:, -1:]], axis=2)
+        return np.concatenate([top, middle, bottom], axis=1)
+
+    def _values(self, products: Array) -> Array:
+        return solve(self._given.eliminated(products).sum(axis=0), self._given.viscous_precision)[0]
 
     def _judged(self, terms: tuple[Term, ...], products: Array) -> Explanation:
         _, cost, rank = solve(self._given.eliminated(products).sum(axis=0), self._given.viscous_precision)
@@ -99,8 +138,13 @@ class Beside:
         return Explanation(terms, cost, cost + parameters * float(np.log(self._given.pairs.rows)), parameters)
 
 
+def _to_vector(shapes: Sequence[ShapeParameter], shape: Sequence[float]) -> Array:
+    """Logarithms of what is positive, and parts of the range of what is not: steps of the order of one."""
+    return np.array([np.log(x) if s.low > 0 else x / (s.high - s.low) for s, x in zip(shapes, shape, strict=True)])
+
+
 def _from_vector(shapes: Sequence[ShapeParameter], vector: Array) -> Shape:
     return tuple(
-        float(np.clip(np.exp(x) if shape.low > 0 else x, shape.low, shape.high))
-        for shape, x in zip(shapes, vector.tolist(), strict=True)
+        float(np.clip(np.exp(x) if s.low > 0 else x * (s.high - s.low), s.low, s.high))
+        for s, x in zip(shapes, vector.tolist(), strict=True)
     )

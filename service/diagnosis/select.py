@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.equations import Equations, Term, remodelled, solve
 from service.diagnosis.search import Beside, Explanation
 
@@ -30,12 +31,14 @@ SHARE = 0.001  # of the repeatable excess
 LARGE = 0.03  # of it
 MOSTLY = 0.6  # of what is left
 TOLERANCE = 0.001  # of it: a difference that richer physics than the columns' may make
-ROUNDS = 2  # of fitting inertias and shapes in turn
+CERTAIN = 6.0  # standard deviations of an excess that chance makes
+ROUNDS = 3  # of fitting inertias and shapes in turn
 MOST = 4  # effects at once
 RIVAL = 10.0  # of Schwarz's criterion
 LOCAL = 0.9  # of the gain in one pose: other poses cannot confirm it, repeats do
 RIDGE = 1e-6  # of a column's product
 REFINED = 3  # best of the scan whose shapes are refined
+NEAR = 0.5  # of the best one's gain, that refining may be worth while
 
 
 @dataclass(frozen=True)
@@ -63,19 +66,23 @@ def select(given: Equations, known: Sequence[str], candidates: Sequence[str]) ->
         given = remodelled(given, fixed)
     rigid = Beside(given, fixed).alone()
     limit = float(chi2.isf(CHANCE / (8 * len(candidates)), 2))
-    chosen, table = rigid, ()
-    while len(chosen.terms) - len(fixed) < MOST:
+    chosen, tried = rigid, list[Explanation]()
+    for _ in range(MOST):
         table = _table(given, chosen.terms, [c for c in candidates if c not in chosen.names])
-        step = _simplest(table, rigid.cost)
-        if step is None or not _enters(given, chosen, step, rigid.cost, limit, first=chosen is rigid):
+        step = _step(given, chosen, table, rigid.cost, limit, first=chosen is rigid)
+        if step is None:
+            tried = tried or table
             break
         chosen = step
         for _ in range(ROUNDS):
-            given = remodelled(given, chosen.terms)
+            before, given = given, remodelled(given, chosen.terms)
+            if given is before:
+                break
             chosen = _settled(given, chosen, len(fixed))
         chosen = _without_needless(given, chosen, rigid.cost, limit, len(fixed))
-        chosen = _exchanged(given, chosen, candidates, rigid.cost, len(fixed))
-    tried = table if chosen is rigid else _exchanges(given, chosen, candidates, len(fixed))
+        tried = _exchanges(given, chosen, candidates, len(fixed))
+        if (better := _exchange(given, chosen, tried, rigid.cost, len(fixed))) is not chosen:
+            chosen, tried = better, _exchanges(given, better, candidates, len(fixed))
     return Selection(given, chosen, rigid, tuple(tried))
 
 
@@ -84,8 +91,7 @@ def held_out(given: Equations, terms: Sequence[Term]) -> Array:
 
     With a single fold the fit is on all of it: repeats then hold one another out.
     """
-    columns = [given.rows(term) for term in terms]
-    system = given.system(np.concatenate(columns, axis=-1) if columns else None)
+    system = given.system_with(terms)
     total = system.sum(axis=0)
     return np.array([_cost(own, _elsewhere(given, total, own if len(system) > 1 else 0 * own)) for own in system])
 
@@ -97,8 +103,7 @@ def local(given: Equations, before: Sequence[Term], after: Sequence[Term]) -> bo
 
 
 def _in_sample(given: Equations, terms: Sequence[Term]) -> Array:
-    columns = [given.rows(term) for term in terms]
-    system = given.system(np.concatenate(columns, axis=-1) if columns else None)
+    system = given.system_with(terms)
     values = solve(system.sum(axis=0), given.viscous_precision)[0]
     return np.array([_cost(own, values) for own in system])
 
@@ -116,32 +121,65 @@ def _cost(system: Array, values: Array) -> float:
     return float(extended @ system @ extended)
 
 
-def _table(given: Equations, terms: Sequence[Term], names: Sequence[str]) -> tuple[Explanation, ...]:
-    """Each candidate beside some terms; the best of the scan refined."""
+def _table(given: Equations, terms: Sequence[Term], names: Sequence[str]) -> list[Explanation]:
+    """Each candidate beside some terms; those of the scan that may turn out best refined."""
     beside = Beside(given, terms)
+    alone = beside.alone()
     scanned = sorted((beside.best(name) for name in names), key=lambda one: one.criterion)
-    return tuple(sorted([*map(beside.refined, scanned[:REFINED]), *scanned[REFINED:]], key=lambda one: one.criterion))
+    most = alone.cost - scanned[0].cost if scanned else 0.0
+    near = [one for one in scanned[:REFINED] if alone.cost - one.cost > NEAR * most]
+    refined = [beside.refined(one) if one in near else one for one in scanned]
+    return sorted(refined, key=lambda one: one.criterion)
 
 
-def _simplest(table: Sequence[Explanation], excess: float) -> Explanation | None:
-    """The best, or a simpler one that is as good."""
+def _step(
+    given: Equations, before: Explanation, table: Sequence[Explanation], excess: float, limit: float, *, first: bool
+) -> Explanation | None:
+    """The best of a table that enters; one that other poses refuse gives way to the next."""
+    wanted = list(table)
+    for _ in range(REFINED):
+        step = _simplest(given, wanted, excess)
+        if step is None or not _gains(given, before, step, excess, limit, first=first):
+            return None
+        if _holds(given, before, step):
+            return step
+        wanted.remove(step)
+    return None
+
+
+def _simplest(given: Equations, table: Sequence[Explanation], excess: float) -> Explanation | None:
+    """The best, or a simpler one that is as good; one that leaves nothing stands against all but what it contains."""
     if not table:
         return None
     best = table[0]
     near = [one for one in table if one.criterion <= best.criterion + max(0.0, TOLERANCE * excess)]
+    if not _leaves(given, best):
+        contained = CATALOGUE[best.terms[-1].effect].contains
+        near = [one for one in near if not _leaves(given, one) or one.terms[-1].effect in contained]
     fewest = min(one.parameters for one in near)
     return next(one for one in near if one.parameters == fewest)
 
 
-def _enters(
+def _leaves(given: Equations, explanation: Explanation) -> bool:
+    """Whether an explanation leaves more than chance."""
+    return explanation.cost > CERTAIN * float(np.sqrt(2 * given.pairs.rows))
+
+
+def _gains(
     given: Equations, before: Explanation, after: Explanation, excess: float, limit: float, *, first: bool
 ) -> bool:
+    """Whether an effect more explains enough."""
     gain = before.cost - after.cost
-    least = max(limit, MATERIAL * given.pairs.rows, 0.0 if first else SHARE * excess)
+    # what explains the whole rest need not be a large part of the excess
+    whole = _leaves(given, before) and not _leaves(given, after)
+    least = max(limit, MATERIAL * given.pairs.rows, 0.0 if first or whole else SHARE * excess)
     if not first and gain < min(LARGE * excess, MOSTLY * before.cost):
         return False
-    if gain < least or after.criterion >= before.criterion:
-        return False
+    return gain >= least and after.criterion < before.criterion
+
+
+def _holds(given: Equations, before: Explanation, after: Explanation) -> bool:
+    """Whether it does so in poses that took no part as well."""
     if local(given, before.terms, after.terms):
         return True
     return float(held_out(given, after.terms).sum()) < float(held_out(given, before.terms).sum())
@@ -149,9 +187,11 @@ def _enters(
 
 def _settled(given: Equations, start: Explanation, fixed: int) -> Explanation:
     """All shapes refined in turn, as each changes what is best for the others."""
-    result = Beside(given, start.terms[:-1]).explanation(start.terms[-1])
+    beside, last = Beside(given, start.terms[:-1]), start.terms[-1]
+    # other inertias may have moved the best shape far away
+    result = min(beside.explanation(last), beside.best(last.effect), key=lambda one: one.cost)
     if len(start.terms) - fixed == 1:
-        return Beside(given, start.terms[:-1]).refined(result)
+        return beside.refined(result)
     for number in range(fixed, len(start.terms)):
         term = result.terms[number]
         others = (*result.terms[:number], *result.terms[number + 1 :])
@@ -165,7 +205,8 @@ def _without_needless(given: Equations, chosen: Explanation, excess: float, limi
     """Without the terms that the others make superfluous."""
     for term in chosen.terms[fixed:-1]:
         fewer = Beside(given, [other for other in chosen.terms if other is not term]).alone()
-        if fewer.cost - chosen.cost < max(limit, SHARE * excess):
+        needed = _leaves(given, fewer) and not _leaves(given, chosen)
+        if fewer.cost - chosen.cost < max(limit, 0.0 if needed else SHARE * excess):
             chosen = fewer
     return chosen
 
@@ -180,11 +221,17 @@ def _exchanges(given: Equations, chosen: Explanation, candidates: Sequence[str],
     return result
 
 
-def _exchanged(
-    given: Equations, chosen: Explanation, candidates: Sequence[str], excess: float, fixed: int
+def _exchange(
+    given: Equations, chosen: Explanation, tried: Sequence[Explanation], excess: float, fixed: int
 ) -> Explanation:
-    """The best exchange of an earlier term, if better than what tolerance allows."""
-    if len(chosen.terms) - fixed < 2:
+    """The best exchange of one of several terms, if better than what tolerance allows, or simpler and as good."""
+    if len(chosen.terms) - fixed < 2 or not tried:
         return chosen
-    best = min(_exchanges(given, chosen, candidates, fixed), key=lambda one: one.criterion)
-    return best if best.criterion < chosen.criterion - max(RIVAL, TOLERANCE * excess) else chosen
+    tolerance = max(RIVAL, TOLERANCE * excess)
+    best = min(tried, key=lambda one: one.criterion)
+    if best.criterion < chosen.criterion - tolerance:
+        return best
+    near = [one for one in tried if one.parameters < chosen.parameters and one.criterion < chosen.criterion + tolerance]
+    if not _leaves(given, chosen):
+        near = [one for one in near if not _leaves(given, one)]
+    return min(near, key=lambda one: (one.parameters, one.criterion), default=chosen)

@@ -8,9 +8,12 @@ would look like a delay or a spring.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from service.errors import BadInput
 from service.identification.regressor import gravity_terms
@@ -18,10 +21,12 @@ from service.recording import Sweep, SweepSpec
 from service.robot import Robot
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 
 RATE = 250.0  # Hz, of the columns
 BAND = 20.0  # Hz, of the Gaussian
+BLOCK = 32  # rows that are filtered at once
 EVERY = 2  # one row of the equations a so many samples
 TOP = 0.36  # of the rate: above, there is nothing but noise
 REACH = 4.0  # standard deviations of the Gaussian that count
@@ -55,13 +60,13 @@ class Tracks:
     usable: Mask
     temperature: Array | None
 
-    @property
+    @cached_property
     def moving(self) -> Array:
         """(n, t): 1 in sweeps that move at all, 0 in those that hold still."""
         still = np.array([spec.excitation == "standstill" for spec in self.specs])
         return np.broadcast_to(np.where(still, 0.0, 1.0)[:, None], self.velocity.shape)
 
-    @property
+    @cached_property
     def direction(self) -> Array:
         """(n, t): sign of the velocity."""
         return np.sign(self.velocity) * self.moving
@@ -76,20 +81,52 @@ class Tracks:
         """Peak speed of the slowest sweep that moves, rad/s (m/s)."""
         return slowest(self.velocity)
 
+    def faded(self, rate: Array) -> Array:
+        """What averaging samples down to `rate` leaves of a wave whose phase moves by so many rad/s, (n, t)."""
+        block = round(self.specs[0].sample_rate / self.rate)
+        half = rate / (2 * self.specs[0].sample_rate)
+        small = np.abs(np.sin(half)) < 1e-6
+        return np.where(small, 1.0, np.sin(block * half) / (block * np.where(small, 1.0, np.sin(half))))
+
+    @cached_property
+    def _spectrum(self) -> Complex:
+        return derivative_spectrum(self.velocity, self.rate)
+
+    def accelerated(self, response: Complex) -> Array:
+        """The acceleration (n, t) behind a response (n or 1, bins) of `bins(t, rate)`."""
+        return _back(self.velocity, self.rate, self._spectrum, response)
+
     def rows(self, signal: Array) -> Array:
         """A signal (n, t) through the filter: (n, rows)."""
         return lowpass(signal, self.rate)
 
+    def whitened(self, signal: Array, taps: Array) -> Array:
+        """The same, then weights over so many rows, oldest first; the first rows, which have no past, are 0."""
+        kernel = _kernel(self.rate)
+        spread = np.zeros((len(taps) - 1) * EVERY + 1)
+        spread[::EVERY] = taps
+        result = _filtered(signal, np.convolve(spread, kernel))
+        return np.pad(result, ((0, 0), (len(taps) - 1, 0)))
+
 
 def lowpass(signal: Array, rate: float) -> Array:
     """The Gaussian, one row each `EVERY` samples; only whole kernels, so no edge is invented: (n, rows)."""
-    kernel = _kernel(rate)
-    reach = len(kernel) // 2
-    count = len(range(reach, signal.shape[1] - reach, EVERY))
-    result = np.zeros((len(signal), count))
-    for k, weight in enumerate(kernel):
-        result += weight * signal[:, k : k + (count - 1) * EVERY + 1 : EVERY]
-    return result
+    return _filtered(signal, _kernel(rate))
+
+
+def _filtered(signal: Array, taps: Array) -> Array:
+    """Sums of `taps` times the samples from 0, `EVERY`, ... on; `BLOCK` at once as a product with a band matrix."""
+    n, samples = signal.shape
+    count = (samples - len(taps)) // EVERY + 1
+    blocks = -(-count // BLOCK)
+    width = (BLOCK - 1) * EVERY + len(taps)
+    padded = np.zeros((n, BLOCK * EVERY * blocks + width))
+    padded[:, :samples] = signal
+    band = np.zeros((width, BLOCK))
+    for k in range(BLOCK):
+        band[k * EVERY : k * EVERY + len(taps), k] = taps
+    windows = sliding_window_view(padded, width, axis=1)[:, : BLOCK * EVERY * blocks : BLOCK * EVERY]
+    return (windows.reshape(-1, width) @ band).reshape(n, -1)[:, :count]
 
 
 def white_covariance(signal: Array, inside: Mask, rate: float, lags: int) -> Array:
@@ -112,21 +149,29 @@ def row_samples(samples: int, rate: float) -> NDArray[np.int_]:
     return np.arange(reach, samples - reach, EVERY)
 
 
-def in_frequency(signal: Array, rate: float, response: "NDArray[np.complex128] | None" = None) -> Array:
+def in_frequency(signal: Array, rate: float, response: Complex | None = None) -> Array:
     """Derivative of signals (n, t), times a response (n or 1, bins) of `bins(t, rate)`.
 
     The straight line between both ends is taken apart, so that a record may begin and end in motion.
     """
+    flat = np.ones((1, len(bins(signal.shape[1], rate))), dtype=np.complex128)
+    return _back(signal, rate, derivative_spectrum(signal, rate), flat if response is None else response)
+
+
+def derivative_spectrum(signal: Array, rate: float) -> Complex:
+    """Transform (n, bins) of the derivative of signals (n, t) less the straight line between their ends."""
     count = signal.shape[1]
     slope = np.subtract(signal[:, -1:], signal[:, :1]) / (count - 1)
     away = np.subtract(np.subtract(signal, signal[:, :1]), np.multiply(slope, np.arange(float(count))))
-    transform = np.fft.rfft(away, _padded(count)) * (2j * np.pi * bins(count, rate))
-    still = np.ones((1, 1))
-    if response is not None:
-        transform, still = transform * response, response[:, :1].real
-    derivative = np.fft.irfft(transform, _padded(count))[:, :count].astype(np.float64)
-    straight: Array = np.multiply(slope * rate, still, dtype=np.float64)
-    return derivative + straight
+    transform = np.fft.rfft(away, _padded(count))
+    return np.multiply(transform, 2j * np.pi * bins(count, rate), dtype=np.complex128)
+
+
+def _back(signal: Array, rate: float, spectrum: Complex, response: Complex) -> Array:
+    count = signal.shape[1]
+    slope = np.subtract(signal[:, -1:], signal[:, :1]) * (rate / (count - 1))
+    moved = np.fft.irfft(spectrum * response, _padded(count))[:, :count]
+    return np.add(moved, slope * response[:, :1].real, dtype=np.float64)
 
 
 def bins(samples: int, rate: float) -> Array:
@@ -188,6 +233,13 @@ def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
     )
 
 
+def laid_out(tracks: Tracks, signals: Sequence[Array]) -> Array:
+    """Signals at the samples of each sweep's recording as those of the tracks, (n, t)."""
+    block, most = round(tracks.specs[0].sample_rate / tracks.rate), tracks.effort.shape[1]
+    parts = [_averaged(signal, block) for signal in signals]
+    return np.stack([np.pad(part, (0, most - len(part)), mode="edge") for part in parts])
+
+
 def _usable(velocity: Array, inside: Mask, still: Mask, rate: float) -> Mask:
     """Rows (n, rows) whose kernel lies inside of the record and touches no standstill of a moving sweep."""
     moving = velocity[~still]
@@ -213,7 +265,7 @@ def _averaged(signal: Array, block: int) -> Array:
 
 
 def _padded(samples: int) -> int:
-    return 1 << int(np.ceil(np.log2(1.5 * samples)))
+    return next_fast_len(int(1.5 * samples), real=True)
 
 
 def _kernel(rate: float) -> Array:

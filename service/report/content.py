@@ -52,6 +52,7 @@ class Content:
     example: Sweep | None = None  # shown in time and frequency
     truth_columns: tuple[str, ...] = ()
     truth: tuple[Row, ...] = ()
+    diagnosis: Document | None = None  # as of `sweepid diagnose --json`
 
 
 @dataclass(frozen=True)

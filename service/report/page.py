@@ -1,53 +1,21 @@
-"""The report as one HTML file: tables as HTML, figures drawn by the plotly.js of the installed wheel, inlined."""
+"""What the report says, in which order."""
 
-import json
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from html import escape
-from importlib.resources import files
 from typing import Any
 
 from service.identification.analysis_document import analyses_from
 from service.report import figures, initial_analysis
 from service.report.content import Axis, Content, Document, axes_of
+from service.report.diagnosis import diagnosis_section
+from service.report.html import Page
 from service.robot import Robot
-
-_STYLE = """
-:root { color-scheme: light; }
-body { font: 16px/1.55 system-ui, sans-serif; color: #0f172a; background: #f8fafc; margin: 0; }
-main { max-width: 1060px; margin: 0 auto; padding: 40px 28px 80px; }
-h1 { font-size: 30px; line-height: 1.2; margin: 0 0 6px; letter-spacing: -0.01em; }
-h2 { font-size: 21px; margin: 48px 0 6px; letter-spacing: -0.005em; }
-h3 { font-size: 16px; margin: 22px 0 4px; }
-p { margin: 6px 0 12px; color: #334155; max-width: 78ch; }
-p.lead { color: #475569; margin-bottom: 24px; }
-.card { background: white; border: 1px solid #e2e8f0; border-radius: 10px; padding: 14px 18px; margin: 14px 0; }
-.facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(170px, 1fr)); gap: 12px; margin: 20px 0; }
-.facts div { background: white; border: 1px solid #e2e8f0; border-radius: 10px; padding: 12px 16px; }
-.facts b { display: block; font-size: 24px; font-weight: 600; line-height: 1.3; }
-.facts span { color: #64748b; font-size: 13.5px; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
-th, td { padding: 7px 12px; text-align: right; border-bottom: 1px solid #e2e8f0; white-space: nowrap; }
-th:first-child, td:first-child { text-align: left; white-space: normal; }
-thead th { color: #475569; font-weight: 600; border-bottom: 2px solid #cbd5e1; }
-tbody tr:last-child td { border-bottom: 0; }
-td.name { font-size: 14px; max-width: 560px; overflow-wrap: anywhere; }
-.note { color: #64748b; font-size: 14px; }
-@media print { body { background: white; } .card, .facts div { break-inside: avoid; } }
-"""
-
-_SCRIPT = """
-const figures = JSON.parse(document.getElementById("figures").textContent);
-for (const [id, figure] of Object.entries(figures)) {
-  Plotly.newPlot(id, figure.data, figure.layout, { displaylogo: false, responsive: true });
-}
-"""
 
 
 def render(content: Content) -> str:
     """The whole report; deterministic for equal content. About 5 MB, nearly all of it plotly.js."""
-    page = _Page()
+    page = Page()
     axes = axes_of(content)
     page.add(f"<h1>{escape(content.title)}</h1>", f'<p class="lead">{escape(content.subtitle)}</p>')
     _facts(page, content, axes)
@@ -57,19 +25,21 @@ def render(content: Content) -> str:
     _convergence(page, content)
     _example(page, content)
     _parameters(page, content)
+    if content.diagnosis is not None:
+        diagnosis_section(page, content.diagnosis)
     return page.html(content.title)
 
 
 def render_analysis(robot: Robot, analysis: Document) -> str:
     """A report of an initial analysis alone ("analysis" of an estimate's document)."""
     title = f"Initial analysis of the robot {robot.name}"
-    page = _Page()
+    page = Page()
     page.add(f"<h1>{escape(title)}</h1>")
     _initial_analysis(page, robot, analysis)
     return page.html(title)
 
 
-def _initial_analysis(page: "_Page", robot: Robot, analysis: Document) -> None:
+def _initial_analysis(page: Page, robot: Robot, analysis: Document) -> None:
     analyses = analyses_from(analysis)
     if not analyses:
         return
@@ -91,7 +61,7 @@ def _initial_analysis(page: "_Page", robot: Robot, analysis: Document) -> None:
     page.table(*initial_analysis.table(analyses, robot.joints))
 
 
-def _facts(page: "_Page", content: Content, axes: Sequence[Axis]) -> None:
+def _facts(page: Page, content: Content, axes: Sequence[Axis]) -> None:
     condition = content.estimate["condition_number"]
     poses = len({spec.pose for spec in content.specs})
     facts = [
@@ -101,11 +71,10 @@ def _facts(page: "_Page", content: Content, axes: Sequence[Axis]) -> None:
         (str(len(content.estimate["base_parameters"])), "base parameters"),
         ("–" if condition is None else f"{condition:.1f}", "condition number"),
     ]
-    cells = "".join(f"<div><b>{escape(value)}</b><span>{escape(name)}</span></div>" for value, name in facts)
-    page.add(f'<div class="facts">{cells}</div>')
+    page.facts(facts)
 
 
-def _inertias(page: "_Page", content: Content, axes: Sequence[Axis]) -> None:
+def _inertias(page: Page, content: Content, axes: Sequence[Axis]) -> None:
     page.add("<h2>Inertia of the axes over the poses</h2>")
     for axis in axes:
         beyond = " and ".join(content.robot.joints[k] for k in axis.varied[:2])
@@ -119,7 +88,7 @@ def _inertias(page: "_Page", content: Content, axes: Sequence[Axis]) -> None:
         page.figure(figures.deviation_map(content.robot, axis))
 
 
-def _accuracy(page: "_Page", content: Content, axes: Sequence[Axis]) -> None:
+def _accuracy(page: Page, content: Content, axes: Sequence[Axis]) -> None:
     page.add("<h2>How well the models fit</h2>")
     labels = (
         "reference model − measurement",
@@ -150,7 +119,7 @@ def _accuracy(page: "_Page", content: Content, axes: Sequence[Axis]) -> None:
         page.figure(figures.paper_residuals(axes))
 
 
-def _convergence(page: "_Page", content: Content) -> None:
+def _convergence(page: Page, content: Content) -> None:
     if len(content.revisions) < 2:
         return
     names = [entry["name"] for entry in content.estimate["base_parameters"]]
@@ -162,7 +131,7 @@ def _convergence(page: "_Page", content: Content) -> None:
     page.figure(figures.convergence(content.revisions, names))
 
 
-def _example(page: "_Page", content: Content) -> None:
+def _example(page: Page, content: Content) -> None:
     if content.example is None:
         return
     spec = content.example.spec
@@ -178,7 +147,7 @@ def _example(page: "_Page", content: Content) -> None:
         page.figure(figures.in_frequency(content.example))
 
 
-def _parameters(page: "_Page", content: Content) -> None:
+def _parameters(page: Page, content: Content) -> None:
     page.add(
         "<h2>Base parameters</h2>",
         "<p>The combinations of inertial parameters that the inertias determine; kg, kg m and kg m², each about its "
@@ -202,54 +171,3 @@ def _parameters(page: "_Page", content: Content) -> None:
         '<p class="note">Standard deviations are conditional on the torque constants: a torque constant that is wrong '
         "by 1 % scales every inertia by 1 %, and no sweep shows it.</p>"
     )
-
-
-class _Page:
-    """Collects the body and the figures."""
-
-    def __init__(self) -> None:
-        self._body: list[str] = []
-        self._figures: dict[str, Any] = {}
-
-    def add(self, *parts: str) -> None:
-        self._body += parts
-
-    def figure(self, figure: figures.Figure) -> None:
-        name = f"figure-{len(self._figures) + 1}"
-        self._figures[name] = figure
-        self._body.append(
-            f'<div class="card"><div id="{name}" style="height:{figure["layout"]["height"]}px"></div></div>'
-        )
-
-    def table(self, head: Iterable[str], rows: Iterable[Sequence[str]], first: str = "") -> None:
-        top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
-        body = "".join(
-            f'<tr><td class="{first}">{escape(row[0])}</td>'
-            + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
-            + "</tr>"
-            for row in rows
-        )
-        table = f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
-        self._body.append(f'<div class="card scroll">{table}</div>')
-
-    def html(self, title: str) -> str:
-        # "</" would end the script element early; JSON may escape the slash
-        data = json.dumps(self._figures, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
-        return "\n".join(
-            (
-                "<!doctype html>",
-                '<html lang="en"><head><meta charset="utf-8">',
-                '<meta name="viewport" content="width=device-width, initial-scale=1">',
-                f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body><main>",
-                *self._body,
-                "</main>",
-                f"<script>{plotly_js()}</script>",
-                f'<script type="application/json" id="figures">{data}</script>',
-                f"<script>{_SCRIPT}</script></body></html>",
-            )
-        )
-
-
-def plotly_js() -> str:
-    """plotly.js of the installed wheel."""
-    return files("plotly").joinpath("package_data", "plotly.min.js").read_text(encoding="utf-8")

@@ -28,6 +28,7 @@ def test_all_arrows_hold(root: Path) -> None:
         ("simulator/__init__.py", "import drivers.errors", "rooms", "simulator -> drivers.errors"),
         ("drivers/errors.py", "import service.errors", "rooms", "drivers.errors -> service.errors"),
         ("service/store/__init__.py", "import simulator", "rooms", "service.store -> simulator"),
+        ("service/diagnosis/proof.py", "import simulator", "rooms", "service.diagnosis.proof -> simulator"),
         ("service/campaigns/__init__.py", "import drivers.registry", "rooms", "service.campaigns -> drivers.registry"),
         ("service/errors.py", "import service.store", "floors", "service.errors -> service.store"),
         (

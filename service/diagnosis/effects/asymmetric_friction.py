@@ -1,8 +1,18 @@
 """Friction that differs with the direction: dry and viscous part each."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from service.diagnosis.effects.effect import Effect, named
+from service.diagnosis.effects.effect import Effect, Model, named
+from service.diagnosis.patch import Patch, dry
+from service.diagnosis.signals import Tracks
+
+
+def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
+    mean, half, viscous = (parameters[k] for k in ("coulomb", "coulomb_difference", "viscous_difference"))
+    return dry(mean + half, mean - half, viscous=viscous, backward_viscous=-viscous)
+
 
 EFFECT = Effect(
     name="asymmetric_friction",
@@ -12,6 +22,8 @@ EFFECT = Effect(
     visible_in=("backward_slow", "backward_fast", "standstill"),
     entry="motor_friction.backward_coulomb, backward_viscous",
     coefficients=named(("coulomb", "N m"), ("coulomb_difference", "N m"), ("viscous_difference", "N m s/rad")),
+    contains=("coulomb_friction", "effort_offset"),
     columns=lambda tracks, model, shape: [tracks.direction, np.abs(tracks.direction), np.abs(tracks.velocity)],
+    scenario=_scenario,
     essential=1,
 )

@@ -1,11 +1,12 @@
 """Torque ripple of the motor's magnets: periodic in the motor's angle."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import Effect, Model, Shape
+from service.diagnosis.patch import Patch, ripples
 from service.diagnosis.signals import Tracks
 
 Array = NDArray[np.float64]
@@ -13,13 +14,21 @@ Array = NDArray[np.float64]
 
 def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
     axis = tracks.robot.axis(tracks.joint)
-    angles = [order * axis.gear_ratio * tracks.position for order in axis.cogging_orders]
-    return [wave(angle) for angle in angles for wave in (np.sin, np.cos)]
+    result: list[Array] = []
+    for order in axis.cogging_orders:
+        turn = order * axis.gear_ratio
+        left = tracks.faded(turn * tracks.velocity)
+        result += [left * np.sin(turn * tracks.position), left * np.cos(turn * tracks.position)]
+    return result
 
 
 def _coefficients(tracks: Tracks) -> Sequence[tuple[str, str]]:
     orders = tracks.robot.axis(tracks.joint).cogging_orders
     return [(f"{wave}_{order:g}", "N m") for order in orders for wave in ("sine", "cosine")]
+
+
+def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
+    return {"train": {"cogging": ripples(parameters, tracks.robot.axis(tracks.joint).cogging_orders)}}
 
 
 EFFECT = Effect(
@@ -31,5 +40,6 @@ EFFECT = Effect(
     entry="cogging",
     coefficients=_coefficients,
     columns=_columns,
+    scenario=_scenario,
     applies=lambda tracks: bool(tracks.robot.axis(tracks.joint).cogging_orders),
 )

@@ -1,6 +1,7 @@
 """Dry friction: the same torque against every motion."""
 
 from service.diagnosis.effects.effect import Effect, named
+from service.diagnosis.patch import dry
 
 EFFECT = Effect(
     name="coulomb_friction",
@@ -11,4 +12,5 @@ EFFECT = Effect(
     entry="motor_friction.coulomb",
     coefficients=named(("coulomb", "N m")),
     columns=lambda tracks, model, shape: [tracks.direction],
+    scenario=lambda parameters, tracks, model: dry(parameters["coulomb"]),
 )

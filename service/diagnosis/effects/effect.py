@@ -1,11 +1,12 @@
 """What the catalogue says of each effect, and what a column may be made of."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from service.diagnosis.patch import Patch
 from service.diagnosis.signals import Tracks
 
 Array = NDArray[np.float64]
@@ -35,6 +36,7 @@ class ShapeParameter:
     grid: tuple[float, ...]
     low: float
     high: float
+    richer: float = 0.0  # part of its value by which physics richer than the columns' shifts it, one sigma
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,8 @@ class Effect:
     """One entry of the catalogue.
 
     `columns(tracks, model, shape)` are signals (n, t) before the filter, N m (N) for coefficients of one unit;
-    `coefficients(tracks)` name them with their units. `entry` is what of a scenario carries the effect.
+    `coefficients(tracks)` name them with their units. `entry` is what of a scenario carries the effect, and
+    `scenario(parameters, tracks, model)` gives it for coefficients and shape by name; it raises Inexpressible.
     """
 
     name: str
@@ -53,11 +56,15 @@ class Effect:
     entry: str
     coefficients: Callable[[Tracks], Sequence[tuple[str, str]]]
     columns: Callable[[Tracks, Model, Shape], Sequence[Array]]
+    scenario: Callable[[Mapping[str, float], Tracks, Model], Patch]
     shape: Callable[[Tracks, Model], tuple[ShapeParameter, ...]] = lambda tracks, model: ()
+    scan: Callable[[Tracks, Model, Sequence[Shape]], Sequence[Sequence[Array]]] | None = None  # many shapes at once
     essential: int = 0  # number of the column without which it is another, simpler effect
     plausible: tuple[float, float] = (-np.inf, np.inf)  # of the first coefficient: beyond, something else is at work
     rest: float = 0.1  # part of the repeatable excess that its columns may leave: real physics is richer
+    of_model: bool = False  # whether the columns depend on the fitted inertia and friction
     by_test_mass: bool = False  # only a known mass tells it from its likes
+    contains: tuple[str, ...] = ()  # simpler effects that it can be
     applies: Callable[[Tracks], bool] = lambda tracks: True
 
 

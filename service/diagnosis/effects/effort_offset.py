@@ -13,4 +13,5 @@ EFFECT = Effect(
     entry="effort_offset",
     coefficients=named(("offset", "N m")),
     columns=lambda tracks, model, shape: [np.ones_like(tracks.velocity)],
+    scenario=lambda parameters, tracks, model: {"train": {"effort_offset": parameters["offset"]}},
 )

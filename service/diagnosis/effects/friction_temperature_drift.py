@@ -1,11 +1,12 @@
 """Friction that falls as the gear warms by what it dissipates."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import Effect, Model, Shape, ShapeParameter, named, spread
+from service.diagnosis.patch import Inexpressible, Patch, dry, positive
 from service.diagnosis.signals import Tracks
 
 Array = NDArray[np.float64]
@@ -35,12 +36,31 @@ def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
     return [tracks.direction, tracks.direction * warm, tracks.velocity * warm]
 
 
+def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
+    """The gear warms by the power it dissipates, not by the way it goes: a capacity of power over speed makes 1 K/rad.
+
+    Friction falls as exp(-loss T): the column is its tangent.
+    """
+    coulomb, change = positive(parameters, "coulomb"), parameters["coulomb_change"]
+    if change >= 0:
+        raise Inexpressible(f"coulomb_change = {change:.3g} is not below 0: friction that grows with warmth")
+    speed = np.abs(tracks.velocity)
+    typical = float(np.sum(speed**2) / np.sum(speed))
+    warming = {
+        "heat_capacity": coulomb + model.viscous * typical,
+        "time_constant": parameters["time_constant"],
+        "coulomb_loss": -change / coulomb,
+        "viscous_loss": -parameters["viscous_change"] / model.viscous if model.viscous > 0 else 0.0,
+    }
+    return {"train": dry(coulomb)["train"] | {"warming": warming}}
+
+
 def _shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
     return (ShapeParameter("time_constant", "s", spread(20.0, 5000.0, 6), 10.0, 1e4),)
 
 
 def _lasts(tracks: Tracks) -> bool:
-    return float(np.ptp([spec.started_at for spec in tracks.specs])) > 60.0
+    return float(np.ptp([spec.started_at for spec in tracks.specs])) > 20.0
 
 
 EFFECT = Effect(
@@ -51,7 +71,9 @@ EFFECT = Effect(
     visible_in=("revisit_forward_slow", "revisit_backward_slow"),
     entry="warming",
     coefficients=named(("coulomb", "N m"), ("coulomb_change", "N m/rad"), ("viscous_change", "N m s/rad2")),
+    contains=("coulomb_friction",),
     columns=_columns,
+    scenario=_scenario,
     essential=1,
     shape=_shape,
     applies=_lasts,

@@ -1,11 +1,13 @@
 """Gravity torque of links whose mass or centre of mass is not that of CAD."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import Effect, Model, Shape
+from service.diagnosis.links import deviations
+from service.diagnosis.patch import Patch
 from service.diagnosis.signals import Tracks
 from service.identification.regressor import gravity_terms
 
@@ -51,6 +53,11 @@ def _coefficients(tracks: Tracks) -> Sequence[tuple[str, str]]:
     return [(f"moment_{k + 1}", "") for k in range(len(_directions(tracks)))]
 
 
+def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
+    changes = sum(value * row for value, row in zip(parameters.values(), _directions(tracks), strict=True))
+    return {"links": deviations(tracks.robot, np.reshape(changes, tracks.robot.chain.inertial.shape)[:, :4])}
+
+
 EFFECT = Effect(
     name="gravity_error",
     physics="tau = A cos q + B sin q for each group of links: their first moments differ from CAD",
@@ -59,6 +66,8 @@ EFFECT = Effect(
     visible_in=("forward_slow", "standstill"),
     entry="links",
     coefficients=_coefficients,
+    contains=("payload", "torque_constant_error"),
     columns=_columns,
+    scenario=_scenario,
     applies=lambda tracks: len(_directions(tracks)) > 0,
 )

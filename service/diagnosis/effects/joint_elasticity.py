@@ -1,12 +1,13 @@
 """A drive train that twists: the load does not follow the motor at once."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import Effect, Model, Shape, ShapeParameter, named
-from service.diagnosis.signals import Tracks, bins, in_frequency
+from service.diagnosis.patch import Patch, positive
+from service.diagnosis.signals import Tracks, bins
 
 Array = NDArray[np.float64]
 
@@ -19,7 +20,7 @@ def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
     away = 1 / (1 + spring * (s * inertia + model.viscous / 2)) - 1
     # at rest the load hangs by its twist away from where the motor is, where gravity is another
     sag = tracks.stiffness[:, None] * compliance * tracks.gravity
-    return [inertia * in_frequency(tracks.velocity, tracks.rate, away) - sag]
+    return [inertia * tracks.accelerated(away) - sag]
 
 
 def _shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
@@ -32,6 +33,15 @@ def _shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
     )
 
 
+def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
+    """A ratio other than 1 says that the load's share of the inertia is another: the rest is the motor's."""
+    ratio = positive(parameters, "ratio")
+    stiffness = ratio / positive(parameters, "compliance")
+    moved = (1 - ratio) * float(model.load_inertia.mean()) / tracks.robot.axis(tracks.joint).gear_ratio ** 2
+    spring = {"stiffness": stiffness, "damping": stiffness * parameters["damping_time"]}
+    return {"train": {"spring": spring, "motor_inertia": moved}}
+
+
 EFFECT = Effect(
     name="joint_elasticity",
     physics="tau = r J_l (a_l - a), a_l the load's acceleration behind a spring 1/c with damping h/c; r near 1",
@@ -41,6 +51,8 @@ EFFECT = Effect(
     entry="spring",
     coefficients=named(("ratio", "")),
     columns=_columns,
+    of_model=True,
+    scenario=_scenario,
     shape=_shape,
     plausible=(0.6, 1.6),
 )

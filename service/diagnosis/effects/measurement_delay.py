@@ -1,12 +1,13 @@
 """Torque and motion of one sample that do not belong to one instant."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import Effect, Model, Shape, ShapeParameter, named
-from service.diagnosis.signals import Tracks, bins, in_frequency
+from service.diagnosis.patch import Patch
+from service.diagnosis.signals import Tracks, bins
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -17,8 +18,14 @@ def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
     delay = shape[0]
     s: Complex = np.multiply(2j * np.pi, bins(tracks.velocity.shape[1], tracks.rate)[None], dtype=np.complex128)
     late = np.divide(np.exp(-s * delay) - 1, delay, dtype=np.complex128)
-    of_motion = model.inertia[:, None] * in_frequency(tracks.velocity, tracks.rate, late)
+    of_motion = model.inertia[:, None] * tracks.accelerated(late)
     return [of_motion - (model.viscous * tracks.acceleration + tracks.stiffness[:, None] * tracks.velocity)]
+
+
+def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
+    """A torque that comes early is a speed that comes late; the position, which matters little, counts as exact."""
+    delay = parameters["delay"]
+    return {"measurement": {"effort_delay": delay} if delay >= 0 else {"velocity_delay": -delay}}
 
 
 EFFECT = Effect(
@@ -27,8 +34,10 @@ EFFECT = Effect(
     source="Pintelon and Schoukens, System Identification (2012), sec. 13.6: delay between channels",
     sentence="Torque and motion are not of the same instant: one channel comes late.",
     visible_in=("wide",),
-    entry="measurement.effort_delay",
+    entry="measurement.effort_delay, velocity_delay",
     coefficients=named(("delay", "s")),
     columns=_columns,
+    of_model=True,
+    scenario=_scenario,
     shape=lambda tracks, model: (ShapeParameter("expansion_point", "s", (-4e-3, -1e-3, 1e-3, 4e-3), -2e-2, 2e-2),),
 )

@@ -1,11 +1,12 @@
 """Friction that first gives like a spring: after a reversal it builds up over a short way."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import Effect, Model, Shape, ShapeParameter, named, spread
+from service.diagnosis.patch import Patch, positive
 from service.diagnosis.signals import Tracks
 
 Array = NDArray[np.float64]
@@ -33,6 +34,13 @@ def _shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
     return (ShapeParameter("way", "rad", spread(2e-3 * way, way, 8), 1e-3 * way, 3 * way),)
 
 
+def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
+    """LuGre's bristles, which break away at the Coulomb friction, are Dahl's."""
+    coulomb = positive(parameters, "coulomb")
+    bristles = {"stiffness": coulomb / parameters["way"], "damping": parameters["damping"], "coulomb": coulomb}
+    return {"train": {"lugre": bristles | {"breakaway": coulomb, "stribeck_velocity": tracks.speed}}}
+
+
 EFFECT = Effect(
     name="presliding_hysteresis",
     physics="tau = Fc z + s dz/dt, dz/dx = (1 - z sign(v)) / x0",
@@ -41,6 +49,8 @@ EFFECT = Effect(
     visible_in=("reversal",),
     entry="lugre",
     coefficients=named(("coulomb", "N m"), ("damping", "N m s/rad")),
+    contains=("coulomb_friction",),
     columns=_columns,
+    scenario=_scenario,
     shape=_shape,
 )

@@ -1,11 +1,12 @@
 """Dry friction that falls as the axis gets faster."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import Effect, Model, Shape, ShapeParameter, named, spread
+from service.diagnosis.patch import Patch, dry, positive
 from service.diagnosis.signals import Tracks
 
 Array = NDArray[np.float64]
@@ -24,6 +25,12 @@ def _shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
     )
 
 
+def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
+    extra, velocity = positive(parameters, "extra"), parameters["velocity"]
+    stribeck = {"extra": extra, "velocity": velocity, "exponent": parameters["exponent"]}
+    return dry(parameters["coulomb"], stribeck=stribeck)
+
+
 EFFECT = Effect(
     name="stribeck_friction",
     physics="tau = (Fc + Fs exp(-|v/vs|^n)) sign(v)",
@@ -32,7 +39,9 @@ EFFECT = Effect(
     visible_in=("forward_slow", "forward_fast", "backward_fast", "reversal"),
     entry="motor_friction.stribeck",
     coefficients=named(("coulomb", "N m"), ("extra", "N m")),
+    contains=("coulomb_friction",),
     columns=_columns,
+    scenario=_scenario,
     essential=1,
     shape=_shape,
 )

@@ -19,6 +19,7 @@ EFFECT = Effect(
     entry="effort_gain",
     coefficients=named(("gain_error", "")),
     columns=lambda tracks, model, shape: [tracks.gravity],
+    scenario=lambda parameters, tracks, model: {"train": {"effort_gain": parameters["gain_error"]}},
     by_test_mass=True,
     applies=_pulls,
 )

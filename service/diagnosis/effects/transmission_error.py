@@ -1,11 +1,12 @@
 """A gear that does not turn evenly: the load runs ahead and behind with the motor's angle."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import Effect, Model, Shape
+from service.diagnosis.patch import Patch, ripples
 from service.diagnosis.signals import Tracks
 
 Array = NDArray[np.float64]
@@ -31,6 +32,11 @@ def _coefficients(tracks: Tracks) -> Sequence[tuple[str, str]]:
     return [(f"{wave}_{order:g}", "rad") for order in orders for wave in ("sine", "cosine")]
 
 
+def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
+    """The column is of first order in the error, the scenario's gear is not; it gets a spring, if a stiff one."""
+    return {"train": {"gear_error": ripples(parameters, tracks.robot.axis(tracks.joint).transmission_orders)}}
+
+
 EFFECT = Effect(
     name="transmission_error",
     physics="q_l = q + g(q), g = sum over orders of A sin(o theta) + B cos(o theta); tau = J_l g'' + (dg/dq) Ts",
@@ -40,5 +46,7 @@ EFFECT = Effect(
     entry="gear_error",
     coefficients=_coefficients,
     columns=_columns,
+    of_model=True,
+    scenario=_scenario,
     applies=lambda tracks: bool(tracks.robot.axis(tracks.joint).transmission_orders),
 )

@@ -109,9 +109,19 @@ class BlindMachine:
         starts = [design.spec.started_at for design in draft.designs]
         self._middle = (starts[0] + starts[-1]) / 2 if draft.later else np.inf
         self._seed = seed
+        self._past: list[DesignedSweep] = []
 
     def measure(self, designs: Sequence[DesignedSweep], bar: AddedBody | None = None) -> tuple[Sweep, ...]:
-        """The recordings of designed sweeps, in their order; `bar`: with that on the flange."""
+        """The recordings of designed sweeps, in their order; `bar`: with that on the flange.
+
+        A gear that warms is as warm as all sweeps before have left it.
+        """
+        past = self._past if self._before.axes[designs[0].spec.axis].train.warming else []
+        self._past = [*self._past, *designs]
+        measured = self._measure([*past, *designs], bar)
+        return tuple(measured[k] for k in range(len(past), len(measured)))
+
+    def _measure(self, designs: Sequence[DesignedSweep], bar: AddedBody | None) -> dict[int, Sweep]:
         sweeps: dict[int, Sweep] = {}
         for part, machine in enumerate((self._before, self._after)):
             scenario = machine if bar is None else _carrying(machine, bar)
@@ -120,7 +130,7 @@ class BlindMachine:
             self._seed += 1
             for k, columns in zip(numbers, run_sweeps(scenario, runs, self._seed), strict=True):
                 sweeps[k] = Sweep(designs[k].spec, Recording(**columns))
-        return tuple(sweeps[k] for k in range(len(designs)))
+        return sweeps
 
 
 def known_mass(bar: AddedBody) -> KnownMass:

@@ -1,7 +1,7 @@
 """Scores the diagnosis on blind cases: `python -m tests.numeric.blind.score --cases 10 --seed 1 --write`.
 
 Every case leaves two files, `truth/NNNN.json` and `diagnoses/NNNN.json`; the scorer alone reads the first. `--write`
-puts the page into docs/reference and all figures beside the other benchmarks' results.
+puts all figures beside the other benchmarks' results, one file a design, and what both hold into docs/reference.
 """
 
 import argparse
@@ -18,12 +18,12 @@ from rich.progress import track
 
 from tests.numeric.blind.cases import SIZES, Case, Design, cases, scene
 from tests.numeric.blind.diagnosing import ROUNDS, diagnosed
-from tests.numeric.blind.page import page
-from tests.numeric.blind.scoring import Outcome, Score, figures
+from tests.numeric.blind.page import TITLES, page, result
+from tests.numeric.blind.scoring import Outcome, Score
 
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs/reference/diagnosis-scores.md"
-RESULTS = ROOT / "tests/benchmarks/results/blind.json"
+RESULTS = ROOT / "tests/benchmarks/results"
 
 
 def run(case: Case, folder: Path, rounds: int = ROUNDS) -> int:
@@ -84,19 +84,24 @@ def _main() -> None:
         run_all(chosen, folder, given.processes, given.rounds)
         found = scores(folder)
     command = (
-        f"python -m tests.numeric.blind.score --cases {given.cases} --none {given.none} --pairs {given.pairs} "
-        f"--outside {given.outside} --seed {given.seed} --write"
+        f"python -m tests.numeric.blind.score --design {given.design} --cases {given.cases} --none {given.none} "
+        f"--pairs {given.pairs} --outside {given.outside} --rounds {given.rounds} --seed {given.seed} --write"
     )
-    text = page(found, command)
+    told = result(found, command)
     console = Console()
-    console.print(Markdown(text))
+    console.print(Markdown(page({given.design: told})))
     for score in found:
         if not score.expected and score.outcome is not Outcome.TIE:
             said = ", ".join(sorted(score.tie_set)) or "-"
             console.print(f"{score.truth['number']:04} {score.truth['names']} {score.outcome.value}: {said}")
     if given.write:
-        PAGE.write_text(text)
-        RESULTS.write_text(json.dumps({"command": command} | figures(found), indent=2) + "\n")
+        _file(given.design).write_text(json.dumps(told, indent=2) + "\n")
+        known = {design: _file(design) for design in TITLES}
+        PAGE.write_text(page({design: json.loads(f.read_text()) for design, f in known.items() if f.exists()}))
+
+
+def _file(design: str) -> Path:
+    return RESULTS / f"blind-{design}.json"
 
 
 if __name__ == "__main__":

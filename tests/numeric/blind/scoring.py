@@ -90,24 +90,35 @@ class Score:
         return self.detected and self.hidden <= self.tie_set
 
     @property
+    def not_excluded(self) -> bool:
+        """In the tie-set; or nothing found, the effect among those that the sweeps cannot show, and more asked for."""
+        unseen = self.hidden <= set(self.diagnosis["untestable"]) and self.diagnosis["next_experiment"] is not None
+        return self.in_tie_set or (not self.detected and unseen)
+
+    @property
+    def experiments(self) -> list[Document]:
+        """Those that were run, in their order."""
+        return [diagnosis["next_experiment"] for diagnosis in self.diagnoses[:-1]]
+
+    @property
     def gap(self) -> float | None:
         """Held-out gap after over the noise floor."""
         gap = self.diagnosis["gap"]
         return gap["after_rms"] / gap["noise_floor_rms"] if gap and gap["noise_floor_rms"] else None
 
     @property
-    def errors(self) -> list[float]:
+    def errors(self) -> dict[str, float]:
         """(stated - true) / standard deviation of every parameter whose truth is known; of effects named rightly."""
         if self.outcome is not Outcome.RIGHT:
-            return []
+            return {}
         stated = {effect["effect"]: effect["parameters"] for effect in self.diagnosis["effects"]}
-        return [
-            (stated[name][key]["value"] - value) / stated[name][key]["std"]
+        return {
+            f"{name}: {key}": (stated[name][key]["value"] - value) / stated[name][key]["std"]
             for name, parameters in self.truth["parameters"].items()
             if name in stated
             for key, value in parameters.items()
             if key in stated[name] and stated[name][key]["std"]
-        ]
+        }
 
 
 def rate(scores: Sequence[Score], test: Callable[[Score], bool]) -> float | None:
@@ -120,14 +131,16 @@ def figures(scores: Sequence[Score]) -> dict[str, float | int | None]:
     of = {kind: [score for score in scores if score.truth["kind"] == kind.value] for kind in Kind}
     single = of[Kind.SINGLE]
     gaps = [score.gap for score in single if score.named and score.gap is not None]
-    errors = np.abs([error for score in scores for error in score.errors])
+    errors = np.abs([error for score in scores for error in score.errors.values()])
     seconds = [float(score.diagnosis["seconds"]) for score in scores]
+    machine = [sum(float(experiment["seconds"]) for experiment in score.experiments) for score in single]
     weighed = [score for score in single if score.hidden & set(BY_TEST_MASS)]
     return {
         "single_cases": len(single),
         "detected": rate(single, lambda s: s.detected),
         "right_name": rate(single, lambda s: s.expected),
         "in_tie_set": rate(single, lambda s: s.in_tie_set),
+        "not_excluded": rate(single, lambda s: s.not_excluded),
         "wrong_name": rate(single, lambda s: s.outcome in (Outcome.WRONG, Outcome.MORE)),
         "called_unknown": rate(single, lambda s: s.outcome is Outcome.UNKNOWN),
         "right_after_experiments": rate(single, lambda s: s.last.outcome is Outcome.RIGHT),
@@ -142,8 +155,34 @@ def figures(scores: Sequence[Score]) -> dict[str, float | int | None]:
         "parameters": len(errors),
         "parameters_within_two_std": 100.0 * float(np.mean(errors < 2)) if len(errors) else None,
         "parameters_within_three_std": 100.0 * float(np.mean(errors < 3)) if len(errors) else None,
+        "experiments": sum(len(score.experiments) for score in single),
+        "machine_seconds_median": float(np.median([m for m in machine if m])) if any(machine) else None,
+        "machine_seconds_longest": max(machine, default=0.0) or None,
         "seconds_median": float(np.median(seconds)) if seconds else None,
         "seconds_longest": max(seconds) if seconds else None,
+    }
+
+
+def kinds(scores: Sequence[Score]) -> dict[str, dict[str, float]]:
+    """Experiments that were run, by kind: how many, and their machine time, s."""
+    found: dict[str, list[float]] = {}
+    for experiment in (one for score in scores for one in score.experiments):
+        found.setdefault(str(experiment["kind"]), []).append(float(experiment["seconds"]))
+    return {
+        kind: {"count": len(times), "median": float(np.median(times)), "sum": sum(times)}
+        for kind, times in sorted(found.items(), key=lambda item: -len(item[1]))
+    }
+
+
+def intervals(scores: Sequence[Score]) -> dict[str, dict[str, int]]:
+    """By parameter: how many were stated, and how many truths lie within two and three standard deviations."""
+    found: dict[str, list[float]] = {}
+    for score in scores:
+        for name, error in score.errors.items():
+            found.setdefault(name, []).append(abs(error))
+    return {
+        name: {"stated": len(errors), "two": sum(e < 2 for e in errors), "three": sum(e < 3 for e in errors)}
+        for name, errors in sorted(found.items())
     }
 
 

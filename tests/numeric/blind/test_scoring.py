@@ -1,6 +1,6 @@
 """The scorer against diagnoses made by hand, and the sealed cases: what they hold and what they keep back."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -8,8 +8,8 @@ import pytest
 
 from tests.numeric.blind.cases import Case, Design, Evidence, Kind, cases, scene
 from tests.numeric.blind.effects import CATALOGUE, OUTSIDE, PAIRS
-from tests.numeric.blind.page import page
-from tests.numeric.blind.scoring import Outcome, Score, confusion, figures, outcomes
+from tests.numeric.blind.page import page, result
+from tests.numeric.blind.scoring import Outcome, Score, confusion, figures, kinds, outcomes
 
 
 def score(
@@ -26,7 +26,8 @@ def score(
         "effects": [{"effect": name, "parameters": parameters} for name in named],
         "candidates": list(candidates),
         "gap": {"before_rms": 50.0, "after_rms": 7.5, "noise_floor_rms": 6.0},
-        "next_experiment": {"kind": experiment} if experiment else None,
+        "next_experiment": {"kind": experiment, "seconds": 60.0} if experiment else None,
+        "untestable": ["backlash"],
         "seconds": 2.0,
     }
     truth = {"number": 1, "kind": kind, "names": list(hidden), "parameters": {n: {"coulomb": 100.0} for n in hidden}}
@@ -70,10 +71,25 @@ def test_what_only_a_mass_tells_apart_is_right_as_a_tie_with_that_mass() -> None
 
 
 def test_the_last_experiment_decides_what_came_of_it() -> None:
-    first, last = score(COULOMB, "ambiguous", (), BOTH), score(COULOMB, "named", COULOMB)
+    first, last = score(COULOMB, "ambiguous", (), BOTH, experiment="wide"), score(COULOMB, "named", COULOMB)
     both = Score(first.truth, [first.diagnosis, last.diagnosis])
     assert (both.outcome, both.last.outcome) == (Outcome.TIE, Outcome.RIGHT)
     assert figures([both])["right_after_experiments"] == 100
+
+
+def test_what_cannot_be_seen_is_not_excluded_where_more_is_asked_for() -> None:
+    assert score(("backlash",), "none", experiment="reversal").not_excluded
+    assert not score(("backlash",), "none").not_excluded
+    assert not score(COULOMB, "none", experiment="reversal").not_excluded
+    assert not score(("backlash",), "none", experiment="reversal").in_tie_set
+
+
+def test_machine_time_is_that_of_the_experiments_run() -> None:
+    first, last = score(COULOMB, "ambiguous", (), BOTH, experiment="wide"), score(COULOMB, "ambiguous", (), BOTH)
+    asked = Score(first.truth, [first.diagnosis, first.diagnosis, last.diagnosis])
+    found = figures([asked, score(COULOMB, "named", COULOMB)])
+    assert (found["experiments"], found["machine_seconds_median"], found["machine_seconds_longest"]) == (2, 120, 120)
+    assert kinds([asked]) == {"wide": {"count": 2, "median": 60.0, "sum": 120.0}}
 
 
 def test_figures_of_a_few() -> None:
@@ -96,9 +112,12 @@ def test_figures_of_a_few() -> None:
     assert confusion(some)["coulomb_friction"] == {
         "coulomb_friction": 1, "cogging_torque": 1, "ambiguous": 1, "unknown": 1
     }  # fmt: skip
-    text = page(some, "python -m something")
+    told = result(some, "python -m something")
+    text = page({"full": told, "paper": told})
     assert "| right name | 25 | >= 95 % |" in text
+    assert "| right name | 25 |  |" in text
     assert "| second_mass |" in text
+    assert "| coulomb_friction: coulomb | 2 | 2 | 2 |" in text
 
 
 def test_every_effect_of_the_catalogue_is_hidden_in_every_size() -> None:
@@ -121,6 +140,20 @@ def test_evidence_holds_no_truth() -> None:
     assert all(sweep.recording.load_position is None for sweep in evidence.sweeps)
     again = scene(Case(7, Kind.SINGLE, ("effort_offset",), "large", Design.PAPER, (11, 7))).evidence()
     np.testing.assert_array_equal(again.sweeps[0].recording.effort, evidence.sweeps[0].recording.effort)
+
+
+def test_a_gear_stays_as_warm_as_earlier_sweeps_have_left_it() -> None:
+    one = scene(Case(1, Kind.SINGLE, ("friction_temperature_drift",), "large", Design.PAPER, (3, 1)))
+    later = [
+        replace(design, spec=design.spec.model_copy(update={"started_at": design.spec.started_at + 120.0}))
+        for design in one.designs
+    ]
+    first, again = one.machine.measure(one.designs), one.machine.measure(later)
+    friction = [abs(float(np.mean(part[0].recording.effort))) for part in (first, again)]
+    fresh = scene(Case(1, Kind.SINGLE, ("friction_temperature_drift",), "large", Design.PAPER, (3, 1)))
+    cold = abs(float(np.mean(fresh.machine.measure(later)[0].recording.effort)))
+    assert len(again) == len(later)
+    assert abs(friction[1] - friction[0]) > 5 * abs(cold - friction[0])
 
 
 @pytest.mark.parametrize("name", sorted(CATALOGUE | OUTSIDE))

@@ -1,17 +1,18 @@
 """`sweepid diagnose` as a person calls it: a table or JSON on stdout, one line and exit code 2 for bad input."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from service.diagnosis.design import full_design
-from service.diagnosis.experiments import expected
+from service.diagnosis.prospect import expected
+from service.diagnosis.signals import in_frequency
 from service.recording import Sweep
 from service.store.bundle import write_bundle
+from simulator import load_scenario
+from tests.command import sweepid
 from tests.numeric.campaign import max100
 
 FRICTION = 60.0  # N m, dry, that the model does not know
@@ -26,18 +27,14 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for designed in full_design(robot, "joint_1", poses, sample_rate=250.0):
         sweep = expected(designed, designed.spec.pose[0])
         record = sweep.recording
-        turning = np.gradient(record.velocity, record.time)
+        # a difference quotient would look like a spring
+        (turning,) = in_frequency(record.velocity[None], 250.0)
         effort = 300.0 * turning + 200.0 * record.velocity + FRICTION * np.sign(record.velocity)
         record.effort[:] = effort + random.normal(0, 3.0, len(effort))
         sweeps.append(sweep)
     folder = tmp_path_factory.mktemp("diagnose") / "bundle"
     write_bundle(folder, robot, sweeps)
     return folder
-
-
-def sweepid(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [str(Path(sys.executable).with_name("sweepid")), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120)
 
 
 def test_json_alone_on_stdout(bundle: Path) -> None:
@@ -52,6 +49,7 @@ def test_json_alone_on_stdout(bundle: Path) -> None:
     coulomb = axis["effects"][0]["parameters"]["coulomb"]
     assert coulomb["value"] == pytest.approx(FRICTION, abs=1.0)
     assert axis["gap"]["after_rms"] < 0.1 * axis["gap"]["before_rms"]
+    assert (axis["gap"]["source"], axis["rolled_back"]) == ("twin", [])
     assert "gravity_error" in axis["untestable"]
 
 
@@ -60,6 +58,18 @@ def test_words_for_people(bundle: Path) -> None:
     assert done.returncode == 0, done.stderr
     for word in ("joint_1", "named", "coulomb_friction", "Dry friction of the same size"):
         assert word in done.stdout
+
+
+def test_the_model_and_its_machine_are_written(bundle: Path, tmp_path: Path) -> None:
+    model, scenario = tmp_path / "model.json", tmp_path / "twin.yaml"
+    done = sweepid("diagnose", str(bundle), "--no-twin", "--model", str(model), "--scenario", str(scenario))
+    assert done.returncode == 0, done.stderr
+    assert "by the columns" in done.stdout
+    axis = json.loads(model.read_text())["axes"]["joint_1"]
+    assert [effect["effect"] for effect in axis["effects"]] == ["coulomb_friction"]
+    assert axis["fit"]["inertia"][0]["value"] == pytest.approx(300.0, abs=1.0)
+    friction = load_scenario(scenario).driven("joint_1").train.motor_friction
+    assert (friction.coulomb, friction.viscous) == (pytest.approx(FRICTION, abs=1.0), pytest.approx(200.0, abs=20.0))
 
 
 @pytest.mark.parametrize(

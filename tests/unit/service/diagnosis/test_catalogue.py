@@ -1,5 +1,6 @@
 """Every entry of the catalogue is complete, and its columns are what its names promise."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -7,10 +8,11 @@ import pytest
 
 from service.diagnosis.design import full_design
 from service.diagnosis.effects import CATALOGUE
+from service.diagnosis.effects.backlash import missing
 from service.diagnosis.effects.effect import Model
 from service.diagnosis.effects.friction_temperature_drift import warmth
 from service.diagnosis.effects.presliding_hysteresis import bristle
-from service.diagnosis.experiments import expected
+from service.diagnosis.prospect import expected
 from service.diagnosis.signals import Tracks, tracks
 from tests.numeric.campaign import max100
 
@@ -76,3 +78,37 @@ def test_a_gear_that_hardly_cools_is_as_warm_as_it_has_gone_far(motion: Tracks) 
     way = np.sum(np.abs(motion.velocity) * motion.inside) / motion.rate
     last = max(range(len(motion.specs)), key=lambda k: motion.specs[k].started_at)
     assert warmth(motion, 1e9)[last, -1] == pytest.approx(way, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_columns_that_depend_on_the_fitted_model_say_so(name: str, motion: Tracks) -> None:
+    """Others are kept when the model moves."""
+    effect, count = CATALOGUE[name], len(motion.specs)
+    if name == "backlash":  # weight keeps the flanks together
+        motion = replace(motion, gravity=np.zeros_like(motion.gravity))
+    shape = next(product(*(one.grid for one in effect.shape(motion, Model(np.full(count, 300.0), 66.0, 200.0)))))
+    one, other = (
+        effect.columns(motion, Model(np.full(count, inertia), 66.0, viscous), shape)
+        for inertia, viscous in ((300.0, 200.0), (350.0, 250.0))
+    )
+    assert effect.of_model == any(not np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+def test_play_found_in_many_shapes_at_once_is_that_of_each(motion: Tracks) -> None:
+    effect, model = CATALOGUE["backlash"], Model(np.full(len(motion.specs), 300.0), 66.0, 200.0)
+    weightless = replace(motion, gravity=np.zeros_like(motion.gravity))
+    shapes = [(1e-5, 0.5), (1e-4, 0.2), (3e-4, 0.9)]
+    assert effect.scan is not None
+    for shape, found in zip(shapes, effect.scan(weightless, model, shapes), strict=True):
+        assert found[0].any()
+        assert np.array_equal(found[0], effect.columns(weightless, model, shape)[0])
+
+
+def test_within_a_very_wide_play_the_motor_never_meets_the_load(motion: Tracks) -> None:
+    """Without gravity and friction the load stays at rest: all of its inertia torque is missing."""
+    inertia, none = np.array([250.0]), np.zeros(1)
+    weightless = replace(motion, gravity=np.zeros_like(motion.gravity))
+    lost = missing(weightless, np.array([0]), inertia, none, np.array([10.0]))[0, 0]
+    expected_torque = -250.0 * motion.acceleration[0]
+    middle = slice(20, -20)
+    assert lost[middle] == pytest.approx(expected_torque[middle], abs=0.02 * float(np.abs(expected_torque).max()))

@@ -4,7 +4,17 @@ from itertools import pairwise
 
 import numpy as np
 
-from service.diagnosis.design import BLOCKS, FAST, full_design, paper_design
+from service.diagnosis.design import (
+    BLOCKS,
+    FAST,
+    ROOM,
+    full_design,
+    is_partial,
+    machine_time,
+    measured_blocks,
+    other_poses,
+    paper_design,
+)
 from service.identification.excitation import Excitation, velocity_setpoint
 from tests.numeric.campaign import max100
 
@@ -44,3 +54,34 @@ def test_the_paper_goes_one_way_once() -> None:
     designed = paper_design(max100(), "joint_2", POSES)
     assert [(s.spec.block, s.spec.repeat) for s in designed] == [("forward_slow", 0)] * 3
     assert {sine.frequency for s in designed for sine in s.spec.sines} == {2.0, 3.0, 4.0, 5.0}
+
+
+def test_blocks_are_told_by_what_the_sweeps_are() -> None:
+    robot = max100()
+    specs = [
+        one.spec.model_copy(update={"block": "of another day"}) for one in full_design(robot, "joint_2", POSES[:1])
+    ]
+    assert measured_blocks(specs) == set(BLOCKS)
+    assert not is_partial(specs)
+    paper = [one.spec for one in paper_design(robot, "joint_2", POSES)]
+    assert measured_blocks(paper) == {"forward_slow"}
+    assert is_partial(paper)
+    record = paper[0].model_copy(update={"excitation": "trajectory", "sines": ()})
+    assert (measured_blocks([record]), is_partial([record])) == (set(), False)
+
+
+def test_other_poses_are_new_and_have_room() -> None:
+    robot = max100()
+    poses = other_poses(robot, "joint_2", POSES)
+    assert len(poses) > 4
+    assert np.abs(poses[:, None] - POSES).max(axis=2).min() > 0.1
+    np.testing.assert_array_equal(poses[:, 0], 0.0)  # what lies before the axis turns nothing
+    limits = np.array([(joint.lower, joint.upper) for joint in robot.chain.joints])
+    moved = poses != 0
+    assert ((poses >= limits[:, 0] + ROOM) | ~moved).all()
+    assert ((poses <= limits[:, 1] - ROOM) | ~moved).all()
+
+
+def test_machine_time_counts_the_way_back() -> None:
+    designed = full_design(max100(), "joint_2", POSES[:1], blocks=("forward_slow",), revisit=False)
+    assert machine_time(designed) > sum(sweep.duration for sweep in designed) + 2 * 2.0

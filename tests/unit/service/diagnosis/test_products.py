@@ -62,3 +62,16 @@ def test_a_record_that_repeats_itself_is_cut_into_its_periods() -> None:
     cut = in_periods("slide", [Sweep(spec, Recording(time, velocity, velocity, velocity))])
     assert [sweep.spec.repeat for sweep in cut] == [0, 1, 2]
     assert all(len(sweep.recording.time) == pytest.approx(3000, abs=2) for sweep in cut)
+
+
+@pytest.mark.parametrize("repeats", [1, 2, 3])
+def test_gathered_products_are_those_between_different_repeats(repeats: int) -> None:
+    random = np.random.default_rng(5)
+    columns = random.normal(size=(repeats, 50, 2))
+    group = Group(tuple(Piece(k, 0, 50) for k in range(repeats)), 0)
+    pairs = pairing(np.ones((repeats, 50), dtype=bool), [group], 0, 1)
+    couples = [(r, s) for r in range(repeats) for s in range(repeats) if r != s] or [(0, 0)]
+    wanted = sum(columns[r].T @ columns[s] for r, s in couples) / max(repeats - 1, 1)
+    gathered = pairs.gathered(columns)
+    assert pairs.crossed(gathered, gathered)[0] == pytest.approx(wanted)
+    assert pairs.products(columns)[0] == pytest.approx(wanted)

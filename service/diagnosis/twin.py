@@ -1,0 +1,67 @@
+"""The twin: the simulator led along recorded motor motion. Here alone the service meets it; what crosses is data."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from service.diagnosis.patch import Inexpressible
+from service.diagnosis.scenario import AxisEntry
+from service.recording import Sweep
+from service.robot import Robot
+from simulator import DriveTrain, Gravity, Measurement, Motion, MovingAxis, Turn, replay, warmth
+
+Array = NDArray[np.float64]
+
+LEAST_LOAD = 0.02  # of the axis' inertia: a load lighter than that is none
+
+
+@dataclass(frozen=True)
+class Run:
+    """Sweep number `sweep` with an axis of a total inertia, kg m^2 as recorded, and gravity [cosine, sine], N m."""
+
+    sweep: int
+    entry: AxisEntry
+    inertia: float
+    gravity: tuple[float, float]
+
+
+def torques(robot: Robot, joint: str, sweeps: Sequence[Sweep], runs: Sequence[Run]) -> list[Array]:
+    """What each run would record, N m (N), at the samples of its sweep; all in one pass.
+
+    How warm the gear is when a sweep begins, the sweeps before it say, by `started_at`. Inexpressible if no scenario
+    can hold an entry.
+    """
+    ratio = robot.axis(joint).gear_ratio
+    motions = [_motion(sweep) for sweep in sweeps]
+    trains = {id(run.entry): _train(run.entry) for run in runs}
+    measurements = {id(run.entry): Measurement.model_validate(run.entry.measurement) for run in runs}
+    turns = [Turn(s.spec.started_at, 1 / s.spec.sample_rate, m.velocity) for s, m in zip(sweeps, motions, strict=True)]
+    warm = {key: warmth(train, turns) for key, train in trains.items()}
+    axes: list[MovingAxis] = []
+    for run in runs:
+        train, inertia = trains[id(run.entry)], run.inertia / run.entry.scale
+        load = max(inertia - train.motor_inertia * ratio**2, LEAST_LOAD * inertia)
+        # the whole is what was measured, however heavy the motor is said to be
+        exact = train.model_copy(update={"motor_inertia": (inertia - load) / ratio**2})
+        axes.append(MovingAxis(exact, ratio, load, Gravity(*run.gravity), float(warm[id(run.entry)][run.sweep])))
+    return replay(axes, [motions[run.sweep] for run in runs], [measurements[id(run.entry)] for run in runs])
+
+
+def _train(entry: AxisEntry) -> DriveTrain:
+    try:
+        return DriveTrain.model_validate(entry.train)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise Inexpressible(f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}") from None
+
+
+def _motion(sweep: Sweep) -> Motion:
+    """As recorded; an axis that holds still does, whatever noise its speed has: friction follows the sign."""
+    recording = sweep.recording
+    if sweep.spec.excitation != "standstill":
+        return Motion(recording.time, recording.position, recording.velocity)
+    still = np.full_like(recording.position, recording.position.mean())
+    return Motion(recording.time, still, np.zeros_like(still))

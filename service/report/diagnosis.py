@@ -1,0 +1,153 @@
+"""What a diagnosis found, as a page of its own or a section of the report; from its document alone."""
+
+import math
+from collections.abc import Mapping
+from html import escape
+from typing import Any
+
+from service.report import gap_figures as drawn
+from service.report.content import Document
+from service.report.drawing import Figure
+from service.report.html import Page
+
+_BUILDERS = {
+    "map": drawn.gap_map,
+    "gap_by_pose": drawn.gap_by_pose,
+    "example": drawn.example,
+    "evidence": drawn.evidence,
+    "parameters": drawn.parameters,
+}
+"""Figures by name, in the order of a page; a builder gives None where a diagnosis has nothing to draw."""
+
+
+def diagnosis_figures(document: Document) -> dict[str, dict[str, Figure]]:
+    """All figures by joint and name (`map`, `gap_by_pose`, `example`, `evidence`, `parameters`)."""
+    return {joint: figures_of(axis) for joint, axis in document["axes"].items()}
+
+
+def figures_of(axis: Document) -> dict[str, Figure]:
+    """The figures of one axis."""
+    made = {name: build(axis) for name, build in _BUILDERS.items()}
+    return {name: figure for name, figure in made.items() if figure is not None}
+
+
+def diagnosis_page(document: Document, title: str, subtitle: str = "") -> str:
+    """One HTML file."""
+    page = Page()
+    page.add(f"<h1>{escape(title)}</h1>", f'<p class="lead">{escape(subtitle)}</p>')
+    for joint, axis in document["axes"].items():
+        page.add(f"<h2>{escape(joint)}</h2>")
+        _axis(page, joint, axis)
+    return page.html(title)
+
+
+def diagnosis_section(page: Page, document: Document) -> None:
+    """The same at the end of another report."""
+    page.add(
+        "<h2>Where model and measurement disagree</h2>",
+        "<p>The rigid model is driven along every recorded motion; what it leaves of the drives' effort, and repeats, "
+        "is a gap. A catalogue of effects is tried on it, and judged on sweeps that took no part in the fit.</p>",
+    )
+    for joint, axis in document["axes"].items():
+        page.add(f"<h3>{escape(joint)}</h3>")
+        _axis(page, joint, axis)
+
+
+def _axis(page: Page, joint: str, axis: Document) -> None:
+    figures = figures_of(axis)
+    page.add(f'<div class="card {escape(axis["verdict"])}"><p class="verdict">{escape(axis["summary"])}</p></div>')
+    _gap(page, axis)
+    if "map" in figures:
+        page.add("<h3>Where the gap is</h3>", *(f"<p>{escape(sentence)}</p>" for sentence in axis["sentences"]))
+        page.figure(figures["map"])
+    if drawn.explained(axis):
+        _effects(page, axis, figures)
+    sweep, block = axis["example"]["sweep"], axis["example"]["block"]
+    page.add(
+        "<h3>Example</h3>",
+        f"<p>Sweep {escape(sweep)}{escape(f' ({_plain(block)})') if block else ''}, the held-out sweep with the "
+        "largest gap before. Above the effort, below what the model leaves of it.</p>",
+    )
+    page.figure(figures["example"])
+    _open_questions(page, joint, axis)
+
+
+def _gap(page: Page, axis: Document) -> None:
+    gap, unit = axis["gap"], drawn.unit(axis)
+    facts = [(f"{gap['before_rms']:.3g} {unit}", f"gap before, {gap['before_percent']:.2g} % of the effort")]
+    if drawn.explained(axis):
+        facts.append((f"{gap['after_rms']:.3g} {unit}", f"gap after, {gap['after_percent']:.2g} %"))
+    facts += [
+        (f"{gap['noise_floor_rms']:.3g} {unit}", "noise floor, from repeats"),
+        (str(gap["held_out_sweeps"]), "held-out sweeps"),
+    ]
+    page.facts(facts)
+    page.add("<p>Pose by pose; the parameters of a pose come from the other poses.</p>")
+    page.figure(drawn.gap_by_pose(axis))
+
+
+def _effects(page: Page, axis: Document, figures: Mapping[str, Figure]) -> None:
+    decided = axis["verdict"] == "named"
+    page.add(f"<h3>{'What explains it' if decided else 'The simplest explanation so far, not decided'}</h3>")
+    for effect in axis["effects"]:
+        page.add(
+            f"<p><b>{escape(drawn.effect_words(effect['effect']))}.</b> {escape(effect['sentence'])} "
+            f"<code>{escape(effect['physics'])}</code> "
+            f'<span class="note">({escape(effect["source"])})</span></p>'
+        )
+    rows = [
+        [drawn.effect_words(effect["effect"]), _plain(name), *_value(value)]
+        for effect in axis["effects"]
+        for name, value in effect["parameters"].items()
+    ]
+    page.table(["effect", "parameter", "value", "± std", "unit"], rows)
+    if "parameters" in figures:
+        page.figure(figures["parameters"])
+    if "evidence" in figures:
+        page.add(
+            "<p>Every other candidate in its place: how far behind it is. Beyond the dashed line a rival is out; amber "
+            "ones are not.</p>"
+        )
+        page.figure(figures["evidence"])
+    _fit(page, axis["fit"])
+
+
+def _fit(page: Page, fit: Document) -> None:
+    labels = drawn.pose_labels([entry["pose"] for entry in fit["inertia"]])
+    page.add("<p>The axis again, with the effects in its model; kg m² (kg) and N m s/rad (N s/m).</p>")
+    rows = [[f"inertia at {label}", *_value(entry)[:2]] for label, entry in zip(labels, fit["inertia"], strict=True)]
+    page.table(["", "value", "± std"], [*rows, ["viscous friction", *_value(fit["viscous_friction"])[:2]]])
+
+
+def _open_questions(page: Page, joint: str, axis: Document) -> None:
+    experiment = axis["next_experiment"]
+    if experiment:
+        sweeps = experiment["sweeps"]
+        poses = len({tuple(sweep["spec"]["pose"]) for sweep in sweeps})
+        size = f"{len(sweeps)} sweeps of {escape(joint)} in {poses} poses, " if sweeps else ""
+        page.add(
+            "<h3>What to measure next</h3>",
+            f"<p><b>{escape(drawn.effect_words(experiment['kind']))}.</b> {escape(experiment['reason'])} "
+            f"{size}{_duration(experiment['seconds'])} of machine time.</p>",
+        )
+    if axis["untestable"]:
+        names = ", ".join(_plain(effect) for effect in axis["untestable"])
+        page.add(
+            "<h3>What these sweeps cannot show</h3>",
+            f"<p>Whether or not there is: {escape(names)}.</p>",
+        )
+
+
+def _value(entry: Mapping[str, Any]) -> list[str]:
+    std = entry["std"]
+    known = std is not None and math.isfinite(std)
+    return [f"{entry['value']:.5g}", f"{std:.2g}" if known else "–", str(entry.get("unit", ""))]
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")

@@ -1,0 +1,351 @@
+"""The figures of a diagnosis, from the document of one axis ("Data contracts": `sweepid diagnose --json`)."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from service.report.drawing import IDENTIFIED, Figure, figure, line, rounded, scale
+
+Axis = Mapping[str, Any]
+
+BEFORE, AFTER, FLOOR, QUIET = "#c2410c", IDENTIFIED, "#15803d", "#e0b8a2"
+RECORDED = "#64748b"
+TIE = "#b45309"
+
+COLUMNS = 3
+SIGNIFICANT = 5.0  # standard deviations from no gap at all
+DECISIVE = 10.0  # of Schwarz's criterion: as far behind, a rival is out
+_NUMBER = r"[-+]?\d[\d.]*(?:e[-+]?\d+)?"
+_BIN = re.compile(rf"({_NUMBER})(/\d+)?(?: to ({_NUMBER}))? (\S.*)")
+
+
+def gap_map(axis: Axis) -> Figure | None:
+    """The gap cut along every property of sweeps and samples, before and after, the noise floor in each panel."""
+    dimensions: dict[str, list[Axis]] = {}
+    for cell in axis["where"]:
+        dimensions.setdefault(cell["dimension"], []).append(cell)
+    if not dimensions:
+        return None
+    panels = [_panel(name, cells, explained(axis)) for name, cells in dimensions.items()]
+    panels.sort(key=lambda panel: -len(panel.labels))  # panels of one height side by side
+    lines = [panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)]
+    heights = [20 * max(len(panel.labels) for panel in line) + 62 for line in lines]
+    largest = max(max(cell["rms"] for cell in axis["where"]), axis["gap"]["noise_floor_rms"])
+    layout: Figure = {
+        "height": sum(heights) + 70,
+        "margin": {"l": 10, "r": 10, "t": 40, "b": 30},
+        "barmode": "overlay",
+        "annotations": [],
+        "shapes": [],
+    }
+    traces = _keys(axis)
+    top, number = 1.0, 0
+    for height, row in zip(heights, lines, strict=True):
+        share = height / sum(heights)
+        for column, panel in enumerate(row):
+            number += 1
+            tail = "" if number == 1 else str(number)
+            left = column / COLUMNS
+            here = {"xaxis": f"x{tail}", "yaxis": f"y{tail}", "type": "bar", "orientation": "h", "showlegend": False}
+            traces += [{**here, **trace} for trace in panel.traces]
+            layout[f"xaxis{tail}"] = {
+                **scale(""),
+                "domain": [left + 0.12, left + 0.985 / COLUMNS],
+                "anchor": f"y{tail}",
+                "range": [0, 1.06 * largest],
+                "nticks": 5,
+                "tickfont": {"size": 11},
+            }
+            layout[f"yaxis{tail}"] = {
+                **scale(""),
+                "domain": [top - share * (height - 25) / height, top - share * 25 / height],
+                "anchor": f"x{tail}",
+                "type": "category",
+                "autorange": "reversed",
+                "automargin": False,
+                "tickfont": {"size": 11},
+                "showgrid": False,
+            }
+            layout["annotations"].append(_title(panel.title, left, top - share * 23 / height))
+            if panel.with_floor:
+                layout["shapes"].append(_upright(tail, axis["gap"]["noise_floor_rms"]))
+        top -= share
+    layout["annotations"].append(_title(f"bars: RMS of the repeatable gap in {unit(axis)}", 1.0, 0.0, right=True))
+    return figure(traces, layout)
+
+
+class _Panel:
+    """One property: its bins in order, and the bars of both models."""
+
+    def __init__(self, title: str, cells: Sequence[Axis], labels: list[str], after: bool, with_floor: bool) -> None:
+        self.title, self.labels, self.with_floor = title, labels, with_floor
+        significance = [cell["significance"] for cell in cells]
+        shown = {"y": labels, "customdata": [round(value, 1) for value in significance]}
+        before = {
+            "x": rounded(np.array([cell["rms"] for cell in cells])),
+            "marker": {"color": [BEFORE if value > SIGNIFICANT else QUIET for value in significance]},
+            "hovertemplate": "%{y}: %{x:.3g} before, significance %{customdata}<extra></extra>",
+            "width": 0.72,
+        }
+        self.traces = [shown | before]
+        if after:
+            left = {
+                "x": rounded(np.array([cell["rms_after"] for cell in cells])),
+                "marker": {"color": AFTER},
+                "hovertemplate": "%{y}: %{x:.3g} after<extra></extra>",
+                "width": 0.3,
+            }
+            self.traces.append(shown | left)
+
+
+def _panel(name: str, cells: Sequence[Axis], after: bool) -> _Panel:
+    bins = [_BIN.fullmatch(cell["value"]) for cell in cells]
+    found = [match for match in bins if match is not None]
+    if len(found) < len(cells):
+        ordered = sorted(cells, key=lambda cell: cell["value"])
+        return _Panel(name, ordered, [_words(cell["value"]) for cell in ordered], after, True)
+    pairs = sorted(zip(found, cells, strict=True), key=lambda pair: float(pair[0][1]))
+    size = max(abs(float(match[k])) for match in found for k in (1, 3) if match[k])
+    labels = [
+        " … ".join(_short(float(match[k]), size) for k in (1, 3) if match[k]) + (match[2] or "") for match, _ in pairs
+    ]
+    measure = found[0][4].replace("s2", "s²")
+    # the noise of one line is not that of the whole signal
+    return _Panel(f"{name} ({measure})", [cell for _, cell in pairs], labels, after, name != "line frequency")
+
+
+def _keys(axis: Axis) -> list[Figure]:
+    """What the legend shows; the bars themselves stand in many panels."""
+    bar: Figure = {"type": "bar", "x": [None], "y": [None]}
+    keys: list[Figure] = [
+        {**bar, "name": "before", "marker": {"color": BEFORE}},
+        {**bar, "name": "before, not significant", "marker": {"color": QUIET}},
+    ]
+    if explained(axis):
+        keys.append({**bar, "name": "after", "marker": {"color": AFTER}})
+    floor = line("noise floor", [None], np.array([np.nan]), FLOOR, dash="dash")
+    return [*keys, floor]
+
+
+def gap_by_pose(axis: Axis) -> Figure:
+    """Gap before and after in every pose, on sweeps that took no part in the fit, beside the noise floor."""
+    poses: Sequence[Axis] = axis["gap"]["by_pose"]
+    labels = pose_labels([pose["pose"] for pose in poses])
+    bars = [
+        {
+            "type": "bar",
+            "name": name,
+            "x": labels,
+            "y": rounded(np.array([_number(pose[key]) for pose in poses])),
+            "marker": {"color": colour},
+            "customdata": [pose["sweeps"] for pose in poses],
+            "hovertemplate": f"%{{y:.3g}} {unit(axis)} {name}, %{{customdata}} sweeps<extra></extra>",
+        }
+        for name, key, colour in (("before", "before_rms", BEFORE), ("after", "after_rms", AFTER))
+        if name == "before" or explained(axis)
+    ]
+    floor = {
+        "type": "scatter",
+        "mode": "markers",
+        "name": "noise floor",
+        "x": labels,
+        "y": rounded(np.array([_number(pose["noise_floor_rms"]) for pose in poses])),
+        "marker": {"symbol": "line-ew-open", "size": 56, "color": FLOOR, "line": {"width": 2.5, "color": FLOOR}},
+        "hovertemplate": "noise floor %{y:.3g}<extra></extra>",
+    }
+    return figure(
+        [*bars, floor],
+        {
+            "height": 360,
+            "bargap": max(0.35, 1 - 0.16 * len(poses)),
+            "xaxis": {**scale("pose: positions of the joints that vary, rad (m)"), "type": "category"},
+            "yaxis": {**scale(f"RMS of the gap in {unit(axis)}"), "rangemode": "tozero"},
+        },
+    )
+
+
+def example(axis: Axis) -> Figure:
+    """The held-out sweep with the largest gap: what the drive gave, what either model needs, and what is left."""
+    sweep: Axis = axis["example"]
+    time = rounded(np.array(sweep["time"]), 4)
+    measured, before, after = (np.array(sweep[key], dtype=float) for key in ("measured", "before", "after"))
+    traces = [
+        line("measured", time, measured, RECORDED, width=3),
+        line("model before", time, before, BEFORE, width=1.4),
+        {**line("left before", time, measured - before, BEFORE, width=1.2), "yaxis": "y2", "showlegend": False},
+    ]
+    if explained(axis):
+        traces += [
+            line("model after", time, after, AFTER, dash="dot", width=1.8),
+            {**line("left after", time, measured - after, AFTER, width=1.2), "yaxis": "y2", "showlegend": False},
+        ]
+    return figure(
+        traces,
+        {
+            "height": 480,
+            "xaxis": {**scale("time in s"), "anchor": "y2"},
+            "yaxis": {**scale(f"effort in {unit(axis)}"), "domain": [0.45, 1.0]},
+            "yaxis2": {**scale(f"left in {unit(axis)}", zeroline=True), "domain": [0.0, 0.37]},
+        },
+    )
+
+
+def evidence(axis: Axis) -> Figure | None:
+    """How far behind the chosen explanation every other candidate is, on a scale of powers of ten."""
+    rivals: Sequence[Axis] = axis["rivals"]
+    if not rivals or not axis["effects"]:
+        return None
+    chosen = " + ".join(effect_words(effect["effect"]) for effect in axis["effects"])
+    rows = [(chosen, 0.0, AFTER), *((effect_words(r["effect"]), r["behind"], _colour(axis, r)) for r in rivals)]
+    names, behind, colours = zip(*rows, strict=True)
+    places = [_signed_power(value) for value in behind]
+    ticks = [-1e4, -1e3, -100.0, -10.0, 0.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8]
+    ticks = [tick for tick in ticks if min(places) - 1 <= _signed_power(tick) <= max(places) + 1]
+    return figure(
+        [
+            {
+                "type": "bar",
+                "orientation": "h",
+                "x": [round(place, 4) for place in places],
+                "y": names,
+                "marker": {"color": colours},
+                "text": ["chosen", *(f"{round(value):,}" for value in behind[1:])],
+                "textposition": "outside",
+                "cliponaxis": False,
+                "hoverinfo": "skip",
+            }
+        ],
+        {
+            "height": 110 + 24 * len(rows),
+            "margin": {"l": 10, "r": 70, "t": 20, "b": 55},
+            "xaxis": {
+                **scale("behind the chosen explanation by (Schwarz's criterion)", zeroline=True),
+                "tickvals": [_signed_power(tick) for tick in ticks],
+                "ticktext": [f"{tick:,.0f}" for tick in ticks],
+            },
+            "yaxis": {**scale(""), "autorange": "reversed", "type": "category", "showgrid": False},
+            "shapes": [_upright("", _signed_power(DECISIVE), "#64748b")],
+        },
+    )
+
+
+def parameters(axis: Axis) -> Figure | None:
+    """Every parameter of the named effects with two standard deviations, in percent of its value."""
+    rows = [
+        (f"{effect_words(effect['effect'])}: {name.replace('_', ' ')}", value)
+        for effect in axis["effects"]
+        for name, value in effect["parameters"].items()
+        if value["value"]
+    ]
+    if not rows:
+        return None
+    interval = [200 * abs(_number(value["std"]) / value["value"]) for _, value in rows]
+    reach = min(1.15 * max((one for one in interval if math.isfinite(one)), default=10.0) + 1, 250)
+    nothing = [_upright("", -100.0, "#64748b")] if reach > 100 else []
+    return figure(
+        [
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "x": [0.0] * len(rows),
+                "y": [name for name, _ in rows],
+                "marker": {"size": 9, "color": AFTER},
+                "error_x": {"array": rounded(np.array(interval)), "color": AFTER, "thickness": 2, "width": 6},
+                "text": [measured(value) for _, value in rows],
+                "hovertemplate": "%{y} = %{text}<extra></extra>",
+            }
+        ],
+        {
+            "height": 90 + 30 * len(rows),
+            "margin": {"l": 10, "r": 20, "t": 10, "b": 55},
+            "xaxis": {
+                **scale(f"± 2 std in % of the value{' (dashed: no effect)' if nothing else ''}", zeroline=True),
+                "range": [-reach, reach],
+            },
+            "yaxis": {**scale(""), "autorange": "reversed", "type": "category", "range": [-0.5, len(rows) - 0.5]},
+            "shapes": nothing,
+        },
+    )
+
+
+def explained(axis: Axis) -> bool:
+    """Whether there is an after: effects that the model had not."""
+    return bool(axis["effects"])
+
+
+def effect_words(effect: str) -> str:
+    """An effect's name for a person."""
+    words = effect.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
+    return words[:1].upper() + words[1:]
+
+
+def measured(value: Mapping[str, Any]) -> str:
+    """Value, standard deviation and unit of a parameter."""
+    return f"{value['value']:.4g} ± {_number(value['std']):.2g} {value['unit']}".rstrip()
+
+
+def unit(axis: Axis) -> str:
+    """Of the axis' effort."""
+    return str(axis["unit"])
+
+
+def pose_labels(poses: Sequence[Sequence[float]]) -> list[str]:
+    """Positions of the joints that differ between poses; numbered where that is not enough to tell them apart."""
+    values = np.array(poses, dtype=float)
+    varying = np.flatnonzero(np.ptp(values, axis=0) > 5e-3)
+    labels = [", ".join(f"{value:+.2f}" for value in pose[varying]) or "the pose" for pose in values]
+    if len(set(labels)) == len(labels):
+        return labels
+    return [f"{k}: {label}" for k, label in enumerate(labels, start=1)]
+
+
+def _colour(axis: Axis, rival: Axis) -> str:
+    return TIE if rival["effect"] in axis["candidates"] else "#94a3b8"
+
+
+def _signed_power(value: float) -> float:
+    return math.copysign(math.log10(1 + abs(value)), value)
+
+
+def _words(value: str) -> str:
+    """Of a block; those that a later campaign measured again end with its number."""
+    return value.replace("_", " ").replace(" of campaign ", " #")
+
+
+def _short(value: float, size: float) -> str:
+    return f"{0.0 if abs(value) < 1e-3 * size else value:.3g}"
+
+
+def _title(text: str, left: float, top: float, right: bool = False) -> Figure:
+    return {
+        "text": text,
+        "x": left,
+        "y": top,
+        "xref": "paper",
+        "yref": "paper",
+        "xanchor": "right" if right else "left",
+        "yanchor": "top" if right else "bottom",
+        "yshift": -14 if right else 0,
+        "showarrow": False,
+        "font": {"size": 12},
+    }
+
+
+def _upright(tail: str, place: float, colour: str = FLOOR) -> Figure:
+    return {
+        "type": "line",
+        "xref": f"x{tail}",
+        "yref": f"y{tail} domain",
+        "x0": place,
+        "x1": place,
+        "y0": 0,
+        "y1": 1,
+        "line": {"color": colour, "width": 1.5, "dash": "dash"},
+    }
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else float(value)

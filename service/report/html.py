@@ -1,0 +1,105 @@
+"""One HTML file: tables as HTML, figures drawn by the plotly.js of the installed wheel, inlined."""
+
+import json
+from collections.abc import Iterable, Sequence
+from html import escape
+from importlib.resources import files
+
+from service.report.drawing import Figure
+
+_STYLE = """
+:root { color-scheme: light; }
+body { font: 16px/1.55 system-ui, sans-serif; color: #0f172a; background: #f8fafc; margin: 0; }
+main { max-width: 1060px; margin: 0 auto; padding: 40px 28px 80px; }
+h1 { font-size: 30px; line-height: 1.2; margin: 0 0 6px; letter-spacing: -0.01em; }
+h2 { font-size: 21px; margin: 48px 0 6px; letter-spacing: -0.005em; }
+h3 { font-size: 16px; margin: 22px 0 4px; }
+p { margin: 6px 0 12px; color: #334155; max-width: 78ch; }
+p.lead { color: #475569; margin-bottom: 24px; }
+p.verdict { font-size: 17px; color: #0f172a; margin: 0; }
+.card { background: white; border: 1px solid #e2e8f0; border-radius: 10px; padding: 14px 18px; margin: 14px 0; }
+.card.named, .card.none { border-left: 6px solid #15803d; }
+.card.ambiguous, .card.untestable { border-left: 6px solid #b45309; }
+.card.unknown { border-left: 6px solid #be123c; }
+.facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(170px, 1fr)); gap: 12px; margin: 20px 0; }
+.facts div { background: white; border: 1px solid #e2e8f0; border-radius: 10px; padding: 12px 16px; }
+.facts b { display: block; font-size: 24px; font-weight: 600; line-height: 1.3; }
+.facts span { color: #64748b; font-size: 13.5px; }
+.scroll { overflow-x: auto; }
+table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
+th, td { padding: 7px 12px; text-align: right; border-bottom: 1px solid #e2e8f0; white-space: nowrap; }
+th:first-child, td:first-child { text-align: left; white-space: normal; }
+thead th { color: #475569; font-weight: 600; border-bottom: 2px solid #cbd5e1; }
+tbody tr:last-child td { border-bottom: 0; }
+td.name { font-size: 14px; max-width: 560px; overflow-wrap: anywhere; }
+.note { color: #64748b; font-size: 14px; }
+@media print { body { background: white; } .card, .facts div { break-inside: avoid; } }
+"""
+
+# no mode bar: it lies over the legend; a double click shows the whole figure again
+_SCRIPT = """
+const figures = JSON.parse(document.getElementById("figures").textContent);
+for (const [id, figure] of Object.entries(figures)) {
+  Plotly.newPlot(id, figure.data, figure.layout, { displayModeBar: false, responsive: true });
+}
+"""
+
+
+class Page:
+    """Collects the body and the figures."""
+
+    def __init__(self) -> None:
+        self._body: list[str] = []
+        self._figures: dict[str, Figure] = {}
+
+    def add(self, *parts: str) -> None:
+        """Markup as it is: escape what comes from elsewhere."""
+        self._body += parts
+
+    def figure(self, figure: Figure) -> None:
+        """A figure of its layout's height."""
+        name = f"figure-{len(self._figures) + 1}"
+        self._figures[name] = figure
+        self._body.append(
+            f'<div class="card"><div id="{name}" style="height:{figure["layout"]["height"]}px"></div></div>'
+        )
+
+    def facts(self, facts: Iterable[tuple[str, str]]) -> None:
+        """Large values with their names beneath."""
+        cells = "".join(f"<div><b>{escape(value)}</b><span>{escape(name)}</span></div>" for value, name in facts)
+        self._body.append(f'<div class="facts">{cells}</div>')
+
+    def table(self, head: Iterable[str], rows: Iterable[Sequence[str]], first: str = "") -> None:
+        """Plain text in rows; `first`: CSS class of the first column."""
+        top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
+        body = "".join(
+            f'<tr><td class="{first}">{escape(row[0])}</td>'
+            + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
+            + "</tr>"
+            for row in rows
+        )
+        table = f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
+        self._body.append(f'<div class="card scroll">{table}</div>')
+
+    def html(self, title: str) -> str:
+        """The file; about 5 MB, nearly all of it plotly.js."""
+        # "</" would end the script element early; JSON may escape the slash
+        data = json.dumps(self._figures, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+        return "\n".join(
+            (
+                "<!doctype html>",
+                '<html lang="en"><head><meta charset="utf-8">',
+                '<meta name="viewport" content="width=device-width, initial-scale=1">',
+                f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body><main>",
+                *self._body,
+                "</main>",
+                f"<script>{plotly_js()}</script>",
+                f'<script type="application/json" id="figures">{data}</script>',
+                f"<script>{_SCRIPT}</script></body></html>",
+            )
+        )
+
+
+def plotly_js() -> str:
+    """plotly.js of the installed wheel."""
+    return files("plotly").joinpath("package_data", "plotly.min.js").read_text(encoding="utf-8")

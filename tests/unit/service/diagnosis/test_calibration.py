@@ -1,0 +1,93 @@
+"""The torque gain from a known mass: exact on set-points followed exactly, whatever friction did in between."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.diagnosis.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
+from service.diagnosis.design import DesignedSweep, full_design
+from service.diagnosis.effects.gravity_error import gravity_columns
+from service.diagnosis.equations import nominal_inertia
+from service.diagnosis.prospect import expected
+from service.diagnosis.signals import tracks
+from service.errors import BadInput
+from service.identification.regressor import inertia_rows
+from service.identification.torque_gain import KnownMass
+from service.recording import Sweep
+from service.robot import Robot
+from tests.numeric.campaign import max100
+
+POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.0, -0.5, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
+MASS = KnownMass(30.0, (0.15, 0.0, 0.0))
+SLOW = ("forward_slow", "backward_slow")
+
+
+def measured(
+    robot: Robot,
+    joint: str,
+    designed: tuple[DesignedSweep, ...],
+    *,
+    gain: float,
+    mass: KnownMass | None,
+    by_load: float,
+) -> list[Sweep]:
+    """Sweeps as a drive of this gain tells them, on a rigid robot with friction that grows with the load."""
+    index = robot.index(joint)
+    bare = [expected(one, one.spec.pose[index]) for one in designed]
+    motion = tracks(robot, joint, bare)
+    body = np.zeros(robot.chain.inertial.size)
+    if mass is not None:
+        body[-10:] = mass.parameters
+    inertia = nominal_inertia(robot, index, motion.poses) + inertia_rows(robot.chain, index, motion.poses) @ body
+    load = motion.gravity + gravity_columns(motion, body) + inertia[motion.spot][:, None] * motion.acceleration
+    viscous = (robot.axis(joint).viscous_friction or 0.0) * motion.velocity
+    effort = gain * (load + by_load * np.abs(load) * motion.direction + viscous)
+    specs = [one.spec.model_copy(update={"sample_rate": motion.rate}) for one in bare]
+    result: list[Sweep] = []
+    for number, spec in enumerate(specs):
+        good = motion.inside[number]
+        recording = replace(
+            bare[number].recording,
+            time=motion.time[number][good],
+            effort=effort[number][good],
+            velocity=motion.velocity[number][good],
+            position=motion.position[number][good],
+        )
+        result.append(Sweep(spec, recording))
+    return result
+
+
+@pytest.mark.parametrize(("gain", "by_load"), [(1.0, 0.0), (1.04, 0.0), (0.93, 0.1), (1.0, 0.1)])
+def test_a_mass_tells_the_gain(gain: float, by_load: float) -> None:
+    robot = max100()
+    designed = full_design(robot, "joint_2", POSES, repeats=1, blocks=SLOW, revisit=False)
+    bare = measured(robot, "joint_2", designed, gain=gain, mass=None, by_load=by_load)
+    weighed = Weighed(MASS, tuple(measured(robot, "joint_2", designed, gain=gain, mass=MASS, by_load=by_load)))
+    found = weighed_gain(robot, "joint_2", bare, weighed)
+    assert found.gain == pytest.approx(gain, abs=0.004)
+    assert found.std < 0.006
+    assert is_decided(found)
+    assert is_wrong(found) == (gain != 1.0)
+    right = corrected(bare, found)[0].recording.effort
+    np.testing.assert_allclose(right * found.gain, bare[0].recording.effort)
+
+
+def test_in_one_direction_a_mass_says_how_little_it_tells() -> None:
+    robot, one_side = max100(), POSES[2:]
+    designed = full_design(robot, "joint_2", one_side, repeats=1, blocks=SLOW[:1], revisit=False)
+    bare = measured(robot, "joint_2", designed, gain=1.0, mass=None, by_load=0.1)
+    weighed = Weighed(MASS, tuple(measured(robot, "joint_2", designed, gain=1.0, mass=MASS, by_load=0.1)))
+    found = weighed_gain(robot, "joint_2", bare, weighed)
+    assert abs(found.gain - 1.0) < 3 * found.std
+    assert not is_decided(found)
+
+
+def test_bad_masses_and_sweeps_are_refused() -> None:
+    robot = max100()
+    designed = full_design(robot, "joint_2", POSES[:1], repeats=1, blocks=SLOW, revisit=False)
+    sweeps = measured(robot, "joint_2", designed, gain=1.0, mass=None, by_load=0.0)
+    with pytest.raises(BadInput, match=r"mass: 0.0 kg is not above 0"):
+        weighed_gain(robot, "joint_2", sweeps, Weighed(KnownMass(0.0, (0.1, 0, 0)), tuple(sweeps)))
+    with pytest.raises(BadInput, match="joint_2: has no sweep that was run both without and with the test mass"):
+        weighed_gain(robot, "joint_2", sweeps[:1], Weighed(MASS, tuple(sweeps[1:])))

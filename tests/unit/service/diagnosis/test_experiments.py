@@ -1,0 +1,161 @@
+"""Each kind of experiment where it is the one to run."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pytest
+
+from service.diagnosis.design import BLOCKS, full_design, machine_time, paper_design
+from service.diagnosis.equations import Term
+from service.diagnosis.experiments import BOLTING, NextExperiment, next_experiment
+from service.diagnosis.select import select
+from service.diagnosis.verdict import Verdict, tie_set
+from tests.numeric.campaign import max100
+from tests.unit.service.diagnosis.following import RATE, equations_of, following
+
+POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.1, -0.5, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
+DRIFT = "friction_temperature_drift"
+
+
+def asked(
+    blocks: Sequence[str],
+    hidden: Mapping[Term, Sequence[float]],
+    rivals: Sequence[str],
+    verdict: Verdict = Verdict.AMBIGUOUS,
+    unseen: dict[str, tuple[str, ...]] | None = None,
+    poses: np.ndarray = POSES,
+    noise: float = 0.001,
+) -> NextExperiment | None:
+    """What is asked for when these blocks were run and the rivals are left."""
+    robot = max100()
+    designed = full_design(robot, "joint_2", poses, blocks=blocks, sample_rate=RATE, revisit=False)
+    sweeps = following(robot, "joint_2", designed, hidden, noise=noise)
+    selection = select(equations_of(robot, "joint_2", sweeps), (), list(rivals))
+    return next_experiment(selection, verdict, rivals, unseen or {}, sweeps)
+
+
+COULOMB = {Term("coulomb_friction"): (60.0,)}
+FORWARD = ("forward_slow",)
+
+
+def test_coulomb_or_offset_needs_the_other_direction_or_rest() -> None:
+    wanted = asked(FORWARD, COULOMB, ["coulomb_friction", "effort_offset"])
+    assert wanted is not None
+    assert wanted.kind in ("backward_slow", "reversal", "standstill")
+    assert wanted.separation is not None
+    assert wanted.separation > 50
+    assert wanted.seconds == machine_time(wanted.sweeps)
+    assert wanted.between == ("coulomb_friction", "effort_offset")
+    assert {sweep.spec.repeat for sweep in wanted.sweeps} == {0, 1}
+
+
+def test_a_power_of_the_speed_needs_another_speed() -> None:
+    power = {Term("nonlinear_viscous_friction", (0.5,)): (10.0,)}
+    blocks = ("forward_slow", "backward_slow", "standstill")
+    wanted = asked(blocks, power, ["nonlinear_viscous_friction", "coulomb_friction"], noise=0.02)
+    assert wanted is not None
+    assert wanted.kind in ("forward_fast", "backward_fast", "reversal", "wide")
+
+
+def test_delay_or_elasticity_needs_the_wide_band() -> None:
+    delay = {Term("measurement_delay", (1e-3,)): (4e-3,)}
+    wanted = asked(("forward_slow", "reversal"), delay, ["measurement_delay", "joint_elasticity"], noise=0.02)
+    assert wanted is not None
+    assert wanted.kind == "wide"
+
+
+def test_drift_needs_warmth() -> None:
+    drift = {Term(DRIFT, (300.0,)): (60.0, -3.0, 0.0)}
+    wanted = asked(BLOCKS, drift, [DRIFT, "coulomb_friction"], poses=POSES[:1])
+    assert wanted is not None
+    assert wanted.kind == "warm_up"
+    assert wanted.seconds > 250
+    starts = [sweep.spec.started_at for sweep in wanted.sweeps]
+    assert starts == sorted(starts)
+    assert len({sweep.spec.block for sweep in wanted.sweeps}) == len(wanted.sweeps) / 2
+
+
+def test_a_mass_is_asked_for_once_both_directions_were_run() -> None:
+    gain, rivals = {Term("torque_constant_error"): (0.05,)}, ["payload", "torque_constant_error"]
+    first = asked(FORWARD, gain, rivals)
+    assert first is not None
+    assert first.kind == "backward_slow"
+    then = asked(("forward_slow", "backward_slow"), gain, rivals)
+    assert then is not None
+    assert (then.kind, then.blocks) == ("test_mass", ("forward_slow", "backward_slow"))
+    assert then.seconds == machine_time(then.sweeps) + BOLTING
+    assert {sweep.spec.pose for sweep in then.sweeps} == {tuple(pose) for pose in POSES.tolist()}
+
+
+def test_the_mass_is_measured_in_sweeps_as_they_were_run_without_it() -> None:
+    robot = max100()
+    poses = np.array([[0.0, angle, 0.3, 0, 0, 0] for angle in np.linspace(-0.8, 0.9, 7)])
+    slower = full_design(
+        robot, "joint_2", poses, blocks=("forward_slow", "backward_slow"), sample_rate=RATE, travel=0.04
+    )
+    sweeps = following(robot, "joint_2", slower, {Term("torque_constant_error"): (0.05,)})
+    rivals = ["payload", "torque_constant_error"]
+    selection = select(equations_of(robot, "joint_2", sweeps), (), rivals)
+    wanted = next_experiment(selection, Verdict.AMBIGUOUS, rivals, {}, sweeps)
+    assert wanted is not None
+    assert {s.spec.offset_velocity for s in wanted.sweeps} == {s.spec.offset_velocity for s in slower}
+    assert len({s.spec.pose for s in wanted.sweeps}) == 4
+    assert {(s.ramp, s.settle) for s in wanted.sweeps} == {(s.ramp, s.settle) for s in slower}
+
+
+def test_gravity_or_payload_needs_poses_in_which_other_joints_are_turned() -> None:
+    wanted = asked(BLOCKS, {Term("payload", (0.2,)): (8.0,)}, ["payload", "gravity_error"], poses=POSES[:2])
+    assert wanted is not None
+    assert wanted.kind == "more_poses"
+    assert not {sweep.spec.pose for sweep in wanted.sweeps} & {tuple(pose) for pose in POSES.tolist()}
+
+
+def test_unknown_asks_for_the_missing_blocks_then_for_other_poses() -> None:
+    first = asked(FORWARD, COULOMB, ["measurement_delay"], Verdict.UNKNOWN)
+    assert first is not None
+    assert (first.kind, first.blocks) == ("full_design", BLOCKS[1:])
+    then = asked(BLOCKS, COULOMB, ["measurement_delay"], Verdict.UNKNOWN, poses=POSES[:1])
+    assert then is not None
+    assert (then.kind, then.blocks) == ("more_poses", BLOCKS)
+    assert tuple(POSES[0].tolist()) not in {sweep.spec.pose for sweep in then.sweeps}
+
+
+def test_nothing_found_asks_for_what_shows_the_unseen() -> None:
+    unseen = {"measurement_delay": ("wide",), "backlash": ()}
+    wanted = asked(FORWARD, {}, ["coulomb_friction"], Verdict.NONE, unseen)
+    assert wanted is not None
+    assert (wanted.kind, wanted.blocks) == ("wide", ("wide",))
+    assert "measurement delay" in wanted.reason
+    assert asked(FORWARD, {}, ["coulomb_friction"], Verdict.NONE, {"backlash": ()}) is None
+    assert asked(FORWARD, COULOMB, ["coulomb_friction"], Verdict.NAMED) is None
+
+
+@pytest.mark.parametrize(("blocks", "names"), [(("forward_slow",), True), (BLOCKS, False)])
+def test_one_direction_leaves_ties_that_all_blocks_settle(blocks: Sequence[str], names: bool) -> None:
+    robot = max100()
+    designed = full_design(robot, "joint_2", POSES[:2], blocks=blocks, sample_rate=RATE)
+    sweeps = following(robot, "joint_2", designed, COULOMB)
+    candidates = ["coulomb_friction", "asymmetric_friction", "effort_offset"]
+    selection = select(equations_of(robot, "joint_2", sweeps), (), candidates)
+    assert tie_set(selection, (), candidates) == (set(candidates) if names else {"coulomb_friction"})
+
+
+def test_what_a_named_effect_contains_is_no_rival() -> None:
+    robot = max100()
+    sweeps = following(
+        robot, "joint_2", full_design(robot, "joint_2", POSES[:2], sample_rate=RATE),
+        {Term("asymmetric_friction"): (60.0, 2.0, 0.0)},
+    )  # fmt: skip
+    candidates = ["coulomb_friction", "asymmetric_friction"]
+    selection = select(equations_of(robot, "joint_2", sweeps), (), candidates)
+    assert len(tie_set(selection, (), candidates)) == 1
+
+
+def test_the_papers_sweeps_can_be_followed_by_any_block() -> None:
+    robot = max100()
+    sweeps = following(robot, "joint_2", paper_design(robot, "joint_2", POSES, sample_rate=RATE), COULOMB)
+    given = equations_of(robot, "joint_2", sweeps)
+    selection = select(given, (), ["coulomb_friction", "effort_offset"])
+    wanted = next_experiment(selection, Verdict.AMBIGUOUS, ["coulomb_friction", "effort_offset"], {}, sweeps)
+    assert wanted is not None
+    assert min(sweep.spec.started_at for sweep in wanted.sweeps) > max(s.spec.started_at for s in sweeps)

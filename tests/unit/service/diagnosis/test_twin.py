@@ -1,0 +1,159 @@
+"""The catalogue against the simulator: each effect's columns and its entry in a scenario are the same torque."""
+
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from service.diagnosis.design import DesignedSweep, full_design
+from service.diagnosis.effects import CATALOGUE
+from service.diagnosis.effects.effect import Model
+from service.diagnosis.equations import nominal_inertia
+from service.diagnosis.links import gravity
+from service.diagnosis.patch import Inexpressible, Patch
+from service.diagnosis.scenario import axis_entry
+from service.diagnosis.signals import Tracks, laid_out, tracks
+from service.diagnosis.twin import Run, torques
+from service.recording import Recording, Sweep
+from service.robot import Robot
+from simulator import Measurement, SweepRun, run_sweeps
+from tests.numeric.campaign import max100, scenario_named
+
+Array = NDArray[np.float64]
+
+JOINT = "joint_2"
+POSES = np.array([[0.3, -0.8, 0.5, 0.0, 0.0, 0.0], [0.2, 0.6, 0.2, 0.0, 0.0, 0.0]])
+CASES: dict[str, tuple[dict[str, float], float]] = {  # parameters, and how far apart the torques may be
+    "coulomb_friction": ({"coulomb": 50.0}, 0.01),
+    "asymmetric_friction": ({"coulomb": 50.0, "coulomb_difference": 10.0, "viscous_difference": 30.0}, 0.01),
+    "stribeck_friction": ({"coulomb": 50.0, "extra": 30.0, "velocity": 0.01, "exponent": 1.3}, 0.01),
+    "nonlinear_viscous_friction": ({"coefficient": 40.0, "exponent": 0.5}, 0.01),
+    "load_dependent_friction": ({"coulomb": 30.0, "load_dependence": 0.03}, 0.01),
+    # warmed by the way it goes against by what it dissipates
+    "friction_temperature_drift": (
+        {"coulomb": 60.0, "coulomb_change": -8.0, "viscous_change": -10.0, "time_constant": 200.0},
+        0.05,
+    ),
+    "gravity_error": ({"moment_1": 0.1, "moment_2": -0.2, "moment_3": 0.05}, 0.01),
+    "hose_spring": ({"stiffness": 80.0, "torque_at_zero": 20.0}, 0.01),
+    "joint_elasticity": ({"ratio": 1.1, "compliance": 1e-6, "damping_time": 1e-3}, 0.05),
+    "measurement_delay": ({"delay": 1.5e-3, "expansion_point": 1.5e-3}, 0.02),
+    "cogging_torque": ({"sine_24": 20.0, "cosine_24": 10.0, "sine_48": -5.0, "cosine_48": 8.0}, 0.02),
+    "transmission_error": ({"sine_1": 1e-4, "cosine_1": 5e-5, "sine_2": -3e-5, "cosine_2": 1e-5}, 0.02),
+    "presliding_hysteresis": ({"coulomb": 50.0, "damping": 300.0, "way": 3e-4}, 0.01),
+    # impacts without rebound against soft flanks
+    "backlash": ({"ratio": 1.0, "play": 1e-4, "load_friction_share": 0.5}, 0.5),
+    "effort_offset": ({"offset": -20.0}, 0.01),
+    "torque_constant_error": ({"gain_error": 0.04}, 0.01),
+    "payload": ({"mass": 5.0, "distance": 0.2}, 0.01),
+}
+
+
+@cache
+def measured(joint: str = JOINT) -> tuple[Robot, tuple[Sweep, ...], Tracks]:
+    """The full design once, run by a rigid machine without noise: its motion is what counts."""
+    robot = max100()
+    designs = full_design(robot, joint, POSES, repeats=1)
+    machine = scenario_named("max100-rigid").model_copy(update={"measurement": Measurement()})
+    columns = run_sweeps(machine, [run_of(design) for design in designs], seed=1)
+    names = ("time", "effort", "velocity", "position")
+    sweeps = tuple(
+        Sweep(design.spec, Recording(**{name: signals[name] for name in names}))
+        for design, signals in zip(designs, columns, strict=True)
+    )
+    return robot, sweeps, tracks(robot, joint, sweeps)
+
+
+def run_of(design: DesignedSweep) -> SweepRun:
+    spec, lines = design.spec, tuple((s.frequency, s.amplitude, s.phase) for s in design.spec.sines)
+    turn = (spec.axis, spec.pose, spec.offset_velocity, lines, spec.period or 1.0, spec.periods or 1)
+    return SweepRun(*turn, design.ramp, design.settle, started_at=spec.started_at)
+
+
+def model(joint: str = JOINT) -> Model:
+    robot, _, motion = measured(joint)
+    axis = robot.axis(joint)
+    inertia = nominal_inertia(robot, robot.index(joint), motion.poses)[motion.spot]
+    return Model(inertia, axis.reflected_motor_inertia or 0.0, axis.viscous_friction or 0.0)
+
+
+def simulated(patches: Sequence[Patch], joint: str = JOINT) -> Array:
+    """Filtered torque (n, rows) of the twin."""
+    robot, sweeps, motion = measured(joint)
+    fitted, index = model(joint), robot.index(joint)
+    entry = axis_entry(robot, joint, float(fitted.inertia.mean()), fitted.viscous, patches)
+    pull = gravity(robot, entry.links, index, motion.poses)[motion.spot]
+    runs = [Run(k, entry, float(fitted.inertia[k]), (float(pull[k, 0]), float(pull[k, 1]))) for k in range(len(sweeps))]
+    return motion.rows(laid_out(motion, torques(robot, joint, sweeps, runs)))
+
+
+def column(name: str, parameters: dict[str, float], joint: str = JOINT) -> Array:
+    """Filtered torque (n, rows) of the catalogue."""
+    motion, rigid, effect = measured(joint)[2], model(joint), CATALOGUE[name]
+    shape = tuple(parameters[entry.name] for entry in effect.shape(motion, rigid))
+    coefficients = [parameters[key] for key, _ in effect.coefficients(motion)]
+    columns = effect.columns(motion, rigid, shape)
+    return motion.rows(np.sum([value * one for value, one in zip(coefficients, columns, strict=True)], axis=0))
+
+
+def rms(values: Array, joint: str = JOINT) -> float:
+    return float(np.sqrt(np.mean(values[measured(joint)[2].usable] ** 2)))
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_a_column_is_what_the_simulator_does(name: str) -> None:
+    parameters, part = CASES[name]
+    joint = "joint_1" if name == "backlash" else JOINT  # weight keeps a gear on one flank
+    expected, rigid = column(name, parameters, joint), simulated([], joint)
+    patch = CATALOGUE[name].scenario(parameters, measured(joint)[2], model(joint))
+    size, apart = rms(expected, joint), rms(simulated([patch], joint) - rigid - expected, joint)
+    print(f"{name}: {size:.3g} N m, {apart / size:.4f} of it apart")
+    assert size > 5.0
+    assert apart < part * size
+
+
+def test_a_torque_that_comes_early_is_a_speed_that_comes_late() -> None:
+    early = {"delay": -1.5e-3, "expansion_point": -1.5e-3}
+    expected = column("measurement_delay", early)
+    patch = CATALOGUE["measurement_delay"].scenario(early, measured()[2], model())
+    assert patch == {"measurement": {"velocity_delay": 1.5e-3}}
+    assert rms(simulated([patch]) - simulated([]) - expected) < 0.05 * rms(expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("stribeck_friction", {"extra": -3.0}),
+        ("load_dependent_friction", {"load_dependence": -0.1}),
+        ("friction_temperature_drift", {"coulomb_change": 4.0}),
+        ("hose_spring", {"stiffness": -4.0}),
+        ("payload", {"mass": -1.0}),
+        ("gravity_error", {"moment_1": 40.0}),
+    ],
+)
+def test_what_no_scenario_can_hold_is_said(name: str, wrong: dict[str, float]) -> None:
+    parameters = CASES[name][0] | wrong
+    with pytest.raises(Inexpressible, match=r"mass of|is not (above|below) 0"):
+        CATALOGUE[name].scenario(parameters, measured()[2], model())
+
+
+def test_what_lies_beyond_a_limit_is_put_on_it_and_said() -> None:
+    patch = CATALOGUE["asymmetric_friction"].scenario(
+        {"coulomb": 1.0, "coulomb_difference": 2.0, "viscous_difference": 0.0}, measured()[2], model()
+    )
+    entry = axis_entry(measured()[0], JOINT, 500.0, 200.0, [patch])
+    assert entry.held == ("motor_friction.backward_coulomb = -1 is held at 0",)
+    assert entry.train["motor_friction"] == {"viscous": 200.0, "coulomb": 3.0, "backward_coulomb": 0.0}
+
+
+def test_a_wrong_torque_constant_scales_all_but_gravity() -> None:
+    """The drive tells what it told, whatever share of it is true."""
+    patches = [
+        CATALOGUE[name].scenario(CASES[name][0], measured()[2], model())
+        for name in ("coulomb_friction", "cogging_torque", "hose_spring", "presliding_hysteresis")
+    ]
+    gain = CATALOGUE["torque_constant_error"].scenario({"gain_error": 0.1}, measured()[2], model())
+    apart = simulated([*patches, gain]) - simulated(patches) - column("torque_constant_error", {"gain_error": 0.1})
+    assert rms(apart) < 1e-3

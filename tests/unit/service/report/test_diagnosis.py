@@ -1,0 +1,196 @@
+"""Figures and page of a diagnosis, from a document worked out by hand."""
+
+import json
+import re
+from typing import Any
+
+import pytest
+
+from service.diagnosis.summary import summary
+from service.report import diagnosis_figures, diagnosis_page
+
+POSES = ([0.1, 0.5, 0.0], [0.1, -0.5, 0.0], [0.1, 0.0, 0.0])
+
+
+def axis(**changes: Any) -> dict[str, Any]:
+    """Coulomb friction, named; noise of 2 N m."""
+    cells = [
+        ("speed", "0.2 to 0.3 rad/s", 30.0, 2.1, 50.0),
+        ("speed", "1e-12 to 0.1 rad/s", 30.0, 1.9, 60.0),
+        ("speed", "0.1 to 0.2 rad/s", 1.0, 1.0, 0.5),
+        ("block", "reversal", 46.0, 2.0, 80.0),
+        ("block", "forward_slow of campaign 7", 28.0, 2.0, 70.0),
+        ("line frequency", "3 Hz", 20.0, 0.5, 40.0),
+        ("line frequency", "17 Hz", 0.5, 0.5, 0.0),
+        ("gravity torque", "-544 to -414 N m", 29.0, 2.0, 70.0),
+        ("motor angle", "0/8 turn", 29.0, 2.0, 70.0),
+    ]
+    document: dict[str, Any] = {
+        "verdict": "named",
+        "unit": "N m",
+        "effects": [
+            {
+                "effect": "coulomb_friction",
+                "sentence": "Dry friction.",
+                "physics": "tau = Fc sign(v) </script>",
+                "source": "Coulomb 1785",
+                "parameters": {"coulomb": {"value": 50.0, "std": 0.5, "unit": "N m"}},
+                "evidence": {},
+            }
+        ],
+        "candidates": [],
+        "rolled_back": [],
+        "where": [
+            {"dimension": name, "value": value, "rms": rms, "rms_after": after, "significance": significance}
+            for name, value, rms, after, significance in cells
+        ],
+        "sentences": ["joint_2: the gap is largest at block reversal."],
+        "gap": {
+            "before_rms": 30.0,
+            "after_rms": 2.1,
+            "noise_floor_rms": 2.0,
+            "held_out_sweeps": 42,
+            "before_percent": 9.0,
+            "after_percent": 0.63,
+            "source": "twin",
+            "by_pose": [
+                {"pose": pose, "before_rms": 30.0, "after_rms": 2.1, "noise_floor_rms": 2.0, "sweeps": 14}
+                for pose in POSES
+            ],
+        },
+        "example": {
+            "sweep": "0017",
+            "block": "reversal",
+            "time": [0.0, 0.1],
+            "measured": [50.0, -49.0],
+            "before": [1.0, 1.0],
+            "after": [50.0, -50.0],
+        },
+        "rivals": [{"effect": "stribeck_friction", "behind": -3.0}, {"effect": "payload", "behind": 9999.0}],
+        "fit": {
+            "inertia": [{"pose": pose, "value": 60.0, "std": 0.3} for pose in POSES],
+            "viscous_friction": {"value": 800.0, "std": 3.0},
+        },
+        "next_experiment": None,
+        "untestable": ["friction_temperature_drift"],
+    }
+    document |= changes
+    return document | {"summary": summary("joint_2", document)}
+
+
+def document(**changes: Any) -> dict[str, Any]:
+    return {"axes": {"joint_2": axis(**changes)}, "model": {"robot": "r", "effects": {}}}
+
+
+def figures(**changes: Any) -> dict[str, Any]:
+    return diagnosis_figures(document(**changes))["joint_2"]
+
+
+def test_every_figure_is_plain_json() -> None:
+    found = figures()
+    assert list(found) == ["map", "gap_by_pose", "example", "evidence", "parameters"]
+    json.dumps(found, allow_nan=False)
+    assert all(figure["layout"]["height"] > 0 for figure in found.values())
+
+
+def test_map_has_a_panel_a_property_with_its_bins_in_order() -> None:
+    layout = figures()["map"]["layout"]
+    titles = [note["text"] for note in layout["annotations"]]
+    assert titles[:-1] == [
+        "speed (rad/s)",
+        "block",
+        "line frequency (Hz)",
+        "gravity torque (N m)",
+        "motor angle (turn)",
+    ]
+    bars = [trace for trace in figures()["map"]["data"] if not trace.get("showlegend", True)]
+    before = {trace["xaxis"]: trace for trace in bars[::2]}
+    assert before["x"]["y"] == ["0 … 0.1", "0.1 … 0.2", "0.2 … 0.3"]
+    assert before["x"]["x"] == [30.0, 1.0, 30.0]
+    colours = before["x"]["marker"]["color"]
+    assert colours[0] == colours[2] != colours[1]  # the middle bin is not significant
+    assert before["x2"]["y"] == ["forward slow #7", "reversal"]
+    assert before["x3"]["y"] == ["3", "17"]
+    assert before["x5"]["y"] == ["0/8"]
+    # the floor of all frequencies together says nothing of one line
+    assert {shape["xref"] for shape in layout["shapes"]} == {"x", "x2", "x4", "x5"}
+    assert {shape["x0"] for shape in layout["shapes"]} == {2.0}
+
+
+def test_poses_are_named_by_the_joints_that_vary() -> None:
+    by_pose = figures()["gap_by_pose"]["data"]
+    assert [trace["name"] for trace in by_pose] == ["before", "after", "noise floor"]
+    assert by_pose[0]["x"] == ["+0.50", "-0.50", "+0.00"]
+
+
+def test_example_shows_what_either_model_leaves() -> None:
+    data = {trace["name"]: trace["y"] for trace in figures()["example"]["data"]}
+    assert data["left before"] == [49.0, -50.0]
+    assert data["left after"] == [0.0, 1.0]
+
+
+def test_evidence_on_a_scale_of_powers() -> None:
+    bars = figures(candidates=["coulomb_friction", "stribeck_friction"])["evidence"]["data"][0]
+    assert bars["y"] == ("Coulomb friction", "Stribeck friction", "Payload")
+    assert bars["x"] == pytest.approx([0.0, -0.6021, 4.0])
+    assert bars["marker"]["color"][1] != bars["marker"]["color"][2]
+
+
+def test_parameters_are_percent_of_their_value() -> None:
+    trace = figures()["parameters"]["data"][0]
+    assert trace["error_x"]["array"] == [2.0]
+    assert trace["text"] == ["50 ± 0.5 N m"]
+
+
+def test_without_an_effect_there_is_no_after() -> None:
+    found = figures(verdict="none", effects=[])
+    assert list(found) == ["map", "gap_by_pose", "example"]
+    assert not any("after" in trace.get("name", "") for figure in found.values() for trace in figure["data"])
+    assert list(figures(verdict="none", effects=[], where=[])) == ["gap_by_pose", "example"]
+
+
+def test_the_page_says_it_in_words_and_loads_nothing() -> None:
+    page = diagnosis_page(document(), "Robot <1>", "campaign 3")
+    markup = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+    assert not re.search(r"\b(src|href)\s*=", markup)
+    assert "Robot &lt;1&gt;" in markup
+    assert "joint_2: the model lacks Coulomb friction. With it the gap on held-out sweeps falls from 30 N m" in markup
+    assert "tau = Fc sign(v) &lt;/script&gt;" in markup
+    assert "<td>50</td><td>0.5</td><td>N m</td>" in markup
+    assert "inertia at +0.50" in markup
+    assert "friction temperature drift" in markup
+    assert page.count('class="card"><div id="figure-') == 5
+
+
+def test_the_page_tells_what_to_measure_next() -> None:
+    experiment = {
+        "kind": "reversal",
+        "blocks": ["reversal"],
+        "sweeps": [{"spec": {"pose": pose}, "ramp": 0.5, "settle": 0.5} for pose in POSES * 2],
+        "seconds": 96.0,
+        "separation": 200.0,
+        "between": ["coulomb_friction", "stribeck_friction"],
+        "reason": "reversal separates Coulomb friction and Stribeck friction best for its time.",
+    }
+    page = diagnosis_page(
+        document(verdict="ambiguous", candidates=["coulomb_friction", "stribeck_friction"], next_experiment=experiment),
+        "title",
+    )
+    assert "do not tell whether it is Coulomb friction or Stribeck friction. Measure what is proposed next." in page
+    assert "separates Coulomb friction and Stribeck friction best for its time." in page
+    assert "6 sweeps of joint_2 in 3 poses, 1 min 36 s of machine time." in page
+    assert "not decided" in page
+
+
+@pytest.mark.parametrize(
+    ("verdict", "words"),
+    [
+        ("none", "the model is right as far as these sweeps can tell"),
+        ("unknown", "no effect of the catalogue explains it. The model stays as it was."),
+        ("untestable", "these sweeps cannot show what may be missing"),
+    ],
+)
+def test_verdicts_in_words(verdict: str, words: str) -> None:
+    said = summary("joint_2", axis(verdict=verdict, effects=[], rolled_back=["backlash"]))
+    assert said.startswith(f"joint_2: {words}") or words in said
+    assert said.endswith("Rolled back, because held-out sweeps came out no better: backlash.")
