@@ -49,8 +49,12 @@ class SweepSpec(BaseModel):
 
     @property
     def shows_inertia(self) -> bool:
-        """True for sines and trajectories; noise, stepped sines, warm-up and standstill serve other ends than J."""
-        return self.excitation in ("multisine", "trajectory") and not self.stepped and self.block != WARM_UP
+        """True for sines and trajectories; noise, stepped sines, warm-up and standstill serve other ends than J.
+
+        So do sines about standstill: at each reversal dry friction is no constant.
+        """
+        moves = self.excitation == "trajectory" or (self.excitation == "multisine" and self.offset_velocity != 0)
+        return moves and not self.stepped and self.block != WARM_UP
 
     @property
     def stepped(self) -> bool:

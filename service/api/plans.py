@@ -12,6 +12,8 @@ from service.campaigns.analysis import latest_analysis
 from service.campaigns.analysis_documents import AnalysisRequest
 from service.campaigns.analysis_plan import build_analysis_plan
 from service.campaigns.beside import check_beside
+from service.campaigns.diagnosis_documents import DiagnosisRequest
+from service.campaigns.diagnosis_plan import build_diagnosis_plan
 from service.campaigns.plan import PlanRequest, build_plan
 from service.campaigns.trajectory_documents import TrajectoryRequest
 from service.campaigns.trajectory_plan import build_trajectory_plan
@@ -23,12 +25,13 @@ from service.store.documents import PlanRecord
 
 def _kind(body: object) -> str:
     told = cast("dict[str, object]", body).get("kind") if isinstance(body, dict) else getattr(body, "kind", None)
-    return f"{TAG}{told}" if told in ("analysis", "trajectory") else f"{TAG}sweeps"
+    return f"{TAG}{told}" if told in ("analysis", "trajectory", "diagnosis") else f"{TAG}sweeps"
 
 
 Wanted = Annotated[
     Annotated[AnalysisRequest, Tag(f"{TAG}analysis")]
     | Annotated[TrajectoryRequest, Tag(f"{TAG}trajectory")]
+    | Annotated[DiagnosisRequest, Tag(f"{TAG}diagnosis")]
     | Annotated[PlanRequest, Tag(f"{TAG}sweeps")],
     Discriminator(_kind),
 ]
@@ -41,7 +44,8 @@ def add_plan(wanted: Wanted, request: Request, response: Response, lab: LabOf) -
     """Choose poses and excitation and store the plan. Takes seconds to minutes; nothing moves.
 
     With `kind` "analysis": an initial analysis. A plan of sweeps may name the campaign of one (`analysis`). With `kind`
-    "trajectory": exciting trajectories of several axes at once.
+    "trajectory": exciting trajectories of several axes at once. With `kind` "diagnosis": all kinds of sweeps in a few
+    poses, for a diagnosis.
     """
     robot = lab.store.robot(wanted.robot_id).build()
     cell = read_cell(lab.settings.cells_dir / f"{wanted.cell}.yaml")
@@ -51,6 +55,8 @@ def add_plan(wanted: Wanted, request: Request, response: Response, lab: LabOf) -
         if wanted.sweeps is not None:
             check_beside(lab.store, wanted.sweeps, wanted.robot_id)
         document = build_trajectory_plan(robot, wanted, cell)
+    elif isinstance(wanted, DiagnosisRequest):
+        document = build_diagnosis_plan(robot, wanted, cell)
     else:
         found = {} if wanted.analysis is None else latest_analysis(lab.store, wanted.analysis)
         document = build_plan(robot, wanted, cell, analyses_from(found))

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from service.campaigns.analysis_documents import AnalysisPlan
+from service.campaigns.diagnosis_documents import DiagnosisPlan, ExperimentPlan
 from service.campaigns.envelope import Envelope
 from service.campaigns.noise_motion import Command
 from service.campaigns.plan import PlanDocument
@@ -13,6 +14,15 @@ from service.errors import Conflict
 from service.settings import Settings
 from service.store.documents import CampaignDocument, NewSweep, PlanRecord, SweepDocument, SweepState
 from service.store.store import Store
+
+Plan = PlanDocument | AnalysisPlan | TrajectoryPlan | DiagnosisPlan | ExperimentPlan
+
+KINDS: Mapping[str, type[Plan]] = {
+    "analysis": AnalysisPlan,
+    "trajectory": TrajectoryPlan,
+    "diagnosis": DiagnosisPlan,
+    "experiment": ExperimentPlan,
+}
 
 
 @dataclass(frozen=True)
@@ -38,12 +48,11 @@ class Course:
         return together
 
 
-def plan_of(record: PlanRecord) -> PlanDocument | AnalysisPlan | TrajectoryPlan:
+def plan_of(record: PlanRecord) -> Plan:
     """A stored plan of any kind."""
     request = record.document.get("request")
     kind = request.get("kind") if isinstance(request, dict) else None
-    kinds = {"analysis": AnalysisPlan, "trajectory": TrajectoryPlan}
-    return kinds.get(str(kind), PlanDocument).model_validate(record.document)
+    return KINDS.get(str(kind), PlanDocument).model_validate(record.document)
 
 
 def planned_sweeps(plan: PlanRecord) -> tuple[NewSweep, ...]:
@@ -62,7 +71,7 @@ def course_of(store: Store, settings: Settings, campaign: CampaignDocument) -> C
     return Course(
         joints=robot.joints,
         commands={number: sweep.command() for number, sweep in enumerate(plan.sweeps, 1)},
-        envelope=Envelope(robot, cell),
+        envelope=Envelope(robot, cell, plan.limits if isinstance(plan, DiagnosisPlan | ExperimentPlan) else None),
         move_velocity=plan.request.move_velocity,
         pose_tolerance=settings.pose_tolerance,
         trajectories=plan.at_once if isinstance(plan, TrajectoryPlan) else (),

@@ -5,9 +5,9 @@ parameter, an encoder that loses steps. Each shows in what the channels say of o
 
     position    is the integral of velocity, and steps no further than velocity explains
     load        follows the motor
-    effort      accelerates what it drives: Im(E/V) > 0 at the lowest line; not asked along a trajectory, where gravity
-                and the other axes outweigh that
-    all         change while the axis moves
+    effort      accelerates what it drives: Im(E/V) > 0 at the lowest line, or takes energy about standstill; not asked
+                along a trajectory, where gravity and the other axes outweigh that
+    all         change while the axis moves; about standstill friction may hold it
 
 Asked of the samples as the drive gave them: a delay of milliseconds disturbs none of this.
 """
@@ -25,6 +25,7 @@ VELOCITY_GAIN = 0.01  # encoder and speed come from one sensor: a wrong unit or 
 LOAD_GAIN = 0.05  # what gear error and twist take of a few degrees of travel
 GLITCH = 12.0  # robust standard deviations: never reached by noise in 1e5 samples, nor by the tails of dry friction
 HARMLESS = 0.5  # of the commanded peak velocity, or of the way it makes in a sample: smaller steps spoil no result
+STUCK = 0.05  # of the way that the sines would make: an axis that moves less is held by its friction
 STEPS = 3.0  # steps of a channel's resolution that rounding may make
 SIGNIFICANT = 3.0  # times the neighbouring bins: an apparent inertia below zero is then no noise
 
@@ -41,6 +42,8 @@ def check_channels(spec: SweepSpec, recording: Recording) -> None:
     time, effort = recording.time[part], recording.effort[part]
     velocity, position = recording.velocity[part], recording.position[part]
     load = None if recording.load_position is None else recording.load_position[part]
+    if not spec.offset_velocity and _sticks(spec, time, velocity, position):
+        return
     _check_frozen(spec, {"effort": effort, "velocity": velocity, "position": position})
     _check_velocity(spec, time, velocity, position)
     if load is not None:
@@ -61,6 +64,13 @@ def _peak(spec: SweepSpec) -> float:
     return abs(spec.offset_velocity) + sum(sine.amplitude for sine in spec.sines)
 
 
+def _sticks(spec: SweepSpec, time: Array, velocity: Array, position: Array) -> bool:
+    """About standstill dry friction may hold an axis all along: by encoder and by speed it then goes nowhere."""
+    wanted = float(np.linalg.norm([sine.amplitude / (2 * np.pi * sine.frequency) for sine in spec.sines])) / np.sqrt(2)
+    ways = (_without_trend(time, position), _without_trend(time, np.cumsum(velocity) / spec.sample_rate))
+    return all(float(np.std(way)) < STUCK * wanted for way in ways)
+
+
 def _check_frozen(spec: SweepSpec, channels: dict[str, Array]) -> None:
     # round the crest of a slow line a coarse channel may stand for half a period
     limit = max([FROZEN, *(0.5 / sine.frequency for sine in spec.sines)])
@@ -78,7 +88,8 @@ def _check_velocity(spec: SweepSpec, time: Array, velocity: Array, position: Arr
     """Steps of position and velocity, and the slope of position over the integral of velocity."""
     step = np.diff(time)
     explained = step * (velocity[1:] + velocity[:-1]) / 2
-    harmless = HARMLESS * _peak(spec)
+    # where an axis reverses, play lets it run from one flank to the other
+    harmless = (HARMLESS if spec.offset_velocity else 1.0) * _peak(spec)
     _check_steps(spec, "position", np.diff(position) - explained, harmless / spec.sample_rate, _resolution(position))
     _check_steps(spec, "velocity", np.diff(velocity), harmless, _resolution(velocity))
     travelled = np.concatenate([[0.0], np.cumsum(explained)])
@@ -120,7 +131,10 @@ def _check_steps(spec: SweepSpec, name: str, steps: Array, harmless: float, reso
 
 
 def _check_effort(spec: SweepSpec, time: Array, effort: Array, velocity: Array) -> None:
-    """At the lowest line alone: above the locked-rotor frequency the motor feels the spring, not the load."""
+    """At the lowest line alone: above the locked-rotor frequency the motor feels the spring, not the load.
+
+    About standstill the bristles of dry friction are a spring as well, at any frequency; but they take energy.
+    """
     line = min(sine.frequency for sine in spec.sines)
     turn = np.exp(-2j * np.pi * line * time)
     slow = np.exp(-2j * np.pi * np.arange(len(time)) / len(time))  # one bin further
@@ -129,7 +143,8 @@ def _check_effort(spec: SweepSpec, time: Array, effort: Array, velocity: Array) 
     if spec.periods is not None and spec.periods > 2:  # bins between the lines show what is no answer
         beside = [abs(np.mean(drive * turn * slow**k)) for k in (-1, 1)]
         noise = float(max(beside) / abs(np.mean(velocity * turn)))
-    if response.imag < -SIGNIFICANT * noise:
+    takes_energy = not spec.offset_velocity and drive @ velocity > 0
+    if response.imag < -SIGNIFICANT * noise and not takes_energy:
         raise ImplausibleChannels(
             f"{spec.axis}: apparent inertia {response.imag / (2 * np.pi * line):.4g} at {line:g} Hz is below 0: "
             "effort has the wrong sign or belongs to another axis"

@@ -43,6 +43,15 @@ def plan(
     initial_analysis: Annotated[
         bool, typer.Option("--initial-analysis", help="Noise runs that tell drive trains and ideal frequencies.")
     ] = False,
+    diagnosis: Annotated[
+        bool, typer.Option("--diagnosis", help="All kinds of sweeps in a few poses, for a diagnosis.")
+    ] = False,
+    blocks: Annotated[
+        str | None, typer.Option(help="Of a diagnosis: the kinds of sweeps, separated by commas (usually all).")
+    ] = None,
+    repeats: Annotated[
+        int | None, typer.Option(min=1, help="Of a diagnosis or initial analysis, in each pose.")
+    ] = None,
     analysis: Annotated[int | None, typer.Option(help="Campaign whose initial analysis the sweeps stand on.")] = None,
     out: Annotated[Path | None, typer.Option(help="Write the plan to this file as well.")] = None,
     url: Url = DEFAULT_URL,
@@ -53,6 +62,8 @@ def plan(
     for name, number in numbers.items():
         if number is not None and not math.isfinite(number):
             raise BadInput(name, f"{number} is not a finite number")
+    if initial_analysis and diagnosis:
+        raise BadInput("--diagnosis", "is another plan than --initial-analysis: name one")
     known = read_robot(robot)
     options: Json = {
         "poses": poses,
@@ -65,7 +76,9 @@ def plan(
         "lines": None if lines is None else _frequencies(lines),
         "sample_rate": sample_rate,
         "warm_up": warm_up,
-        "kind": "analysis" if initial_analysis else None,
+        "kind": "analysis" if initial_analysis else "diagnosis" if diagnosis else None,
+        "blocks": None if blocks is None else _names(blocks),
+        "repeats": repeats,
         "analysis": analysis,
     }
     request: Json = {name: value for name, value in options.items() if value is not None}
@@ -83,7 +96,7 @@ def _tell(document: Json) -> None:
     """What a person wants to know of a plan before it is run."""
     for dropped in document["dropped"]:
         sys.stderr.write(f"pose {dropped['pose']} left out: {dropped['reason']}\n")
-    if document["request"].get("kind") == "analysis":
+    if document["request"].get("kind") in ("analysis", "diagnosis"):
         sys.stderr.write(f"{len(document['sweeps'])} runs, {document['duration'] / 60:.0f} min\n")
         return
     confidence, spare = document["confidence"], document["spare"]

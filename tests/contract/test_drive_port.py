@@ -13,7 +13,7 @@ from drivers.errors import (
     SweepInterrupted,
     WrongIdentity,
 )
-from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
+from drivers.ports import AxisState, DrivePort, SampleBlock, Sine, SweepMode
 from tests.contract.bench import AXIS, OTHER, Virtual, column, consume, eventually, sweep
 
 LONG = 20  # periods; long enough to be interrupted at 20 times real time
@@ -158,6 +158,32 @@ async def test_sweep_delivers_consecutive_samples_of_what_was_commanded(port: Dr
     status = (await port.status())[AXIS]
     assert status.state is AxisState.ENABLED
     assert status.velocity == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("offset", "lines"),
+    [(0.0, (1, 2, 3)), (0.0, ()), (-0.0105, (3, 5, 7, 11, 13, 17))],
+    ids=["reversal", "hold", "wide"],
+)
+async def test_the_sweeps_of_a_diagnosis_run_as_commanded(
+    port: DrivePort, mode: SweepMode, offset: float, lines: tuple[int, ...]
+) -> None:
+    """About standstill, holding still, and backwards with many lines."""
+    sines = tuple(Sine(line, 0.001, 1.3 * line) for line in lines)
+    await port.enable(AXIS)
+    before = (await port.status())[AXIS].position
+    command = await sweep(port, mode, 1, offset_velocity=offset, sines=sines, period=1.0)
+    blocks = [block async for block in port.run_sweep(command)]
+    window = slice(round(command.measure_from * 250), round(command.measure_from * 250) + 250)
+    wanted = np.zeros(20)
+    wanted[list(lines)] = 0.001
+    spectrum = np.fft.rfft(column(blocks, "velocity_setpoint")[window]) / 250
+    assert spectrum[0].real == pytest.approx(offset, abs=2e-4)
+    assert 2 * abs(spectrum[1:20]) == pytest.approx(wanted[1:], abs=4e-5)
+    assert np.mean(column(blocks, "velocity")[window]) == pytest.approx(offset, abs=3e-4)
+    way = offset * (command.duration - command.ramp)
+    assert column(blocks, "position")[-1] - before == pytest.approx(way, abs=1e-3)
+    assert (await port.status())[AXIS].state is AxisState.ENABLED
 
 
 @pytest.mark.has(SweepMode.DRIVE_SIDE)

@@ -20,6 +20,7 @@ from service.client import Json, ServiceClient
 
 CONFIG = Path(__file__).parents[2] / "config"
 ROBOT = CONFIG / "robots" / "max100-class.yaml"
+SCENARIO = CONFIG / "scenarios" / "max100-full.yaml"
 SWEEPID = str(Path(sys.executable).with_name("sweepid"))
 PATIENCE = 60.0  # s for anything on a busy computer
 
@@ -75,6 +76,7 @@ class Service:
             "drive": str(profile),
             "robots_dir": str(CONFIG / "robots"),
             "cells_dir": str(CONFIG / "cells"),
+            "virtual_machine": True,
         }
         self._settings.write_text(yaml.safe_dump(settings), "utf-8")
         self._process: subprocess.Popen[bytes] | None = None
@@ -133,12 +135,12 @@ class Service:
 
 @contextmanager
 def virtual_machine(
-    folder: Path, speed_factor: float = 20.0, fieldbus: Fieldbus = Fieldbus.CANOPEN
+    folder: Path, speed_factor: float = 20.0, fieldbus: Fieldbus = Fieldbus.CANOPEN, scenario: Path = SCENARIO
 ) -> Iterator[VirtualMachine]:
     command = [SWEEPID, "drive", "--port", "0", "--speed-factor", str(speed_factor)]
     if fieldbus is not Fieldbus.CANOPEN:
         command += ["--fieldbus", fieldbus.value]
-    command += ["--scenario", str(CONFIG / "scenarios" / "max100-full.yaml")]
+    command += ["--scenario", str(scenario)]
     command += ["--eds", str(CONFIG / "eds" / "virtual-axis.eds")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         try:
@@ -166,11 +168,11 @@ def add_plan(client: ServiceClient, **wanted: object) -> int:
     return int(client.add_plan(request | wanted)["id"])
 
 
-def until(condition: Callable[[], object], what: str) -> None:
-    deadline = time.monotonic() + PATIENCE
+def until(condition: Callable[[], object], what: str, patience: float = PATIENCE) -> None:
+    deadline = time.monotonic() + patience
     while not condition():
         if time.monotonic() > deadline:
-            raise TimeoutError(f"{what}: not within {PATIENCE} s")
+            raise TimeoutError(f"{what}: not within {patience} s")
         time.sleep(0.02)
 
 

@@ -1,22 +1,20 @@
 """Plans by budget, through the API and by the command."""
 
-import subprocess
-import sys
-from pathlib import Path
+from subprocess import CompletedProcess
 
 import httpx
 import pytest
 
+from tests.command import sweepid
 from tests.unit.service.api.conftest import CONFIG
 
-SWEEPID = str(Path(sys.executable).with_name("sweepid"))
 ROBOT = str(CONFIG / "robots" / "max100-class.yaml")
 AXES = {"axes": ["joint_2"], "varied": ["joint_3"], "step": 10.0}
 
 
-def command(url: str, *options: str) -> subprocess.CompletedProcess[str]:
-    arguments = [SWEEPID, "plan", ROBOT, "--axes", "joint_2", "--varied", "joint_3", "--step", "10", "--url", url]
-    return subprocess.run([*arguments, *options], capture_output=True, text=True, timeout=60, check=False)
+def command(url: str, *options: str) -> CompletedProcess[str]:
+    axes = ("--axes", "joint_2", "--varied", "joint_3", "--step", "10")
+    return sweepid("plan", ROBOT, *axes, "--url", url, *options)
 
 
 @pytest.fixture
@@ -83,3 +81,22 @@ def test_trajectories_of_several_axes_are_planned(http: httpx.Client, robot_id: 
         refused = http.post("/plans", json=quick | change)
         assert refused.status_code == 422, refused.text
         assert told in refused.text
+
+
+def test_the_sweeps_of_a_diagnosis_are_planned(http: httpx.Client, robot_id: int) -> None:
+    wanted = AXES | {"kind": "diagnosis", "robot_id": robot_id, "poses": 1, "blocks": ["reversal", "wide"]}
+    answer = http.post("/plans", json=wanted)
+    assert answer.status_code == 201, answer.text
+    document = answer.json()["document"]
+    assert [sweep["spec"]["block"] for sweep in document["sweeps"]] == ["reversal"] * 2 + ["wide"] * 2
+    campaign = http.post("/campaigns", json={"plan_id": answer.json()["id"]})
+    assert campaign.status_code == 201, campaign.text
+    refused = http.post("/plans", json=wanted | {"blocks": ["sideways"]})
+    assert refused.status_code == 422
+    assert "blocks: unknown block sideways" in refused.json()["detail"]
+
+
+def test_the_command_refuses_two_kinds_of_plan(url: str) -> None:
+    done = command(url, "--diagnosis", "--initial-analysis")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "--diagnosis: is another plan than --initial-analysis" in done.stderr

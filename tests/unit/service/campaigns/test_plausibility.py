@@ -128,3 +128,20 @@ def test_signs_are_found_without_an_offset() -> None:
         check_channels(STILL, changed(recording, velocity=-recording.velocity))
     with pytest.raises(ImplausibleChannels, match="below 0"):
         check_channels(STILL, changed(recording, effort=-recording.effort))
+
+
+def test_bristles_that_outweigh_the_inertia_about_standstill_are_no_reason() -> None:
+    """Presliding: effort follows the way, as a spring's, and takes a little energy."""
+    recording = measured(STILL)
+    sprung = 4e5 * (recording.position - recording.position.mean()) + 400 * recording.velocity
+    check_channels(STILL, changed(recording, effort=recording.effort + sprung))
+    with pytest.raises(ImplausibleChannels, match="below 0"):
+        check_channels(SPEC, changed(GOOD, effort=GOOD.effort + 4e5 * (measured(STILL).position)))
+
+
+def test_an_axis_that_its_friction_holds_about_standstill_is_no_reason() -> None:
+    recording = measured(STILL)
+    stuck = changed(recording, velocity=0.01 * recording.velocity, position=0.01 * recording.position)
+    check_channels(STILL, stuck)
+    with pytest.raises(ImplausibleChannels, match="position"):
+        check_channels(STILL, changed(stuck, velocity=recording.velocity))
