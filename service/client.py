@@ -3,7 +3,7 @@
 import json
 import time
 import uuid
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -18,6 +18,7 @@ Json = dict[str, Any]
 _TIMEOUT = httpx.Timeout(30.0, connect=5.0)
 _LONG_TIMEOUT = httpx.Timeout(600.0, connect=5.0)  # planning many poses, large bundles
 _BAD_INPUT = 422  # HTTP status
+_OPEN_DIAGNOSIS = ("waiting", "running")
 _SILENCE = 40.0  # s; an idle event stream carries a comment every 15 s
 _RECONNECT_FOR = 20.0  # s
 _RECONNECT_PAUSE = 0.5  # s
@@ -103,6 +104,71 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         """The latest revision."""
         return self._get(f"/campaigns/{campaign_id}/estimates/latest")
 
+    # -- diagnoses
+    def add_diagnosis(
+        self,
+        campaigns: Sequence[int],
+        axes: Sequence[str] | None = None,
+        model: int | None = None,
+        unattended: bool = False,
+    ) -> Json:
+        """Returns at once; `diagnosed` waits for the end."""
+        wanted = {"campaigns": campaigns, "axes": axes, "model": model, "unattended": unattended}
+        return self._post("/diagnoses", wanted)
+
+    def diagnoses(self) -> list[Json]:
+        """All diagnoses without their documents, oldest first."""
+        return self._all("/diagnoses")
+
+    def diagnosis(self, diagnosis_id: int) -> Json:
+        return self._get(f"/diagnoses/{diagnosis_id}")
+
+    def diagnosed(self, diagnosis_id: int) -> Json:
+        """The diagnosis once it is done or failed; waits for that."""
+        found = self.diagnosis(diagnosis_id)
+        if found["state"] in _OPEN_DIAGNOSIS:
+            for event in self.events(after=0):
+                if event["kind"] == "diagnosis" and event["data"]["diagnosis"] == diagnosis_id:
+                    found = self.diagnosis(diagnosis_id)
+                    if found["state"] not in _OPEN_DIAGNOSIS:
+                        break
+        return found
+
+    def plan_experiment(self, diagnosis_id: int, axis: str, cell: str | None = None) -> Json:
+        """The plan of an axis's next experiment, stored to be read."""
+        wanted = {"axis": axis, "cell": cell}
+        return self._post(f"/diagnoses/{diagnosis_id}/plan", wanted, timeout=_LONG_TIMEOUT)
+
+    def approve_experiment(
+        self, diagnosis_id: int, axis: str, approved_by: str, test_mass: Json | None = None, cell: str | None = None
+    ) -> Json:
+        """Begin to measure the next experiment; the campaign. The diagnosis goes on when it is completed."""
+        wanted = {"axis": axis, "approved_by": approved_by, "test_mass": test_mass, "cell": cell}
+        return self._post(f"/diagnoses/{diagnosis_id}/experiment", wanted, timeout=_LONG_TIMEOUT)
+
+    def diagnosis_report(self, diagnosis_id: int) -> str:
+        """One HTML page."""
+        response = self._send("GET", f"/diagnoses/{diagnosis_id}/report.html", timeout=_LONG_TIMEOUT)
+        _check(response)
+        return response.text
+
+    def accept_model(self, diagnosis_id: int, accepted_by: str, axes: Sequence[str] | None = None) -> Json:
+        """Take the named effects into the robot's model."""
+        return self._post(f"/diagnoses/{diagnosis_id}/model", {"accepted_by": accepted_by, "axes": axes})
+
+    def models(self, robot_id: int | None = None) -> list[Json]:
+        """All accepted models, or one robot's, oldest first."""
+        return self._all("/models" if robot_id is None else f"/models?robot={robot_id}")
+
+    def model(self, model_id: int) -> Json:
+        return self._get(f"/models/{model_id}")
+
+    def model_scenario(self, model_id: int) -> str:
+        """YAML of the scenario that a virtual machine runs on."""
+        response = self._send("GET", f"/models/{model_id}/scenario.yaml")
+        _check(response)
+        return response.text
+
     # -- the machine
     def ready(self) -> Json:
         """``{"ready", "causes"}``; not being ready is an answer, no error."""
@@ -152,8 +218,8 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
             raise ServiceUnreachable(f"{self._url}: {error}") from None
 
     # -- events
-    def events(self, campaign_id: int, after: int = 0) -> Iterator[Json]:
-        """The campaign's events with an id above `after`, then new ones, for ever.
+    def events(self, campaign_id: int | None = None, after: int = 0) -> Iterator[Json]:
+        """Events of a campaign (None: all there are) with an id above `after`, then new ones, for ever.
 
         A lost connection is taken up again after the last event seen; `ServiceUnreachable` after 20 s without one.
         """
@@ -176,9 +242,9 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
             time.sleep(_RECONNECT_PAUSE)
 
     @contextmanager
-    def _stream(self, campaign_id: int, after: int) -> Generator[Iterator[str]]:
+    def _stream(self, campaign_id: int | None, after: int) -> Generator[Iterator[str]]:
         timeout = httpx.Timeout(_SILENCE, connect=5.0)
-        query = {"campaign": campaign_id, "after": after}
+        query = {"after": after} if campaign_id is None else {"campaign": campaign_id, "after": after}
         with self._http.stream("GET", "/events", params=query, timeout=timeout) as response:
             if response.is_error:
                 response.read()
@@ -194,7 +260,7 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         items: list[Json] = []
         after: int | None = 0
         while after is not None:
-            page = self._get(f"{path}?limit=200&after={after}")
+            page = self._get(f"{path}{'&' if '?' in path else '?'}limit=200&after={after}")
             items += page["items"]
             after = page["next"]
         return items

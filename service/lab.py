@@ -1,7 +1,7 @@
 """The composition root: builds store, machine, runner, worker and hub from the settings, and owns their lifetimes."""
 
 import asyncio
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -11,7 +11,10 @@ import structlog
 
 from drivers.errors import DriveError
 from drivers.registry import load_profile, open_drive
+from service.campaigns.acceptance import accept_model
 from service.campaigns.course import course_of, planned_sweeps
+from service.campaigns.diagnosing import Diagnosing
+from service.campaigns.experiments import Experiments
 from service.campaigns.jobs import Jobs
 from service.campaigns.live import EventFeed, LiveHub
 from service.campaigns.machine import Machine
@@ -22,9 +25,12 @@ from service.configuration import read_robot
 from service.settings import Settings
 from service.store.bundle import read_bundle, write_bundle
 from service.store.database import open_database
+from service.store.diagnoses import DiagnosisStore
+from service.store.diagnosis_documents import ModelDocument
 from service.store.documents import CampaignDocument
 from service.store.exchange import campaign_bundle, import_campaign
 from service.store.guards import MachineLease, StopLatch
+from service.store.model_revisions import ModelStore
 from service.store.recordings import RecordingFiles
 from service.store.requests import IdempotencyKeys
 from service.store.store import Store
@@ -47,6 +53,10 @@ class Lab:
     worker: Worker
     hub: LiveHub
     feed: EventFeed
+    diagnoses: DiagnosisStore
+    models: ModelStore
+    diagnosing: Diagnosing
+    experiments: Experiments
 
     async def add_campaign(self, plan_id: int) -> CampaignDocument:
         """A campaign of a stored plan, in state `planned`. Nothing moves until `runner.start`."""
@@ -65,6 +75,10 @@ class Lab:
         """Write the completely recorded sweeps of a campaign as a bundle. Conflict if there are none."""
         bundle = await asyncio.to_thread(campaign_bundle, self.store, self.files, campaign_id)
         await asyncio.to_thread(write_bundle, folder, bundle.robot, bundle.sweeps)
+
+    def accept_model(self, diagnosis_id: int, axes: Sequence[str] | None, accepted_by: str) -> ModelDocument:
+        """A diagnosis becomes the next revision of its robot's model (see `acceptance`); blocks."""
+        return accept_model(self.store, self.diagnoses, self.models, diagnosis_id, axes, accepted_by)
 
 
 @asynccontextmanager
@@ -105,12 +119,26 @@ async def open_lab(settings: Settings) -> AsyncGenerator[Lab]:
         runner = Runner(store, machine, station, jobs, partial(course_of, store, settings))
         stack.push_async_callback(runner.close)
 
+        diagnoses, models = DiagnosisStore(database), ModelStore(database)
+        diagnosing = Diagnosing(store, diagnoses, models, files, worker)
+        stack.push_async_callback(diagnosing.close)
+        experiments = Experiments(settings, store, diagnoses, runner, diagnosing)
+        stack.push_async_callback(experiments.close)
+        told = await asyncio.to_thread(store.last_event_id)
+        await diagnosing.recover()
+        await experiments.recover()
+        follower = asyncio.create_task(experiments.follow(feed, told), name="loop of the diagnoses")
+        stack.push_async_callback(_end, follower)
+
         await jobs.recover()
         try:
             await machine.connect()
         except DriveError as error:
             _log.warning("machine_not_connected", reason=str(error))
-        yield Lab(settings, store, files, keys, machine, runner, jobs, worker, hub, feed)
+        yield Lab(
+            *(settings, store, files, keys, machine, runner, jobs, worker, hub, feed),
+            *(diagnoses, models, diagnosing, experiments),
+        )
 
 
 async def _end(task: asyncio.Task[None]) -> None:

@@ -29,6 +29,7 @@ class Settings(BaseSettings):
     dask_scheduler: str | None = None  # e.g. tcp://host:8786; None: one worker process of our own
     lease_time: float = Field(default=6.0, ge=0.5, le=60.0)  # s without a sign of life until the machine is free again
     pose_tolerance: float = Field(default=2e-3, gt=0)  # rad (m), actual against planned pose at the start of a sweep
+    virtual_machine: bool = False  # True only where nothing real can move: a diagnosis may then measure unattended
     live_rate: float = Field(default=100.0, gt=0)  # Hz, thinned samples for subscribers
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
 

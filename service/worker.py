@@ -1,24 +1,28 @@
-"""Identification in worker processes, on Dask: a busy Python thread would delay the machine's set-points.
+"""Identification and diagnosis in worker processes, on Dask: a busy Python thread would delay the set-points.
 
-A job carries all it needs but the samples, which it reads from the recording file; it is a function of its
+A job carries all it needs but the samples, which it reads from the recording files; it is a function of its
 content alone, so that a killed worker's job gives the same result when Dask runs it again. Nothing is kept here:
-the durable job is the sweep's row.
+the durable job is the row of the sweep or of the diagnosis.
 """
 
+import asyncio
 import os
 import sys
 from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Protocol, TypeVar, cast
 
 import distributed
 from pydantic import JsonValue
 
+from service.diagnosis import axis_document, diagnose_axis
+from service.diagnosis.calibration import Weighed
 from service.errors import SweepidError
 from service.estimation import estimate_document, spectrum_from, sweep_spectrum
 from service.identification.analysis_document import analyses_from
+from service.identification.torque_gain import KnownMass
 from service.recording import Sweep, SweepSpec
 from service.robot import RobotDescription, build_robot
 from service.store.columns import read_columns
@@ -30,26 +34,57 @@ _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 _CONNECT_TIMEOUT = 5.0  # s
 _NICE = 10
 
+_Answer = TypeVar("_Answer", covariant=True)
+
 
 class JobFailed(SweepidError):
-    """The sweep could not be identified, and would not be another time: the message says why."""
+    """The job could not be done, and could not be another time: the message says why."""
 
 
 class WorkerLost(SweepidError):
     """The scheduler does not answer, or forgot the job: it may be submitted again."""
 
 
+class Work(Protocol[_Answer]):
+    """A job of any kind."""
+
+    @property
+    def key(self) -> str:
+        """The same work has the same key."""
+        ...
+
+    @property
+    def priority(self) -> int:
+        """What waits in the workers' queue gives way to more."""
+        ...
+
+    def __call__(self) -> _Answer:
+        """Do it."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Job:
     """Identify one recorded sweep and, with the spectra of the sweeps before it, the robot."""
 
-    key: str  # the same work has the same key
+    key: str
     robot: RobotDescription
     urdf_text: str
     spec: SweepSpec
     path: Path
     earlier: tuple[dict[str, JsonValue], ...]  # spectrum documents
     analyses: dict[str, JsonValue]  # "analysis" of the campaign that the plan names, {} if it names none
+
+    @property
+    def priority(self) -> int:
+        return 1  # the campaign that is under way may end when enough is known
+
+    def __call__(self) -> "Result":
+        robot = build_robot(self.robot, self.urdf_text)
+        new = sweep_spectrum(robot, Sweep(self.spec, read_columns(self.path)))
+        earlier = [spectrum_from(document) for document in self.earlier]
+        analyses = analyses_from(cast("dict[str, Any]", self.analyses))
+        return Result(new.to_document(), estimate_document(robot, [*earlier, new], analyses))
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,15 +95,48 @@ class Result:
     estimate: dict[str, JsonValue]
 
 
-def work(job: Job) -> Result:
+@dataclass(frozen=True, slots=True)
+class RecordedSweep:
+    """A sweep whose samples lie in a file."""
+
+    spec: SweepSpec
+    path: Path
+
+    def read(self) -> Sweep:
+        return Sweep(self.spec, read_columns(self.path))
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisJob:
+    """Diagnose one axis; `known` effects are in the model already, `weighed` are sweeps with a known `mass`."""
+
+    key: str
+    robot: RobotDescription
+    urdf_text: str
+    joint: str
+    sweeps: tuple[RecordedSweep, ...]
+    known: tuple[str, ...]
+    mass: KnownMass | None
+    weighed: tuple[RecordedSweep, ...]
+
+    @property
+    def priority(self) -> int:
+        return 0
+
+    def __call__(self) -> dict[str, JsonValue]:
+        robot = build_robot(self.robot, self.urdf_text)
+        sweeps = [sweep.read() for sweep in self.sweeps]
+        weighed = None
+        if self.mass is not None:
+            weighed = Weighed(self.mass, tuple(sweep.read() for sweep in self.weighed))
+        return axis_document(diagnose_axis(robot, self.joint, sweeps, known=self.known, weighed=weighed))
+
+
+def work(job: Work[_Answer]) -> _Answer:
     """Do a job. Runs in the worker process, which gives way to the one that streams set-points."""
     if sys.platform != "win32":
         os.setpriority(os.PRIO_PROCESS, 0, _NICE)
-    robot = build_robot(job.robot, job.urdf_text)
-    new = sweep_spectrum(robot, Sweep(job.spec, read_columns(job.path)))
-    earlier = [spectrum_from(document) for document in job.earlier]
-    analyses = analyses_from(cast("dict[str, Any]", job.analyses))
-    return Result(new.to_document(), estimate_document(robot, [*earlier, new], analyses))
+    return job()
 
 
 class Worker:
@@ -77,17 +145,18 @@ class Worker:
     def __init__(self, scheduler: str) -> None:
         self._scheduler = scheduler
         self._client: Any = None
+        self._connecting = asyncio.Lock()
 
-    async def run(self, job: Job) -> Result:
+    async def run(self, job: Work[_Answer]) -> _Answer:
         """The result of a job; JobFailed or WorkerLost. A worker that dies is replaced and its job run again."""
         client = await self._connected()
-        future = client.submit(work, job, key=job.key)
+        future = client.submit(work, job, key=job.key, priority=job.priority)
         error = cast(BaseException | None, await future.exception())  # waits; an error is returned, not raised
         if error is not None:
             raise JobFailed(f"{type(error).__name__}: {error}")
         if future.status != "finished":
             raise WorkerLost(f"job {job.key} was {future.status}: {self._scheduler} went away")
-        return cast(Result, await future)
+        return cast(_Answer, await future)
 
     async def processes(self) -> tuple[int, ...]:
         """Process ids of the workers; WorkerLost while the scheduler does not answer."""
@@ -99,12 +168,20 @@ class Worker:
             await self._client.close()
 
     async def _connected(self) -> Any:
-        if self._client is None or self._client.status == "closed":
-            try:
-                self._client = await _dask.Client(self._scheduler, asynchronous=True, timeout=_CONNECT_TIMEOUT)
-            except OSError as error:
-                raise WorkerLost(f"Dask scheduler {self._scheduler}: {error}") from None
-        return self._client
+        async with self._connecting:
+            if self._client is None or self._client.status == "closed":
+                self._client = await self._connect()
+            return self._client
+
+    async def _connect(self) -> Any:
+        client = _dask.Client(self._scheduler, asynchronous=True, timeout=_CONNECT_TIMEOUT)
+        try:
+            return await client
+        except OSError as error:
+            raise WorkerLost(f"Dask scheduler {self._scheduler}: {error}") from None
+        finally:
+            if client.status != "running":  # cancelled, too
+                await client.close()
 
 
 @asynccontextmanager

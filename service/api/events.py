@@ -1,4 +1,4 @@
-"""Events as they happen (server-sent events): campaigns, sweeps, estimates, stops. Their ids only grow.
+"""Events as they happen (server-sent events): campaigns, sweeps, estimates, diagnoses, stops. Their ids only grow.
 
 A client that lost the connection goes on after the last id it saw (`Last-Event-ID`, sent by browsers on their own); an
 idle stream carries a comment every 15 s.

@@ -101,17 +101,29 @@ class Runner:
         while self._task is not None and not self._task.done():
             await asyncio.wait([self._task])
 
+    async def check_free(self) -> None:
+        """Conflict or DriveError where a campaign could not be started now; connects drives that are not."""
+        async with self._commands:
+            self._check_idle()
+            await self._check_machine()
+
+    def _check_idle(self) -> None:
+        if self._running is not None:
+            raise Conflict(f"campaign {self._running} is running")
+
+    async def _check_machine(self) -> None:
+        if not self._machine.connected:
+            await self._machine.connect()
+        self._machine.check_may_move()
+
     async def _launch(
         self, campaign_id: int, event: CampaignEvent, if_version: int | None, repeat: bool
     ) -> CampaignDocument:
         async with self._commands:
-            if self._running is not None:
-                raise Conflict(f"campaign {self._running} is running")
+            self._check_idle()
             campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
             campaign_move(event)(campaign.state)
-            if not self._machine.connected:
-                await self._machine.connect()
-            self._machine.check_may_move()
+            await self._check_machine()
             course = await asyncio.to_thread(self._course_of, campaign)
             again = sweep_move(SweepEvent.REPEAT)
             campaign = await asyncio.to_thread(

@@ -57,6 +57,7 @@ class EventKind(Enum):
     CHECK_MOVE = "check_move"  # {"number", "axis", "way", "unit"}: before it is made
     ESTIMATE = "estimate"  # {"revision", "sweep"}
     STOP = "stop"  # {"latched", "by", "why"}; belongs to no campaign
+    DIAGNOSIS = "diagnosis"  # {"diagnosis", "state", "cause", "verdicts", "parent"}; belongs to no campaign
 
 
 class _Document(BaseModel):

@@ -296,7 +296,7 @@ class Store:
         """Events of one campaign (with the machine's stops) or of all."""
         query = select(t.EventRow).where(t.EventRow.id > after).order_by(t.EventRow.id).limit(limit)
         if campaign_id is not None:
-            query = query.where((t.EventRow.campaign_id == campaign_id) | t.EventRow.campaign_id.is_(None))
+            query = query.where((t.EventRow.campaign_id == campaign_id) | (t.EventRow.kind == EventKind.STOP))
         with self._database.read() as session:
             return tuple(
                 EventDocument(id=row.id, campaign_id=row.campaign_id, kind=row.kind, data=row.data, at=row.at)

@@ -10,6 +10,7 @@ from sqlalchemy import Enum as SqlEnum
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from drivers.ports import SweepMode
+from service.store.diagnosis_documents import DiagnosisState
 from service.store.documents import CampaignState, EventKind, RecordingState, SweepState
 
 
@@ -45,11 +46,14 @@ class Base(DeclarativeBase):
 
     type_annotation_map: ClassVar = {
         datetime: Utc(),
-        dict[str, JsonValue]: JSON(),
+        dict[str, JsonValue]: JSON(none_as_null=True),
+        list[int]: JSON(),
+        list[str]: JSON(),
         CampaignState: _states(CampaignState),
         SweepState: _states(SweepState),
         RecordingState: _states(RecordingState),
         EventKind: _states(EventKind),
+        DiagnosisState: _states(DiagnosisState),
         SweepMode: _states(SweepMode),
     }
 
@@ -128,6 +132,55 @@ class EstimateRow(Base):
     sweep_id: Mapped[int] = mapped_column(ForeignKey("sweep.id"), unique=True)
     document: Mapped[dict[str, JsonValue]]
     created_at: Mapped[datetime] = mapped_column(default=now)
+
+
+class DiagnosisRow(Base):
+    """The unique parent makes a diagnosis go on once only, the unique campaign an experiment belong to one."""
+
+    __tablename__ = "diagnosis"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    robot_id: Mapped[int] = mapped_column(ForeignKey("robot.id"))
+    parent_id: Mapped[int | None] = mapped_column(ForeignKey("diagnosis.id"), unique=True)
+    # diagnosis and model refer to each other: this one is added when both tables are there
+    model_id: Mapped[int | None] = mapped_column(ForeignKey("model.id", name="diagnosis_model", use_alter=True))
+    campaigns: Mapped[list[int]]
+    axes: Mapped[list[str]]
+    weighed: Mapped[dict[str, JsonValue] | None]
+    unattended: Mapped[bool]
+    state: Mapped[DiagnosisState]
+    cause: Mapped[str] = mapped_column(default="")
+    document: Mapped[dict[str, JsonValue] | None] = mapped_column(deferred=True)
+    experiment: Mapped[dict[str, JsonValue] | None]
+    experiment_campaign_id: Mapped[int | None] = mapped_column(ForeignKey("campaign.id"), unique=True)
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    finished_at: Mapped[datetime | None]
+
+
+class AxisDiagnosisRow(Base):
+    """Result of one axis's job. The unique pair makes a result that comes twice count once."""
+
+    __tablename__ = "axis_diagnosis"
+    __table_args__ = (UniqueConstraint("diagnosis_id", "joint"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    diagnosis_id: Mapped[int] = mapped_column(ForeignKey("diagnosis.id"))
+    joint: Mapped[str]
+    verdict: Mapped[str] = mapped_column(String(16))
+    document: Mapped[dict[str, JsonValue]] = mapped_column(deferred=True)
+
+
+class ModelRow(Base):
+    """Append-only; a diagnosis becomes one model at most."""
+
+    __tablename__ = "model"
+    __table_args__ = (UniqueConstraint("robot_id", "revision"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    robot_id: Mapped[int] = mapped_column(ForeignKey("robot.id"))
+    revision: Mapped[int]
+    parent_id: Mapped[int | None] = mapped_column(ForeignKey("model.id"))
+    diagnosis_id: Mapped[int] = mapped_column(ForeignKey("diagnosis.id"), unique=True)
+    accepted_by: Mapped[str]
+    at: Mapped[datetime] = mapped_column(default=now)
+    document: Mapped[dict[str, JsonValue]]
 
 
 class EventRow(Base):

@@ -1,0 +1,63 @@
+"""A person takes what a diagnosis named into the robot's model."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
+
+from service.diagnosis import model_document
+from service.errors import BadInput, Conflict
+from service.store.diagnoses import DiagnosisStore
+from service.store.diagnosis_documents import DiagnosisDocument, ModelDocument
+from service.store.model_revisions import ModelStore
+from service.store.store import Store
+
+
+def accept_model(
+    store: Store,
+    diagnoses: DiagnosisStore,
+    models: ModelStore,
+    diagnosis_id: int,
+    axes: Sequence[str] | None,
+    accepted_by: str,
+) -> ModelDocument:
+    """The next revision of the robot's model, with the named effects of `axes` (None: of all that have a name).
+
+    Conflict where nothing is named or everything was rolled back, or the diagnosis became a model before; BadInput for
+    a joint that it is not about.
+    """
+    diagnosis = diagnoses.diagnosis(diagnosis_id)
+    joints = _acceptable(diagnosis, axes)
+    parent = None if diagnosis.model is None else models.model(diagnosis.model).document
+    robot = store.robot(diagnosis.robot_id).build()
+    document = model_document(robot, cast("dict[str, Any]", diagnosis.document), joints, parent)
+    return models.add(diagnosis_id, accepted_by, document)
+
+
+def _acceptable(diagnosis: DiagnosisDocument, axes: Sequence[str] | None) -> tuple[str, ...]:
+    """The joints whose effects are taken over."""
+    if diagnosis.document is None:
+        raise Conflict(f"diagnosis {diagnosis.id} is {diagnosis.state.value}: there is nothing to accept")
+    found = cast("dict[str, Any]", diagnosis.document)["axes"]
+    refusals = {joint: _refusal(found[joint]) for joint in diagnosis.axes}
+    if axes is None:
+        named = tuple(joint for joint, refusal in refusals.items() if not refusal)
+        if not named:
+            raise Conflict("; ".join(f"{joint}: {refusal}" for joint, refusal in refusals.items()))
+        return named
+    for joint in axes:
+        if joint not in refusals:
+            raise BadInput(
+                "axes", f"{joint} is not an axis of diagnosis {diagnosis.id}, {', '.join(diagnosis.axes)} are"
+            )
+        if refusals[joint]:
+            raise Conflict(f"{joint}: {refusals[joint]}")
+    return tuple(joint for joint in diagnosis.axes if joint in axes)
+
+
+def _refusal(axis: Mapping[str, Any]) -> str:
+    """Why an axis has nothing to accept, or ""."""
+    rolled_back = axis["rolled_back"]
+    if not [effect for effect in axis["effects"] if effect["effect"] not in rolled_back] and rolled_back:
+        return f"{', '.join(rolled_back)} did not make held-out sweeps better, and was rolled back"
+    if axis["verdict"] != "named":
+        return f"the verdict is {axis['verdict']}, not named"
+    return ""

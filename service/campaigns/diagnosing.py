@@ -1,0 +1,172 @@
+"""Open diagnoses: one job an axis, results as they come, the document when all are there.
+
+The store is the outbox, as in `service.campaigns.jobs`: what waits or runs is found again after a restart, and an axis
+that has its result is not done twice.
+"""
+
+import asyncio
+import hashlib
+import json
+from collections.abc import Sequence
+from typing import Any, cast
+
+import structlog
+
+from service.campaigns.evidence import campaigns_of, recorded_sweeps, swept_axes
+from service.diagnosis import compose
+from service.errors import BadInput, Conflict, NotFound
+from service.identification.torque_gain import KnownMass
+from service.store.diagnoses import DiagnosisStore
+from service.store.diagnosis_documents import DiagnosisDocument, DiagnosisEntry, NewDiagnosis
+from service.store.model_revisions import ModelStore
+from service.store.recordings import RecordingFiles
+from service.store.store import Store
+from service.worker import DiagnosisJob, JobFailed, Worker, WorkerLost
+
+_log = structlog.get_logger(__name__)
+
+_RETRY = 2.0  # s between attempts to reach the workers
+
+
+class Diagnosing:
+    """Hands axes to the worker and writes its results."""
+
+    def __init__(
+        self, store: Store, diagnoses: DiagnosisStore, models: ModelStore, files: RecordingFiles, worker: Worker
+    ) -> None:
+        self._store, self._diagnoses, self._models = store, diagnoses, models
+        self._files, self._worker = files, worker
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    async def request(
+        self, campaigns: Sequence[int], axes: Sequence[str] | None, model: int | None, unattended: bool
+    ) -> DiagnosisDocument:
+        """A diagnosis of the axes (None: all) that moved in the campaigns, started from a model; returns at once.
+
+        BadInput names the field; Conflict where campaigns or model do not belong together, or a campaign is not over.
+        """
+        new = await asyncio.to_thread(self._checked, campaigns, axes, model, unattended)
+        diagnosis = await asyncio.to_thread(self._diagnoses.add, new)
+        self.submit(diagnosis)
+        return diagnosis
+
+    async def recover(self) -> None:
+        """Submit what the last process left open."""
+        for diagnosis in await asyncio.to_thread(self._diagnoses.open):
+            self.submit(diagnosis)
+
+    def submit(self, diagnosis: DiagnosisEntry) -> None:
+        """Do a diagnosis; returns at once."""
+        task = asyncio.create_task(self._do(diagnosis), name=f"diagnosis {diagnosis.id}")
+        self._tasks.add(task)
+        task.add_done_callback(self._done)
+
+    async def close(self) -> None:
+        """Leave open diagnoses to the next process."""
+        tasks = list(self._tasks)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    def _checked(
+        self, campaigns: Sequence[int], axes: Sequence[str] | None, model: int | None, unattended: bool
+    ) -> NewDiagnosis:
+        found = campaigns_of(self._store, campaigns)
+        robot_id = found[0].robot_id
+        swept = swept_axes(self._store, found)
+        if not swept:
+            raise Conflict(f"campaigns {', '.join(str(one.id) for one in found)} have no complete sweep that moves")
+        for joint in axes or ():
+            if joint not in swept:
+                raise BadInput("axes", f"{joint} has no complete sweep that moves; {', '.join(swept)} have")
+        if model is not None:
+            self._check_model(model, robot_id)
+        return NewDiagnosis(
+            robot_id=robot_id,
+            campaigns=tuple(campaign.id for campaign in found),
+            axes=tuple(joint for joint in swept if axes is None or joint in axes),
+            model=model,
+            unattended=unattended,
+        )
+
+    def _check_model(self, model_id: int, robot_id: int) -> None:
+        try:
+            model = self._models.model(model_id)
+        except NotFound as error:
+            raise BadInput("model", str(error)) from None
+        if model.robot_id != robot_id:
+            raise Conflict(f"model {model_id} is of robot {model.robot_id}, the campaigns measured robot {robot_id}")
+
+    async def _do(self, diagnosis: DiagnosisEntry) -> None:
+        try:
+            results = await asyncio.to_thread(self._diagnoses.results, diagnosis.id)
+            jobs = [await asyncio.to_thread(self._job, diagnosis, one) for one in diagnosis.axes if one not in results]
+            await asyncio.to_thread(self._diagnoses.begin, diagnosis.id)
+            done = await asyncio.gather(*(self._axis(diagnosis.id, job) for job in jobs), return_exceptions=True)
+            for error in done:  # what the other axes came to is kept
+                if error is not None:
+                    raise error
+            document = await asyncio.to_thread(self._composed, diagnosis)
+            await asyncio.to_thread(self._diagnoses.finish, diagnosis.id, document)
+            _log.info("diagnosis", diagnosis=diagnosis.id)
+        except (JobFailed, BadInput, Conflict) as error:
+            _log.error("diagnosis_failed", diagnosis=diagnosis.id, cause=str(error))
+            await asyncio.to_thread(self._diagnoses.fail, diagnosis.id, str(error))
+
+    async def _axis(self, diagnosis_id: int, job: DiagnosisJob) -> None:
+        while True:
+            try:
+                document = await self._worker.run(job)
+                break
+            except WorkerLost as error:
+                _log.warning("worker_lost", reason=str(error))
+                await asyncio.sleep(_RETRY)
+            except JobFailed as error:
+                raise JobFailed(f"{job.joint}: {error}") from None
+        verdict = str(document["verdict"])
+        await asyncio.to_thread(self._diagnoses.add_result, diagnosis_id, job.joint, verdict, document)
+
+    def _job(self, diagnosis: DiagnosisEntry, joint: str) -> DiagnosisJob:
+        robot = self._store.robot(diagnosis.robot_id)
+        sweeps, told = recorded_sweeps(self._store, self._files, campaigns_of(self._store, diagnosis.campaigns), joint)
+        mass, weighed, told_too = None, (), ()
+        if diagnosis.weighed is not None:
+            campaign = campaigns_of(self._store, [diagnosis.weighed.campaign_id])
+            weighed, told_too = recorded_sweeps(self._store, self._files, campaign, joint)
+            mass = KnownMass(**diagnosis.weighed.mass.model_dump()) if weighed else None
+        known = self._known(diagnosis.model, joint)
+        # the same files may be looked at for different ends: all that makes a difference takes part in the key
+        content = [
+            diagnosis.model_dump(mode="json", include={"robot_id", "campaigns", "weighed"}),
+            [robot.description.model_dump(mode="json"), robot.urdf_text, known],
+            [told, told_too],
+        ]
+        digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+        return DiagnosisJob(
+            key=f"diagnose-{digest}-{joint}",
+            robot=robot.description,
+            urdf_text=robot.urdf_text,
+            joint=joint,
+            sweeps=sweeps,
+            known=known,
+            mass=mass,
+            weighed=weighed,
+        )
+
+    def _known(self, model_id: int | None, joint: str) -> tuple[str, ...]:
+        """Effects of the axis that the model has."""
+        if model_id is None:
+            return ()
+        axes = cast("dict[str, Any]", self._models.model(model_id).document)["axes"]
+        return tuple(effect["effect"] for effect in axes[joint]["effects"]) if joint in axes else ()
+
+    def _composed(self, diagnosis: DiagnosisEntry) -> dict[str, Any]:
+        results = self._diagnoses.results(diagnosis.id)
+        robot = self._store.robot(diagnosis.robot_id).build()
+        return compose(robot, {joint: results[joint] for joint in diagnosis.axes})
+
+    def _done(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            # the diagnosis stays open: the next start submits it again
+            _log.error("diagnosis_broke_off", task=task.get_name(), error=repr(error))

@@ -1,0 +1,99 @@
+"""What the store hands out of diagnoses and of the models that people accept from them."""
+
+from datetime import datetime
+from enum import Enum
+
+from pydantic import BaseModel, ConfigDict, Field, JsonValue
+
+from service.store.documents import LARGEST_ID
+
+
+class DiagnosisState(Enum):
+    """Where a diagnosis stands. `waiting` and `running` are open jobs: the next process takes them up again."""
+
+    WAITING = "waiting"
+    RUNNING = "running"  # handed to the workers
+    DONE = "done"
+    FAILED = "failed"  # `cause` says why
+
+
+class _Document(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class BoltedMass(_Document):
+    """A known mass on the last link: kg, m and kg m^2 in the frame of that link's joint.
+
+    `inertia` (Ixx, Ixy, Iyy, Ixz, Iyz, Izz) about its centre of mass, along the axes of that frame.
+    """
+
+    mass: float = Field(gt=0)
+    center: tuple[float, float, float]
+    inertia: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Weighing(_Document):
+    """The campaign that was measured with a known mass, and the mass."""
+
+    campaign_id: int
+    mass: BoltedMass
+
+
+class ExperimentDocument(_Document):
+    """The next experiment of one axis as it was approved; `test_mass` is bolted on while it is measured."""
+
+    axis: str
+    campaign_id: int
+    approved_by: str
+    at: datetime
+    test_mass: BoltedMass | None
+
+
+class NewDiagnosis(_Document):
+    """What is to be diagnosed: axes of one robot, from all complete sweeps of `campaigns`.
+
+    `model`: accepted model to start from. `weighed`: a campaign with a known mass beside those without. `parent`: the
+    diagnosis that this one continues. `unattended`: proposed experiments are run without anybody's approval.
+    """
+
+    robot_id: int = Field(ge=1, le=LARGEST_ID)
+    campaigns: tuple[int, ...]
+    axes: tuple[str, ...]
+    model: int | None = None
+    weighed: Weighing | None = None
+    parent: int | None = None
+    unattended: bool = False
+
+
+class DiagnosisEntry(NewDiagnosis):
+    """A diagnosis in a list; `verdicts` of the axes that are done."""
+
+    id: int
+    state: DiagnosisState
+    cause: str
+    verdicts: dict[str, str]
+    experiment: ExperimentDocument | None
+    created_at: datetime
+    finished_at: datetime | None
+
+
+class DiagnosisDocument(DiagnosisEntry):
+    """A diagnosis; `document` as `sweepid diagnose --json` prints it, once it is done."""
+
+    document: dict[str, JsonValue] | None
+
+
+class ModelDocument(_Document):
+    """Revision n of a robot's model: rigid body and effects, as somebody accepted it from a diagnosis; never changed.
+
+    `parent`: the model that the diagnosis started from.
+    """
+
+    id: int
+    robot_id: int
+    revision: int
+    parent: int | None
+    diagnosis_id: int
+    accepted_by: str
+    at: datetime
+    document: dict[str, JsonValue]

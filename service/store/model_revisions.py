@@ -1,0 +1,65 @@
+"""Models as people accepted them from diagnoses: append-only, numbered robot by robot."""
+
+from pydantic import JsonValue
+from sqlalchemy import func, select
+
+from service.errors import Conflict
+from service.store import rows
+from service.store import tables as t
+from service.store.database import Database
+from service.store.diagnosis_documents import ModelDocument
+
+
+class ModelStore:
+    """Every method is one transaction and blocks, as in `service.store.store`; `NotFound` for what is not there."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def add(self, diagnosis_id: int, accepted_by: str, document: dict[str, JsonValue]) -> ModelDocument:
+        """The next revision of the robot's model; Conflict if the diagnosis became one before."""
+        with self._database.write() as session:
+            diagnosis = rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis")
+            rows.get(session, t.RobotRow, diagnosis.robot_id, "robot")  # locked: its revisions come one by one
+            before = session.scalar(select(t.ModelRow).where(t.ModelRow.diagnosis_id == diagnosis_id))
+            if before is not None:
+                raise Conflict(f"diagnosis {diagnosis_id} became model {before.id} already; diagnose again from there")
+            last = session.scalar(
+                select(func.max(t.ModelRow.revision)).where(t.ModelRow.robot_id == diagnosis.robot_id)
+            )
+            row = t.ModelRow(
+                robot_id=diagnosis.robot_id,
+                revision=(last or 0) + 1,
+                parent_id=diagnosis.model_id,
+                diagnosis_id=diagnosis_id,
+                accepted_by=accepted_by,
+                document=document,
+            )
+            session.add(row)
+            session.flush()
+            return _document(row)
+
+    def model(self, model_id: int) -> ModelDocument:
+        with self._database.read() as session:
+            return _document(rows.get(session, t.ModelRow, model_id, "model"))
+
+    def models(self, robot_id: int | None = None, after: int = 0, limit: int = 100) -> tuple[ModelDocument, ...]:
+        """A page of all models, or of one robot's."""
+        query = select(t.ModelRow).where(t.ModelRow.id > after).order_by(t.ModelRow.id).limit(limit)
+        if robot_id is not None:
+            query = query.where(t.ModelRow.robot_id == robot_id)
+        with self._database.read() as session:
+            return tuple(_document(row) for row in session.scalars(query))
+
+
+def _document(row: t.ModelRow) -> ModelDocument:
+    return ModelDocument(
+        id=row.id,
+        robot_id=row.robot_id,
+        revision=row.revision,
+        parent=row.parent_id,
+        diagnosis_id=row.diagnosis_id,
+        accepted_by=row.accepted_by,
+        at=row.at,
+        document=row.document,
+    )

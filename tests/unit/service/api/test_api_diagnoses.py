@@ -1,0 +1,199 @@
+"""A diagnosis over HTTP, from imported campaigns to an accepted model; no machine answers, so nothing can move."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+import yaml
+
+from service.client import ServiceClient, ServiceProblem
+from service.diagnosis.design import full_design
+from service.diagnosis.prospect import expected
+from service.errors import BadInput
+from service.recording import Sweep
+from service.robot import Robot
+from service.store.bundle import write_bundle
+from tests.unit.service.api.test_api_bundles import packed
+
+POSES = ((0.0, -0.6, 0.4, 0.0, 0.0, 0.0), (0.5, 0.4, -0.7, 0.0, 0.0, 0.0), (-0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
+FRICTION = 60.0  # N m, dry, that the model does not know
+
+
+def sweeps_of(robot: Robot, seed: int, *blocks: str) -> list[Sweep]:
+    """The vertical axis with dry friction and 3 N m of noise."""
+    random = np.random.default_rng(seed)
+    sweeps: list[Sweep] = []
+    for designed in full_design(robot, "joint_1", np.array(POSES), sample_rate=250.0, blocks=blocks):
+        sweep = expected(designed, designed.spec.pose[0])
+        record = sweep.recording
+        turning = np.gradient(record.velocity, record.time)
+        friction = FRICTION * np.sign(record.velocity) + 200.0 * record.velocity
+        record.effort[:] = 300.0 * turning + friction + random.normal(0, 3.0, len(record.time))
+        sweeps.append(sweep)
+    return sweeps
+
+
+def imported(client: ServiceClient, folder: Path, robot: Robot, sweeps: list[Sweep]) -> int:
+    """A campaign of these sweeps; a diagnosis does not wait until they are identified."""
+    write_bundle(folder / "bundle", robot, sweeps)
+    (folder / "bundle.zip").write_bytes(packed(folder / "bundle"))
+    return int(client.import_bundle(folder / "bundle.zip")["id"])
+
+
+@pytest.fixture(scope="module")
+def client(url: str) -> Iterator[ServiceClient]:
+    with ServiceClient(url) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def forward(client: ServiceClient, robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> int:
+    """A campaign in one direction: many effects look alike in it."""
+    return imported(client, tmp_path_factory.mktemp("forward"), robot, sweeps_of(robot, 1, "forward_slow"))
+
+
+@pytest.fixture(scope="module")
+def both_ways(client: ServiceClient, robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> int:
+    """A campaign of a later day."""
+    sweeps = sweeps_of(robot, 2, "forward_slow", "backward_slow")
+    return imported(client, tmp_path_factory.mktemp("both"), robot, sweeps)
+
+
+@pytest.fixture(scope="module")
+def ambiguous(client: ServiceClient, forward: int) -> dict[str, Any]:
+    return client.diagnosed(client.add_diagnosis([forward])["id"])
+
+
+@pytest.fixture(scope="module")
+def named(client: ServiceClient, forward: int, both_ways: int) -> dict[str, Any]:
+    return client.diagnosed(client.add_diagnosis([both_ways, forward, both_ways], ["joint_1"])["id"])
+
+
+def test_asking_twice_gives_one_diagnosis_and_a_place_to_look(http: httpx.Client, forward: int) -> None:
+    wanted = {"campaigns": [forward]}
+    answers = [http.post("/diagnoses", json=wanted, headers={"Idempotency-Key": "ask"}) for _ in range(2)]
+    assert [answer.status_code for answer in answers] == [202, 202]
+    first, again = (answer.json() for answer in answers)
+    assert first == again
+    assert (first["state"], first["document"], first["verdicts"]) == ("waiting", None, {})
+    assert http.get(answers[0].headers["location"]).json()["id"] == first["id"]
+
+
+def test_what_is_open_names_rivals_and_the_experiment_between_them(
+    client: ServiceClient, http: httpx.Client, ambiguous: dict[str, Any]
+) -> None:
+    assert (ambiguous["state"], ambiguous["cause"]) == ("done", "")
+    axis = ambiguous["document"]["axes"]["joint_1"]
+    assert axis["verdict"] == "ambiguous" == ambiguous["verdicts"]["joint_1"]
+    assert "coulomb_friction" in axis["candidates"]
+    experiment = axis["next_experiment"]
+    plan = client.plan_experiment(ambiguous["id"], "joint_1", "workshop")
+    assert client.plan(plan["id"]) == plan
+    planned = [(sweep["spec"]["axis"], sweep["spec"]["block"]) for sweep in plan["document"]["sweeps"]]
+    assert {block for _, block in planned} <= set(experiment["blocks"])
+    assert {joint for joint, _ in planned} == {"joint_1"}
+    with pytest.raises(BadInput, match="name the cell that the machine stands in"):
+        client.plan_experiment(ambiguous["id"], "joint_1")
+    with pytest.raises(ServiceProblem, match="the verdict is ambiguous, not named"):
+        client.accept_model(ambiguous["id"], "Ada")
+
+
+def test_an_experiment_that_cannot_begin_leaves_nothing(
+    client: ServiceClient, http: httpx.Client, ambiguous: dict[str, Any]
+) -> None:
+
+    def stored() -> tuple[int, int]:
+        return len(client.campaigns()), len(http.get("/plans", params={"limit": 200}).json()["items"])
+
+    before = stored()
+    approval = {"axis": "joint_1", "approved_by": "Ada", "cell": "workshop"}
+    path = f"/diagnoses/{ambiguous['id']}/experiment"
+    answer = http.post(path, json=approval)
+    assert (answer.status_code, answer.json()["type"]) == (503, "urn:sweepid:problem:connection-failed")
+    for wrong, pointer in (
+        ({"approved_by": "  "}, "#/approved_by"),
+        ({"axis": "joint_9"}, "axis"),
+        ({"test_mass": {"mass": 20.0, "center": [0, 0, 0.1]}}, "test_mass"),
+        ({"test_mass": {"mass": -1.0, "center": [0, 0, 0.1]}}, "#/test_mass/mass"),
+    ):
+        answer = http.post(path, json=approval | wrong)
+        assert (answer.status_code, answer.json()["errors"][0]["pointer"]) == (422, pointer), answer.text
+    assert stored() == before
+    assert client.diagnosis(ambiguous["id"])["experiment"] is None
+
+
+def test_evidence_of_two_days_stands_on_one_clock(
+    named: dict[str, Any], ambiguous: dict[str, Any], forward: int, both_ways: int
+) -> None:
+    assert named["campaigns"] == [forward, both_ways]
+    axis = named["document"]["axes"]["joint_1"]
+    assert (axis["verdict"], axis["candidates"]) == ("named", [])
+    (effect,) = axis["effects"]
+    assert effect["effect"] == "coulomb_friction"
+    assert effect["parameters"]["coulomb"]["value"] == pytest.approx(FRICTION, abs=1.5)
+    blocks = {cell["value"] for cell in axis["where"] if cell["dimension"] == "block"}
+    assert {"forward_slow", "backward_slow", f"forward_slow of campaign {both_ways}"} <= blocks
+
+
+def test_it_is_shown_as_figures_and_as_a_page(client: ServiceClient, http: httpx.Client, named: dict[str, Any]) -> None:
+    figures = http.get(f"/diagnoses/{named['id']}/figures").json()["axes"]["joint_1"]
+    assert {"map", "gap_by_pose", "example"} <= set(figures)
+    assert all({"data", "layout"} <= set(figure) for figure in figures.values())
+    page = client.diagnosis_report(named["id"])
+    assert page.startswith("<!doctype html>")
+    assert "coulomb" in page
+
+
+def test_a_list_tells_verdicts_without_documents(
+    client: ServiceClient, http: httpx.Client, named: dict[str, Any]
+) -> None:
+    page = http.get("/diagnoses", params={"limit": 1}).json()
+    assert page["next"] == page["items"][0]["id"]
+    entry = next(entry for entry in client.diagnoses() if entry["id"] == named["id"])
+    assert (entry["verdicts"], "document" in entry) == ({"joint_1": "named"}, False)
+
+
+def test_what_is_accepted_is_a_model_and_the_next_diagnosis_finds_nothing_more(
+    client: ServiceClient, http: httpx.Client, named: dict[str, Any]
+) -> None:
+    with pytest.raises(BadInput, match="joint_2 is not an axis"):
+        client.accept_model(named["id"], "Ada", ["joint_2"])
+    answer = http.post(f"/diagnoses/{named['id']}/model", json={"accepted_by": "Ada"})
+    model = answer.json()
+    assert answer.status_code == 201, answer.text
+    assert http.get(answer.headers["location"]).json() == model
+    assert (model["accepted_by"], model["parent"], model["diagnosis_id"]) == ("Ada", None, named["id"])
+    axis = model["document"]["axes"]["joint_1"]
+    assert [effect["effect"] for effect in axis["effects"]] == ["coulomb_friction"]
+    assert client.models(named["robot_id"])[-1] == model == client.model(model["id"])
+    scenario = yaml.safe_load(client.model_scenario(model["id"]))
+    assert scenario["axes"]["joint_1"]["train"]["motor_friction"]["coulomb"] == pytest.approx(FRICTION, abs=1.5)
+    with pytest.raises(ServiceProblem, match=f"became model {model['id']} already"):
+        client.accept_model(named["id"], "Bob")
+
+    again = client.diagnosed(client.add_diagnosis(named["campaigns"], model=model["id"])["id"])
+    assert (again["model"], again["verdicts"]) == (model["id"], {"joint_1": "none"})
+
+
+def test_what_cannot_be_diagnosed_is_refused(
+    client: ServiceClient, http: httpx.Client, robot: Robot, forward: int, tmp_path: Path
+) -> None:
+    description = robot.description.model_copy(update={"name": "another"})
+    another = Robot(description, robot.urdf_text)
+    foreign = imported(client, tmp_path, another, sweeps_of(another, 3, "forward_slow")[:2])
+    for body, status, words in (
+        ({"campaigns": []}, 422, "#/campaigns"),
+        ({"campaigns": [999999]}, 422, "campaigns: campaign 999999 does not exist"),
+        ({"campaigns": [forward, foreign]}, 409, "a diagnosis is about one robot"),
+        ({"campaigns": [forward], "axes": ["joint_2"]}, 422, "joint_2 has no complete sweep that moves"),
+        ({"campaigns": [forward], "model": 999999}, 422, "model: model 999999 does not exist"),
+        ({"campaigns": [forward], "unattended": True}, 409, "the settings do not call this one virtual"),
+    ):
+        answer = http.post("/diagnoses", json=body)
+        assert (answer.status_code, answer.headers["content-type"]) == (status, "application/problem+json")
+        assert words in answer.text
+    assert http.get("/diagnoses/999999").status_code == 404
+    assert http.get("/models/999999").status_code == 404

@@ -1,0 +1,131 @@
+"""The loop of a diagnosis: what goes on after a restart, and where it ends when nobody attends."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from pydantic import JsonValue
+
+from service.campaigns.diagnosing import Diagnosing
+from service.campaigns.envelope import Envelope
+from service.campaigns.experiments import ROUNDS, Experiments
+from service.campaigns.live import EventFeed
+from service.errors import BadInput, Conflict
+from service.robot import Robot
+from service.settings import Settings
+from service.store.diagnoses import DiagnosisStore
+from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, NewDiagnosis
+from service.store.documents import CampaignState, NewSweep
+from service.store.model_revisions import ModelStore
+from service.worker import Worker
+from tests.unit.service.campaigns.conftest import Bench, open_bench, spec, until
+
+MASS = BoltedMass(mass=20.0, center=(0.1, 0.0, 0.0))
+
+
+@dataclass
+class Loop:
+    bench: Bench
+    diagnoses: DiagnosisStore
+    experiments: Experiments
+    new: NewDiagnosis
+
+    def done(self, kind: str | None, new: NewDiagnosis | None = None, verdict: str = "ambiguous") -> DiagnosisDocument:
+        """A diagnosis of joint_1 that proposes an experiment of a kind."""
+        diagnosis = self.diagnoses.add(new or self.new)
+        wanted: JsonValue = None if kind is None else {"kind": kind, "sweeps": []}
+        self.diagnoses.add_result(diagnosis.id, "joint_1", verdict, {"verdict": verdict})
+        self.diagnoses.finish(diagnosis.id, {"axes": {"joint_1": {"next_experiment": wanted}}})
+        return self.diagnoses.diagnosis(diagnosis.id)
+
+    def measured(self, diagnosis: DiagnosisDocument, mass: BoltedMass | None) -> int:
+        """Its experiment, completed; the campaign."""
+        sweeps = [NewSweep(spec=spec(1, (0.0, 0.0, 0.0)), mode=None)]
+        campaign = self.diagnoses.approve(diagnosis.id, "joint_1", "Ada", mass, {}, sweeps)
+        for state in (CampaignState.RUNNING, CampaignState.MEASURED, CampaignState.COMPLETED):
+            self.bench.store.move_campaign(campaign.id, lambda _, state=state: state)
+        return campaign.id
+
+    def children(self) -> list[NewDiagnosis]:
+        return [one for one in self.diagnoses.diagnoses() if one.parent is not None]
+
+
+@pytest.fixture
+async def loop(tmp_path: Path, robot: Robot, envelope: Envelope) -> AsyncIterator[Loop]:
+    async with open_bench(tmp_path, robot, envelope) as bench:
+        diagnoses = DiagnosisStore(bench.database)
+        nobody = Worker("tcp://127.0.0.1:1")
+        diagnosing = Diagnosing(bench.store, diagnoses, ModelStore(bench.database), bench.files, nobody)
+        experiments = Experiments(Settings(), bench.store, diagnoses, bench.runner, diagnosing)
+        new = NewDiagnosis(
+            robot_id=bench.campaign.robot_id, campaigns=(bench.campaign.id,), axes=("joint_1",), unattended=True
+        )
+        yield Loop(bench, diagnoses, experiments, new)
+        await experiments.close()
+        await diagnosing.close()
+
+
+@pytest.mark.parametrize("mass", [None, MASS])
+async def test_an_experiment_completed_before_a_restart_leads_to_its_diagnosis(
+    loop: Loop, mass: BoltedMass | None
+) -> None:
+    parent = loop.done("reversal")
+    campaign = loop.measured(parent, mass)
+    await loop.experiments.recover()
+    await loop.experiments.recover()
+    (child,) = loop.children()
+    assert (child.parent, child.unattended) == (parent.id, False)
+    if mass is None:
+        assert (child.campaigns, child.weighed) == ((*parent.campaigns, campaign), None)
+    else:
+        assert (child.campaigns, child.weighed and child.weighed.mass) == (parent.campaigns, mass)
+
+
+async def test_what_happens_is_followed(loop: Loop) -> None:
+    feed = EventFeed(loop.bench.store, loop.bench.database)
+    following = asyncio.create_task(loop.experiments.follow(feed, loop.bench.store.last_event_id()))
+    parent = await asyncio.to_thread(loop.done, "reversal", loop.new.model_copy(update={"unattended": False}))
+    await asyncio.to_thread(loop.measured, parent, None)
+    await until(lambda: len(loop.children()) == 1)
+
+    await loop.bench.machine.stop("Ada", "hold")
+    ends = {
+        "test_mass": ("ambiguous", "joint_1: a test mass needs a person"),
+        "reversal": ("ambiguous", "joint_1: the machine may not move: stopped by Ada: hold"),
+        "wide": ("none", ""),
+    }
+    for kind, (verdict, cause) in ends.items():
+        found = await asyncio.to_thread(loop.done, kind, None, verdict)
+        await until(lambda found=found: not loop.diagnoses.diagnosis(found.id).unattended)
+        ended = loop.diagnoses.diagnosis(found.id)
+        assert ended.cause.startswith(cause)
+        assert (bool(ended.cause), ended.experiment) == (bool(cause), None)
+    feed.close()
+    await following
+
+
+async def test_a_loop_that_decides_nothing_ends(loop: Loop) -> None:
+    feed = EventFeed(loop.bench.store, loop.bench.database)
+    found = loop.done("reversal")
+    for _ in range(ROUNDS):
+        loop.measured(found, None)
+        found = loop.done("reversal", loop.new.model_copy(update={"parent": found.id}))
+    following = asyncio.create_task(loop.experiments.follow(feed, 0))
+    await until(lambda: not loop.diagnoses.diagnosis(found.id).unattended)
+    assert loop.diagnoses.diagnosis(found.id).cause == f"joint_1: {ROUNDS} experiments did not decide it"
+    feed.close()
+    await following
+
+
+async def test_only_what_was_proposed_is_approved(loop: Loop) -> None:
+    nothing, weighing = loop.done(None), loop.done("test_mass")
+    waiting = loop.diagnoses.add(loop.new)
+    with pytest.raises(Conflict, match="proposes no experiment for joint_1"):
+        await loop.experiments.approve(nothing.id, "joint_1", "Ada", None, "workshop")
+    with pytest.raises(BadInput, match="say which is bolted on"):
+        await loop.experiments.approve(weighing.id, "joint_1", "Ada", None, "workshop")
+    with pytest.raises(Conflict, match="an experiment follows one that is done"):
+        await loop.experiments.approve(waiting.id, "joint_1", "Ada", None, "workshop")
+    assert [one.experiment for one in loop.diagnoses.diagnoses()] == [None] * 3
