@@ -1,4 +1,4 @@
-"""The operator's page: static files, and the plotting script of the installed `plotly` package."""
+"""The operator's pages: static files, and the plotting script of the installed `plotly` package."""
 
 from collections.abc import Callable, Coroutine
 from importlib.resources import files
@@ -7,6 +7,7 @@ from pathlib import Path
 from fastapi import FastAPI
 from fastapi.responses import FileResponse
 
+_SCRIPTS = ("api", "app", "diagnosis", "elements", "experiment", "figures", "intent", "machine", "refresh")
 _STATIC = Path(__file__).parent / "static"
 _HEADERS = {
     # nothing is loaded from elsewhere, no inline script runs; plotly writes style attributes
@@ -21,11 +22,12 @@ _HEADERS = {
 
 
 def add_pages(app: FastAPI) -> None:
-    """``/`` and the files that it loads."""
+    """``/``, ``/diagnosis`` and the files that they load."""
     plotly = Path(str(files("plotly").joinpath("package_data", "plotly.min.js")))
     pages = {
         "/": _STATIC / "index.html",
-        "/app.js": _STATIC / "app.js",
+        "/diagnosis": _STATIC / "diagnosis.html",
+        **{f"/{name}.js": _STATIC / f"{name}.js" for name in _SCRIPTS},
         "/style.css": _STATIC / "style.css",
         "/plotly.min.js": plotly,
     }

@@ -1,23 +1,16 @@
 """The operator's page in a real browser, on a real service with the virtual machine behind it."""
 
-import os
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, Route, expect, sync_playwright
+from playwright.sync_api import Page, Route, expect
 
 from service.client import ServiceClient
+from tests.browser.browsing import PATIENCE, WITHOUT_BROWSER, browsing
 from tests.system.rest_bench import Service, VirtualMachine, add_plan, serving, until, virtual_machine
 
-PATIENCE = 30_000  # ms
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-QUIET = ("--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run", "--disable-sync")
-
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None and "CI" not in os.environ, reason="no Chromium on this computer; CI has one"
-)
+pytestmark = WITHOUT_BROWSER
 
 
 @pytest.fixture
@@ -34,16 +27,8 @@ def service(tmp_path: Path, machine: VirtualMachine) -> Iterator[Service]:
 
 @pytest.fixture
 def page(service: Service) -> Iterator[Page]:
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET)
-        page = browser.new_page()
-        page.set_default_timeout(PATIENCE)
-        errors: list[str] = []
-        page.on("pageerror", lambda error: errors.append(str(error)))
-        page.goto(service.url, wait_until="commit")
+    with browsing(service.url) as page:
         yield page
-        browser.close()
-        assert errors == []
 
 
 def test_stop_and_release(machine: VirtualMachine, service: Service, page: Page) -> None:

@@ -1,123 +1,39 @@
-// The operator's page. It speaks only the public API: what it can do, another program can.
+// The operator's page: campaigns, axes, estimates.
 
-const API = "api/v1";
-const EMPTY = "\u2013";
-const byId = (id) => document.getElementById(id);
+import { all, call, events, get, Refused } from "./api.js";
+import { byId, choices, complain, duration, element, fixed, number, row } from "./elements.js";
+import { owner, showIntent } from "./intent.js";
+import { showCheckMove, watchMachine } from "./machine.js";
+import { refresher } from "./refresh.js";
+
 let campaign = null; // the one shown
 let etag = "";
 let shownRevision = "";
 
-class Refused extends Error {}
+// -- axes
 
-async function call(method, path, body, headers = {}) {
-  if (body !== undefined) headers["Content-Type"] = "application/json";
-  const answer = await fetch(`${API}${path}`, { method, headers, body: body && JSON.stringify(body) });
-  const content = await answer.json();
-  if (!answer.ok) throw new Refused(content.detail ?? answer.statusText);
-  return { content, etag: answer.headers.get("ETag") };
-}
-
-const get = async (path) => (await call("GET", path)).content;
-
-function complain(error) {
-  byId("error").hidden = !error;
-  byId("error").textContent = error ? `${error.message}` : "";
-}
-
-// -- cells and numbers
-
-function row(cells) {
-  const tr = document.createElement("tr");
-  for (const [text, kind, control] of cells) {
-    const td = document.createElement("td");
-    td.textContent = text;
-    if (kind) td.className = kind;
-    if (control) td.append(" ", control);
-    tr.append(td);
-  }
-  return tr;
-}
-
-function number(value, unit = "") {
-  return value === null || value === undefined ? EMPTY : `${Number(value.toPrecision(4))}${unit}`;
-}
-
-function fixed(value, digits) {
-  return value === null ? EMPTY : (Math.abs(value) < 0.5 * 10 ** -digits ? 0 : value).toFixed(digits);
-}
-
-function duration(seconds) {
-  if (seconds === null) return "";
-  const minutes = Math.floor(seconds / 60);
-  return minutes ? `about ${minutes} min ${Math.round(seconds % 60)} s left` : `about ${Math.round(seconds)} s left`;
-}
-
-function choices(select, entries) {
-  const chosen = select.value;
-  select.replaceChildren(...entries.map(([value, text]) => new Option(text, value)));
-  if (entries.some(([value]) => String(value) === chosen)) select.value = chosen;
-}
-
-// -- machine
-
-async function showMachine() {
-  const state = byId("machine");
-  try {
-    const [drives, stop] = await Promise.all([get("/drives"), get("/stop")]);
-    byId("held").hidden = !stop.latched;
-    if (stop.latched) byId("held-by").textContent = `Stopped by ${stop.stop.by}: ${stop.stop.why}`;
-    state.textContent = stop.latched ? "stopped" : drives.connected ? "machine connected" : `no machine: ${drives.trouble}`;
-    state.className = `state ${stop.latched || !drives.connected ? "bad" : "good"}`;
-    byId("connect").hidden = drives.connected;
-    byId("axes").replaceChildren(...drives.axes.map((axis) => row([
-      [axis.joint],
-      [axis.state],
-      [fixed(axis.position, 4), "number"],
-      [fixed(axis.velocity, 4), "number"],
-      [fixed(axis.effort, 1), "number"],
-      ...faultCells(axis),
-    ])));
-  } catch (error) {
-    state.textContent = error instanceof Refused ? error.message : "no word from the service";
-    state.className = "state bad";
-  }
+function showAxes(drives) {
+  byId("axes").replaceChildren(...drives.axes.map((axis) => row([
+    [axis.joint],
+    [axis.state],
+    [fixed(axis.position, 4), "number"],
+    [fixed(axis.velocity, 4), "number"],
+    [fixed(axis.effort, 1), "number"],
+    ...faultCells(axis),
+  ])));
 }
 
 function faultCells(axis) {
   if (!axis.fault) return [["", "fault"]];
-  const button = document.createElement("button");
+  const button = element("button", "I looked: acknowledge");
   button.type = "button";
   button.dataset.acknowledge = axis.joint;
-  button.textContent = "I looked: acknowledge";
   return [[`${axis.fault.code.toString(16)}h ${axis.fault.text}`, "fault", button]];
 }
 
 async function acknowledge(click) {
   const joint = click.target.dataset.acknowledge;
-  if (!joint) return;
-  await command(() => call("POST", `/drives/${joint}/acknowledge`));
-  await showMachine();
-}
-
-async function connect() {
-  await command(() => call("POST", "/drives/connect"));
-  await showMachine();
-}
-
-async function stop() {
-  try {
-    await call("POST", "/stop?by=operator%20page&why=stop%20button");
-    complain(null);
-  } catch (error) {
-    complain(new Error(`STOP NOT CONFIRMED (${error.message}): use the emergency stop`));
-  }
-  await showMachine();
-}
-
-async function release(event) {
-  event.preventDefault();
-  await command(() => call("POST", "/stop/reset", { by: byId("reset-by").value }));
-  await showMachine();
+  if (joint) await command(() => call("POST", `/drives/${joint}/acknowledge`));
 }
 
 // -- campaign
@@ -130,24 +46,25 @@ const COMMANDS = {
 };
 
 async function listCampaigns() {
-  let campaigns = [];
-  let page = { next: 0 };
-  while (page.next !== null) {
-    page = await get(`/campaigns?limit=200&after=${page.next}`);
-    campaigns = campaigns.concat(page.items);
-  }
+  const campaigns = await all("/campaigns");
   const select = byId("campaigns");
   const newest = campaigns.at(-1);
   const known = select.options.length;
   choices(select, campaigns.map((one) => [one.id, `${one.id} (${one.state})`]).reverse());
-  const running = campaigns.find((one) => one.state === "running" || one.state === "pausing");
+  const asked = location.hash.match(/^#campaign-(\d+)$/)?.[1];
+  const running = owner(campaigns);
   if (running) select.value = running.id;
+  else if (!known && campaigns.some((one) => String(one.id) === asked)) select.value = asked;
   else if (newest && known !== campaigns.length) select.value = newest.id;
+  const [diagnoses, moving] = await Promise.all([all("/diagnoses"), running && get(`/campaigns/${running.id}`)]);
+  showIntent(campaigns, diagnoses, moving);
 }
 
 async function showCampaign() {
   const id = byId("campaigns").value;
-  for (const button of document.querySelectorAll("[data-command]")) button.disabled = true;
+  if (String(campaign?.id) !== id) {
+    for (const button of document.querySelectorAll("[data-command]")) button.disabled = true;
+  }
   if (!id) {
     showCheckMove(null);
     byId("progress-text").textContent = "no campaign yet: sweepid plan, then sweepid measure";
@@ -159,7 +76,7 @@ async function showCampaign() {
   const now = current ? `sweep ${current.number}: ${current.spec.axis} at [${current.spec.pose.map((q) => fixed(q, 2)).join(", ")}] rad` : "";
   byId("progress").max = total;
   byId("progress").value = done;
-  byId("progress-text").textContent = [`${done} of ${total} sweeps`, now, done < total ? duration(remaining) : ""].filter(Boolean).join(" \u00b7 ");
+  byId("progress-text").textContent = [`${done} of ${total} sweeps`, now, done < total && remaining !== null ? `about ${duration(remaining)} left` : ""].filter(Boolean).join(" \u00b7 ");
   showCheckMove(campaign.check_move);
   byId("cause").textContent = campaign.cause;
   byId("campaign-state").textContent = campaign.state;
@@ -169,15 +86,6 @@ async function showCampaign() {
   }
   byId("repeat-choice").hidden = campaign.state !== "paused";
   await showEstimate(id);
-}
-
-function showCheckMove(move) {
-  byId("check-move").hidden = !move;
-  if (!move) return;
-  const [way, unit] = move.unit === "rad" ? [(move.way * 180) / Math.PI, "\u00b0"] : [move.way * 1e3, " mm"];
-  byId("check-move").textContent =
-    `Check move: ${move.axis} goes ${way > 0 ? "+" : "\u2212"}${Math.abs(way).toFixed(1)}${unit} and back. ` +
-    "Is it this axis, and does it go that way? If not: STOP.";
 }
 
 async function command(run) {
@@ -242,30 +150,12 @@ function drawChart(found) {
 
 // -- what happens when
 
-let refreshing = false;
-let again = false;
+const refresh = refresher(async () => {
+  await listCampaigns();
+  await showCampaign();
+});
 
-async function refresh() {
-  again = true;
-  if (refreshing) return;
-  refreshing = true;
-  try {
-    while (again) {
-      again = false;
-      await listCampaigns();
-      await showCampaign();
-    }
-  } catch (error) {
-    complain(error);
-  } finally {
-    refreshing = false;
-  }
-}
-
-byId("stop").addEventListener("click", stop);
-byId("held").addEventListener("submit", release);
 byId("axes").addEventListener("click", acknowledge);
-byId("connect").addEventListener("click", connect);
 byId("campaigns").addEventListener("change", () => showCampaign().catch(complain));
 for (const button of document.querySelectorAll("[data-command]")) {
   const name = button.dataset.command;
@@ -277,14 +167,7 @@ for (const button of document.querySelectorAll("[data-command]")) {
   )));
 }
 
-const events = new EventSource(`${API}/events`);
-events.addEventListener("open", refresh); // whatever was missed meanwhile
-for (const kind of ["campaign", "sweep", "check_move", "estimate"]) events.addEventListener(kind, refresh);
-events.addEventListener("stop", showMachine);
-
-async function watchMachine() {
-  if (!document.hidden) await showMachine();
-  if (!byId("check-move").hidden) await refresh(); // nothing tells its end
-  setTimeout(watchMachine, 1000);
-}
-watchMachine();
+const stream = events();
+stream.addEventListener("open", refresh); // whatever was missed meanwhile
+for (const kind of ["campaign", "sweep", "check_move", "estimate", "diagnosis", "stop"]) stream.addEventListener(kind, refresh);
+watchMachine(refresh, showAxes);

@@ -1,0 +1,77 @@
+// The head of every page: the machine's state, the stop, its release, and what the machine does next.
+
+import { call, get, Refused } from "./api.js";
+import { byId, complain } from "./elements.js";
+
+// whether the service answered
+async function showMachine(show = () => {}) {
+  const state = byId("machine");
+  try {
+    const [drives, stop] = await Promise.all([get("/drives"), get("/stop")]);
+    byId("held").hidden = !stop.latched;
+    if (stop.latched) byId("held-by").textContent = `Stopped by ${stop.stop.by}: ${stop.stop.why}`;
+    state.textContent = stop.latched ? "stopped" : drives.connected ? "machine connected" : `no machine: ${drives.trouble}`;
+    state.className = `state ${stop.latched || !drives.connected ? "bad" : "good"}`;
+    byId("connect").hidden = drives.connected;
+    show(drives);
+    return true;
+  } catch (error) {
+    state.textContent = error instanceof Refused ? error.message : "no word from the service";
+    state.className = "state bad";
+    byId("intent").textContent = "Nobody here knows what the machine does: take it that it may move.";
+    byId("intent").className = "moving";
+    return false;
+  }
+}
+
+export function showCheckMove(move) {
+  byId("check-move").hidden = !move;
+  if (!move) return;
+  const [way, unit] = move.unit === "rad" ? [(move.way * 180) / Math.PI, "\u00b0"] : [move.way * 1e3, " mm"];
+  byId("check-move").textContent =
+    `Check move: ${move.axis} goes ${way > 0 ? "+" : "\u2212"}${Math.abs(way).toFixed(1)}${unit} and back. ` +
+    "Is it this axis, and does it go that way? If not: STOP.";
+}
+
+async function stop() {
+  try {
+    await call("POST", "/stop?by=operator%20page&why=stop%20button");
+    complain(null);
+  } catch (error) {
+    complain(new Error(`STOP NOT CONFIRMED (${error.message}): use the emergency stop`));
+  }
+}
+
+// once a second `show` gets the drives; `refresh` shows the rest of the page
+export function watchMachine(refresh, show) {
+  let heard = true;
+  const now = async () => {
+    const silent = !heard;
+    heard = await showMachine(show);
+    if (heard && silent) await refresh();
+  };
+  const command = async (run) => {
+    try {
+      await run();
+      complain(null);
+    } catch (error) {
+      complain(error);
+    }
+    await Promise.all([now(), refresh()]);
+  };
+  byId("stop").addEventListener("click", async () => {
+    await stop();
+    await now();
+  });
+  byId("held").addEventListener("submit", (event) => {
+    event.preventDefault();
+    command(() => call("POST", "/stop/reset", { by: byId("reset-by").value }));
+  });
+  byId("connect").addEventListener("click", () => command(() => call("POST", "/drives/connect")));
+  const watch = async () => {
+    if (!document.hidden) await now();
+    if (!byId("check-move").hidden) await refresh(); // nothing tells its end
+    setTimeout(watch, 1000);
+  };
+  watch();
+}

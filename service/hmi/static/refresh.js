@@ -1,0 +1,23 @@
+// One refresh at a time: what asks meanwhile is answered by one more.
+
+import { complain } from "./elements.js";
+
+export function refresher(show) {
+  let refreshing = false;
+  let again = false;
+  return async () => {
+    again = true;
+    if (refreshing) return;
+    refreshing = true;
+    try {
+      while (again) {
+        again = false;
+        await show();
+      }
+    } catch (error) {
+      complain(error);
+    } finally {
+      refreshing = false;
+    }
+  };
+}

@@ -1,0 +1,169 @@
+"""The diagnosis page in a real browser: what it finds, and that nothing moves before it is approved there."""
+
+import shutil
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page, Route, expect
+
+from service.client import ServiceClient
+from service.configuration import read_robot
+from service.diagnosis.design import DesignedSweep, full_design, paper_design
+from service.recording import Recording, Sweep
+from service.store.bundle import write_bundle
+from simulator import Scenario, SweepRun, load_scenario, run_sweeps
+from tests.browser.browsing import PATIENCE, WITHOUT_BROWSER, browsing
+from tests.system.rest_bench import ROBOT, Service, VirtualMachine, serving, until, virtual_machine
+from tests.system.test_diagnosis_campaign import AXIS, hiding
+
+POSES = np.array([[0.0, 0.3, -1.2, 0.0, 0.0, 0.0], [0.6, -0.2, -0.6, 0.0, 0.0, 0.0]])
+RATE = 250.0  # Hz
+BLOCKS = ("forward_slow", "backward_slow", "reversal")
+ONE_WAY, BOTH_WAYS = 1, 2  # campaigns, in the order of their import
+
+pytestmark = WITHOUT_BROWSER
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("diagnosis-page")
+
+
+@pytest.fixture(scope="module")
+def machine(folder: Path) -> Iterator[VirtualMachine]:
+    with virtual_machine(folder, speed_factor=10.0, scenario=hiding(folder)) as machine:
+        yield machine
+
+
+@pytest.fixture(scope="module")
+def service(folder: Path, machine: VirtualMachine) -> Iterator[Service]:
+    """With two measured campaigns of the machine: one direction only, and one that shows everything about friction."""
+    robot, scenario = read_robot(ROBOT), load_scenario(folder / "hiding.yaml")
+    designs = (
+        paper_design(robot, AXIS, POSES, sample_rate=RATE),
+        full_design(robot, AXIS, POSES, sample_rate=RATE, blocks=BLOCKS),
+    )
+    with serving(folder, machine.profile) as service, ServiceClient(service.url) as client:
+        for number, designed in enumerate(designs, start=1):
+            bundle = folder / f"bundle-{number}"
+            write_bundle(bundle, robot, measured(scenario, designed))
+            client.import_bundle(Path(shutil.make_archive(str(bundle), "zip", bundle)))
+        yield service
+
+
+@pytest.fixture
+def page(service: Service) -> Iterator[Page]:
+    with browsing(f"{service.url}/diagnosis") as page:
+        yield page
+
+
+def measured(scenario: Scenario, designed: Sequence[DesignedSweep]) -> list[Sweep]:
+    runs = [
+        SweepRun(
+            axis=one.spec.axis,
+            pose=one.spec.pose,
+            offset_velocity=one.spec.offset_velocity,
+            sines=tuple((sine.frequency, sine.amplitude, sine.phase) for sine in one.spec.sines),
+            period=one.spec.period or 1.0,
+            periods=one.spec.periods or 1,
+            ramp=one.ramp,
+            settle=one.settle,
+            sample_rate=one.spec.sample_rate,
+            started_at=one.spec.started_at,
+        )
+        for one in designed
+    ]
+    columns = run_sweeps(scenario, runs, 1)
+    return [Sweep(one.spec, Recording(**samples)) for one, samples in zip(designed, columns, strict=True)]
+
+
+def diagnose(page: Page, campaign: int) -> None:
+    page.get_by_label(f"{campaign} (robot", exact=False).check()
+    page.get_by_role("button", name="Diagnose").click()
+    expect(page.locator("#shown-about")).to_contain_text(f"from campaign {campaign}", timeout=PATIENCE)
+    expect(page.locator("#shown-state")).to_have_text("done", timeout=PATIENCE)
+
+
+def test_a_named_effect_is_shown_and_accepted(service: Service, page: Page) -> None:
+    diagnose(page, BOTH_WAYS)
+    expect(page.locator("#verdict")).to_contain_text(f"{AXIS}: the model lacks", timeout=PATIENCE)
+    expect(page.locator("#effects")).to_contain_text("Coulomb")
+    for figure in ("map", "gap_by_pose", "example", "evidence", "parameters"):
+        expect(page.locator(f"#figure-{figure} svg.main-svg").first).to_be_visible(timeout=PATIENCE)
+    expect(page.locator("#experiment")).to_be_hidden()
+    with page.expect_popup() as report:
+        page.get_by_role("link", name="Report").click()
+    expect(report.value.locator("p.verdict")).to_contain_text("the model lacks", timeout=PATIENCE)
+    page.locator("#accepted-by").fill("Ada")
+    page.get_by_role("button", name="Accept").click()
+    expect(page.locator("#accepted")).to_contain_text(
+        "Revision 1 of the robot's model, accepted by Ada", timeout=PATIENCE
+    )
+    with ServiceClient(service.url) as client:
+        (model,) = client.models()
+    assert model["accepted_by"] == "Ada"
+
+
+def test_nothing_moves_before_the_experiment_is_approved_and_the_stop_is_at_hand(
+    machine: VirtualMachine, service: Service, page: Page
+) -> None:
+    diagnose(page, ONE_WAY)
+    expect(page.locator("#verdict")).to_contain_text("these sweeps do not tell whether", timeout=PATIENCE)
+    page.get_by_label("Cell").fill("workshop")
+    page.get_by_role("button", name="Prepare").click()
+    expect(page.locator("#prepared-ways")).to_contain_text("joint_2 is moved between", timeout=PATIENCE)
+    expect(page.locator("#intent")).to_contain_text("No motion is ordered")
+    page.get_by_role("button", name="Approve").click()  # without a name: the browser asks for it
+    with ServiceClient(service.url) as client:
+        assert len(client.campaigns()) == BOTH_WAYS
+        assert machine.stands()
+        page.locator("#approved-by").fill("Ada")
+        page.get_by_role("button", name="Approve").click()
+        expect(page.locator("#intent")).to_contain_text("The machine moves: Campaign 3 runs", timeout=PATIENCE)
+        expect(page.locator("#experiment-done")).to_contain_text(f"Approved by Ada for {AXIS}: campaign 3")
+        until(lambda: not machine.stands(), "an axis with energy")
+        page.get_by_role("button", name="STOP").click()
+        until(machine.stands, "standing axes")
+        expect(page.locator("#intent")).to_contain_text("Campaign 3 is paused", timeout=PATIENCE)
+        page.get_by_role("link", name="Campaign 3", exact=True).click()
+        expect(page.locator("#campaign-state")).to_have_text("paused", timeout=PATIENCE)
+        page.get_by_label("Your name").fill("Ada")
+        page.get_by_role("button", name="I looked at the machine: release").click()
+        expect(page.locator("#held")).to_be_hidden(timeout=PATIENCE)
+        page.get_by_role("button", name="Abort").click()
+        expect(page.locator("#campaign-state")).to_have_text("aborted", timeout=PATIENCE)
+        assert len(client.diagnoses()) == 2  # nothing went on
+
+
+def test_a_test_mass_is_told_with_its_place_in_units_of_the_shop(service: Service, page: Page) -> None:
+    """The kind of experiment is another here than the service proposed; its refusal must be told."""
+
+    def with_mass(route: Route) -> None:
+        found = route.fetch().json()
+        if found["document"]:
+            found["document"]["axes"][AXIS]["next_experiment"]["kind"] = "test_mass"
+        route.fulfill(json=found)
+
+    with ServiceClient(service.url) as client:
+        diagnosis = int(client.diagnosed(int(client.add_diagnosis([ONE_WAY])["id"]))["id"])
+        campaigns = len(client.campaigns())
+        page.route(f"**/api/v1/diagnoses/{diagnosis}", with_mass)
+        page.goto(f"{service.url}/diagnosis#{diagnosis}", wait_until="commit")
+        page.reload(wait_until="commit")
+        page.get_by_label("Cell").fill("workshop")
+        page.get_by_role("button", name="Prepare").click()
+        told = {"#mass-kg": "40", "#mass-x": "100", "#mass-y": "0", "#mass-z": "-12,5", "#approved-by": "Ada"}
+        for field, text in told.items():
+            page.locator(field).fill(text)
+        with page.expect_request("**/experiment") as request:
+            page.get_by_role("button", name="Approve").click()
+        assert request.value.post_data_json["test_mass"] == {
+            "mass": 40,
+            "center": [0.1, 0, -0.0125],
+            "inertia": [0, 0, 0, 0, 0, 0],
+        }
+        expect(page.locator("#error")).to_contain_text("take the mass off", timeout=PATIENCE)
+        assert len(client.campaigns()) == campaigns
+        page.unroute_all(behavior="wait")
