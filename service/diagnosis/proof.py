@@ -61,7 +61,10 @@ class Twin:
                 slopes = self._by_twin(best, left, slopes)
             before = self._cost(left)
             for moved in self._moved(best, left, slopes):
-                further = self._left([(moved, None)])
+                try:
+                    further = self._left([(moved, None)])
+                except Inexpressible:
+                    continue
                 if self._cost(further) < before:
                     best, left = moved, further
                     break

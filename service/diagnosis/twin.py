@@ -32,7 +32,7 @@ def torques(robot: Robot, joint: str, sweeps: Sequence[Sweep], runs: Sequence[Ru
     """What each run would record, N m (N), at the samples of its sweep; all in one pass.
 
     How warm the gear is when a sweep begins, the sweeps before it say, by `started_at`. Inexpressible if no scenario
-    can hold an entry.
+    can hold an entry, or the simulator cannot follow it (a spring much too stiff for its load).
     """
     ratio = robot.axis(joint).gear_ratio
     motions = [_motion(sweep) for sweep in sweeps]
@@ -47,7 +47,12 @@ def torques(robot: Robot, joint: str, sweeps: Sequence[Sweep], runs: Sequence[Ru
         # the whole is what was measured, however heavy the motor is said to be
         exact = train.model_copy(update={"motor_inertia": (inertia - load) / ratio**2})
         axes.append(MovingAxis(exact, ratio, load, Gravity(*run.gravity), float(warm[id(run.entry)][run.sweep])))
-    return replay(axes, [motions[run.sweep] for run in runs], [measurements[id(run.entry)] for run in runs])
+    led, recorded = [motions[run.sweep] for run in runs], [measurements[id(run.entry)] for run in runs]
+    try:
+        with np.errstate(over="raise", invalid="raise"):
+            return replay(axes, led, recorded)
+    except FloatingPointError:
+        raise Inexpressible("the simulated load does not stay with its motor") from None
 
 
 def _train(entry: AxisEntry) -> DriveTrain:

@@ -13,7 +13,7 @@ from service.diagnosis.effects.effect import Model
 from service.diagnosis.equations import nominal_inertia
 from service.diagnosis.links import gravity
 from service.diagnosis.patch import Inexpressible, Patch
-from service.diagnosis.scenario import axis_entry
+from service.diagnosis.scenario import AxisEntry, axis_entry
 from service.diagnosis.signals import Tracks, laid_out, tracks
 from service.diagnosis.twin import Run, torques
 from service.recording import Recording, Sweep
@@ -157,3 +157,11 @@ def test_a_wrong_torque_constant_scales_all_but_gravity() -> None:
     gain = CATALOGUE["torque_constant_error"].scenario({"gain_error": 0.1}, measured()[2], model())
     apart = simulated([*patches, gain]) - simulated(patches) - column("torque_constant_error", {"gain_error": 0.1})
     assert rms(apart) < 1e-3
+
+
+def test_a_spring_that_the_simulator_cannot_follow_is_told() -> None:
+    robot, sweeps, _ = measured()
+    train = {"motor_inertia": 0.01, "spring": {"stiffness": 1e12, "damping": 0.0}}
+    entry = AxisEntry(train, {}, {}, (), 1.0)
+    with pytest.raises(Inexpressible, match="does not stay with its motor"):
+        torques(robot, JOINT, sweeps, [Run(0, entry, 200.0, (0.0, 0.0))])
