@@ -4,13 +4,15 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
+unexport PYTHONDONTWRITEBYTECODE  # else every process that a test starts compiles the same modules again
+
 .PHONY: demo test test-vcan test-compose check format lock openapi clean
 
 demo: $(READY)  ## measure, identify and report a virtual robot
 	$(BIN)/sweepid demo --out demo-out
 
 test: check  ## all checks, then all tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadgroup  # one waits for machines, one mostly reckons
 
 test-vcan: $(READY)  ## what needs a real SocketCAN vcan0; in a guest (user-mode-linux) where the kernel has no CAN
 	VCAN_TIMEOUT=900 tests/vcan/run $(BIN)/python -m pytest --vcan --color=no tests/vcan tests/contract

@@ -4,8 +4,10 @@ import asyncio
 import functools
 import inspect
 import os
+import sys
 import threading
 from collections.abc import Awaitable, Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -13,6 +15,9 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+MACHINES = {"browser", "contract", "system"}  # folders of tests that mostly wait for a machine
+RECKONING = 10  # nicer than a test that waits for a machine
+NICENESS = 0 if sys.platform == "win32" else os.getpriority(os.PRIO_PROCESS, 0)
 ROOMS = ("service", "drivers", "simulator")
 PATIENCE = 2.0  # s that a thread or task may take to end after its test
 
@@ -24,6 +29,27 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """tests/vcan is for `make test-vcan` alone."""
     return True if collection_path == ROOT / "tests" / "vcan" and not config.getoption("vcan") else None
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """What the processes of `make test` must not tear apart: tests of one file; all that move machines, one at a time.
+
+    A module elsewhere that keeps to real time, or whose machine bears another beside it, marks its tests itself:
+    `xdist_group("machines")`, `xdist_group("machines beside")`.
+    """
+    for item in items:
+        if item.get_closest_marker("xdist_group") is None:
+            path = item.path.relative_to(ROOT)
+            item.add_marker(pytest.mark.xdist_group(str(path) if MACHINES.isdisjoint(path.parts) else "machines"))
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Beside machines that keep to real time, tests that reckon give way. Only root may take that back."""
+    if hasattr(item.config, "workerinput") and sys.platform != "win32":
+        group = item.get_closest_marker("xdist_group")
+        reckons = group is None or not str(group.args[0]).startswith("machines")
+        with suppress(PermissionError):
+            os.setpriority(os.PRIO_PROCESS, 0, NICENESS + RECKONING * reckons)
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

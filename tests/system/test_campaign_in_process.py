@@ -187,7 +187,7 @@ async def test_both_ways_of_measuring_give_the_same_inertia(lab: Lab) -> None:
     """The drive's own measuring function against set-points streamed by us in real time, over the same bus."""
     documents = {}
     for modes in ("drive_side", "host_streamed"):
-        campaign = await campaign_of(lab, modes)
+        campaign = await campaign_of(lab, modes, poses=1)
         await lab.runner.start(campaign.id)
         await completed(lab, campaign.id)
         documents[modes] = lab.store.estimate(campaign.id).document["axes"]

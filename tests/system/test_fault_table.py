@@ -38,6 +38,7 @@ ADAPTERS = (
     Adapter("CANopen, streamed sweep", Fieldbus.CANOPEN, "host_streamed"),
     Adapter("Modbus TCP", Fieldbus.MODBUS_TCP, "drive_side"),
 )
+BESIDE = pytest.mark.xdist_group("machines beside")  # mostly waits: while other tests move another machine
 OR = "<br>or "  # between the outcomes of a race, in a cell that a person has completed
 STREAMED = {ADAPTERS[1].name}
 ON_CAN = {ADAPTERS[0].name, ADAPTERS[1].name}
@@ -228,9 +229,13 @@ def write_table(table: Table) -> None:
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if {"bench", "fault"} <= set(metafunc.fixturenames):
-        pairs = [(adapter, fault) for adapter in ADAPTERS for fault in FAULTS if adapter.name in fault.adapters]
-        names = [f"{adapter.name}-{fault.name}" for adapter, fault in pairs]
-        metafunc.parametrize(("bench", "fault"), pairs, ids=names, indirect=["bench"], scope="module")
+        cells = [
+            pytest.param(adapter, fault, id=f"{adapter.name}-{fault.name}", marks=BESIDE)
+            for adapter in ADAPTERS
+            for fault in FAULTS
+            if adapter.name in fault.adapters
+        ]
+        metafunc.parametrize(("bench", "fault"), cells, indirect=["bench"], scope="module")
 
 
 def test_a_fault_ends_in_standstill_and_waits_for_a_person(

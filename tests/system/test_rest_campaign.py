@@ -64,13 +64,13 @@ def differences(one: Any, other: Any, path: str = "") -> Iterator[tuple[str, flo
 def test_a_worker_that_is_killed_in_the_middle_changes_nothing(
     service: Service, machine: VirtualMachine, client: ServiceClient, tmp_path: Path
 ) -> None:
-    """12 sweeps; the estimate is the one that the exported bundle gives without the service."""
-    plan = add_plan(client, axes=["joint_1", "joint_2", "joint_3"], poses=4)
+    """6 sweeps; the estimate is the one that the exported bundle gives without the service."""
+    plan = add_plan(client, axes=["joint_1", "joint_2", "joint_3"], poses=2)
     campaign = int(client.add_campaign(plan)["id"])
     client.start(campaign)
     killed: list[int] = []
     for event in client.events(campaign):
-        if event["kind"] == "sweep" and event["data"] | {"number": 5, "state": "recorded"} == event["data"]:
+        if event["kind"] == "sweep" and event["data"] | {"number": 3, "state": "recorded"} == event["data"]:
             for worker in service.workers():
                 worker.kill()
                 killed.append(worker.pid)
@@ -83,7 +83,7 @@ def test_a_worker_that_is_killed_in_the_middle_changes_nothing(
     assert machine.stands()
     assert {sweep["state"] for sweep in client.sweeps(campaign)} == {"identified"}
     latest = client.estimate(campaign)
-    assert latest["revision"] == 12
+    assert latest["revision"] == 6
 
     exported = run("export", str(campaign), str(tmp_path / "bundle"), url=service.url)
     assert (exported.returncode, exported.stderr) == (0, "")

@@ -1,8 +1,6 @@
 """`sweepid channels` as a person calls it: YAML for the drive profile or JSON, exit code 2 for bad input."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +10,7 @@ from service.cli.channels import profile_lines
 from service.identification.axis_inertia import DriveTrain
 from service.identification.channel_timing import ChannelLags, Lag
 from service.store.bundle import write_bundle
+from tests.command import sweepid
 from tests.numeric.campaign import max100
 from tests.numeric.test_channel_timing import CALIBRATION, lagging, swept
 
@@ -24,14 +23,9 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def sweepid(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from service.cli import main; main()", "channels", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300)
-
-
 def test_the_lines_for_the_profile_and_the_document_say_the_same(bundle: Path, tmp_path: Path) -> None:
     target = tmp_path / "channels.json"
-    done = sweepid(str(bundle), "--axis", "joint_1", "--json", str(target))
+    done = sweepid("channels", str(bundle), "--axis", "joint_1", "--json", str(target))
     assert (done.returncode, done.stderr) == (0, "")
     effort = json.loads(target.read_text())["axes"]["joint_1"]["effort"]
     assert effort["apart"] is True
@@ -44,12 +38,12 @@ def test_the_lines_for_the_profile_and_the_document_say_the_same(bundle: Path, t
 
 
 def test_json_is_all_there_is_on_stdout(bundle: Path) -> None:
-    done = sweepid(str(bundle), "--json", "-")
+    done = sweepid("channels", str(bundle), "--json", "-")
     assert list(json.loads(done.stdout)["axes"]) == ["joint_1"]
 
 
 def test_an_axis_without_sweeps_is_bad_input(bundle: Path) -> None:
-    done = sweepid(str(bundle), "--axis", "joint_2")
+    done = sweepid("channels", str(bundle), "--axis", "joint_2")
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr == f"sweepid: {bundle}: has no sweep with sines of joint joint_2\n"
 

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.command import sweepid
+
 SWEEPID = str(Path(sys.executable).with_name("sweepid"))
 
 
@@ -40,7 +42,7 @@ def plan_file(tmp_path: Path) -> Path:
     ],
 )
 def test_bad_input_is_one_line_and_2(arguments: tuple[str, ...], place: str) -> None:
-    done = run(*arguments)
+    done = sweepid(*arguments)
     assert (done.returncode, done.stdout) == (2, "")
     (line,) = done.stderr.splitlines()
     assert place in line
@@ -49,7 +51,7 @@ def test_bad_input_is_one_line_and_2(arguments: tuple[str, ...], place: str) -> 
 def test_a_file_nested_too_deeply_is_one_line_and_2(tmp_path: Path) -> None:
     (deep := tmp_path / "deep.yaml").write_text("[" * 5000, encoding="utf-8")
     for arguments in (("plan", str(deep), "--axes", "a", "--varied", "b"), ("measure", str(deep))):
-        ended = run(*arguments)
+        ended = sweepid(*arguments)
         assert (ended.returncode, ended.stdout, ended.stderr.count("\n")) == (2, "", 1), ended.stderr
         assert "deep.yaml" in ended.stderr
 
@@ -65,7 +67,7 @@ def test_a_port_that_is_taken_is_1_and_named(tmp_path: Path) -> None:
 
 
 def test_export_refuses_a_folder_with_something_in_it(tmp_path: Path, plan_file: Path) -> None:
-    done = run("export", "1", str(tmp_path))
+    done = sweepid("export", "1", str(tmp_path))
     assert (done.returncode, done.stdout) == (2, "")
     assert str(tmp_path) in done.stderr
     assert list(tmp_path.iterdir()) == [plan_file]

@@ -7,7 +7,8 @@ import mujoco
 import pytest
 
 from service.configuration import read_robot
-from tests.unit.service.cli.test_identify import bundle, sweepid
+from tests.command import sweepid
+from tests.unit.service.cli.test_identify import bundle
 
 __all__ = ["bundle"]  # the fixture
 

@@ -1,8 +1,6 @@
 """`sweepid identify` as a person calls it: tables or JSON on stdout, one line and exit code 2 for bad input."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +9,7 @@ import pytest
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Axis, RobotDescription, build_robot
 from service.store.bundle import write_bundle
+from tests.command import sweepid
 
 INERTIA = 6.0  # kg m^2 of the load about the first axis; CAD says 5, the second link included; motor 100^2 0.0001 = 1
 
@@ -67,11 +66,6 @@ def bundle(tmp_path: Path) -> Path:
     ]
     write_bundle(tmp_path / "bundle", robot, sweeps)
     return tmp_path / "bundle"
-
-
-def sweepid(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [str(Path(sys.executable).with_name("sweepid")), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60)
 
 
 def test_json_alone_on_stdout(bundle: Path) -> None:

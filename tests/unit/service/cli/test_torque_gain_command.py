@@ -12,7 +12,8 @@ from service.errors import BadInput
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Axis, RobotDescription, build_robot
 from service.store.bundle import write_bundle
-from tests.unit.service.cli.test_identify import URDF, sweepid
+from tests.command import sweepid
+from tests.unit.service.cli.test_identify import URDF
 
 GAIN, MASS, ARM = 1.05, 8.0, 0.5
 INERTIA = 7.0

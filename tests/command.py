@@ -1,0 +1,28 @@
+"""`sweepid` as its console script runs it, but in the test's own process: libraries are loaded once, not once a call.
+
+`tests/unit/service/cli/test_cli_main.py` shows that the script itself leaves with such codes and words.
+"""
+
+import io
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from subprocess import CompletedProcess
+
+from service.cli import main
+
+
+def sweepid(*arguments: str) -> CompletedProcess[str]:
+    """Exit code, stdout and stderr of a command that ends by itself."""
+    given, out, err = sys.argv, io.StringIO(), io.StringIO()
+    sys.argv = ["sweepid", *arguments]
+    try:
+        with redirect_stdout(out), redirect_stderr(err):
+            main()
+        code: object = 0
+    except SystemExit as left:
+        code = left.code
+    finally:
+        sys.argv = given
+    return CompletedProcess(
+        sys.argv, code if isinstance(code, int) else int(code is not None), out.getvalue(), err.getvalue()
+    )
