@@ -12,10 +12,11 @@ import can
 import structlog
 import typer
 
+from simulator.hidden import hide as hidden_in
 from simulator.machine import Machine
 from simulator.modbus.line import PTY
 from simulator.modbus.register_map import RegisterMapError, load_register_map
-from simulator.scenario import ScenarioError, load_scenario
+from simulator.scenario import Scenario, ScenarioError, load_scenario
 from simulator.virtual_drive import Fieldbus, VirtualDrive
 
 
@@ -44,6 +45,9 @@ def drive(
         float, typer.Option(min=0.01, help="Moves and measuring function against real time, as far as the CPU allows.")
     ] = 20.0,
     seed: Annotated[int, typer.Option(help="Of the measurement noise.")] = 0,
+    hide: Annotated[
+        int | None, typer.Option(min=0, help="Seed of one effect to hide in the machine; `sweepid truth` tells it.")
+    ] = None,
     start_pose: Annotated[str, typer.Option(help="Joint positions, rad, comma separated.")] = "",
 ) -> None:
     """Run a virtual machine: one CiA 402 drive an axis on CAN or Modbus. Ends on SIGTERM or Ctrl-C."""
@@ -53,7 +57,10 @@ def drive(
     )
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # frames of whoever speaks badly are no news of ours
     try:
-        machine = _machine(scenario, seed, start_pose)
+        really, hidden = load_scenario(scenario), None
+        if hide is not None:
+            really, hidden = hidden_in(really, hide)
+        machine = _machine(really, seed, start_pose)
         virtual = VirtualDrive(
             machine,
             _readable(eds),
@@ -76,16 +83,25 @@ def drive(
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
-    ready = {"ready": True, "fieldbus": fieldbus.value, "port": virtual.port, "control_port": virtual.control_port}
-    typer.echo(json.dumps(ready if virtual.device is None else ready | {"device": virtual.device}))
+    ready: dict[str, object] = {
+        "ready": True,
+        "fieldbus": fieldbus.value,
+        "port": virtual.port,
+        "control_port": virtual.control_port,
+    }
+    if virtual.device is not None:
+        ready["device"] = virtual.device
+    if hidden is not None:
+        ready["hidden_in"] = hidden.joint
+    typer.echo(json.dumps(ready))
     try:
         virtual.run()
     finally:
         virtual.close()
 
 
-def _machine(scenario: Path, seed: int, start_pose: str) -> Machine:
-    machine = Machine(load_scenario(scenario), seed)
+def _machine(scenario: Scenario, seed: int, start_pose: str) -> Machine:
+    machine = Machine(scenario, seed)
     if start_pose:
         try:
             pose = [float(value) for value in start_pose.split(",")]

@@ -223,6 +223,7 @@ class NominalAxis(BaseModel):
     gear_ratio: float
     motor_inertia: Positive
     rated_effort: Positive
+    cogging_orders: tuple[Positive, ...] = ()  # periods per motor revolution
 
 
 class NominalRobot(BaseModel):

@@ -1,22 +1,32 @@
-"""`sweepid truth SCENARIO --poses FILE.json`: the real inertias of a virtual machine, as JSON on stdout."""
+"""`sweepid truth SCENARIO`: what a virtual machine really is, as JSON on stdout: its inertias, or what it hides."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from simulator.scenario import ScenarioError
+from simulator.hidden import hide as hidden_in
+from simulator.scenario import ScenarioError, load_scenario
 from simulator.truth import truth as true_inertias
 
 
 def truth(
     scenario: Annotated[Path, typer.Argument(help="Scenario file (config/scenarios/*.yaml).")],
-    poses: Annotated[Path, typer.Option(help="JSON file: a list of poses, each the positions of all joints in rad.")],
+    poses: Annotated[
+        Path | None, typer.Option(help="JSON file: a list of poses, each the positions of all joints in rad.")
+    ] = None,
+    hide: Annotated[int | None, typer.Option(min=0, help="The seed that `sweepid drive --hide` was given.")] = None,
 ) -> None:
-    """Print {joint: [total inertia in kg m^2, one a pose]} of a virtual machine."""
+    """Print {joint: [total inertia in kg m^2, one a pose]}, or of a seed the axis, effect and parameters it hides."""
     try:
-        found = true_inertias(scenario, _read_poses(poses))
+        if hide is not None and poses is None:
+            found: object = asdict(hidden_in(load_scenario(scenario), hide)[1])
+        elif poses is not None and hide is None:
+            found = true_inertias(scenario, _read_poses(poses))
+        else:
+            raise ScenarioError("one of --poses and --hide says what to tell")
     except ScenarioError as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(2) from None

@@ -1,6 +1,7 @@
 """Plays the person at the machine: starts a campaign, watches it, looks after faults, and stops when told to."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from service.client import Json, ServiceClient, ServiceProblem
@@ -23,14 +24,24 @@ class Operator:
 
     def run(self, campaign_id: int) -> None:
         """Run a campaign until its last sweep is identified. Whatever else ends this stops the machine first."""
-        try:
+        with self._stopping():
             self.client.start(campaign_id)
-            self._watch(campaign_id)
+            self._until_completed(campaign_id)
+
+    def watch(self, campaign_id: int) -> None:
+        """The same with a campaign that has been started."""
+        with self._stopping():
+            self._until_completed(campaign_id)
+
+    @contextmanager
+    def _stopping(self) -> Generator[None]:
+        try:
+            yield
         except BaseException as error:
             self.client.stop("sweepid demo", type(error).__name__)
             raise
 
-    def _watch(self, campaign_id: int) -> None:
+    def _until_completed(self, campaign_id: int) -> None:
         troubles = 0
         for _ in self.client.events(campaign_id):
             campaign = self.client.campaign(campaign_id)

@@ -1,10 +1,8 @@
-"""The main job from end to end: plan, measure, identify, report; everything through the REST API of real processes."""
+"""The main job from end to end: plan, measure, identify, diagnose, report; all by the REST API of real processes."""
 
 import json
 import shutil
 import zipfile
-from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,10 +10,13 @@ import numpy as np
 
 from service.campaigns.plan import PlanRequest, workspace_grid
 from service.cell import read_cell
-from service.client import Json, ServiceClient
+from service.client import Json
 from service.configuration import read_robot
+from service.demo.cell import PROFILE, virtual_cell
+from service.demo.hidden import SCENARIO as HIDING
+from service.demo.hidden import Found, find_hidden
 from service.demo.operator import Operator
-from service.demo.processes import drive_profile, running
+from service.demo.screen import Screen
 from service.demo.truth import compare
 from service.errors import BadInput
 from service.recording import Sweep
@@ -26,7 +27,6 @@ from service.store.bundle import Bundle, read_bundle
 SCENARIO = Path("config/scenarios/max100-full.yaml")
 ROBOT = Path("config/robots/max100-class.yaml")
 CELL = Path("config/cells/workshop.yaml")
-PROFILE = Path("config/drives/virtual-max100.yaml")
 
 REQUEST: Json = {
     "cell": CELL.stem,
@@ -36,7 +36,6 @@ REQUEST: Json = {
     # what the CNC's frequency-response measurement tells before a campaign (the paper's section 4.2), Hz
     "locked_rotor": {"joint_1": 5.0, "joint_2": 9.5, "joint_3": 13.0},
 }
-SPEED_FACTOR = "20"  # of the virtual machine's moves and drive-side sweeps
 
 
 @dataclass(frozen=True)
@@ -44,50 +43,25 @@ class Outcome:
     """What the demo found."""
 
     content: Content
+    found: Found
     report: Path
     bundle: Path
 
 
-@dataclass(frozen=True)
-class Screen:
-    """Where the demo tells how far it is: what it does, the campaign at each event, a note."""
-
-    doing: Callable[[str], None]
-    progress: Callable[[Json], None]
-    say: Callable[[str], None]
-
-
 def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> Outcome:
     """Run it in the folder `out`. Whatever happens, the machine is stopped and the processes are ended."""
-    for path in (SCENARIO, ROBOT, CELL, PROFILE):
+    for path in (SCENARIO, HIDING, ROBOT, CELL, PROFILE):
         if not path.is_file():
             raise BadInput(str(path), "not found; the demo runs in the folder that holds config/")
     out = out.absolute()
     _clear(out)
+    robot, cell = read_robot(ROBOT), read_cell(CELL)
     request = REQUEST | {"poses": poses}
-    with ExitStack() as stack:
-        screen.doing("starting the virtual machine and the service")
-        drive = (
-            "drive",
-            "--scenario",
-            str(SCENARIO),
-            "--port",
-            "0",
-            "--seed",
-            str(seed),
-            "--speed-factor",
-            SPEED_FACTOR,
-        )
-        machine = stack.enter_context(running(drive, out / "drive.log"))
-        profile = drive_profile(PROFILE, int(machine["port"]), out / "drives.yaml")
-        serve = ("serve", "--port", "0", "--data-dir", str(out / "data"), "--drive", str(profile))
-        service = stack.enter_context(running(serve, out / "serve.log"))
-        client = stack.enter_context(ServiceClient(service["url"]))
-
+    screen.doing("starting the virtual machine and the service")
+    with virtual_cell(out, robot, SCENARIO, "--seed", str(seed)) as machine:
+        client = machine.client
         screen.doing("planning")
-        robot = read_robot(ROBOT)
-        stored = client.add_robot(robot.description.model_dump(mode="json"), robot.urdf_text)
-        plan = client.add_plan(request | {"robot_id": stored["id"]})
+        plan = client.add_plan(request | {"robot_id": machine.robot_id})
         campaign_id = int(client.add_campaign(plan["id"])["id"])
         screen.doing("measuring")
         Operator(client, screen.progress, screen.say).run(campaign_id)
@@ -99,24 +73,33 @@ def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> Outcome:
         archive.extractall(out / "bundle")
     (out / "bundle.zip").unlink()
 
+    found = find_hidden(out / "hidden", robot, cell, seed, screen)
+
     screen.doing("comparing with the truth and writing the report")
-    wanted = PlanRequest.model_validate(request | {"robot_id": stored["id"]})
-    workspace = workspace_grid(robot, wanted, read_cell(CELL))
+    wanted = PlanRequest.model_validate(request | {"robot_id": machine.robot_id})
+    workspace = workspace_grid(robot, wanted, cell)
     content = _content(read_bundle(out / "bundle"), revisions, workspace, seed)
     axes = axes_of(content)
     truth = compare(content, axes, SCENARIO, out / "poses.json")
-    content = replace(content, truth=truth, truth_columns=tuple(axis.joint for axis in axes))
+    columns = tuple(axis.joint for axis in axes)
+    subtitle = (
+        f"{content.subtitle} At the end a second machine, which hides something in {found.joint}; told after its "
+        f"diagnosis: {found.told}. {found.judgement}"
+    )
+    content = replace(content, subtitle=subtitle, truth=truth, truth_columns=columns, diagnosis=found.document)
     report = out / "report.html"
     report.write_text(render(content), encoding="utf-8")
     (out / "estimate.json").write_text(json.dumps(content.estimate, indent=2) + "\n", encoding="utf-8")
-    return Outcome(content, report, out / "bundle")
+    (out / "diagnosis.json").write_text(json.dumps(found.document, indent=2) + "\n", encoding="utf-8")
+    return Outcome(content, found, report, out / "bundle")
 
 
 def _clear(out: Path) -> None:
     """Remove what an earlier demo left in its folder, and nothing else."""
     out.mkdir(parents=True, exist_ok=True)
-    if (out / "data" / "sweepid.sqlite").is_file():
-        shutil.rmtree(out / "data")
+    for data in (out / "data", out / "hidden" / "data"):
+        if (data / "sweepid.sqlite").is_file():
+            shutil.rmtree(data)
     if (out / "bundle" / "bundle.json").is_file():
         shutil.rmtree(out / "bundle")
 

@@ -13,7 +13,7 @@ from drivers.errors import (
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
 from tests.contract.bench import AXIS, OTHER, Virtual, column, consume, eventually, sweep
 
-LONG = 20  # periods; long enough to be interrupted at 20 times real time
+LONG = 60  # periods; long enough to be interrupted at 20 times real time, on a busy computer
 
 
 async def test_fault_in_a_sweep_delivers_what_there_is_and_waits_for_a_person(

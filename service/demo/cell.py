@@ -1,0 +1,34 @@
+"""A virtual machine with a service on it, in processes of their own, and the representative robot made known to it."""
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from service.client import Json, ServiceClient
+from service.demo.processes import drive_profile, running
+from service.robot import Robot
+
+PROFILE = Path("config/drives/virtual-max100.yaml")
+SPEED_FACTOR = "20"  # of the virtual machine's moves and drive-side sweeps
+
+
+@dataclass(frozen=True)
+class VirtualCell:
+    """`machine` is what it printed when it was ready."""
+
+    machine: Json
+    client: ServiceClient
+    robot_id: int
+
+
+@contextmanager
+def virtual_cell(folder: Path, robot: Robot, scenario: Path, *options: str) -> Generator[VirtualCell]:
+    """Machine and service, started and, whatever happens, ended; they write into `folder`. `options` of the machine."""
+    drive = ("drive", "--scenario", str(scenario), "--port", "0", "--speed-factor", SPEED_FACTOR, *options)
+    with running(drive, folder / "drive.log") as machine:
+        profile = drive_profile(PROFILE, int(machine["port"]), folder / "drives.yaml")
+        serve = ("serve", "--port", "0", "--data-dir", str(folder / "data"), "--drive", str(profile))
+        with running(serve, folder / "serve.log") as service, ServiceClient(service["url"]) as client:
+            stored = client.add_robot(robot.description.model_dump(mode="json"), robot.urdf_text)
+            yield VirtualCell(machine, client, int(stored["id"]))

@@ -1,0 +1,146 @@
+"""The second half of the demo: a machine that hides an effect is measured and diagnosed, and only then is truth asked.
+
+A machine of the same type whose model has been put right, but for one effect that its seed chooses. It says on which
+axis; neither the service nor the demo learns more until the diagnosis has been accepted.
+"""
+
+import json
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from service.cell import Cell
+from service.client import Json, ServiceClient
+from service.demo.cell import VirtualCell, virtual_cell
+from service.demo.operator import Operator
+from service.demo.processes import command, environment
+from service.demo.screen import Screen
+from service.errors import SweepidError
+from service.robot import Robot
+
+SCENARIO = Path("config/scenarios/max100-as-modelled.yaml")
+REQUEST: Json = {
+    "kind": "diagnosis",
+    "varied": ["joint_2", "joint_3"],
+    "poses": 3,
+    "blocks": ["forward_slow", "wide"],  # what is missing is measured when the diagnosis asks for it
+    "move_velocity": 0.5,
+}
+EXPERIMENTS = 2  # that the demo's operator runs when the diagnosis asks for more
+BY_HAND = "test_mass"  # an experiment that needs something bolted on
+PERSON = "operator of the demo"
+_TIMEOUT = 120.0  # s
+
+
+@dataclass(frozen=True)
+class Found:
+    """`document` of the last diagnosis; `hidden` is what `sweepid truth` told afterwards."""
+
+    joint: str
+    document: Json
+    experiments: tuple[str, ...]  # run because the diagnosis asked for them
+    model: int | None  # revision that was accepted
+    hidden: Json
+
+    @property
+    def axis(self) -> Json:
+        return self.document["axes"][self.joint]
+
+    @property
+    def named(self) -> list[str]:
+        return [effect["effect"] for effect in self.axis["effects"]] if self.axis["verdict"] == "named" else []
+
+    @property
+    def right(self) -> bool:
+        """The hidden effect was named, and nothing else."""
+        return self.named == [self.hidden["effect"]]
+
+    @property
+    def told(self) -> str:
+        """What was hidden, in words."""
+        sizes = ", ".join(f"{plain(name)} {value:.4g}" for name, value in self.hidden["parameters"].items())
+        return plain(self.hidden["effect"]) + (f" ({sizes})" if sizes else "")
+
+    @property
+    def judgement(self) -> str:
+        """Whether the diagnosis was right, in a sentence."""
+        if self.right:
+            accepted = f"accepted as revision {self.model} of the model" if self.model else "but not accepted"
+            return f"Right; {accepted}."
+        if self.named:
+            return f"Wrong: {', '.join(map(plain, self.named))} was named."
+        if self.hidden["effect"] in self.axis["candidates"]:
+            return "Not decided: it is among the candidates."
+        return f"Not found: the verdict is {self.axis['verdict']}."
+
+
+def plain(name: str) -> str:
+    """A name of the diagnosis in words."""
+    return name.replace("_", " ")
+
+
+def find_hidden(folder: Path, robot: Robot, cell: Cell, seed: int, screen: Screen) -> Found:
+    """Measure and diagnose the machine that the seed makes; processes and files as in `virtual_cell`."""
+    folder.mkdir(exist_ok=True)
+    screen.doing("starting a machine that hides something")
+    with virtual_cell(folder, robot, SCENARIO, "--seed", str(seed), "--hide", str(seed)) as machine:
+        joint = str(machine.machine["hidden_in"])
+        diagnosis, experiments = _diagnosed(machine, joint, cell, screen)
+        model = _accepted(machine.client, diagnosis, joint)
+    return Found(joint, diagnosis["document"], experiments, model, _truth(seed))
+
+
+def _diagnosed(machine: VirtualCell, joint: str, cell: Cell, screen: Screen) -> tuple[Json, tuple[str, ...]]:
+    """The last diagnosis, and the experiments that it wanted and got."""
+    client, operator = machine.client, Operator(machine.client, screen.progress, screen.say)
+    screen.doing(f"measuring {joint} for its diagnosis")
+    plan = client.add_plan(REQUEST | {"robot_id": machine.robot_id, "cell": cell.name, "axes": [joint]})
+    campaign = int(client.add_campaign(plan["id"])["id"])
+    operator.run(campaign)
+    screen.doing("diagnosing")
+    diagnosis = _done(client, client.add_diagnosis([campaign], [joint]))
+    experiments: list[str] = []
+    while wanted := diagnosis["document"]["axes"][joint]["next_experiment"]:
+        if wanted["kind"] == BY_HAND or not wanted["sweeps"] or len(experiments) == EXPERIMENTS:
+            break
+        experiments.append(wanted["kind"])
+        screen.say(f"the diagnosis asks: {wanted['reason']}; approved")
+        screen.doing(f"next experiment: {plain(wanted['kind'])}")
+        operator.watch(int(client.approve_experiment(diagnosis["id"], joint, PERSON)["id"]))
+        screen.doing("diagnosing with the new sweeps")
+        diagnosis = _done(client, _continued(client, diagnosis["id"]))
+    return diagnosis, tuple(experiments)
+
+
+def _continued(client: ServiceClient, parent: int) -> Json:
+    """The diagnosis that the service began by itself when the experiment was complete."""
+    for event in client.events():
+        if event["kind"] == "diagnosis":
+            found = client.diagnosis(event["data"]["diagnosis"])
+            if found["parent"] == parent:
+                return found
+    raise SweepidError("the service tells no more events")
+
+
+def _done(client: ServiceClient, diagnosis: Json) -> Json:
+    found = client.diagnosed(diagnosis["id"])
+    if found["state"] != "done":
+        raise SweepidError(f"diagnosis {found['id']} failed: {found['cause']}")
+    return found
+
+
+def _accepted(client: ServiceClient, diagnosis: Json, joint: str) -> int | None:
+    """The model's revision, where there is a name to accept."""
+    axis = diagnosis["document"]["axes"][joint]
+    if axis["verdict"] != "named" or set(axis["rolled_back"]) >= {effect["effect"] for effect in axis["effects"]}:
+        return None
+    return int(client.accept_model(diagnosis["id"], PERSON, [joint])["revision"])
+
+
+def _truth(seed: int) -> Json:
+    arguments = command("truth", str(SCENARIO), "--hide", str(seed))
+    answer = subprocess.run(arguments, capture_output=True, text=True, env=environment(), timeout=_TIMEOUT, check=False)
+    if answer.returncode:
+        raise SweepidError(f"sweepid truth: {answer.stderr.strip()}")
+    found: Json = json.loads(answer.stdout)
+    return found
