@@ -20,6 +20,12 @@ Complex = NDArray[np.complex128]
 SIGNIFICANT = 5.0
 BINS = 6
 MANY = 1.5  # times the RMS of the whole: a cell that stands out
+HARDLY = 0.3  # of the gap in one direction: there is none to speak of in the other
+STEADY = 0.8  # correlation of ranks with a property along which the gap grows
+LEAST_BINS = 3
+STANDING = "standing"
+WAYS = ("direction", "weight")
+ORDERED = ("speed", "|gravity torque|", "time since start", "temperature", "line frequency")
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,23 +91,47 @@ def lines(tracks: Tracks, residual: Array, after: Array) -> tuple[Cell, ...]:
 
 
 def sentences(joint: str, found: Sequence[Cell]) -> tuple[str, ...]:
-    """What the map says, for a person; one sentence for each property along which the gap differs."""
+    """What the map says, for a person: when the gap is there and with what it grows, then where it is largest."""
     significant = [cell for cell in found if cell.significance > SIGNIFICANT]
     if not significant:
         return (f"{joint}: no repeatable gap beyond the noise.",)
-    result: list[str] = []
+    by_dimension: dict[str, list[Cell]] = {}
+    for cell in found:
+        by_dimension.setdefault(cell.dimension, []).append(cell)
+    pattern = {name: words for name, own in by_dimension.items() if (words := _only(name, own) or _trend(name, own))}
+    result = [f"{joint}: {', '.join(pattern.values())}."] if pattern else []
     for dimension in dict.fromkeys(cell.dimension for cell in significant):
-        own = [cell for cell in found if cell.dimension == dimension]
+        own = by_dimension[dimension]
         typical = float(np.sqrt(np.mean([cell.rms**2 for cell in own])))
         high = [cell for cell in own if cell.rms > MANY * typical and cell.significance > SIGNIFICANT]
-        if len(own) == 2 and max(c.rms for c in own) > 2 * min(c.rms for c in own):
-            high = [max(own, key=lambda cell: cell.rms)]
-        if high:
+        if high and dimension not in pattern:
             where = " and ".join(cell.value for cell in sorted(high, key=lambda cell: -cell.rms)[:3])
             result.append(
                 f"{joint}: the gap is largest at {dimension} {where} ({high[0].rms:.3g} against {typical:.3g})."
             )
     return tuple(result) or (f"{joint}: the gap is about the same everywhere.",)
+
+
+def _only(dimension: str, own: Sequence[Cell]) -> str:
+    """Of two ways to move, that in which the gap is, if it is hardly there in the other."""
+    ways = sorted((cell for cell in own if cell.value != STANDING), key=lambda cell: cell.rms)
+    if dimension not in WAYS or len(ways) != 2 or ways[1].significance < SIGNIFICANT:
+        return ""
+    return f"only when moving {ways[1].value}" if ways[0].rms < HARDLY * ways[1].rms else ""
+
+
+def _trend(dimension: str, own: Sequence[Cell]) -> str:
+    """Whether the gap rises or falls all along a property."""
+    cells = sorted(own, key=lambda cell: float(cell.value.split()[0])) if dimension in ORDERED else []
+    if len(cells) < LEAST_BINS or max(cell.significance for cell in cells) < SIGNIFICANT:
+        return ""
+    gaps = np.array([cell.rms for cell in cells])
+    ranks = np.argsort(np.argsort(gaps))
+    steady = float(np.corrcoef(ranks, np.arange(len(ranks)))[0, 1])
+    first, last = np.maximum(gaps[[0, -1]], 1e-300)
+    if steady > STEADY and last > MANY * first:
+        return f"grows with {dimension}"
+    return f"falls with {dimension}" if steady < -STEADY and first > MANY * last else ""
 
 
 def _power(signal: Array, wave: Complex) -> float:
@@ -148,12 +178,15 @@ def _labels(tracks: Tracks, rows: _Rows) -> Iterator[tuple[str, NDArray[np.str_]
 
     yield "pose", np.array([f"{position:+.2f} rad" for position in tracks.poses[:, index]])[tracks.spot[rows.number]]
     yield "block", np.array([spec.block or "sweep" for spec in tracks.specs])[rows.number]
-    speed = at(tracks.velocity)
-    yield "direction", np.where(speed >= 0, "forward", "backward")
+    speed, moves = at(tracks.velocity), at(tracks.moving) > 0
+    yield "direction", np.where(moves, np.where(speed >= 0, "forward", "backward"), STANDING)
     yield "speed", _binned(np.abs(speed), "rad/s")
     yield "acceleration", _binned(at(tracks.acceleration), "rad/s2")
     if np.ptp(tracks.gravity) > 0:
-        yield "gravity torque", _binned(at(tracks.gravity), "N m")
+        pull = at(tracks.gravity)
+        yield "gravity torque", _binned(pull, "N m")
+        yield "|gravity torque|", _binned(np.abs(pull), "N m")
+        yield "weight", np.where(moves, np.where(speed * pull >= 0, "upwards", "downwards"), STANDING)
     yield "position within the sweep", _binned(at(tracks.position) - tracks.position[rows.number, 0], "rad")
     turns = at(tracks.position) * tracks.robot.axis(tracks.joint).gear_ratio / (2 * np.pi)
     yield "motor angle", np.array([f"{k}/8 turn" for k in range(8)])[(np.floor(8 * turns).astype(int)) % 8]

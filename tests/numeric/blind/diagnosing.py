@@ -15,13 +15,13 @@ ROUNDS = 5  # diagnoses at most
 BAR = 0.2  # of the rated effort over g and a metre: a mass that is seen well
 
 
-def diagnosed(evidence: Evidence, rounds: int = ROUNDS) -> list[dict[str, Any]]:
-    """One axis as in `sweepid diagnose --json` after each experiment, with the seconds it took to find."""
+def diagnosed(evidence: Evidence, rounds: int = ROUNDS, *, twin: bool = False) -> list[dict[str, Any]]:
+    """One axis as in `sweepid diagnose --json` after each experiment, with the seconds of a processor it took."""
     sweeps, weighed, documents = list(evidence.sweeps), None, list[dict[str, Any]]()
     while True:
-        before = time.monotonic()
-        found = diagnose_axis(evidence.robot, evidence.joint, sweeps, weighed=weighed, twin=False)
-        documents.append(axis_document(found) | {"seconds": time.monotonic() - before})
+        before = time.process_time()
+        found = diagnose_axis(evidence.robot, evidence.joint, sweeps, weighed=weighed, twin=twin)
+        documents.append(axis_document(found) | {"seconds": time.process_time() - before})
         wanted = found.next_experiment
         if wanted is None or not wanted.sweeps or len(documents) == rounds:
             return documents

@@ -26,21 +26,21 @@ PAGE = ROOT / "docs/reference/diagnosis-scores.md"
 RESULTS = ROOT / "tests/benchmarks/results"
 
 
-def run(case: Case, folder: Path, rounds: int = ROUNDS) -> int:
+def run(case: Case, folder: Path, rounds: int = ROUNDS, *, twin: bool = False) -> int:
     """Build, measure, diagnose; its number."""
     one = scene(case)
     _write(folder / "truth" / f"{case.number:04}.json", one.truth.document())
-    _write(folder / "diagnoses" / f"{case.number:04}.json", diagnosed(one.evidence(), rounds))
+    _write(folder / "diagnoses" / f"{case.number:04}.json", diagnosed(one.evidence(), rounds, twin=twin))
     return case.number
 
 
-def run_all(wanted: Sequence[Case], folder: Path, processes: int, rounds: int) -> None:
+def run_all(wanted: Sequence[Case], folder: Path, processes: int, rounds: int, *, twin: bool) -> None:
     """All cases, in so many processes."""
     for name in ("truth", "diagnoses"):
         (folder / name).mkdir(parents=True, exist_ok=True)
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, mp_context=context) as pool:
-        futures = [pool.submit(run, case, folder, rounds) for case in wanted]
+        futures = [pool.submit(run, case, folder, rounds, twin=twin) for case in wanted]
         for future in track(
             as_completed(futures), total=len(futures), description="cases", console=Console(stderr=True)
         ):
@@ -70,6 +70,7 @@ def _main() -> None:
     parser.add_argument("--design", choices=[design.value for design in Design], default="full")
     parser.add_argument("--effects", nargs="+", help="only cases that hide one of these")
     parser.add_argument("--rounds", type=int, default=ROUNDS, help="diagnoses at most")
+    parser.add_argument("--twin", action="store_true", help="prove by the simulator, as `sweepid diagnose` does")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--keep", type=Path, help="folder for truth and diagnoses")
     parser.add_argument("--write", action="store_true")
@@ -81,11 +82,12 @@ def _main() -> None:
     chosen = [case for case in wanted if not given.effects or set(given.effects) & set(case.names)]
     with tempfile.TemporaryDirectory() as scratch:
         folder = given.keep or Path(scratch)
-        run_all(chosen, folder, given.processes, given.rounds)
+        run_all(chosen, folder, given.processes, given.rounds, twin=given.twin)
         found = scores(folder)
     command = (
         f"python -m tests.numeric.blind.score --design {given.design} --cases {given.cases} --none {given.none} "
-        f"--pairs {given.pairs} --outside {given.outside} --rounds {given.rounds} --seed {given.seed} --write"
+        f"--pairs {given.pairs} --outside {given.outside} --rounds {given.rounds} --seed {given.seed} "
+        f"{'--twin ' if given.twin else ''}--write"
     )
     told = result(found, command)
     console = Console()
