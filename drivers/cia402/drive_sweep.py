@@ -20,6 +20,7 @@ from drivers.ports import NoiseCommand, SampleBlock, SweepCommand
 LIVE_TIME = 0.1  # s of samples that make a page worth while during the run
 POLL = 0.01  # s
 STALLED = 5.0  # s without a new sample
+REST = 2.0  # s from the end of a run to standstill
 OVERLONG = 1.6  # of the samples that the run should have: a trace cycle in whole ms may be finer than asked for
 
 
@@ -97,6 +98,7 @@ class DriveSweep:
             state, recorded = await self._thread.run(self._watch)
             if state is MeasuringState.DONE:
                 await self._hand_over(recorded)
+                await self._come_to_rest()
                 return
             if state is not MeasuringState.RUNNING:
                 await self._thread.run(self._ended, state)
@@ -108,6 +110,21 @@ class DriveSweep:
                 continue
             if time.monotonic() - grown > STALLED:
                 raise CommunicationLost(f"{self._axis.place}: no new sample of the measuring function for {STALLED} s")
+            await asyncio.sleep(POLL)
+
+    async def _come_to_rest(self) -> None:
+        """A softly controlled axis swings on for a moment after torque noise."""
+        deadline = time.monotonic() + REST
+        while True:
+            reading = await self._thread.run(self._axis.read)
+            self._axis.check(reading.state)
+            if self._axis.stands(reading):
+                return
+            if self._stop.is_set() or time.monotonic() > deadline:
+                raise SweepInterrupted(
+                    f"{self._axis.place}: after its run still moves at {reading.velocity:.4g} "
+                    f"{self._axis.profile.unit}/s"
+                )
             await asyncio.sleep(POLL)
 
     def _watch(self) -> tuple[MeasuringState, int]:

@@ -32,7 +32,7 @@ ROWS = {
     "experiments": "experiments run",
     "machine_seconds_median": "their machine time a case that needs one, s, median",
     "machine_seconds_longest": "longest (600 s of it for bolting a test mass on and off)",
-    "seconds_median": "computing time an axis, seconds of one processor, median",
+    "seconds_median": "computing time an axis, s, median",
     "seconds_longest": "longest",
 }
 
