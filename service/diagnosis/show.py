@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from service.diagnosis.equations import Equations, Term
 from service.diagnosis.fitted import Point, by_name, derivatives, of_columns, patches, uncertainty
-from service.diagnosis.gap import improves, residual
+from service.diagnosis.gap import improves, noise_floor, residual
 from service.diagnosis.parameters import Parameter, parameters
 from service.diagnosis.patch import Inexpressible, Patch
 from service.diagnosis.proof import Twin
@@ -83,7 +83,7 @@ def _by_twin(
         else:
             rolled_back.append(term.effect)
     said = tuple(f"In the twin {held}." for held in best.held)
-    fitted, fit = _model(given, best.point, best.every)
+    fitted, fit = _model(given, best.point, best.every, doubt(given, best.residual))
     return Shown(before.residual, best.residual, "twin", fitted, fit, tuple(rolled_back), said)
 
 
@@ -94,12 +94,22 @@ def _by_columns(
     after = residual(given, terms, by_repeat=by_repeat)
     point = of_columns(given, terms)
     every = np.concatenate([given.base, derivatives(given, point), given.right[..., None]], axis=-1)
-    fitted, fit = _model(given, point, every)
+    fitted, fit = _model(given, point, every, 0.0)
     return Shown(before, after, "columns", fitted, fit, (), said)
 
 
-def _model(given: Equations, point: Point, every: Array) -> tuple[tuple[Fitted, ...], Fit]:
-    """Parameters as the model has them, as uncertain as the linear fit is, correlated as `every` says."""
+def doubt(given: Equations, left: Array) -> float:
+    """From 0, what is left is noise, to 1, it is all physics that the model does not have."""
+    rms = float(np.sqrt(np.mean(left[given.tracks.usable] ** 2)))
+    noise = noise_floor(given, left, range(len(left)))
+    return float(np.sqrt(max(0.0, 1 - (noise / rms) ** 2)))
+
+
+def _model(given: Equations, point: Point, every: Array, doubt: float) -> tuple[tuple[Fitted, ...], Fit]:
+    """Parameters as the model has them, correlated as `every` says; as uncertain as the linear fit is.
+
+    While something is left (`doubt`), twin and columns are two opinions: how far they are apart counts as well.
+    """
     std, spread = uncertainty(given, every)
     told = parameters(given, point.terms) if point.terms else []
     counts = [len(values) for values in point.coefficients]
@@ -109,8 +119,9 @@ def _model(given: Equations, point: Point, every: Array) -> tuple[tuple[Fitted, 
         own = [*range(first, first + counts[number]), *range(shape, shape + len(term.shape))]
         first, shape = first + counts[number], shape + len(term.shape)
         named = {
-            name: Parameter(value, told[number][name].std, told[number][name].unit)
+            name: replace(linear, value=value, std=float(np.hypot(linear.std, doubt * (value - linear.value))))
             for name, value in by_name(given, term, values).items()
+            for linear in (told[number][name],)
         }
         result.append(
             Fitted(term.effect, named, _scaled(spread[np.ix_(own, own)], named), _patch(given, point, number))

@@ -8,7 +8,7 @@ import numpy as np
 from service.diagnosis.design import full_design
 from service.diagnosis.equations import Equations, Term, equations, grouped
 from service.diagnosis.gap import Gap, gap
-from service.diagnosis.show import Shown, show
+from service.diagnosis.show import Shown, doubt, show
 from service.diagnosis.signals import tracks
 from service.recording import Recording, Sweep
 from simulator import DriveTrain, Measurement, Scenario, run_sweeps
@@ -82,3 +82,12 @@ def test_an_effect_that_is_not_there_is_rolled_back() -> None:
     assert found(given, shown).after_rms < 1.1 * found(given, shown).noise_floor_rms
     assert abs(shown.fit.viscous - 180.0) < 3.0
     assert np.all(shown.fit.inertia_std > 0)
+
+
+def test_what_repeats_leaves_doubt_and_noise_does_not() -> None:
+    given, _ = warming()
+    shape = given.tracks.usable.shape
+    noise = np.random.default_rng(4).standard_normal(shape)
+    assert doubt(given, noise) < 0.2  # the ratio of two mean squares is 1 within a hundredth or so
+    assert abs(doubt(given, 1.0 + noise) - np.sqrt(0.5)) < 0.05  # as much power as the noise
+    assert doubt(given, 100.0 + noise) > 0.999
