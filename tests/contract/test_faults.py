@@ -1,5 +1,8 @@
 """What every `DrivePort` must do when the drive, the bus or the axis misbehaves."""
 
+import asyncio
+import time
+
 import numpy as np
 import pytest
 
@@ -86,9 +89,12 @@ async def test_a_node_that_falls_silent_is_lost_communication(
         await consume(
             port, await sweep(port, mode, periods=LONG), lambda _: virtual.order("silence", joint=AXIS, on=True)
         )
-    status = await port.status()
-    assert status[AXIS].state is AxisState.UNKNOWN
-    assert status[OTHER].state is AxisState.DISABLED
+    assert (await port.status())[AXIS].state is AxisState.UNKNOWN
+    # one that did not answer in time, on a busy computer, is asked again
+    deadline = time.monotonic() + 20
+    while (await port.status())[OTHER].state is not AxisState.DISABLED:
+        assert time.monotonic() < deadline, "a silent node took the other one with it"
+        await asyncio.sleep(0.1)
     # the drive hears what it cannot answer, and its own watchdogs hold as well
     await eventually(lambda: virtual.energised() == [])
     virtual.order("silence", joint=AXIS, on=False)
