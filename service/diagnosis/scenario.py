@@ -1,6 +1,6 @@
 """The axis as a scenario has it: what the robot file says, and on top of it the patches of its effects."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Any
@@ -87,13 +87,13 @@ def _held(train: Patch, least_motor: float) -> tuple[str, ...]:
     return tuple(held)
 
 
-def _scale(part: Mapping[str, Any], path: Sequence[str], factor: float) -> None:
+def _scale(part: Patch, path: Sequence[str], factor: float) -> None:
     if path[0] not in part:
         return
     if len(path) > 1:
         _scale(part[path[0]], path[1:], factor)
     else:
-        part[path[0]] *= factor  # type: ignore[index]
+        part[path[0]] *= factor
 
 
 def _sprung(train: Patch, inertia: float, ratio: float) -> None:
