@@ -72,12 +72,16 @@ class ChannelTiming:
 
 @dataclass(frozen=True, slots=True)
 class SetPointTiming:
-    """How punctual the host was in one host-streamed sweep; s."""
+    """How punctual the set-points of one host-streamed sweep were; s.
+
+    A thread is never early. The kernel can be: it is steered so that the mean keeps to the grid, and makes up for a late
+    stretch by an early one.
+    """
 
     source: str  # "thread" or "bcm"
     cycles: int
     missed: int  # deadlines that passed before the set-point could be sent
-    median_lateness: float
+    median_lateness: float  # negative: early
     worst_lateness: float
 
 

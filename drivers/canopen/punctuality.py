@@ -24,14 +24,14 @@ class Punctuality:
         self.due = at
 
     def sent(self, at: float) -> float:
-        """A cycle was (or is being) sent at this time; its lateness, s, negative if it was early."""
+        """A cycle was (or is being) sent at this time. Behind the last deadline that had passed, s; negative: early."""
         late = at - self.due
         passed = max(0, int(late / self._period))
         self._lateness.append(late)
         self._missed += passed
         self._worst = max(self._worst, late)
         self.due += (1 + passed) * self._period
-        return late
+        return late - passed * self._period
 
     @property
     def verdict(self) -> str | None:

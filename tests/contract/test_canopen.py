@@ -98,8 +98,10 @@ async def test_the_cycle_is_paced_and_its_lateness_told(port: DrivePort) -> None
     timing = port.set_point_timing
     assert timing is not None
     assert timing.cycles >= round(command.duration / 0.004)
-    assert 0.0 <= timing.median_lateness <= timing.worst_lateness
-    assert timing.median_lateness < 0.002
+    assert timing.median_lateness <= timing.worst_lateness
+    assert abs(timing.median_lateness) < 0.002
+    if timing.source == "thread":  # the kernel makes up for a late stretch by an early one
+        assert timing.median_lateness >= 0.0
 
 
 async def test_a_drive_that_refuses_a_rung_of_the_ladder_loses_its_energy_all_the_same(

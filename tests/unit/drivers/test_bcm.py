@@ -5,6 +5,7 @@ import random
 import pytest
 
 from drivers.canopen.bcm import Steering, set_point_source
+from drivers.canopen.punctuality import Punctuality
 from tests.unit.drivers.streaming_bench import Drive, bench
 
 
@@ -27,6 +28,25 @@ def test_a_kernel_that_is_late_in_each_interval_keeps_the_mean_all_the_same(dela
     assert abs(sum(settled) / len(settled)) < 20e-6 + 0.1 * delay
     assert max(map(abs, settled)) < 50 * delay
     assert now == pytest.approx(20_000 * per_cycle * nominal, rel=1e-4)
+
+
+@pytest.mark.parametrize("stall", [0.0035, 0.005, 0.021, 0.1])
+def test_a_kernel_that_stalled_comes_back_to_the_grid(stall: float) -> None:
+    """A stall costs cycles (a virtual machine's lost time): they are left out, the rest of a period is made up for."""
+    period, per_cycle, per_step = 0.004, 4, 8
+    steering, clock = Steering(period / per_cycle, per_cycle * per_step), Punctuality(period, 100, 1.0)
+    clock.begin(0.0)
+    now, late = 0.0, list[float]()
+    for cycle in range(1000):
+        late.append(clock.sent(now))
+        steering.note(late[-1])
+        if cycle % per_step == 0:
+            steering.adjust()
+        now += per_cycle * round(steering.interval, 6) + (stall if cycle == 300 else 0.0)
+    assert clock.timing("bcm").missed == int(stall / period)
+    assert max(map(abs, late)) < period  # each cycle still belongs to its deadline
+    assert max(map(abs, late[500:])) < 0.02 * period
+    assert abs(clock.timing("bcm").median_lateness) < 0.05 * period
 
 
 def test_the_steering_stays_within_reason() -> None:

@@ -23,7 +23,7 @@ def test_lateness_by_hand() -> None:
 def test_deadlines_that_passed_are_left_out() -> None:
     clock = Punctuality(0.01, allowed=3, limit=1.0)
     clock.begin(0.0)
-    sent(clock, 0.0, 0.0455)
+    assert sent(clock, 0.0, 0.0455) == pytest.approx([0.0, 0.0055])
     assert clock.due == pytest.approx(0.05)
     assert clock.timing("bcm").missed == 3
     assert clock.verdict is None
