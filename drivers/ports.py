@@ -74,8 +74,8 @@ class ChannelTiming:
 class SetPointTiming:
     """How punctual the set-points of one host-streamed sweep were; s.
 
-    A thread is never early. The kernel can be: it is steered so that the mean keeps to the grid, and makes up for a late
-    stretch by an early one.
+    A thread is never early. The kernel can be: it is steered so that the mean keeps to the grid, and makes up for a
+    late stretch by an early one.
     """
 
     source: str  # "thread" or "bcm"
