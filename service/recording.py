@@ -57,6 +57,13 @@ class SweepSpec(BaseModel):
         return moves and not self.stepped and self.block != WARM_UP
 
     @property
+    def moves(self) -> bool:
+        """True where the axis follows a motion: not with torque noise, nor at standstill, where dry friction holds any
+        torque within its limits.
+        """
+        return self.excitation in ("multisine", "trajectory")
+
+    @property
     def stepped(self) -> bool:
         """True for a few lines of a stepped sine, the initial analysis of a drive without torque injection."""
         return self.excitation == "multisine" and self.block.startswith(STEPPED)

@@ -36,12 +36,7 @@ def campaigns_of(store: Store, campaigns: Sequence[int]) -> tuple[CampaignDocume
 
 def swept_axes(store: Store, campaigns: Sequence[CampaignDocument]) -> tuple[str, ...]:
     """The joints that have complete sweeps that move, in the robot's order."""
-    swept = {
-        spec.axis
-        for campaign in campaigns
-        for _, spec in _complete(store, campaign)
-        if spec.excitation not in ("noise", "standstill")
-    }
+    swept = {spec.axis for campaign in campaigns for _, spec in _complete(store, campaign) if spec.moves}
     return tuple(joint for joint in store.robot(campaigns[0].robot_id).build().joints if joint in swept)
 
 

@@ -71,7 +71,7 @@ def diagnose_bundle(
     """The document of all axes that were swept, or of one; BadInput if that leaves none."""
     if axis is not None:
         bundle.robot.index(axis)
-    swept = {sweep.spec.axis for sweep in bundle.sweeps if sweep.spec.excitation not in ("noise", "standstill")}
+    swept = {sweep.spec.axis for sweep in bundle.sweeps if sweep.spec.moves}
     joints = [joint for joint in bundle.robot.joints if joint in swept and axis in (None, joint)]
     if not joints:
         raise BadInput(place, "has no sweep that moves" + ("" if axis is None else f" joint {axis}"))

@@ -1,9 +1,10 @@
-"""The sweeps that a diagnosis wants: both directions, two speeds, reversal, a wide band, standstill, each twice.
+"""The sweeps that a diagnosis wants: both directions, two speeds, reversal, a wide band, each twice.
 
 What a block makes visible: the other direction tells Coulomb friction from an offset and from springs; the second speed
 tells friction that depends on speed from friction that drifts; reversal shows what happens about standstill
-(presliding, backlash); lines from 3 to 17 Hz tell a delay from elasticity; standstill is the noise reference. Repeats
-run back to back, so that nothing drifts between them; the first pose comes back last, so that drift shows at all.
+(presliding, backlash); lines from 3 to 17 Hz tell a delay from elasticity. Repeats run back to back, so that nothing
+drifts between them and their difference is the noise; the first pose comes back last, so that drift shows at all. An
+axis that only holds tells nothing: its dry friction may hold any torque (decision 0009).
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.excitation import RAMP, SETTLE, Excitation, design_sweep
+from service.identification.excitation import RAMP, Excitation, design_sweep
 from service.identification.regressor import inertia_rows
 from service.recording import Sine, SweepSpec
 from service.robot import Robot
@@ -25,11 +26,10 @@ WIDE = 2.0  # the same of the wide band
 WIDE_LINES = (3.0, 5.0, 7.0, 11.0, 13.0, 17.0)  # Hz
 WIDEST = 9.0  # Hz: a line above makes a wide band
 REVERSAL_LINES = (1.0, 2.0, 3.0)  # Hz: low, so that the way between two reversals is long against presliding
-HOLD = 3  # s of standstill
 EFFORT = 0.4  # of the rated effort for the sines
 BETWEEN = 2.0  # s from one sweep to the next, besides the way back
 WAY_BACK = np.radians(2.0)  # rad/s (m/s)
-BLOCKS = ("forward_slow", "backward_slow", "forward_fast", "backward_fast", "reversal", "wide", "standstill")
+BLOCKS = ("forward_slow", "backward_slow", "forward_fast", "backward_fast", "reversal", "wide")
 REVISITED = ("forward_slow", "backward_slow")
 REVISIT = "revisit_"
 WARMING = ("forward_fast", "backward_fast")  # turn most in a second
@@ -147,8 +147,6 @@ def is_partial(specs: Sequence[SweepSpec]) -> bool:
 
 
 def _kind(spec: SweepSpec, slowest: float) -> str | None:
-    if spec.excitation == "standstill":
-        return "standstill"
     if spec.excitation != "multisine":
         return None
     if not spec.offset_velocity:
@@ -187,7 +185,6 @@ def _in_order(
                 axis=joint,
                 pose=tuple(pose.tolist()),
                 offset_velocity=excitation.offset_velocity,
-                excitation="multisine" if excitation.sines else "standstill",
                 sines=excitation.sines,
                 period=excitation.period,
                 periods=excitation.periods,
@@ -205,8 +202,6 @@ def _in_order(
 def _excitation(robot: Robot, joint: str, pose: Array, block: str, load: float, travel: float) -> Excitation:
     """The sweep of one block; sums of sines and speeds follow `design_sweep`, which knows the ripple."""
     limit = EFFORT * robot.axis(joint).rated_effort
-    if block == "standstill":
-        return Excitation(0.0, (), 1.0, HOLD, RAMP, SETTLE)
     fast, wide = block.endswith("fast"), block == "wide"
     sweep = design_sweep(
         robot,

@@ -38,7 +38,6 @@ TEST_MASS = "test_mass"
 FULL_DESIGN = "full_design"
 MORE_POSES = "more_poses"
 WARM_UP = "warm_up"
-STANDSTILL = "standstill"
 BACKWARD = "backward_slow"
 BY_MASS = frozenset({"torque_constant_error", "payload"})
 DRIFT = "friction_temperature_drift"
@@ -184,10 +183,8 @@ class _Campaign:
 
     def _proposals(self, rivals: Sequence[str]) -> Iterator[_Proposal]:
         for block in self.open:
-            # a hold alone has no motion to be judged by
-            blocks = (BLOCKS[0], block) if block == STANDSTILL else (block,)
             try:
-                yield _Proposal(block, blocks, self._designed(blocks, self._poses))
+                yield _Proposal(block, (block,), self._designed((block,), self._poses))
             except BadInput:
                 continue
         measured = [block for block in REVISITED if block not in self.open]

@@ -23,7 +23,6 @@ MANY = 1.5  # times the RMS of the whole: a cell that stands out
 HARDLY = 0.3  # of the gap in one direction: there is none to speak of in the other
 STEADY = 0.8  # correlation of ranks with a property along which the gap grows
 LEAST_BINS = 3
-STANDING = "standing"
 WAYS = ("direction", "weight")
 ORDERED = ("speed", "|gravity torque|", "time since start", "temperature", "line frequency")
 
@@ -114,7 +113,7 @@ def sentences(joint: str, found: Sequence[Cell]) -> tuple[str, ...]:
 
 def _only(dimension: str, own: Sequence[Cell]) -> str:
     """Of two ways to move, that in which the gap is, if it is hardly there in the other."""
-    ways = sorted((cell for cell in own if cell.value != STANDING), key=lambda cell: cell.rms)
+    ways = sorted(own, key=lambda cell: cell.rms)
     if dimension not in WAYS or len(ways) != 2 or ways[1].significance < SIGNIFICANT:
         return ""
     return f"only when moving {ways[1].value}" if ways[0].rms < HARDLY * ways[1].rms else ""
@@ -178,15 +177,15 @@ def _labels(tracks: Tracks, rows: _Rows) -> Iterator[tuple[str, NDArray[np.str_]
 
     yield "pose", np.array([f"{position:+.2f} rad" for position in tracks.poses[:, index]])[tracks.spot[rows.number]]
     yield "block", np.array([spec.block or "sweep" for spec in tracks.specs])[rows.number]
-    speed, moves = at(tracks.velocity), at(tracks.moving) > 0
-    yield "direction", np.where(moves, np.where(speed >= 0, "forward", "backward"), STANDING)
+    speed = at(tracks.velocity)
+    yield "direction", np.where(speed >= 0, "forward", "backward")
     yield "speed", _binned(np.abs(speed), "rad/s")
     yield "acceleration", _binned(at(tracks.acceleration), "rad/s2")
     if np.ptp(tracks.gravity) > 0:
         pull = at(tracks.gravity)
         yield "gravity torque", _binned(pull, "N m")
         yield "|gravity torque|", _binned(np.abs(pull), "N m")
-        yield "weight", np.where(moves, np.where(speed * pull >= 0, "upwards", "downwards"), STANDING)
+        yield "weight", np.where(speed * pull >= 0, "upwards", "downwards")
     yield "position within the sweep", _binned(at(tracks.position) - tracks.position[rows.number, 0], "rad")
     turns = at(tracks.position) * tracks.robot.axis(tracks.joint).gear_ratio / (2 * np.pi)
     yield "motor angle", np.array([f"{k}/8 turn" for k in range(8)])[(np.floor(8 * turns).astype(int)) % 8]

@@ -49,7 +49,7 @@ class Twin:
 
     def __init__(self, given: Equations, sweeps: Sequence[Sweep]) -> None:
         self._given, self._tracks = given, given.tracks
-        self._sweeps = [s for s in sweeps if s.spec.axis == given.tracks.joint and s.spec.excitation != "noise"]
+        self._sweeps = [s for s in sweeps if s.spec.axis == given.tracks.joint and s.spec.moves]
         self._effort = self._tracks.rows(self._tracks.effort)
 
     def simulated(self, terms: Sequence[Term], *, by_repeat: bool) -> Simulated:

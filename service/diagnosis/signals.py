@@ -61,15 +61,9 @@ class Tracks:
     temperature: Array | None
 
     @cached_property
-    def moving(self) -> Array:
-        """(n, t): 1 in sweeps that move at all, 0 in those that hold still."""
-        still = np.array([spec.excitation == "standstill" for spec in self.specs])
-        return np.broadcast_to(np.where(still, 0.0, 1.0)[:, None], self.velocity.shape)
-
-    @cached_property
     def direction(self) -> Array:
         """(n, t): sign of the velocity."""
-        return np.sign(self.velocity) * self.moving
+        return np.sign(self.velocity)
 
     @property
     def clock(self) -> Array:
@@ -186,10 +180,10 @@ def slowest(velocity: Array) -> float:
 
 
 def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
-    """The sweeps of `joint` that show torque under a motion (no noise blocks); BadInput if there is none."""
+    """The sweeps of `joint` in which it follows a motion; BadInput if there is none."""
     index = robot.index(joint)
-    own = [s for s in sweeps if s.spec.axis == joint and s.spec.excitation != "noise"]
-    if not any(s.spec.excitation != "standstill" for s in own):
+    own = [s for s in sweeps if s.spec.axis == joint and s.spec.moves]
+    if not own:
         raise BadInput(joint, "has no sweep that moves")
     rates = {s.spec.sample_rate for s in own}
     if len(rates) > 1:
@@ -212,7 +206,6 @@ def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
     spot = spot.reshape(-1)
     away = position - poses[spot, index][:, None]
     terms = gravity_terms(robot.chain, robot.chain.inertial.ravel(), robot.gravity, index, poses)[spot]
-    still = np.array([s.spec.excitation == "standstill" for s in own])
     return Tracks(
         robot=robot,
         joint=joint,
@@ -228,7 +221,7 @@ def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
         gravity=terms[:, :1] * np.cos(away) + terms[:, 1:] * np.sin(away),
         stiffness=terms[:, 1],
         inside=inside,
-        usable=_usable(velocity, inside, still, rate),
+        usable=_usable(velocity, inside, rate),
         temperature=stacked("temperature") if all(s.recording.temperature is not None for s in own) else None,
     )
 
@@ -240,11 +233,9 @@ def laid_out(tracks: Tracks, signals: Sequence[Array]) -> Array:
     return np.stack([np.pad(part, (0, most - len(part)), mode="edge") for part in parts])
 
 
-def _usable(velocity: Array, inside: Mask, still: Mask, rate: float) -> Mask:
-    """Rows (n, rows) whose kernel lies inside of the record and touches no standstill of a moving sweep."""
-    moving = velocity[~still]
-    stuck = _long(np.abs(velocity) < STUCK * slowest(moving), round(STUCK_TIME * rate))
-    stuck[still] = False
+def _usable(velocity: Array, inside: Mask, rate: float) -> Mask:
+    """Rows (n, rows) whose kernel lies inside of the record and touches no standstill."""
+    stuck = _long(np.abs(velocity) < STUCK * slowest(velocity), round(STUCK_TIME * rate))
     spoilt = (stuck | ~inside).astype(float)
     return lowpass(spoilt, rate) < 1e-9
 

@@ -35,7 +35,7 @@ def torques(robot: Robot, joint: str, sweeps: Sequence[Sweep], runs: Sequence[Ru
     can hold an entry, or the simulator cannot follow it (a spring much too stiff for its load).
     """
     ratio = robot.axis(joint).gear_ratio
-    motions = [_motion(sweep) for sweep in sweeps]
+    motions = [Motion(s.recording.time, s.recording.position, s.recording.velocity) for s in sweeps]
     trains = {id(run.entry): _train(run.entry) for run in runs}
     measurements = {id(run.entry): Measurement.model_validate(run.entry.measurement) for run in runs}
     turns = [Turn(s.spec.started_at, 1 / s.spec.sample_rate, m.velocity) for s, m in zip(sweeps, motions, strict=True)]
@@ -61,12 +61,3 @@ def _train(entry: AxisEntry) -> DriveTrain:
     except ValidationError as error:
         first = error.errors()[0]
         raise Inexpressible(f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}") from None
-
-
-def _motion(sweep: Sweep) -> Motion:
-    """As recorded; an axis that holds still does, whatever noise its speed has: friction follows the sign."""
-    recording = sweep.recording
-    if sweep.spec.excitation != "standstill":
-        return Motion(recording.time, recording.position, recording.velocity)
-    still = np.full_like(recording.position, recording.position.mean())
-    return Motion(recording.time, still, np.zeros_like(still))

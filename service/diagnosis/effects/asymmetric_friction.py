@@ -19,7 +19,7 @@ EFFECT = Effect(
     physics="tau = Fc sign(v) + Fd |sign(v)| + bd |v|; Fc + Fd forward, Fc - Fd backward",
     source="Janot, Gautier and Brunot, Data set and reference models of EMPS (2019), direction-dependent friction",
     sentence="The axis rubs more in one direction than in the other.",
-    visible_in=("backward_slow", "backward_fast", "standstill"),
+    visible_in=("backward_slow", "backward_fast"),
     entry="motor_friction.backward_coulomb, backward_viscous",
     coefficients=named(("coulomb", "N m"), ("coulomb_difference", "N m"), ("viscous_difference", "N m s/rad")),
     contains=("coulomb_friction", "effort_offset"),

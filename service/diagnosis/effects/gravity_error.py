@@ -63,7 +63,7 @@ EFFECT = Effect(
     physics="tau = A cos q + B sin q for each group of links: their first moments differ from CAD",
     source="Atkeson, An and Hollerbach, Int. J. Robotics Research 5 (1986): torque linear in first moments",
     sentence="Gravity pulls otherwise than CAD says: masses or centres of mass are wrong.",
-    visible_in=("forward_slow", "standstill"),
+    visible_in=("forward_slow", "backward_slow"),
     entry="links",
     coefficients=_coefficients,
     contains=("payload", "torque_constant_error"),

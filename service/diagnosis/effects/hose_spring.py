@@ -19,7 +19,7 @@ EFFECT = Effect(
     physics="tau = k (q - q0) = k q + c",
     source="Gautier, Janot and Vandanjon, IEEE Trans. Control Syst. Technol. 21 (2013): spring compensators",
     sentence="Something elastic, a hose or a cable, pulls the axis towards a rest position.",
-    visible_in=("forward_slow", "standstill"),
+    visible_in=("forward_slow", "backward_slow"),
     entry="hose",
     coefficients=named(("stiffness", "N m/rad"), ("torque_at_zero", "N m")),
     contains=("effort_offset",),

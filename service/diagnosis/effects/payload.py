@@ -47,7 +47,7 @@ EFFECT = Effect(
     physics="tau = m g r(q), m at the last link",
     source="Khalil, Gautier and Lemoine, ICRA 2007, Identification of the payload inertial parameters",
     sentence="The robot carries a mass that the model does not know.",
-    visible_in=("forward_slow", "standstill"),
+    visible_in=("forward_slow", "backward_slow"),
     entry="links.added",
     coefficients=named(("mass", "kg")),
     columns=_columns,

@@ -21,7 +21,7 @@ def bristle(tracks: Tracks, way: float) -> Array:
     for n in range(1, steps.shape[1]):
         now = sign[:, n] + (now - sign[:, n]) * keep[:, n]
         state[:, n] = now
-    return state * tracks.moving
+    return state
 
 
 def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:

@@ -15,7 +15,7 @@ EFFECT = Effect(
     physics="tau = e (J a + b v + gravity); inertia and friction are free, so gravity alone shows it",
     source="Gautier and Briot, J. Dyn. Sys. Meas. Control 136 (2014), Global identification of joint drive gains",
     sentence="The drive's torque constant is wrong: all torques are told too large or too small.",
-    visible_in=("forward_slow", "standstill"),
+    visible_in=("forward_slow", "backward_slow"),
     entry="effort_gain",
     coefficients=named(("gain_error", "")),
     columns=lambda tracks, model, shape: [tracks.gravity],

@@ -11,7 +11,7 @@ Result = dict[str, Any]
 VERDICTS = ("none", "untestable", "ambiguous", "unknown")
 
 TITLES = {
-    "full": "Full design: both directions, two speeds, reversal, 3-17 Hz, standstill, each twice",
+    "full": "Full design: both directions, two speeds, reversal, 3-17 Hz, each twice",
     "paper": "Paper design: one direction, offset and 2-5 Hz, once",
 }
 

@@ -10,6 +10,7 @@ from tests.numeric.blind.score import run, scores
 CASES = (
     (Kind.NONE, (), "none"),
     (Kind.SINGLE, ("measurement_delay",), "medium"),
+    (Kind.PAIR, ("coulomb_friction", "cogging_torque"), "large"),
     (Kind.OUTSIDE, ("friction_step",), "large"),
 )
 

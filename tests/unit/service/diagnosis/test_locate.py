@@ -17,7 +17,7 @@ def cell(dimension: str, value: str, rms: float) -> Cell:
 
 
 def test_the_pattern_comes_first_and_what_it_says_is_not_said_twice() -> None:
-    found = [cell("weight", "upwards", 1.0), cell("weight", "downwards", 20.0), cell("weight", "standing", 30.0)]
+    found = [cell("weight", "upwards", 1.0), cell("weight", "downwards", 20.0)]
     found += [cell("|gravity torque|", f"{k}e2 to {k + 1}e2 N m", 4.0 + 3 * k) for k in (2, 0, 1, 3)]
     found += [cell("block", "reversal", 30.0), *(cell("block", name, 5.0) for name in ("wide", "forward_slow"))]
     assert sentences("joint_2", found) == (
@@ -34,10 +34,10 @@ def test_a_gap_that_is_everywhere_alike_has_no_pattern() -> None:
 
 def test_what_is_said_of_real_sweeps_is_what_their_cells_show() -> None:
     robot = max100()
-    designed = full_design(robot, "joint_2", POSES, blocks=("forward_slow", "backward_slow", "wide", "standstill"))
+    designed = full_design(robot, "joint_2", POSES, blocks=("forward_slow", "backward_slow", "wide"))
     sweeps = following(robot, "joint_2", designed, {Term("joint_elasticity", (1e-6, 1e-3)): (1.0,)})
     found = diagnose_axis(robot, "joint_2", sweeps, twin=False)
     assert found.sentences[0] == "joint_2: grows with speed."
     speeds = {float(one.value.split()[0]): one.rms for one in found.cells if one.dimension == "speed"}
-    assert speeds[max(speeds)] > 1.5 * speeds[0.0]
-    assert {one.value for one in found.cells if one.dimension == "weight"} == {"upwards", "downwards", "standing"}
+    assert speeds[max(speeds)] > 1.5 * speeds[min(speeds)]
+    assert {one.value for one in found.cells if one.dimension == "weight"} == {"upwards", "downwards"}

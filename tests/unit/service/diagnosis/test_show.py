@@ -17,7 +17,7 @@ from tests.unit.service.diagnosis.test_twin import run_of
 
 JOINT = "joint_1"
 POSES = np.array([[0.3, -0.8, 0.5, 0.0, 0.0, 0.0], [0.2, 0.6, 0.2, 0.0, 0.0, 0.0]])
-BLOCKS = ("forward_slow", "backward_slow", "forward_fast", "standstill")
+BLOCKS = ("forward_slow", "backward_slow", "forward_fast")
 QUIET = Measurement(effort_noise=0.0005, velocity_noise=5e-6, position_noise=2e-8)
 
 
@@ -71,7 +71,7 @@ def test_the_twin_follows_physics_that_columns_only_touch() -> None:
     assert abs(effect.parameters["time_constant"].value - 60.0) < 10.0
     assert effect.covariance.shape == (4, 4)
     np.testing.assert_allclose(np.sqrt(np.diag(effect.covariance)), [p.std for p in effect.parameters.values()])
-    assert [pose.sweeps for pose in twin.by_pose] == [8, 12]  # the first pose, which comes back, is the second here
+    assert [pose.sweeps for pose in twin.by_pose] == [6, 10]  # the first pose, which comes back, is the second here
 
 
 def test_an_effect_that_is_not_there_is_rolled_back() -> None:
