@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from simulator.effects.appendages import Appendages
 from simulator.effects.bristles import Bristles
 from simulator.effects.friction import friction_law, viscous
-from simulator.effects.ripples import cogging, gear_error
+from simulator.effects.ripples import KnownRipples, Ripples, cogging, gear_error
 from simulator.moving_axis import MovingAxis
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ class DriveTrains:
         self._viscous, self._coulomb = self._masses(np.array([on_motor, on_load])), self._masses(coulomb)
         self.friction = friction_law(trains, [axis.warmth for axis in axes], step)
         self._cogging = cogging(axes)
-        self.gear_error = gear_error(axes)
+        self.gear_error: Ripples | KnownRipples | None = gear_error(axes)
         self._bristles = Bristles([t.lugre for t in trains], step) if any(t.lugre for t in trains) else None
         appendages = [train.appendage for train in trains]
         self.appendages = Appendages(appendages, step) if any(appendages) else None
@@ -83,9 +83,9 @@ class DriveTrains:
 
     def _dragged(self, lever: Array) -> Array:
         """Speed (2, rows) that the motor loses and the load gains per sum of old and new speed of the spring."""
-        drag, ends = self.damping * self._step / 2, np.stack([lever, -np.ones_like(lever)])
-        impulse = drag / (1 + drag * (ends**2 * self._mobility).sum(axis=0) / self._step)
-        return self._mobility / self._step * ends * impulse
+        drag, motor, load = self.damping / 2, lever * self._mobility[0], self._mobility[1]
+        impulse = drag / (1 + drag * (lever * motor + load))
+        return np.array([motor * impulse, -load * impulse])
 
     def gravity(self) -> Array:
         """Torque of gravity and hose on the load at its present position, (rows,) N m."""
@@ -118,8 +118,7 @@ class DriveTrains:
 
     def lever(self) -> Array:
         """How fast the gear turns for each rad/s of the motor, (rows,); what it takes, the motor feels times that."""
-        slope = np.zeros(len(self.free)) if self.gear_error is None else self.gear_error.slope(self.position[0])
-        return 1 + slope
+        return 1 + (np.zeros(len(self.free)) if self.gear_error is None else self.gear_error.slope(self.position[0]))
 
     def transmitted(self) -> Array:
         """Torque (rows,) N m that the gear hands to the load; in a rigid train as of the last step's acceleration."""

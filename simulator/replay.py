@@ -8,17 +8,18 @@ again. What has no memory needs no steps between samples, and is computed for ma
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PPoly
 from scipy.signal import lfilter
 
 from simulator.channel import Channel
 from simulator.drive_train import DriveTrains
 from simulator.effects.bristles import Bristles
 from simulator.effects.friction import FrictionLaw
-from simulator.effects.ripples import cogging
+from simulator.effects.ripples import KnownRipples, Ripples, cogging
 from simulator.moving_axis import MovingAxis
 from simulator.scenario import CYCLE, STEP, Measurement
 
@@ -30,7 +31,7 @@ _AT_ONCE = 200_000  # values, so that nothing grows beyond the cache by much
 _SETTLED = 1e-7  # of the friction: it agrees with the temperature
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Motion:
     """Recorded motion of a motor, referred to the joint: arrays (n,), s, rad, rad/s; n >= 4.
 
@@ -40,6 +41,21 @@ class Motion:
     time: Array
     position: Array
     velocity: Array
+
+    def at(self, grid: Array, late: float) -> tuple[Array, Array, Array]:
+        """Position, velocity and acceleration at times since the start, the speed as if recorded `late`, s; the end
+        lasts.
+        """
+        position, velocity, acceleration = self._splines
+        end = float(self.time[-1] - self.time[0])
+        here, ahead = np.minimum(grid, end), np.minimum(grid + late, end)
+        return position(here), velocity(ahead), acceleration(ahead)
+
+    @cached_property
+    def _splines(self) -> tuple[CubicSpline, CubicSpline, PPoly]:
+        since = self.time - self.time[0]
+        velocity = CubicSpline(since, self.velocity)
+        return CubicSpline(since, self.position), velocity, velocity.derivative()
 
 
 def replay(
@@ -79,12 +95,8 @@ def _on_grid(motions: Sequence[Motion], late: Sequence[float], step: float) -> A
     grid = np.linspace(0.0, step * (steps - 1), steps)
     result = np.empty((3, steps, len(motions)))
     for (key, delay), motion in different.items():
-        since = motion.time - motion.time[0]
-        at, ahead = np.minimum(grid, since[-1]), np.minimum(grid + delay, since[-1])
-        speed = CubicSpline(since, motion.velocity)
         rows = [row for row, other in enumerate(motions) if (id(other), late[row]) == (key, delay)]
-        values = (CubicSpline(since, motion.position)(at), speed(ahead), speed(ahead, 1))
-        for signal, value in zip(result, values, strict=True):
+        for signal, value in zip(result, motion.at(grid, delay), strict=True):
             signal[:, rows] = value[:, None]
     return result
 
@@ -143,9 +155,14 @@ def _cooling(gained: Array, keep: float, start: float) -> Array:
 def _elastic(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceleration: Array, step: float) -> Array:
     """Friction of the motor, and what it gives to the spring, (steps, rows)."""
     trains = _led(axes, position[0], velocity[0], step)
+    known = _known(trains.gear_error, position)
+    if known is not None:
+        trains.gear_error = known
     idle = np.zeros(len(axes))
     torque = np.empty_like(acceleration)
     for n in range(len(position)):
+        if known is not None:
+            known.step = n
         trains.position[0] = position[n]
         trains.velocity[0] = velocity[n]
         spring, damping, before = trains.spring_torque(), trains.damping * trains.engaged(), trains.velocity[1].copy()
@@ -154,6 +171,15 @@ def _elastic(axes: Sequence[MovingAxis], position: Array, velocity: Array, accel
         trains.step(idle)
         torque[n] += lever * (spring + damping * (lever * velocity[n] - (before + trains.velocity[1]) / 2))
     return torque
+
+
+def _known(ripples: Ripples | KnownRipples | None, position: Array) -> KnownRipples | None:
+    """Ripples along the positions (steps, rows) of the motor."""
+    if not isinstance(ripples, Ripples):
+        return None
+    parts = [(ripples.at(position[at]), ripples.slope(position[at])) for at in _pieces(position)]
+    sums, slopes = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return KnownRipples(sums, slopes)
 
 
 def _led(axes: Sequence[MovingAxis], position: Array, velocity: Array, step: float) -> DriveTrains:

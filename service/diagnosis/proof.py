@@ -19,7 +19,7 @@ from service.diagnosis.links import gravity
 from service.diagnosis.patch import Inexpressible
 from service.diagnosis.scenario import AxisEntry, axis_entry
 from service.diagnosis.signals import laid_out
-from service.diagnosis.twin import Run, torques
+from service.diagnosis.twin import Run, torques, ways
 from service.recording import Sweep
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ class Twin:
 
     def __init__(self, given: Equations, sweeps: Sequence[Sweep]) -> None:
         self._given, self._tracks = given, given.tracks
-        self._sweeps = [s for s in sweeps if s.spec.axis == given.tracks.joint and s.spec.moves]
+        self._ways = ways([s for s in sweeps if s.spec.axis == given.tracks.joint and s.spec.moves])
         self._effort = self._tracks.rows(self._tracks.effort)
 
     def simulated(self, terms: Sequence[Term], *, by_repeat: bool) -> Simulated:
@@ -88,7 +88,7 @@ class Twin:
             pull = gravity(tracks.robot, entry.links, index, tracks.poses)[tracks.spot]
             numbers = range(len(tracks.specs)) if chosen is None else chosen
             runs += [Run(k, entry, float(point.inertia[k]), (float(pull[k, 0]), float(pull[k, 1]))) for k in numbers]
-        needed = torques(tracks.robot, tracks.joint, self._sweeps, runs)
+        needed = torques(tracks.robot, tracks.joint, self._ways, runs)
         return self._effort[[run.sweep for run in runs]] - tracks.rows(laid_out(tracks, needed))
 
     def _cost(self, left: Array) -> float:

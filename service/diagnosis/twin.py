@@ -28,18 +28,35 @@ class Run:
     gravity: tuple[float, float]
 
 
-def torques(robot: Robot, joint: str, sweeps: Sequence[Sweep], runs: Sequence[Run]) -> list[Array]:
+@dataclass(frozen=True)
+class Way:
+    """Along which a sweep leads the motor, and when."""
+
+    motion: Motion
+    turn: Turn
+
+
+def ways(sweeps: Sequence[Sweep]) -> list[Way]:
+    """As recorded."""
+    return [
+        Way(
+            Motion(sweep.recording.time, sweep.recording.position, sweep.recording.velocity),
+            Turn(sweep.spec.started_at, 1 / sweep.spec.sample_rate, sweep.recording.velocity),
+        )
+        for sweep in sweeps
+    ]
+
+
+def torques(robot: Robot, joint: str, ways: Sequence[Way], runs: Sequence[Run]) -> list[Array]:
     """What each run would record, N m (N), at the samples of its sweep; all in one pass.
 
     How warm the gear is when a sweep begins, the sweeps before it say, by `started_at`. Inexpressible if no scenario
     can hold an entry, or the simulator cannot follow it (a spring much too stiff for its load).
     """
     ratio = robot.axis(joint).gear_ratio
-    motions = [Motion(s.recording.time, s.recording.position, s.recording.velocity) for s in sweeps]
     trains = {id(run.entry): _train(run.entry) for run in runs}
     measurements = {id(run.entry): Measurement.model_validate(run.entry.measurement) for run in runs}
-    turns = [Turn(s.spec.started_at, 1 / s.spec.sample_rate, m.velocity) for s, m in zip(sweeps, motions, strict=True)]
-    warm = {key: warmth(train, turns) for key, train in trains.items()}
+    warm = {key: warmth(train, [way.turn for way in ways]) for key, train in trains.items()}
     axes: list[MovingAxis] = []
     for run in runs:
         train, inertia = trains[id(run.entry)], run.inertia / run.entry.scale
@@ -47,7 +64,7 @@ def torques(robot: Robot, joint: str, sweeps: Sequence[Sweep], runs: Sequence[Ru
         # the whole is what was measured, however heavy the motor is said to be
         exact = train.model_copy(update={"motor_inertia": (inertia - load) / ratio**2})
         axes.append(MovingAxis(exact, ratio, load, Gravity(*run.gravity), float(warm[id(run.entry)][run.sweep])))
-    led, recorded = [motions[run.sweep] for run in runs], [measurements[id(run.entry)] for run in runs]
+    led, recorded = [ways[run.sweep].motion for run in runs], [measurements[id(run.entry)] for run in runs]
     try:
         with np.errstate(over="raise", invalid="raise"):
             return replay(axes, led, recorded)

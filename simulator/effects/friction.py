@@ -47,7 +47,9 @@ class FrictionLaw:
         self._patch = of([[f.patch.coulomb if f.patch else 0.0 for f in pair] for pair in both])
         self._centre = of([[f.patch.centre if f.patch else 0.0 for f in pair] for pair in both])
         self._width = of([[f.patch.width if f.patch else 1.0 for f in pair] for pair in both])
+        self._has_extra, self._has_load = bool(self._extra.any()), bool(self._load.any())
         self._has_power, self._has_patch = bool(self._power.any()), bool(self._patch.any())
+        self._differs = bool((self._viscous_forward != self._viscous).any())
         warming = [train.warming for train in trains]
         self.warms = any(warming)
         self.heating = step * np.array([1 / w.heat_capacity if w else 0.0 for w in warming])
@@ -59,18 +61,23 @@ class FrictionLaw:
 
     def limits(self, velocity: Array, transmitted: Array, load_position: Array) -> tuple[Array, Array]:
         """Dry friction (2, rows) N m against a motion forward and against one backward."""
-        speed = np.abs(velocity)
-        rise = self._extra * np.exp(-((speed / self._slow) ** self._bend)) + self._load * np.abs(transmitted)
+        speed, rise = np.abs(velocity), np.zeros_like(self._forward)
+        if self._has_extra:
+            rise = rise + self._extra * np.exp(-((speed / self._slow) ** self._bend))
+        if self._has_load:
+            rise = rise + self._load * np.abs(transmitted)
         if self._has_power:
             rise = rise + self._power * speed**self._exponent
         if self._has_patch:
             away = np.minimum(np.abs(load_position - self._centre) / self._width, 1.0)
             rise = rise + self._patch * (1 + np.cos(np.pi * away)) / 2
-        cold = np.exp(-self._coulomb_loss * self.warmth)
+        cold = np.exp(-self._coulomb_loss * self.warmth) if self.warms else 1.0
         return cold * (self._forward + rise), cold * (self._backward + rise)
 
     def beyond_mean(self, velocity: Array) -> Array:
         """Viscous friction (2, rows) N m beyond that of `viscous`."""
+        if not self._differs and not self.warms:
+            return np.zeros_like(self._viscous)
         differing = self._viscous * velocity + (self._viscous_forward - self._viscous) * np.abs(velocity)
         return np.exp(-self._viscous_loss * self.warmth) * differing - self._viscous * velocity
 

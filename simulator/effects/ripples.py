@@ -28,8 +28,26 @@ class Ripples:
         return (self._amplitude * np.sin(self._order * position[..., None, :] + self._phase)).sum(axis=-2)
 
     def slope(self, position: Array) -> Array:
-        """Their derivatives by the joint's angle (rows,)."""
-        return (self._amplitude * self._order * np.cos(self._order * position + self._phase)).sum(axis=0)
+        """Their derivatives (..., rows) by the joint's angle."""
+        waves = np.cos(self._order * position[..., None, :] + self._phase)
+        return (self._amplitude * self._order * waves).sum(axis=-2)
+
+
+class KnownRipples:
+    """Ripples where a led motor will be, known for all steps to come; who leads it sets `step`."""
+
+    def __init__(self, sums: Array, slopes: Array) -> None:
+        """Both (steps, rows)."""
+        self.step = 0
+        self._sums, self._slopes = sums, slopes
+
+    def at(self, position: Array) -> Array:
+        """The sums (rows,) at the step."""
+        return self._sums[self.step]
+
+    def slope(self, position: Array) -> Array:
+        """Their derivatives (rows,) at the step."""
+        return self._slopes[self.step]
 
 
 def cogging(axes: Sequence[MovingAxis]) -> Ripples | None:

@@ -14,7 +14,7 @@ from service.diagnosis.links import gravity
 from service.diagnosis.patch import Patch
 from service.diagnosis.scenario import axis_entry
 from service.diagnosis.signals import Tracks
-from service.diagnosis.twin import Run, torques
+from service.diagnosis.twin import Run, torques, ways
 from simulator import Motion, load_scenario, replay
 from simulator.moving_axis import moving_axis
 from simulator.rigid_body import RigidBody
@@ -62,9 +62,8 @@ def test_the_loaded_scenario_needs_the_torque_of_the_twin(tmp_path: Path) -> Non
     inertia = HEAVIER * model().inertia
     entry = axis_entry(robot, JOINT, float(inertia.mean()), 190.0, patches)
     pull = gravity(robot, entry.links, robot.index(JOINT), motion.poses)[motion.spot]
-    ours = torques(
-        robot, JOINT, sweeps, [Run(k, entry, float(inertia[k]), (float(pull[k, 0]), float(pull[k, 1]))) for k in chosen]
-    )
+    runs = [Run(k, entry, float(inertia[k]), (float(pull[k, 0]), float(pull[k, 1]))) for k in chosen]
+    ours = torques(robot, JOINT, ways(sweeps), runs)
     for k, axis, one, other in zip(chosen, axes, theirs, ours, strict=True):
         # rigid links give a pose's inertia nearly; all else is the same
         more = inertia[k] - axis.load_inertia - axis.motor_inertia

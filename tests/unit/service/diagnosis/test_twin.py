@@ -15,7 +15,7 @@ from service.diagnosis.links import gravity
 from service.diagnosis.patch import Inexpressible, Patch
 from service.diagnosis.scenario import AxisEntry, axis_entry
 from service.diagnosis.signals import Tracks, laid_out, tracks
-from service.diagnosis.twin import Run, torques
+from service.diagnosis.twin import Run, torques, ways
 from service.recording import Recording, Sweep
 from service.robot import Robot
 from simulator import Measurement, SweepRun, run_sweeps
@@ -86,7 +86,7 @@ def simulated(patches: Sequence[Patch], joint: str = JOINT) -> Array:
     entry = axis_entry(robot, joint, float(fitted.inertia.mean()), fitted.viscous, patches)
     pull = gravity(robot, entry.links, index, motion.poses)[motion.spot]
     runs = [Run(k, entry, float(fitted.inertia[k]), (float(pull[k, 0]), float(pull[k, 1]))) for k in range(len(sweeps))]
-    return motion.rows(laid_out(motion, torques(robot, joint, sweeps, runs)))
+    return motion.rows(laid_out(motion, torques(robot, joint, ways(sweeps), runs)))
 
 
 def column(name: str, parameters: dict[str, float], joint: str = JOINT) -> Array:
@@ -164,4 +164,4 @@ def test_a_spring_that_the_simulator_cannot_follow_is_told() -> None:
     train = {"motor_inertia": 0.01, "spring": {"stiffness": 1e12, "damping": 0.0}}
     entry = AxisEntry(train, {}, {}, (), 1.0)
     with pytest.raises(Inexpressible, match="does not stay with its motor"):
-        torques(robot, JOINT, sweeps, [Run(0, entry, 200.0, (0.0, 0.0))])
+        torques(robot, JOINT, ways(sweeps), [Run(0, entry, 200.0, (0.0, 0.0))])
