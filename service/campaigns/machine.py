@@ -3,13 +3,13 @@
 import asyncio
 import time
 from collections.abc import Generator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import CommunicationLost, DriveError
-from drivers.ports import AxisIdentity, AxisStatus, Capabilities, DrivePort, Fault
+from drivers.ports import AxisIdentity, AxisState, AxisStatus, Capabilities, DrivePort, Fault
 from service.errors import Conflict
 from service.store.documents import StopDocument
 from service.store.guards import LeaseLost, MachineLease, StopLatch
@@ -77,6 +77,17 @@ class Machine:
             self._trouble = ""
             return self._identities
 
+    async def reach(self) -> None:
+        """Connect unless a drive answers: its cabinet may have been switched off and on while nobody asked.
+
+        DriveError; Conflict while a campaign runs.
+        """
+        if self.connected:
+            with suppress(CommunicationLost):
+                await self.status()
+        if not self.connected:
+            await self.connect()
+
     def lost(self, why: str) -> None:
         """The connection went away; nothing moves until a person connects again."""
         self._trouble = why
@@ -85,10 +96,13 @@ class Machine:
         """The state of every axis. Conflict while not connected."""
         self._check_connected()
         try:
-            return await self.port.status()
+            status = await self.port.status()
         except CommunicationLost as error:
             self.lost(str(error))
             raise
+        if self._user is None and all(axis.state is AxisState.UNKNOWN for axis in status.values()):
+            self.lost("no drive answers")
+        return status
 
     async def faults(self) -> tuple[Fault, ...]:
         """Pending faults of all axes. Conflict while not connected."""

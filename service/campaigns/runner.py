@@ -112,8 +112,7 @@ class Runner:
             raise Conflict(f"campaign {self._running} is running")
 
     async def _check_machine(self) -> None:
-        if not self._machine.connected:
-            await self._machine.connect()
+        await self._machine.reach()
         self._machine.check_may_move()
 
     async def _launch(

@@ -27,7 +27,7 @@ class FormulaDrive:
     """Rigid axes, one inertia. `trace` tells in order what was asked of the machine.
 
     `hold`: the sweep waits before its block of that number until it is stopped, or `go` is set.
-    `fail`: raised at the block of that number. `skip`: sample left out.
+    `fail`: raised at the block of that number. `skip`: sample left out. `silent`: it was switched off and on.
     """
 
     def __init__(self, joints: tuple[str, ...]) -> None:
@@ -38,6 +38,7 @@ class FormulaDrive:
         self.hold: int | None = None
         self.fail: dict[int, DriveError] = {}
         self.skip: int | None = None
+        self.silent = False  # until it is connected anew
         self.stop_error: DriveError | None = None
         self.holding = asyncio.Event()
         self.go = asyncio.Event()
@@ -48,6 +49,7 @@ class FormulaDrive:
 
     async def connect(self) -> tuple[AxisIdentity, ...]:
         self.trace.append("connect")
+        self.silent = False
         return tuple(AxisIdentity(joint, f"node {n}", 1, 2, 3, n, "0" * 64) for n, joint in enumerate(self.joints, 1))
 
     async def close(self) -> None:
@@ -58,7 +60,7 @@ class FormulaDrive:
         return {
             joint: AxisStatus(
                 joint,
-                AxisState.ENABLED if joint in self.energised else AxisState.DISABLED,
+                self._state(joint),
                 self.position[joint],
                 0.0,
                 0.0,
@@ -66,6 +68,11 @@ class FormulaDrive:
             )
             for joint in self.joints
         }
+
+    def _state(self, joint: str) -> AxisState:
+        if self.silent:
+            return AxisState.UNKNOWN
+        return AxisState.ENABLED if joint in self.energised else AxisState.DISABLED
 
     async def enable(self, *joints: str) -> None:
         if self.energised:
