@@ -5,7 +5,7 @@ as CAD has it. Everything else is an effect; those that the axis is `known` to h
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from service.diagnosis.calibration import Weighed, corrected, is_decided, is_wro
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.equations import equations, grouped
 from service.diagnosis.example import Example, example
-from service.diagnosis.experiments import NextExperiment, next_experiment
+from service.diagnosis.experiments import TEST_MASS, NextExperiment, next_experiment
 from service.diagnosis.gap import Gap, gap
 from service.diagnosis.locate import Cell, cells, lines, sentences
 from service.diagnosis.parameters import Parameter
@@ -33,6 +33,8 @@ from service.robot import Robot
 Array = NDArray[np.float64]
 
 GAIN = "torque_constant_error"
+HEAVIER = "The mass that was weighed is too light to decide it: take a heavier one, or bolt it further out."
+OFF = "The test mass is to be off."
 
 
 @dataclass(frozen=True)
@@ -122,6 +124,9 @@ def diagnose_axis(
         named = [_wrong(gain), *named]
         verdict = Verdict.AMBIGUOUS if verdict is Verdict.AMBIGUOUS else Verdict.NAMED
     rivals = tuple(sorted(ties)) if verdict is Verdict.AMBIGUOUS else ()
+    wanted = next_experiment(selection, verdict, rivals, hidden, own)
+    if wanted is not None and weighed is not None:
+        wanted = replace(wanted, reason=f"{wanted.reason} {HEAVIER if wanted.kind == TEST_MASS else OFF}")
     return AxisDiagnosis(
         joint=joint,
         unit="N" if robot.chain.joints[robot.index(joint)].kind == "prismatic" else "N m",
@@ -140,7 +145,7 @@ def diagnose_axis(
         fit=shown.fit,
         weighed=wrong,
         unexplained=selection.unexplained,
-        next_experiment=next_experiment(selection, verdict, rivals, hidden, own),
+        next_experiment=wanted,
         untestable=(*hidden, *(name for name, e in CATALOGUE.items() if name not in told and not e.applies(motion))),
     )
 

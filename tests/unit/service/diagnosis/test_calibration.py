@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.diagnosis import diagnose_axis
 from service.diagnosis.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
 from service.diagnosis.design import DesignedSweep, full_design
 from service.diagnosis.effects.gravity_error import gravity_columns
@@ -81,6 +82,36 @@ def test_in_one_direction_a_mass_says_how_little_it_tells() -> None:
     found = weighed_gain(robot, "joint_2", bare, weighed)
     assert abs(found.gain - 1.0) < 3 * found.std
     assert not is_decided(found)
+
+
+def noisy(sweeps: list[Sweep]) -> list[Sweep]:
+    random = np.random.default_rng(3)
+    return [
+        replace(
+            s, recording=replace(s.recording, effort=s.recording.effort + random.normal(0, 2.0, len(s.recording.time)))
+        )
+        for s in sweeps
+    ]
+
+
+@pytest.mark.parametrize(
+    ("poses", "test_mass", "again", "said"),
+    [(1, 30.0, False, "The test mass is to be off."), (3, 0.2, True, "take a heavier one")],
+)
+def test_what_comes_next_says_what_is_to_hang_on_the_flange(
+    poses: int, test_mass: float, again: bool, said: str
+) -> None:
+    robot, payload, center = max100(), 8.0, (0.15, 0.0, 0.0)
+    designed = full_design(robot, "joint_2", POSES[:poses], blocks=SLOW, revisit=False)
+
+    def carrying(mass: float) -> list[Sweep]:
+        return noisy(measured(robot, "joint_2", designed, gain=1.0, mass=KnownMass(mass, center), by_load=0.0))
+
+    weighed = Weighed(KnownMass(test_mass, center), tuple(carrying(payload + test_mass)))
+    wanted = diagnose_axis(robot, "joint_2", carrying(payload), weighed=weighed, twin=False).next_experiment
+    assert wanted is not None
+    assert (wanted.kind == "test_mass") == again
+    assert said in wanted.reason
 
 
 def test_bad_masses_and_sweeps_are_refused() -> None:
