@@ -37,6 +37,7 @@ class DriveTrains:
         self.velocity = np.zeros((masses, rows))
         self.free = np.zeros(rows)  # 1 where the brake is open
         self._force = np.zeros((masses, rows))
+        self._damped = np.zeros(rows)  # speed that the spring's damping took from the load in the last step
         self._step = step
 
         self._stiffness = np.array([spring.stiffness for spring in springs])
@@ -116,6 +117,10 @@ class DriveTrains:
         twist = self.twist()
         return (self._stiffness + self._hardening * (twist * twist) if self._hardens else self._stiffness) * twist
 
+    def damping_torque(self) -> Array:
+        """Torque (rows,) N m that the springs' damping handed to the load in the last step."""
+        return -self._damped / self._mobility[1]
+
     def lever(self) -> Array:
         """How fast the gear turns for each rad/s of the motor, (rows,); what it takes, the motor feels times that."""
         return 1 + (np.zeros(len(self.free)) if self.gear_error is None else self.gear_error.slope(self.position[0]))
@@ -172,7 +177,9 @@ class DriveTrains:
             drift -= velocity[1]
             if self._has_gap:
                 drift *= self.engaged()
-            velocity -= drag * drift
+            self._damped = drag[1] * drift
+            velocity[0] -= drag[0] * drift
+            velocity[1] -= self._damped
         velocity -= np.minimum(np.maximum(velocity, slip), stick)
         velocity *= self.free
         position += self._step * velocity

@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 _IMMOVABLE = 1e18  # kg m^2
 _EXACT = Measurement()
 _AT_ONCE = 200_000  # values, so that nothing grows beyond the cache by much
+_SWING = 1.25  # rad that a load may swing in one step behind its led motor; 2 is where the leapfrog breaks
 _SETTLED = 1e-7  # of the friction: it agrees with the temperature
 
 
@@ -74,8 +75,7 @@ def replay(
         raise ValueError(f"{len(axes)} axes for {len(motions)} motions and {len(measurements)} measurements")
     if not axes:
         return []
-    remembers = any(axis.train.spring or axis.train.lugre or axis.train.appendage for axis in axes)
-    step = STEP if remembers else CYCLE
+    step = _step(axes)
     position, velocity, acceleration = _on_grid(motions, [one.velocity_delay for one in measurements], step)
     effort = _motor_torque(axes, position, velocity, acceleration)
     effort += (_elastic if axes[0].train.spring else _rigid)(axes, position, velocity, acceleration, step)
@@ -84,6 +84,15 @@ def replay(
         np.interp(motion.time - motion.time[0], grid, _recorded(axis, effort[:, row], measurements[row], step))
         for row, (axis, motion) in enumerate(zip(axes, motions, strict=True))
     ]
+
+
+def _step(axes: Sequence[MovingAxis]) -> float:
+    """s: that of the plant where something is quick, a longer one where loads but swing or nothing remembers."""
+    trains = [axis.train for axis in axes]
+    if any(train.lugre or train.appendage or (train.spring and train.spring.backlash) for train in trains):
+        return STEP
+    swings = [np.sqrt(axis.train.spring.stiffness / axis.load_inertia) for axis in axes if axis.train.spring]
+    return next((CYCLE / n for n in (1, 2) if CYCLE / n * max(swings, default=0.0) < _SWING), STEP)
 
 
 def _on_grid(motions: Sequence[Motion], late: Sequence[float], step: float) -> Array:
@@ -165,11 +174,10 @@ def _elastic(axes: Sequence[MovingAxis], position: Array, velocity: Array, accel
             known.step = n
         trains.position[0] = position[n]
         trains.velocity[0] = velocity[n]
-        spring, damping, before = trains.spring_torque(), trains.damping * trains.engaged(), trains.velocity[1].copy()
-        lever = trains.lever()
+        spring, lever = trains.spring_torque(), trains.lever()
         torque[n] = trains.friction_torque(spring)[0]
         trains.step(idle)
-        torque[n] += lever * (spring + damping * (lever * velocity[n] - (before + trains.velocity[1]) / 2))
+        torque[n] += lever * (spring + trains.damping_torque())
     return torque
 
 
