@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 _IMMOVABLE = 1e18  # kg m^2
 _EXACT = Measurement()
 _AT_ONCE = 200_000  # values, so that nothing grows beyond the cache by much
+_WARMING = 0.25  # s, likewise, so that few rounds make friction agree with its warmth
 _SWING = 1.25  # rad that a load may swing in one step behind its led motor; 2 is where the leapfrog breaks
 _SETTLED = 1e-7  # of the friction: it agrees with the temperature
 
@@ -89,7 +90,7 @@ def replay(
 def _step(axes: Sequence[MovingAxis]) -> float:
     """s: that of the plant where something is quick, a longer one where loads but swing or nothing remembers."""
     trains = [axis.train for axis in axes]
-    if any(train.lugre or train.appendage or (train.spring and train.spring.backlash) for train in trains):
+    if any(train.lugre or train.appendage for train in trains):
         return STEP
     swings = [np.sqrt(axis.train.spring.stiffness / axis.load_inertia) for axis in axes if axis.train.spring]
     return next((CYCLE / n for n in (1, 2) if CYCLE / n * max(swings, default=0.0) < _SWING), STEP)
@@ -130,7 +131,7 @@ def _rigid(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceler
     law = FrictionLaw([axis.train for axis in axes], [axis.warmth for axis in axes], step)
     damping = np.array([axis.train.hose.damping if axis.train.hose else 0.0 for axis in axes])
     torque = np.array([axis.load_inertia for axis in axes]) * acceleration
-    for at in _pieces(position):
+    for at in _pieces(position, round(_WARMING / step) if law.warms else None):
         trains.position = position[None, at]
         torque[at] += trains.gravity()
         if trains.appendages is not None:
@@ -147,7 +148,7 @@ def _friction(law: FrictionLaw, velocity: Array, transmitted: Array, position: A
     start, torque = law.warmth, law.whole(*motion).sum(axis=1)
     while law.warms:
         gained = law.heating * torque * velocity
-        path = np.stack([_cooling(*row) for row in zip(gained.T, 1 - law.cooling, start, strict=True)], axis=1)
+        path = _cooling(gained, 1 - law.cooling, start)
         law.warmth = np.concatenate([start[None], path[:-1]])[:, None]
         before, torque = torque, law.whole(*motion).sum(axis=1)
         if np.abs(torque - before).max() < _SETTLED * np.abs(torque).max():
@@ -156,9 +157,13 @@ def _friction(law: FrictionLaw, velocity: Array, transmitted: Array, position: A
     return torque
 
 
-def _cooling(gained: Array, keep: float, start: float) -> Array:
-    """``T[n] = keep T[n - 1] + gained[n]`` of one row (steps,)."""
-    return lfilter([1.0], [1.0, -keep], gained, zi=[keep * start])[0]
+def _cooling(gained: Array, keep: Array, start: Array) -> Array:
+    """``T[n] = keep T[n - 1] + gained[n]`` (steps, rows)."""
+    path = np.empty_like(gained)
+    for one in np.unique(keep):
+        alike = keep == one
+        path[:, alike] = lfilter([1.0], [1.0, -one], gained[:, alike], axis=0, zi=one * start[None, alike])[0]
+    return path
 
 
 def _elastic(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceleration: Array, step: float) -> Array:
@@ -209,8 +214,8 @@ def _recorded(axis: MovingAxis, effort: Array, measurement: Measurement, step: f
     return channel.pass_on(effort[:, None])[:, 0] * axis.train.effort_gain + axis.train.effort_offset
 
 
-def _pieces(signal: Array) -> Iterator[slice]:
-    """Steps in order, so many that work on all rows stays small."""
+def _pieces(signal: Array, longest: int | None = None) -> Iterator[slice]:
+    """Steps in order, so many that work on all rows stays small, or the `longest`."""
     steps, rows = signal.shape
-    count = max(1, _AT_ONCE // rows)
+    count = longest or max(1, _AT_ONCE // rows)
     return (slice(first, first + count) for first in range(0, steps, count))
