@@ -120,8 +120,8 @@ def _motor_torque(axes: Sequence[MovingAxis], position: Array, velocity: Array, 
             torque[at] += ripple.at(position[at])
     if any(axis.train.lugre for axis in axes):
         bristles = Bristles([axis.train.lugre for axis in axes], STEP)
-        for n, speed in enumerate(velocity):
-            torque[n] += bristles.step(speed)
+        for at in _pieces(velocity):
+            torque[at] += bristles.along(velocity[at])
     return torque
 
 

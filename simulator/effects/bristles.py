@@ -24,8 +24,23 @@ class Bristles:
 
     def step(self, velocity: Array) -> Array:
         """Friction torque (rows,), N m."""
-        limit = self._coulomb + self._extra * np.exp(-((velocity / self._stribeck) ** 2))
-        rate = self._stiffness * np.abs(velocity) / limit
         before = self.deflection
-        self.deflection = (before + self._step * velocity) / (1 + self._step * rate)
-        return self._stiffness * self.deflection + self._damping / self._step * (self.deflection - before)
+        self.deflection = (before + self._step * velocity) * self._kept(velocity)
+        return self._torque(self.deflection, before)
+
+    def along(self, velocity: Array) -> Array:
+        """The same of steps (steps, rows) that are known beforehand."""
+        kept, gained, path = self._kept(velocity), self._step * velocity, np.empty_like(velocity)
+        now = before = self.deflection
+        for n, (share, more) in enumerate(zip(kept, gained, strict=True)):
+            path[n] = now = (now + more) * share
+        self.deflection = now
+        return self._torque(path, np.concatenate([before[None], path[:-1]]))
+
+    def _kept(self, velocity: Array) -> Array:
+        """Share of the deflection that a step leaves."""
+        limit = self._coulomb + self._extra * np.exp(-((velocity / self._stribeck) ** 2))
+        return 1 / (1 + self._step * self._stiffness * np.abs(velocity) / limit)
+
+    def _torque(self, deflection: Array, before: Array) -> Array:
+        return self._stiffness * deflection + self._damping / self._step * (deflection - before)
