@@ -96,6 +96,18 @@ def held_out(given: Equations, terms: Sequence[Term]) -> Array:
     return np.array([_cost(own, _elsewhere(given, total, own if len(system) > 1 else 0 * own)) for own in system])
 
 
+def allowed_by_physics(given: Equations, explanation: Explanation) -> bool:
+    """Whether every effect's first coefficient is one that its physics allows."""
+    terms = explanation.terms
+    values, start = solve(given.system_with(terms).sum(axis=0), given.viscous_precision)[0], 1
+    for term in terms:
+        low, high = CATALOGUE[term.effect].plausible
+        if not low <= values[start] <= high:
+            return False
+        start += given.width(term)
+    return True
+
+
 def local(given: Equations, before: Sequence[Term], after: Sequence[Term]) -> bool:
     """Whether one fold alone shows the difference, so that no other can tell what it should be there."""
     gains = _in_sample(given, before) - _in_sample(given, after)
@@ -135,13 +147,13 @@ def _table(given: Equations, terms: Sequence[Term], names: Sequence[str]) -> lis
 def _step(
     given: Equations, before: Explanation, table: Sequence[Explanation], excess: float, limit: float, *, first: bool
 ) -> Explanation | None:
-    """The best of a table that enters; one that other poses refuse gives way to the next."""
+    """The best of a table that enters; one that other poses refuse, or physics beside others, gives way to the next."""
     wanted = list(table)
     for _ in range(REFINED):
         step = _simplest(given, wanted, excess)
         if step is None or not _gains(given, before, step, excess, limit, first=first):
             return None
-        if _holds(given, before, step):
+        if _holds(given, before, step) and (first or allowed_by_physics(given, step)):
             return step
         wanted.remove(step)
     return None

@@ -10,7 +10,7 @@ from service.diagnosis.design import is_partial
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.equations import Equations, Term, solve
 from service.diagnosis.search import Beside, Explanation
-from service.diagnosis.select import CERTAIN, RIVAL, TOLERANCE, Selection
+from service.diagnosis.select import CERTAIN, RIVAL, TOLERANCE, Selection, allowed_by_physics
 from service.diagnosis.visibility import grid, left, shows_beside, visible_part
 
 Array = NDArray[np.float64]
@@ -50,18 +50,6 @@ def _doubtful(selection: Selection, added: Sequence[str]) -> bool:
         if gain < max(CATALOGUE[other.effect].rest for other in others) * selection.rigid.cost:
             return True
     return False
-
-
-def allowed_by_physics(given: Equations, explanation: Explanation) -> bool:
-    """Whether every effect's first coefficient is one that its physics allows."""
-    terms = explanation.terms
-    values, start = solve(given.system_with(terms).sum(axis=0), given.viscous_precision)[0], 1
-    for term in terms:
-        low, high = CATALOGUE[term.effect].plausible
-        if not low <= values[start] <= high:
-            return False
-        start += given.width(term)
-    return True
 
 
 def excess(given: Equations, explanation: Explanation) -> float:

@@ -53,4 +53,5 @@ EFFECT = Effect(
     columns=_columns,
     scenario=_scenario,
     shape=_shape,
+    plausible=(0.0, np.inf),
 )
