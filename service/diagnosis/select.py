@@ -160,7 +160,9 @@ def _step(
 
 
 def _simplest(given: Equations, table: Sequence[Explanation], excess: float) -> Explanation | None:
-    """The best, or a simpler one that is as good; one that leaves nothing stands against all but what it contains."""
+    """The best, or a simpler one that is as good, of those that physics allows if any; one that leaves nothing stands
+    against all but what it contains.
+    """
     if not table:
         return None
     best = table[0]
@@ -168,6 +170,7 @@ def _simplest(given: Equations, table: Sequence[Explanation], excess: float) -> 
     if not _leaves(given, best):
         contained = CATALOGUE[best.terms[-1].effect].contains
         near = [one for one in near if not _leaves(given, one) or one.terms[-1].effect in contained]
+    near = [one for one in near if allowed_by_physics(given, one)] or near
     fewest = min(one.parameters for one in near)
     return next(one for one in near if one.parameters == fewest)
 

@@ -140,6 +140,14 @@ def test_one_direction_leaves_ties_that_all_blocks_settle(blocks: Sequence[str],
     assert tie_set(selection, (), candidates) == (set(candidates) if names else {"coulomb_friction"})
 
 
+def test_friction_that_would_push_gives_way_to_what_physics_allows() -> None:
+    robot = max100()
+    designed = full_design(robot, "joint_2", POSES[:2], blocks=FORWARD, sample_rate=RATE)
+    sweeps = following(robot, "joint_2", designed, {Term("effort_offset"): (-60.0,)})
+    selection = select(equations_of(robot, "joint_2", sweeps), (), ["coulomb_friction", "effort_offset"])
+    assert selection.chosen.names == ("effort_offset",)
+
+
 def test_what_a_named_effect_contains_is_no_rival() -> None:
     robot = max100()
     sweeps = following(
