@@ -1,10 +1,11 @@
-"""The lease kept and lost, stops and resets that meet, in front of a formula machine."""
+"""The lease and the drives kept and lost, stops and resets that meet, in front of a formula machine."""
 
 import asyncio
 
 import pytest
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 
+from drivers.ports import AxisState
 from service.errors import Conflict
 from service.store.documents import CampaignState, SweepState
 from service.store.guards import MachineLease
@@ -98,3 +99,21 @@ async def test_a_stop_cannot_be_reset_while_another_is_under_way(bench: Bench) -
     assert bench.machine.held != ""
     await bench.machine.reset_stop("anna")
     assert bench.machine.held == ""
+
+
+async def test_a_cabinet_that_was_switched_off_and_on_meanwhile_is_connected_before_it_moves(bench: Bench) -> None:
+    await bench.machine.connect()
+    bench.drive.silent = True
+    await bench.runner.start(bench.campaign.id)
+    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
+    assert [entry for entry in bench.drive.trace if entry != "standstill"][:5] == [
+        "close", "connect", "close", "connect", "enable joint_1"
+    ]  # fmt: skip
+
+
+async def test_drives_that_do_not_answer_are_no_connected_machine(bench: Bench) -> None:
+    await bench.machine.connect()
+    bench.drive.silent = True
+    status = await bench.machine.status()
+    assert {axis.state for axis in status.values()} == {AxisState.UNKNOWN}
+    assert (bench.machine.connected, bench.machine.trouble) == (False, "no drive answers")

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from drivers.errors import CommunicationLost, DriveFault
-from drivers.ports import AxisState
 from service.campaigns.session import SweepEvent, sweep_move
 from service.errors import Conflict
 from service.store.columns import read_columns
@@ -366,24 +365,6 @@ async def test_a_second_start_is_refused_while_one_runs(bench: Bench) -> None:
         await bench.machine.acknowledge("joint_1")
     bench.drive.go.set()
     await run_out(bench)
-
-
-async def test_a_cabinet_that_was_switched_off_and_on_meanwhile_is_connected_before_it_moves(bench: Bench) -> None:
-    await bench.machine.connect()
-    bench.drive.silent = True
-    await bench.runner.start(bench.campaign.id)
-    await run_out(bench)
-    assert [entry for entry in bench.drive.trace if entry != "standstill"][:5] == [
-        "close", "connect", "close", "connect", "enable joint_1"
-    ]  # fmt: skip
-
-
-async def test_drives_that_do_not_answer_are_no_connected_machine(bench: Bench) -> None:
-    await bench.machine.connect()
-    bench.drive.silent = True
-    status = await bench.machine.status()
-    assert {axis.state for axis in status.values()} == {AxisState.UNKNOWN}
-    assert (bench.machine.connected, bench.machine.trouble) == (False, "no drive answers")
 
 
 async def test_a_lost_connection_has_to_be_made_again(bench: Bench) -> None:
