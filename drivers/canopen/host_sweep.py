@@ -81,11 +81,13 @@ class HostSweep:
 
     async def finished(self) -> None:
         """Until the thread has ended; raises what ended it."""
-        await asyncio.shield(self._thread)
+        await self.over()
+        self._thread.result()
 
     async def over(self) -> None:
         """Until the thread has ended, however it did: that is the consumer's matter."""
         await asyncio.wait([self._thread])
+        self._executor.shutdown()  # the thread's one task is over: it has nothing left to do but to end
         if not self._thread.cancelled():
             self._thread.exception()  # noted: asyncio does not tell of it once more
 

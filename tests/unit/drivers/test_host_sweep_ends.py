@@ -3,7 +3,9 @@
 import asyncio
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Iterator
+from concurrent.futures.thread import _WorkItem  # pyright: ignore[reportPrivateUsage]
+from types import FrameType
 
 import pytest
 
@@ -71,6 +73,32 @@ async def test_a_stop_that_came_first_is_a_stop_though_a_drive_says_nothing() ->
         obeyed = on.cabinet.drives[1].obeyed
         await until(lambda: (0x00, 0) in obeyed)
         assert {controlword for controlword, _ in obeyed} == {0x02, 0x00}
+
+
+@pytest.mark.parametrize("until_end", [HostSweep.over, HostSweep.finished])
+async def test_once_over_its_thread_is_gone(
+    until_end: Callable[[HostSweep], Awaitable[None]], slow_to_end: Callable[[], None]
+) -> None:
+    """A machine that was closed leaves no thread behind, on a busy computer either."""
+    stop = threading.Event()
+    stop.set()
+    async with bench(Drive(1)) as on:
+        slow_to_end()
+        run = on.start(stop=stop)
+        await until_end(run)
+        assert not [thread for thread in threading.enumerate() if thread.name.startswith("can-stream")]
+
+
+@pytest.fixture
+def slow_to_end() -> Iterator[Callable[[], None]]:
+    """From its call on, a pool's thread pauses between telling a result and whatever it does next."""
+
+    def pause(frame: FrameType, event: str, _: object) -> None:
+        if event == "return" and frame.f_code is _WorkItem.run.__code__:
+            time.sleep(0.1)
+
+    yield lambda: threading.setprofile(pause)
+    threading.setprofile(None)
 
 
 async def until(condition: Callable[[], bool]) -> None:
