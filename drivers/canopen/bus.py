@@ -62,8 +62,9 @@ class Bus:
         try:
             self._network.send_message(identifier, data)
         except (can.CanError, OSError) as error:
-            self._fail(f"sending failed: {error}")
-            raise CommunicationLost(f"bus {self._profile.channel}: sending failed: {error}") from None
+            reason = f"sending failed: {_in_a_line(error)}"
+            self._fail(reason)
+            raise CommunicationLost(f"bus {self._profile.channel}: {reason}") from None
 
     def check_alive(self) -> None:
         """CommunicationLost if the bus is gone or no node was heard for longer than the time-out."""
@@ -133,7 +134,7 @@ class Bus:
                 if message is not None and not message.is_remote_frame:
                     self._sort(message)
         except (can.CanError, OSError) as error:
-            self._fail(f"receiving failed: {error}")
+            self._fail(f"receiving failed: {_in_a_line(error)}")
         except BaseException as error:  # a bus that nobody listens to must not look alive
             self._fail(f"receiving failed: {error!r}")
             raise
@@ -202,4 +203,9 @@ def _open(profile: BusProfile) -> can.BusABC:
         return interface
     except (can.CanError, OSError, ValueError) as error:
         where = f" at {profile.host}:{profile.port}" if profile.host else ""
-        raise ConnectionFailed(f"{place}{where} could not be opened: {error}") from None
+        raise ConnectionFailed(f"{place}{where} could not be opened: {_in_a_line(error)}") from None
+
+
+def _in_a_line(error: Exception) -> str:
+    """For an operator: python-can's socketcand client puts its whole traceback into the message."""
+    return " ".join(str(error).partition("Traceback")[0].split())

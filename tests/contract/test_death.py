@@ -126,8 +126,9 @@ async def test_a_machine_that_dies_is_lost_communication(mortal: Virtual, mode: 
         await consume(port, command, lambda _: process.kill())
     status = await port.status()
     assert {axis.state for axis in status.values()} == {AxisState.UNKNOWN}
-    with pytest.raises(CommunicationLost):
+    with pytest.raises(CommunicationLost) as told:
         await port.enable(AXIS)
+    assert "\n" not in str(told.value)  # an operator reads it
     await port.close()
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("can-")]
     assert len(asyncio.all_tasks()) == 1

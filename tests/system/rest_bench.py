@@ -33,20 +33,35 @@ class Fieldbus(Enum):
 
 
 class VirtualMachine:
-    """`sweepid drive`, its control port, and a profile that leads to it."""
+    """`sweepid drive`, its control port, and a profile that leads to it; its power may fail and come back."""
 
-    def __init__(self, folder: Path, ready: dict[str, Any], fieldbus: Fieldbus) -> None:
-        self._control_port = int(ready["control_port"])
+    def __init__(self, folder: Path, command: list[str], fieldbus: Fieldbus) -> None:
+        self._command, self._port = command, 0
+        self.power_on()
         if fieldbus is Fieldbus.CANOPEN:
             content = yaml.safe_load((CONFIG / "drives" / "virtual-max100.yaml").read_text("utf-8"))
-            content["bus"]["port"] = ready["port"]
+            content["bus"]["port"] = self._port
             content["eds"] = str(CONFIG / "eds" / "virtual-axis.eds")
         else:
             content = yaml.safe_load((CONFIG / "drives" / "virtual-max100-modbus-tcp.yaml").read_text("utf-8"))
-            content["line"]["port"] = ready["port"]
+            content["line"]["port"] = self._port
             content["registers"] = str(CONFIG / "registers" / "virtual-high-first.yaml")
         self.profile = folder / "profile.yaml"
         self.profile.write_text(yaml.safe_dump(content), "utf-8")
+
+    def power_on(self) -> None:
+        """Start the drives, on the port they had before if they ran already; returns when they answer."""
+        command = [*self._command, "--port", str(self._port)]
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        ready = json.loads(self._process.stdout.readline() if self._process.stdout else b"")
+        self._port, self._control_port = int(ready["port"]), int(ready["control_port"])
+
+    def power_off(self, how: signal.Signals = signal.SIGKILL) -> None:
+        """End the drives, without a word to anybody unless `how` is a kinder signal."""
+        self._process.send_signal(how)
+        self._process.wait(10)
+        if self._process.stdout:
+            self._process.stdout.close()
 
     def order(self, order: str, **details: object) -> Json:
         """What the control port answers to an order."""
@@ -137,18 +152,13 @@ class Service:
 def virtual_machine(
     folder: Path, speed_factor: float = 20.0, fieldbus: Fieldbus = Fieldbus.CANOPEN, scenario: Path = SCENARIO
 ) -> Iterator[VirtualMachine]:
-    command = [SWEEPID, "drive", "--port", "0", "--speed-factor", str(speed_factor)]
-    if fieldbus is not Fieldbus.CANOPEN:
-        command += ["--fieldbus", fieldbus.value]
-    command += ["--scenario", str(scenario)]
-    command += ["--eds", str(CONFIG / "eds" / "virtual-axis.eds")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
-        try:
-            line = process.stdout.readline() if process.stdout else b""
-            yield VirtualMachine(folder, json.loads(line), fieldbus)
-        finally:
-            process.send_signal(signal.SIGTERM)
-            process.wait(10)
+    command = [SWEEPID, "drive", "--speed-factor", str(speed_factor), "--scenario", str(scenario)]
+    command += ["--eds", str(CONFIG / "eds" / "virtual-axis.eds"), "--fieldbus", fieldbus.value]
+    machine = VirtualMachine(folder, command, fieldbus)
+    try:
+        yield machine
+    finally:
+        machine.power_off(signal.SIGTERM)
 
 
 @contextmanager
