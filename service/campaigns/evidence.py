@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
+from service.diagnosis import is_evidence
 from service.errors import BadInput, Conflict, NotFound
-from service.identification.trajectory_record import runs_at_once
 from service.recording import SweepSpec
 from service.store.documents import CampaignDocument, CampaignState, RecordingDocument, SweepState
 from service.store.recordings import RecordingFiles
@@ -36,7 +36,7 @@ def campaigns_of(store: Store, campaigns: Sequence[int]) -> tuple[CampaignDocume
 
 def swept_axes(store: Store, campaigns: Sequence[CampaignDocument]) -> tuple[str, ...]:
     """The joints that have complete sweeps that move, in the robot's order."""
-    swept = {spec.axis for campaign in campaigns for _, spec in _complete(store, campaign) if spec.moves}
+    swept = {spec.axis for campaign in campaigns for _, spec in _complete(store, campaign)}
     return tuple(joint for joint in store.robot(campaigns[0].robot_id).build().joints if joint in swept)
 
 
@@ -45,7 +45,7 @@ def recorded_sweeps(
 ) -> tuple[tuple[RecordedSweep, ...], tuple[str, ...]]:
     """The complete sweeps of an axis, and the SHA-256 of their files; BadInput if one is not as it was written.
 
-    What was interrupted or failed is left out, and so are trajectories of several axes at once. A sweep is named
+    What was interrupted or failed, or is no evidence, is left out. A sweep is named
     "campaign/sweep". `started_at` counts from the first campaign's begin. What a later campaign measured again, same
     pose and block, is no repeat back to back: its block then names the campaign.
     """
@@ -82,5 +82,5 @@ def _complete(store: Store, campaign: CampaignDocument) -> list[tuple[RecordingD
     return [
         (store.recording(campaign.id, sweep.number), sweep.spec)
         for sweep in store.sweeps(campaign.id)
-        if sweep.state in _COMPLETE and not runs_at_once(sweep.spec)
+        if sweep.state in _COMPLETE and is_evidence(sweep.spec)
     ]

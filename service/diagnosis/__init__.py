@@ -7,5 +7,14 @@ a model revision of that. Pure functions of the samples: no clock, no files, no 
 from service.diagnosis.diagnose import AxisDiagnosis, diagnose_axis
 from service.diagnosis.document import as_document, axis_document, compose
 from service.diagnosis.revision import model_document
+from service.diagnosis.signals import is_evidence
 
-__all__ = ["AxisDiagnosis", "as_document", "axis_document", "compose", "diagnose_axis", "model_document"]
+__all__ = [
+    "AxisDiagnosis",
+    "as_document",
+    "axis_document",
+    "compose",
+    "diagnose_axis",
+    "is_evidence",
+    "model_document",
+]

@@ -21,10 +21,12 @@ from service.identification.regressor import axis_rows
 from service.robot import Robot
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 SMALLEST = 1e-60  # product of a column that is there
 SAME = 1e-3  # a model that moved by less is the same
 FLAT = 1e-9  # of a column's own product: below, it is a combination of the others
+REPEATED = 0.2  # of the velocity, RMS, by which a repeat may differ
 
 
 @dataclass(frozen=True)
@@ -214,12 +216,25 @@ def nominal_inertia(robot: Robot, index: int, poses: Array) -> Array:
 
 
 def grouped(tracks: Tracks) -> tuple[Group, ...]:
-    """Repeats put together: same block and pose; a pose is a fold."""
-    collected: dict[tuple[int, str], list[int]] = {}
+    """Repeats put together: same pose, block and measured motion; a pose is a fold."""
+    motion, width = tracks.rows(tracks.velocity), tracks.usable.shape[1]
+    collected: list[tuple[int, str, list[int]]] = []
     for number, spec in enumerate(tracks.specs):
-        collected.setdefault((int(tracks.spot[number]), spec.block), []).append(number)
-    width = tracks.usable.shape[1]
-    return tuple(Group(tuple(Piece(k, 0, width) for k in numbers), spot) for (spot, _), numbers in collected.items())
+        spot = int(tracks.spot[number])
+        for other, block, numbers in collected:
+            if (other, block) == (spot, spec.block) and _same_motion(motion, tracks.usable, numbers[0], number):
+                numbers.append(number)
+                break
+        else:
+            collected.append((spot, spec.block, [number]))
+    return tuple(Group(tuple(Piece(k, 0, width) for k in numbers), spot) for spot, _, numbers in collected)
+
+
+def _same_motion(motion: Array, usable: Mask, one: int, other: int) -> bool:
+    """Whether two sweeps moved alike where both count: names alone may be missing, or wrong."""
+    both = usable[one] & usable[other]
+    first, second = motion[one][both], motion[other][both]
+    return bool(both.any() and np.sum((first - second) ** 2) < REPEATED**2 * np.sum(first**2))
 
 
 def remodelled(given: Equations, terms: Sequence[Term]) -> Equations:

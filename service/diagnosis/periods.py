@@ -6,6 +6,8 @@ from dataclasses import fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from service.diagnosis.signals import is_evidence
+from service.errors import BadInput
 from service.recording import Recording, Sweep
 
 Array = NDArray[np.float64]
@@ -15,14 +17,25 @@ SHORTEST = 1.0  # s
 
 
 def in_periods(joint: str, sweeps: Sequence[Sweep]) -> list[Sweep]:
-    """The sweeps of an axis; one that stands alone and repeats its motion is cut into periods."""
-    own = [sweep for sweep in sweeps if sweep.spec.axis == joint]
+    """The sweeps of an axis that are evidence; one that stands alone and repeats its motion is cut into periods.
+
+    BadInput if it is shorter than its period, or if no sweep has any velocity, or any effort.
+    """
+    own = [sweep for sweep in sweeps if sweep.spec.axis == joint and is_evidence(sweep.spec)]
+    for column in ("velocity", "effort"):
+        if own and not any(np.any(getattr(sweep.recording, column)) for sweep in own):
+            raise BadInput(joint, f"{column} is 0 in every sample of its sweeps")
     if len(own) != 1 or own[0].spec.excitation != "trajectory":
         return own
     samples = _period(own[0])
     if samples == 0:
         return own
     count = len(own[0].recording.time) // samples
+    if count == 0:
+        spec, length = own[0].spec, len(own[0].recording.time) / own[0].spec.sample_rate
+        raise BadInput(
+            f"sweep {spec.id}", f"its period of {spec.period:g} s is longer than its {length:.2f} s of samples"
+        )
     return [_cut(own[0], samples, number) for number in range(count)]
 
 

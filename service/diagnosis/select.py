@@ -65,7 +65,7 @@ def select(given: Equations, known: Sequence[str], candidates: Sequence[str]) ->
     if fixed:
         given = remodelled(given, fixed)
     rigid = Beside(given, fixed).alone()
-    limit = float(chi2.isf(CHANCE / (8 * len(candidates)), 2))
+    limit = float(chi2.isf(CHANCE / (8 * max(1, len(candidates))), 2))
     chosen, tried = rigid, list[Explanation]()
     for _ in range(MOST):
         table = _table(given, chosen.terms, [c for c in candidates if c not in chosen.names])

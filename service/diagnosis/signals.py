@@ -17,6 +17,7 @@ from scipy.fft import next_fast_len
 
 from service.errors import BadInput
 from service.identification.regressor import gravity_terms
+from service.identification.trajectory_record import runs_at_once
 from service.recording import Sweep, SweepSpec
 from service.robot import Robot
 
@@ -32,6 +33,7 @@ TOP = 0.36  # of the rate: above, there is nothing but noise
 REACH = 4.0  # standard deviations of the Gaussian that count
 STUCK = 0.03  # of the slowest sweep's peak speed: below it friction may take any value
 STUCK_TIME = 0.016  # s below that make a standstill; a mere crossing is shorter
+ONE_POSE = 1e-3  # rad (m) by which the joints of one pose may differ
 
 
 @dataclass(frozen=True)
@@ -179,10 +181,15 @@ def slowest(velocity: Array) -> float:
     return float(peaks[peaks > 0.05 * peaks.max()].min())
 
 
+def is_evidence(spec: SweepSpec) -> bool:
+    """Whether a diagnosis can use a sweep: its axis follows a motion, and no other axis moves beside it."""
+    return spec.moves and not runs_at_once(spec)
+
+
 def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
-    """The sweeps of `joint` in which it follows a motion; BadInput if there is none."""
+    """The sweeps of `joint` that are evidence; BadInput if there is none."""
     index = robot.index(joint)
-    own = [s for s in sweeps if s.spec.axis == joint and s.spec.moves]
+    own = [s for s in sweeps if s.spec.axis == joint and is_evidence(s.spec)]
     if not own:
         raise BadInput(joint, "has no sweep that moves")
     rates = {s.spec.sample_rate for s in own}
@@ -202,8 +209,7 @@ def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
     inside = np.arange(most)[None] < np.array(lengths)[:, None]
     velocity = stacked("velocity") * inside
     position = stacked("position")
-    poses, spot = np.unique([s.spec.pose for s in own], axis=0, return_inverse=True)
-    spot = spot.reshape(-1)
+    poses, spot = _poses(own)
     away = position - poses[spot, index][:, None]
     terms = gravity_terms(robot.chain, robot.chain.inertial.ravel(), robot.gravity, index, poses)[spot]
     return Tracks(
@@ -224,6 +230,13 @@ def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
         usable=_usable(velocity, inside, rate),
         temperature=stacked("temperature") if all(s.recording.temperature is not None for s in own) else None,
     )
+
+
+def _poses(sweeps: Sequence[Sweep]) -> tuple[Array, NDArray[np.int_]]:
+    """The poses (m, all joints) and of each sweep the number of its pose (n,)."""
+    told = np.array([sweep.spec.pose for sweep in sweeps])
+    _, first, spot = np.unique(np.round(told / ONE_POSE), axis=0, return_index=True, return_inverse=True)
+    return told[first], spot.reshape(-1)
 
 
 def laid_out(tracks: Tracks, signals: Sequence[Array]) -> Array:
