@@ -10,12 +10,13 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import f as fisher
+from scipy.stats import norm
 
 from service.diagnosis.grams import Group
-from service.diagnosis.signals import Tracks, row_samples
+from service.diagnosis.signals import EVERY, Tracks, row_samples
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 SIGNIFICANT = 5.0
 BINS = 6
@@ -23,6 +24,7 @@ MANY = 1.5  # times the RMS of the whole: a cell that stands out
 HARDLY = 0.3  # of the gap in one direction: there is none to speak of in the other
 STEADY = 0.8  # correlation of ranks with a property along which the gap grows
 LEAST_BINS = 3
+SMALLEST = 1e-300  # power, and chance that a normal distribution can still tell
 WAYS = ("direction", "weight")
 ORDERED = ("speed", "|gravity torque|", "time since start", "temperature", "line frequency")
 
@@ -62,30 +64,35 @@ def cells(tracks: Tracks, groups: Sequence[Group], residual: Array, after: Array
 
 
 def lines(tracks: Tracks, residual: Array, after: Array) -> tuple[Cell, ...]:
-    """The gap at the excited frequencies: RMS of the residual's part at each line over the sweeps that have it."""
-    every = np.diff(row_samples(tracks.effort.shape[1], tracks.rate)[:2])[0] / tracks.rate
-    power: dict[float, list[float]] = {}
-    left: dict[float, list[float]] = {}
+    """The gap at the excited frequencies: RMS of the residual's part at each line over the sweeps that have it, and how
+    far it stands out from the bins between the lines, as standard deviations of the same chance.
+    """
+    every = EVERY / tracks.rate
+    start = row_samples(tracks.effort.shape[1], tracks.rate)[0] / tracks.rate
+    power: dict[float, list[Array]] = {}  # of a line, its neighbours, and the line after
     for number, spec in enumerate(tracks.specs):
-        if not spec.periodic or spec.period is None or spec.periods is None:
+        if spec.period is None or spec.periods is None or spec.periods < 2 or not spec.sines:
             continue
-        first = round(spec.measure_from / every)
-        count = round(spec.period * spec.periods / every)
+        first, count = round((spec.measure_from - start) / every), round(spec.period * spec.periods / every)
+        inside = (np.count_nonzero(tracks.inside[number]) - 1) / tracks.rate
+        if first < 0 or start + (first + count - 1) * every > inside:
+            continue  # no whole window
+        time = np.arange(count, dtype=np.float64) * every
+        beside = (np.arange(1, spec.periods) / (spec.period * spec.periods)).tolist()
         window, later = residual[number, first : first + count], after[number, first : first + count]
-        time = np.arange(len(window)) * every
         for sine in spec.sines:
-            wave: Complex = np.exp(-2j * np.pi * sine.frequency * time)
-            beside: Complex = np.exp(-2j * np.pi * (sine.frequency + 0.5 / (spec.period or 1.0)) * time)
-            power.setdefault(sine.frequency, []).append(_power(window, wave))
-            power.setdefault(-sine.frequency, []).append(_power(window, beside))
-            left.setdefault(sine.frequency, []).append(_power(later, wave))
+            sides = [sine.frequency + side for offset in beside for side in (offset, -offset)]
+            neighbours = float(np.mean([_power(window, time, side) for side in sides]))
+            line, left = (_power(signal, time, sine.frequency) for signal in (window, later))
+            power.setdefault(sine.frequency, []).append(np.array([line, neighbours, left, len(sides)]))
     result: list[Cell] = []
-    for frequency in sorted(f for f in power if f > 0):
-        floor = max(float(np.mean(power[-frequency])), 1e-300)
-        mean = float(np.mean(power[frequency]))
-        significance = (mean / floor - 1) * np.sqrt(len(power[frequency]) / 2)
-        remaining = float(np.sqrt(np.mean(left[frequency])))
-        result.append(Cell("line frequency", f"{frequency:g} Hz", float(np.sqrt(mean)), float(significance), remaining))
+    for frequency, found in sorted(power.items()):
+        means: list[float] = np.mean(found, axis=0).tolist()
+        line, floor, left, sides = means
+        freedom = 2 * len(found)  # squares of normal values: two of each bin
+        chance = float(fisher.sf(line / max(floor, SMALLEST), freedom, freedom * sides))
+        significance = float(norm.isf(max(chance, SMALLEST)))
+        result.append(Cell("line frequency", f"{frequency:g} Hz", line**0.5, significance, left**0.5))
     return tuple(result)
 
 
@@ -133,9 +140,9 @@ def _trend(dimension: str, own: Sequence[Cell]) -> str:
     return f"falls with {dimension}" if steady < -STEADY and first > MANY * last else ""
 
 
-def _power(signal: Array, wave: Complex) -> float:
+def _power(signal: Array, time: Array, frequency: float) -> float:
     """Mean square of a signal's part at one frequency."""
-    return float(2 * np.abs(np.mean(signal * wave)) ** 2)
+    return float(2 * np.abs(np.mean(signal * np.exp(-2j * np.pi * frequency * time))) ** 2)
 
 
 def _cell(dimension: str, value: str, rows: _Rows, here: NDArray[np.bool_], noise: float) -> Cell:

@@ -1,13 +1,17 @@
 """Where the gap is, in words: only in one direction, growing with something, largest somewhere, or nowhere."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from service.diagnosis.design import full_design
 from service.diagnosis.diagnose import diagnose_axis
-from service.diagnosis.equations import Term
-from service.diagnosis.locate import Cell, sentences
+from service.diagnosis.equations import Term, nominal_right
+from service.diagnosis.locate import Cell, lines, sentences
+from service.diagnosis.signals import tracks
+from service.recording import Sweep
 from tests.numeric.campaign import max100
-from tests.unit.service.diagnosis.following import following
+from tests.unit.service.diagnosis.following import RATE, following
 
 POSES = np.array([[0.0, -1.0, 0.2, 0, 0, 0], [0.0, 0.3, 0.2, 0, 0, 0], [0.0, 1.2, 0.2, 0, 0, 0]])
 
@@ -33,11 +37,32 @@ def test_a_gap_that_is_everywhere_alike_has_no_pattern() -> None:
 
 
 def test_what_is_said_of_real_sweeps_is_what_their_cells_show() -> None:
+    """Friction that grows with the load is a gap where the axis is slow: at speed, viscous friction passes for it."""
     robot = max100()
-    designed = full_design(robot, "joint_2", POSES, blocks=("forward_slow", "backward_slow", "wide"))
-    sweeps = following(robot, "joint_2", designed, {Term("joint_elasticity", (1e-6, 1e-3)): (1.0,)})
+    designed = full_design(robot, "joint_2", POSES, blocks=("forward_slow", "backward_slow"), sample_rate=RATE)
+    sweeps = following(robot, "joint_2", designed, {Term("load_dependent_friction"): (30.0, 0.05)})
     found = diagnose_axis(robot, "joint_2", sweeps, twin=False)
-    assert found.sentences[0] == "joint_2: grows with speed."
-    speeds = {float(one.value.split()[0]): one.rms for one in found.cells if one.dimension == "speed"}
-    assert speeds[max(speeds)] > 1.5 * speeds[min(speeds)]
+    speeds = [one for one in found.cells if one.dimension == "speed"]
+    largest = max(speeds, key=lambda one: one.rms)
+    assert float(largest.value.split()[0]) == min(float(one.value.split()[0]) for one in speeds)
+    assert f"joint_2: the gap is largest at speed {largest.value} ({largest.rms:.3g} against " in found.sentences[0]
     assert {one.value for one in found.cells if one.dimension == "weight"} == {"upwards", "downwards"}
+
+
+def test_noise_has_no_lines_and_a_line_stands_out_of_it() -> None:
+    """One sweep in one pose, nothing repeated: the bins between the lines tell what chance makes of one."""
+    robot = max100()
+    designed = full_design(robot, "joint_2", POSES[:1], blocks=("forward_slow",), sample_rate=RATE)[:1]
+    chance = [cell for seed in range(10) for cell in line_cells(following(robot, "joint_2", designed, seed=seed))]
+    assert len(chance) == 10 * len(designed[0].spec.sines)
+    assert max(cell.significance for cell in chance) < 4.0
+    assert abs(np.median([cell.significance for cell in chance])) < 0.8
+    delayed = following(robot, "joint_2", designed, {Term("measurement_delay", (4e-3,)): (4e-3,)})
+    assert max(cell.significance for cell in line_cells(delayed)) > 5.0
+
+
+def line_cells(sweeps: Sequence[Sweep]) -> tuple[Cell, ...]:
+    """Of what CAD leaves of the effort."""
+    motion = tracks(max100(), "joint_2", sweeps)
+    left = motion.rows(nominal_right(motion))
+    return lines(motion, left, left)
