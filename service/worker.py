@@ -8,7 +8,7 @@ the durable job is the row of the sweep or of the diagnosis.
 import asyncio
 import os
 import sys
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ from pydantic import JsonValue
 
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.calibration import Weighed
+from service.diagnosis.parameters import Parameter
 from service.errors import SweepidError
 from service.estimation import estimate_document, spectrum_from, sweep_spectrum
 from service.identification.analysis_document import analyses_from
@@ -108,14 +109,14 @@ class RecordedSweep:
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisJob:
-    """Diagnose one axis; `known` effects are in the model already, `weighed` are sweeps with a known `mass`."""
+    """Diagnose one axis; `known`: effects of the model with its parameters; `weighed`: sweeps with a known `mass`."""
 
     key: str
     robot: RobotDescription
     urdf_text: str
     joint: str
     sweeps: tuple[RecordedSweep, ...]
-    known: tuple[str, ...]
+    known: Mapping[str, Mapping[str, Parameter]]
     mass: KnownMass | None
     weighed: tuple[RecordedSweep, ...]
 

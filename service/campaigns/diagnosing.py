@@ -8,16 +8,18 @@ import asyncio
 import hashlib
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any, cast
 
 import structlog
 
 from service.campaigns.evidence import campaigns_of, recorded_sweeps, swept_axes
 from service.diagnosis import compose
+from service.diagnosis.parameters import Parameter
 from service.errors import BadInput, Conflict, NotFound
 from service.identification.torque_gain import KnownMass
 from service.store.diagnoses import DiagnosisStore
-from service.store.diagnosis_documents import DiagnosisDocument, DiagnosisEntry, NewDiagnosis
+from service.store.diagnosis_documents import DiagnosisDocument, DiagnosisEntry, NewDiagnosis, Weighing
 from service.store.model_revisions import ModelStore
 from service.store.recordings import RecordingFiles
 from service.store.store import Store
@@ -72,6 +74,11 @@ class Diagnosing:
         self, campaigns: Sequence[int], axes: Sequence[str] | None, model: int | None, unattended: bool
     ) -> NewDiagnosis:
         found = campaigns_of(self._store, campaigns)
+        for number, mass in self._diagnoses.masses([campaign.id for campaign in found]).items():
+            raise Conflict(
+                f"campaign {number} was measured with a test mass of {mass.mass:g} kg: it belongs to the diagnosis "
+                "that asked for it, and is no evidence of the bare robot"
+            )
         robot_id = found[0].robot_id
         swept = swept_axes(self._store, found)
         if not swept:
@@ -103,15 +110,23 @@ class Diagnosing:
             jobs = [await asyncio.to_thread(self._job, diagnosis, one) for one in diagnosis.axes if one not in results]
             await asyncio.to_thread(self._diagnoses.begin, diagnosis.id)
             done = await asyncio.gather(*(self._axis(diagnosis.id, job) for job in jobs), return_exceptions=True)
-            for error in done:  # what the other axes came to is kept
-                if error is not None:
+            failed = [error for error in done if isinstance(error, JobFailed)]
+            for error in done:
+                if error is not None and error not in failed:
                     raise error
             document = await asyncio.to_thread(self._composed, diagnosis)
+            if failed or document is None:
+                await self._fail(diagnosis, "; ".join(str(error) for error in failed), document)
+                return
             await asyncio.to_thread(self._diagnoses.finish, diagnosis.id, document)
             _log.info("diagnosis", diagnosis=diagnosis.id)
-        except (JobFailed, BadInput, Conflict) as error:
-            _log.error("diagnosis_failed", diagnosis=diagnosis.id, cause=str(error))
-            await asyncio.to_thread(self._diagnoses.fail, diagnosis.id, str(error))
+        except (BadInput, Conflict) as error:
+            await self._fail(diagnosis, str(error), None)
+
+    async def _fail(self, diagnosis: DiagnosisEntry, cause: str, document: dict[str, Any] | None) -> None:
+        """What the other axes came to is kept."""
+        _log.error("diagnosis_failed", diagnosis=diagnosis.id, cause=cause)
+        await asyncio.to_thread(self._diagnoses.fail, diagnosis.id, cause, document)
 
     async def _axis(self, diagnosis_id: int, job: DiagnosisJob) -> None:
         while True:
@@ -130,15 +145,18 @@ class Diagnosing:
         robot = self._store.robot(diagnosis.robot_id)
         sweeps, told = recorded_sweeps(self._store, self._files, campaigns_of(self._store, diagnosis.campaigns), joint)
         mass, weighed, told_too = None, (), ()
-        if diagnosis.weighed is not None:
-            campaign = campaigns_of(self._store, [diagnosis.weighed.campaign_id])
+        weighing = self._weighing(diagnosis, joint)
+        if weighing is not None:
+            campaign = campaigns_of(self._store, [weighing.campaign_id])
             weighed, told_too = recorded_sweeps(self._store, self._files, campaign, joint)
-            mass = KnownMass(**diagnosis.weighed.mass.model_dump()) if weighed else None
+            mass = KnownMass(**weighing.mass.model_dump())
         known = self._known(diagnosis.model, joint)
         # the same files may be looked at for different ends: all that makes a difference takes part in the key
         content = [
-            diagnosis.model_dump(mode="json", include={"robot_id", "campaigns", "weighed"}),
-            [robot.description.model_dump(mode="json"), robot.urdf_text, known],
+            diagnosis.model_dump(mode="json", include={"robot_id", "campaigns"}),
+            None if weighing is None else weighing.model_dump(mode="json"),
+            [robot.description.model_dump(mode="json"), robot.urdf_text],
+            {effect: {name: asdict(value) for name, value in own.items()} for effect, own in known.items()},
             [told, told_too],
         ]
         digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
@@ -153,17 +171,33 @@ class Diagnosing:
             weighed=weighed,
         )
 
-    def _known(self, model_id: int | None, joint: str) -> tuple[str, ...]:
-        """Effects of the axis that the model has."""
+    def _known(self, model_id: int | None, joint: str) -> dict[str, dict[str, Parameter]]:
+        """Effects of the axis that the model has, with its parameters."""
         if model_id is None:
-            return ()
+            return {}
         axes = cast("dict[str, Any]", self._models.model(model_id).document)["axes"]
-        return tuple(effect["effect"] for effect in axes[joint]["effects"]) if joint in axes else ()
+        return {
+            effect["effect"]: {name: Parameter(**value) for name, value in effect["parameters"].items()}
+            for effect in (axes[joint]["effects"] if joint in axes else ())
+        }
 
-    def _composed(self, diagnosis: DiagnosisEntry) -> dict[str, Any]:
+    def _weighing(self, diagnosis: DiagnosisEntry, joint: str) -> Weighing | None:
+        """The newest campaign with a known mass that moved the axis, of this diagnosis or one that it continues."""
+        at: DiagnosisEntry | None = diagnosis
+        while at is not None:
+            if at.weighed is not None:
+                swept = swept_axes(self._store, campaigns_of(self._store, [at.weighed.campaign_id]))
+                if joint in swept:
+                    return at.weighed
+            at = None if at.parent is None else self._diagnoses.diagnosis(at.parent)
+        return None
+
+    def _composed(self, diagnosis: DiagnosisEntry) -> dict[str, Any] | None:
+        """Of the axes that have a result."""
         results = self._diagnoses.results(diagnosis.id)
         robot = self._store.robot(diagnosis.robot_id).build()
-        return compose(robot, {joint: results[joint] for joint in diagnosis.axes})
+        done = {joint: results[joint] for joint in diagnosis.axes if joint in results}
+        return compose(robot, done) if done else None
 
     def _done(self, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)

@@ -12,7 +12,7 @@ from rich.progress import track
 from rich.table import Table
 
 from service.cli.identify import write_json
-from service.diagnosis import AxisDiagnosis, as_document, diagnose_axis, model_document
+from service.diagnosis import AxisDiagnosis, as_document, diagnose_axis, is_evidence, model_document
 from service.errors import BadInput
 from service.report import diagnosis_page
 from service.robot import Robot
@@ -71,42 +71,43 @@ def diagnose_bundle(
     """The document of all axes that were swept, or of one; BadInput if that leaves none."""
     if axis is not None:
         bundle.robot.index(axis)
-    swept = {sweep.spec.axis for sweep in bundle.sweeps if sweep.spec.moves}
+    swept = {sweep.spec.axis for sweep in bundle.sweeps if is_evidence(sweep.spec)}
     joints = [joint for joint in bundle.robot.joints if joint in swept and axis in (None, joint)]
     if not joints:
         raise BadInput(place, "has no sweep that moves" + ("" if axis is None else f" joint {axis}"))
     console = Console(stderr=True)
     found: list[AxisDiagnosis] = [
-        diagnose_axis(bundle.robot, joint, bundle.sweeps, known=known, twin=twin)
+        diagnose_axis(bundle.robot, joint, bundle.sweeps, known={name: {} for name in known}, twin=twin)
         for joint in track(joints, "Axes", console=console, transient=True, disable=not console.is_terminal)
     ]
     return as_document(bundle.robot, found)
 
 
 def print_diagnosis(document: dict[str, Any], console: Console) -> None:
-    """Verdict, gap and effects of each axis, where the gap is, and what to measure next."""
+    """Verdict and gap of each axis; the same in words, where the gap is, the parameters, and what to measure next."""
     sources = " and ".join(sorted({axis["gap"]["source"] for axis in document["axes"].values()}))
-    table = Table(title=f"Diagnosis; gap on held-out sweeps, RMS, by the {sources}")
-    for name in ("axis", "verdict", "effects", "before", "after", "noise floor"):
+    table = Table(title=f"Diagnosis; gap, RMS, by the {sources}")
+    for name in ("axis", "verdict", "effects", "before", "after", "noise floor", ""):
         table.add_column(name, justify="right" if name in ("before", "after", "noise floor") else "left")
     for joint, axis in document["axes"].items():
         names = axis["candidates"] or [effect["effect"] for effect in axis["effects"]]
-        gap = axis["gap"]
+        sizes = (axis["gap"][key] for key in ("before_rms", "after_rms", "noise_floor_rms"))
         table.add_row(
             joint,
             axis["verdict"],
             (" or " if axis["candidates"] else ", ").join(names) or "-",
-            *(f"{gap[key]:.4g}" for key in ("before_rms", "after_rms", "noise_floor_rms")),
+            *("-" if size is None else f"{size:.4g}" for size in sizes),
+            axis["unit"],
         )
     console.print(table)
     for joint, axis in document["axes"].items():
+        console.print(axis["summary"])
         for sentence in axis["sentences"]:
-            console.print(sentence)
-        if axis["rolled_back"]:
-            console.print(f"{joint}: rolled back, no better on held-out sweeps: {', '.join(axis['rolled_back'])}")
+            console.print(f"  {sentence}")
         for effect in axis["effects"]:
-            console.print(f"{joint}: {effect['sentence']}")
+            undecided = effect["effect"] in axis["candidates"]
+            console.print(f"  {'If it is that: ' if undecided else ''}{effect['sentence']}")
             for name, value in effect["parameters"].items():
-                console.print(f"  {name} = {value['value']:.4g} ± {value['std']:.2g} {value['unit']}".rstrip())
+                console.print(f"    {name} = {value['value']:.4g} ± {value['std']:.2g} {value['unit']}".rstrip())
         if axis["next_experiment"]:
             console.print(f"{joint}: next, {axis['next_experiment']['kind']}. {axis['next_experiment']['reason']}")

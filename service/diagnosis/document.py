@@ -8,6 +8,7 @@ from typing import Any
 from service.diagnosis.diagnose import AxisDiagnosis, NamedEffect
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.experiments import NextExperiment
+from service.diagnosis.parameters import Parameter
 from service.diagnosis.revision import model_of
 from service.diagnosis.summary import summary
 from service.robot import Robot
@@ -31,7 +32,17 @@ def axis_document(one: AxisDiagnosis) -> dict[str, Any]:
         "unit": one.unit,
         "effects": [_effect(effect, one.unit) for effect in one.effects],
         "known": [_effect(effect, one.unit) for effect in one.known],
+        "changes": [
+            {
+                "effect": c.effect,
+                "parameter": c.parameter,
+                "model": _value(c.model, one.unit),
+                "now": _value(c.now, one.unit),
+            }
+            for c in one.changes
+        ],
         "candidates": list(one.candidates),
+        "alternatives": [list(names) for names in one.alternatives],
         "rivals": [{"effect": effect, "behind": behind} for effect, behind in one.rivals],
         "rolled_back": list(one.rolled_back),
         "where": [asdict(cell) | {"value": _in_units(cell.value, one.unit)} for cell in one.cells],
@@ -70,7 +81,7 @@ def axis_document(one: AxisDiagnosis) -> dict[str, Any]:
 
 def _in_units(text: str, effort: str) -> str:
     """A prismatic axis, whose effort is in N, has no radians; the mathematics calls every axis a turning one."""
-    return text if effort != "N" else re.sub(r"\brad\b", "m", re.sub(r"\bN m\b", "N", text))
+    return text if effort != "N" else re.sub(r"\brad(2?)\b", r"m\1", re.sub(r"\bN m\b", "N", text))
 
 
 def _effect(effect: NamedEffect, unit: str) -> dict[str, Any]:
@@ -80,15 +91,16 @@ def _effect(effect: NamedEffect, unit: str) -> dict[str, Any]:
         "sentence": entry.sentence,
         "physics": entry.physics,
         "source": entry.source,
-        "parameters": {
-            name: {"value": parameter.value, "std": parameter.std, "unit": _in_units(parameter.unit, unit)}
-            for name, parameter in effect.parameters.items()
-        },
+        "parameters": {name: _value(parameter, unit) for name, parameter in effect.parameters.items()},
         "covariance": effect.covariance.tolist(),
         "evidence": {"chi_squared_gain": effect.gain, "criterion_gain": effect.criterion_gain},
         "scenario_entry": entry.entry,
         "scenario": effect.patch,
     }
+
+
+def _value(parameter: Parameter, unit: str) -> dict[str, Any]:
+    return {"value": parameter.value, "std": parameter.std, "unit": _in_units(parameter.unit, unit)}
 
 
 def _experiment(experiment: NextExperiment) -> dict[str, Any]:

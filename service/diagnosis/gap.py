@@ -22,29 +22,32 @@ RIDGE = 1e-6  # of a column's product: what the others do not tell is drawn to z
 
 @dataclass(frozen=True, slots=True)
 class PoseGap:
-    """The same of one pose (all joints): rigid model, with effects, repeats against one another."""
+    """The same of one pose (all joints)."""
 
     pose: tuple[float, ...]
     before_rms: float
     after_rms: float
-    noise_floor_rms: float
+    noise_floor_rms: float | None
     sweeps: int
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """RMS of what is left, N m (N): rigid model, with effects, repeats against one another; of how many sweeps."""
+    """RMS of what is left, N m (N): rigid model, with effects, repeats against one another (None: nothing is repeated).
+
+    `held_out_sweeps`: how many took no part in the fit that they judge; 0 where nothing could be left out.
+    """
 
     before_rms: float
     after_rms: float
-    noise_floor_rms: float
+    noise_floor_rms: float | None
     effort_rms: float
     held_out_sweeps: int
     by_pose: tuple[PoseGap, ...]
 
 
-def gap(given: Equations, before: Array, after: Array) -> Gap:
-    """Of what held-out sweeps leave (n, rows) before and after."""
+def gap(given: Equations, before: Array, after: Array, held_out: int) -> Gap:
+    """Of what sweeps leave (n, rows) before and after, so many of them held out."""
     tracks = given.tracks
     every = np.arange(len(tracks.specs))
     poses: list[PoseGap] = []
@@ -59,7 +62,7 @@ def gap(given: Equations, before: Array, after: Array) -> Gap:
         after_rms=_rms(after[tracks.usable]),
         noise_floor_rms=noise_floor(given, after, every),
         effort_rms=_rms(tracks.rows(tracks.effort)[tracks.usable]),
-        held_out_sweeps=len(tracks.specs),
+        held_out_sweeps=held_out,
         by_pose=tuple(poses),
     )
 
@@ -68,8 +71,7 @@ def improves(given: Equations, before: Array, after: Array) -> bool:
     """Whether less is left after, beyond what the noise of the same rows could make of it."""
     usable = given.tracks.usable
     old, new = before[usable], after[usable]
-    noise = noise_floor(given, after, np.arange(len(before)))
-    chance = 2 * noise * _rms(old - new) * np.sqrt(ALIKE / len(old))
+    chance = 2 * noise(given, after) * _rms(old - new) * np.sqrt(ALIKE / len(old))
     return float(np.mean(old**2) - np.mean(new**2)) > CERTAIN * chance
 
 
@@ -109,8 +111,20 @@ def splits(groups: Sequence[Group], *, by_repeat: bool = False) -> Iterator[tupl
         yield [g for g in train if g.pieces] or list(groups), test
 
 
-def noise_floor(given: Equations, left: Array, sweeps: Iterable[int]) -> float:
-    """RMS of what repeats of some sweeps leave of their mean, N m (N); of all that is left where none is repeated."""
+def left_out(given: Equations, *, by_repeat: bool) -> int:
+    """How many sweeps take no part in the fit that judges them: none where one pose was measured without repeats."""
+    by_pose = len(given.inertia_precision) > 1 and not by_repeat
+    return len(given.tracks.specs) if by_pose or any(len(group.pieces) > 1 for group in given.groups) else 0
+
+
+def noise(given: Equations, left: Array) -> float:
+    """RMS that chance makes of what is left, N m (N): the noise floor; where nothing is repeated, all of it."""
+    floor = noise_floor(given, left, range(len(left)))
+    return _rms(left[given.tracks.usable]) if floor is None else floor
+
+
+def noise_floor(given: Equations, left: Array, sweeps: Iterable[int]) -> float | None:
+    """RMS of what repeats of some sweeps leave of their mean, N m (N); None where none is repeated."""
     squares, rows, own = 0.0, 0.0, np.array(list(sweeps))
     for group in given.groups:
         if group.pieces[0].sweep not in own:
@@ -120,7 +134,7 @@ def noise_floor(given: Equations, left: Array, sweeps: Iterable[int]) -> float:
         if len(parts) > 1:
             squares += float(np.sum((parts - parts.mean(axis=0))[:, good] ** 2))
             rows += float((len(parts) - 1) * good.sum())
-    return float(np.sqrt(squares / rows)) if rows else _rms(left[own][given.tracks.usable[own]])
+    return float(np.sqrt(squares / rows)) if rows else None
 
 
 def _own(given: Equations, whitened: Array, groups: Sequence[Group], fold: int) -> Array:

@@ -28,7 +28,7 @@ def model_document(
     parent: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """{"axes": {joint: {"effects", "fit"}}, "scenario"} of a diagnosis' document for `joints` (None: those named); the
-    other axes stay as the parent model has them.
+    other axes stay as the parent, the model before, has them.
     """
     named = [joint for joint, axis in document["axes"].items() if axis["verdict"] == "named"]
     axes = dict(parent["axes"]) if parent else {}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from service.diagnosis.equations import Equations, Term
 from service.diagnosis.fitted import Point, by_name, derivatives, of_columns, patches, uncertainty
-from service.diagnosis.gap import improves, noise_floor, residual
+from service.diagnosis.gap import improves, left_out, noise, residual
 from service.diagnosis.parameters import Parameter, parameters
 from service.diagnosis.patch import Inexpressible, Patch
 from service.diagnosis.proof import Twin
@@ -43,10 +43,13 @@ class Fit:
 
 @dataclass(frozen=True)
 class Shown:
-    """What is left (n, rows), N m (N), before and after; by which `source`, "twin" or "columns"; and the model."""
+    """What is left (n, rows), N m (N), before and after, so many sweeps of it held out; by which `source`, "twin" or
+    "columns"; and the model.
+    """
 
     before: Array
     after: Array
+    held_out: int
     source: str
     fitted: tuple[Fitted, ...]
     fit: Fit
@@ -84,25 +87,32 @@ def _by_twin(
             rolled_back.append(term.effect)
     said = tuple(f"In the twin {held}." for held in best.held)
     fitted, fit = _model(given, best.point, best.every, doubt(given, best.residual))
-    return Shown(before.residual, best.residual, "twin", fitted, fit, tuple(rolled_back), said)
+    held_out = left_out(given, by_repeat=by_repeat)
+    return Shown(before.residual, best.residual, held_out, "twin", fitted, fit, tuple(rolled_back), said)
 
 
 def _by_columns(
     given: Equations, fixed: Sequence[Term], added: Sequence[Term], by_repeat: bool, said: tuple[str, ...]
 ) -> Shown:
-    before, terms = residual(given, fixed, by_repeat=by_repeat), [*fixed, *added]
-    after = residual(given, terms, by_repeat=by_repeat)
+    terms, rolled_back = [*fixed], list[str]()
+    before = after = residual(given, terms, by_repeat=by_repeat)
+    for term in added:
+        further = residual(given, [*terms, term], by_repeat=by_repeat)
+        if improves(given, after, further):
+            terms, after = [*terms, term], further
+        else:
+            rolled_back.append(term.effect)
     point = of_columns(given, terms)
     every = np.concatenate([given.base, derivatives(given, point), given.right[..., None]], axis=-1)
     fitted, fit = _model(given, point, every, 0.0)
-    return Shown(before, after, "columns", fitted, fit, (), said)
+    held_out = left_out(given, by_repeat=by_repeat)
+    return Shown(before, after, held_out, "columns", fitted, fit, tuple(rolled_back), said)
 
 
 def doubt(given: Equations, left: Array) -> float:
     """From 0, what is left is noise, to 1, it is all physics that the model does not have."""
     rms = float(np.sqrt(np.mean(left[given.tracks.usable] ** 2)))
-    noise = noise_floor(given, left, range(len(left)))
-    return float(np.sqrt(max(0.0, 1 - (noise / rms) ** 2)))
+    return float(np.sqrt(max(0.0, 1 - (noise(given, left) / rms) ** 2)))
 
 
 def _model(given: Equations, point: Point, every: Array, doubt: float) -> tuple[tuple[Fitted, ...], Fit]:

@@ -19,37 +19,59 @@ def in_words(effects: Sequence[str], between: str = "and") -> str:
 
 
 def _none(axis: Mapping[str, Any]) -> str:
-    return (
-        "the model is right as far as these sweeps can tell: what it leaves of the drive's effort, "
-        f"{_rms(axis, 'before')}, is noise ({_floor(axis)})."
-    )
+    left = f"what it leaves of the drive's effort, {_rms(axis, 'before')}, is noise{_floor(axis, ' ({})')}."
+    if axis["changes"]:
+        return f"the model lacks no effect, but {_changed(axis)}. With that, {left}"
+    return f"the model is right as far as these sweeps can tell: {left}"
 
 
 def _named(axis: Mapping[str, Any]) -> str:
     names = [effect["effect"] for effect in axis["effects"]]
-    return (
-        f"the model lacks {in_words(names)}. With {'it' if len(names) == 1 else 'them'} the gap on held-out "
-        f"sweeps falls from {_rms(axis, 'before')} to {_rms(axis, 'after')}; the noise alone makes {_floor(axis)}."
+    where = (
+        "on held-out sweeps" if axis["gap"]["held_out_sweeps"] else "(on the sweeps themselves: none could be left out)"
     )
+    text = (
+        f"the model lacks {in_words(names)}. With {'it' if len(names) == 1 else 'them'} the gap {where} falls from "
+        f"{_rms(axis, 'before')} to {_rms(axis, 'after')}{_floor(axis, '; the noise alone makes {}')}."
+    )
+    return f"{text} Also {_changed(axis)}." if axis["changes"] else text
 
 
 def _ambiguous(axis: Mapping[str, Any]) -> str:
     told = "Measure what is proposed next" if axis["next_experiment"] else "No sweep that is left to measure tells them"
+    open_questions = [in_words(names, "or") for names in axis["alternatives"] if len(names) > 1]
+    undecided = {name for names in axis["alternatives"] for name in names}
+    certain = [effect["effect"] for effect in axis["effects"] if effect["effect"] not in undecided]
+    certain += [names[0] for names in axis["alternatives"] if len(names) == 1]
+    beside = f" Sure is {in_words(certain)}." if certain and open_questions else ""
+    asked = ", nor whether it is ".join(open_questions) or in_words(certain, "or")
     return (
-        f"something is missing, a gap of {_rms(axis, 'before')} where noise makes {_floor(axis)}, and these sweeps do "
-        f"not tell whether it is {in_words(axis['candidates'], 'or')}. {told}."
+        f"something is missing, a gap of {_rms(axis, 'before')}{_floor(axis, ' where noise makes {}')}, and these "
+        f"sweeps do not tell whether it is {asked}.{beside} {told}."
     )
 
 
 def _unknown(axis: Mapping[str, Any]) -> str:
+    measured = f"{in_words([e['effect'] for e in axis['effects']])} apart, " if axis["effects"] else ""
     return (
-        f"there is a repeatable gap of {_rms(axis, 'before')} where noise makes {_floor(axis)}, and no effect of the "
-        "catalogue explains it. The model stays as it was."
+        f"{measured}there is a gap of {_rms(axis, 'after')} that is more than noise{_floor(axis, ' ({})')}, and no "
+        "effect of the catalogue explains it. The model stays as it was."
     )
 
 
 def _untestable(axis: Mapping[str, Any]) -> str:
     return "these sweeps cannot show what may be missing: measure what is proposed next."
+
+
+def _changed(axis: Mapping[str, Any]) -> str:
+    """What the model says of its own effects, and what is so now."""
+    changes = [
+        f"{in_words([change['effect']])} has changed: {change['parameter'].replace('_', ' ')} is "
+        f"{change['now']['value']:.4g} ± {change['now']['std']:.2g}, not {change['model']['value']:.4g} "
+        f"{change['now']['unit']}".rstrip()
+        for change in axis["changes"]
+    ]
+    return " and ".join(changes)
 
 
 _VERDICTS = {
@@ -69,8 +91,15 @@ def _rolled_back(effects: Sequence[str]) -> str:
 
 def _rms(axis: Mapping[str, Any], when: str) -> str:
     gap = axis["gap"]
-    return f"{gap[f'{when}_rms']:.3g} {axis['unit']} ({gap[f'{when}_percent']:.2g} % of the effort)"
+    return f"{gap[f'{when}_rms']:.3g} {axis['unit']} ({percent(gap[f'{when}_percent'])} of the effort)"
 
 
-def _floor(axis: Mapping[str, Any]) -> str:
-    return f"{axis['gap']['noise_floor_rms']:.3g} {axis['unit']}"
+def percent(value: float) -> str:
+    """Two digits, more where they are before the point."""
+    return f"{value:.0f} %" if value >= 10 else f"{value:.2g} %"
+
+
+def _floor(axis: Mapping[str, Any], text: str) -> str:
+    """The noise floor put into a text; nothing where no sweep was repeated."""
+    floor = axis["gap"]["noise_floor_rms"]
+    return "" if floor is None else text.format(f"{floor:.3g} {axis['unit']}")

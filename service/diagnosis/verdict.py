@@ -1,6 +1,7 @@
 """What a selection amounts to: none, named, ambiguous, unknown or untestable, and who else it might be."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from enum import Enum
 
 import numpy as np
@@ -30,15 +31,21 @@ def judge(selection: Selection, known: Sequence[str], candidates: Sequence[str])
     """The verdict."""
     chosen = selection.chosen
     added = [name for name in chosen.names if name not in known]
-    allowed = max((CATALOGUE[name].rest for name in added), default=0.0)
     doubtful = is_partial(selection.given.tracks.specs) and _doubtful(selection, added)
     if added and not (doubtful or allowed_by_physics(selection.given, chosen)):
         return Verdict.UNKNOWN
-    if selection.unexplained > allowed and excess(selection.given, chosen) > CERTAIN:
+    if not explains(selection, known):
         return Verdict.UNKNOWN
     if not added:
         return Verdict.NONE if candidates else Verdict.UNTESTABLE
-    return Verdict.AMBIGUOUS if doubtful or tie_set(selection, known, candidates) != set(added) else Verdict.NAMED
+    rivals = any(tie_sets(selection, known, candidates).values())
+    return Verdict.AMBIGUOUS if doubtful or rivals else Verdict.NAMED
+
+
+def explains(selection: Selection, known: Sequence[str]) -> bool:
+    """Whether what is left is chance, or no more than physics richer than the columns' makes."""
+    allowed = max((CATALOGUE[name].rest for name in selection.chosen.names if name not in known), default=0.0)
+    return selection.unexplained <= allowed or excess(selection.given, selection.chosen) <= CERTAIN
 
 
 def _doubtful(selection: Selection, added: Sequence[str]) -> bool:
@@ -46,10 +53,21 @@ def _doubtful(selection: Selection, added: Sequence[str]) -> bool:
     chosen = selection.chosen
     for term in (term for term in chosen.terms if term.effect in added and len(added) > 1):
         others = [other for other in chosen.terms if other is not term]
-        gain = Beside(selection.given, others).alone().cost - chosen.cost
-        if gain < max(CATALOGUE[other.effect].rest for other in others) * selection.rigid.cost:
+        if share(selection, term)[0] < max(CATALOGUE[other.effect].rest for other in others) * selection.rigid.cost:
             return True
     return False
+
+
+def share(selection: Selection, term: Term) -> tuple[float, float]:
+    """What one of the chosen terms gains beside the others: cost and Schwarz's criterion."""
+    fewer = Beside(selection.given, [other for other in selection.chosen.terms if other is not term]).alone()
+    return fewer.cost - selection.chosen.cost, fewer.criterion - selection.chosen.criterion
+
+
+def without(selection: Selection, effects: Sequence[str]) -> Selection:
+    """The same with fewer effects."""
+    kept = [term for term in selection.chosen.terms if term.effect not in effects]
+    return replace(selection, chosen=Beside(selection.given, kept).alone())
 
 
 def excess(given: Equations, explanation: Explanation) -> float:
@@ -64,29 +82,43 @@ def excess(given: Equations, explanation: Explanation) -> float:
 
 def tie_set(selection: Selection, known: Sequence[str], candidates: Sequence[str]) -> set[str]:
     """The effects named, and those that explain as much in their place."""
+    return {name for named, rivals in tie_sets(selection, known, candidates).items() for name in (named, *rivals)}
+
+
+def tie_sets(selection: Selection, known: Sequence[str], candidates: Sequence[str]) -> dict[str, set[str]]:
+    """Of each effect named those that explain as much in its place."""
+    added = [term for term in selection.chosen.terms if term.effect not in known]
+    result = {term.effect: set[str]() for term in added}
+    for rival in selection.tried:
+        replaced = [term.effect for term in added if term not in rival.terms]
+        if len(replaced) == 1 and rival.terms[-1].effect not in result and _as_good(selection, added, rival):
+            result[replaced[0]].add(rival.terms[-1].effect)
+    taken = {*result, *(name for rivals in result.values() for name in rivals)}
+    for term in added:
+        result[term.effect] |= _indistinguishable(selection, term, [name for name in candidates if name not in taken])
+    by_mass = {name for name in candidates if CATALOGUE[name].by_test_mass}
+    for name, rivals in result.items():
+        if by_mass & {name, *rivals}:
+            rivals |= by_mass - {*result}
+    return result
+
+
+def _as_good(selection: Selection, added: Sequence[Term], rival: Explanation) -> bool:
+    """Whether an exchange explains as much as what was chosen, and is neither needless nor against physics."""
     given, chosen = selection.given, selection.chosen
-    added = [term for term in chosen.terms if term.effect not in known]
-    result = {term.effect for term in added}
     limit = max(RIVAL, TOLERANCE * selection.rigid.cost)
     one_way, partial = _one_way(given), is_partial(given.tracks.specs)
+    as_good = rival.cost < chosen.cost + limit if one_way else rival.criterion <= chosen.criterion + RIVAL
+    if not as_good or not allowed_by_physics(given, rival):
+        return False
     contained = {simpler for term in added for simpler in CATALOGUE[term.effect].contains}
-    for rival in selection.tried:
-        name = rival.terms[-1].effect
-        as_good = rival.cost < chosen.cost + limit if one_way else rival.criterion <= chosen.criterion + RIVAL
-        if name in result or not as_good or not allowed_by_physics(given, rival):
-            continue
-        if not partial and name in contained and rival.parameters < chosen.parameters:
-            continue  # were it as good, it would have been chosen
-        needless = rival.parameters > chosen.parameters and chosen.cost - rival.cost < limit
-        if partial:  # there a richer effect is needless only if what it has besides would show, and does not
-            shown = rival.criterion > chosen.criterion and shows_beside(given, chosen.terms, rival.terms[-1])
-            needless = needless and shown
-        if not needless:
-            result.add(name)
-    if added:
-        result |= _indistinguishable(selection, added, [c for c in candidates if c not in result])
-    by_mass = {name for name in candidates if CATALOGUE[name].by_test_mass}
-    return result | by_mass if result & by_mass else result
+    if not partial and rival.terms[-1].effect in contained and rival.parameters < chosen.parameters:
+        return False  # were it as good, it would have been chosen
+    needless = rival.parameters > chosen.parameters and chosen.cost - rival.cost < limit
+    if partial:  # there a richer effect is needless only if what it has besides would show, and does not
+        shown = rival.criterion > chosen.criterion and shows_beside(given, chosen.terms, rival.terms[-1])
+        needless = needless and shown
+    return not needless
 
 
 def _freedom(given: Equations, name: str) -> int:
@@ -101,21 +133,20 @@ def _one_way(given: Equations) -> bool:
     return not ((moving > 0.5).any() and (moving < -0.5).any())
 
 
-def _indistinguishable(selection: Selection, added: Sequence[Term], names: Sequence[str]) -> set[str]:
+def _indistinguishable(selection: Selection, term: Term, names: Sequence[str]) -> set[str]:
     """Effects that could stand for a named one: what is peculiar to either can be imitated with the other."""
     given, terms = selection.given, selection.chosen.terms
     one_way = _one_way(given)
     explained = max(selection.rigid.cost - selection.chosen.cost, 1.0)
+    others = [other for other in terms if other is not term]
+    own = [given.column(term, k) for k in range(given.width(term))]
     result: set[str] = set()
-    for term in added:
-        others = [other for other in terms if other is not term]
-        for name in names:
-            if not one_way and _freedom(given, name) > _freedom(given, term.effect):
-                continue
-            if visible_part(given, terms, name) * explained > RIVAL:
-                continue
-            rival = Term(name, grid(given, name)[0])
-            own = [given.column(term, k) for k in range(given.width(term))]
-            if all(left(given, [*others, rival], column)[0] * explained < RIVAL for column in own):
-                result.add(name)
+    for name in names:
+        if not one_way and _freedom(given, name) > _freedom(given, term.effect):
+            continue
+        if visible_part(given, terms, name) * explained > RIVAL:
+            continue
+        rival = Term(name, grid(given, name)[0])
+        if all(left(given, [*others, rival], column)[0] * explained < RIVAL for column in own):
+            result.add(name)
     return result

@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any
 
+from service.diagnosis.effects import CATALOGUE
+from service.diagnosis.summary import percent
 from service.report import gap_figures as drawn
 from service.report.content import Document
 from service.report.drawing import Figure
@@ -18,6 +20,13 @@ _BUILDERS = {
     "parameters": drawn.parameters,
 }
 """Figures by name, in the order of a page; a builder gives None where a diagnosis has nothing to draw."""
+
+
+_HELD_OUT = (
+    "Pose by pose. The parameters with which a pose is judged come from the other poses; where one pose alone shows an "
+    "effect, those of a sweep come from its repeats."
+)
+_NOT_HELD_OUT = "One pose without repeats: nothing could be left out, so the fit is judged on its own sweeps."
 
 
 def diagnosis_figures(document: Document) -> dict[str, dict[str, Figure]]:
@@ -60,6 +69,8 @@ def _axis(page: Page, joint: str, axis: Document) -> None:
     if "map" in figures:
         page.add("<h3>Where the gap is</h3>", *(f"<p>{escape(sentence)}</p>" for sentence in axis["sentences"]))
         page.figure(figures["map"])
+    if axis["known"]:
+        _known(page, axis)
     if drawn.explained(axis):
         _effects(page, axis, figures)
     sweep, block = axis["example"]["sweep"], axis["example"]["block"]
@@ -74,16 +85,40 @@ def _axis(page: Page, joint: str, axis: Document) -> None:
 
 def _gap(page: Page, axis: Document) -> None:
     gap, unit = axis["gap"], drawn.unit(axis)
-    facts = [(f"{gap['before_rms']:.3g} {unit}", f"gap before, {gap['before_percent']:.2g} % of the effort")]
+    facts = [(f"{gap['before_rms']:.3g} {unit}", f"gap before, {percent(gap['before_percent'])} of the effort")]
     if drawn.explained(axis):
-        facts.append((f"{gap['after_rms']:.3g} {unit}", f"gap after, {gap['after_percent']:.2g} %"))
+        facts.append((f"{gap['after_rms']:.3g} {unit}", f"gap after, {percent(gap['after_percent'])}"))
+    floor = gap["noise_floor_rms"]
     facts += [
-        (f"{gap['noise_floor_rms']:.3g} {unit}", "noise floor, from repeats"),
+        ("–", "noise floor: nothing was measured twice")
+        if floor is None
+        else (f"{floor:.3g} {unit}", "noise floor, from repeats"),
         (str(gap["held_out_sweeps"]), "held-out sweeps"),
     ]
     page.facts(facts)
-    page.add("<p>Pose by pose; the parameters of a pose come from the other poses.</p>")
+    page.add(f"<p>{_HELD_OUT if gap['held_out_sweeps'] else _NOT_HELD_OUT}</p>")
     page.figure(drawn.gap_by_pose(axis))
+
+
+def _known(page: Page, axis: Document) -> None:
+    """What the model had before, fitted anew, beside what it says of it."""
+    changed = {(change["effect"], change["parameter"]): change["model"] for change in axis.get("changes", ())}
+    rows = [
+        [
+            drawn.effect_words(effect["effect"]),
+            _plain(name),
+            *_value(value),
+            _model(changed.get((effect["effect"], name))),
+        ]
+        for effect in axis["known"]
+        for name, value in effect["parameters"].items()
+    ]
+    page.add("<h3>What the model has already</h3>", "<p>Fitted anew to these sweeps.</p>")
+    page.table(["effect", "parameter", "value", "± std", "unit", "the model says"], rows)
+
+
+def _model(value: Document | None) -> str:
+    return "the same" if value is None else f"{value['value']:.5g} ± {value['std']:.2g}"
 
 
 def _effects(page: Page, axis: Document, figures: Mapping[str, Figure]) -> None:
@@ -131,11 +166,12 @@ def _open_questions(page: Page, joint: str, axis: Document) -> None:
             f"{size}{_duration(experiment['seconds'])} of machine time.</p>",
         )
     if axis["untestable"]:
-        names = ", ".join(_plain(effect) for effect in axis["untestable"])
-        page.add(
-            "<h3>What these sweeps cannot show</h3>",
-            f"<p>Whether or not there is: {escape(names)}.</p>",
-        )
+        page.add("<h3>What these sweeps cannot show</h3>", "<p>Whether or not there is one of these:</p>")
+        rows = [
+            [drawn.effect_words(effect), ", ".join(_plain(block) for block in CATALOGUE[effect].visible_in)]
+            for effect in axis["untestable"]
+        ]
+        page.table(["effect", "it shows in"], rows)
 
 
 def _value(entry: Mapping[str, Any]) -> list[str]:

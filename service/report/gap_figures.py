@@ -33,7 +33,8 @@ def gap_map(axis: Axis) -> Figure | None:
     panels.sort(key=lambda panel: -len(panel.labels))  # panels of one height side by side
     lines = [panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)]
     heights = [20 * max(len(panel.labels) for panel in line) + 62 for line in lines]
-    largest = max(max(cell["rms"] for cell in axis["where"]), axis["gap"]["noise_floor_rms"])
+    floor = axis["gap"]["noise_floor_rms"]
+    largest = max(max(cell["rms"] for cell in axis["where"]), floor or 0.0)
     layout: Figure = {
         "height": sum(heights) + 70,
         "margin": {"l": 10, "r": 10, "t": 40, "b": 30},
@@ -70,8 +71,8 @@ def gap_map(axis: Axis) -> Figure | None:
                 "showgrid": False,
             }
             layout["annotations"].append(_title(panel.title, left, top - share * 23 / height))
-            if panel.with_floor:
-                layout["shapes"].append(_upright(tail, axis["gap"]["noise_floor_rms"]))
+            if panel.with_floor and floor is not None:
+                layout["shapes"].append(_upright(tail, floor))
         top -= share
     layout["annotations"].append(_title(f"bars: RMS of the repeatable gap in {unit(axis)}", 1.0, 0.0, right=True))
     return figure(traces, layout)

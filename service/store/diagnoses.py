@@ -99,11 +99,12 @@ class DiagnosisStore:
                 row.document = document
                 diagnosis_rows.move(session, row, DiagnosisState.DONE, row.cause)
 
-    def fail(self, diagnosis_id: int, cause: str) -> None:
-        """Failed, and would another time; without effect if nothing waits for it."""
+    def fail(self, diagnosis_id: int, cause: str, document: Document | None = None) -> None:
+        """Failed, and would another time; without effect if nothing waits for it. `document`: of the axes that did."""
         with self._database.write() as session:
             row = rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis")
             if row.state in diagnosis_rows.OPEN:
+                row.document = document
                 diagnosis_rows.move(session, row, DiagnosisState.FAILED, cause)
 
     # experiments
@@ -158,6 +159,20 @@ class DiagnosisStore:
         with self._database.read() as session:
             return tuple(diagnosis_rows.entry(session, row) for row in session.scalars(query))
 
+    def masses(self, campaigns: Sequence[int]) -> dict[int, BoltedMass]:
+        """Of those that were measured with a test mass, which."""
+        query = select(t.DiagnosisRow).where(t.DiagnosisRow.experiment_campaign_id.in_(campaigns))
+        with self._database.read() as session:
+            found = [diagnosis_rows.entry(session, row).experiment for row in session.scalars(query)]
+        return {one.campaign_id: one.test_mass for one in found if one is not None and one.test_mass is not None}
+
+    def of_experiment(self, campaign_id: int) -> DiagnosisEntry | None:
+        """The diagnosis whose experiment this campaign is."""
+        query = select(t.DiagnosisRow).where(t.DiagnosisRow.experiment_campaign_id == campaign_id)
+        with self._database.read() as session:
+            row = session.scalar(query)
+            return None if row is None else diagnosis_rows.entry(session, row)
+
     def attend(self, cause: str, diagnosis_id: int | None = None) -> None:
         """From here on a person must approve what moves: this diagnosis, or (None) whatever is unattended."""
         query = select(t.DiagnosisRow).where(t.DiagnosisRow.unattended)
@@ -167,7 +182,8 @@ class DiagnosisStore:
             for row in session.scalars(query).all():
                 if diagnosis_rows.child(session, row.id) is None:
                     row.unattended = False
-                    diagnosis_rows.move(session, row, row.state, cause)
+                    failed = row.state is DiagnosisState.FAILED  # and its cause says why
+                    diagnosis_rows.move(session, row, row.state, row.cause if failed else cause)
 
 
 def check_free(diagnosis: DiagnosisEntry, experiment: CampaignState | None) -> None:

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.diagnosis import diagnose_axis
+from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
 from service.diagnosis.design import DesignedSweep, full_design
 from service.diagnosis.effects.gravity_error import gravity_columns
 from service.diagnosis.equations import nominal_inertia
+from service.diagnosis.parameters import Parameter
 from service.diagnosis.prospect import expected
 from service.diagnosis.signals import tracks
 from service.errors import BadInput
@@ -112,6 +113,61 @@ def test_what_comes_next_says_what_is_to_hang_on_the_flange(
     assert wanted is not None
     assert (wanted.kind == "test_mass") == again
     assert said in wanted.reason
+
+
+def with_mass(gain: float, ripple: float = 0.0) -> tuple[list[Sweep], Weighed]:
+    """Bare sweeps and weighed ones of a drive of this gain; `ripple`, N m, is a square wave over the position."""
+    robot = max100()
+    designed = full_design(robot, "joint_2", POSES, blocks=SLOW, revisit=False)
+
+    def told(mass: KnownMass | None) -> list[Sweep]:
+        sweeps = noisy(measured(robot, "joint_2", designed, gain=gain, mass=mass, by_load=0.0))
+        for sweep in sweeps:
+            away = sweep.recording.position - sweep.spec.pose[1]
+            sweep.recording.effort[:] += gain * ripple * np.sign(np.sin(away**3 * 2e6))
+        return sweeps
+
+    return told(None), Weighed(MASS, tuple(told(MASS)))
+
+
+def test_what_a_mass_explains_is_a_gap_of_the_effort_as_it_was_told() -> None:
+    bare, weighed = with_mass(1.15)
+    found = axis_document(diagnose_axis(max100(), "joint_2", bare, weighed=weighed, twin=False))
+    assert (found["verdict"], [effect["effect"] for effect in found["effects"]]) == ("named", ["torque_constant_error"])
+    assert found["effects"][0]["parameters"]["gain_error"]["value"] == pytest.approx(0.15, abs=0.01)
+    assert found["gap"]["after_rms"] < 0.1 * found["gap"]["before_rms"]
+
+
+def test_beside_what_nobody_knows_a_mass_still_tells_the_gain() -> None:
+    bare, weighed = with_mass(1.15, ripple=60.0)
+    found = axis_document(diagnose_axis(max100(), "joint_2", bare, weighed=weighed, twin=False))
+    assert (found["verdict"], [effect["effect"] for effect in found["effects"]]) == (
+        "unknown",
+        ["torque_constant_error"],
+    )
+    assert found["summary"].startswith("joint_2: torque constant error apart, there is a gap of ")
+
+
+@pytest.mark.parametrize(("gain", "changes"), [(1.15, 0), (1.0, 1)])
+def test_a_gain_that_the_model_has_is_weighed_too(gain: float, changes: int) -> None:
+    bare, weighed = with_mass(gain)
+    known = {"torque_constant_error": {"gain_error": Parameter(0.15, 0.005, "")}}
+    found = axis_document(diagnose_axis(max100(), "joint_2", bare, known=known, weighed=weighed, twin=False))
+    assert (found["verdict"], found["effects"]) == ("none", [])
+    (gained,) = found["known"]
+    assert gained["parameters"]["gain_error"]["value"] == pytest.approx(gain - 1, abs=0.01)
+    assert len(found["changes"]) == changes
+
+
+def test_a_gain_that_the_model_has_is_held_until_it_is_weighed_again() -> None:
+    """What pulls 3 % less than CAD says is no other gain."""
+    bare, _ = with_mass(1.15 * 0.97)
+    known = {"torque_constant_error": {"gain_error": Parameter(0.15, 0.005, "")}}
+    found = axis_document(diagnose_axis(max100(), "joint_2", bare, known=known, twin=False))
+    assert found["known"][0]["parameters"]["gain_error"] == {"value": pytest.approx(0.15), "std": 0.005, "unit": ""}
+    assert (found["changes"], found["fit"]["torques"]) == ([], "true")
+    assert "torque_constant_error" not in found["candidates"]
+    assert found["verdict"] in ("ambiguous", "named")
 
 
 def test_bad_masses_and_sweeps_are_refused() -> None:

@@ -38,7 +38,10 @@ def axis(**changes: Any) -> dict[str, Any]:
                 "evidence": {},
             }
         ],
+        "known": [],
+        "changes": [],
         "candidates": [],
+        "alternatives": [],
         "rolled_back": [],
         "where": [
             {"dimension": name, "value": value, "rms": rms, "rms_after": after, "significance": significance}
@@ -158,7 +161,7 @@ def test_the_page_says_it_in_words_and_loads_nothing() -> None:
     assert "tau = Fc sign(v) &lt;/script&gt;" in markup
     assert "<td>50</td><td>0.5</td><td>N m</td>" in markup
     assert "inertia at +0.50" in markup
-    assert "friction temperature drift" in markup
+    assert "Friction temperature drift</td><td>revisit forward slow, revisit backward slow</td>" in markup
     assert page.count('class="card"><div id="figure-') == 5
 
 
@@ -173,7 +176,12 @@ def test_the_page_tells_what_to_measure_next() -> None:
         "reason": "reversal separates Coulomb friction and Stribeck friction best for its time.",
     }
     page = diagnosis_page(
-        document(verdict="ambiguous", candidates=["coulomb_friction", "stribeck_friction"], next_experiment=experiment),
+        document(
+            verdict="ambiguous",
+            candidates=["coulomb_friction", "stribeck_friction"],
+            alternatives=[["coulomb_friction", "stribeck_friction"]],
+            next_experiment=experiment,
+        ),
         "title",
     )
     assert "do not tell whether it is Coulomb friction or Stribeck friction. Measure what is proposed next." in page
@@ -194,3 +202,38 @@ def test_verdicts_in_words(verdict: str, words: str) -> None:
     said = summary("joint_2", axis(verdict=verdict, effects=[], rolled_back=["backlash"]))
     assert said.startswith(f"joint_2: {words}") or words in said
     assert said.endswith("Rolled back, because held-out sweeps came out no better: backlash.")
+
+
+def test_of_two_effects_the_one_that_is_sure_is_said() -> None:
+    said = summary(
+        "joint_2",
+        axis(
+            verdict="ambiguous",
+            effects=[{"effect": "coulomb_friction"}, {"effect": "joint_elasticity"}],
+            alternatives=[["coulomb_friction", "drift"], ["joint_elasticity"]],
+        ),
+    )
+    assert "do not tell whether it is Coulomb friction or drift. Sure is joint elasticity. " in said
+
+
+def test_where_nothing_was_repeated_no_noise_floor_is_made_up() -> None:
+    gap = {**axis()["gap"], "noise_floor_rms": None, "held_out_sweeps": 0, "before_percent": 112.3}
+    gap["by_pose"] = [{**pose, "noise_floor_rms": None} for pose in gap["by_pose"]]
+    page = diagnosis_page(document(gap=gap), "title")
+    assert "nothing was measured twice" in page
+    assert "judged on its own sweeps" in page
+    assert "(on the sweeps themselves: none could be left out) falls from 30 N m (112 % of the effort)" in page
+    assert "noise alone" not in page
+
+
+def test_what_the_model_has_stands_beside_what_it_is_now() -> None:
+    known = {"effect": "coulomb_friction", "parameters": {"coulomb": {"value": 50.0, "std": 0.5, "unit": "N m"}}}
+    change = {
+        "effect": "coulomb_friction",
+        "parameter": "coulomb",
+        "model": {"value": 40.0, "std": 0.4, "unit": "N m"},
+        "now": {"value": 50.0, "std": 0.5, "unit": "N m"},
+    }
+    page = diagnosis_page(document(verdict="none", effects=[], known=[known], changes=[change]), "title")
+    assert "Coulomb friction</td><td>Coulomb</td><td>50</td><td>0.5</td><td>N m</td><td>40 ± 0.4</td>" in page
+    assert "lacks no effect, but Coulomb friction has changed: coulomb is 50 ± 0.5, not 40 N m" in page
