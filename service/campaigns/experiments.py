@@ -127,10 +127,19 @@ class Experiments:
         if event.kind is EventKind.CAMPAIGN and event.data["state"] == CampaignState.COMPLETED.value:
             for diagnosis in await asyncio.to_thread(self._diagnoses.to_go_on, event.campaign_id):
                 await self._go_on(diagnosis)
+        elif event.kind is EventKind.CAMPAIGN and event.data["state"] == CampaignState.ABORTED.value:
+            await self._aborted(cast(int, event.campaign_id))
         elif event.kind is EventKind.DIAGNOSIS and event.data["state"] == DiagnosisState.DONE.value:
             diagnosis = await asyncio.to_thread(self._diagnoses.diagnosis, cast(int, event.data["diagnosis"]))
             if diagnosis.unattended and diagnosis.experiment is None:
                 await self._alone(diagnosis)
+
+    async def _aborted(self, campaign_id: int) -> None:
+        """Somebody ended an experiment that nobody had approved: from here on a person decides."""
+        diagnosis = await asyncio.to_thread(self._diagnoses.of_experiment, campaign_id)
+        if diagnosis is not None and diagnosis.unattended:
+            cause = f"campaign {campaign_id} was aborted"
+            await asyncio.to_thread(self._diagnoses.attend, cause, diagnosis.id)
 
     async def _go_on(self, parent: DiagnosisEntry) -> None:
         """Diagnose with the experiment's sweeps; what the other axes came to stays."""
@@ -216,7 +225,8 @@ def proposed(diagnosis: DiagnosisDocument, axis: str) -> dict[str, Any]:
         raise BadInput("axis", f"{axis} is not an axis of diagnosis {diagnosis.id}, {', '.join(diagnosis.axes)} are")
     if diagnosis.document is None:
         raise Conflict(f"diagnosis {diagnosis.id} is {diagnosis.state.value}, and proposes nothing yet")
-    experiment = cast("dict[str, Any]", diagnosis.document)["axes"][axis]["next_experiment"]
+    found = cast("dict[str, Any]", diagnosis.document)["axes"]
+    experiment = found[axis]["next_experiment"] if axis in found else None
     if experiment is None:
         raise Conflict(f"diagnosis {diagnosis.id} proposes no experiment for {axis}")
     return experiment

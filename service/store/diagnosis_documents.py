@@ -86,7 +86,7 @@ class DiagnosisDocument(DiagnosisEntry):
 class ModelDocument(_Document):
     """Revision n of a robot's model: rigid body and effects, as somebody accepted it from a diagnosis; never changed.
 
-    `parent`: the model that the diagnosis started from.
+    `parent`: the revision before, of which the axes that this one is not about are.
     """
 
     id: int

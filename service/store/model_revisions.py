@@ -1,7 +1,8 @@
 """Models as people accepted them from diagnoses: append-only, numbered robot by robot."""
 
 from pydantic import JsonValue
-from sqlalchemy import func, select
+from sqlalchemy import select
+from sqlalchemy.orm import Session
 
 from service.errors import Conflict
 from service.store import rows
@@ -16,21 +17,26 @@ class ModelStore:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def add(self, diagnosis_id: int, accepted_by: str, document: dict[str, JsonValue]) -> ModelDocument:
-        """The next revision of the robot's model; Conflict if the diagnosis became one before."""
+    def add(
+        self, diagnosis_id: int, accepted_by: str, document: dict[str, JsonValue], parent: int | None
+    ) -> ModelDocument:
+        """The next revision of the robot's model, built on `parent`.
+
+        Conflict if the diagnosis became one before, or `parent` is not the newest any more.
+        """
         with self._database.write() as session:
             diagnosis = rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis")
             rows.get(session, t.RobotRow, diagnosis.robot_id, "robot")  # locked: its revisions come one by one
             before = session.scalar(select(t.ModelRow).where(t.ModelRow.diagnosis_id == diagnosis_id))
             if before is not None:
                 raise Conflict(f"diagnosis {diagnosis_id} became model {before.id} already; diagnose again from there")
-            last = session.scalar(
-                select(func.max(t.ModelRow.revision)).where(t.ModelRow.robot_id == diagnosis.robot_id)
-            )
+            newest = _newest(session, diagnosis.robot_id)
+            if (None if newest is None else newest.id) != parent:
+                raise Conflict(f"another model of robot {diagnosis.robot_id} was accepted meanwhile")
             row = t.ModelRow(
                 robot_id=diagnosis.robot_id,
-                revision=(last or 0) + 1,
-                parent_id=diagnosis.model_id,
+                revision=1 if newest is None else newest.revision + 1,
+                parent_id=parent,
                 diagnosis_id=diagnosis_id,
                 accepted_by=accepted_by,
                 document=document,
@@ -43,6 +49,12 @@ class ModelStore:
         with self._database.read() as session:
             return _document(rows.get(session, t.ModelRow, model_id, "model"))
 
+    def newest(self, robot_id: int) -> ModelDocument | None:
+        """The last revision of a robot's model."""
+        with self._database.read() as session:
+            row = _newest(session, robot_id)
+            return None if row is None else _document(row)
+
     def models(self, robot_id: int | None = None, after: int = 0, limit: int = 100) -> tuple[ModelDocument, ...]:
         """A page of all models, or of one robot's."""
         query = select(t.ModelRow).where(t.ModelRow.id > after).order_by(t.ModelRow.id).limit(limit)
@@ -50,6 +62,11 @@ class ModelStore:
             query = query.where(t.ModelRow.robot_id == robot_id)
         with self._database.read() as session:
             return tuple(_document(row) for row in session.scalars(query))
+
+
+def _newest(session: Session, robot_id: int) -> t.ModelRow | None:
+    query = select(t.ModelRow).where(t.ModelRow.robot_id == robot_id).order_by(t.ModelRow.revision.desc()).limit(1)
+    return session.scalar(query)
 
 
 def _document(row: t.ModelRow) -> ModelDocument:

@@ -6,6 +6,7 @@ import signal
 from collections.abc import AsyncGenerator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,13 +14,14 @@ import numpy as np
 import psutil
 import pytest
 
+from service.campaigns.acceptance import accept_model
 from service.campaigns.diagnosing import Diagnosing
 from service.campaigns.evidence import campaigns_of, recorded_sweeps
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.design import full_design
 from service.diagnosis.prospect import expected
-from service.errors import BadInput
-from service.identification.regressor import inertia_rows
+from service.errors import BadInput, Conflict, SweepidError
+from service.identification.regressor import gravity_terms, inertia_rows
 from service.identification.torque_gain import KnownMass
 from service.recording import Sweep
 from service.robot import Robot
@@ -27,11 +29,12 @@ from service.store.bundle import Bundle
 from service.store.database import open_database
 from service.store.diagnoses import DiagnosisStore
 from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, DiagnosisState, NewDiagnosis, Weighing
+from service.store.documents import CampaignState, NewSweep
 from service.store.exchange import import_campaign
 from service.store.model_revisions import ModelStore
 from service.store.recordings import RecordingFiles
 from service.store.store import Store
-from service.worker import DiagnosisJob, Work, Worker, open_worker
+from service.worker import DiagnosisJob, JobFailed, Work, Worker, open_worker
 
 POSES = np.array([[0.0, -0.6, 0.4, 0.0, 0.0, 0.0], [0.5, 0.4, -0.7, 0.0, 0.0, 0.0]])
 PATIENCE = 300.0  # s; the worker gives way to whatever else the computer does
@@ -41,7 +44,13 @@ Answer = TypeVar("Answer")
 
 
 def measured(
-    store: Store, files: RecordingFiles, robot: Robot, joint: str, seed: int, mass: KnownMass | None = None
+    store: Store,
+    files: RecordingFiles,
+    robot: Robot,
+    joint: str,
+    seed: int,
+    mass: KnownMass | None = None,
+    coulomb: float = 60.0,
 ) -> int:
     """A campaign of slow sweeps of one axis with dry friction, and with a mass on the last link; its number."""
     random, index = np.random.default_rng(seed), robot.index(joint)
@@ -51,17 +60,22 @@ def measured(
     sweeps: list[Sweep] = []
     for designed in full_design(robot, joint, POSES, sample_rate=250.0, blocks=("forward_slow", "backward_slow")):
         sweep = expected(designed, designed.spec.pose[index])
-        record = sweep.recording
-        inertia = 300.0 + float((inertia_rows(robot.chain, index, np.array([sweep.spec.pose])) @ body)[0])
-        friction = 200.0 * record.velocity + 60.0 * np.sign(record.velocity)
+        record, pose = sweep.recording, sweep.spec.pose
+        inertia = 300.0 + float((inertia_rows(robot.chain, index, np.array([pose])) @ body)[0])
+        friction = 200.0 * record.velocity + coulomb * np.sign(record.velocity)
         noise = random.normal(0, 3.0, len(record.time))
-        record.effort[:] = inertia * np.gradient(record.velocity, record.time) + friction + noise
+        pulls = gravity_terms(robot.chain, robot.chain.inertial.ravel() + body, robot.gravity, index, np.array([pose]))[
+            0
+        ]
+        away = record.position - pose[index]
+        gravity = pulls[0] * np.cos(away) + pulls[1] * np.sin(away)
+        record.effort[:] = inertia * np.gradient(record.velocity, record.time) + friction + gravity + noise
         sweeps.append(sweep)
     return import_campaign(store, files, Bundle(robot, tuple(sweeps))).id
 
 
 class InProcess(Worker):
-    """Does jobs at once and keeps them."""
+    """Does jobs at once and keeps them; fails as a worker process does."""
 
     def __init__(self) -> None:
         super().__init__(NOBODY)
@@ -69,7 +83,10 @@ class InProcess(Worker):
 
     async def run(self, job: Work[Answer]) -> Answer:
         self.jobs.append(job)
-        return await asyncio.to_thread(job)
+        try:
+            return await asyncio.to_thread(job)
+        except SweepidError as error:
+            raise JobFailed(str(error)) from None
 
 
 @dataclass
@@ -77,6 +94,7 @@ class Bench:
     store: Store
     files: RecordingFiles
     diagnoses: DiagnosisStore
+    models: ModelStore
     diagnosing: Diagnosing
 
     async def over(self, diagnosis_id: int) -> DiagnosisDocument:
@@ -90,9 +108,10 @@ async def open_bench(folder: Path, worker: Worker) -> AsyncGenerator[Bench]:
     async with AsyncExitStack() as stack:
         database = stack.enter_context(open_database(f"sqlite:///{folder / 'sweepid.sqlite'}"))
         store, files, diagnoses = Store(database), RecordingFiles(folder), DiagnosisStore(database)
-        diagnosing = Diagnosing(store, diagnoses, ModelStore(database), files, worker)
+        models = ModelStore(database)
+        diagnosing = Diagnosing(store, diagnoses, models, files, worker)
         stack.push_async_callback(diagnosing.close)
-        yield Bench(store, files, diagnoses, diagnosing)
+        yield Bench(store, files, diagnoses, models, diagnosing)
 
 
 async def until(condition: Callable[[], bool]) -> None:
@@ -173,6 +192,97 @@ async def test_a_known_mass_stands_beside_the_evidence(tmp_path: Path, robot: Ro
     assert found.document is not None, found.cause
     named = [effect["effect"] for effect in found.document["axes"]["joint_1"]["effects"]]
     assert (found.verdicts, named) == ({"joint_1": "named"}, ["coulomb_friction"])
+
+
+async def test_the_mass_that_weighed_an_axis_counts_also_after_another_axis_was_weighed(
+    tmp_path: Path, robot: Robot
+) -> None:
+    masses = [BoltedMass(mass=mass, center=(0.1, 0.0, 0.0)) for mass in (40.0, 20.0)]
+    worker, joints = InProcess(), ("joint_1", "joint_2")
+    async with open_bench(tmp_path, worker) as bench:
+        bare = [measured(bench.store, bench.files, robot, joint, 1) for joint in joints]
+        loaded = [
+            measured(bench.store, bench.files, robot, joint, 2, KnownMass(mass.mass, mass.center))
+            for joint, mass in zip(joints, masses, strict=True)
+        ]
+        parent: int | None = None
+        for campaign, mass in zip(loaded, masses, strict=True):
+            weighed = Weighing(campaign_id=campaign, mass=mass)
+            new = NewDiagnosis(robot_id=1, campaigns=tuple(bare), axes=joints, weighed=weighed, parent=parent)
+            parent = bench.diagnoses.add(new).id
+        bench.diagnosing.submit(bench.diagnoses.diagnosis(parent or 0))
+        await bench.over(parent or 0)
+    jobs = [job for job in worker.jobs if isinstance(job, DiagnosisJob)]
+    assert {job.joint: job.mass and job.mass.mass for job in jobs} == {"joint_1": 40.0, "joint_2": 20.0}
+
+
+async def test_what_one_axis_came_to_is_kept_when_another_fails(tmp_path: Path, robot: Robot) -> None:
+    async with open_bench(tmp_path, InProcess()) as bench:
+        campaigns = [measured(bench.store, bench.files, robot, "joint_1", 1), dead(bench.store, bench.files, robot)]
+        diagnosis = await bench.diagnosing.request(campaigns, None, None, unattended=False)
+        found = await bench.over(diagnosis.id)
+        with pytest.raises(Conflict, match=r"joint_2: has no result, joint_2: .*effort is 0 in every sample"):
+            accept_model(bench.store, bench.diagnoses, bench.models, found.id, ["joint_2"], "Ada")
+    assert (found.state, found.verdicts) == (DiagnosisState.FAILED, {"joint_1": "named"})
+    assert "joint_2: effort is 0 in every sample of its sweeps" in found.cause
+    assert found.document is not None
+    assert list(found.document["axes"]) == ["joint_1"]
+
+
+def dead(store: Store, files: RecordingFiles, robot: Robot) -> int:
+    """A campaign of joint_2 whose drive told no effort."""
+    designed = full_design(robot, "joint_2", POSES[:1], sample_rate=250.0, blocks=("forward_slow",))
+    sweeps = [expected(one, one.spec.pose[1]) for one in designed]
+    for sweep in sweeps:
+        sweep.recording.effort[:] = 0.0
+    return import_campaign(store, files, Bundle(robot, tuple(sweeps))).id
+
+
+async def test_a_campaign_with_a_test_mass_is_no_evidence_of_the_bare_robot(tmp_path: Path, robot: Robot) -> None:
+    async with open_bench(tmp_path, Worker(NOBODY)) as bench:
+        bare = measured(bench.store, bench.files, robot, "joint_1", 1)
+        parent = bench.diagnoses.add(NewDiagnosis(robot_id=1, campaigns=(bare,), axes=("joint_1",)))
+        bench.diagnoses.finish(parent.id, {})
+        sweeps = [NewSweep(spec=sweep.spec, mode=None) for sweep in bench.store.sweeps(bare)]
+        mass = BoltedMass(mass=40.0, center=(0.1, 0.0, 0.0))
+        loaded = bench.diagnoses.approve(parent.id, "joint_1", "Ada", mass, {}, sweeps)
+        bench.store.move_campaign(loaded.id, lambda _: CampaignState.ABORTED)
+        with pytest.raises(Conflict, match=f"campaign {loaded.id} was measured with a test mass of 40 kg"):
+            await bench.diagnosing.request([bare, loaded.id], None, None, unattended=False)
+        assert [one.id for one in bench.diagnoses.diagnoses()] == [parent.id]
+
+
+async def test_a_model_keeps_what_others_accepted_meanwhile(tmp_path: Path, robot: Robot) -> None:
+    """Two diagnoses from the nominal model, one an axis; then a third of an axis that has effects by now."""
+    async with open_bench(tmp_path, InProcess()) as bench:
+        ids: list[int] = []
+        for joint, seed in (("joint_1", 1), ("joint_2", 2), ("joint_1", 3)):
+            campaign = measured(bench.store, bench.files, robot, joint, seed)
+            ids.append((await bench.diagnosing.request([campaign], None, None, unattended=False)).id)
+            await bench.over(ids[-1])
+        accept = partial(accept_model, bench.store, bench.diagnoses, bench.models)
+        first, second = (accept(one, None, "Ada") for one in ids[:2])
+        assert (second.revision, second.parent, list(second.document["axes"])) == (2, first.id, ["joint_1", "joint_2"])
+        assert second.document["axes"]["joint_1"] == first.document["axes"]["joint_1"]
+        with pytest.raises(Conflict, match=f"joint_1: model {second.id} was accepted since.*diagnose again from there"):
+            accept(ids[2], None, "Ada")
+        assert bench.models.newest(1) == second
+
+
+async def test_a_known_effect_that_has_changed_may_be_accepted(tmp_path: Path, robot: Robot) -> None:
+    async with open_bench(tmp_path, InProcess()) as bench:
+        campaigns = [measured(bench.store, bench.files, robot, "joint_1", 1)]
+        campaigns.append(measured(bench.store, bench.files, robot, "joint_1", 2, coulomb=80.0))
+        accept, model = partial(accept_model, bench.store, bench.diagnoses, bench.models), None
+        found: list[float] = []
+        for campaign in campaigns:
+            diagnosis = await bench.diagnosing.request([campaign], None, model, unattended=False)
+            done = await bench.over(diagnosis.id)
+            model = accept(done.id, None, "Ada").id
+            (effect,) = bench.models.model(model).document["axes"]["joint_1"]["effects"]
+            found.append(effect["parameters"]["coulomb"]["value"])
+        assert done.verdicts == {"joint_1": "none"}
+    assert found == pytest.approx([60.0, 80.0], abs=0.5)
 
 
 def test_the_sweeps_of_two_campaigns_share_a_clock_and_no_repeats(tmp_path: Path, robot: Robot) -> None:

@@ -106,6 +106,19 @@ async def test_what_happens_is_followed(loop: Loop) -> None:
     await following
 
 
+async def test_an_aborted_experiment_ends_the_loop_that_nobody_attends(loop: Loop) -> None:
+    feed = EventFeed(loop.bench.store, loop.bench.database)
+    found = loop.done("reversal")
+    sweeps = [NewSweep(spec=spec(1, (0.0, 0.0, 0.0)), mode=None)]
+    campaign = loop.diagnoses.approve(found.id, "joint_1", "unattended", None, {}, sweeps)
+    following = asyncio.create_task(loop.experiments.follow(feed, loop.bench.store.last_event_id()))
+    await asyncio.to_thread(loop.bench.store.move_campaign, campaign.id, lambda _: CampaignState.ABORTED)
+    await until(lambda: not loop.diagnoses.diagnosis(found.id).unattended)
+    assert loop.diagnoses.diagnosis(found.id).cause == f"campaign {campaign.id} was aborted"
+    feed.close()
+    await following
+
+
 async def test_a_loop_that_decides_nothing_ends(loop: Loop) -> None:
     feed = EventFeed(loop.bench.store, loop.bench.database)
     found = loop.done("reversal")

@@ -125,16 +125,32 @@ def test_after_a_restart_nothing_is_unattended(diagnoses: DiagnosisStore, new: N
 def test_models_are_numbered_robot_by_robot_and_a_diagnosis_becomes_one(
     diagnoses: DiagnosisStore, models: ModelStore, new: NewDiagnosis
 ) -> None:
-    first = models.add(done(diagnoses, new).id, "Ada", {"n": 1})
+    first = models.add(done(diagnoses, new).id, "Ada", {"n": 1}, None)
     later = done(diagnoses, new.model_copy(update={"model": first.id}))
-    second = models.add(later.id, "Bob", {"n": 2})
+    with pytest.raises(Conflict, match="another model of robot 1 was accepted meanwhile"):
+        models.add(later.id, "Bob", {"n": 2}, None)
+    assert models.newest(new.robot_id) == first
+    second = models.add(later.id, "Bob", {"n": 2}, first.id)
+    assert models.newest(new.robot_id) == second
+    assert models.newest(new.robot_id + 1) is None
     assert [(model.revision, model.parent) for model in (first, second)] == [(1, None), (2, first.id)]
     with pytest.raises(Conflict, match=f"became model {second.id} already"):
-        models.add(later.id, "Bob", {"n": 3})
+        models.add(later.id, "Bob", {"n": 3}, second.id)
     assert models.models(new.robot_id) == (first, second)
     assert models.models(new.robot_id, after=first.id) == (second,)
     assert models.models(new.robot_id + 1) == ()
     assert models.model(first.id) == first
+
+
+def test_what_failed_stays_failed_for_its_own_reason(diagnoses: DiagnosisStore, new: NewDiagnosis) -> None:
+    unattended = new.model_copy(update={"unattended": True})
+    failed, waiting = diagnoses.add(unattended), diagnoses.add(unattended)
+    diagnoses.fail(failed.id, "recording file was changed", {"axes": {}})
+    diagnoses.attend("the service was restarted")
+    found = [diagnoses.diagnosis(one.id) for one in (failed, waiting)]
+    assert [one.cause for one in found] == ["recording file was changed", "the service was restarted"]
+    assert not any(one.unattended for one in found)
+    assert found[0].document == {"axes": {}}
 
 
 def test_what_is_not_there_is_not_found(diagnoses: DiagnosisStore, models: ModelStore, new: NewDiagnosis) -> None:
