@@ -75,6 +75,7 @@ def axis_document(one: AxisDiagnosis) -> dict[str, Any]:
         "unexplained": one.unexplained,
         "next_experiment": None if one.next_experiment is None else _experiment(one.next_experiment),
         "untestable": list(one.untestable),
+        "visible_in": {effect: list(CATALOGUE[effect].visible_in) for effect in one.untestable},
     }
     return document | {"summary": summary(one.joint, document)}
 

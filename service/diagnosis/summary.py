@@ -91,12 +91,7 @@ def _rolled_back(effects: Sequence[str]) -> str:
 
 def _rms(axis: Mapping[str, Any], when: str) -> str:
     gap = axis["gap"]
-    return f"{gap[f'{when}_rms']:.3g} {axis['unit']} ({percent(gap[f'{when}_percent'])} of the effort)"
-
-
-def percent(value: float) -> str:
-    """Two digits, more where they are before the point."""
-    return f"{value:.0f} %" if value >= 10 else f"{value:.2g} %"
+    return f"{gap[f'{when}_rms']:.3g} {axis['unit']} ({gap[f'{when}_percent']:.3g} % of the effort)"
 
 
 def _floor(axis: Mapping[str, Any], text: str) -> str:

@@ -5,8 +5,6 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any
 
-from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.summary import percent
 from service.report import gap_figures as drawn
 from service.report.content import Document
 from service.report.drawing import Figure
@@ -85,9 +83,9 @@ def _axis(page: Page, joint: str, axis: Document) -> None:
 
 def _gap(page: Page, axis: Document) -> None:
     gap, unit = axis["gap"], drawn.unit(axis)
-    facts = [(f"{gap['before_rms']:.3g} {unit}", f"gap before, {percent(gap['before_percent'])} of the effort")]
+    facts = [(f"{gap['before_rms']:.3g} {unit}", f"gap before, {gap['before_percent']:.3g} % of the effort")]
     if drawn.explained(axis):
-        facts.append((f"{gap['after_rms']:.3g} {unit}", f"gap after, {percent(gap['after_percent'])}"))
+        facts.append((f"{gap['after_rms']:.3g} {unit}", f"gap after, {gap['after_percent']:.3g} %"))
     floor = gap["noise_floor_rms"]
     facts += [
         ("–", "noise floor: nothing was measured twice")
@@ -167,8 +165,9 @@ def _open_questions(page: Page, joint: str, axis: Document) -> None:
         )
     if axis["untestable"]:
         page.add("<h3>What these sweeps cannot show</h3>", "<p>Whether or not there is one of these:</p>")
+        shown_by = axis.get("visible_in", {})
         rows = [
-            [drawn.effect_words(effect), ", ".join(_plain(block) for block in CATALOGUE[effect].visible_in)]
+            [drawn.effect_words(effect), ", ".join(_plain(block) for block in shown_by.get(effect, ()))]
             for effect in axis["untestable"]
         ]
         page.table(["effect", "it shows in"], rows)

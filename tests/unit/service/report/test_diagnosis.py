@@ -76,6 +76,7 @@ def axis(**changes: Any) -> dict[str, Any]:
         },
         "next_experiment": None,
         "untestable": ["friction_temperature_drift"],
+        "visible_in": {"friction_temperature_drift": ["revisit_forward_slow", "revisit_backward_slow"]},
     }
     document |= changes
     return document | {"summary": summary("joint_2", document)}
