@@ -38,14 +38,17 @@ class Course:
     confidence: float | None = None  # percent, at which the campaign may end (`enough`); None: all sweeps are wanted
     base_parameters: int = 0  # that the plan is about
 
-    def at_once(self, due: SweepDocument, sweeps: Sequence[SweepDocument]) -> list[SweepDocument]:
-        """The sweep that is due, with the others of its trajectory; Conflict where one of them has been measured."""
-        numbers = next((numbers for numbers in self.trajectories if due.number in numbers), (due.number,))
-        together = [sweep for sweep in sweeps if sweep.number in numbers]
-        for sweep in together:
-            if sweep.state is not SweepState.PLANNED:
-                raise Conflict(f"sweep {sweep.number} of the trajectory of sweep {due.number} is {sweep.state.value}")
-        return together
+    def due(self, sweeps: Sequence[SweepDocument]) -> list[SweepDocument]:
+        """The next planned sweep with the others of its trajectory; empty if none is left.
+
+        A trajectory of which one sweep has been measured is passed over: it can only be repeated as a whole.
+        """
+        planned = {sweep.number for sweep in sweeps if sweep.state is SweepState.PLANNED}
+        for sweep in sweeps:
+            numbers = next((numbers for numbers in self.trajectories if sweep.number in numbers), (sweep.number,))
+            if planned.issuperset(numbers):
+                return [each for each in sweeps if each.number in numbers]
+        return []
 
 
 def plan_of(record: PlanRecord) -> Plan:
@@ -71,7 +74,12 @@ def course_of(store: Store, settings: Settings, campaign: CampaignDocument) -> C
     return Course(
         joints=robot.joints,
         commands={number: sweep.command() for number, sweep in enumerate(plan.sweeps, 1)},
-        envelope=Envelope(robot, cell, plan.limits if isinstance(plan, DiagnosisPlan | ExperimentPlan) else None),
+        envelope=Envelope(
+            robot,
+            cell,
+            plan.limits if isinstance(plan, DiagnosisPlan | ExperimentPlan) else None,
+            plan.request.known_mass if isinstance(plan, ExperimentPlan) else None,
+        ),
         move_velocity=plan.request.move_velocity,
         pose_tolerance=settings.pose_tolerance,
         trajectories=plan.at_once if isinstance(plan, TrajectoryPlan) else (),

@@ -10,7 +10,9 @@ from service.campaigns.envelope import Limits
 from service.campaigns.plan_documents import DroppedPose, PlannedSweep, PlanRequest
 from service.diagnosis.design import BLOCKS, FAST, SLOW, WIDE, WIDE_LINES
 from service.errors import BadInput
+from service.identification.torque_gain import KnownMass
 from service.robot import Robot
+from service.store.diagnosis_documents import BoltedMass
 from service.store.documents import LARGEST_ID
 
 SWAY = 1.05  # of a block's travel: the sines sway on both sides of it
@@ -57,7 +59,9 @@ class DiagnosisRequest(BaseModel):
 
 
 class ExperimentRequest(BaseModel):
-    """Of an experiment whose sweeps are designed already; `cell` and `modes` as in a plan of sweeps."""
+    """Of an experiment whose sweeps are designed already, with the mass that is bolted on; the rest as in a plan of
+    sweeps.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     kind: Literal["experiment"] = "experiment"
@@ -65,10 +69,16 @@ class ExperimentRequest(BaseModel):
     cell: str = Field(default="workshop", pattern=CELL_NAME)
     modes: Literal["drive_side", "host_streamed"] = "drive_side"
     move_velocity: float = Field(default=0.1, gt=0)  # rad/s (m/s)
+    test_mass: BoltedMass | None = None
 
     @property
     def mode(self) -> SweepMode:
         return SweepMode(self.modes)
+
+    @property
+    def known_mass(self) -> KnownMass | None:
+        """The test mass as a rigid body."""
+        return None if self.test_mass is None else KnownMass(**self.test_mass.model_dump())
 
 
 class _DesignedPlan(BaseModel):

@@ -81,7 +81,7 @@ def build_experiment_plan(
         raise BadInput("experiment", "has no sweeps")
     for sweep in designed:
         robot.index(sweep.spec.axis)
-    envelope = Envelope(robot, cell, limits(sweep.spec.block for sweep in designed))
+    envelope = Envelope(robot, cell, limits(sweep.spec.block for sweep in designed), request.known_mass)
     way = DesignedWay(robot, request, envelope, np.array(cell.home_pose(robot.joints)))
     way.follow(designed)
     if not way.sweeps:

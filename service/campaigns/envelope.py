@@ -29,6 +29,7 @@ from service.collision import CollisionChecker
 from service.errors import EnvelopeViolation
 from service.identification.exciting_trajectory import nominal_effort
 from service.identification.regressor import gravity_terms, inertia_rows
+from service.identification.torque_gain import KnownMass
 from service.robot import Robot
 
 Array = NDArray[np.float64]
@@ -51,8 +52,14 @@ class Limits(BaseModel):
 class Envelope:
     """What one robot may do in one cell. Every check raises EnvelopeViolation or returns None."""
 
-    def __init__(self, robot: Robot, cell: Cell, limits: Limits | None = None) -> None:
+    def __init__(
+        self, robot: Robot, cell: Cell, limits: Limits | None = None, test_mass: KnownMass | None = None
+    ) -> None:
+        """`test_mass`: bolted on while this envelope holds. It weighs; its shape is nowhere in the way."""
         self.limits = limits or Limits()
+        self._inertial = robot.chain.inertial.ravel().copy()
+        if test_mass is not None:
+            self._inertial[-10:] += test_mass.parameters
         self.checker = CollisionChecker(robot, cell)
         self._robot = robot
         self._cell = cell
@@ -215,16 +222,14 @@ class Envelope:
     def _cad_inertia(self, index: int, pose: Sequence[float]) -> float:
         """About a joint, without its motor, kg m^2 (kg)."""
         chain = self._robot.chain
-        return float(inertia_rows(chain, index, np.array([pose]))[0] @ chain.inertial.ravel())
+        return float(inertia_rows(chain, index, np.array([pose]))[0] @ self._inertial)
 
     def gravity_effort(self, index: int, pose: Sequence[float], window: tuple[float, float]) -> float:
-        """Largest gravity effort of the CAD model about a joint over its window, N m (0 for prismatic joints)."""
+        """Largest gravity effort of the CAD model, with the test mass, over a joint's window, N m (0: prismatic)."""
         poses = np.tile(np.asarray(pose, dtype=float), (5, 1))
         poses[:, index] = np.linspace(window[0], window[1], 5)
         chain = self._robot.chain
-        return float(
-            np.abs(gravity_terms(chain, chain.inertial.ravel(), self._robot.gravity, index, poses)[:, 0]).max()
-        )
+        return float(np.abs(gravity_terms(chain, self._inertial, self._robot.gravity, index, poses)[:, 0]).max())
 
     def least_inertia(self, index: int, pose: Sequence[float]) -> float:
         """What the axis' inertia is at least, by the CAD model and its prior, kg m^2 (kg)."""

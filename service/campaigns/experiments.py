@@ -53,10 +53,12 @@ class Experiments:
         self._approving = asyncio.Lock()
         self._tasks: set[asyncio.Task[None]] = set()
 
-    def plan(self, diagnosis_id: int, axis: str, cell: str | None) -> ExperimentPlan:
+    def plan(
+        self, diagnosis_id: int, axis: str, cell: str | None, test_mass: BoltedMass | None = None
+    ) -> ExperimentPlan:
         """The plan of an axis's next experiment (blocking). Conflict if it has none; BadInput if it cannot be run here.
 
-        `cell`: None takes the one in which the newest evidence was planned.
+        `cell`: None takes the one in which the newest evidence was planned. `test_mass`: its weight takes effort.
         """
         diagnosis = self._diagnoses.diagnosis(diagnosis_id)
         experiment = proposed(diagnosis, axis)
@@ -65,7 +67,7 @@ class Experiments:
             for sweep in experiment["sweeps"]
         ]
         name = cell or self._cell(diagnosis)
-        request = ExperimentRequest(robot_id=diagnosis.robot_id, cell=name)
+        request = ExperimentRequest(robot_id=diagnosis.robot_id, cell=name, test_mass=test_mass)
         robot = self._store.robot(diagnosis.robot_id).build()
         return build_experiment_plan(robot, request, designed, read_cell(self._settings.cells_dir / f"{name}.yaml"))
 
@@ -86,7 +88,7 @@ class Experiments:
             if test_mass is not None and not weighing:
                 raise BadInput("test_mass", "the experiment is one without: take the mass off")
             await self._runner.check_free()
-            plan = await asyncio.to_thread(self.plan, diagnosis_id, axis, cell)
+            plan = await asyncio.to_thread(self.plan, diagnosis_id, axis, cell, test_mass)
             campaign = await asyncio.to_thread(
                 self._diagnoses.approve,
                 diagnosis_id,

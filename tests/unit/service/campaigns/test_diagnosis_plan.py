@@ -19,7 +19,9 @@ from service.configuration import read_robot
 from service.diagnosis.design import BLOCKS, DesignedSweep, full_design
 from service.errors import BadInput
 from service.identification.regressor import gravity_terms
+from service.identification.torque_gain import KnownMass
 from service.robot import Robot, build_robot
+from service.store.diagnosis_documents import BoltedMass
 from service.store.documents import PlanRecord
 
 REQUEST = {"kind": "diagnosis", "robot_id": 1, "axes": ("joint_1", "joint_2"), "varied": ("joint_1", "joint_2")}
@@ -144,6 +146,18 @@ def test_a_block_that_leaves_the_envelope_is_left_out_with_its_reason(robot: Rob
     assert "peak velocity" in plan.dropped[0].reason or "travel" in plan.dropped[0].reason
     with pytest.raises(BadInput, match="none of its sweeps can be run, the first because: wide: joint_3: travel"):
         build_experiment_plan(robot, EXPERIMENT, [faster(s) for s in designed if s.spec.block == "wide"], cell)
+
+
+def test_a_mass_that_the_axis_cannot_carry_is_refused_and_kept_for_the_run(robot: Robot, cell: Cell) -> None:
+    designed = full_design(robot, "joint_3", POSE, blocks=("forward_slow",))
+    heavy, light = (
+        EXPERIMENT.model_copy(update={"test_mass": BoltedMass(mass=mass, center=(0.2, 0.0, 0.0))})
+        for mass in (800.0, 20.0)
+    )
+    with pytest.raises(BadInput, match=r"joint_3: predicted peak effort 1\.\d+e\+04 N m is above the limit 3600 N m"):
+        build_experiment_plan(robot, heavy, designed, cell)
+    plan = build_experiment_plan(robot, light, designed, cell)
+    assert plan.request.known_mass == KnownMass(20.0, (0.2, 0.0, 0.0))
 
 
 def test_an_experiment_without_sweeps_is_none(robot: Robot, cell: Cell) -> None:

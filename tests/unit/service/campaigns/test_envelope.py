@@ -12,6 +12,7 @@ from drivers.ports import SampleBlock, Sine, SweepCommand, SweepMode
 from service.campaigns.envelope import Envelope, peak_acceleration, peak_velocity, travel_bounds
 from service.cell import Box, Cell
 from service.errors import EnvelopeViolation
+from service.identification.torque_gain import KnownMass
 from service.robot import Robot
 from tests.unit.service.campaigns.small_arm import small_arm
 
@@ -187,6 +188,14 @@ def test_predicted_effort_by_hand(arm: Robot) -> None:
     friction = 1.5 * 20.0 * 0.01
     expected = inertia * 0.01 * pi / (2 * 0.5) + gravity + friction + 0.1 * 400.0
     assert envelope.predicted_effort(command, (-0.325, 0.3)) == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_test_mass_weighs_and_takes_effort(arm: Robot) -> None:
+    """20 kg at 0.6 m on the horizontal forearm: 20 * 9.81 * 0.6 more to hold, 20 * 0.36 kg m^2 more to accelerate."""
+    bare, loaded = (Envelope(arm, Cell(name="test"), None, mass) for mass in (None, KnownMass(20.0, (0.6, 0.0, 0.0))))
+    command = replace(COMMAND, joint="j2", sines=(), offset_velocity=0.01, position_window=(0.29, 0.36))
+    more = loaded.predicted_effort(command, (-0.325, 0.3)) - bare.predicted_effort(command, (-0.325, 0.3))
+    assert more == pytest.approx(1.3 * 20 * 9.81 * 0.6 + 1.6 * 20 * 0.36 * 0.01 * pi / (2 * 0.5), rel=1e-4)
 
 
 def test_travel_limit_is_the_papers() -> None:

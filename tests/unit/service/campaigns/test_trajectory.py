@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sqlalchemy import text
 
 from drivers.errors import DriveFault
 from drivers.ports import Sine, SweepCommand, SweepMode
 from service.campaigns.course import Course
 from service.campaigns.envelope import Envelope
 from service.campaigns.runner import Runner
+from service.campaigns.session import SweepEvent, sweep_move
 from service.campaigns.station import Station
 from service.campaigns.trajectory_documents import TrajectoryPlan, TrajectoryRequest
 from service.campaigns.trajectory_motion import commanded_motion, path_of
@@ -21,7 +23,7 @@ from service.errors import BadInput, EnvelopeViolation
 from service.recording import SweepSpec
 from service.robot import Robot
 from service.store.documents import CampaignDocument, CampaignState, NewSweep, RecordingState, SweepState
-from tests.unit.service.campaigns.conftest import TIMEOUT, Bench
+from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, Taken
 from tests.unit.service.campaigns.formula_drive import FormulaDrive
 from tests.unit.service.campaigns.small_arm import small_arm
 
@@ -233,3 +235,44 @@ async def test_a_stop_interrupts_all_axes(bench: Bench, campaign: tuple[Runner, 
     states = [(sweep.state, sweep.cause) for sweep in bench.store.sweeps(planned.id)]
     assert states == [(SweepState.INTERRUPTED, "stopped by anna: looks wrong")] * 2
     assert bench.drive.energised == set()
+
+
+async def test_a_trajectory_of_which_one_axis_was_identified_does_not_block_its_campaign(
+    bench: Bench, campaign: tuple[Runner, CampaignDocument]
+) -> None:
+    runner, planned = campaign
+    store, identify, fail = bench.store, sweep_move(SweepEvent.IDENTIFY), sweep_move(SweepEvent.FAIL)
+    bench.drive.hold = 2
+    await runner.start(planned.id)
+    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
+    await runner.pause(planned.id)
+    bench.drive.hold = None
+    bench.drive.go.set()
+    await asyncio.wait_for(runner.finished(), TIMEOUT)
+    store.add_estimate(store.sweep(planned.id, 1), identify, {}, {})
+    store.move_sweep(planned.id, 2, fail, "identification: no")
+    before = len(bench.drive.trace)
+    await runner.resume(planned.id, repeat=True)
+    await asyncio.wait_for(runner.finished(), TIMEOUT)
+    ended = store.campaign(planned.id)
+    assert (ended.state, ended.sweeps) == (
+        CampaignState.COMPLETED,
+        {SweepState.IDENTIFIED: 1, SweepState.SKIPPED: 1},
+    )
+    assert store.sweep(planned.id, 2).cause == ended.cause
+    assert "can only be repeated as a whole" in ended.cause
+    assert not any(entry.startswith(("enable", "sweep")) for entry in bench.drive.trace[before:])
+
+
+async def test_what_was_recorded_is_identified_also_where_the_end_of_another_axis_is_refused(
+    bench: Bench, campaign: tuple[Runner, CampaignDocument]
+) -> None:
+    runner, planned = campaign
+    refuse = "NEW.number = 2 AND NEW.state = 'recorded' BEGIN SELECT RAISE(ABORT, 'no'); END"
+    with bench.database.write(quiet=True) as session:
+        session.execute(text(f"CREATE TRIGGER second BEFORE UPDATE ON sweep WHEN {refuse}"))
+    await runner.start(planned.id)
+    await asyncio.wait_for(runner.finished(), TIMEOUT)
+    assert [sweep.state for sweep in bench.store.sweeps(planned.id)] == [SweepState.RECORDED, SweepState.FAILED]
+    assert isinstance(bench.jobs, Taken)
+    assert bench.jobs.sweeps == [1]
