@@ -1,0 +1,169 @@
+"""What a stop or a lost lease means for who uses the machine, and that neither waits for anything slow."""
+
+import asyncio
+import threading
+
+import pytest
+from sqlalchemy import text
+from sqlalchemy.exc import IntegrityError, OperationalError
+
+from service.campaigns import station
+from service.errors import Conflict
+from service.store.documents import CampaignState, SweepState
+from service.store.guards import MachineLease, StopLatch
+from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
+
+LEASE_TIME = 0.5  # s
+PATIENCE = 20.0  # s
+
+
+class BetweenMotions:
+    """Holds a campaign where its first sweep is over and nothing moves: its recording is being written."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.reached, self.go = threading.Event(), threading.Event()
+        self._finish = station.finish
+        monkeypatch.setattr(station, "finish", self._slow)
+
+    def _slow(self, *args, **kwargs):
+        self.reached.set()
+        assert self.go.wait(TIMEOUT)
+        return self._finish(*args, **kwargs)
+
+
+class Ailing(MachineLease):
+    """The database refuses it until `well`; `renewed` counts."""
+
+    well, renewed = True, 0
+
+    def renew(self) -> None:
+        if not self.well:
+            raise OperationalError("UPDATE", {}, Exception("disk I/O error"))
+        super().renew()
+        self.renewed += 1
+
+
+async def test_a_campaign_between_two_motions_does_not_go_on_when_the_stop_is_reset(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    between = BetweenMotions(monkeypatch)
+    await bench.runner.start(bench.campaign.id)
+    await until(between.reached.is_set)
+    await bench.machine.stop("ada", "hand in the cell")
+    moved = list(bench.drive.trace)
+    await bench.machine.reset_stop("ada")
+    between.go.set()
+    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
+    assert set(bench.drive.trace[len(moved) :]) <= {"stop"}
+    campaign = bench.store.campaign(bench.campaign.id)
+    assert (campaign.state, campaign.cause) == (CampaignState.PAUSED, "stopped by ada: hand in the cell")
+    assert bench.store.sweep(bench.campaign.id, 1).state is SweepState.RECORDED
+    second = bench.store.sweep(bench.campaign.id, 2)
+    assert (second.state, second.cause) == (SweepState.INTERRUPTED, "stopped by ada: hand in the cell")
+
+    await bench.runner.resume(bench.campaign.id, repeat=True)  # a person's word, and it goes on
+    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
+    assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
+
+
+async def test_a_campaign_between_two_motions_does_not_go_on_when_the_database_answers_again(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    between, lease = BetweenMotions(monkeypatch), Ailing(bench.database, LEASE_TIME)
+    lease.acquire()
+    keeper = asyncio.create_task(bench.machine.keep_lease(lease, LEASE_TIME))
+    await bench.runner.start(bench.campaign.id)
+    await until(between.reached.is_set)
+    lease.well = False
+    await until(lambda: bench.machine.held != "")
+    moved = list(bench.drive.trace)
+    lease.well, before = True, lease.renewed
+    await until(lambda: lease.renewed >= before + 2)  # the first has been taken note of by then
+    between.go.set()
+    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
+    assert set(bench.drive.trace[len(moved) :]) <= {"stop"}
+    campaign = bench.store.campaign(bench.campaign.id)
+    assert campaign.state is CampaignState.PAUSED
+    assert "could not be renewed" in campaign.cause
+    bench.machine.check_may_move()  # for the next that a person starts
+    keeper.cancel()
+    await asyncio.wait([keeper])
+
+
+async def test_who_lost_the_lease_leaves_the_bus_and_does_not_come_back(bench: Bench) -> None:
+    mine, other = MachineLease(bench.database, LEASE_TIME), MachineLease(bench.database, LEASE_TIME)
+    mine.acquire()
+    await bench.machine.connect()
+    await asyncio.to_thread(other.acquire)
+    await asyncio.wait_for(bench.machine.keep_lease(mine, LEASE_TIME), TIMEOUT)
+    assert bench.drive.trace[-2:] == ["stop", "close"]
+    assert not bench.machine.connected
+    with pytest.raises(Conflict, match="connect: another service has taken the machine"):
+        await bench.machine.connect()
+    with pytest.raises(Conflict, match="another service has taken the machine"):
+        await bench.runner.start(bench.campaign.id)
+    assert bench.drive.trace[-1] == "close"
+
+
+async def test_a_stop_that_the_database_does_not_take_is_seen_and_reset_all_the_same(bench: Bench) -> None:
+    await bench.machine.connect()
+    with bench.database.write() as session:
+        refuse = "CREATE TRIGGER refuse BEFORE INSERT ON stop BEGIN SELECT RAISE(FAIL, 'database or disk is full'); END"
+        session.execute(text(refuse))
+    with pytest.raises(IntegrityError, match="disk is full"):
+        await bench.machine.stop("ada", "smoke")
+    assert "stop" in bench.drive.trace
+    held = bench.machine.latched
+    assert held is not None
+    assert (held.by, held.why, held.reset_by) == ("ada", "smoke", None)
+    with pytest.raises(Conflict, match="stopped by ada: smoke"):
+        bench.machine.check_may_move()
+    reset = await bench.machine.reset_stop("berta")
+    assert (reset.by, reset.reset_by) == ("ada", "berta")
+    assert bench.machine.latched is None
+    bench.machine.check_may_move()
+    with pytest.raises(Conflict, match="no stop is latched"):
+        await bench.machine.reset_stop("berta")
+
+
+async def test_a_stop_that_comes_while_another_is_being_reset_holds(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await bench.machine.connect()
+    await bench.machine.stop("ada", "smoke")
+    resetting, go, reset = threading.Event(), threading.Event(), StopLatch.reset
+
+    def slow(latch: StopLatch, by: str):
+        resetting.set()
+        assert go.wait(TIMEOUT)
+        return reset(latch, by)
+
+    monkeypatch.setattr(StopLatch, "reset", slow)
+    first = asyncio.create_task(bench.machine.reset_stop("ada"))
+    await until(resetting.is_set)
+    second = asyncio.create_task(bench.machine.stop("berta", "fire"))
+    await until(lambda: bench.drive.trace.count("stop") == 2)
+    go.set()
+    await first
+    with pytest.raises(Conflict, match="stopped by berta: fire"):
+        bench.machine.check_may_move()
+    await second
+    assert bench.machine.latched is not None
+    assert bench.machine.latched.by == "berta"
+
+
+async def test_neither_stop_nor_lease_waits_while_all_shared_threads_are_busy(bench: Bench) -> None:
+    await bench.machine.connect()
+    lease, go = Ailing(bench.database, LEASE_TIME), threading.Event()
+    lease.acquire()
+    busy = [asyncio.get_running_loop().run_in_executor(None, go.wait, TIMEOUT) for _ in range(100)]
+    keeper = asyncio.create_task(bench.machine.keep_lease(lease, LEASE_TIME))
+    try:
+        await asyncio.wait_for(bench.machine.stop("ada", "smoke"), PATIENCE)
+        await asyncio.wait_for(bench.machine.reset_stop("ada"), PATIENCE)
+        await until(lambda: lease.renewed > 0)
+    finally:
+        go.set()
+        await asyncio.gather(*busy)
+        keeper.cancel()
+        await asyncio.wait([keeper])
