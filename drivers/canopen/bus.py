@@ -34,6 +34,7 @@ class Bus:
         self._network = canopen.Network(self._interface)
         self._heard = dict.fromkeys(nodes, time.monotonic())
         self._restarted: set[int] = set()
+        self._host_heard = False
         self._emergencies: dict[int, frames.Emergency] = {}
         self._controller: frames.Controller | None = None
         self._streams: dict[int, queue.SimpleQueue[frames.Event]] = {}
@@ -65,6 +66,15 @@ class Bus:
             reason = f"sending failed: {_in_a_line(error)}"
             self._fail(reason)
             raise CommunicationLost(f"bus {self._profile.channel}: {reason}") from None
+
+    def host_heard(self) -> bool:
+        """Whether a heartbeat under our own node id came since the last question; another host's if we send none."""
+        heard, self._host_heard = self._host_heard, False
+        return heard
+
+    def expect_nodes(self) -> None:
+        """How long a node was silent counts from here."""
+        self._heard = dict.fromkeys(self._heard, time.monotonic())
 
     def check_alive(self) -> None:
         """CommunicationLost if the bus is gone or no node was heard for longer than the time-out."""
@@ -164,6 +174,7 @@ class Bus:
                 self._streams[event.node].put(event)
             return
         if event.node not in self._heard:
+            self._host_heard |= event.node == self._profile.host_node and isinstance(event, frames.Heartbeat)
             return
         self._heard[event.node] = time.monotonic()
         if isinstance(event, frames.Emergency):

@@ -19,9 +19,17 @@ from drivers.cia402.checks import Envelope
 from drivers.cia402.connection import capabilities
 from drivers.cia402.device import Mode
 from drivers.cia402.thread import DriveThread, to_the_end
-from drivers.errors import CommunicationLost, DriveError, EnvelopeLeft, LimitExceeded, SweepInterrupted
+from drivers.errors import (
+    CommunicationLost,
+    ConnectionFailed,
+    DriveError,
+    EnvelopeLeft,
+    LimitExceeded,
+    SweepInterrupted,
+)
 from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTiming, SweepCommand
 
+LISTENING = 3  # heartbeats
 STEPS_OF_A_SINE = 20  # of the velocity unit in an amplitude: rounding then moves a line by less than one in a thousand
 
 
@@ -38,6 +46,7 @@ class CanopenFieldbus:
         heart: asyncio.Task[None] | None = None
         try:
             bus = await asyncio.shield(opening)
+            await _check_alone(bus, profile)
             heart = asyncio.create_task(_beat(bus, profile), name="can-heartbeat")
             devices, axes, identities = await thread.run(_introduce, profile, bus)
         except BaseException:
@@ -143,6 +152,23 @@ def _check_resolution(device: CanopenDevice, command: SweepCommand) -> None:
                 f"{device.place}: a sine of {sine.amplitude:.3g} {device.profile.unit}/s has fewer than "
                 f"{STEPS_OF_A_SINE} steps of the drive's velocity unit of {step:.3g} {device.profile.unit}/s"
             )
+
+
+async def _check_alone(bus: Bus, profile: CanopenProfile) -> None:
+    """ConnectionFailed if another host speaks under our node id: the drives would miss neither if it died.
+
+    Heard twice, for what a gateway held back comes in one go, and may be our own of a connection before this one.
+    """
+    settings = profile.bus
+    for _ in range(2):
+        await asyncio.sleep(LISTENING * settings.host_heartbeat)
+        if not bus.host_heard():
+            bus.expect_nodes()
+            return
+    raise ConnectionFailed(
+        f"bus {settings.interface} {settings.channel}: another host speaks as node {settings.host_node}; "
+        "only one may have these drives"
+    )
 
 
 async def _beat(bus: Bus, profile: CanopenProfile) -> None:
