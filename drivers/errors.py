@@ -53,4 +53,4 @@ class SweepRejected(DriveError):
 
 
 class SweepInterrupted(DriveError):
-    """A sweep or a move ended early because somebody stopped it. The samples so far were delivered."""
+    """A sweep, a move or enabling ended early because somebody stopped it. The samples so far were delivered."""

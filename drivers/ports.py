@@ -257,7 +257,7 @@ class DrivePort(Protocol):
     async def enable(self, *joints: str) -> None:
         """Energise these axes at standstill; none is left enabled if one cannot be.
 
-        Refused while a fault is pending or any other axis is enabled.
+        Refused while a fault is pending or any other axis is enabled; SweepInterrupted if it is stopped meanwhile.
         """
         ...
 

@@ -13,6 +13,7 @@ from drivers.errors import (
     DriveFault,
     EmergencyStop,
     NotReady,
+    SweepInterrupted,
     SweepRejected,
     WrongConfiguration,
 )
@@ -106,8 +107,11 @@ class Axis:
 
     # -- power ---------------------------------------------------------------------------------------------------
 
-    def enable(self) -> None:
-        """Closes the loop at standstill in profile position mode. Ends disabled if it cannot."""
+    def enable(self, stop: threading.Event) -> None:
+        """Closes the loop at standstill in profile position mode. Ends disabled if it cannot.
+
+        SweepInterrupted once `stop` is set: it is asked before every step, and ends the waiting for one.
+        """
         self.check(self.state())
         reading = self.read()
         if not self.stands(reading):
@@ -118,8 +122,10 @@ class Axis:
             self.device.hold_target()
             state = self.state()
             while state is not State.OPERATION_ENABLED:
+                self._check_wanted(stop)
                 self.device.control(states.step(state, Wish.ENABLED))
-                following = self._next_state(state, TRANSITION_TIMEOUT)
+                following = self._next_state(state, TRANSITION_TIMEOUT, stop)
+                self._check_wanted(stop)
                 self.check(following)
                 if following is state:
                     raise NotReady(f"{self.place}: stays in state '{state.value}' for {TRANSITION_TIMEOUT} s")
@@ -160,7 +166,7 @@ class Axis:
             self.device.control(states.DISABLE_VOLTAGE)
             self.device.control(states.step(state, Wish.FAULT_RESET))
             self.device.control(states.DISABLE_VOLTAGE)
-            state = self._next_state(state, RESET_TIMEOUT)
+            state = self._next_state(state, RESET_TIMEOUT, stop=threading.Event())  # nobody waits long for that
         if state in (State.FAULT, State.FAULT_REACTION):
             code = self.device.error_code()
             raise DriveFault(f"{self.place}: fault {code:04X}h cannot be cleared while its cause is there")
@@ -205,9 +211,13 @@ class Axis:
 
     # -- inside --------------------------------------------------------------------------------------------------
 
-    def _next_state(self, state: State, within: float) -> State:
-        """The state that follows `state`, or `state` itself if none does in time, s."""
+    def _check_wanted(self, stop: threading.Event) -> None:
+        if stop.is_set():
+            raise SweepInterrupted(f"{self.place}: was stopped while it was being enabled")
+
+    def _next_state(self, state: State, within: float, stop: threading.Event) -> State:
+        """The state that follows `state`, or `state` itself if none does in time, s, or before `stop`."""
         deadline = time.monotonic() + within
-        while (now := self.state()) is state and time.monotonic() < deadline:
+        while (now := self.state()) is state and time.monotonic() < deadline and not stop.is_set():
             time.sleep(POLL)
         return now

@@ -13,6 +13,7 @@ from drivers.cia402.connection import Connection, Fieldbus, Run
 from drivers.cia402.drive_sweep import DriveSweep
 from drivers.cia402.positioning import move
 from drivers.cia402.profile import AxisProfile
+from drivers.cia402.standing import watched
 from drivers.cia402.stopping import bring_down
 from drivers.errors import DriveError, LimitExceeded, NotReady
 from drivers.ports import (
@@ -33,7 +34,7 @@ logger = logging.getLogger(__name__)
 Command = SweepCommand | NoiseCommand
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class Motion:
     """The one motion under way, and what runs it if it is a sweep."""
 
@@ -50,6 +51,7 @@ class Cia402Machine:
         self._fieldbus = fieldbus
         self._link: Connection | None = None
         self._motion: Motion | None = None
+        self._enabling: list[Motion] = []  # of axes that still stand
         self._cleanups: set[asyncio.Task[None]] = set()
         self._closing: asyncio.Task[None] | None = None
         self._reading = asyncio.Lock()  # one status at a time in the thread's queue: a stop must not wait for many
@@ -128,17 +130,20 @@ class Cia402Machine:
         await self._connected().thread.run(axis.acknowledge)
 
     async def enable(self, *joints: str) -> None:
-        axes = tuple(self._axis(joint) for joint in joints)
+        enabling = Motion(tuple(self._axis(joint) for joint in joints))
         link = self._connected()
+        self._enabling.append(enabling)
         try:
-            await link.thread.run(_enable_alone, axes, tuple(link.axes.values()))
+            await link.thread.run(_enable_alone, enabling, tuple(link.axes.values()))
         except asyncio.CancelledError:  # the call goes on without us, and what it enables nobody would know of
-            await self._shield(self._abandon(Motion(axes)))
+            await self._shield(self._abandon(enabling))
             raise
+        finally:
+            self._enabling.remove(enabling)
 
     async def disable(self, joint: str) -> None:
         axis = self._axis(joint)
-        if self._motion is not None and axis in self._motion.axes:
+        if any(axis in each.axes for each in (self._motion, *self._enabling) if each is not None):
             await self._interrupt()
         await self._shield(bring_down(self._connected().thread, axis))
 
@@ -194,10 +199,8 @@ class Cia402Machine:
             completed = False
             try:
                 run = await self._start(link, commands, motion)
-                async with aclosing(run.blocks()) as blocks:
+                async with watched(link.thread, _others(link, motion), motion.stop), aclosing(run.blocks()) as blocks:
                     async for block in blocks:
-                        for other in () if motion.stop.is_set() else _others(link, motion):
-                            await link.thread.run(other.check_standing)
                         yield block
                 completed = True
             finally:
@@ -240,6 +243,8 @@ class Cia402Machine:
 
     async def _interrupt(self) -> None:
         """Ask the motion under way to stop, and wait until the stop ladder may talk to its drives."""
+        for enabling in self._enabling:  # it has the thread on which the ladder runs
+            enabling.stop.set()
         motion = self._motion
         if motion is None:
             return
@@ -311,7 +316,8 @@ def _check_together(axes: tuple[Axis, ...], commands: Sequence[SweepCommand], ca
         raise LimitExceeded("sweeps of several axes at once must have the same mode, ramp, settle, period and periods")
 
 
-def _enable_alone(axes: tuple[Axis, ...], all_axes: tuple[Axis, ...]) -> None:
+def _enable_alone(enabling: Motion, all_axes: tuple[Axis, ...]) -> None:
+    axes = enabling.axes
     for other in all_axes:
         state = other.state()
         other.check(state)
@@ -319,7 +325,7 @@ def _enable_alone(axes: tuple[Axis, ...], all_axes: tuple[Axis, ...]) -> None:
             raise NotReady(f"{axes[0].place}: {other.place} is '{state.value}'; it must be disabled first")
     try:
         for axis in axes:
-            axis.enable()
+            axis.enable(enabling.stop)
     except BaseException:
         for axis in axes:
             try:

@@ -49,6 +49,7 @@ class Servo:
     velocity: float = 0.0
     before: Callable[[str], None] = lambda _: None
     told: list[int] = field(default_factory=list)
+    announced: int | None = None  # error that it tells by itself
     unheard: int = 0  # times it was told to stop by what needs no answer
     acknowledges: bool = True  # set-points, by bit 12
     recorded: int = 0  # samples of the measuring function
@@ -95,7 +96,7 @@ class Servo:
     def check_alive(self) -> None: ...
 
     def announced_error(self) -> int | None:
-        return None
+        return self.announced
 
     def forget_error(self) -> None: ...
 

@@ -1,9 +1,11 @@
 """The device over both register maps on a real line: its identity, settings, trace, stop and loss."""
 
 import math
+import threading
 import time
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -117,12 +119,12 @@ def test_a_drive_that_restarted_gets_no_energy_before_a_person_knows(kind: str, 
         axis.introduce()
         put(bank, registers, 1, "watchdog", 0)
         with pytest.raises(DriveFault, match="drive restarted, its settings are lost"):
-            axis.enable()
+            axis.enable(threading.Event())
         assert axis.status().state is AxisState.FAULT
         assert get(bank, registers, "statusword") == 0x40
         axis.acknowledge()
         assert get(bank, registers, "watchdog") == pytest.approx(10_000)
-        axis.enable()
+        axis.enable(threading.Event())
         assert axis.status().state is AxisState.ENABLED
 
 
@@ -133,7 +135,7 @@ def test_a_swapped_drive_gets_no_energy(kind: str, registers: RegisterMap) -> No
         axis.introduce()
         put(bank, registers, 1, "serial", 1003)
         with pytest.raises(WrongIdentity, match=r"serial is 000003EBh, at connect it was 000003E9h"):
-            axis.enable()
+            axis.enable(threading.Event())
         assert get(bank, registers, "statusword") == 0x40
 
 
@@ -145,7 +147,7 @@ def test_enabling_takes_the_one_path_and_losing_the_drive_stops_it_unheard(
         axis = Axis(device)
         axis.introduce()
         bank.requests.clear()
-        axis.enable()
+        axis.enable(threading.Event())
         low_word = -1 if kind == "tcp" else 0  # the maps' controlword is u32, high word first, and u16
         controlword = registers.signals["controlword"].address
 
@@ -281,7 +283,8 @@ def test_noise_never_leads_to_an_enabling_write(kind: str, noise: list[bytes], c
     with connected(kind, timeout=0.01) as (bank, device):
         bank.spoil = lambda _, frame: noise[len(bank.requests) % len(noise)] + frame[:cut]
         axis = Axis(device)
-        for attempt in (axis.introduce, axis.enable, axis.status, axis.acknowledge, axis.start_measuring):
+        enable = partial(axis.enable, threading.Event())
+        for attempt in (axis.introduce, enable, axis.status, axis.acknowledge, axis.start_measuring):
             with suppress(DriveError):
                 attempt()
         address = (HIGH if kind == "tcp" else LOW).signals["controlword"].address

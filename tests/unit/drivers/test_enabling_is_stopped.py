@@ -1,0 +1,66 @@
+"""A stop, closing or disabling does not wait until a drive is enabled: no further step is told to it."""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+
+import pytest
+
+from drivers.cia402 import states
+from drivers.cia402.machine import Cia402Machine
+from drivers.errors import SweepInterrupted
+from tests.unit.drivers.small_servo import Servo, machine
+from tests.unit.drivers.test_comes_to_rest import PATIENCE, Gate, eventually, reached
+
+WAYS: dict[str, Callable[[Cia402Machine], Awaitable[None]]] = {
+    "stop": lambda port: port.stop(),
+    "close": lambda port: port.close(),
+    "disable": lambda port: port.disable("joint_2"),
+}
+
+
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+async def test_no_further_step_is_told_to_a_drive(way: Callable[[Cia402Machine], Awaitable[None]]) -> None:
+    gate = Gate("control 07")
+    first, second = Servo("joint_1"), Servo("joint_2", before=gate)
+    port, _ = machine(first, second)
+    await port.connect()
+    gate.shut()
+    enabling = asyncio.create_task(port.enable("joint_1", "joint_2"))
+    await reached(gate)
+    assert first.energised
+    ending = asyncio.ensure_future(way(port))
+    await asyncio.sleep(0.05)  # it has asked for the thread, and waits
+    gate.open()
+    with pytest.raises(SweepInterrupted, match="stopped while it was being enabled"):
+        await asyncio.wait_for(enabling, PATIENCE)
+    await asyncio.wait_for(ending, PATIENCE)
+    assert states.ENABLE_OPERATION not in second.told
+    assert [first.energised, second.energised] == [False, False]
+    await port.close()
+
+
+@dataclass
+class Stuck(Servo):
+    """Stays "ready to switch on"."""
+
+    def control(self, controlword: int) -> None:
+        if controlword == states.SWITCH_ON:
+            self.told.append(controlword)
+        else:
+            super().control(controlword)
+
+
+async def test_a_stop_does_not_wait_for_a_step_that_the_drive_does_not_take(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.cia402.axis.TRANSITION_TIMEOUT", 2 * PATIENCE)
+    servo = Stuck("joint_1")
+    port, _ = machine(servo)
+    await port.connect()
+    enabling = asyncio.create_task(port.enable("joint_1"))
+    await eventually(lambda: states.SWITCH_ON in servo.told)
+    await asyncio.wait_for(port.stop(), PATIENCE)
+    with pytest.raises(SweepInterrupted):
+        await asyncio.wait_for(enabling, PATIENCE)
+    assert servo.told[-1] == states.DISABLE_VOLTAGE
+    await port.enable()  # what was stopped is over: the next is not
+    await port.close()
