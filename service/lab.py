@@ -103,6 +103,7 @@ async def open_lab(settings: Settings) -> AsyncGenerator[Lab]:
         keeper = asyncio.create_task(machine.keep_lease(lease, settings.lease_time), name="lease")
         stack.push_async_callback(_end, keeper)
 
+        await asyncio.to_thread(files.clear_transfer)
         await asyncio.to_thread(recover, store, files)
         keys.release_unanswered()
         for path in sorted(settings.robots_dir.glob("*.yaml")):
@@ -128,6 +129,7 @@ async def open_lab(settings: Settings) -> AsyncGenerator[Lab]:
         await diagnosing.recover()
         await experiments.recover()
         follower = asyncio.create_task(experiments.follow(feed, told), name="loop of the diagnoses")
+        follower.add_done_callback(tell_error)
         stack.push_async_callback(_end, follower)
 
         await jobs.recover()
@@ -139,6 +141,12 @@ async def open_lab(settings: Settings) -> AsyncGenerator[Lab]:
             *(settings, store, files, keys, machine, runner, jobs, worker, hub, feed),
             *(diagnoses, models, diagnosing, experiments),
         )
+
+
+def tell_error(task: asyncio.Task[None]) -> None:
+    """Log how a task that nobody waits for broke off."""
+    if not task.cancelled() and (error := task.exception()) is not None:
+        _log.error("task_broke_off", task=task.get_name(), exc_info=error)
 
 
 async def _end(task: asyncio.Task[None]) -> None:

@@ -39,7 +39,7 @@ _BODY: dict[str, Any] = {
 async def import_bundle(request: Request, response: Response, lab: LabOf) -> CampaignView:
     """A campaign of measured sweeps, which are then identified. What cannot be read is refused as a whole."""
     content = await request.body()
-    with _temporary_folder(lab.settings.data_dir) as folder:
+    with _temporary_folder(lab.files.transfer()) as folder:
         await run_in_threadpool(_unpack, content, folder)
         try:
             campaign = await lab.import_bundle(folder)
@@ -57,7 +57,7 @@ async def import_bundle(request: Request, response: Response, lab: LabOf) -> Cam
 )
 async def export_bundle(campaign_id: Id, lab: LabOf) -> FileResponse:
     """The completely recorded sweeps of a campaign."""
-    folder = FilePath(await run_in_threadpool(tempfile.mkdtemp, prefix="export-", dir=lab.settings.data_dir))
+    folder = FilePath(await run_in_threadpool(tempfile.mkdtemp, prefix="export-", dir=lab.files.transfer()))
     try:
         await lab.export_bundle(campaign_id, folder / "bundle")
         packed = await run_in_threadpool(_pack, folder / "bundle", folder / "bundle.zip")

@@ -6,20 +6,26 @@ The runner never waits for a subscriber: every queue is bounded and drops its ol
 import asyncio
 from collections import deque
 from collections.abc import AsyncGenerator, Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 import pyarrow as pa
+import structlog
 from numpy.typing import NDArray
+from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.ports import SampleBlock
 from service.store.database import Database
 from service.store.documents import EventDocument
 from service.store.store import Store
 
+_log = structlog.get_logger(__name__)
+
 Array = NDArray[np.float64]
+
+_RETRY = 2.0  # s until a database that refused is asked again
 
 # pyarrow ships without types
 _arrow = cast(Any, pa)
@@ -148,13 +154,22 @@ class EventFeed:
         database.on_write(self._written)
 
     async def follow(self, after: int, campaign_id: int | None = None) -> AsyncGenerator[EventDocument]:
-        """Events with an id above `after` (of one campaign and the machine, or all), in order, until closed."""
+        """Events with an id above `after` (of one campaign and the machine, or all), in order, until closed.
+
+        A database that does not answer is asked again: who follows loses time, and no event.
+        """
         news = asyncio.Event()
         self._waiting.add(news)
         try:
             while not self._closed:
                 news.clear()  # before reading: what is written from here on rings again
-                events = await asyncio.to_thread(self._store.events, after, campaign_id)
+                try:
+                    events = await asyncio.to_thread(self._store.events, after, campaign_id)
+                except SQLAlchemyError as refused:
+                    _log.warning("events_not_read", after=after, reason=str(refused))
+                    with suppress(TimeoutError):
+                        await asyncio.wait_for(news.wait(), _RETRY)
+                    continue
                 for event in events:
                     yield event
                     after = event.id

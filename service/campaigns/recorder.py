@@ -1,6 +1,6 @@
 """Writes the samples of a running sweep to the disk as they come, and makes a recording of them afterwards.
 
-The stream is Arrow IPC: whatever happens, all but the block being written can be read back. Samples that are
+The stream is Arrow IPC: whatever happens, all blocks that the disk has taken can be read back. Samples that are
 missing end the sweep; what came before them is kept and marked partial. The stream holds what the drive gave; in a
 complete recording the channels are put right (`service.channels`), in a partial one they are as they came.
 """
@@ -31,10 +31,43 @@ Facts = Mapping[str, JsonValue]
 
 _COLUMNS = ("time", "effort", "velocity", "position", "velocity_setpoint")
 _EXTRA = ("load_position", "excitation_effort")  # where the drive has them
+# what Arrow makes of a page that a power cut left zeroed or half-written
+_TORN = (_arrow.ArrowException, OSError, ValueError, TypeError, MemoryError)
 
 
 class SamplesMissing(SweepidError):
     """The drive's samples have a gap, are no numbers, or end before the measured window does."""
+
+
+class UnreadableStream(SweepidError):
+    """What is left of a stream makes no recording: its head is damaged, not only its end."""
+
+
+class Gapless:
+    """The samples of one sweep so far, as one block follows on the other."""
+
+    def __init__(self) -> None:
+        self.samples = 0
+        self.last_time = -np.inf  # s, drive clock
+
+    def check(self, block: SampleBlock) -> None:
+        """SamplesMissing if the block does not follow on those so far, or holds what is no number."""
+        joint, expected = block.joint, np.arange(self.samples, self.samples + len(block.index))
+        wrong = np.flatnonzero(block.index != expected)
+        if wrong.size:
+            at = wrong[0]
+            raise SamplesMissing(f"{joint}: sample {block.index[at]} came where {expected[at]} was due")
+        if not (np.diff(block.time, prepend=self.last_time) > 0).all():
+            raise SamplesMissing(f"{joint}: time does not increase near sample {self.samples}")
+        injected = () if block.excitation_effort is None else ("excitation_effort",)
+        for name in (*_COLUMNS, *injected):
+            if not np.isfinite(getattr(block, name)).all():
+                raise SamplesMissing(f"{joint}: {name} is not a number near sample {self.samples}")
+
+    def add(self, block: SampleBlock) -> None:
+        """The block is one of them now."""
+        if len(block.index):
+            self.samples, self.last_time = int(block.index[-1]) + 1, float(block.time[-1])
 
 
 class Recorder:
@@ -44,17 +77,16 @@ class Recorder:
         self._command = command
         self._file = path.open("xb")
         self._writer: Any = None
-        self._next_index = 0
-        self._last_time = -np.inf
+        self._written = Gapless()
         # Arrow's first conversion imports pandas where that is installed: up to a second in which the thread that
         # streams set-points is held up. Do it before anything moves.
         _arrow.array(np.empty(0))
 
     def write(self, block: SampleBlock) -> None:
-        """Append a block; SamplesMissing, and nothing written, if it does not follow on the one before."""
+        """Append a block; SamplesMissing, and nothing written, if it does not follow on the last one written."""
         if not len(block.index):
             return
-        self._check(block)
+        self._written.check(block)
         names = (*_COLUMNS, *(name for name in _EXTRA if getattr(block, name) is not None))
         batch = _arrow.RecordBatch.from_pydict({"index": block.index} | {name: getattr(block, name) for name in names})
         if self._writer is None:
@@ -62,36 +94,22 @@ class Recorder:
         self._writer.write_batch(batch)
         self._file.flush()
         os.fsync(self._file.fileno())
-        self._next_index = int(block.index[-1]) + 1
-        self._last_time = float(block.time[-1])
+        self._written.add(block)
 
     def check_complete(self) -> None:
         """SamplesMissing if the samples end before the measured window."""
-        _check_window(self._command, self._last_time, self._last_time / max(self._next_index - 1, 1))
+        last = self._written.last_time
+        _check_window(self._command, last, last / max(self._written.samples - 1, 1))
 
     def close(self) -> None:
         """Close the file. Without an end mark: a stream that is cut off is as readable, and a full disk takes none."""
         self._file.close()
 
-    def _check(self, block: SampleBlock) -> None:
-        joint = block.joint
-        expected = np.arange(self._next_index, self._next_index + len(block.index))
-        wrong = np.flatnonzero(block.index != expected)
-        if wrong.size:
-            at = wrong[0]
-            raise SamplesMissing(f"{joint}: sample {block.index[at]} came where {expected[at]} was due")
-        if not (np.diff(block.time, prepend=self._last_time) > 0).all():
-            raise SamplesMissing(f"{joint}: time does not increase near sample {expected[0]}")
-        injected = () if block.excitation_effort is None else ("excitation_effort",)
-        for name in (*_COLUMNS, *injected):
-            if not np.isfinite(getattr(block, name)).all():
-                raise SamplesMissing(f"{joint}: {name} is not a number near sample {expected[0]}")
-
 
 def read_stream(path: Path) -> tuple[Recording, float] | None:
     """What a stream holds up to its torn end: the samples with time from 0, and the drive's time of the first, s.
 
-    None if it holds fewer than two samples.
+    None if it holds fewer than two samples; UnreadableStream if what it holds are no samples.
     """
     batches: list[Any] = []
     with path.open("rb") as file:
@@ -101,10 +119,18 @@ def read_stream(path: Path) -> tuple[Recording, float] | None:
                 batches.append(reader.read_next_batch())
         except StopIteration:
             pass
-        except (_arrow.ArrowInvalid, OSError):
+        except _TORN:
             pass  # the torn end: expected after a crash, and everything before it is whole
     if sum(len(batch) for batch in batches) < 2:
         return None
+    try:
+        return _joined(batches)
+    except (*_TORN, LookupError) as error:
+        raise UnreadableStream(f"{path.name} is damaged: {type(error).__name__}: {error}") from error
+
+
+def _joined(batches: list[Any]) -> tuple[Recording, float]:
+    """The samples of all batches, and the drive's time of the first, s."""
     table = _arrow.Table.from_batches(batches)
     columns = {name: np.array(table.column(name).to_numpy()) for name in table.column_names if name != "index"}
     start = float(columns["time"][0])
@@ -142,7 +168,10 @@ def finish(
 
 
 def salvage(files: RecordingFiles, run: Run, facts: Facts) -> NewRecording | None:
-    """Make a partial recording of what a stream holds, torn or not; None if it holds nothing."""
+    """Make a partial recording of what a stream holds, torn or not; None if it holds nothing.
+
+    OSError if the disk does not take it, UnreadableStream if the stream is no stream any more.
+    """
     path = files.stream(run)
     found = read_stream(path) if path.exists() else None
     if found is None:

@@ -23,6 +23,9 @@ from service.store.store import StaleVersion, Store, SweepMove
 
 _log = structlog.get_logger(__name__)
 
+_RETRY = 2.0  # s between attempts to store the end of a campaign
+_IN_PARTS = "the trajectories left were measured in part, and can only be repeated as a whole"
+
 
 class Runner:
     """The commands of an operator. Each returns the campaign as it is afterwards; Conflict if it does not fit."""
@@ -41,6 +44,7 @@ class Runner:
         self._commands = asyncio.Lock()  # one command at a time; `Machine.stop` does not wait for it
         self._task: asyncio.Task[None] | None = None
         self._running: int | None = None
+        self._untold = ""  # why the last campaign broke off, until the store has it; nothing moves while it has not
 
     @property
     def running(self) -> int | None:
@@ -59,6 +63,7 @@ class Runner:
     async def pause(self, campaign_id: int, if_version: int | None = None) -> CampaignDocument:
         """running -> pausing; paused when the present sweep is over."""
         async with self._commands:
+            await self._tell()
             return await asyncio.to_thread(
                 self._store.move_campaign, campaign_id, campaign_move(CampaignEvent.PAUSE), "", if_version
             )
@@ -82,6 +87,7 @@ class Runner:
             campaign_move(CampaignEvent.ABORT)(campaign.state)
             if self._running == campaign_id:
                 await self._end_task(f"aborted: {why}")
+            await self._tell()
             return await asyncio.to_thread(
                 self._store.move_campaign,
                 campaign_id,
@@ -104,12 +110,13 @@ class Runner:
     async def check_free(self) -> None:
         """Conflict or DriveError where a campaign could not be started now; connects drives that are not."""
         async with self._commands:
-            self._check_idle()
+            await self._check_idle()
             await self._check_machine()
 
-    def _check_idle(self) -> None:
+    async def _check_idle(self) -> None:
         if self._running is not None:
             raise Conflict(f"campaign {self._running} is running")
+        await self._tell()
 
     async def _check_machine(self) -> None:
         await self._machine.reach()
@@ -119,7 +126,7 @@ class Runner:
         self, campaign_id: int, event: CampaignEvent, if_version: int | None, repeat: bool
     ) -> CampaignDocument:
         async with self._commands:
-            self._check_idle()
+            await self._check_idle()
             campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
             campaign_move(event)(campaign.state)
             await self._check_machine()
@@ -157,21 +164,46 @@ class Runner:
             with self._machine.used_by(f"campaign {campaign.id}"):
                 while await self._next_is_due(campaign.id):
                     sweeps = await asyncio.to_thread(self._store.sweeps, campaign.id)
-                    planned = next((sweep for sweep in sweeps if sweep.state is SweepState.PLANNED), None)
+                    due = course.due(sweeps)
                     known = await asyncio.to_thread(self._enough, campaign.id, course)
-                    if planned is None or known:
+                    if not due or known:
+                        in_parts = any(sweep.state is SweepState.PLANNED for sweep in sweeps)
                         skip = {SweepState.PLANNED: sweep_move(SweepEvent.SKIP)}
-                        await self._move(campaign.id, CampaignEvent.MEASURED, known, skip)
+                        cause = known or (_IN_PARTS if in_parts else "")
+                        await self._move(campaign.id, CampaignEvent.MEASURED, cause, skip)
                         await self._jobs.settle(campaign.id)
                         return
-                    due = course.at_once(planned, sweeps)
-                    for sweep in await self._station.run(due, course, origin, checked):
-                        self._jobs.submit(sweep)
+                    await self._station.run(due, course, origin, checked, self._jobs.submit)
         except BaseException as error:
             # the station has brought the machine to standstill before it let the error out
-            await asyncio.shield(self._move(campaign.id, CampaignEvent.TROUBLE, cause_of(self._machine, error)))
+            self._untold = cause_of(self._machine, error)
+            await self._tell_patiently(wait=not isinstance(error, asyncio.CancelledError))
             if not isinstance(error, DriveError | SweepidError | OSError | SQLAlchemyError):
                 raise
+
+    async def _tell_patiently(self, *, wait: bool) -> None:
+        """Store the end of a campaign that broke off, again and again while the database refuses it.
+
+        Without `wait` (somebody waits for this task), or if cancelled: the next command tells it, or the next start.
+        """
+        refusals = 0
+        while True:
+            try:
+                await asyncio.shield(self._tell())
+                return
+            except SQLAlchemyError as refused:
+                refusals += 1
+                if refusals == 1:
+                    _log.error("end_not_stored", cause=self._untold, reason=str(refused))
+            if not wait:
+                return
+            await asyncio.sleep(_RETRY)
+
+    async def _tell(self) -> None:
+        """Store the end of a campaign that broke off, if that is still to be done; SQLAlchemyError if refused."""
+        if self._untold:
+            await self._station.end_runs(self._untold)
+            self._untold = ""
 
     async def _next_is_due(self, campaign_id: int) -> bool:
         campaign = await asyncio.to_thread(self._store.campaign, campaign_id)

@@ -3,8 +3,9 @@
 import asyncio
 import math
 import time
-from collections.abc import AsyncGenerator, Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import aclosing, asynccontextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -12,6 +13,7 @@ from typing import ParamSpec, TypeVar
 
 import structlog
 from pydantic import JsonValue
+from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import CommunicationLost, DriveError, SweepInterrupted
 from drivers.ports import AxisState, NoiseCommand, SampleBlock, SweepCommand
@@ -20,9 +22,10 @@ from service.campaigns.course import Course
 from service.campaigns.live import LiveHub
 from service.campaigns.machine import Machine
 from service.campaigns.noise_motion import Command
-from service.campaigns.recorder import Recorder, finish, salvage
+from service.campaigns.recorder import Gapless, Recorder, finish
+from service.campaigns.recovery import break_off, end_runs
 from service.campaigns.session import SweepEvent, sweep_move
-from service.errors import EnvelopeViolation
+from service.errors import EnvelopeViolation, SweepidError
 from service.recording import SweepSpec
 from service.store.documents import EventKind, NewRecording, SweepDocument
 from service.store.recordings import RecordingFiles, Run
@@ -59,30 +62,30 @@ class Station:
         self._disk.shutdown()
 
     async def run(
-        self, sweeps: Sequence[SweepDocument], course: Course, origin: float, checked: set[str]
-    ) -> list[SweepDocument]:
-        """Run a planned sweep, or the sweeps of one trajectory at once; returns them recorded.
+        self,
+        sweeps: Sequence[SweepDocument],
+        course: Course,
+        origin: float,
+        checked: set[str],
+        recorded: Callable[[SweepDocument], None],
+    ) -> None:
+        """Run a planned sweep, or the sweeps of one trajectory at once.
 
         `origin`: start of the campaign on the monotonic clock, s.
 
         `checked`: the joints that made their check move in this run of the campaign; those that make it now are added.
 
-        Whatever is raised (also on cancellation): the machine stands, each sweep is failed or interrupted with its
-        cause, and what came of samples is kept as a partial recording.
+        `recorded` is told of each sweep that the store has as recorded, whatever is raised afterwards.
+
+        Whatever is raised (also on cancellation): the machine stands, each sweep that is not recorded is failed or
+        interrupted with its cause, and what came of samples is kept as a partial recording. Where the database
+        refuses that, `end_runs` makes it good.
         """
-        beginning = asyncio.create_task(asyncio.to_thread(self._begin, sweeps, course))
-        cancelled: asyncio.CancelledError | None = None
+        left: list[_Begun] = []  # begun, and not recorded yet
         try:
-            await asyncio.wait([beginning])
-        except asyncio.CancelledError as error:  # the store begins it all the same: it has to be ended there as well
-            cancelled = error
-            await asyncio.wait([beginning])
-        together = beginning.result()
-        left, recorded = list(together), list[SweepDocument]()
-        commands, pose = [each.command for each in together], together[0].sweep.spec.pose
-        try:
-            if cancelled is not None:
-                raise cancelled
+            await _to_its_end(asyncio.to_thread(self._begin, sweeps, course, left))
+            together = tuple(left)
+            commands, pose = [each.command for each in together], together[0].sweep.spec.pose
             await asyncio.to_thread(course.envelope.check_run, commands, pose)
             await self._approach(together, course, checked)
             started_at = time.monotonic() - origin
@@ -91,33 +94,27 @@ class Station:
             moved = {command.joint for command in commands}
             course.envelope.check_standing(pose, here, course.pose_tolerance, moving=moved)
             for each, (spec, recording) in [(each, await self._finish(each, started_at)) for each in together]:
-                recorded.append(await self._on_disk(self._end, each.run, SweepEvent.RECORD, "", recording, spec))
-                left.remove(each)
+                await _to_its_end(self._keep(each, spec, recording, left, recorded))
         except BaseException as error:
             await asyncio.shield(self._give_up(left, error))
             raise
-        for sweep in recorded:
-            _log.info("recorded", campaign=sweep.campaign_id, sweep=sweep.number, axis=sweep.spec.axis)
-        return recorded
 
-    def _begin(self, sweeps: Sequence[SweepDocument], course: Course) -> list[_Begun]:
-        """Begin all of them in the store, or none."""
-        together: list[_Begun] = []
-        try:
-            for planned in sweeps:
-                sweep = self._store.begin_sweep(planned.campaign_id, planned.number, sweep_move(SweepEvent.BEGIN))
-                run = Run(sweep.campaign_id, sweep.number, sweep.attempt)
-                facts: dict[str, JsonValue] = {
-                    **asdict(run),
-                    "spec": sweep.spec.model_dump(mode="json"),
-                    "drives": [asdict(identity) for identity in self._machine.identities],
-                }
-                together.append(_Begun(sweep, run, course.commands[sweep.number], facts))
-        except BaseException as error:
-            for each in together:
-                self._end(each.run, SweepEvent.FAIL, f"{type(error).__name__}: {error}", None, None)
-            raise
-        return together
+    async def end_runs(self, cause: str) -> None:
+        """Store that nothing runs any more, where the database refused it when it was due; SQLAlchemyError if still."""
+        await self._on_disk(end_runs, self._store, self._files, cause, cause)
+
+    def _begin(self, sweeps: Sequence[SweepDocument], course: Course, begun: list[_Begun]) -> None:
+        """Begin them in the store; `begun` has those that were, also where one is refused."""
+        for planned in sweeps:
+            command = course.commands[planned.number]
+            sweep = self._store.begin_sweep(planned.campaign_id, planned.number, sweep_move(SweepEvent.BEGIN))
+            run = Run(sweep.campaign_id, sweep.number, sweep.attempt)
+            facts: dict[str, JsonValue] = {
+                **asdict(run),
+                "spec": sweep.spec.model_dump(mode="json"),
+                "drives": [asdict(identity) for identity in self._machine.identities],
+            }
+            begun.append(_Begun(sweep, run, command, facts))
 
     async def _finish(self, each: _Begun, started_at: float) -> tuple[SweepSpec, NewRecording]:
         """The recording of a sweep that ran, and its spec as measured."""
@@ -126,6 +123,24 @@ class Station:
         each.facts["set_point_timing"] = None if streamed is None else asdict(streamed)
         timing = port.channel_timing[each.command.joint]
         return await self._on_disk(finish, self._files, each.run, spec, each.command, timing, each.facts)
+
+    async def _keep(
+        self,
+        each: _Begun,
+        spec: SweepSpec,
+        recording: NewRecording,
+        left: list[_Begun],
+        recorded: Callable[[SweepDocument], None],
+    ) -> None:
+        """The end of a sweep that was recorded; its stream goes once its recording's row is there."""
+        run, move = each.run, sweep_move(SweepEvent.RECORD)
+        sweep = await self._on_disk(
+            self._store.end_sweep, run.campaign_id, run.number, move, spec=spec, recording=recording
+        )
+        left.remove(each)
+        recorded(sweep)
+        _log.info("recorded", campaign=run.campaign_id, sweep=run.number, axis=spec.axis)
+        await self._on_disk(self._files.stream(run).unlink)
 
     async def _approach(self, together: Sequence[_Begun], course: Course, checked: set[str]) -> None:
         """Bring the axes to the sweeps' pose, one at a time; then check that they are there.
@@ -176,31 +191,46 @@ class Station:
             self.check_move = None
 
     async def _record(self, together: Sequence[_Begun], course: Course) -> None:
-        """Run the sweeps and stream their samples to the disk; SamplesMissing if there are not all of them."""
+        """Run the sweeps and stream their samples to the disk; SamplesMissing if there are not all of them.
+
+        The samples are watched as they come, however slow the disk is: what it has not taken yet waits in memory, at
+        most the samples of these sweeps.
+        """
         recorders: list[Recorder] = []
+        writes: deque[Future[None]] = deque()
         try:
             for each in together:
                 recorders.append(await self._on_disk(Recorder, self._files.stream(each.run), each.command))
             by_joint = {each.command.joint: (each, own) for each, own in zip(together, recorders, strict=True)}
+            came = {joint: Gapless() for joint in by_joint}
             async with self._energised(*by_joint), aclosing(self._motion(together)) as blocks:
                 async for block in blocks:
                     each, recorder = by_joint.get(block.joint, (together[0], recorders[0]))
-                    try:
-                        course.envelope.watch(each.command, block)
-                        if len(together) > 1 and isinstance(each.command, SweepCommand):
-                            start = each.sweep.spec.pose[course.joints.index(block.joint)]
-                            course.envelope.watch_path(each.command, start, block)
-                    except EnvelopeViolation:
-                        await self._machine.port.stop()  # before the evidence is written
-                        await self._on_disk(recorder.write, block)
-                        raise
+                    writes.append(self._disk.submit(recorder.write, block))
+                    await self._watch(each, course, block, on_path=len(together) > 1)
                     self._hub.publish(each.run.campaign_id, each.run.number, block)
-                    await self._on_disk(recorder.write, block)
+                    came[each.command.joint].check(block)
+                    came[each.command.joint].add(block)
+                    while writes and writes[0].done():
+                        writes.popleft().result()  # what the disk does not take ends the sweep
+            for write in writes:
+                await asyncio.shield(asyncio.wrap_future(write))
             for recorder in recorders:
                 recorder.check_complete()
         finally:
             for recorder in recorders:
-                await asyncio.shield(self._on_disk(recorder.close))
+                self._disk.submit(recorder.close)  # not waited for: after an error the axes come first
+
+    async def _watch(self, each: _Begun, course: Course, block: SampleBlock, *, on_path: bool) -> None:
+        """EnvelopeViolation, with the machine stopped, if the axis left its envelope or its path in a trajectory."""
+        try:
+            course.envelope.watch(each.command, block)
+            if on_path and isinstance(each.command, SweepCommand):
+                start = each.sweep.spec.pose[course.joints.index(block.joint)]
+                course.envelope.watch_path(each.command, start, block)
+        except EnvelopeViolation:
+            await self._machine.port.stop()
+            raise
 
     def _motion(self, together: Sequence[_Begun]) -> AsyncGenerator[SampleBlock, None]:
         """What the drives do; nothing moves before it is iterated."""
@@ -234,38 +264,28 @@ class Station:
         )
 
     async def _give_up(self, left: Sequence[_Begun], error: BaseException) -> None:
-        cause = cause_of(self._machine, error)
         interrupted = bool(self._machine.held) or isinstance(error, SweepInterrupted | asyncio.CancelledError)
+        trouble = [str(error)] if isinstance(error, CommunicationLost) else []
         try:
             await self._machine.port.stop()
         except DriveError as unconfirmed:
-            cause = f"{cause}; the stop is not confirmed: {unconfirmed}"
-            self._machine.lost(str(unconfirmed))
-        if isinstance(error, CommunicationLost):
-            self._machine.lost(str(error))
+            trouble.append(f"the stop is not confirmed: {unconfirmed}")
+            error.add_note(trouble[-1])
+        if trouble:
+            self._machine.lost("; ".join(trouble))
+        cause = cause_of(self._machine, error)
         event = SweepEvent.INTERRUPT if interrupted else SweepEvent.FAIL
         for each in left:
             await self._abandon(each, event, cause)
 
     async def _abandon(self, each: _Begun, event: SweepEvent, cause: str) -> None:
-        """Keep what came of a sweep's samples, and end it in the store."""
+        """Keep what came of a sweep's samples, and end it in the store, if that takes it."""
         run = each.run
         _log.error("sweep_given_up", campaign=run.campaign_id, sweep=run.number, cause=cause)
         try:
-            recording = await self._on_disk(salvage, self._files, run, {**each.facts, "cause": cause})
-        except OSError as full:  # the stream stays; the next start makes a recording of it
-            cause, recording = f"{cause}; partial recording not written: {full}", None
-        await self._on_disk(self._end, run, event, cause, recording, None)
-
-    def _end(
-        self, run: Run, event: SweepEvent, cause: str, recording: NewRecording | None, spec: SweepSpec | None
-    ) -> SweepDocument:
-        """The end of a run in the store; the stream goes once its recording's row is there."""
-        move = sweep_move(event)
-        sweep = self._store.end_sweep(run.campaign_id, run.number, move, cause, spec, recording)
-        if recording is not None:
-            self._files.stream(run).unlink()
-        return sweep
+            await self._on_disk(break_off, self._store, self._files, run, event, cause, each.facts)
+        except (SQLAlchemyError, SweepidError) as refused:  # the others are ended all the same
+            _log.error("sweep_not_ended", campaign=run.campaign_id, sweep=run.number, reason=str(refused))
 
     async def _on_disk(
         self, work: Callable[Arguments, Result], *args: Arguments.args, **kwargs: Arguments.kwargs
@@ -273,10 +293,25 @@ class Station:
         return await asyncio.get_running_loop().run_in_executor(self._disk, partial(work, *args, **kwargs))
 
 
+async def _to_its_end(work: Awaitable[None]) -> None:
+    """Wait for what changes the store, also when cancelled: it is done all the same, and how it ended counts."""
+    task = asyncio.ensure_future(work)
+    try:
+        await asyncio.wait([task])
+    except asyncio.CancelledError:
+        await asyncio.wait([task])
+        if not task.cancelled() and (error := task.exception()) is not None:
+            _log.error("not_stored", reason=str(error))
+        raise
+    task.result()
+
+
 def cause_of(machine: Machine, error: BaseException) -> str:
-    """What a person is told: who stopped the machine, or what went wrong."""
+    """What a person is told: who stopped the machine, or what went wrong, and what was noted of it since."""
     if machine.held:
-        return machine.held
-    if isinstance(error, asyncio.CancelledError):
-        return str(error) or "cancelled"
-    return f"{type(error).__name__}: {error}"
+        cause = machine.held
+    elif isinstance(error, asyncio.CancelledError):
+        cause = str(error) or "cancelled"
+    else:
+        cause = f"{type(error).__name__}: {error}"
+    return "; ".join([cause, *getattr(error, "__notes__", ())])

@@ -14,6 +14,7 @@ import structlog
 import typer
 import uvicorn
 from fastapi import FastAPI
+from starlette.types import Receive, Scope, Send
 
 from drivers.errors import DriveError
 from service.app import create_app, end_streams
@@ -44,10 +45,11 @@ def serve(
     if not settings.answers_to:
         _log.warning("answers_to_any_host_name", host=settings.host, setting="allowed_hosts")
     app = create_app(settings, settings.answers_to)
+    started = _Startup(app)
     server = _Server(
         app,
         uvicorn.Config(
-            app,
+            started,
             host=settings.host,
             port=settings.port,
             lifespan="on",
@@ -63,18 +65,40 @@ def serve(
     try:
         asyncio.run(server.serve())
     except SystemExit as ended:
-        error = getattr(app.state, "startup_error", None)
-        if isinstance(error, SweepidError | DriveError):
-            raise error from None  # uvicorn has only logged it
+        if isinstance(started.error, SweepidError | DriveError):
+            raise started.error from None  # uvicorn has only logged it
         if ended.code:
-            raise NotStarted(
-                f"the service did not start: {error or f'cannot listen at {settings.host}:{settings.port}'}"
-            ) from None
+            reason = _reason(started.error) or f"cannot listen at {settings.host}:{settings.port}"
+            raise NotStarted(f"the service did not start: {reason}") from None
         raise
 
 
 class NotStarted(SweepidError):
     """The service has no place for its data or cannot listen at its address; the log has the details."""
+
+
+def _reason(error: Exception | None) -> str:
+    """The first line of an error, or its kind where it says nothing."""
+    if error is None:
+        return ""
+    said = str(error).partition("\n")[0]
+    return said if isinstance(error, OSError) else f"{type(error).__name__}: {said}"
+
+
+class _Startup:
+    """The application as the server calls it, and why it did not start: the server only logs that."""
+
+    def __init__(self, app: FastAPI) -> None:
+        self._app = app
+        self.error: Exception | None = None
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await self._app(scope, receive, send)
+        except Exception as error:
+            if scope["type"] == "lifespan":
+                self.error = error
+            raise
 
 
 class _Server(uvicorn.Server):

@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,6 +54,21 @@ class RecordingFiles:
                 campaign_id, number, attempt = (int(group) for group in match.groups())
                 found[Run(campaign_id, number, attempt)] = path
         return found
+
+    def transfer(self) -> Path:
+        """Where bundles are unpacked (`import-*`) and packed (`export-*`), each in a folder of its own that goes again.
+
+        It is made if need be.
+        """
+        path = self._root / "transfer"
+        path.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def clear_transfer(self) -> None:
+        """Remove what transfers left that were killed; to be called before any begins."""
+        for kind in ("import-*", "export-*"):
+            for folder in self.transfer().glob(kind):
+                shutil.rmtree(folder)
 
     def folder(self, name: str) -> Path:
         """A folder for recordings that were made elsewhere."""

@@ -164,7 +164,7 @@ def test_an_archive_that_cannot_be_unpacked_is_refused(http: httpx.Client, folde
     assert refused.status_code == 422, refused.text
     assert "bundle" in refused.json()["detail"]
     assert [path.name for path in folder.rglob("outside*")] == []
-    assert [path.name for path in (folder / "data").glob("import-*")] == []
+    assert list((folder / "data" / "transfer").iterdir()) == []
 
 
 def test_a_request_sent_twice_is_done_once(http: httpx.Client, bundle: Path) -> None:

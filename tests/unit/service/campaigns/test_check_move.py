@@ -222,3 +222,15 @@ async def test_implausible_channels_fail_the_sweep_and_keep_it_partial(bench: Be
     assert bench.store.campaign(bench.campaign.id).state is CampaignState.PAUSED
     recording = bench.store.recording(bench.campaign.id, 1)
     assert (recording.state.value, recording.samples) == ("partial", round(6.3 * 250))
+
+
+async def test_a_stop_that_is_not_confirmed_is_told_wherever_a_person_looks(bench: Bench) -> None:
+    """In the cause of campaign and sweep, and as the state of the machine: someone has to look at it."""
+    bench.drive.fail[1] = DriveFault("joint_1: over-current")
+    bench.drive.stop_error = CommunicationLost("node 1 is silent")
+    await bench.runner.start(bench.campaign.id)
+    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
+    told = "the stop is not confirmed: node 1 is silent"
+    campaign, sweep = bench.store.campaign(bench.campaign.id), bench.store.sweep(bench.campaign.id, 1)
+    assert campaign.cause == sweep.cause == f"DriveFault: joint_1: over-current; {told}"
+    assert (bench.machine.connected, bench.machine.trouble) == (False, told)

@@ -6,12 +6,16 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
+from sqlalchemy import text
+from structlog.testing import capture_logs
 
 from drivers.ports import SampleBlock
 from service.campaigns.live import EventFeed, LiveHub, thin
+from service.lab import tell_error
 from service.store.database import open_database
 from service.store.guards import StopLatch
 from service.store.store import Store
+from tests.unit.service.campaigns.conftest import until
 
 TIMEOUT = 5.0  # s
 
@@ -104,3 +108,46 @@ async def test_the_feed_goes_on_after_an_id(tmp_path: Path) -> None:
         assert told == ["two", "three"]
         await events.aclose()
         feed.close()
+
+
+async def test_who_follows_loses_no_event_to_a_database_that_does_not_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.campaigns.live._RETRY", 0.02)
+    with open_database(f"sqlite:///{tmp_path / 'x.sqlite'}") as database:
+
+        def rename(table: str, name: str) -> None:
+            with database.write(quiet=True) as session:
+                session.execute(text(f"ALTER TABLE {table} RENAME TO {name}"))
+
+        latch = StopLatch(database)
+        feed = EventFeed(Store(database), database)
+        events = feed.follow(0)
+        await asyncio.to_thread(latch.latch, "a", "told before")
+        await asyncio.wait_for(anext(events), TIMEOUT)
+        await asyncio.to_thread(rename, "event", "gone")
+        waiting = asyncio.create_task(anext(events))
+        with capture_logs() as logs:
+            await until(lambda: bool(logs))
+        assert logs[0]["event"] == "events_not_read"
+        assert not waiting.done()
+        await asyncio.to_thread(rename, "gone", "event")
+        await asyncio.to_thread(latch.latch, "b", "comes later")
+        assert (await asyncio.wait_for(waiting, TIMEOUT)).data["why"] == "comes later"
+        await asyncio.to_thread(rename, "event", "gone")
+        ending = asyncio.create_task(anext(events, None))
+        await asyncio.sleep(0.05)
+        feed.close()  # it ends also while it waits for the database
+        assert await asyncio.wait_for(ending, TIMEOUT) is None
+
+
+async def test_a_task_of_the_service_that_ends_by_an_error_is_told() -> None:
+    async def fails() -> None:
+        raise LookupError("nobody thought of it")
+
+    task = asyncio.create_task(fails(), name="loop of the diagnoses")
+    task.add_done_callback(tell_error)
+    with capture_logs() as logs:
+        await asyncio.wait([task])
+        await asyncio.sleep(0)
+    assert [(log["event"], log["task"]) for log in logs] == [("task_broke_off", "loop of the diagnoses")]

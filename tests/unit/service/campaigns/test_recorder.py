@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ import pytest
 
 from drivers.ports import ChannelTiming, SampleBlock, Sine, SweepCommand, SweepMode
 from service.campaigns.plausibility import ImplausibleChannels
-from service.campaigns.recorder import Recorder, SamplesMissing, finish, read_stream, salvage
+from service.campaigns.recorder import Recorder, SamplesMissing, UnreadableStream, finish, read_stream, salvage
 from service.recording import SweepSpec
 from service.store.columns import read_columns
 from service.store.documents import RecordingState
@@ -237,3 +238,42 @@ def test_the_injected_torque_of_a_noise_run_is_recorded(files: RecordingFiles) -
     found = read_stream(files.stream(RUN))
     assert found is not None
     assert found[0].excitation_effort == pytest.approx(np.sin(found[0].time))
+
+
+def stored(files: RecordingFiles) -> tuple[Path, bytes]:
+    """A stream of five blocks, and what it holds."""
+    path = files.stream(RUN)
+    recorder = Recorder(path, COMMAND)
+    for start in range(0, 500, 100):
+        recorder.write(block(start, start + 100))
+    recorder.close()
+    return path, path.read_bytes()
+
+
+def test_a_stream_whose_tail_a_power_cut_left_zeroed_gives_back_what_is_before_it(files: RecordingFiles) -> None:
+    path, whole = stored(files)
+    for end in range(0, len(whole), 8):
+        path.write_bytes(whole[:end] + bytes(len(whole) - end))
+        found = read_stream(path)
+        # a block that lost a part of its numbers alone is not told from a whole one
+        assert found is None or len(found[0].time) in range(100, 501, 100)
+
+
+@pytest.mark.parametrize("name", [b"velocity_setpoiwt", b"\xbdelocity_setpoint"])
+def test_a_stream_with_a_damaged_head_says_so(files: RecordingFiles, name: bytes) -> None:
+    path, whole = stored(files)
+    path.write_bytes(whole.replace(b"velocity_setpoint", name))
+    with pytest.raises(UnreadableStream, match=r"0003-1\.arrows is damaged"):
+        read_stream(path)
+
+
+def test_whatever_a_stream_holds_it_is_read_or_called_unreadable(files: RecordingFiles) -> None:
+    path, whole = stored(files)
+    rng = np.random.default_rng(1)
+    for _ in range(500):
+        damaged = bytearray(whole)
+        for at in rng.integers(0, 2000, size=10):  # the schema and the head of the first block
+            damaged[at] = rng.integers(256)
+        path.write_bytes(damaged)
+        with suppress(UnreadableStream):
+            read_stream(path)

@@ -10,6 +10,7 @@ import pytest
 from service.campaigns.envelope import Envelope
 from service.campaigns.recorder import Recorder
 from service.campaigns.recovery import recover
+from service.campaigns.session import SweepEvent, sweep_move
 from service.robot import Robot
 from service.store.database import open_database
 from service.store.documents import CampaignState, RecordingState, SweepState
@@ -23,6 +24,7 @@ import asyncio, json, resource, sys
 from pathlib import Path
 from service.cell import Cell
 from service.campaigns.envelope import Envelope
+from service.campaigns.recorder import read_stream
 from service.configuration import read_robot
 from tests.unit.service.campaigns import conftest
 
@@ -37,6 +39,9 @@ async def main(folder, what):
         await bench.runner.start(bench.campaign.id)
         if what == "hold":
             await bench.drive.holding.wait()
+            (stream,) = bench.files.streams().values()
+            while (found := read_stream(stream)) is None or len(found[0].time) < 750:
+                await asyncio.sleep(0.01)  # the disk follows the drive
             print("holding", flush=True)
         await bench.runner.finished()
         sweep = bench.store.sweep(bench.campaign.id, 1)
@@ -126,3 +131,35 @@ async def test_a_stream_of_an_unknown_campaign_is_left_alone(
         recorder.close()
         recover(bench.store, bench.files)
         assert list(bench.files.streams()) == [Run(99, 1, 1)]
+
+
+async def test_a_damaged_stream_is_put_aside_and_the_service_starts(
+    tmp_path: Path, robot: Robot, envelope: Envelope
+) -> None:
+    async with open_bench(tmp_path, robot, envelope) as bench:
+        for number in (1, 2, 3):
+            begun = bench.store.begin_sweep(1, number, sweep_move(SweepEvent.BEGIN))
+            recorder = Recorder(bench.files.stream(Run(1, number, begun.attempt)), command(begun))
+            recorder.write(block(0, 100))
+            recorder.close()
+            if number == 2:
+                bench.store.move_sweep(1, number, sweep_move(SweepEvent.FAIL), "disk full")  # its stream was left
+        streams = {run.number: path for run, path in bench.files.streams().items()}
+        for number in (1, 2):
+            streams[number].write_bytes(
+                streams[number].read_bytes().replace(b"velocity_setpoint", b"velocity_setpoiwt")
+            )
+        recover(bench.store, bench.files)
+        first, second, third = bench.store.sweeps(1)[:3]
+        assert (first.state, second.state, third.state) == (
+            SweepState.INTERRUPTED,
+            SweepState.FAILED,
+            SweepState.INTERRUPTED,
+        )
+        assert "0001-1.arrows is damaged" in first.cause
+        assert bench.store.recording(1, 3).samples == 100
+        assert sorted(path.name for path in streams[1].parent.glob("*.unreadable")) == [
+            "0001-1.arrows.unreadable",
+            "0002-1.arrows.unreadable",
+        ]
+        assert bench.files.streams() == {}

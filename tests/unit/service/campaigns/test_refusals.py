@@ -1,0 +1,228 @@
+"""The database refuses or the disk stalls while a campaign runs: nothing is half-stored, nothing moves unwatched."""
+
+import asyncio
+import os
+import threading
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import pytest
+from sqlalchemy import text
+from sqlalchemy.exc import SQLAlchemyError
+from structlog.testing import capture_logs
+
+from drivers.errors import DriveFault
+from service.campaigns import runner as runner_module
+from service.errors import Conflict
+from service.store.columns import read_columns
+from service.store.documents import CampaignState, RecordingState, SweepState
+from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, Taken, until
+
+OVER_CURRENT = "DriveFault: joint_1: over-current"
+
+
+@contextmanager
+def refusing(bench: Bench, what: str = "INSERT ON event") -> Generator[None]:
+    """The database takes nothing; with `what` none of those."""
+    with bench.database.write(quiet=True) as session:
+        session.execute(text(f"CREATE TRIGGER full BEFORE {what} BEGIN SELECT RAISE(ABORT, 'disk is full'); END"))
+    yield
+    with bench.database.write(quiet=True) as session:
+        session.execute(text("DROP TRIGGER full"))
+
+
+@pytest.fixture
+async def faulted(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Bench:
+    """A campaign in its first sweep, of which the next block is a fault of the drive."""
+    monkeypatch.setattr(runner_module, "_RETRY", 0.05)
+    bench.drive.hold, bench.drive.fail[3] = 2, DriveFault("joint_1: over-current")
+    await bench.runner.start(bench.campaign.id)
+    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
+    bench.drive.hold = None
+    return bench
+
+
+async def ran_out(bench: Bench) -> None:
+    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
+    assert bench.runner.running is None
+    assert bench.drive.energised == set()
+
+
+async def test_what_a_database_refuses_is_stored_as_soon_as_it_takes_it(faulted: Bench) -> None:
+    with refusing(faulted):
+        with capture_logs() as logs:
+            faulted.drive.go.set()
+            await until(lambda: "end_not_stored" in [log["event"] for log in logs])
+            await asyncio.sleep(0.2)  # some more attempts, which are not told
+        assert [log["event"] for log in logs] == ["sweep_given_up", "sweep_not_ended", "end_not_stored"]
+        assert "stop" in faulted.drive.trace
+        assert faulted.store.campaign(1).sweeps[SweepState.RUNNING] == 1
+    await ran_out(faulted)
+    campaign, sweep = faulted.store.campaign(1), faulted.store.sweep(1, 1)
+    assert (campaign.state, campaign.cause) == (CampaignState.PAUSED, OVER_CURRENT)
+    assert (sweep.state, sweep.cause) == (SweepState.INTERRUPTED, OVER_CURRENT)
+    recording = faulted.store.recording(1, 1)
+    assert (recording.state, recording.samples) == (RecordingState.PARTIAL, 750)
+    assert faulted.files.streams() == {}
+    faulted.drive.fail.clear()
+    await faulted.runner.resume(1, repeat=True)
+    await ran_out(faulted)
+    assert faulted.store.campaign(1).sweeps == {SweepState.RECORDED: 4}
+
+
+async def test_one_refusal_leaves_no_sweep_running(faulted: Bench) -> None:
+    with refusing(faulted, "UPDATE ON sweep WHEN NEW.state = 'failed'"):
+        faulted.drive.go.set()
+        await ran_out(faulted)
+    assert faulted.store.campaign(1).sweeps == {SweepState.INTERRUPTED: 1, SweepState.PLANNED: 3}
+    assert faulted.store.campaign(1).cause == OVER_CURRENT
+
+
+async def aborted_in_vain(bench: Bench) -> None:
+    with refusing(bench):
+        with pytest.raises(SQLAlchemyError):
+            await asyncio.wait_for(bench.runner.abort(1, "enough"), TIMEOUT)
+        await ran_out(bench)
+        assert bench.store.campaign(1).state is CampaignState.RUNNING
+
+
+async def test_an_abort_that_was_refused_can_be_said_again(faulted: Bench) -> None:
+    await aborted_in_vain(faulted)
+    aborted = await faulted.runner.abort(1, "enough")
+    assert aborted.state is CampaignState.ABORTED
+    assert aborted.sweeps == {SweepState.INTERRUPTED: 1, SweepState.SKIPPED: 3}
+    assert faulted.store.sweep(1, 1).cause == "aborted: enough"
+
+
+@pytest.mark.parametrize("command", ["start", "pause"])
+async def test_the_next_command_stores_what_was_refused(faulted: Bench, command: str) -> None:
+    await aborted_in_vain(faulted)
+    with pytest.raises(Conflict, match="does not fit state paused"):
+        await getattr(faulted.runner, command)(1)
+    assert faulted.store.campaign(1).sweeps == {SweepState.INTERRUPTED: 1, SweepState.PLANNED: 3}
+
+
+async def test_a_campaign_whose_abort_was_refused_can_be_resumed(faulted: Bench) -> None:
+    await aborted_in_vain(faulted)
+    faulted.drive.fail.clear()
+    await faulted.runner.resume(1, repeat=True)
+    await ran_out(faulted)
+    assert faulted.store.campaign(1).sweeps == {SweepState.RECORDED: 4}
+
+
+async def test_the_service_ends_while_the_database_refuses(faulted: Bench) -> None:
+    with refusing(faulted):
+        faulted.drive.go.set()
+        await until(lambda: "stop" in faulted.drive.trace)
+        await asyncio.wait_for(faulted.runner.close(), TIMEOUT)
+        assert faulted.runner.running is None
+
+
+async def test_an_abort_while_the_end_of_a_sweep_is_stored_loses_no_result(bench: Bench) -> None:
+    end, inside, go = bench.store.end_sweep, threading.Event(), threading.Event()
+
+    def slow(*args, **kwargs):
+        inside.set()
+        go.wait(TIMEOUT)
+        return end(*args, **kwargs)
+
+    bench.store.end_sweep = slow
+    await bench.runner.start(1)
+    await until(inside.is_set)
+    aborting = asyncio.create_task(bench.runner.abort(1, "enough"))
+    await until(lambda: bench.runner._task is not None and bench.runner._task.cancelling() > 0)
+    go.set()
+    aborted = await aborting
+    assert aborted.sweeps == {SweepState.RECORDED: 1, SweepState.SKIPPED: 3}
+    assert isinstance(bench.jobs, Taken)
+    assert bench.jobs.sweeps == [1]
+    causes = [event.data.get("cause") for event in bench.store.events(0) if event.kind.value == "campaign"]
+    assert causes == ["", "", "aborted: enough", "enough"]
+    assert bench.files.streams() == {}
+
+
+@dataclass
+class Disk:
+    """One that takes nothing until `go` is set."""
+
+    stalled: threading.Event
+    go: threading.Event
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
+    disk, sync = Disk(threading.Event(), threading.Event()), os.fsync
+
+    def stall(file: int) -> None:
+        disk.stalled.set()
+        disk.go.wait(TIMEOUT)
+        sync(file)
+
+    monkeypatch.setattr("service.campaigns.recorder.os.fsync", stall)
+    yield disk
+    disk.go.set()
+
+
+async def test_samples_are_watched_while_the_disk_stalls(bench: Bench, disk: Disk) -> None:
+    samples = bench.drive._samples
+
+    def jolt(command):
+        block = samples(command)
+        block.velocity[1100] = 0.5
+        return block
+
+    bench.drive._samples = jolt
+    await bench.runner.start(1)
+    await until(disk.stalled.is_set)
+    await until(lambda: "stop" in bench.drive.trace)
+    assert bench.drive.energised == set()
+    disk.go.set()
+    await ran_out(bench)
+    sweep = bench.store.sweep(1, 1)
+    assert sweep.state is SweepState.FAILED
+    assert sweep.cause.startswith("EnvelopeViolation: joint_1: velocity 0.5 rad/s is outside")
+    recording = read_columns(bench.files.path(bench.store.recording(1, 1)))
+    assert (len(recording.time), float(recording.velocity.max())) == (1250, 0.5)
+
+
+async def test_a_gap_ends_the_sweep_while_the_disk_stalls(bench: Bench, disk: Disk) -> None:
+    bench.drive.skip, bench.drive.hold = 600, 4  # the drive has more samples, and waits with them
+    await bench.runner.start(1)
+    await until(lambda: "stop" in bench.drive.trace)
+    disk.go.set()
+    await ran_out(bench)
+    assert bench.store.sweep(1, 1).cause == "SamplesMissing: joint_1: sample 601 came where 600 was due"
+    assert bench.store.recording(1, 1).samples == 500
+
+
+async def test_an_abort_while_the_disk_stalls_stops_the_drives_first(bench: Bench, disk: Disk) -> None:
+    bench.drive.hold = 3
+    await bench.runner.start(1)
+    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
+    await until(disk.stalled.is_set)
+    aborting = asyncio.create_task(bench.runner.abort(1, "enough"))
+    await until(lambda: "stop" in bench.drive.trace)
+    assert bench.drive.energised == set()
+    disk.go.set()
+    await aborting
+    assert bench.store.recording(1, 1).samples == 750
+
+
+async def test_a_disk_that_refuses_late_fails_the_sweep_at_standstill(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written, sync = list[int](), os.fsync
+
+    def refuse(file: int) -> None:
+        written.append(file)
+        if len(written) == 7:  # the last block
+            raise OSError(28, "No space left on device")
+        sync(file)
+
+    monkeypatch.setattr("service.campaigns.recorder.os.fsync", refuse)
+    await bench.runner.start(1)
+    await ran_out(bench)
+    assert bench.drive.trace[-1] == "stop"
+    assert (bench.store.sweep(1, 1).state, bench.store.campaign(1).state) == (SweepState.FAILED, CampaignState.PAUSED)
+    assert bench.store.sweep(1, 1).cause.startswith("OSError: [Errno 28] No space left on device")
