@@ -1,13 +1,12 @@
 """The web application: API and operator's page over one lab."""
 
 from collections.abc import AsyncGenerator, Sequence
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import asynccontextmanager
 from importlib.metadata import version
 
 from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
-from drivers.errors import DriveError
 from service.api import (
     bundles,
     campaigns,
@@ -27,7 +26,6 @@ from service.api import (
 )
 from service.api.gate import Gate
 from service.api.problem import Problem, install_problem_handlers
-from service.errors import SweepidError
 from service.hmi.pages import add_pages
 from service.lab import Lab, open_lab
 from service.settings import Settings
@@ -88,12 +86,8 @@ def end_streams(app: FastAPI) -> None:
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncGenerator[None, None]:
-    async with AsyncExitStack() as stack:
-        try:
-            app.state.lab = await stack.enter_async_context(open_lab(app.state.settings))
-        except (SweepidError, DriveError, OSError) as error:
-            app.state.startup_error = error  # the server only logs it; `sweepid serve` tells the person
-            raise
+    async with open_lab(app.state.settings) as lab:
+        app.state.lab = lab
         yield
 
 
