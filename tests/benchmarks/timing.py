@@ -55,7 +55,7 @@ sweeps beside the drive's own measuring function before and after; z is their di
 {inertia}
 
 What unpunctuality can do is end a sweep: the drive's own watchdogs stop an axis whose set-points stay away (2121h of
-the virtual drive, 400 ms in its profile), and the host ends a sweep that misses more deadlines than the profile's
+the virtual drive, 2 s in its profile), and the host ends a sweep that misses more deadlines than the profile's
 `missed_cycles`.
 {long_runs}"""
 

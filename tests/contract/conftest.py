@@ -6,7 +6,7 @@ A test that asks for `mode` runs once for every sweep mode. Marks say what a tes
 - ``has(mode)``: this sweep mode; ``missing``: not the mode of `mode`
 - ``injects(yes)``: a drive that makes torque noise, or one that does not
 - ``orders(name, ...)``: these orders of the control port
-- ``exclusive(yes)``: a line that takes one host at a time, or one that takes several
+- ``exclusive(yes)``: a bus or line that takes one host at a time, or one that takes several
 """
 
 import asyncio

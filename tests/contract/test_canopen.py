@@ -2,6 +2,7 @@
 
 import asyncio
 import copy
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, cast
@@ -20,7 +21,7 @@ from drivers.cia402.machine import Cia402Machine
 from drivers.errors import WrongConfiguration, WrongIdentity
 from drivers.ports import AxisState, DrivePort, SweepMode
 from drivers.registry import open_drive
-from tests.contract.bench import AXIS, DRIVES, Virtual, consume, eventually, noise, sweep
+from tests.contract.bench import AXIS, DRIVES, Virtual, closing, consume, eventually, noise, sweep
 
 pytestmark = pytest.mark.adapter("canopen")
 
@@ -41,7 +42,9 @@ def another_client(virtual: Virtual) -> Iterator[SdoClient]:
     with canopen.Network(can.Bus(interface=bus["interface"], channel=bus["channel"], **where)) as network:
         network.NOTIFIER_CYCLE = 0.05
         network.connect()
-        yield network.add_node(1, str(DRIVES / "../eds/virtual-axis.eds")).sdo
+        sdo: SdoClient = network.add_node(1, str(DRIVES / "../eds/virtual-axis.eds")).sdo
+        sdo.RESPONSE_TIMEOUT = 10.0  # s
+        yield sdo
 
 
 async def test_a_mapping_that_somebody_changed_is_noticed_before_moving(port: DrivePort, virtual: Virtual) -> None:
@@ -85,23 +88,32 @@ async def test_drives_that_do_not_fit_the_profile(
     for part in way:
         target = target[part]
     target[last] = value
-    port = open_drive(profile, DRIVES)
-    with pytest.raises(error, match=message):
-        await port.connect()
-    await port.close()
+    async with closing(open_drive(profile, DRIVES)) as port:
+        with pytest.raises(error, match=message):
+            await port.connect()
+
+
+async def test_connect_disables_what_a_dead_host_left_enabled(port: DrivePort, virtual: Virtual) -> None:
+    await port.enable(AXIS)
+    link_of(port).heart.cancel()  # nobody misses it yet
+    async with closing(virtual.open()) as second:
+        await second.connect()
+        assert virtual.energised() == []
 
 
 async def test_the_cycle_is_paced_and_its_lateness_told(port: DrivePort) -> None:
     await port.enable(AXIS)
     command = await sweep(port, SweepMode.HOST_STREAMED)
+    start = time.monotonic()
     await consume(port, command)
+    took = time.monotonic() - start
     timing = port.set_point_timing
     assert timing is not None
     assert timing.cycles >= round(command.duration / 0.004)
     assert timing.median_lateness <= timing.worst_lateness
-    assert abs(timing.median_lateness) < 0.002
     if timing.source == "thread":  # the kernel makes up for a late stretch by an early one
         assert timing.median_lateness >= 0.0
+        assert took >= (timing.cycles + timing.missed - 2) * 0.004  # a late cycle is never made up for in a burst
 
 
 async def test_a_drive_that_refuses_a_rung_of_the_ladder_loses_its_energy_all_the_same(

@@ -16,7 +16,8 @@ from drivers.errors import (
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
 from tests.contract.bench import AXIS, OTHER, Virtual, column, consume, eventually, sweep
 
-LONG = 60  # periods; long enough to be interrupted at 20 times real time, on a busy computer
+# interrupted on its way: 100 s of a slow turn, 5 s of a machine at 20 times real time
+LONG: dict[str, object] = {"periods": 200, "offset_velocity": 0.0045}
 
 
 async def test_fault_in_a_sweep_delivers_what_there_is_and_waits_for_a_person(
@@ -27,10 +28,10 @@ async def test_fault_in_a_sweep_delivers_what_there_is_and_waits_for_a_person(
     virtual.order("fault", joint=AXIS, code=0x7305, **place)
     blocks: list[SampleBlock] = []
     with pytest.raises(DriveFault, match="7305h"):
-        await consume(port, await sweep(port, mode, periods=LONG), blocks.append)
+        await consume(port, await sweep(port, mode, **LONG), blocks.append)
     index = column(blocks, "index")
     assert np.array_equal(index, np.arange(len(index)))
-    assert 190 <= len(index) <= 260
+    assert 190 <= len(index) <= 500  # of 25000; the last of a busy machine are its answers to SYNCs that had to wait
     # de-energised, told, and nothing but an acknowledgement helps
     assert virtual.energised() == []
     assert (await port.status())[AXIS].state is AxisState.FAULT
@@ -59,7 +60,7 @@ async def test_fault_at_rest_is_seen_and_kept(port: DrivePort, virtual: Virtual)
 async def test_emergency_stop_in_a_sweep(port: DrivePort, virtual: Virtual, mode: SweepMode) -> None:
     await port.enable(AXIS)
     with pytest.raises(EmergencyStop):
-        await consume(port, await sweep(port, mode, periods=LONG), lambda _: virtual.order("emergency_stop", on=True))
+        await consume(port, await sweep(port, mode, **LONG), lambda _: virtual.order("emergency_stop", on=True))
     assert virtual.energised() == []
     assert {fault.emergency_stop for fault in await port.faults()} == {True}
     with pytest.raises(DriveFault, match="while its cause is there"):
@@ -76,7 +77,7 @@ async def test_emergency_stop_in_a_sweep(port: DrivePort, virtual: Virtual, mode
 async def test_envelope_left_while_moving_stops_the_axis(port: DrivePort, virtual: Virtual, mode: SweepMode) -> None:
     await port.enable(AXIS)
     with pytest.raises((EnvelopeLeft, DriveFault)):  # by the host or by the drive's own limit, whichever comes first
-        await consume(port, await sweep(port, mode, effort_limit=100.0, periods=LONG))
+        await consume(port, await sweep(port, mode, effort_limit=100.0, **LONG))
     assert virtual.energised() == []
 
 
@@ -86,9 +87,7 @@ async def test_a_node_that_falls_silent_is_lost_communication(
 ) -> None:
     await port.enable(AXIS)
     with pytest.raises(CommunicationLost):
-        await consume(
-            port, await sweep(port, mode, periods=LONG), lambda _: virtual.order("silence", joint=AXIS, on=True)
-        )
+        await consume(port, await sweep(port, mode, **LONG), lambda _: virtual.order("silence", joint=AXIS, on=True))
     assert (await port.status())[AXIS].state is AxisState.UNKNOWN
     # one that did not answer in time, on a busy computer, is asked again
     deadline = time.monotonic() + 20
@@ -105,7 +104,7 @@ async def test_a_node_that_falls_silent_is_lost_communication(
 async def test_a_lost_sample_shows_as_a_jump_of_the_index(port: DrivePort, virtual: Virtual) -> None:
     await port.enable(AXIS)
     blocks: list[SampleBlock] = []
-    async for block in port.run_sweep(await sweep(port, SweepMode.HOST_STREAMED)):
+    async for block in port.run_sweep(await sweep(port, SweepMode.HOST_STREAMED, periods=10)):
         if not blocks:
             virtual.order("drop_tpdos", joint=AXIS, count=1)
         blocks.append(block)
@@ -122,7 +121,7 @@ async def test_a_sample_counter_that_stands_still_ends_the_sweep(port: DrivePort
     with pytest.raises(CommunicationLost, match="no sample"):
         await consume(
             port,
-            await sweep(port, SweepMode.HOST_STREAMED, periods=LONG),
+            await sweep(port, SweepMode.HOST_STREAMED, **LONG),
             lambda _: virtual.order("freeze_counter", joint=AXIS, on=True),
         )
     assert virtual.energised() == []

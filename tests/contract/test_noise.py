@@ -9,9 +9,10 @@ import pytest
 
 from drivers.errors import DriveFault, EnvelopeLeft, LimitExceeded, NotReady, SweepInterrupted, SweepRejected
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
-from tests.contract.bench import AXIS, Virtual, column, consume, eventually, noise, sweep
+from tests.contract.bench import AXIS, Virtual, closing, column, consume, eventually, noise, sweep
 
-LONG = 80  # periods
+# interrupted on its way: 80 s of a slow turn, 4 s of a machine at 20 times real time
+LONG: dict[str, object] = {"periods": 160, "offset_velocity": 0.005}
 
 injecting = pytest.mark.injects(True)
 
@@ -122,7 +123,7 @@ async def test_every_early_end_leaves_the_axis_down_and_the_control_restored(
     port: DrivePort, virtual: Virtual, way: str
 ) -> None:
     await port.enable(AXIS)
-    command = await noise(port, periods=LONG)
+    command = await noise(port, **LONG)
     running = port.run_noise(command)
     await anext(running)
     assert virtual.truth()["softened"] is True
@@ -148,14 +149,13 @@ async def test_every_early_end_leaves_the_axis_down_and_the_control_restored(
 
 @injecting
 async def test_closing_the_port_restores_the_control(virtual: Virtual) -> None:
-    port = virtual.open()
-    await port.connect()
-    for joint in port.joints:
-        await port.acknowledge(joint)
-    await port.enable(AXIS)
-    running = port.run_noise(await noise(port, periods=LONG))
-    await anext(running)
-    await port.close()
+    async with closing(virtual.open()) as port:
+        await port.connect()
+        for joint in port.joints:
+            await port.acknowledge(joint)
+        await port.enable(AXIS)
+        running = port.run_noise(await noise(port, **LONG))
+        await anext(running)
     assert virtual.energised() == []
     assert virtual.truth()["softened"] is False
     with pytest.raises(SweepInterrupted):
@@ -170,7 +170,7 @@ async def test_a_fault_ends_the_noise_and_the_drive_itself_restores_its_control(
     virtual.order("fault", joint=AXIS, code=0x7305, at_sample=200)
     blocks: list[SampleBlock] = []
     with pytest.raises(DriveFault, match="7305h"):
-        await consume(port, await noise(port, periods=LONG), blocks.append)
+        await consume(port, await noise(port, **LONG), blocks.append)
     assert len(excitation(blocks)) == len(column(blocks, "index")) >= 190
     assert virtual.energised() == []
     assert virtual.truth()["softened"] is False
@@ -200,7 +200,7 @@ async def test_the_envelope_holds_under_injection(port: DrivePort, virtual: Virt
         "velocity": {"velocity_limit": 0.011, "effort": 140.0},
         "position": {"offset_velocity": 0.0, "effort": 140.0, "position_window": (here - 2e-5, here + 2e-5)},
     }
-    command = await noise(port, periods=LONG, **cast("Any", changes[limit]))
+    command = await noise(port, periods=80, **cast("Any", changes[limit]))
     blocks: list[SampleBlock] = []
     with pytest.raises((EnvelopeLeft, DriveFault)):  # by the host or by the drive's own limit, whichever comes first
         await consume(port, command, blocks.append)

@@ -59,13 +59,13 @@ class VirtualMachine:
     def power_off(self, how: signal.Signals = signal.SIGKILL) -> None:
         """End the drives, without a word to anybody unless `how` is a kinder signal."""
         self._process.send_signal(how)
-        self._process.wait(10)
+        self._process.wait(PATIENCE)
         if self._process.stdout:
             self._process.stdout.close()
 
     def order(self, order: str, **details: object) -> Json:
         """What the control port answers to an order."""
-        with socket.create_connection(("127.0.0.1", self._control_port), timeout=10) as client:
+        with socket.create_connection(("127.0.0.1", self._control_port), timeout=PATIENCE) as client:
             client.sendall(json.dumps({"order": order, **details}).encode() + b"\n")
             with client.makefile() as lines:
                 return json.loads(lines.readline())
@@ -141,7 +141,7 @@ class Service:
 
     def _end(self) -> int:
         process = self._running()
-        code = process.wait(30)
+        code = process.wait(PATIENCE)
         if process.stdout:
             process.stdout.close()
         self._process = None

@@ -21,7 +21,7 @@ from tests.system.rest_bench import Fieldbus, Service, VirtualMachine, add_plan,
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "reference" / "faults.md"
 AXIS, OTHER = "joint_1", "joint_3"
-SPEED_FACTOR = 3.0  # a sweep of the drive's own takes some seconds
+SPEED_FACTOR = 1.5  # a sweep of the drive's own takes 3.7 s: an order falls into it, on a busy computer too
 
 
 @dataclass(frozen=True)
@@ -306,7 +306,8 @@ def before_connecting(bench: Bench, fault: Fault) -> str:
         bench.order(order)
     acts = bench.person_acts()
     bench.client.start(campaign)
-    assert bench.held(campaign)["state"] == "completed"
+    document = bench.held(campaign)
+    assert (document["state"], document["cause"]) == ("completed", "")
     return f"never started: not connected; {', '.join([*acts, 'start'])}"
 
 

@@ -201,7 +201,7 @@ def test_a_sweep_and_its_trace(host: Host) -> None:
     host.enable()
     offset = 0.1 * GEAR
     sines = sweep(host, 2, offset)
-    assert host.get("measuring_state") == 1
+    assert host.get("measuring_state") in (1, 2)  # 150 ms at 20 times real time: on a busy computer it is over by now
     until(lambda: host.get("measuring_state") == 2)
     truth = host.truth
     assert (truth["measuring"], truth["samples"]) == ("done", 750)

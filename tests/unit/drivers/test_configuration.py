@@ -46,7 +46,7 @@ def desk() -> Iterator[Desk]:
     server.NOTIFIER_CYCLE = 0.05
     server.connect()
     node = server.create_node(1, dictionary())
-    bus = Bus(BusProfile(interface="virtual", channel=channel, sdo_timeout=0.2), (1, 2))
+    bus = Bus(BusProfile(interface="virtual", channel=channel, sdo_timeout=5.0, drive_timeout=60.0), (1, 2))
     eds = dictionary()
     yield Desk(Sdo(bus.add_node(1, eds), "joint_1 (node 1)", bus.check_alive), node)
     bus.close()
@@ -91,5 +91,6 @@ def test_a_value_of_another_size_or_range_is_wrong(desk: Desk) -> None:
 
 def test_a_node_that_does_not_answer_is_lost_communication(desk: Desk) -> None:
     desk.node.remove_network()
+    desk.sdo._client.RESPONSE_TIMEOUT = 0.2  # s
     with pytest.raises(CommunicationLost, match="6072h:00 max torque: No SDO response"):
         desk.sdo.read(objects.MAX_TORQUE)

@@ -1,7 +1,6 @@
 """Requests over a real line, TCP and RTU, to units that answer well, badly, late or never."""
 
 import socket
-import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import suppress
@@ -17,6 +16,7 @@ from drivers.modbus.profile import RtuLine, TcpLine
 from tests.unit.drivers.modbus_bank import TIMEOUT, Bank, Request, crc, rtu_frame, serving
 
 REGISTERS = {0x10: 0x1111, 0x11: 0x2222, 0x12: 0x3333}
+PATIENCE = 1.0  # s for a good answer: line and units share this process, and the computer
 
 
 @pytest.fixture(params=["tcp", "rtu"])
@@ -26,7 +26,17 @@ def bank(request: pytest.FixtureRequest) -> Bank:
 
 @pytest.fixture
 def line(bank: Bank) -> Generator[Line]:
-    with serving(bank) as profile:
+    with serving(bank, PATIENCE) as profile:
+        opened = Line(profile)
+        opened.open()
+        yield opened
+        opened.close()
+
+
+@pytest.fixture
+def hasty(bank: Bank) -> Generator[Line]:
+    """A line on which nobody answers well."""
+    with serving(bank, TIMEOUT) as profile:
         opened = Line(profile)
         opened.open()
         yield opened
@@ -88,10 +98,11 @@ def test_the_heartbeat_is_due_where_nobody_asked(line: Line) -> None:
     assert line.due(1)
     line.read(1, 0x10, 1, "x")
     assert not line.due(1)
-    eventually(lambda: line.due(1))
+    line._asked[1] -= line.beat / 2
+    assert line.due(1)
 
 
-def test_no_write_is_ever_repeated(bank: Bank, line: Line) -> None:
+def test_no_write_is_ever_repeated(bank: Bank, hasty: Line) -> None:
     def garbled(_: Request, frame: bytes) -> bytes:
         return b"\xff" * 9 if bank.transport == "tcp" else frame[:-1] + bytes([frame[-1] ^ 1])
 
@@ -101,7 +112,8 @@ def test_no_write_is_ever_repeated(bank: Bank, line: Line) -> None:
     for unit, spoil in ((1, silent), (2, garbled)):
         bank.spoil = spoil
         with pytest.raises(CommunicationLost):
-            line.write(unit, 0x10, [5], "word")
+            hasty.write(unit, 0x10, [5], "word")
+    eventually(lambda: len(bank.writes(0x10)) >= 2)
     time.sleep(TIMEOUT)  # for a repetition that must not come
     assert bank.writes(0x10) == [5, 5]
 
@@ -124,50 +136,36 @@ def test_a_late_answer_is_never_taken_for_that_of_a_later_request(
     bank: Bank, line: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The unit's first two answers come after the time-out, each with the unit, function and length of the next."""
-    monkeypatch.setattr(line_module, "LOOK_AGAIN", 3 * TIMEOUT)
-    late: list[threading.Timer] = []
+    monkeypatch.setattr(line_module, "LOOK_AGAIN", 0.2)
+    late: list[bytes] = []
 
     def hold_back(request: Request, frame: bytes) -> bytes | None:
         if request.unit == 2 or len(late) == 2:
             return frame
-        late.append(threading.Timer(1.5 * TIMEOUT, lambda: _try(bank, frame)))
-        late[-1].start()
+        late.append(frame)
         return None
 
     bank.spoil = hold_back
-    with pytest.raises(CommunicationLost):
-        line.read(1, 0x10, 1, "late")
-    assert line.read(2, 0x12, 1, "meanwhile") == [0x3333]
-    answers: list[list[int]] = []
-
-    def answered() -> bool:
-        line.due(1)
-        with suppress(CommunicationLost):
-            answers.append(line.read(1, 0x11, 1, "next"))
-        return bool(answers)
-
-    eventually(answered)
-    for timer in late:
-        timer.join()
-    assert answers == [[0x2222]]
+    for _ in range(2):
+        eventually(lambda: line.due(1))
+        with pytest.raises(CommunicationLost):
+            line.read(1, 0x10, 1, "late")
+        assert line.read(2, 0x12, 1, "meanwhile") == [0x3333]
+        bank.send(late[-1])
+    eventually(lambda: line.due(1))
+    assert line.read(1, 0x11, 1, "next") == [0x2222]
 
 
-def _try(bank: Bank, frame: bytes) -> None:
-    try:
-        bank.send(frame)
-    except OSError:
-        return  # the connection was given up meanwhile
+def answer(bank: Bank, unit: int, pdu: bytes) -> None:
+    """To every request from now on."""
+    if bank.transport == "rtu":
+        bank.spoil = lambda _r, _f: rtu_frame(unit, pdu)
+    else:
+        bank.spoil = lambda _r, frame: frame[:4] + (len(pdu) + 1).to_bytes(2, "big") + bytes([unit]) + pdu
 
 
-def test_answers_of_somebody_else_are_no_answers(bank: Bank, line: Line) -> None:
-    """Another unit, another function, another length, another address."""
-
-    def answer(unit: int, pdu: bytes) -> None:
-        if bank.transport == "rtu":
-            bank.spoil = lambda _r, _f: rtu_frame(unit, pdu)
-        else:
-            bank.spoil = lambda _r, frame: frame[:4] + (len(pdu) + 1).to_bytes(2, "big") + bytes([unit]) + pdu
-
+def test_answers_of_somebody_else_are_no_answers(bank: Bank, hasty: Line) -> None:
+    """Another unit, another function, another length."""
     for number, (unit, pdu) in enumerate(
         [
             (2, b"\x03\x02\x00\x07"),
@@ -178,28 +176,30 @@ def test_answers_of_somebody_else_are_no_answers(bank: Bank, line: Line) -> None
             (1, b"\x10\x00\x10\x00\x01"),
         ]
     ):
-        answer(unit, pdu)
-        line._lost.clear()  # pyright: ignore[reportPrivateUsage]
+        answer(bank, unit, pdu)
+        hasty._lost.clear()  # pyright: ignore[reportPrivateUsage]
         with pytest.raises(CommunicationLost):
-            line.read(1, 0x10, 1, f"read {number}")
-    answer(1, b"\x10\x00\x11\x00\x01")
-    line._lost.clear()  # pyright: ignore[reportPrivateUsage]
+            hasty.read(1, 0x10, 1, f"read {number}")
+
+
+def test_the_answer_to_a_write_elsewhere_is_no_answer(bank: Bank, line: Line) -> None:
+    answer(bank, 1, b"\x10\x00\x11\x00\x01")
     with pytest.raises(CommunicationLost, match="another request"):
         line.write(1, 0x10, [1], "write")
 
 
-def test_tell_waits_for_nothing_and_reaches_a_lost_unit(bank: Bank, line: Line) -> None:
+def test_tell_waits_for_nothing_and_reaches_a_lost_unit(bank: Bank, hasty: Line) -> None:
     bank.spoil = lambda _r, _f: None
     with pytest.raises(CommunicationLost):
-        line.write(1, 0x10, [1], "lost")
-    line.tell(1, 0x10, [2], "told")
-    line.tell(1, 0x10, [3], "told")
+        hasty.write(1, 0x10, [1], "lost")
+    hasty.tell(1, 0x10, [2], "told")
+    hasty.tell(1, 0x10, [3], "told")
     eventually(lambda: bank.writes(0x10) == [1, 2, 3])
 
 
 def test_the_silence_between_frames_is_kept() -> None:
     bank = Bank("rtu", {1: dict(REGISTERS)})
-    with serving(bank) as profile:
+    with serving(bank, PATIENCE) as profile:
         line = Line(profile.model_copy(update={"silence_between_frames": 0.03}))
         line.open()
         start = time.monotonic()
@@ -230,7 +230,7 @@ def test_a_line_that_cannot_be_opened_and_one_that_is_closed(bank: Bank, line: L
 
 def test_a_server_that_goes_away_is_a_loss() -> None:
     bank = Bank("tcp", {1: dict(REGISTERS)})
-    with serving(bank) as profile:
+    with serving(bank, PATIENCE) as profile:
         line = Line(profile)
         line.open()
         line.read(1, 0x10, 1, "x")
