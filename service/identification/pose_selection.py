@@ -186,7 +186,7 @@ class _Greedy:
         """
         parts = (slice(None, width), slice(-width, None))
         ends = np.hstack([vectors[:, part] for part in parts])
-        seen = (rows.reshape(-1, rows.shape[2]) @ ends).reshape(*rows.shape[:2], -1)
+        seen = (rows.reshape(-1, rows.shape[2]) @ ends).reshape(*rows.shape[:2], 2 * width)  # of no rows as well
         lowest, highest = (
             _ritz(np.diag(eigenvalues[part]) + own.swapaxes(1, 2) @ own)
             for part, own in zip(parts, (seen[..., :width], seen[..., width:]), strict=True)

@@ -49,6 +49,14 @@ def test_start_reaches_full_rank_with_the_fewest_poses() -> None:
     assert np.isfinite(chosen.condition[2:]).all()
 
 
+def test_a_direction_that_no_pose_shows_leaves_the_choice_to_the_volume() -> None:
+    rows = candidates(40, 1, 4)
+    rows[:, :, 3] = 0
+    chosen = select_poses(rows, 8)
+    assert list(chosen.picks) == naive_condition(rows, 8)[0]
+    assert np.isinf(chosen.condition).all()
+
+
 def test_no_pose_twice_and_the_same_again() -> None:
     rows = candidates(30, 2, 5)
     first = select_poses(rows, 30)
