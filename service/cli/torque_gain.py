@@ -1,6 +1,7 @@
 """`sweepid torque-gain BEFORE AFTER`: the torque constants from a known mass, for `sweepid identify --torque-gain`."""
 
 import json
+import math
 from pathlib import Path
 from typing import Annotated, cast
 
@@ -11,8 +12,14 @@ from rich.table import Table
 from service.cli.identify import write_json
 from service.errors import BadInput
 from service.identification import spectrum
+from service.identification.nominal_priors import TorqueGain
 from service.identification.torque_gain import Calibration, KnownMass, torque_gains
+from service.robot import Robot
 from service.store.bundle import Bundle, read_bundle
+
+SENSIBLE = (0.5, 2.0)  # gains of a drive whose motor is the one that it was told of
+SHOWN = 3.0  # standard deviations that the added inertia must be above nothing
+SMALLEST = 1.0  # m; also a lone axis without a length may carry a mass so far out
 
 
 def torque_gain(
@@ -49,13 +56,47 @@ def torque_gain(
 
 
 def calibrate(before: Bundle, after: Bundle, mass: KnownMass, place: str) -> dict[str, Calibration]:
-    """By joint; BadInput where the bundles are not of one robot or share no pose."""
+    """By joint; BadInput where the bundles are not of one robot or share no pose, or cannot be without and with it."""
     if (before.robot.description, before.robot.urdf_text) != (after.robot.description, after.robot.urdf_text):
         raise BadInput(place, f"was not measured on the same robot {before.robot.name} as the bundle before")
+    _check_place(before.robot, mass)
     spectra = [
         [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps if sweep.spec.periodic] for bundle in (before, after)
     ]
-    return torque_gains(before.robot, spectra[0], spectra[1], mass)
+    found = torque_gains(before.robot, spectra[0], spectra[1], mass)
+    for joint, one in found.items():
+        _check_shown(joint, one.gain)
+    return found
+
+
+def _check_place(robot: Robot, mass: KnownMass) -> None:
+    """The mass hangs no farther from the last joint than the robot is long."""
+    joints = robot.chain.joints
+    offsets = sum(math.hypot(*joint.translation) for joint in joints)
+    travels = sum(abs(joint.upper - joint.lower) for joint in joints if joint.kind == "prismatic")
+    longest, away = max(SMALLEST, offsets + travels), math.hypot(*mass.center)
+    if away > longest:
+        raise BadInput(
+            "--center",
+            f"is {away:.3g} m from the last joint, limit {longest:.3g} m, the length of the robot's links: "
+            "are these meters?",
+        )
+
+
+def _check_shown(joint: str, gain: TorqueGain) -> None:
+    """A mass that was on, and is what it is said to be, shows, and about as heavy as it is."""
+    if not gain.gain > SHOWN * gain.std:
+        raise BadInput(
+            joint,
+            "the second campaign shows no added inertia beyond its uncertainty "
+            f"(gain {gain.gain:.3f}, standard deviation {gain.std:.3f}): was the mass on? kg and m?",
+        )
+    if not SENSIBLE[0] <= gain.gain <= SENSIBLE[1]:
+        raise BadInput(
+            joint,
+            f"the second campaign shows {gain.gain:.3f} times the inertia that the mass adds, and a gain lies within "
+            f"{SENSIBLE[0]} to {SENSIBLE[1]}: was the mass on, the right one? kg and m?",
+        )
 
 
 def _numbers(option: str, text: str, count: int) -> tuple[float, ...]:

@@ -103,6 +103,29 @@ def test_bundles_that_do_not_belong_together(tmp_path: Path) -> None:
         torque_gain(before, _bundle(tmp_path / "c", INERTIA, ratio=90.0), 8.0, "0,0.5,0")
 
 
+def test_a_mass_that_does_not_show_is_refused(tmp_path: Path) -> None:
+    before = _bundle(tmp_path / "a", INERTIA)
+    forgotten = sweepid("torque-gain", str(before), str(before), "--mass", str(MASS), "--center", f"0,{ARM},0")
+    assert (forgotten.returncode, forgotten.stdout) == (2, "")
+    assert "j1: the second campaign shows no added inertia beyond its uncertainty" in forgotten.stderr
+    assert "was the mass on? kg and m?" in forgotten.stderr
+    with pytest.raises(BadInput, match="j1: the second campaign shows no added inertia"):
+        torque_gain(_bundle(tmp_path / "b", INERTIA + MASS * ARM**2), before, MASS, f"0,{ARM},0")
+
+
+@pytest.mark.parametrize(("times", "shown"), [(0.4, "0.42"), (2.0, "2.1")])
+def test_another_mass_than_the_one_told_is_refused(tmp_path: Path, times: float, shown: str) -> None:
+    before, after = _bundle(tmp_path / "a", INERTIA), _bundle(tmp_path / "b", INERTIA + times * MASS * ARM**2)
+    with pytest.raises(BadInput, match=rf"j1: the second campaign shows {shown}\d* times .* within 0.5 to 2.0"):
+        torque_gain(before, after, MASS, f"0,{ARM},0")
+
+
+def test_a_center_farther_out_than_the_robot_is_long_is_refused(tmp_path: Path) -> None:
+    before, after = _bundle(tmp_path / "a", INERTIA), _bundle(tmp_path / "b", INERTIA + MASS * ARM**2)
+    with pytest.raises(BadInput, match=r"--center: is 500 m from the last joint, limit 1 m"):
+        torque_gain(before, after, MASS, "0,500,0")
+
+
 def test_a_gain_must_be_above_zero(tmp_path: Path) -> None:
     gains = tmp_path / "gains.json"
     gains.write_text('{"axes": {"j1": {"gain": {"value": 0, "std": 0.1}}}}')
