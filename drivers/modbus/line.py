@@ -8,12 +8,14 @@ thrown away with the line's buffer. On TCP the transaction id tells, and the con
 """
 
 import logging
+import socket
 import struct
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, NoReturn, cast
 
+import serial
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
@@ -63,9 +65,8 @@ class Line:
         self._closed = False
         if not self._client.connect():
             self._closed = True
-            raise ConnectionFailed(
-                f"Modbus {self._profile.transport} {self._profile.place} could not be opened: see the log"
-            )
+            place = f"Modbus {self._profile.transport} {self._profile.place}"
+            raise ConnectionFailed(f"{place} could not be opened: {_refusal(self._profile)}; is the machine on?")
 
     def close(self) -> None:
         """Safe to call twice."""
@@ -204,6 +205,18 @@ class Line:
         """Bytes of an answer, good or bad."""
         self._garbled = self._garbled or not sending
         return data
+
+
+def _refusal(profile: TcpLine | RtuLine) -> str:
+    """Why there is no connection: pymodbus only logs it. Asked afterwards, for a drive may take one client alone."""
+    try:
+        if isinstance(profile, TcpLine):
+            socket.create_connection((profile.host, profile.port), profile.timeout).close()
+        else:
+            serial.Serial(profile.device).close()
+    except OSError as error:
+        return error.strerror or str(error)
+    return "the log has the reason"
 
 
 class SerialClient(ModbusSerialClient):
