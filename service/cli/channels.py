@@ -1,6 +1,7 @@
 """`sweepid channels BUNDLE`: delay and smoothing of the channels, from calibration sweeps, for the drive profile."""
 
 import json
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -48,7 +49,8 @@ def measure_channels(bundle: Bundle, axis: str | None, place: str) -> dict[str, 
 
 def profile_lines(joint: str, lags: ChannelLags) -> str:
     """YAML of the key `channels` of an axis in the drive profile, with what is known of the numbers as comments."""
-    lines = [f"# {joint}: free resonance {lags.resonance:.3g} Hz", "channels:"]
+    found = f"free resonance {lags.resonance:.3g} Hz" if math.isfinite(lags.resonance) else "no free resonance found"
+    lines = [f"# {joint}: {found}", "channels:"]
     for name, lag in (("effort", lags.effort), ("velocity", lags.velocity)):
         apart = "" if lag.apart else ", delay and smoothing together: they cannot be told apart"
         lines.append(f"  {name}_delay: {lag.delay:.7f} # s, +- {lag.delay_std:.2g}{apart}")
@@ -59,11 +61,10 @@ def profile_lines(joint: str, lags: ChannelLags) -> str:
 
 def as_document(lags: ChannelLags) -> dict[str, Any]:
     """JSON of one axis; s, and Hz for the resonance (null where none was found)."""
-    finite = lags.resonance < float("inf")
     return {
         "effort": _lag(lags.effort),
         "velocity": _lag(lags.velocity),
-        "free_resonance": lags.resonance if finite else None,
+        "free_resonance": lags.resonance if math.isfinite(lags.resonance) else None,
     }
 
 

@@ -14,6 +14,8 @@ from service.cli.combination import print_combination
 from service.cli.gains_file import read_gains
 from service.errors import BadInput
 from service.estimation import SweepSpectrum, estimate_document, sweep_spectrum
+from service.identification.analysis_document import analyses_from
+from service.identification.ideal_frequency import Figure
 from service.identification.noise_response import has_reference
 from service.identification.nominal_priors import TorqueGain
 from service.identification.trajectory_record import runs_at_once
@@ -120,25 +122,30 @@ def _print_analysis(analysis: dict[str, Any], console: Console) -> None:
     table = Table(title="Initial analysis; in brackets by asymptotes")
     for name in ("axis", "pose in rad", "J", "locked rotor, Hz", "friction below, Hz", "ideal, Hz", "sweep, Hz"):
         table.add_column(name, justify="left" if name in ("axis", "pose in rad") else "right")
-    for joint, axis in analysis.items():
-        for pose in axis["poses"]:
-            fit, read = pose["fit"], pose["asymptotes"]
+    for joint, axis in analyses_from(analysis).items():
+        for pose in axis.poses:
+            fit, read = pose.fit, pose.asymptotes
+            locked_rotor, ideal = _both(fit.locked_rotor, read.locked_rotor), _both(fit.frequency, read.frequency)
+            if pose.at_least is not None:  # the asymptotes then end at a resonance that is none
+                locked_rotor, ideal = (f"above {bound:.4g}" for bound in pose.at_least)
             table.add_row(
                 joint,
-                ", ".join(f"{position:.2f}" for position in pose["pose"]),
-                _with_std(fit["inertia"]),
-                *(f"{_with_std(fit[k])} ({_short(read[k]['value'])})" for k in ("locked_rotor", "corner", "frequency")),
-                f"{fit['sweep_frequency']:g}",
+                ", ".join(f"{position:.2f}" for position in pose.pose),
+                _with_std(fit.inertia),
+                locked_rotor,
+                _both(fit.corner, read.corner),
+                ideal,
+                f"{fit.sweep_frequency:g}",
             )
     console.print(table)
 
 
-def _with_std(figure: dict[str, float | None]) -> str:
-    return f"{_short(figure['value'])} ± {_short(figure['std'])}"
+def _both(fit: Figure, read: Figure) -> str:
+    return f"{_with_std(fit)} ({read.value:.4g})"
 
 
-def _short(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
+def _with_std(figure: Figure) -> str:
+    return f"{figure.value:.4g} ± {figure.std:.4g}"
 
 
 def _print_free_records(axes: dict[str, Any], console: Console) -> None:

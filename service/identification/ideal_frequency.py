@@ -17,7 +17,8 @@ Asymptotes, as in the paper's Fig. 1b, each pose by itself: |Z|/omega, an appare
 resonance f_l, its maximum (parabola through three lines of its logarithm); friction is the line mu/omega, mu being the
 part of Z in phase on the level part and below, and f_c where the two meet, the 3 dB point.
 
-The ideal frequency is sqrt(f_l f_c), rounded to 2, 3, 4 or 5 Hz.
+The ideal frequency is sqrt(f_l f_c), rounded to 2, 3, 4 or 5 Hz. Of a train so stiff that f_l lies above the last line
+nothing was seen of f_l itself: then the last line is its lower bound, and that of the ideal frequency follows.
 """
 
 from collections.abc import Sequence
@@ -75,6 +76,12 @@ class PoseAnalysis:
     load_inertia: float
     fit: Ideal
     asymptotes: Ideal
+
+    @property
+    def at_least(self) -> tuple[float, float] | None:
+        """Lower bounds of f_l and of the ideal frequency, Hz, where the fit puts f_l above the last line; else None."""
+        last = float(self.response.frequency[-1])
+        return None if self.fit.locked_rotor.value <= last else (last, float(np.sqrt(last * self.fit.corner.value)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,8 +141,8 @@ def _class(name: str, up_to: float, fits: "Sequence[Ideal]") -> PoseClass:
 
 
 def nearest_line(frequency: float) -> float:
-    """Rounded to 2, 3, 4 or 5 Hz."""
-    return min(LINES, key=lambda line: abs(line - frequency))
+    """Rounded to 2, 3, 4 or 5 Hz; 5 Hz for the infinite one of a stiff train."""
+    return min(LINES, key=lambda line: abs(line - min(frequency, LINES[-1])))
 
 
 def analyse_axis(
@@ -296,10 +303,15 @@ def _ideal(values: Array, covariance: Array, own: int) -> Ideal:
     return Ideal(
         Figure(inertia, float(std[0])),
         Figure(friction, float(std[1])),
-        Figure(locked_rotor, float(std[2] * locked_rotor)),
-        Figure(corner, float(std[3] * corner)),
-        Figure(frequency, float(std[4] * frequency)),
+        _relative(locked_rotor, float(std[2])),
+        _relative(corner, float(std[3])),
+        _relative(frequency, float(std[4])),
     )
+
+
+def _relative(value: float, std: float) -> Figure:
+    """A value with the standard deviation of its logarithm; of an infinite one nothing is known."""
+    return Figure(value, std * value if np.isfinite(value) else np.inf)
 
 
 def _peak(response: Response) -> float:

@@ -80,7 +80,7 @@ def ideal_frequencies(analysis: AxisAnalysis) -> Figure:
         }
         layout["annotations"].append(
             {
-                "text": f"J = {pose.fit.inertia.value:.0f} kg m², ideal {pose.fit.frequency.value:.2g} Hz → "
+                "text": f"J = {pose.fit.inertia.value:.0f} kg m², ideal {_ideal(pose, '.2g')} Hz → "
                 f"{pose.fit.sweep_frequency:.0f} Hz",
                 "x": left + 0.13 * width,
                 "y": top - 0.1 * height,
@@ -116,12 +116,24 @@ def table(analyses: Mapping[str, AxisAnalysis], joints: Sequence[str]) -> tuple[
                     joint,
                     ", ".join(f"{math.degrees(position):.0f}" for position in pose.pose),
                     f"{fit.inertia.value:.1f} ± {fit.inertia.std:.1f}",
-                    f"{fit.locked_rotor.value:.2f} ± {fit.locked_rotor.std:.2f} ({read.locked_rotor.value:.1f})",
+                    _locked_rotor(pose),
                     f"{fit.corner.value:.3f} ± {fit.corner.std:.3f} ({read.corner.value:.2f})",
-                    f"{fit.frequency.value:.2f} → {fit.sweep_frequency:.0f}",
+                    f"{_ideal(pose, '.2f')} → {fit.sweep_frequency:.0f}",
                 ]
             )
     return head, rows
+
+
+def _locked_rotor(pose: PoseAnalysis) -> str:
+    if pose.at_least is not None:  # the asymptotes then end at a resonance that is none
+        return f"above {pose.at_least[0]:.0f}"
+    found = pose.fit.locked_rotor
+    return f"{found.value:.2f} ± {found.std:.2f} ({pose.asymptotes.locked_rotor.value:.1f})"
+
+
+def _ideal(pose: PoseAnalysis, digits: str) -> str:
+    found = pose.fit.frequency.value
+    return f"{found:{digits}}" if pose.at_least is None else f"above {pose.at_least[1]:{digits}}"
 
 
 _LOG = {"type": "log", "tickvals": [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40]}

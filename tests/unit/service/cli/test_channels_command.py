@@ -1,12 +1,13 @@
 """`sweepid channels` as a person calls it: YAML for the drive profile or JSON, exit code 2 for bad input."""
 
 import json
+import math
 from pathlib import Path
 
 import pytest
 import yaml
 
-from service.cli.channels import profile_lines
+from service.cli.channels import as_document, profile_lines
 from service.identification.axis_inertia import DriveTrain
 from service.identification.channel_timing import ChannelLags, Lag
 from service.store.bundle import write_bundle
@@ -53,3 +54,10 @@ def test_what_cannot_be_told_apart_is_said() -> None:
     text = profile_lines("joint_1", ChannelLags(lag, lag, DriveTrain(58.0, 140.0, 60.0, 1e-6, 1e-3), 21.3))
     assert "effort_delay: 0.0005000 # s, +- 1e-05, delay and smoothing together: they cannot be told apart" in text
     assert yaml.safe_load(text)["channels"]["effort_smoothing"] == 0.0
+
+
+def test_a_stiff_train_has_no_free_resonance() -> None:
+    lag = Lag(5e-4, 1e-5, 0.0, 2e-4, 5e-4, 1e-5, apart=False)
+    lags = ChannelLags(lag, lag, DriveTrain(58.0, 140.0, 60.0, 0.0, 1e-3), math.inf)
+    assert profile_lines("joint_1", lags).startswith("# joint_1: no free resonance found\nchannels:\n")
+    assert as_document(lags)["free_resonance"] is None

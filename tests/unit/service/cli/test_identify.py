@@ -1,15 +1,21 @@
 """`sweepid identify` as a person calls it: tables or JSON on stdout, one line and exit code 2 for bad input."""
 
 import json
+import re
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
+from service.cli.identify import print_estimate
+from service.identification.analysis_document import analyses_document
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Axis, RobotDescription, build_robot
 from service.store.bundle import write_bundle
 from tests.command import sweepid
+from tests.unit.service.identification.test_ideal_frequency import STIFF, analysis
 
 INERTIA = 6.0  # kg m^2 of the load about the first axis; CAD says 5, the second link included; motor 100^2 0.0001 = 1
 
@@ -108,3 +114,15 @@ def test_a_broken_bundle_is_told_by_file_and_sweep(bundle: Path) -> None:
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.strip().endswith("0003.parquet sweep 2: file does not exist")
     assert done.stderr.count("\n") == 1
+
+
+def test_a_locked_rotor_above_the_band_is_told_as_such() -> None:
+    written = StringIO()
+    document = {"analysis": analyses_document({"swing": analysis(train=STIFF)}), "axes": {}}
+    print_estimate(document, Console(file=written, width=200))
+    rows = [line for line in written.getvalue().splitlines() if "swing" in line]
+    assert len(rows) == 4
+    for row in rows:
+        assert "above 38.75 " in row
+        assert re.search(r"above \d\.\d+ .* [2345] ", row)
+        assert "inf" not in row

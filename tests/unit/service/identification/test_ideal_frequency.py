@@ -1,6 +1,7 @@
 """Fit and asymptotes on responses computed by hand from a known drive train."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,8 +21,11 @@ PRIOR = SharedPrior(
 )
 
 
-def response(load: float, noise: float, rng: np.random.Generator) -> Response:
-    z = impedance(FREQUENCY, TRAIN, load, 0.0).total
+STIFF = replace(TRAIN, compliance=0.0)
+
+
+def response(load: float, noise: float, rng: np.random.Generator, train: DriveTrain = TRAIN) -> Response:
+    z = impedance(FREQUENCY, train, load, 0.0).total
     velocity = 1 / (z + 5000.0)
     error = noise * (rng.standard_normal(len(z)) + 1j * rng.standard_normal(len(z))) / np.sqrt(2)
     covariance = np.zeros((len(z), 2, 2), dtype=complex)
@@ -29,11 +33,13 @@ def response(load: float, noise: float, rng: np.random.Generator) -> Response:
     return Response(FREQUENCY, z * velocity + error, velocity, covariance, np.ones(len(z)))
 
 
-def analysis(noise: float = 0.01, seed: int = 1, loads: tuple[float, ...] = LOADS) -> AxisAnalysis:
+def analysis(
+    noise: float = 0.01, seed: int = 1, loads: tuple[float, ...] = LOADS, train: DriveTrain = TRAIN
+) -> AxisAnalysis:
     rng = np.random.default_rng(seed)
     priors = [PosePrior(np.array([1.2 * load, 0.0, 0.0]), np.array([0.6 * load, 1.0, 1.0])) for load in loads]
     poses = [(0.0, float(k)) for k in range(len(loads))]
-    return analyse_axis("swing", poses, [response(load, noise, rng) for load in loads], PRIOR, priors)
+    return analyse_axis("swing", poses, [response(load, noise, rng, train) for load in loads], PRIOR, priors)
 
 
 def test_the_drive_train_is_found_within_its_standard_deviations() -> None:
@@ -57,7 +63,9 @@ def test_frequencies_of_a_pose_by_both_ways() -> None:
         assert pose.asymptotes.corner.value == pytest.approx(corner, rel=0.3)
 
 
-@pytest.mark.parametrize(("frequency", "line"), [(0.3, 2.0), (2.4, 2.0), (2.6, 3.0), (4.4, 4.0), (9.0, 5.0)])
+@pytest.mark.parametrize(
+    ("frequency", "line"), [(0.3, 2.0), (2.4, 2.0), (2.6, 3.0), (4.4, 4.0), (9.0, 5.0), (np.inf, 5.0)]
+)
 def test_ideal_frequencies_are_rounded_to_the_papers(frequency: float, line: float) -> None:
     assert nearest_line(frequency) == line
 
@@ -73,6 +81,24 @@ def test_classes_of_poses_and_their_lines() -> None:
     assert analysis().lines(140.0) == (2.0, 3.0, 4.0, 5.0)
     assert analysis().lines(600.0) == (2.0, 3.0, 4.0)  # locked rotor at 5.6 Hz
     assert [each.name for each in analysis(loads=(200.0, 210.0)).classes] == ["all"]
+
+
+@pytest.mark.parametrize("seed", range(6))  # noise decides whether the spring found is very stiff or none at all
+def test_of_a_stiff_train_only_lower_bounds_are_told(seed: int) -> None:
+    stiff = analysis(seed=seed, train=STIFF)
+    for pose in stiff.poses:
+        last, ideal = pose.at_least or (0.0, 0.0)
+        assert last == FREQUENCY[-1] == 38.75
+        assert ideal == pytest.approx(np.sqrt(38.75 * pose.fit.corner.value))
+        assert np.isfinite([pose.fit.inertia.std, pose.fit.corner.std]).all()
+        assert np.isinf(pose.fit.frequency.std) == np.isinf(pose.fit.locked_rotor.std)
+        assert np.isinf(pose.fit.frequency.std) == np.isinf(pose.fit.frequency.value)
+    assert all(pose.at_least is None for pose in analysis(seed=seed).poses)
+
+
+def test_the_seeds_make_both_kinds_of_stiff_trains() -> None:
+    found = [analysis(seed=seed, train=STIFF).poses[0].fit.locked_rotor.value for seed in range(6)]
+    assert {bool(np.isfinite(each)) for each in found} == {True, False}
 
 
 def test_documents_keep_the_prior_exactly() -> None:

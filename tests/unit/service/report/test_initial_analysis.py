@@ -11,7 +11,7 @@ from service.identification.ideal_frequency import AxisAnalysis
 from service.report import render_analysis
 from service.report.initial_analysis import amplitude_responses, ideal_frequencies, table
 from tests.unit.service.campaigns.small_arm import small_arm
-from tests.unit.service.identification.test_ideal_frequency import FREQUENCY, LOADS, analysis
+from tests.unit.service.identification.test_ideal_frequency import FREQUENCY, LOADS, STIFF, analysis
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +42,16 @@ def test_the_table_has_both_ways_side_by_side(found: AxisAnalysis) -> None:
     assert len(rows) == len(LOADS)
     assert {len(row) for row in rows} == {len(head)}
     assert re.fullmatch(r"11\.57 ± 0\.\d\d \(11\.\d\)", rows[0][3])
+
+
+def test_what_lies_above_the_band_is_not_told_to_a_tenth() -> None:
+    stiff = analysis(train=STIFF)
+    _, rows = table({"j1": stiff}, ("j1",))
+    for row in rows:
+        assert row[3] == "above 39"
+        assert re.fullmatch(r"above \d\.\d\d → [2345]", row[5])
+    texts = [note["text"] for note in ideal_frequencies(stiff)["layout"]["annotations"]]
+    assert all(re.search(r"ideal above \d(\.\d)? Hz → [2345] Hz", text) for text in texts)
 
 
 def test_the_page_holds_two_figures_an_axis(found: AxisAnalysis) -> None:
