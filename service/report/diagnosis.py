@@ -138,8 +138,8 @@ def _effects(page: Page, axis: Document, figures: Mapping[str, Figure]) -> None:
         page.figure(figures["parameters"])
     if "evidence" in figures:
         page.add(
-            "<p>Every other candidate in its place, and how far behind it is. Amber ones are not ruled out. Grey ones are: "
-            "far behind (beyond the dashed line), or richer without explaining more, or against physics.</p>"
+            "<p>Every other candidate in its place, and how far behind it is. Amber ones are not ruled out. Grey ones "
+            "are: far behind (beyond the dashed line), or richer without explaining more, or against physics.</p>"
         )
         page.figure(figures["evidence"])
     _fit(page, axis["fit"])
