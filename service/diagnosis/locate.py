@@ -25,6 +25,7 @@ HARDLY = 0.3  # of the gap in one direction: there is none to speak of in the ot
 STEADY = 0.8  # correlation of ranks with a property along which the gap grows
 LEAST_BINS = 3
 SMALLEST = 1e-300  # power, and chance that a normal distribution can still tell
+SURE = 1 - 1e-15  # the largest such chance
 WAYS = ("direction", "weight")
 ORDERED = ("speed", "|gravity torque|", "time since start", "temperature", "line frequency")
 
@@ -91,7 +92,7 @@ def lines(tracks: Tracks, residual: Array, after: Array) -> tuple[Cell, ...]:
         line, floor, left, sides = means
         freedom = 2 * len(found)  # squares of normal values: two of each bin
         chance = float(fisher.sf(line / max(floor, SMALLEST), freedom, freedom * sides))
-        significance = float(norm.isf(max(chance, SMALLEST)))
+        significance = float(norm.isf(min(max(chance, SMALLEST), SURE)))
         result.append(Cell("line frequency", f"{frequency:g} Hz", line**0.5, significance, left**0.5))
     return tuple(result)
 

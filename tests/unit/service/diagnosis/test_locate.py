@@ -61,6 +61,15 @@ def test_noise_has_no_lines_and_a_line_stands_out_of_it() -> None:
     assert max(cell.significance for cell in line_cells(delayed)) > 5.0
 
 
+def test_a_line_that_is_quieter_than_all_beside_it_is_still_a_number() -> None:
+    robot = max100()
+    designed = full_design(robot, "joint_2", POSES[:1], blocks=("forward_slow",), sample_rate=RATE)[:1]
+    motion = tracks(robot, "joint_2", following(robot, "joint_2", designed))
+    every = np.arange(motion.usable.shape[1]) * 2 / motion.rate
+    beside = np.sin(2 * np.pi * (2.0 + 1 / 3) * every)[None]  # of 3 periods of 1 s: between the lines, none at them
+    assert all(np.isfinite(cell.significance) for cell in lines(motion, beside, beside))
+
+
 def line_cells(sweeps: Sequence[Sweep]) -> tuple[Cell, ...]:
     """Of what CAD leaves of the effort."""
     motion = tracks(max100(), "joint_2", sweeps)
