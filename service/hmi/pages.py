@@ -7,7 +7,19 @@ from pathlib import Path
 from fastapi import FastAPI
 from fastapi.responses import FileResponse
 
-_SCRIPTS = ("api", "app", "diagnosis", "elements", "experiment", "figures", "intent", "machine", "refresh")
+_SCRIPTS = (
+    "api",
+    "app",
+    "axes",
+    "diagnosis",
+    "elements",
+    "experiment",
+    "figures",
+    "intent",
+    "machine",
+    "motion",
+    "refresh",
+)
 _STATIC = Path(__file__).parent / "static"
 _HEADERS = {
     # nothing is loaded from elsewhere, no inline script runs; plotly writes style attributes

@@ -1,5 +1,6 @@
 """The operator's page in a real browser, on a real service with the virtual machine behind it."""
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 
 from service.client import ServiceClient
-from tests.browser.browsing import PATIENCE, WITHOUT_BROWSER, browsing
+from tests.browser.browsing import WITHOUT_BROWSER, browsing
 from tests.system.rest_bench import Service, VirtualMachine, add_plan, serving, until, virtual_machine
 
 pytestmark = WITHOUT_BROWSER
@@ -15,7 +16,7 @@ pytestmark = WITHOUT_BROWSER
 
 @pytest.fixture
 def machine(tmp_path: Path) -> Iterator[VirtualMachine]:
-    with virtual_machine(tmp_path, speed_factor=2.0) as machine:
+    with virtual_machine(tmp_path, speed_factor=1.0) as machine:
         yield machine
 
 
@@ -33,27 +34,82 @@ def page(service: Service) -> Iterator[Page]:
 
 def test_stop_and_release(machine: VirtualMachine, service: Service, page: Page) -> None:
     with ServiceClient(service.url) as client:
-        campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=2))["id"])
+        plan = add_plan(client, axes=["joint_1"], poses=2)
+        campaign = int(client.add_campaign(plan)["id"])
         page.get_by_role("button", name="Start").click()
         until(lambda: not machine.stands(), "an axis with energy")
         page.get_by_role("button", name="STOP").click()
-        expect(page.locator("#held-by")).to_contain_text("Stopped by operator page: stop button", timeout=PATIENCE)
+        expect(page.locator("#held-by")).to_contain_text("Stopped by operator page: stop button")
         until(machine.stands, "standing axes")
-        expect(page.locator("#campaign-state")).to_have_text("paused", timeout=PATIENCE)
+        expect(page.locator("#campaign-state")).to_have_text("paused")
+        client.add_campaign(plan)  # a newer one hides neither the paused one nor its cause
+        expect(page.locator("#campaigns option")).to_have_count(2)
+        page.reload(wait_until="commit")
+        expect(page.locator("#campaigns")).to_have_value(str(campaign))
+        expect(page.locator("#cause")).to_contain_text("stopped by operator page: stop button")
         page.get_by_label("Your name").fill("Ada")
         page.get_by_role("button", name="I looked at the machine: release").click()
-        expect(page.locator("#held")).to_be_hidden(timeout=PATIENCE)
+        expect(page.locator("#held")).to_be_hidden()
         assert machine.stands()
         assert client.campaign(campaign)["state"] == "paused"
 
 
 def test_a_fault_is_shown_and_acknowledged_by_a_person(machine: VirtualMachine, page: Page) -> None:
-    expect(page.locator("#machine")).to_have_text("machine connected", timeout=PATIENCE)
+    expect(page.locator("#machine")).to_have_text("machine connected")
     assert machine.order("fault", joint="joint_2", code=0x2310)["ok"]
-    expect(page.locator("#axes")).to_contain_text("2310h", timeout=PATIENCE)
+    expect(page.locator("#axes")).to_contain_text("2310h")
     page.get_by_role("button", name="I looked: acknowledge").click()
-    expect(page.locator("#axes")).not_to_contain_text("2310h", timeout=PATIENCE)
+    expect(page.locator("#axes")).not_to_contain_text("2310h")
     assert machine.stands()
+
+
+def test_an_emergency_stop_is_called_one_and_acknowledged_on_all_axes(machine: VirtualMachine, page: Page) -> None:
+    expect(page.locator("#machine")).to_have_text("machine connected")
+    expect(page.locator("#acknowledge-all")).to_be_hidden()
+    assert machine.order("emergency_stop", on=True)["ok"]
+    expect(page.locator("#machine")).to_have_text("EMERGENCY STOP")
+    expect(page.locator("#axes")).to_contain_text("EMERGENCY STOP: error 9000h")
+    assert machine.order("emergency_stop", on=False)["ok"]
+    page.get_by_role("button", name="acknowledge all axes").click()
+    expect(page.locator("#axes")).not_to_contain_text("9000h")
+    expect(page.locator("#machine")).to_have_text("machine connected")
+    assert machine.stands()
+
+
+def test_a_lost_machine_is_never_called_at_rest(machine: VirtualMachine, service: Service, page: Page) -> None:
+    intent = page.locator("#intent")
+    expect(intent).to_have_class("still")
+    with ServiceClient(service.url) as client:
+        client.add_campaign(add_plan(client, axes=["joint_1"], poses=1))
+    page.get_by_role("button", name="Start").click()
+    until(lambda: not machine.stands(), "an axis with energy")
+    expect(intent).to_have_class("moving")
+    machine.power_off()
+    expect(intent).to_contain_text("The state of the axes is not known. Look at the machine. Cause: ")
+    expect(intent).to_contain_text("Campaign 1 is paused (CommunicationLost: ")
+    expect(intent).to_have_class("unknown")
+    expect(page.locator("#axes tr", has_text="unknown")).to_have_count(6)
+
+
+def test_what_start_will_move_stands_beside_it(service: Service, page: Page) -> None:
+    with ServiceClient(service.url) as client:
+        plan = add_plan(client, axes=["joint_1"], poses=2)
+        document = client.plan(plan)["document"]
+        client.add_campaign(plan)
+    windows = [bound for sweep in document["sweeps"] for bound in sweep["position_window"]]
+    targets = [leg["target"] for sweep in document["sweeps"] for leg in sweep["legs"] if leg["joint"] == "joint_1"]
+    low, high = (degrees(extreme([*windows, *targets])) for extreme in (min, max))
+    minutes, seconds = divmod(round(document["duration"]), 60)
+    told = f"{minutes} min {seconds} s" if minutes else f"{seconds} s"
+    motion = page.locator("#motion")
+    expect(motion).to_contain_text(f"max100-class: 2 sweeps of joint_1 in 2 poses, {told} with all moves between poses")
+    expect(motion).to_contain_text(f"joint_1 is moved between {low} and {high}, at most {degrees(0.1)}/s, in 2 sweeps")
+    expect(motion.locator("tbody tr")).to_have_count(2)
+    expect(page.locator("#takes")).to_have_text(f"takes {told}")
+    expect(page.locator("#progress-text")).to_have_text(f"0 of 2 sweeps \u00b7 about {told} left")
+    page.get_by_role("button", name="Start").click()
+    expect(page.locator("#campaign-state")).to_have_text("running")
+    expect(page.locator("#ordered")).to_be_hidden()
 
 
 def test_a_check_move_is_told_while_it_is_under_way(service: Service, page: Page) -> None:
@@ -68,7 +124,12 @@ def test_a_check_move_is_told_while_it_is_under_way(service: Service, page: Page
     with ServiceClient(service.url) as client:
         client.add_campaign(add_plan(client, axes=["joint_1"], poses=1))
     told = page.locator("#check-move")
-    expect(told).to_contain_text("joint_2 goes \u22120.5\u00b0 and back", timeout=PATIENCE)
+    expect(told).to_contain_text("joint_2 goes \u22120.5\u00b0 and back")
     under_way.clear()  # no event tells it: the page asks by itself
-    expect(told).to_be_hidden(timeout=PATIENCE)
+    expect(told).to_be_hidden()
     page.unroute_all(behavior="wait")
+
+
+def degrees(angle: float) -> str:
+    """As the page tells an angle in rad."""
+    return f"{math.degrees(angle):.3g}\u00b0".replace("-", "\u2212")

@@ -1,40 +1,17 @@
-// The operator's page: campaigns, axes, estimates.
+// The operator's page: campaigns and their estimates.
 
 import { all, call, events, get, Refused } from "./api.js";
-import { byId, choices, complain, duration, element, fixed, number, row } from "./elements.js";
-import { owner, showIntent } from "./intent.js";
+import { showAxes, watchAxes } from "./axes.js";
+import { byId, choices, complain, duration, fixed, number, row } from "./elements.js";
+import { held, owner, showIntent } from "./intent.js";
 import { showCheckMove, watchMachine } from "./machine.js";
+import { showMotion, unitsOf } from "./motion.js";
 import { refresher } from "./refresh.js";
 
 let campaign = null; // the one shown
 let etag = "";
+let plan = null; // its plan {id, document, units}; none of an imported one
 let shownRevision = "";
-
-// -- axes
-
-function showAxes(drives) {
-  byId("axes").replaceChildren(...drives.axes.map((axis) => row([
-    [axis.joint],
-    [axis.state],
-    [fixed(axis.position, 4), "number"],
-    [fixed(axis.velocity, 4), "number"],
-    [fixed(axis.effort, 1), "number"],
-    ...faultCells(axis),
-  ])));
-}
-
-function faultCells(axis) {
-  if (!axis.fault) return [["", "fault"]];
-  const button = element("button", "I looked: acknowledge");
-  button.type = "button";
-  button.dataset.acknowledge = axis.joint;
-  return [[`${axis.fault.code.toString(16)}h ${axis.fault.text}`, "fault", button]];
-}
-
-async function acknowledge(click) {
-  const joint = click.target.dataset.acknowledge;
-  if (joint) await command(() => call("POST", `/drives/${joint}/acknowledge`));
-}
 
 // -- campaign
 
@@ -55,7 +32,7 @@ async function listCampaigns() {
   const running = owner(campaigns);
   if (running) select.value = running.id;
   else if (!known && campaigns.some((one) => String(one.id) === asked)) select.value = asked;
-  else if (newest && known !== campaigns.length) select.value = newest.id;
+  else if (newest && known !== campaigns.length) select.value = (held(campaigns) ?? newest).id;
   const [diagnoses, moving] = await Promise.all([all("/diagnoses"), running && get(`/campaigns/${running.id}`)]);
   showIntent(campaigns, diagnoses, moving);
 }
@@ -71,12 +48,15 @@ async function showCampaign() {
     return;
   }
   const answer = await call("GET", `/campaigns/${id}`);
-  [campaign, etag] = [answer.content, answer.etag];
-  const { done, total, remaining, current } = campaign.progress;
+  const planned = await planOf(answer.content);
+  if (byId("campaigns").value !== id) return; // another was chosen meanwhile
+  [campaign, etag, plan] = [answer.content, answer.etag, planned];
+  const { done, total, current } = campaign.progress;
+  const left = timeLeft();
   const now = current ? `sweep ${current.number}: ${current.spec.axis} at [${current.spec.pose.map((q) => fixed(q, 2)).join(", ")}] rad` : "";
   byId("progress").max = total;
   byId("progress").value = done;
-  byId("progress-text").textContent = [`${done} of ${total} sweeps`, now, done < total && remaining !== null ? `about ${duration(remaining)} left` : ""].filter(Boolean).join(" \u00b7 ");
+  byId("progress-text").textContent = [`${done} of ${total} sweeps`, now, done < total && left !== null ? `about ${duration(left)} left` : ""].filter(Boolean).join(" \u00b7 ");
   showCheckMove(campaign.check_move);
   byId("cause").textContent = campaign.cause;
   byId("campaign-state").textContent = campaign.state;
@@ -85,7 +65,33 @@ async function showCampaign() {
     button.disabled = !COMMANDS[button.dataset.command].includes(campaign.state);
   }
   byId("repeat-choice").hidden = campaign.state !== "paused";
+  showStart();
   await showEstimate(id);
+}
+
+async function planOf({ plan_id, robot_id }) {
+  if (plan_id === null) return null;
+  if (plan?.id === plan_id) return plan;
+  const [{ document }, units] = await Promise.all([get(`/plans/${plan_id}`), unitsOf(robot_id)]);
+  return { id: plan_id, document, units };
+}
+
+// what Start will move
+function showStart() {
+  const starts = campaign.state === "planned" && plan !== null;
+  byId("ordered").hidden = !starts;
+  byId("takes").textContent = starts ? `takes ${duration(plan.document.duration)}` : "";
+  if (!starts || byId("motion").dataset.plan === String(plan.id)) return;
+  showMotion(byId("motion"), plan.document, plan.units);
+  byId("motion").dataset.plan = plan.id;
+}
+
+// s, null where it cannot be told. The plan knows the ways between poses
+function timeLeft() {
+  const { remaining } = campaign.progress;
+  if (remaining === null || !plan) return remaining;
+  const over = campaign.progress.total - (campaign.sweeps.planned ?? 0) - (campaign.sweeps.running ?? 0);
+  return plan.document.sweeps.slice(over).reduce((sum, sweep) => sum + sweep.duration, 0);
 }
 
 async function command(run) {
@@ -135,6 +141,7 @@ function drawChart(found) {
   }
   const ink = getComputedStyle(document.body).color;
   const grid = "rgba(128,128,128,.25)";
+  const room = Math.max(2, Math.floor(byId("chart").clientWidth / 60)); // for names of sweeps side by side
   const trace = {
     type: "scatter", mode: "markers", marker: { color: "#2f7ef0", size: 7 },
     x: inertia.map((point) => point.sweep),
@@ -143,7 +150,7 @@ function drawChart(found) {
   };
   Plotly.react("chart", [trace], {
     margin: { l: 60, r: 10, t: 10, b: 45 }, paper_bgcolor: "transparent", plot_bgcolor: "transparent", font: { color: ink },
-    xaxis: { title: { text: "sweep" }, type: "category", gridcolor: grid },
+    xaxis: { title: { text: "sweep", standoff: 10 }, type: "category", gridcolor: grid, nticks: room, automargin: true },
     yaxis: { title: { text: "inertia, kg m\u00b2" }, gridcolor: grid, zeroline: false },
   }, { displayModeBar: false, responsive: true });
 }
@@ -155,7 +162,7 @@ const refresh = refresher(async () => {
   await showCampaign();
 });
 
-byId("axes").addEventListener("click", acknowledge);
+watchAxes(command);
 byId("campaigns").addEventListener("change", () => showCampaign().catch(complain));
 for (const button of document.querySelectorAll("[data-command]")) {
   const name = button.dataset.command;

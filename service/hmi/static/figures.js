@@ -9,6 +9,10 @@ const TITLES = {
   evidence: "How far behind every other candidate is",
   parameters: "Parameters with two standard deviations",
 };
+const CAPTIONS = {
+  evidence: "Every other candidate in its place, and how far behind it is. Amber ones are not ruled out. Grey ones are: " +
+    "far behind (beyond the dashed line), or richer without explaining more, or against physics.",
+};
 const GRID = "rgba(128,128,128,.25)";
 
 export function drawFigures(place, figures, axis) {
@@ -17,10 +21,13 @@ export function drawFigures(place, figures, axis) {
   for (const [name, figure] of Object.entries(figures)) {
     place.append(element("h2", TITLES[name] ?? name));
     if (name === "map") place.append(...axis.sentences.map((sentence) => element("p", sentence)));
+    if (CAPTIONS[name]) place.append(element("p", CAPTIONS[name]));
     const plot = element("div", undefined, "figure");
     plot.id = `figure-${name}`;
     plot.style.height = `${figure.layout.height}px`;
-    place.append(plot);
+    const scroll = element("div", undefined, "scroll");
+    scroll.append(plot);
+    place.append(scroll);
     Plotly.newPlot(plot, figure.data, inColours(figure.layout), { displayModeBar: false, responsive: true });
   }
 }

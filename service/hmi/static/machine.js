@@ -2,6 +2,7 @@
 
 import { call, get, Refused } from "./api.js";
 import { byId, complain } from "./elements.js";
+import { showDoubt } from "./intent.js";
 
 // whether the service answered
 async function showMachine(show = () => {}) {
@@ -10,18 +11,27 @@ async function showMachine(show = () => {}) {
     const [drives, stop] = await Promise.all([get("/drives"), get("/stop")]);
     byId("held").hidden = !stop.latched;
     if (stop.latched) byId("held-by").textContent = `Stopped by ${stop.stop.by}: ${stop.stop.why}`;
-    state.textContent = stop.latched ? "stopped" : drives.connected ? "machine connected" : `no machine: ${drives.trouble}`;
-    state.className = `state ${stop.latched || !drives.connected ? "bad" : "good"}`;
+    const troubles = inTrouble(drives, stop);
+    state.textContent = troubles.join(", ") || "machine connected";
+    state.className = `state ${troubles.length ? "bad" : "good"}`;
     byId("connect").hidden = drives.connected;
+    showDoubt(drives);
     show(drives);
     return true;
   } catch (error) {
     state.textContent = error instanceof Refused ? error.message : "no word from the service";
     state.className = "state bad";
-    byId("intent").textContent = "Nobody here knows what the machine does: take it that it may move.";
-    byId("intent").className = "moving";
+    showDoubt(null);
     return false;
   }
+}
+
+function inTrouble(drives, stop) {
+  const troubles = [];
+  if (drives.axes.some((axis) => axis.fault?.emergency_stop)) troubles.push("EMERGENCY STOP");
+  if (stop.latched) troubles.push("stopped");
+  if (!drives.connected) troubles.push(`no machine: ${drives.trouble}`);
+  return troubles;
 }
 
 export function showCheckMove(move) {
