@@ -139,12 +139,14 @@ function effectParts(effect) {
 // -- into the model
 
 async function showAcceptance(axis) {
-  const named = axis.verdict === "named" && axis.effects.length > 0;
-  byId("acceptance").hidden = !named;
-  if (!named) return;
+  const named = axis.verdict === "named" ? axis.effects.map((effect) => plain(effect.effect)) : [];
+  const changed = [...new Set((axis.changes ?? []).map((change) => `${plain(change.effect)} as it is now`))];
+  const acceptable = named.length > 0 || (axis.verdict === "none" && changed.length > 0);
+  byId("acceptance").hidden = !acceptable;
+  if (!acceptable) return;
   const models = (await all(`/models?robot=${shown.robot_id}`)).filter((one) => one.diagnosis_id === shown.id);
   byId("accept").hidden = models.length > 0;
-  byId("accept-text").textContent = `${byId("axis").value}: ${axis.effects.map((effect) => plain(effect.effect)).join(", ")}`;
+  byId("accept-text").textContent = `${byId("axis").value}: ${[...named, ...changed].join(", ")}`;
   byId("accepted").replaceChildren(...models.flatMap((one) => [
     `Revision ${one.revision} of the robot's model, accepted by ${one.accepted_by}. `,
     link("Scenario of the twin", address(`/models/${one.id}/scenario.yaml`)),
