@@ -13,7 +13,7 @@ from drivers.cia402.connection import Connection, Fieldbus, Run
 from drivers.cia402.drive_sweep import DriveSweep
 from drivers.cia402.positioning import move
 from drivers.cia402.profile import AxisProfile
-from drivers.cia402.standing import watched
+from drivers.cia402.standing import Watched
 from drivers.cia402.stopping import bring_down
 from drivers.errors import DriveError, LimitExceeded, NotReady
 from drivers.ports import (
@@ -199,7 +199,7 @@ class Cia402Machine:
             completed = False
             try:
                 run = await self._start(link, commands, motion)
-                async with watched(link.thread, _others(link, motion), motion.stop), aclosing(run.blocks()) as blocks:
+                async with Watched(link.thread, _others(link, motion), motion.stop), aclosing(run.blocks()) as blocks:
                     async for block in blocks:
                         yield block
                 completed = True

@@ -2,8 +2,7 @@
 
 import asyncio
 import threading
-from collections.abc import AsyncGenerator, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import Sequence
 
 from drivers.cia402.axis import Axis
 from drivers.cia402.thread import DriveThread
@@ -12,19 +11,25 @@ from drivers.errors import SweepInterrupted
 POLL = 0.02  # s
 
 
-@asynccontextmanager
-async def watched(thread: DriveThread, standing: Sequence[Axis], stop: threading.Event) -> AsyncGenerator[None]:
-    """While the block runs a sweep: trouble of an axis that stands sets `stop`, and is raised in place of the stop."""
-    watch = asyncio.create_task(_watch(thread, standing, stop))
-    try:
-        yield
-    except SweepInterrupted:
-        if watch.done():
-            watch.result()
-        raise
-    finally:
-        watch.cancel()
-        await asyncio.gather(watch, return_exceptions=True)
+class Watched:
+    """While the block runs a sweep: trouble of an axis that stands sets `stop`, and is raised in place of the stop.
+
+    No generator: the end of an event loop closes those on its own, in any order.
+    """
+
+    def __init__(self, thread: DriveThread, standing: Sequence[Axis], stop: threading.Event) -> None:
+        self._work = thread, standing, stop
+
+    async def __aenter__(self) -> None:
+        self._watch = asyncio.create_task(_watch(*self._work))
+
+    async def __aexit__(self, _: object, error: BaseException | None, __: object) -> None:
+        over = self._watch.done() and not self._watch.cancelled()
+        found = self._watch.exception() if over else None
+        self._watch.cancel()
+        await asyncio.gather(self._watch, return_exceptions=True)
+        if found is not None and isinstance(error, SweepInterrupted):
+            raise found
 
 
 async def _watch(thread: DriveThread, standing: Sequence[Axis], stop: threading.Event) -> None:

@@ -134,13 +134,16 @@ async def test_a_machine_that_dies_is_lost_communication(mortal: Virtual, mode: 
 
 @pytest.mark.has(SweepMode.HOST_STREAMED)
 def test_a_busy_moment_of_the_machine_or_the_host_ends_no_streamed_sweep(mortal: Virtual) -> None:
-    """Both share a computer, and neither it nor its owner says when it is busy."""
+    """Both share a computer, and neither it nor its owner says when it is busy.
+
+    Where the kernel sends the set-points that the host planned, a host that plans no more ends the sweep, as it must.
+    """
     assert mortal.process is not None
     command = [sys.executable, "-c", HOST, json.dumps(mortal.profile), str(DRIVES), SweepMode.HOST_STREAMED.value]
     with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as host:
         assert host.stdout is not None
         assert host.stdout.readline() == b"moving\n"
-        for busy, seconds in ((mortal.process, 0.3), (host, 0.6)):
+        for busy, seconds in ((mortal.process, 0.3), *(() if mortal.bench.vcan else ((host, 0.6),))):
             before = mortal.order("status")["sync_counter"]
             busy.send_signal(signal.SIGSTOP)
             time.sleep(seconds)

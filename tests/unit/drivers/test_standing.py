@@ -6,7 +6,7 @@ import pytest
 
 from drivers.canopen.fieldbus import StreamedSweep
 from drivers.cia402.axis import Axis
-from drivers.cia402.standing import watched
+from drivers.cia402.standing import Watched
 from drivers.cia402.thread import DriveThread
 from drivers.errors import CommunicationLost, DriveFault, SweepInterrupted
 from drivers.ports import Sine, SweepCommand, SweepMode
@@ -52,7 +52,7 @@ async def test_a_streamed_sweep_ends_while_its_consumer_hangs() -> None:
         run = StreamedSweep(streaming.start(streaming.lane(1, periods=10**4), stop=stop), thread, {})
 
         async def hang() -> None:
-            async with watched(thread, [axis], stop):
+            async with Watched(thread, [axis], stop):
                 blocks = run.blocks()
                 await anext(blocks)
                 standing.announced = 0x4310
@@ -85,7 +85,7 @@ async def test_the_end_of_the_moving_axis_is_told_before_that_of_one_that_stands
     thread, axis = DriveThread("test"), Axis(standing)  # pyright: ignore[reportArgumentType]
 
     async def lose() -> None:
-        async with watched(thread, [axis], stop):
+        async with Watched(thread, [axis], stop):
             await eventually(stop.is_set)
             raise CommunicationLost("the cable")
 
