@@ -13,9 +13,16 @@ from time import monotonic
 from typing import Any
 
 import pytest
+from xdist.scheduler import LoadScopeScheduling
 
 ROOT = Path(__file__).resolve().parents[1]
 MACHINES = {"browser", "contract", "system"}  # folders of tests that mostly wait for a machine
+BESIDE = {
+    "tests/system/test_demo.py",
+    "tests/system/test_fault_table.py",
+    "tests/unit/drivers/test_host_sweep.py",
+    "tests/unit/drivers/test_host_sweep_ends.py",
+}
 RECKONING = 10  # nicer than a test that waits for a machine
 NICENESS = 0 if sys.platform == "win32" else os.getpriority(os.PRIO_PROCESS, 0)
 ROOMS = ("service", "drivers", "simulator")
@@ -31,23 +38,34 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return True if collection_path == ROOT / "tests" / "vcan" and not config.getoption("vcan") else None
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def group_of(nodeid: str) -> str:
     """What the processes of `make test` must not tear apart: tests of one file; all that move machines, one at a time.
 
-    A module elsewhere that keeps to real time, or whose machine bears another beside it, marks its tests itself:
-    `xdist_group("machines")`, `xdist_group("machines beside")`.
+    Those of `BESIDE` also keep to real time, but bear another machine beside theirs.
     """
-    for item in items:
-        if item.get_closest_marker("xdist_group") is None:
-            path = item.path.relative_to(ROOT)
-            item.add_marker(pytest.mark.xdist_group(str(path) if MACHINES.isdisjoint(path.parts) else "machines"))
+    path = nodeid.partition("::")[0]
+    if path in BESIDE:
+        return "machines beside"
+    return path if MACHINES.isdisjoint(path.split("/")) else "machines"
+
+
+class Apart(LoadScopeScheduling):
+    """One group of tests after the other to whichever process is free, the largest first."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return group_of(nodeid)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Apart:
+    """The groups by name: pytest 9.2 no longer shows the marks of items to xdist 3.8."""
+    return Apart(config, log)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Beside machines that keep to real time, tests that reckon give way. Only root may take that back."""
     if hasattr(item.config, "workerinput") and sys.platform != "win32":
-        group = item.get_closest_marker("xdist_group")
-        reckons = group is None or not str(group.args[0]).startswith("machines")
+        reckons = not group_of(item.nodeid).startswith("machines")
         with suppress(PermissionError):
             os.setpriority(os.PRIO_PROCESS, 0, NICENESS + RECKONING * reckons)
 

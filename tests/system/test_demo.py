@@ -17,10 +17,7 @@ import yaml
 from service.store.bundle import read_bundle
 from tests.system.test_rest_campaign import INTERRUPTIBLE
 
-pytestmark = [
-    pytest.mark.skipif(sys.platform == "win32", reason="interrupts by POSIX signals"),
-    pytest.mark.xdist_group("machines beside"),
-]
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="interrupts by POSIX signals")
 
 
 SEED = 3  # hides Coulomb friction, which the first sweeps of a diagnosis cannot tell from an offset

@@ -38,7 +38,6 @@ ADAPTERS = (
     Adapter("CANopen, streamed sweep", Fieldbus.CANOPEN, "host_streamed"),
     Adapter("Modbus TCP", Fieldbus.MODBUS_TCP, "drive_side"),
 )
-BESIDE = pytest.mark.xdist_group("machines beside")  # mostly waits: while other tests move another machine
 OR = "<br>or "  # between the outcomes of a race, in a cell that a person has completed
 STREAMED = {ADAPTERS[1].name}
 ON_CAN = {ADAPTERS[0].name, ADAPTERS[1].name}
@@ -230,7 +229,7 @@ def write_table(table: Table) -> None:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if {"bench", "fault"} <= set(metafunc.fixturenames):
         cells = [
-            pytest.param(adapter, fault, id=f"{adapter.name}-{fault.name}", marks=BESIDE)
+            pytest.param(adapter, fault, id=f"{adapter.name}-{fault.name}")
             for adapter in ADAPTERS
             for fault in FAULTS
             if adapter.name in fault.adapters

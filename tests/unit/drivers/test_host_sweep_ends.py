@@ -15,8 +15,6 @@ from drivers.canopen.host_sweep import HostSweep
 from drivers.canopen.lane import Ending
 from tests.unit.drivers.streaming_bench import OFF, Drive, bench, run_to_end
 
-pytestmark = pytest.mark.xdist_group("machines beside")  # streams in real time
-
 
 async def test_an_error_that_nobody_thought_of_stops_the_axes_before_the_consumer_hears_of_it(
     monkeypatch: pytest.MonkeyPatch,
