@@ -1,0 +1,174 @@
+r"""Inertia from the frequency response of a drive's speed control loop, on the motor side.
+
+Speed set-point r to speed v. The controller's gain K makes the torque K e of e = r - v, and with
+
+    r/v = 1 + (a s + c) e^(s tau) D(s),        a = J/K,  c = mu/K
+
+a rigid train answers that comes `tau` late (current control, filters). D = 1 where the integral part sees the
+reference model of the loop, or where there is none; D = Ti s/(1 + Ti s) where it acts on e. Without the gain, only a,
+in s, can be told; no speed says how large a torque was.
+
+Torque to speed. Then J itself shows:  torque/v = s (Jm + (J - Jm)/(1 - (f/f0)^2)) + mu,  with the rotor's inertia Jm
+and the lowest antiresonance f0 (where the load swings and the motor stands), where they are known.
+
+The model is fitted to the lines of a band, unweighted, for what is left over is far above the noise: it repeats in both
+directions and from period to period. Its standard deviation is hence that of the parts: the band is divided into
+G = `PARTS` stretches of lines, var = (G - 1)/G sum_g (theta_g - mean)^2 of the fits without one each, times
+(t_0.975(G - 1)/1.96)^2, so that two standard deviations hold 95 %; or what least squares say, if that is larger.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from service.errors import BadInput
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+FOLLOWS = 0.5  # |v/r| down to which the loop is used: beyond, structural modes and delays rule
+RIGID = 0.5  # of the lowest antiresonance up to which torque to speed is used
+PARTS = 5
+FEWEST = 12  # lines
+DELAY = 1e-3  # s, at which the fit starts
+
+
+@dataclass(frozen=True)
+class LoopFit:
+    """`inertia`: J/K in s of a closed loop, J in kg m^2 of a torque response; `friction` c or mu.
+
+    `band` Hz and number of `lines` used; `misfit`: RMS of what is left over, relative to the response. `ended`: how the
+    iteration ended; a linear fit needs none.
+    """
+
+    inertia: float
+    inertia_std: float
+    friction: float
+    friction_std: float
+    delay: float | None  # s
+    band: tuple[float, float]
+    lines: int
+    misfit: float
+    converged: bool
+    ended: str
+
+
+@dataclass(frozen=True)
+class _Solution:
+    values: Array  # (p,)
+    covariance: Array  # (p, p), of least squares
+    misfit: float
+    converged: bool = True
+    ended: str = "linear: no iteration"
+
+
+def fit_closed_loop(frequency: Array, response: Complex, place: str, reset_time: float | None = None) -> LoopFit:
+    """From v/r (b,) at `frequency` (b,), Hz; BadInput at `place` where it is no loop that follows.
+
+    `reset_time` s: of an integral part that acts on the control error; None: it does not answer the set-point.
+    """
+    inside = _band(frequency, _follows(response), place)
+    f, measured = frequency[inside], response[inside]
+    s: Complex = np.multiply(2j * np.pi, f, dtype=np.complex128)
+    integral: Complex = np.ones_like(s) if reset_time is None else reset_time * s / (1 + reset_time * s)
+    first = float(np.median(((1 / measured - 1) / integral / s).real[:FEWEST]))
+
+    def solve(used: NDArray[np.int_]) -> _Solution:
+        def error(x: Array) -> Array:
+            train = (x[0] * first * s[used] + x[2]) * np.exp(s[used] * x[1] * DELAY)
+            left = 1 / (1 + train * integral[used]) - measured[used]
+            return np.concatenate([left.real, left.imag])
+
+        found = least_squares(error, np.array([1.0, 1.0, 0.0]), method="lm", x_scale=np.array([0.1, 0.1, 0.01]))
+        solution = _of_jacobian(np.asarray(found.x), np.asarray(found.jac), np.asarray(found.fun), measured[used])
+        return replace(solution, converged=bool(found.success), ended=" ".join(str(found.message).split()))
+
+    whole, std = _with_parts(len(f), solve)
+    if not whole.converged or not whole.values[0] * first > 0:
+        raise BadInput(place, f"shows no inertia from {f[0]:.3g} to {f[-1]:.3g} Hz: {whole.ended}")
+    return LoopFit(
+        inertia=float(whole.values[0] * first),
+        inertia_std=float(std[0] * abs(first)),
+        friction=float(whole.values[2]),
+        friction_std=float(std[2]),
+        delay=float(whole.values[1] * DELAY),
+        band=(float(f[0]), float(f[-1])),
+        lines=len(f),
+        misfit=whole.misfit,
+        converged=whole.converged,
+        ended=whole.ended,
+    )
+
+
+def fit_torque_response(
+    frequency: Array,
+    response: Complex,
+    place: str,
+    lowest: float = 0.0,
+    antiresonance: float | None = None,
+    motor_inertia: float = 0.0,
+) -> LoopFit:
+    """From v/torque (b,), rad/s per N m, at `frequency` (b,), Hz, from `lowest` on; BadInput for too few lines."""
+    highest = np.inf if antiresonance is None else RIGID * antiresonance
+    inside = _band(frequency, (frequency >= lowest) & (frequency <= highest), place)
+    f, measured = frequency[inside], response[inside]
+    s: Complex = np.multiply(2j * np.pi, f, dtype=np.complex128)
+    swing = np.ones_like(f) if antiresonance is None else 1 / (1 - (f / antiresonance) ** 2)
+    rows: Complex = np.stack([s * swing * measured, measured], -1)
+    values: Complex = 1 - s * motor_inertia * (1 - swing) * measured
+
+    def solve(used: NDArray[np.int_]) -> _Solution:
+        matrix = np.vstack([rows[used].real, rows[used].imag])
+        right = np.concatenate([values[used].real, values[used].imag])
+        x = np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0], dtype=float)
+        return _of_jacobian(x, matrix, matrix @ x - right, np.ones(len(used), dtype=np.complex128))
+
+    whole, std = _with_parts(len(f), solve)
+    return LoopFit(
+        inertia=float(whole.values[0]),
+        inertia_std=float(std[0]),
+        friction=float(whole.values[1]),
+        friction_std=float(std[1]),
+        delay=None,
+        band=(float(f[0]), float(f[-1])),
+        lines=len(f),
+        misfit=whole.misfit,
+        converged=whole.converged,
+        ended=whole.ended,
+    )
+
+
+def _follows(response: Complex) -> NDArray[np.bool_]:
+    """Lines (b,) up to where the loop stops following: two neighbours below `FOLLOWS`."""
+    weak = np.abs(response) < FOLLOWS
+    stop = np.flatnonzero(weak[:-1] & weak[1:])
+    return np.arange(len(response)) < (stop[0] if len(stop) else len(response))
+
+
+def _band(frequency: Array, wanted: NDArray[np.bool_], place: str) -> NDArray[np.int_]:
+    inside = np.flatnonzero(wanted & (frequency > 0))
+    if len(inside) < FEWEST:
+        raise BadInput(place, f"has {len(inside)} lines where the train is rigid and the loop follows, needs {FEWEST}")
+    return inside
+
+
+def _of_jacobian(values: Array, jacobian: Array, left: Array, measured: Complex) -> _Solution:
+    """Of residuals `left` (m,) with their derivatives (m, p), relative to what was `measured`."""
+    variance = float(left @ left) / (len(left) - len(values))
+    covariance = np.asarray(variance * np.linalg.pinv(jacobian.T @ jacobian), dtype=float)
+    return _Solution(values, covariance, float(np.linalg.norm(left) / np.linalg.norm(measured)))
+
+
+def _with_parts(count: int, solve: Callable[[NDArray[np.int_]], _Solution]) -> tuple[_Solution, Array]:
+    """The fit of all `count` lines and its standard deviations (p,); see the module's header."""
+    lines = np.arange(count)
+    whole = solve(lines)
+    without = np.array([solve(lines[lines * PARTS // count != part]).values for part in range(PARTS)])
+    factor = float(student.ppf(0.975, PARTS - 1) / norm.ppf(0.975))
+    by_parts = factor**2 * (PARTS - 1) * np.var(without, axis=0)
+    return whole, np.sqrt(np.maximum(by_parts, np.diag(whole.covariance)))

@@ -1,0 +1,202 @@
+"""What a file of the control tells of its axis, as JSON-able data: recording, frequency response, inertia.
+
+A closed speed loop holds no torque: its inertia comes in kg m^2 only with the controller's gain, which a person gives
+or the file has among its parameters (p1460). Without it stands J/K, in s.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.errors import BadInput
+from service.identification.speed_loop import LoopFit, fit_closed_loop, fit_torque_response
+from service.sinumerik.measurement import Measurement
+from service.sinumerik.signals import GAIN, PARAMETERS, Quantity
+from service.sinumerik.tuning import Tuning
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+COHERENT = 0.5  # of a line that takes part where the file has a coherence
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """What a person knows beside the file: of the speed controller the gain, N m s/rad, and the reset time, s, of an
+    integral part that acts on the control error (None: it sees the reference model, or there is none); the gear ratio,
+    rad of the motor per rad (m) of the joint, where it is not the one in the file."""
+
+    gain: float | None = None
+    reset_time: float | None = None
+    gear_ratio: float | None = None
+
+
+def measurement_document(found: Measurement, given: Given, place: str) -> dict[str, Any]:
+    """`inertia` by its time series and by its own spectrum; BadInput at `place` where neither shows one."""
+    ways = {"time_series": _by_series(found, given, place), "spectrum": _by_spectrum(found, given, place)}
+    closed = found.input.meaning.quantity is Quantity.SPEED_SETPOINT
+    ratio = given.gear_ratio or found.motor_to_axis
+    gain = (given.gain or found.parameters.get(GAIN)) if closed else 1.0
+    return {
+        "kind": "frequency response",
+        "version": found.version,
+        "axis": f"axis {found.axis}",
+        "measured_at": found.measured_at,
+        "input": found.input.meaning.name,
+        "output": found.output.meaning.name,
+        "excitation": {
+            "signal": f"PRBS of order {found.order}, one period of {len(found.output.series[0])} samples",
+            "sample_interval": found.sample_interval,
+            "bandwidth": found.bandwidth,
+            "amplitude": found.amplitude,
+            "unit": found.input.meaning.unit,
+            "offset": found.offset,
+            "offset_rpm": found.offset * 60 / (2 * np.pi),
+            "periods_averaged": found.periods,
+            "directions": len(found.output.series),
+        },
+        "motor_to_axis": ratio,
+        "torque_constant": found.torque_constant,
+        "parameters": {PARAMETERS[key]: value for key, value in found.parameters.items()},
+        "inertia": {way: _inertia(fit, gain, ratio, found.rotary) for way, fit in ways.items()},
+        "speed_controller_gain": gain if closed else None,
+        "cannot_tell": _unknown(found, gain),
+        "frequencies_too_high_percent": 100 * found.axis_error,
+        "unread": list(found.unread),
+    }
+
+
+def tuning_document(found: Tuning, given: Given, place: str) -> dict[str, Any]:
+    """The control's own inertia, and ours from its response, with a standard deviation."""
+    plant, ratio = found.plant, given.gear_ratio or 1 / found.axis_per_motor
+    good = np.ones(len(plant.frequency), dtype=bool) if plant.coherence is None else plant.coherence >= COHERENT
+    fit = fit_torque_response(
+        plant.frequency[good],
+        plant.response[good],
+        place,
+        lowest=found.lowest_frequency,
+        antiresonance=found.antiresonance,
+        motor_inertia=found.motor_inertia,
+    )
+    return {
+        "kind": "automatic servo tuning",
+        "version": found.version,
+        "axis": found.axis,
+        "measured_at": found.measured_at,
+        "motor_to_axis": ratio,
+        "inertia": {"response": _inertia(fit, 1.0, ratio, found.rotary)},
+        "by_control": {
+            "motor_inertia": found.motor_inertia,
+            "total_inertia": found.total_inertia,
+            "viscous_friction": found.friction,
+            "antiresonance": found.antiresonance,
+        },
+        "speed_controllers": [
+            {"gain": each.gain, "reset_time": each.reset_time, "reference_model": each.reference_model}
+            for each in found.regulators
+        ],
+        "cannot_tell": ["dry friction and gravity: the response is of small motions about a speed"],
+        "unread": list(found.unread),
+    }
+
+
+def response_table(found: Measurement | Tuning) -> dict[str, Array]:
+    """Columns of the frequency response as the file has it, at true frequencies."""
+    if isinstance(found, Tuning):
+        plant = found.plant
+        coherence = {} if plant.coherence is None else {"coherence": plant.coherence}
+        return {"frequency": plant.frequency, "re": plant.response.real, "im": plant.response.imag, **coherence}
+    response = found.spectra.response
+    return {
+        "frequency": found.frequency,
+        "re": response.real,
+        "im": response.imag,
+        "coherence": found.spectra.coherence,
+        "frequency_in_file": found.spectra.frequency,
+    }
+
+
+def recording_table(found: Measurement) -> dict[str, Array]:
+    """Columns of the time series: input and output of every direction, on the motor side."""
+    time = np.asarray(np.arange(len(found.output.series[0])) * found.sample_interval, dtype=float)
+    columns = {"time": time}
+    for number, (inward, outward) in enumerate(zip(found.input.series, found.output.series, strict=True), start=1):
+        columns |= {f"input_{number}": inward, f"output_{number}": outward}
+    return columns
+
+
+def _by_series(found: Measurement, given: Given, place: str) -> LoopFit:
+    """Every direction alone, by the DFT of its period; their mean, no surer than their difference."""
+    fits: list[LoopFit] = []
+    for inward, outward in zip(found.input.series, found.output.series, strict=True):
+        driven = np.fft.rfft(inward)[1 : len(found.frequency)]
+        if np.abs(driven).min() < 1e-6 * np.abs(driven).max():
+            raise BadInput(place, "its input has a line without power: not one period of the sequence")
+        response = np.fft.rfft(outward)[1 : len(found.frequency)] / driven
+        fits.append(_fit(found, found.frequency[1:], response, given, f"{place} time series"))
+    values = np.array([fit.inertia for fit in fits])
+    apart = float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
+    worst = max(fits, key=lambda fit: fit.inertia_std)
+    return LoopFit(
+        inertia=float(values.mean()),
+        inertia_std=float(np.hypot(worst.inertia_std, apart)),
+        friction=float(np.mean([fit.friction for fit in fits])),
+        friction_std=worst.friction_std,
+        delay=worst.delay,
+        band=worst.band,
+        lines=worst.lines,
+        misfit=worst.misfit,
+        converged=all(fit.converged for fit in fits),
+        ended=worst.ended,
+    )
+
+
+def _by_spectrum(found: Measurement, given: Given, place: str) -> LoopFit:
+    """The control's averaged spectra, at the frequencies that it tells."""
+    good = found.spectra.coherence >= COHERENT
+    good[0] = False
+    frequency, response = found.spectra.frequency[good], found.spectra.response[good]
+    return _fit(found, frequency, response, given, f"{place} spectrum")
+
+
+def _fit(found: Measurement, frequency: Array, response: Complex, given: Given, place: str) -> LoopFit:
+    inward, outward = found.input.meaning.quantity, found.output.meaning.quantity
+    if outward is not Quantity.SPEED or inward not in (Quantity.SPEED_SETPOINT, Quantity.TORQUE, Quantity.CURRENT):
+        raise BadInput(place, f"is of {found.output.meaning.name} over {found.input.meaning.name}: shows no inertia")
+    if inward is Quantity.SPEED_SETPOINT:
+        return fit_closed_loop(frequency, response, place, given.reset_time)
+    if inward is Quantity.CURRENT:
+        response = response / found.torque_constant
+    return fit_torque_response(frequency, response, place)
+
+
+def _inertia(fit: LoopFit, gain: float | None, motor_to_axis: float, rotary: bool) -> dict[str, Any]:
+    scaled = None if gain is None else {"value": gain * fit.inertia, "std": gain * fit.inertia_std}
+    return {
+        "motor_side": scaled,
+        "axis_side": None if scaled is None else {name: motor_to_axis**2 * value for name, value in scaled.items()},
+        "axis_unit": "kg m^2" if rotary else "kg",
+        "over_gain": {"value": fit.inertia, "std": fit.inertia_std, "unit": "s"} if fit.delay is not None else None,
+        "delay": fit.delay,
+        "band": list(fit.band),
+        "lines": fit.lines,
+        "misfit_percent": 100 * fit.misfit,
+        "converged": fit.converged,
+        "ended": fit.ended,
+    }
+
+
+def _unknown(found: Measurement, gain: float | None) -> list[str]:
+    missing = [
+        "dry friction, gravity and offsets: the response is of small motions about a speed",
+        "rotor and load apart: below the first antiresonance they move as one",
+    ]
+    if gain is not None:
+        return missing
+    torque = (
+        "inertia in kg m^2: a closed speed loop holds no torque, and the file not the gain of its controller "
+        "(p1460, N m s/rad): give it as --speed-gain"
+    )
+    return [torque, *missing]
