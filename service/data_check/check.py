@@ -1,0 +1,64 @@
+"""All checks of all axes, in the order in which one spoils the next."""
+
+from collections.abc import Sequence
+
+from service.data_check.channels import frozen
+from service.data_check.clipping import clipping
+from service.data_check.clock import clock
+from service.data_check.effort import effort, seen
+from service.data_check.effort_delay import effort_delay
+from service.data_check.finding import Code, Finding
+from service.data_check.kinematics import slopes
+from service.data_check.load_encoder import load_encoder
+from service.data_check.lost_samples import lost_samples
+from service.data_check.motion import commanded, motion
+from service.data_check.quantisation import quantisation
+from service.data_check.record import AxisRecords
+from service.data_check.repeatability import repeatability
+from service.data_check.response import responses
+from service.data_check.robot_file import description, nominals, rated_effort
+from service.data_check.spikes import spikes
+from service.data_check.start import start
+from service.recording import Sweep
+from service.robot import Robot
+
+DISPLACED: tuple[Code, ...] = ("position_unit", "position_sign", "motion_sign")  # then no position starts at its pose
+
+
+def check(robot: Robot, sweeps: Sequence[Sweep]) -> tuple[Finding, ...]:
+    """What is wrong or odd with recordings and robot file, the robot's own first, then axis by axis, base to tip.
+
+    `sweeps` as read from a bundle: known joints, poses of the robot's length, finite columns of one length.
+    """
+    joints = {sweep.spec.axis for sweep in sweeps}
+    axes = [finding for joint in robot.joints if joint in joints for finding in _axis(robot, joint, sweeps)]
+    return (*description(robot), *axes)
+
+
+def _axis(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> list[Finding]:
+    own = tuple(sweep for sweep in sweeps if sweep.spec.axis == joint)
+    axis = AxisRecords.of(robot, joint, own)
+    followed = commanded(axis)
+    of_motion = motion(axis, slopes(axis), followed)
+    codes = {finding.code for finding in of_motion}
+    found = responses(axis, {one.record.id: one for one in followed})
+    # without a set-point a wrong motion would be taken for a wrong effort
+    inertia = seen(axis, found) if followed or not codes else None
+    of_effort = effort(axis, inertia)
+    sound = not of_effort and not codes
+    return [
+        *clock(axis, own),
+        *nominals(axis),
+        *frozen(axis),
+        *clipping(axis),
+        *(quantisation(axis) if sound else []),  # steps are told in SI
+        *spikes(axis),
+        *lost_samples(axis),
+        *of_motion,
+        *(start(axis) if not codes & set(DISPLACED) else []),
+        *of_effort,
+        *(effort_delay(axis, found) if sound else []),
+        *load_encoder(axis),
+        *(rated_effort(axis) if sound and inertia is not None and inertia.fits else []),
+        *repeatability(axis),
+    ]

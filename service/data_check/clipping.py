@@ -1,0 +1,59 @@
+"""Flat tops: the extreme value of a channel occurs far more often than the values beside it.
+
+Noise that is added before a limit piles up on it; without a limit the extreme of a channel without steps occurs once,
+and of one with steps about as often as its neighbour. What rests on an extreme because the axis hardly moves there is
+told apart by the neighbour, too: a rounded top fills the last steps alike.
+"""
+
+import numpy as np
+
+from service.data_check.finding import Finding, named
+from service.data_check.record import AxisRecords
+from service.recording import Array
+
+PILE = 10  # samples on the extreme
+SHARE = 0.003  # of the window
+ALONE = 0.02  # of the window, in a single sweep
+OVER = 4.0  # times what lies on the neighbouring step, or within as much of the range
+
+
+def clipping(axis: AxisRecords) -> list[Finding]:
+    """One finding a channel, with the share of samples that lie on the limit."""
+    findings: list[Finding] = []
+    for name in ("effort", "velocity"):
+        found: list[tuple[str, float, float]] = []
+        for record in axis.those(lambda record: record.spec.moves):
+            values: Array = getattr(record, name)
+            for sign in (1.0, -1.0):
+                share = _on_limit(sign * values, record.steps[name])
+                if share > 0:
+                    found.append((record.id, share, sign * float((sign * values).max())))
+        # a limit holds for all sweeps: a few samples of a single one may lie alike by chance
+        if len({sweep for sweep, _, _ in found}) > 1 or any(share > ALONE for _, share, _ in found):
+            ids = tuple(dict.fromkeys(sweep for sweep, _, _ in found))
+            _, share, limit = max(found, key=lambda one: one[1])
+            of_rated = f", {100 * abs(limit) / axis.axis.rated_effort:.3g} % of rated effort" * (name == "effort")
+            findings.append(
+                Finding(
+                    "clipped", "wrong", axis.joint, ids, share, SHARE,
+                    f"{axis.joint}: {name} ends at {limit:.6g}{of_rated}: up to {100 * share:.2g} % of the samples lie "
+                    f"exactly there ({named(ids)}).",
+                    "Measure with smaller amplitudes, or raise the limit or the range of the channel.",
+                )
+            )  # fmt: skip
+    return findings
+
+
+def _on_limit(values: Array, step: float) -> float:
+    """Share of the window on the largest value, 0 where that is no limit."""
+    top = float(values.max())
+    width = float(np.ptp(values))
+    if width == 0:
+        return 0.0
+    grain = step if step > 1e-5 * width else 1e-5 * width
+    on = int(np.count_nonzero(values > top - 0.5 * grain))
+    beside = int(np.count_nonzero((values > top - 1.5 * grain) & (values <= top - 0.5 * grain)))
+    if step > 0.02 * width:  # a handful of steps: a sine rests on its last one
+        beside = max(beside, on // 2)
+    enough = on > max(PILE, SHARE * len(values))
+    return on / len(values) if enough and on > OVER * beside else 0.0

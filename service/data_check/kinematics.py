@@ -1,0 +1,67 @@
+r"""Velocity against the slope of position: one encoder gives both.
+
+Over the window
+
+    position(t) = p0 + k W(t) + k D velocity(t),        W = integral of velocity
+
+with k = 1 where the units agree. A velocity that comes D late has W(t) = way(t - D) = way(t) - D v(t), so D is the
+coefficient of velocity itself. Nothing is differentiated, so noise costs nothing.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.data_check.record import AxisRecords, Record
+from service.recording import Array
+
+TRAVEL = 20.0  # steps of the position's resolution that a window must go through
+VARIES = 0.02  # of the fastest: a velocity that varies less shows no delay
+
+
+@dataclass(frozen=True)
+class Slope:
+    """Of one record: `gain` k and by how much noise and rounding may make it wrong, `delay` D in s the same."""
+
+    record: Record
+    gain: float
+    gain_error: float
+    delay: float | None  # None where velocity hardly varies
+    delay_error: float
+
+
+def slopes(axis: AxisRecords) -> tuple[Slope, ...]:
+    """Of all records that go somewhere."""
+    found = [_slope(record) for record in axis.those(lambda record: record.travels)]
+    return tuple(slope for slope in found if slope is not None)
+
+
+def _slope(record: Record) -> Slope | None:
+    velocity, position = record.velocity, record.position - record.position[0]
+    if np.ptp(velocity) == 0 or np.ptp(position) <= TRAVEL * record.steps["position"] or np.ptp(position) == 0:
+        return None
+    way = np.concatenate([[0.0], np.cumsum(velocity[1:] + velocity[:-1]) / 2]) / record.rate
+    columns = np.stack([way, velocity, np.ones_like(way)], -1)
+    scale = np.array([float(np.ptp(way)), float(np.ptp(velocity)), 1.0])
+    unit = columns / scale
+    solution = np.linalg.pinv(unit) @ position
+    values = np.asarray(solution / scale, dtype=float)
+    error = _errors(unit, position - unit @ solution) / scale
+    steady = abs(record.spec.offset_velocity)
+    rounding = record.steps["velocity"] / 2 / steady if steady else 0.0
+    fastest = float(np.abs(velocity).max())
+    gain = float(values[0])
+    shows_delay = gain != 0 and float(np.std(velocity)) > VARIES * fastest
+    return Slope(
+        record,
+        gain,
+        float(error[0]) + rounding,
+        float(values[1]) / gain if shows_delay else None,
+        abs(float(error[1]) / gain) if shows_delay else 0.0,
+    )
+
+
+def _errors(columns: Array, rest: Array) -> Array:
+    """Standard errors (c,) of least squares whose rest is slow: as if a twentieth of the samples were independent."""
+    covariance = np.linalg.pinv(columns.T @ columns) * float(rest @ rest) / max(len(rest) / 20, 1.0)
+    return np.sqrt(np.diag(covariance))

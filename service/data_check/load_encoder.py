@@ -1,0 +1,37 @@
+"""The direct encoder against the motor's: a gear ratio, unit or sign that is not that of the robot file.
+
+Twist under gravity and gear error are milliradians; over the way of all poses together that is below the limit.
+"""
+
+import numpy as np
+
+from service.data_check.finding import Finding, named
+from service.data_check.record import AxisRecords
+from service.data_check.units import motion_unit
+
+LIMIT = 0.02  # relative
+WAY = 0.05  # rad (m): with less, twist and gear error outweigh the way
+
+
+def load_encoder(axis: AxisRecords) -> list[Finding]:
+    """Slope of load position over motor position, over all records that travel."""
+    records = axis.those(lambda record: record.travels and record.load_position is not None)
+    motor = np.concatenate([record.position for record in records]) if records else np.zeros(0)
+    load = np.concatenate([part for record in records if (part := record.load_position) is not None] or [np.zeros(0)])
+    if not records or np.ptp(motor) < WAY:
+        return []
+    away = motor - motor.mean()
+    gain = float(away @ (load - load.mean())) / float(away @ away)
+    if abs(gain - 1) <= LIMIT:
+        return []
+    ids = tuple(record.id for record in records)
+    unit = motion_unit(axis, gain, velocity=False)
+    guess = f", as if one were in {unit}" if unit else ""
+    return [
+        Finding(
+            "gear_ratio", "wrong", axis.joint, ids, gain, LIMIT,
+            f"{axis.joint}, {named(ids)}: the direct encoder moves {gain:.5g} times as far as the motor's{guess}, "
+            f"limit 1 +- {LIMIT:g}.",
+            f"Check gear_ratio ({axis.axis.gear_ratio:g}), sign and unit of both encoders.",
+        )
+    ]  # fmt: skip

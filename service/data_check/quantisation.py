@@ -1,0 +1,49 @@
+"""Steps of a channel: too large to see what a sweep shows.
+
+Drives tell torque in per mille of the rated torque (CiA 402, object 6077): that is a common step, which noise rounds
+off. An 8-bit channel over both directions of the rated torque has steps eight times as large.
+"""
+
+import numpy as np
+
+from service.data_check.finding import Finding, named
+from service.data_check.record import AxisRecords, Record
+
+EFFORT = 0.0025  # of rated effort
+VELOCITY = 0.05  # of the fastest that was commanded
+POSITION = 0.02  # of the way through the window
+
+
+def quantisation(axis: AxisRecords) -> list[Finding]:
+    """One finding a channel."""
+    findings: list[Finding] = []
+    for name, limit, of in (
+        ("effort", EFFORT, "rated effort"),
+        ("velocity", VELOCITY, "the fastest commanded velocity"),
+        ("position", POSITION, "the way of a sweep"),
+    ):
+        found: list[tuple[str, float]] = []
+        for record in axis.those(lambda record: record.spec.moves):
+            if name != "effort" and not record.turns:  # a slow axis about standstill makes few steps
+                continue
+            whole = _whole(axis, record, name)
+            step = record.steps[name] / whole if whole else 0.0
+            if step > limit:
+                found.append((record.id, step))
+        if found:
+            ids, value = tuple(sweep for sweep, _ in found), float(np.median([step for _, step in found]))
+            findings.append(
+                Finding(
+                    "coarse", "wrong", axis.joint, ids, value, limit,
+                    f"{axis.joint}: {name} comes in steps of {100 * value:.3g} % of {of}, limit {100 * limit:.3g} % "
+                    f"({named(ids)}).",
+                    f"Record {name} with more bits, or scale the channel to the range that the sweeps use.",
+                )
+            )  # fmt: skip
+    return findings
+
+
+def _whole(axis: AxisRecords, record: Record, name: str) -> float:
+    if name == "effort":
+        return axis.axis.rated_effort
+    return record.peak if name == "velocity" else float(np.ptp(record.position))

@@ -1,0 +1,161 @@
+"""The records of one axis as the checks look at them: the measured window of each sweep."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from service.identification.regressor import inertia_rows
+from service.identification.trajectory_record import runs_at_once
+from service.recording import Array, Sweep, SweepSpec
+from service.robot import Axis, Robot
+
+SHORTEST = 32  # samples of a window: with fewer there is nothing to judge
+
+
+@dataclass(frozen=True)
+class Record:
+    """One sweep; `effort`, `velocity`, `position` (n,) are those of its measured window, SI on the joint side."""
+
+    sweep: Sweep
+    part: slice
+
+    @classmethod
+    def of(cls, sweep: Sweep) -> "Record":
+        """The window as far as the record reaches."""
+        spec, time = sweep.spec, sweep.recording.time
+        first = int(np.searchsorted(time, spec.measure_from - 0.5 / spec.sample_rate))
+        last = len(time)
+        if spec.period is not None and spec.periods is not None:
+            last = min(last, first + round(min(spec.period * spec.periods * spec.sample_rate, 1e9)))
+        return cls(sweep, slice(first, last))
+
+    @property
+    def spec(self) -> SweepSpec:
+        return self.sweep.spec
+
+    @property
+    def id(self) -> str:
+        return self.spec.id
+
+    @property
+    def rate(self) -> float:
+        return self.spec.sample_rate
+
+    @property
+    def count(self) -> int:
+        """Samples of the window."""
+        return max(self.part.stop - self.part.start, 0)
+
+    @cached_property
+    def effort(self) -> Array:
+        return self.sweep.recording.effort[self.part]
+
+    @cached_property
+    def velocity(self) -> Array:
+        return self.sweep.recording.velocity[self.part]
+
+    @cached_property
+    def position(self) -> Array:
+        return self.sweep.recording.position[self.part]
+
+    @cached_property
+    def steps(self) -> dict[str, float]:
+        """`resolution` of effort, velocity and position."""
+        return {name: resolution(getattr(self, name)) for name in ("effort", "velocity", "position")}
+
+    @property
+    def load_position(self) -> Array | None:
+        load = self.sweep.recording.load_position
+        return None if load is None else load[self.part]
+
+    @property
+    def turns(self) -> bool:
+        """Moves one way all along, as commanded."""
+        return self.spec.offset_velocity != 0 and self.spec.excitation in ("multisine", "noise")
+
+    @property
+    def travels(self) -> bool:
+        """Goes somewhere: one way, or along a trajectory."""
+        return self.turns or self.spec.excitation == "trajectory"
+
+    @property
+    def alone(self) -> bool:
+        """No other axis moved with it."""
+        return not runs_at_once(self.spec)
+
+    @property
+    def peak(self) -> float:
+        """The fastest that was commanded, rad/s (m/s); 0 for trajectories."""
+        return abs(self.spec.offset_velocity) + sum(sine.amplitude for sine in self.spec.sines)
+
+
+@dataclass(frozen=True)
+class AxisRecords:
+    """All records of one axis that are long enough to be judged."""
+
+    robot: Robot
+    index: int
+    records: tuple[Record, ...]
+
+    @classmethod
+    def of(cls, robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> "AxisRecords":
+        records = [Record.of(sweep) for sweep in sweeps if sweep.spec.axis == joint]
+        return cls(robot, robot.index(joint), tuple(record for record in records if record.count >= SHORTEST))
+
+    @property
+    def axis(self) -> Axis:
+        return self.robot.axes[self.index]
+
+    @property
+    def joint(self) -> str:
+        return self.axis.joint
+
+    @property
+    def prismatic(self) -> bool:
+        return self.robot.chain.joints[self.index].kind == "prismatic"
+
+    @property
+    def unit(self) -> str:
+        """Of effort."""
+        return "N" if self.prismatic else "N m"
+
+    def those(self, chosen: Callable[[Record], bool]) -> tuple[Record, ...]:
+        return tuple(record for record in self.records if chosen(record))
+
+    def load_inertia(self, pose: Sequence[float], index: int | None = None) -> float:
+        """What CAD says of the links behind an axis in a pose, kg m^2 (kg); `index`: another axis than this."""
+        links = self.robot.chain.inertial.ravel()
+        return float(inertia_rows(self.robot.chain, self.index if index is None else index, np.array(pose))[0] @ links)
+
+    def nominal_inertia(self, pose: Sequence[float], index: int | None = None) -> float:
+        """The same with the motor."""
+        axis = self.robot.axes[self.index if index is None else index]
+        return self.load_inertia(pose, index) + (axis.reflected_motor_inertia or 0.0)
+
+
+def spread(values: Array) -> float:
+    """Robust standard deviation: of a normal distribution it is the standard deviation."""
+    return 1.4826 * float(np.median(np.abs(values - np.median(values)))) if values.size else 0.0
+
+
+def resolution(values: Array) -> float:
+    """The step (smallest difference between two values that occur) of a channel; 0 if it is not one of steps.
+
+    A channel of steps has differences that are whole multiples of the least, within what 32-bit floats leave of it.
+    """
+    levels = np.unique(values)
+    if levels.size < 2:
+        return 0.0
+    gaps = np.diff(levels)
+    rounding = 4 * float(np.finfo(np.float32).eps) * float(np.abs(levels).max())
+    gaps = gaps[gaps > rounding]
+    if not gaps.size:
+        return 0.0
+    step = float(gaps.min())
+    near = gaps[gaps < 1.5 * step]
+    step = float(np.median(near))
+    off = np.abs(gaps / step - np.round(gaps / step))
+    regular = float(np.mean(off <= 0.05 + rounding / step)) > 0.98
+    return step if regular and near.size >= min(3, gaps.size) else 0.0

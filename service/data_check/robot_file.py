@@ -1,0 +1,86 @@
+"""The robot's description by itself and against what was recorded: gravity, prior, rated effort, limits, nulls."""
+
+import numpy as np
+
+from service.data_check.finding import Finding, named
+from service.data_check.record import AxisRecords
+from service.robot import Robot
+
+EARTH = (9.7, 9.9)  # m/s^2, 9.76 to 9.84 on the ground; a tilted base keeps the length
+WIDEST = 1.0  # relative standard deviation: more is no knowledge (or percent)
+TIGHTEST = 1e-4
+OVER = 5.0  # times the rated effort that no drive gives
+UNDER = 0.002  # of the rated effort that every moving axis needs
+ROOM = 0.02  # rad (m) beyond a limit
+
+
+def description(robot: Robot) -> list[Finding]:
+    """What is wrong with the robot file whatever was recorded."""
+    findings: list[Finding] = []
+    length = float(np.linalg.norm(robot.gravity))
+    if length and not EARTH[0] <= length <= EARTH[1]:
+        findings.append(
+            Finding(
+                "gravity", "wrong", None, (), length, EARTH[1],
+                f"gravity of the robot file is {length:.5g} long; on earth it is 9.81 m/s^2.",
+                "Give gravity in m/s^2 in the base frame, or zeros for a robot without weight on its axes.",
+            )
+        )  # fmt: skip
+    for name, value in robot.prior.model_dump().items():
+        if not (value <= WIDEST and (value >= TIGHTEST or name == "effort_gain")):
+            findings.append(
+                Finding(
+                    "prior", "warning", None, (), value, WIDEST if value > WIDEST else TIGHTEST,
+                    f"prior.{name} is {value:g}; it is a relative standard deviation, {TIGHTEST:g} to {WIDEST:g}.",
+                    "Give the prior as parts of one, 0.3 for 30 %.",
+                )
+            )  # fmt: skip
+    return findings
+
+
+def nominals(axis: AxisRecords) -> list[Finding]:
+    """Null where sweeps with lines need a number, and poses beyond the URDF's limits."""
+    findings: list[Finding] = []
+    lines = axis.those(lambda record: record.turns and record.spec.periodic)
+    unknown = [name for name in ("viscous_friction", "motor_inertia") if getattr(axis.axis, name) is None]
+    if lines and unknown:
+        findings.append(
+            Finding(
+                "missing_nominal", "warning", axis.joint, (), None, None,
+                f"{axis.joint}: {' and '.join(unknown)} of the robot file {'is' if len(unknown) == 1 else 'are'} null.",
+                "Take them from the data sheets: sweeps with sines tell the motor from the load by them.",
+            )
+        )  # fmt: skip
+    joint = axis.robot.chain.joints[axis.index]
+    outside = axis.those(lambda record: not joint.lower - ROOM <= record.spec.pose[axis.index] <= joint.upper + ROOM)
+    if outside:
+        ids, value = tuple(record.id for record in outside), outside[0].spec.pose[axis.index]
+        limit = joint.upper if value > joint.upper else joint.lower
+        findings.append(
+            Finding(
+                "outside_limits", "wrong", axis.joint, ids, value, limit,
+                f"{axis.joint}, {named(ids)}: `pose` says {value:.4g}, beyond the URDF's limit {limit:.4g}.",
+                "Check the unit and the zero of `pose`, and the limits of the URDF.",
+            )
+        )  # fmt: skip
+    return findings
+
+
+def rated_effort(axis: AxisRecords) -> list[Finding]:
+    """Recorded effort beyond what a drive of that rating gives, or nothing beside it. Asked where inertia fits."""
+    moving = axis.those(lambda record: record.travels)
+    if not moving:
+        return []
+    largest = float(np.max([np.percentile(np.abs(record.effort), 99.5) for record in moving]))
+    share = largest / axis.axis.rated_effort
+    if UNDER <= share <= OVER:
+        return []
+    return [
+        Finding(
+            "rated_effort", "wrong", axis.joint, tuple(record.id for record in moving), share,
+            OVER if share > OVER else UNDER,
+            f"{axis.joint}: recorded effort reaches {largest:.4g} {axis.unit}, {share:.3g} times rated_effort "
+            f"{axis.axis.rated_effort:g}, while inertia fits.",
+            f"Give rated_effort in {axis.unit} on the joint side.",
+        )
+    ]  # fmt: skip

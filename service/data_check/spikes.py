@@ -1,0 +1,111 @@
+"""Single samples far off: spikes and drop-outs.
+
+What a sample is off is measured from the median of the seven around it, which passes steps and ramps. Noise of standard
+deviation s leaves about s there; physics of a drive takes longer than two samples, or its pulse is no larger than what
+happens beside it.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter, median_filter
+
+from service.data_check.finding import Finding, named
+from service.data_check.record import AxisRecords, Record, spread
+from service.recording import Array
+
+Indices = NDArray[np.intp]
+
+WIDTH = 7  # samples of the median
+FAR = 12.0  # robust standard deviations: not reached by noise, nor by impacts of play
+EFFORT = 0.02  # of rated effort: smaller ones change no result
+VELOCITY = 0.1  # of the fastest commanded
+NEAR = 3  # samples in which a pulse of motion shows in effort and velocity
+PULSE = 8.0  # robust standard deviations
+SINGLE = float(np.finfo(np.float32).eps)  # numbers may have been stored in 32 bits
+LONGEST = 3  # samples side by side
+BESIDE = 3.0  # times the largest deviation near by (20 samples) that is no part of the spike
+
+
+def spikes(axis: AxisRecords) -> list[Finding]:
+    """One finding a channel: how many, and the largest."""
+    findings: list[Finding] = []
+    for name in ("effort", "velocity", "position"):
+        found: list[tuple[str, int, float]] = []
+        for record in axis.records:
+            values: Array = getattr(record, name)
+            floor = _floor(axis, record, name, values)
+            off = _off(values)
+            single = _single(values, off, max(FAR * _noise(values, off), 3 * record.steps[name], floor))
+            if single.size and name != "position":
+                single = single[~_moved(record, name, single)]
+            if single.size:
+                found.append((record.id, int(single.size), float(np.abs(off[single]).max())))
+        if found:
+            ids = tuple(sweep for sweep, _, _ in found)
+            count, largest = sum(number for _, number, _ in found), max(size for _, _, size in found)
+            findings.append(
+                Finding(
+                    "spikes", "wrong", axis.joint, ids, largest, None,
+                    f"{axis.joint}: {name} has {count} single sample{'s' * (count > 1)} far off what is beside, by up "
+                    f"to {largest:.4g} ({named(ids)}).",
+                    "Look for lost frames, loose shields or faults of the encoder, and record again.",
+                )
+            )  # fmt: skip
+    return findings
+
+
+def _off(values: Array) -> Array:
+    """From the median around."""
+    return values - np.asarray(median_filter(values, WIDTH, mode="nearest"), dtype=float)
+
+
+def _noise(values: Array, off: Array) -> float:
+    """Standard deviation by both ways: on steep parts the median is the sample itself and leaves nothing."""
+    return max(spread(off), spread(np.diff(values, 2)) / np.sqrt(6))
+
+
+def _moved(record: Record, name: str, single: Indices) -> NDArray[np.bool_]:
+    """Where the other of effort and velocity shows the pulse as well: play that closes, a load that breaks loose."""
+    other = "velocity" if name == "effort" else "effort"
+    off = np.abs(_off(getattr(record, other)))
+    beside = np.asarray(maximum_filter(off, 2 * NEAR + 1, mode="nearest"), dtype=float)[single]
+    shown = beside > max(PULSE * spread(off), 2 * record.steps[other])
+    return shown | _way(record, single) if name == "velocity" else shown
+
+
+def _way(record: Record, single: Indices) -> NDArray[np.bool_]:
+    """Where position goes the way that a pulse of velocity makes."""
+    first, last = np.maximum(single - NEAR, 0), np.minimum(single + NEAR, record.count - 1)
+    usual = np.asarray(median_filter(record.velocity, 2 * WIDTH, mode="nearest"), dtype=float)[single]
+    gone = record.position[last] - record.position[first] - usual * (last - first) / record.rate
+    off = _off(record.velocity) / record.rate
+    told, size = (np.concatenate([[0.0], np.cumsum(part)]) for part in (off, np.abs(off)))
+    missed = np.abs(gone - (told[last + 1] - told[first]))
+    return missed < (size[last + 1] - size[first]) / 2
+
+
+def _floor(axis: AxisRecords, record: Record, name: str, values: Array) -> float:
+    """Deviations below change nothing."""
+    if name == "effort":
+        return EFFORT * axis.axis.rated_effort
+    fastest = max(one.peak for one in axis.records) or 3 * float(np.std(record.velocity))
+    rounding = 3 * SINGLE * float(np.abs(values).max())
+    return max(VELOCITY * fastest if name == "velocity" else 5 * fastest / record.rate, rounding)
+
+
+def _single(values: Array, off: Array, limit: float) -> Indices:
+    """Samples beyond the limit, at most `LONGEST` side by side, that stand alone among their neighbours and go back."""
+    size = np.abs(off)
+    beyond = np.flatnonzero(size > limit)
+    if not beyond.size or limit == 0:
+        return beyond[:0]
+    kept: list[int] = []
+    for group in np.split(beyond, np.flatnonzero(np.diff(beyond) > 1) + 1):
+        first, last = int(group[0]), int(group[-1])
+        near = np.concatenate([size[max(first - 11, 0) : max(first - 1, 0)], size[last + 2 : last + 12]])
+        near = near[near <= limit] if near.size and np.count_nonzero(near > limit) <= 2 else near
+        before, after = values[max(first - 2, 0)], values[min(last + 2, len(values) - 1)]
+        returns = abs(after - before) < size[group].max() / 2
+        if returns and last - first < LONGEST and (not near.size or size[group].max() > BESIDE * near.max()):
+            kept.extend(range(first, last + 1))
+    return np.array(kept, dtype=np.intp)

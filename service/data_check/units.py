@@ -1,0 +1,46 @@
+"""Factors by which a channel is off that have a name: a unit other than SI on the joint side."""
+
+import numpy as np
+
+from service.data_check.record import AxisRecords
+
+CLOSE = 0.04  # relative: a motion that is off by a unit is off by exactly that
+TURN = 2 * np.pi
+
+
+def motion_unit(axis: AxisRecords, gain: float, *, velocity: bool) -> str | None:
+    """Which unit makes a position (or velocity) `gain` times what it should be, None if none does."""
+    if gain == 0:
+        return None
+    ratio = abs(axis.axis.gear_ratio)
+    side = {"": 1.0} | ({" on the motor side": ratio} if abs(ratio - 1) > CLOSE else {})
+    own = {"mm": 1e3} if axis.prismatic else {"rad": 1.0, "degrees": 360 / TURN, "turns": 1 / TURN}
+    turning = {"rad": 1.0, "degrees": 360 / TURN, "turns": 1 / TURN}
+    rates = {"/s": 1.0, "/min": 60.0} if velocity else {"": 1.0}
+    names = {
+        f"{unit}{rate}{where}": factor * per * gear
+        for where, gear in side.items()
+        for unit, factor in (turning if where else own).items()
+        for rate, per in rates.items()
+    }
+    near = {name: abs(np.log(abs(gain) / factor)) for name, factor in names.items() if abs(factor - 1) > CLOSE}
+    best = min(near, key=lambda name: near[name], default=None)
+    return best if best is not None and near[best] < CLOSE else None
+
+
+def effort_unit(axis: AxisRecords, gain: float, within: float) -> str | None:
+    """Which unit makes an effort `gain` times what the model says, within a factor exp(`within`); None if none does."""
+    rated, ratio = axis.axis.rated_effort, abs(axis.axis.gear_ratio)
+    unit = axis.unit
+    names = {
+        "mN" if axis.prismatic else "N mm": 1e3,
+        f"k{unit}": 1e-3,
+        "percent of rated effort": 100 / rated,
+        "per mille of rated effort": 1000 / rated,
+        "parts of rated effort": 1 / rated,
+        f"{unit} on the motor side": 1 / ratio,
+        "N mm on the motor side": 1e3 / ratio,
+    }
+    near = {name: abs(np.log(abs(gain) / factor)) for name, factor in names.items()} if gain else {}
+    best = min(near, key=lambda name: near[name], default=None)
+    return best if best is not None and near[best] < within else None

@@ -1,0 +1,53 @@
+"""The check of the data: nothing on sound bundles, each fault by its name. The whole score is `check_score`."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.data_check import check, untrustworthy
+from service.store.bundle import read_bundle
+from service.trace_import import import_trace
+from tests.numeric.check_bundles import Sound, sound
+from tests.numeric.check_faults import FAULTS
+from tests.numeric.check_score import of_sound
+
+CLEAN = 8  # bundles
+CARRIER = 11  # seed of a sound bundle with holds and repeats that carries all faults
+
+
+def test_nothing_is_found_in_sound_bundles() -> None:
+    assert [line for seed in range(CLEAN) for line in of_sound(seed)] == []
+
+
+@pytest.fixture(scope="module")
+def carrier() -> Sound:
+    return sound(CARRIER)
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_told_by_name(carrier: Sound, name: str) -> None:
+    broken = FAULTS[name].apply(np.random.default_rng(1), carrier)
+    findings = check(broken.robot, broken.sweeps)
+    told = {finding.code for finding in findings}
+    assert told & set(FAULTS[name].codes), told
+    assert all(finding.sentence and finding.action for finding in findings)
+
+
+def test_nothing_is_found_in_bundles_of_another_plant_but_a_shaking_floor(shared: Path) -> None:
+    """The twelfth has floor vibration of 7.3 Hz: a warning, which forbids no physics."""
+    for folder in sorted(path for path in (shared / "data/foreign").iterdir() if path.is_dir()):
+        bundle = read_bundle(folder)
+        findings = check(bundle.robot, bundle.sweeps)
+        if folder.name != "12":
+            assert findings == (), folder.name
+            continue
+        (finding,) = findings
+        assert finding.code == "not_repeatable"
+        assert "at 7.3 Hz" in finding.sentence
+        assert untrustworthy(findings, "joint_2") == ()
+
+
+def test_nothing_is_found_in_a_measured_trajectory(root: Path, shared: Path) -> None:
+    robot, sweeps = import_trace(root / "config/traces/emps.yaml", shared / "data/emps/DATA_EMPS.mat")
+    assert check(robot, sweeps) == ()

@@ -1,0 +1,49 @@
+"""`sweepid check` as a person and as a program call it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from service.recording import Sweep
+from service.store.bundle import write_bundle
+from tests.command import sweepid
+from tests.unit.service.data_check.conftest import lift_sweep, pair
+
+
+@pytest.fixture
+def reversed_torque(tmp_path: Path) -> Path:
+    sweeps = [lift_sweep(number, repeat=number) for number in range(2)]
+    turned = [Sweep(s.spec, replace(s.recording, effort=-s.recording.effort)) for s in sweeps]
+    write_bundle(tmp_path / "bundle", pair(), turned)
+    return tmp_path / "bundle"
+
+
+def test_a_table_for_people_and_zero_whatever_was_found(reversed_torque: Path) -> None:
+    done = sweepid("check", str(reversed_torque))
+    assert done.returncode == 0, done.stderr
+    for word in ("Check of 2 sweeps", "effort_sign", "wrong"):
+        assert word in done.stdout
+
+
+def test_json_alone_on_stdout(reversed_torque: Path) -> None:
+    done = sweepid("check", str(reversed_torque), "--json", "-")
+    assert (done.returncode, done.stderr) == (0, "")
+    document = json.loads(done.stdout)
+    assert [one["code"] for one in document["findings"]] == ["effort_sign"]
+    assert document["axes"]["lift"] == {"sweeps": 2, "trustworthy": False, "codes": ["effort_sign"]}
+
+
+def test_nothing_found_is_said(tmp_path: Path) -> None:
+    write_bundle(tmp_path / "bundle", pair(), [lift_sweep(1)])
+    done = sweepid("check", str(tmp_path / "bundle"))
+    assert done.returncode == 0, done.stderr
+    assert "Nothing found in 1 sweep." in done.stdout
+
+
+def test_what_cannot_be_read_is_one_line_and_two(reversed_torque: Path) -> None:
+    (reversed_torque / "sweeps/0002.parquet").unlink()
+    done = sweepid("check", str(reversed_torque), "--json", "-")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.strip().endswith("0002.parquet sweep 0001: file does not exist")

@@ -1,0 +1,88 @@
+"""A rigid axis by formula, as four sweeps show it: two directions, each twice, with white noise."""
+
+import numpy as np
+import pytest
+
+from service.recording import Recording, Sine, Sweep, SweepSpec
+from service.robot import Axis, Robot, RobotDescription, build_robot
+
+URDF = """<robot name="pair"><link name="base"/>
+<link name="column"><inertial><origin xyz="0 0 0.3"/><mass value="200"/>
+<inertia ixx="20" iyy="20" izz="15" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="arm"><inertial><origin xyz="1.2 0 0"/><mass value="150"/>
+<inertia ixx="3" iyy="40" izz="40" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="swing" type="revolute"><parent link="base"/><child link="column"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" velocity="2" effort="5000"/></joint>
+<joint name="lift" type="revolute"><parent link="column"/><child link="arm"/><origin xyz="0.3 0 0.8"/>
+<axis xyz="0 -1 0"/><limit lower="-1.4" upper="1.4" velocity="2" effort="5000"/></joint></robot>"""
+
+RATED = 3000.0  # N m
+RATE = 1000.0  # Hz
+POSE = (0.4, -0.7)
+OFFSET = 0.035  # rad/s
+LINES = (2.0, 3.0, 5.0)  # Hz
+AMPLITUDE = 0.009  # rad/s
+INERTIA = 150 * 1.2**2 + 40 + 170.0**2 * 0.002  # of lift, kg m^2: arm about its joint, and motor
+WEIGHT = 150 * 1.2 * 9.81  # N m
+FRICTION = 400.0  # N m s/rad
+NOISE = 0.0015 * RATED
+
+
+def pair() -> Robot:
+    """Two axes, of which `lift` carries its arm."""
+    axes = tuple(
+        Axis(joint=joint, gear_ratio=170.0, motor_inertia=0.002, rated_effort=RATED, viscous_friction=400.0)
+        for joint in ("swing", "lift")
+    )
+    return build_robot(RobotDescription(name="pair", urdf="robot.urdf", axes=axes), URDF)
+
+
+def lift_sweep(
+    number: int, offset: float = OFFSET, *, repeat: int = 0, periods: int = 4, rate: float = RATE, run_up: float = 1.0
+) -> Sweep:
+    """A sweep of `lift` that starts from rest with a ramp of velocity; noise by its number."""
+    random = np.random.default_rng(number)
+    sines = tuple(Sine(frequency=f, amplitude=AMPLITUDE, phase=f) for f in LINES)
+    time = np.arange(round((run_up + periods) * rate)) / rate
+    turn = [2 * np.pi * s.frequency * (time - run_up) + s.phase for s in sines]
+    ramp = np.clip(time / (0.5 * run_up), 0, 1) if run_up else np.ones_like(time)
+    waves = sum(s.amplitude * np.sin(angle) for s, angle in zip(sines, turn, strict=True))
+    velocity = ramp * (offset + waves)
+    position = POSE[1] + np.concatenate([[0.0], np.cumsum(velocity[1:] + velocity[:-1]) / 2]) / rate
+    effort = INERTIA * np.gradient(velocity, 1 / rate) + FRICTION * velocity + WEIGHT * np.cos(position)
+    spec = SweepSpec(
+        id=f"{number:04}",
+        axis="lift",
+        pose=POSE,
+        offset_velocity=offset,
+        sines=sines,
+        period=1.0,
+        periods=periods,
+        measure_from=run_up,
+        sample_rate=rate,
+        started_at=10.0 * number,
+        repeat=repeat,
+        block="forward" if offset > 0 else "backward",
+    )
+    return Sweep(
+        spec,
+        Recording(
+            time=time,
+            effort=effort + NOISE * random.standard_normal(len(time)),
+            velocity=velocity + 2e-5 * random.standard_normal(len(time)),
+            position=position + 1e-7 * random.standard_normal(len(time)),
+        ),
+    )
+
+
+@pytest.fixture
+def robot() -> Robot:
+    return pair()
+
+
+@pytest.fixture
+def sweeps() -> tuple[Sweep, ...]:
+    return tuple(
+        lift_sweep(number, offset, repeat=number % 2)
+        for number, offset in enumerate((OFFSET, OFFSET, -OFFSET, -OFFSET))
+    )
