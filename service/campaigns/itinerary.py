@@ -15,7 +15,7 @@ from service.campaigns.envelope import Envelope
 from service.campaigns.plan_documents import DroppedPose, PlannedLeg, PlannedSweep, PlanRequest
 from service.campaigns.travel import order_poses
 from service.errors import BadInput, EnvelopeViolation
-from service.identification.excitation import Excitation
+from service.identification.excitation import Excitation, realisations
 from service.recording import WARM_UP, Sine, SweepSpec
 from service.robot import Robot
 
@@ -62,7 +62,8 @@ class Itinerary:
             goal = tuple(float(position) for position in one.pose)
             warm_up = () if sweeps else self._warm_up(one.sweeps)
             try:
-                planned, end = self._pose(here, goal, (*warm_up, *self._runs(one.sweeps)), streamed, len(sweeps), clock)
+                runs = (*warm_up, *self._measuring(one.pose, one.sweeps))
+                planned, end = self._pose(here, goal, runs, streamed, len(sweeps), clock)
             except (EnvelopeViolation, BadInput) as error:
                 dropped.append(DroppedPose(pose=goal, reason=str(error)))
                 continue
@@ -72,8 +73,17 @@ class Itinerary:
         return tuple(sweeps), tuple(dropped)
 
     def _runs(self, excitations: Sequence[Excitation]) -> list[_Run]:
-        """The sweeps that a pose is there for."""
+        """One sweep of each axis."""
         return [_Run(joint, sweep) for joint, sweep in zip(self._request.axes, excitations, strict=True)]
+
+    def _measuring(self, pose: Array, excitations: Sequence[Excitation]) -> list[_Run]:
+        """Those in all their realisations; poses and axes have phases of their own."""
+        place = [round(1e4 * float(position)) % 2**32 for position in pose]
+        return [
+            replace(run, excitation=one)
+            for run in self._runs(excitations)
+            for one in realisations(run.excitation, self._request.realisations, [self._robot.index(run.joint), *place])
+        ]
 
     def _warm_up(self, excitations: Sequence[Excitation]) -> list[_Run]:
         """Whole rounds of all axes that take the time wanted."""

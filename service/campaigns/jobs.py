@@ -2,19 +2,22 @@
 
 The store is the outbox: a job is open while its sweep is `recorded`, and what is open is found again after a restart.
 The jobs of a campaign run in the order of recording, one after the other, so that every revision contains the one
-before it.
+before it. A sweep is identified with what the robot's newest accepted model says of its effects.
 """
 
 import asyncio
 from collections import defaultdict
 
 import structlog
+from pydantic import JsonValue
 
 from service.campaigns.analysis import analysis_behind
 from service.campaigns.beside import campaign_beside
 from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.errors import BadInput
+from service.store.diagnosis_documents import ModelDocument
 from service.store.documents import CampaignState, SweepDocument, SweepState
+from service.store.model_revisions import ModelStore
 from service.store.recordings import RecordingFiles
 from service.store.store import Store
 from service.worker import Job, JobFailed, Worker, WorkerLost
@@ -27,8 +30,8 @@ _RETRY = 2.0  # s between attempts to reach the workers
 class Jobs:
     """Hands recorded sweeps to the worker and writes its results."""
 
-    def __init__(self, store: Store, files: RecordingFiles, worker: Worker) -> None:
-        self._store, self._files, self._worker = store, files, worker
+    def __init__(self, store: Store, files: RecordingFiles, worker: Worker, models: ModelStore) -> None:
+        self._store, self._files, self._worker, self._models = store, files, worker, models
         self._turn: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)  # by campaign, first come first served
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -98,14 +101,16 @@ class Jobs:
         robot = self._store.robot(campaign.robot_id)
         beside = campaign_beside(self._store, campaign)
         others = {} if beside is None else self._store.spectra(beside.id)
+        model = self._models.newest(campaign.robot_id)
         return Job(
-            key=f"identify-{recording.sha256}-{sweep.campaign_id}-{sweep.number}",
+            key=f"identify-{recording.sha256}-{sweep.campaign_id}-{sweep.number}-{model.id if model else 0}",
             robot=robot.description,
             urdf_text=robot.urdf_text,
             spec=sweep.spec,
             path=self._files.path(recording).absolute(),
             earlier=(*others.values(), *self._store.spectra(sweep.campaign_id).values()),
             analyses=analysis_behind(self._store, beside or campaign),
+            model=None if model is None else _known(model),
         )
 
     def _done(self, task: asyncio.Task[None]) -> None:
@@ -113,3 +118,8 @@ class Jobs:
         if not task.cancelled() and (error := task.exception()) is not None:
             # the sweep stays `recorded`: the next start submits it again
             _log.error("job_broke_off", task=task.get_name(), error=repr(error))
+
+
+def _known(model: ModelDocument) -> dict[str, JsonValue]:
+    """What an estimate needs of a model revision: the effects of each axis, and which revision it was."""
+    return {"axes": model.document["axes"], "source": {"id": model.id, "revision": model.revision}}

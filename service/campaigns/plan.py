@@ -115,10 +115,11 @@ def _choose(
     needed = 0.0
     for pick, condition in choices(rows, request.criterion, candidates, observed.home, accept):
         told = zip(request.axes, sweeps[pick], strict=True)
-        predicted.add(rows[pick], np.array([design.information(joint, pick, sweep) for joint, sweep in told]))
+        once = np.array([design.information(joint, pick, sweep) for joint, sweep in told])
+        predicted.add(rows[pick], request.realisations * once)
         chosen.append(ChosenPose(candidates[pick], condition, sweeps[pick]))
         percent.append(predicted.percent())
-        needed += least_duration(sweeps[pick])
+        needed += request.realisations * least_duration(sweeps[pick])
         if request.confidence is not None and percent[-1] <= request.confidence:
             return chosen, percent, refused
         if len(chosen) == (request.poses or LARGEST_CHOICE) or (request.duration or math.inf) < needed:

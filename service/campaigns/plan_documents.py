@@ -30,11 +30,13 @@ class PlanRequest(BaseModel):
     axes: tuple[str, ...] = Field(min_length=1)  # joints to measure
     varied: tuple[str, ...] = Field(min_length=1)  # joints whose positions make the grid
     step: float = Field(default=5.0, ge=0.5, le=90.0)  # deg (prismatic: cm) between grid positions
-    criterion: Criterion = Criterion.CONDITION  # what makes a pose the best next one
+    criterion: Criterion = Criterion.D_OPTIMAL  # what makes a pose the best next one
     poses: int | None = Field(default=None, ge=1, le=LARGEST_CHOICE)
     duration: float | None = Field(default=None, gt=0)  # s, moves included: as many poses as fit
     # percent, largest std of J over the workspace: as many poses as take it; the campaign ends when it is reached
     confidence: float | None = Field(default=None, gt=0)
+    # sweeps of an axis in a pose that differ in their phases: from two on, noise and nonlinear distortion come apart
+    realisations: int = Field(default=1, ge=1, le=20)
     modes: Literal["drive_side", "host_streamed", "one_host_streamed"] = "drive_side"  # the last: one sweep an axis
     lines: tuple[float, ...] = Field(
         default=(), max_length=16
@@ -154,3 +156,13 @@ class PlanDocument(BaseModel):
     candidates: int  # poses of the grid
     measurable: int  # of them free, with room for every sweep
     duration: float  # s
+
+    @model_validator(mode="before")
+    @classmethod
+    def _stored(cls, given: Any) -> Any:
+        """A plan from before there was a criterion was made by the condition number."""
+        fields = cast("dict[str, Any]", given) if isinstance(given, dict) else {}
+        request = cast("dict[str, Any] | None", fields.get("request"))
+        if not isinstance(request, dict) or "criterion" in request:
+            return cast("object", given)
+        return {**fields, "request": {**request, "criterion": Criterion.CONDITION.value}}

@@ -11,9 +11,9 @@ from service.campaigns.trajectory_documents import TrajectoryPlan, TrajectoryReq
 from service.cell import Cell
 from service.errors import BadInput, EnvelopeViolation
 from service.identification.base_parameters import joint_ranges
-from service.identification.combination import dynamic_base
 from service.identification.exciting_trajectory import Shape, Trajectory, TrajectoryLimits, design_trajectory
 from service.identification.trajectory_record import block_label
+from service.identification.whole_base import dynamic_base
 from service.recording import SweepSpec
 from service.robot import Robot
 

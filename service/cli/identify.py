@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import typer
 from rich.console import Console
@@ -15,12 +15,15 @@ from service.cli.gains_file import read_gains
 from service.errors import BadInput
 from service.estimation import SweepSpectrum, estimate_document, sweep_spectrum
 from service.identification.analysis_document import analyses_from
+from service.identification.free_motion import at_once, free_motions
 from service.identification.ideal_frequency import Figure
+from service.identification.known_effects import KnownEffects, known_effects
 from service.identification.noise_response import has_reference
 from service.identification.nominal_priors import TorqueGain
 from service.identification.trajectory_record import runs_at_once
 from service.recording import Sweep
 from service.report import render_analysis
+from service.robot import Robot
 from service.store.bundle import Bundle, read_bundle
 
 _ROWS = (
@@ -35,13 +38,22 @@ def identify(
     axis: Annotated[str | None, typer.Option(help="Use the sweeps of this joint only.")] = None,
     json_to: Annotated[str | None, typer.Option("--json", help="Write JSON here; - is stdout.", metavar="FILE")] = None,
     gains: Annotated[Path | None, typer.Option("--torque-gain", help="JSON file of `sweepid torque-gain`.")] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="Known effects: JSON file of `sweepid diagnose --model`.", metavar="FILE")
+    ] = None,
     report: Annotated[
         Path | None, typer.Option(help="Write the initial analysis with its figures to this HTML file.")
     ] = None,
 ) -> None:
     """Identify a robot from the sweeps of a bundle."""
     measured = read_bundle(bundle)
-    document = identify_bundle(measured, axis, str(bundle), read_gains(gains) if gains else None)
+    document = identify_bundle(
+        measured,
+        axis,
+        str(bundle),
+        read_gains(gains) if gains else None,
+        read_effects(model, measured.robot) if model else None,
+    )
     if report is not None:
         if not document["analysis"]:
             raise BadInput(str(bundle), "has no noise runs and no stepped sines to report on")
@@ -56,13 +68,21 @@ def identify(
 
 
 def identify_bundle(
-    bundle: Bundle, axis: str | None, place: str, gains: Mapping[str, TorqueGain] | None = None
+    bundle: Bundle,
+    axis: str | None,
+    place: str,
+    gains: Mapping[str, TorqueGain] | None = None,
+    known: KnownEffects | None = None,
 ) -> dict[str, Any]:
     """The estimate as in DESIGN.md, of all sweeps or of those of one joint; BadInput if that leaves none."""
     if axis is not None:
         bundle.robot.index(axis)
-    sweeps = [sweep for sweep in bundle.sweeps if _of_axis(sweep, axis) and _tells(sweep)]
-    if not sweeps:
+    together = {spec.id for group in at_once([sweep.spec for sweep in bundle.sweeps]) for spec in group}
+    motions = free_motions(bundle.robot, bundle.sweeps) if axis is None else ()
+    sweeps = [
+        sweep for sweep in bundle.sweeps if sweep.spec.id not in together and _of_axis(sweep, axis) and _tells(sweep)
+    ]
+    if not sweeps and not motions:
         of_joint = "" if axis is None else f" of joint {axis}"
         raise BadInput(place, f"has no sweep{of_joint} with sines, a trajectory or injected torque noise")
     console = Console(stderr=True)
@@ -70,7 +90,21 @@ def identify_bundle(
         sweep_spectrum(bundle.robot, sweep)
         for sweep in track(sweeps, "Sweeps", console=console, transient=True, disable=not console.is_terminal)
     ]
-    return estimate_document(bundle.robot, spectra, gains=gains)
+    return estimate_document(bundle.robot, spectra, gains=gains, known=known, motions=motions)
+
+
+def read_effects(path: Path, robot: Robot) -> KnownEffects:
+    """What `sweepid diagnose --model` wrote; BadInput names the file."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BadInput(str(path), f"cannot be read as JSON: {error}") from None
+    if not isinstance(document, dict):
+        raise BadInput(str(path), "is not a JSON object")
+    try:
+        return known_effects(cast("dict[str, Any]", document), robot.joints, {"file": path.name})
+    except BadInput as error:
+        raise BadInput(f"{path}: {error.place}", error.reason) from None
 
 
 def _of_axis(sweep: Sweep, axis: str | None) -> bool:
@@ -109,11 +143,17 @@ def print_estimate(document: dict[str, Any], console: Console) -> None:
     for parameter in document["base_parameters"]:
         table.add_row(parameter["symbolic"], f"{parameter['value']:.5g}", _number(parameter["std"]))
     console.print(table)
+    for parameter in document["base_parameters"]:
+        if "reason" in parameter:
+            console.print(f"Not identified: {parameter['symbolic']}: {parameter['reason']}", highlight=False)
     for symbol, of in document["symbols"].items():
         console.print(f"  {symbol} = {of['value']:.5g} {of['unit']}, {of['meaning']}", style="dim", highlight=False)
     _print_free_records(axes, console)
     for suspect in document["suspect"]:
         console.print(f"Suspect: sweep {suspect['sweep']} of {suspect['axis']}, {suspect['why']}")
+    for effect in document.get("effects", []):  # estimates that were stored by an earlier version have none
+        used = "Taken into account" if effect["used"] else "Left out"
+        console.print(f"{used}: {effect['effect']} of {effect['axis']}, {effect['how']}")
     console.print(f"Condition number of the observation matrix: {_number(document['condition_number'])}")
 
 

@@ -4,6 +4,10 @@ A torque constant that is wrong by 5 % scales every J by 5 % and no sweep shows 
 `std_total` includes what is known of it. A gain that a test mass calibrated (`torque_gain`) is taken out of the effort
 first.
 
+Effects that the robot is known to have are taken out first (`known_torque`), or enter the priors of spring and hose.
+What they are uncertain by is part of every standard deviation. Friction that grows with the load needs the load, so
+that fit is made again with the inertias that it found.
+
 A free record is fitted as a rigid axis. Where the drive train is known from elsewhere (sweeps with lines, an initial
 analysis), its impedance Z tells by how much that is wrong: the rigid fit sees the mean of Re Z/s over the
 acceleration's power. The difference goes into the standard deviation, and the sweep says so.
@@ -16,10 +20,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.axis_inertia import DriveTrain, impedance, paper_inertia
+from service.identification.distortion import Distortion, distortion_of
 from service.identification.frequency_response import Spectrum
 from service.identification.ideal_frequency import AxisAnalysis
-from service.identification.joint_fit import JointFit, SharedPrior, fit_axis
-from service.identification.nominal_priors import NOISE_GUESS, TorqueGain, pose_prior, shared_prior
+from service.identification.joint_fit import JointFit, PosePrior, SharedPrior, fit_axis
+from service.identification.known_effects import LOAD, KnownAxis
+from service.identification.known_torque import Corrected, Load, corrected
+from service.identification.nominal_priors import (
+    NOISE_GUESS,
+    TorqueGain,
+    pose_prior,
+    shared_prior,
+    with_known_hose,
+    with_known_spring,
+)
 from service.identification.regressor import axis_rows, gravity_terms
 from service.identification.suspects import Suspect
 from service.identification.time_domain import fit_record
@@ -27,6 +41,10 @@ from service.robot import Robot
 from service.urdf import Chain
 
 Array = NDArray[np.float64]
+
+DISTORTION_ROUNDS = 2  # fits with the distortion that the fit before showed
+LOAD_ROUNDS = 3  # fits of an axis whose friction grows with its load
+MATERIAL = 0.5  # of a record's standard deviation: from here on an error of its model is worth a warning
 
 
 @dataclass(frozen=True)
@@ -44,6 +62,7 @@ class SweepInertia:
     response: tuple[tuple[float, complex, float], ...]
     terms: dict[str, tuple[float, float]]  # of a free record: the other terms' value and std
     warning: str | None = None
+    noise: tuple[float, ...] | None = None  # of `response`: what of its std is noise, the rest distortion
 
 
 @dataclass(frozen=True)
@@ -56,6 +75,7 @@ class AxisEstimate:
     fit: JointFit | None
     gain: TorqueGain
     suspects: tuple[Suspect, ...]
+    distortion: Distortion | None  # where the axis has several realisations of its sweeps
     direct_encoder: bool  # every sweep with lines tells the motion of the load itself
 
     @property
@@ -81,39 +101,38 @@ def identify_axis(
     spectra: Sequence[Spectrum],
     analysis: AxisAnalysis | None,
     gain: TorqueGain,
+    known: KnownAxis,
 ) -> AxisEstimate:
     """Axis `number` of the robot; `chain` holds its joints `unlocked`, `nominal` (11 n,) the parameters of that chain.
 
-    What the initial analysis found of the drive train takes the place of the data sheet.
+    What the initial analysis found of the drive train takes the place of the data sheet. `known`: what it has beside
+    its rigid body.
     """
     own = unlocked.index(number)
-    spectra = [replace(spectrum, effort=spectrum.effort / gain.gain) for spectrum in spectra]
     poses = np.array([spectrum.spec.pose for spectrum in spectra])[:, list(unlocked)]
     reference = axis_rows(chain, own, poses) @ nominal
     gravity = gravity_terms(chain, nominal, robot.gravity, own, poses)
     periodic = [k for k, spectrum in enumerate(spectra) if spectrum.spec.periodic]
     sweeps: dict[int, SweepInertia] = {}
     covariance = np.zeros((len(spectra), len(spectra)))
-    fit = None
+    fit, distortion = None, None
     suspects: list[Suspect] = []
     if periodic:
-        with_lines = [spectra[k] for k in periodic]
-        fit = fit_axis(
-            with_lines,
-            shared_prior(robot, number, reference, with_lines) if analysis is None else _analysed(analysis, gain),
-            [pose_prior(robot, number, reference[k], gravity[k]) for k in periodic],
-            NOISE_GUESS * robot.axes[number].rated_effort,
-        )
+        told = [spectra[k] for k in periodic]
+        poses_known = [pose_prior(robot, number, reference[k], gravity[k]) for k in periodic]
+        fit, parts, distortion = _fit(robot, number, told, reference, poses_known, analysis, gain, known)
+        fit = replace(fit, covariance=fit.covariance + np.diag([part.doubt**2 for part in parts]))
         covariance[np.ix_(periodic, periodic)] = fit.covariance
         for row, k in enumerate(periodic):
-            sweeps[k] = _from_joint_fit(spectra[k], float(reference[k]), fit, row, gain)
+            sweeps[k] = _from_joint_fit(parts[row].spectrum, float(reference[k]), fit, row, gain, distortion)
             if fit.weight[row] < 1:
                 why = f"its effort is left unexplained {np.sqrt(fit.chi_squared[row]):.1f} times as much as the others'"
                 suspects.append(Suspect(spectra[k].spec.id, robot.joints[number], why, float(fit.weight[row])))
     train = fit.train if fit is not None else analysis.train if analysis is not None else None
     for k, spectrum in enumerate(spectra):
         if not spectrum.spec.periodic:
-            sweeps[k] = _from_record(spectrum, float(reference[k]), gain, train)
+            true = replace(spectrum, effort=spectrum.effort / gain.gain)
+            sweeps[k] = _from_record(true, float(reference[k]), gain, train)
             covariance[k, k] = sweeps[k].std ** 2
     return AxisEstimate(
         joint=robot.joints[number],
@@ -122,8 +141,48 @@ def identify_axis(
         fit=fit,
         gain=gain,
         suspects=tuple(suspects),
+        distortion=distortion,
         direct_encoder=bool(periodic) and all(spectra[k].load_velocity is not None for k in periodic),
     )
+
+
+def _fit(
+    robot: Robot,
+    number: int,
+    told: Sequence[Spectrum],
+    reference: Array,
+    priors: Sequence[PosePrior],
+    analysis: AxisAnalysis | None,
+    gain: TorqueGain,
+    known: KnownAxis,
+) -> tuple[JointFit, list[Corrected], Distortion | None]:
+    """The joint fit of the sweeps with lines, the sweeps without gain and known effects, and their distortion."""
+    loads = [Load(float(prior.mean[0]), float(prior.mean[2]), float(prior.mean[1])) for prior in priors]
+    rounds = LOAD_ROUNDS if known.get(LOAD) else 1
+    while True:
+        parts = [corrected(one, known, gain.gain, load) for one, load in zip(told, loads, strict=True)]
+        spectra = [part.spectrum for part in parts]
+        train = shared_prior(robot, number, reference, spectra) if analysis is None else _analysed(analysis, gain)
+        uncertain = [part.uncertain for part in parts]
+        given = (
+            with_known_spring(train, known, gain.gain),
+            [with_known_hose(prior, known, gain.gain) for prior in priors],
+            NOISE_GUESS * robot.axes[number].rated_effort,
+            uncertain,
+        )
+        fit = fit_axis(spectra, *given)
+        rounds -= 1
+        if not rounds:
+            distortion = distortion_of(spectra, uncertain, fit)
+            for _ in range(DISTORTION_ROUNDS if distortion else 0):
+                spread = None if distortion is None else [distortion.spread(one) for one in spectra]
+                fit = fit_axis(spectra, *given, spread)
+                distortion = distortion_of(spectra, uncertain, fit, distortion)
+            return fit, parts, distortion
+        loads = [
+            replace(load, inertia=float(found), train=fit.train)
+            for load, found in zip(loads, fit.load_inertia, strict=True)
+        ]
 
 
 def _analysed(analysis: AxisAnalysis, gain: TorqueGain) -> SharedPrior:
@@ -136,9 +195,13 @@ def _total(value: float, std: float, gain: TorqueGain) -> float:
     return float(np.hypot(std, gain.std / gain.gain * value))
 
 
-def _from_joint_fit(spectrum: Spectrum, reference: float, fit: JointFit, row: int, gain: TorqueGain) -> SweepInertia:
+def _from_joint_fit(
+    spectrum: Spectrum, reference: float, fit: JointFit, row: int, gain: TorqueGain, distortion: Distortion | None
+) -> SweepInertia:
     value, std = float(fit.inertia[row]), float(np.sqrt(fit.covariance[row, row]))
-    response = _lines(spectrum, float(fit.noise[row]))
+    spread = np.ones(len(spectrum.frequency)) if distortion is None else distortion.spread(spectrum)
+    response = _lines(spectrum, float(fit.noise[row]) * spread)
+    stds = np.array([std for _, _, std in response])
     return SweepInertia(
         sweep=spectrum.spec.id,
         value=value,
@@ -150,6 +213,7 @@ def _from_joint_fit(spectrum: Spectrum, reference: float, fit: JointFit, row: in
         viscous_friction=fit.train.motor_friction + fit.train.load_friction,
         response=response,
         terms={},
+        noise=None if distortion is None else tuple((stds / spread[spectrum.line]).tolist()),
     )
 
 
@@ -170,13 +234,21 @@ def _from_record(spectrum: Spectrum, reference: float, gain: TorqueGain, train: 
     fit = fit_record(spectrum)
     excess = 0.0 if train is None else _elastic_excess(spectrum, train, fit.inertia)
     std = float(np.hypot(fit.inertia_std, excess))
-    warning = f"fitted as a rigid axis; its spring is good for an error of {100 * excess / fit.inertia:.1f} %"
+    errors = {
+        "fitted as a rigid axis; its spring": excess,
+        "its friction is fitted as linear in speed; what is not so": fit.by_drag,
+    }
+    warnings = [
+        f"{what} is good for an error of {100 * error / fit.inertia:.1f} %"
+        for what, error in errors.items()
+        if error > MATERIAL * fit.inertia_std
+    ]
     return SweepInertia(
         sweep=spectrum.spec.id,
         value=fit.inertia,
         std=std,
         std_total=_total(fit.inertia, std, gain),
-        warning=warning if excess > fit.inertia_std else None,
+        warning="; ".join(warnings) or None,
         bound=None,
         reference=reference,
         paper_value=None,
@@ -194,13 +266,14 @@ def _elastic_excess(spectrum: Spectrum, train: DriveTrain, inertia: float) -> fl
     return abs(float(np.sum(power * (z.total / z.s).real) / np.sum(power)) - inertia)
 
 
-def _lines(spectrum: Spectrum, noise: float) -> tuple[tuple[float, complex, float], ...]:
+def _lines(spectrum: Spectrum, noise: Array) -> tuple[tuple[float, complex, float], ...]:
     return tuple(
-        (float(frequency), complex(effort / velocity), float(noise / abs(velocity)))
-        for frequency, effort, velocity in zip(
+        (float(frequency), complex(effort / velocity), float(std / abs(velocity)))
+        for frequency, effort, velocity, std in zip(
             spectrum.frequency[spectrum.line],
             spectrum.effort[spectrum.line],
             spectrum.velocity[spectrum.line],
+            noise[spectrum.line],
             strict=True,
         )
     )

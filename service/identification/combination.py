@@ -15,39 +15,48 @@ each; and friction while an axis reverses, when it sticks at any torque and moto
 step and a slope for every such stretch.
 
 Weights: the noise of an axis is the scatter of its effort between periods, enlarged until the residuals of the fit are
-no larger than it: what the model cannot explain counts as noise.
+no larger than it: what the model cannot explain counts as noise. Free motions, which have no period, bring equations in
+time instead of harmonics, and a covariance of their own (`free_motion_fit`). The nominal model is one measurement more,
+with the prior's standard deviations; dry friction is left open.
 
 A base parameter counts as *identified* when its standard deviation is below half of what the nominal model and its
 prior leave open; else the reason says so. Sweeps see neither gravity nor friction nor what only Coriolis and coupling
 show; trajectories see all of it, but at low frequency, where inertia has to be told from the rest.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import BadInput
+from service.identification import free_motion
 from service.identification.axis_inertia import DriveTrain
-from service.identification.base_parameters import BaseParameters, joint_ranges, reduce_columns
+from service.identification.base_parameters import BaseParameters
 from service.identification.estimate import Estimate
+from service.identification.free_motion import FreeMotion
+from service.identification.free_motion_fit import fit_free_motions
+from service.identification.free_motion_held_out import HeldOut, held_out
 from service.identification.frequency_response import Complex
-from service.identification.inverse_dynamics import Motion, drive_rows, dynamics_names, dynamics_rows, link_rows
+from service.identification.inverse_dynamics import Motion, drive_rows, dynamics_rows, link_rows
 from service.identification.least_squares import Information, Solution
+from service.identification.nominal_priors import TorqueGain, uncalibrated
+from service.identification.parameter_prior import nominal_parameters, parameter_spread, prior_information
 from service.identification.regressor import axis_rows
 from service.identification.trajectory_record import TrajectoryRecord, calibrated, with_loads
+from service.identification.whole_base import dynamic_base
 from service.robot import Robot
 
 Array = NDArray[np.float64]
 
 IDENTIFIED = 0.5  # of the prior's standard deviation that the data must leave at most
+SHOWN = 0.9  # of the prior's: from here nothing that was measured shows the parameter
 ALONE = 1.5  # times the standard deviation of both together: so near, one source suffices
-SAMPLES = 200  # random motions that stand for all motions
 LINK_RATE = 200.0  # Hz, at which the links' rows are formed: products of a few harmonics
 DRIVE_RATE = 2000.0  # Hz, at which friction and ripple are formed: sign and cogging reach far above the band
-COULOMB_PRIOR, OFFSET_PRIOR = 0.1, 0.02  # of the rated effort: one sigma of what no data sheet tells
 STILL = 0.01  # of the largest velocity: below, an axis is reversing
 NOISE_GUESS = 1e-4  # of the rated effort, of a harmonic: start value only
 ROUNDS = 3  # of weighting
@@ -82,12 +91,14 @@ class Source(Enum):
 
 @dataclass(frozen=True)
 class CombinedParameter:
-    """One base parameter. Standard deviations with all data, with one source alone (inf: it does not show it), and of
-    the nominal model; `reason` is empty for what is identified."""
+    """One base parameter. Standard deviations with all data and the model's prior, `std_total` with what the torque
+    constants may be off besides; with the prior and one source alone (inf: it does not show it); of the nominal model.
+    `reason` is empty for what is identified."""
 
     name: str
     value: float
     std: float
+    std_total: float
     std_sweeps: float
     std_trajectories: float
     std_prior: float
@@ -119,6 +130,8 @@ class Combination:
     noise: dict[str, float]
     scatter: dict[str, float | None]
     trajectories: tuple[tuple[str, ...], ...]  # ids of the sweeps of each
+    free: tuple[tuple[str, ...], ...]  # the same of free motions
+    free_axes: dict[str, HeldOut]  # by joint, how well free motions are predicted
 
     def effort(self, load: Motion, motor: Motion | None = None) -> Array:
         """Predicted efforts (m, n) along a motion, without ripple, N m (N)."""
@@ -147,26 +160,57 @@ def inertias_of(estimate: Estimate) -> tuple[AxisInertias, ...]:
     )
 
 
-def combine(robot: Robot, inertias: Sequence[AxisInertias], records: Sequence[TrajectoryRecord]) -> Combination:
-    """Joint estimate of sweeps (there may be none) and trajectories of the whole robot; BadInput without these."""
-    if not records:
-        raise BadInput("combination", "there is no trajectory")
+def combine(
+    robot: Robot,
+    inertias: Sequence[AxisInertias],
+    records: Sequence[TrajectoryRecord],
+    motions: Sequence[FreeMotion] = (),
+    gains: Mapping[str, TorqueGain] | None = None,
+) -> Combination:
+    """Joint estimate of sweeps (there may be none), trajectories and free motions of the whole robot.
+
+    `gains`: what a test mass calibrated, by joint. BadInput where axes moved at once in neither.
+    """
+    if not records and not motions:
+        raise BadInput("combination", "there is no trajectory and no free motion of several axes")
     base = dynamic_base(robot)
-    start = base.combination @ nominal_parameters(robot)
+    start, prior = base.combination @ nominal_parameters(robot), prior_information(robot, base)
     trains = {axis.joint: axis.train for axis in inertias if axis.train is not None}
-    gains = {axis.joint: axis.gain for axis in inertias}
-    records = [with_loads(calibrated(record, gains), trains) for record in records]
+    gain = {joint: one.gain for joint, one in (gains or {}).items()} | {axis.joint: axis.gain for axis in inertias}
+    records = [with_loads(calibrated(record, gain), trains) for record in records]
     equations = [equation for record in records for equation in _equations(robot, base, record)]
     sweeps = _sweep_information(robot, base, inertias)
+    others = _sum(sweeps, len(start)).plus(prior)
+    free = None
+    if motions:
+        motions = [free_motion.with_loads(free_motion.calibrated(motion, gain), trains) for motion in motions]
+        free = fit_free_motions(robot, base, motions, others, start)
+        others = others.plus(free.honest)
     scatter = {joint: _scatter(records, joint) for joint in dict.fromkeys(each.joint for each in equations)}
     noise = {joint: value or NOISE_GUESS * robot.axis(joint).rated_effort for joint, value in scatter.items()}
-    motions = _motion_information(equations, noise, len(start))
+    at_once = _motion_information(equations, noise, len(start))
     for _ in range(ROUNDS):
-        values = _together(sweeps, motions).solve(start).values
+        values = _sum(at_once, len(start)).plus(others).solve(start).values
         noise = {joint: max(scatter[joint] or 0.0, _misfit(equations, joint, values)) for joint in noise}
-        motions = _motion_information(equations, noise, len(start))
-    solution = _together(sweeps, motions).solve(start)
-    stds = (solution.std, sweeps.solve(start).std, motions.solve(start).std, _prior_std(robot, base))
+        at_once = _motion_information(equations, noise, len(start))
+    alone, moved = _sum(sweeps, len(start)), _sum(at_once, len(start))
+    moved = moved if free is None else moved.plus(free.honest)
+    solution = alone.plus(moved).plus(prior).solve(start)
+    by_gain = np.zeros((len(start), len(robot.axes)))
+    for joint, own in [*sweeps.items(), *at_once.items()]:
+        by_gain[:, robot.index(joint)] += own.vector
+    by_gain += 0.0 if free is None else free.gain_vector
+    spread = [one.std / one.gain for one in ((gains or {}).get(joint) or uncalibrated(robot) for joint in robot.joints)]
+    total = np.sqrt(solution.std**2 + (solution.covariance @ by_gain) ** 2 @ np.square(spread))
+    left_open = prior.solve(start).std
+    std = _shown(solution.std, left_open)
+    stds = (
+        std,
+        np.where(np.isfinite(std), total, np.inf),
+        _shown(alone.plus(prior).solve(start).std, left_open),
+        _shown(moved.plus(prior).solve(start).std, left_open),
+        np.sqrt(base.combination**2 @ parameter_spread(robot) ** 2),
+    )
     return Combination(
         robot=robot,
         base=base,
@@ -178,28 +222,11 @@ def combine(robot: Robot, inertias: Sequence[AxisInertias], records: Sequence[Tr
         noise=noise,
         scatter=scatter,
         trajectories=tuple(tuple(track.spec.id for track in record.tracks) for record in records),
+        free=tuple(motion.ids for motion in motions),
+        free_axes={}
+        if free is None
+        else held_out(robot, motions, free, alone.plus(_sum(at_once, len(start))).plus(prior), start),
     )
-
-
-def dynamic_base(robot: Robot, ends: tuple[Array, Array] | None = None) -> BaseParameters:
-    """The base parameters of the efforts of all axes that move, friction and offsets included; columns of the 14 n.
-
-    `ends`: lower and upper (n,) of the joints' positions, rad (m); a joint stands where they are the same. None: the
-    whole range of every joint.
-    """
-    rng = np.random.default_rng(0)
-    lower, upper = ends or joint_ranges(robot.chain)
-    moving, shape = lower < upper, (SAMPLES, len(lower))
-    motion = Motion(rng.uniform(lower, upper, shape), *(moving * rng.uniform(-1.0, 1.0, (2, *shape))))
-    rows = dynamics_rows(robot.chain, robot.gravity, motion)[:, moving]
-    return reduce_columns(rows.reshape(-1, rows.shape[-1]), dynamics_names(robot.chain))
-
-
-def nominal_parameters(robot: Robot) -> Array:
-    """The model's (14 n,): links of CAD, motors and viscous friction of the data sheets; dry friction is in none."""
-    motors = [axis.reflected_motor_inertia or 0.0 for axis in robot.axes]
-    viscous = [axis.viscous_friction or 0.0 for axis in robot.axes]
-    return np.concatenate([robot.chain.inertial.ravel(), motors, viscous, np.zeros(2 * len(robot.axes))])
 
 
 @dataclass(frozen=True)
@@ -273,19 +300,27 @@ def _reversals(*velocities: Array) -> Array:
     return stretches
 
 
-def _motion_information(equations: Sequence[_Equations], noise: dict[str, float], size: int) -> Information:
-    information = Information.empty(size)
+def _motion_information(equations: Sequence[_Equations], noise: dict[str, float], size: int) -> dict[str, Information]:
+    """By joint."""
+    information = {joint: Information.empty(size) for joint in noise}
     for each in equations:
-        information = information.add(each.rows, each.values, noise[each.joint] ** 2 * np.eye(len(each.values)))
+        covariance = noise[each.joint] ** 2 * np.eye(len(each.values))
+        information[each.joint] = information[each.joint].add(each.rows, each.values, covariance)
     return information
 
 
-def _sweep_information(robot: Robot, base: BaseParameters, inertias: Sequence[AxisInertias]) -> Information:
-    information = Information.empty(len(base.columns))
-    for axis in inertias:
-        rows = _inertia_rows(robot, base, axis.joint, axis.poses)
-        information = information.add(rows, axis.values, axis.covariance)
-    return information
+def _sweep_information(robot: Robot, base: BaseParameters, inertias: Sequence[AxisInertias]) -> dict[str, Information]:
+    """By joint."""
+    return {
+        axis.joint: Information.empty(len(base.columns)).add(
+            _inertia_rows(robot, base, axis.joint, axis.poses), axis.values, axis.covariance
+        )
+        for axis in inertias
+    }
+
+
+def _sum(parts: Mapping[str, Information], size: int) -> Information:
+    return reduce(Information.plus, parts.values(), Information.empty(size))
 
 
 def _inertia_rows(robot: Robot, base: BaseParameters, joint: str, poses: Array) -> Array:
@@ -293,10 +328,6 @@ def _inertia_rows(robot: Robot, base: BaseParameters, joint: str, poses: Array) 
     rows = axis_rows(robot.chain, robot.index(joint), poses)
     rows[np.abs(rows) < ROUNDING] = 0.0  # or a column of rounding errors would count as seen
     return np.hstack([rows, np.zeros((len(rows), 3 * len(robot.axes)))])[:, list(base.columns)]
-
-
-def _together(a: Information, b: Information) -> Information:
-    return Information(a.matrix + b.matrix, a.vector + b.vector, a.count + b.count)
 
 
 def _scatter(records: Sequence[TrajectoryRecord], joint: str) -> float | None:
@@ -314,35 +345,26 @@ def _misfit(equations: Sequence[_Equations], joint: str, values: Array) -> float
     return float(np.sqrt(squares / max(freedom * (1 - len(values) / whole), 1.0)))
 
 
-def _prior_std(robot: Robot, base: BaseParameters) -> Array:
-    """Standard deviations (r,) that the nominal model and its prior leave open."""
-    links = robot.chain.inertial
-    mass = np.maximum(links[:, :1], 1e-9)
-    length = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(-1, keepdims=True), 0) / 2 / mass) + 1e-3
-    size = np.hstack([mass, np.repeat(mass * length, 3, 1), np.repeat(mass * length**2, 6, 1)]).ravel()
-    nominal, count, prior = nominal_parameters(robot), len(robot.axes), robot.prior
-    rated = np.array([axis.rated_effort for axis in robot.axes])
-    spread = np.concatenate(
-        [
-            prior.inertia * size,
-            prior.motor_inertia * nominal[10 * count : 11 * count],
-            prior.viscous_friction * nominal[11 * count : 12 * count],
-            COULOMB_PRIOR * rated,
-            OFFSET_PRIOR * rated,
-        ]
-    )
-    return np.sqrt(base.combination**2 @ spread**2)
+def _shown(std: Array, left_open: Array) -> Array:
+    """Standard deviations (r,), inf where the prior alone has nearly the same."""
+    return np.where(std < SHOWN * left_open, std, np.inf)
 
 
 def _judged(
-    name: str, value: float, std: float, std_sweeps: float, std_trajectories: float, std_prior: float
+    name: str,
+    value: float,
+    std: float,
+    std_total: float,
+    std_sweeps: float,
+    std_trajectories: float,
+    std_prior: float,
 ) -> CombinedParameter:
     source, reason = _source(std, std_sweeps, std_trajectories), ""
     if not np.isfinite(std):
         source, reason = Source.NONE, "no sweep and no trajectory shows it"
     elif std > IDENTIFIED * std_prior:
         reason = f"too weakly excited: standard deviation {std:.3g}, the nominal model's is {std_prior:.3g}"
-    return CombinedParameter(name, value, std, std_sweeps, std_trajectories, std_prior, source, reason)
+    return CombinedParameter(name, value, std, std_total, std_sweeps, std_trajectories, std_prior, source, reason)
 
 
 def _source(std: float, std_sweeps: float, std_trajectories: float) -> Source:

@@ -19,6 +19,7 @@ def combination_document(combination: Combination) -> dict[str, Any]:
                 "name": parameter.name,
                 "value": parameter.value,
                 "std": _finite(parameter.std),
+                "std_total": _finite(parameter.std_total),
                 "std_sweeps": _finite(parameter.std_sweeps),
                 "std_trajectories": _finite(parameter.std_trajectories),
                 "std_nominal": parameter.std_prior,
@@ -33,6 +34,16 @@ def combination_document(combination: Combination) -> dict[str, Any]:
         "noise": {
             joint: {"harmonic": noise, "scatter": combination.scatter[joint]}
             for joint, noise in combination.noise.items()
+        },
+        "free_motions": [list(sweeps) for sweeps in combination.free],
+        "free_motion_axes": {
+            joint: {
+                "residual_rms": axis.residual,
+                "held_out_rms": axis.error,
+                "held_out_percent": 100 * axis.error / combination.robot.axis(joint).rated_effort,
+                "noise_floor_rms": axis.floor,
+            }
+            for joint, axis in combination.free_axes.items()
         },
     }
 

@@ -5,7 +5,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.axis_estimate import SweepInertia
 from service.identification.base_parameters import combination_of
+from service.identification.effects_document import effects_document
 from service.identification.estimate import AxisEstimate, Estimate
 from service.identification.standard_parameters import standard_parameters
 from service.identification.symbols import Dimension, symbolic_names
@@ -31,9 +33,14 @@ def as_document(estimate: Estimate, workspace: Array) -> dict[str, Any]:
     return {
         "axes": {axis.joint: _axis(estimate, axis, workspace) for axis in estimate.axes},
         "base_parameters": [
-            {"name": name, "symbolic": words, "value": float(value), "std": _finite(std)}
-            for name, words, value, std in zip(
-                estimate.base.names, symbolic, estimate.solution.values, estimate.solution.std, strict=True
+            {"name": name, "symbolic": words, "value": float(value), "std": _finite(std), **_open(std, spread)}
+            for name, words, value, std, spread in zip(
+                estimate.base.names,
+                symbolic,
+                estimate.solution.values,
+                estimate.solution.std,
+                estimate.spread,
+                strict=True,
             )
         ],
         "symbols": {
@@ -45,6 +52,7 @@ def as_document(estimate: Estimate, workspace: Array) -> dict[str, Any]:
         "suspect": [
             {"axis": one.axis, "sweep": one.sweep, "why": one.why, "weight": one.weight} for one in estimate.suspects
         ],
+        **effects_document(estimate.known, estimate.axes),
     }
 
 
@@ -64,8 +72,8 @@ def _axis(estimate: Estimate, axis: AxisEstimate, workspace: Array) -> dict[str,
                 "paper_value": sweep.paper_value,
                 "viscous_friction": sweep.viscous_friction,
                 "frequency_response": [
-                    {"frequency": frequency, "re": z.real, "im": z.imag, "std": std}
-                    for frequency, z, std in sweep.response
+                    {"frequency": frequency, "re": z.real, "im": z.imag, "std": std, **parts}
+                    for (frequency, z, std), parts in zip(sweep.response, _parts(sweep), strict=True)
                 ],
                 **({"terms": _terms(sweep.terms)} if sweep.terms else {}),
                 **({"warning": sweep.warning} if sweep.warning else {}),
@@ -82,6 +90,8 @@ def _axis(estimate: Estimate, axis: AxisEstimate, workspace: Array) -> dict[str,
         "drive_train": _train(axis),
         "load_motion": "direct_encoder" if axis.direct_encoder else "motor_encoder",
         "torque_gain": {"value": axis.gain.gain, "std": axis.gain.std},
+        "distortion": _distortion(axis),
+        "effects_moved_in_std": None if axis.fit is None or not len(axis.fit.moved) else _largest(axis.fit.moved),
         **_confidence(estimate, axis, workspace),
         **_quality(estimate, axis),
     }
@@ -124,6 +134,14 @@ def _quality(estimate: Estimate, axis: AxisEstimate) -> dict[str, Any]:
     }
 
 
+def _open(std: float, spread: float) -> dict[str, str]:
+    """Why a base parameter has no standard deviation."""
+    if np.isfinite(std):
+        return {}
+    why = f"the data tell it no better than the nominal model, which leaves {spread:.3g}; it is drawn to that model"
+    return {"reason": why}
+
+
 def _terms(terms: dict[str, tuple[float, float]]) -> dict[str, dict[str, float]]:
     return {name: {"value": value, "std": std} for name, (value, std) in terms.items()}
 
@@ -161,6 +179,35 @@ def _standard(estimate: Estimate, parameters: Array) -> dict[str, Any]:
             f"Jm({joint.name})": float(value) for joint, value in zip(joints, parameters[count:], strict=True)
         },
     }
+
+
+def _parts(sweep: SweepInertia) -> list[dict[str, float]]:
+    """What of each line's std is noise and what distortion, where the axis has several realisations of its sweeps."""
+    if sweep.noise is None:
+        return [{} for _ in sweep.response]
+    return [
+        {"noise_std": noise, "distortion_std": float(np.sqrt(max(std**2 - noise**2, 0.0)))}
+        for (_, _, std), noise in zip(sweep.response, sweep.noise, strict=True)
+    ]
+
+
+def _distortion(axis: AxisEstimate) -> dict[str, Any] | None:
+    """Amplitudes: a bin holds half of a sine's."""
+    found = axis.distortion
+    if found is None:
+        return None
+    return {
+        "realisations": found.realisations,
+        "poses": found.groups,
+        "effort": [
+            {"frequency": float(frequency), "noise_std": 2 * float(noise), "distortion_std": 2 * float(distortion)}
+            for frequency, noise, distortion in zip(found.frequency, found.noise, found.distortion, strict=True)
+        ],
+    }
+
+
+def _largest(moved: Array) -> float:
+    return float(np.abs(moved).max())
 
 
 def _finite(value: float) -> float | None:

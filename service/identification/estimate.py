@@ -23,9 +23,11 @@ from service.identification.base_parameters import BaseParameters, base_paramete
 from service.identification.frequency_response import Spectrum
 from service.identification.ideal_frequency import AxisAnalysis
 from service.identification.joint_fit import CHANCE, FEW
+from service.identification.known_effects import KnownEffects
 from service.identification.least_squares import Information, LeftOut, Solution
-from service.identification.nominal_priors import TorqueGain, uncalibrated
+from service.identification.nominal_priors import Measured, TorqueGain, base_spread, torque_gain
 from service.identification.regressor import axis_rows, lock
+from service.identification.single_axis import check_moved_alone
 from service.identification.suspects import Suspect, judge
 from service.robot import Robot
 from service.urdf import Chain
@@ -60,11 +62,13 @@ class Estimate:
     base: BaseParameters
     nominal: Array  # (11 n,) parameters of the model
     solution: Solution
+    spread: Array  # (r,) standard deviations that the model left open
     condition_number: float
     observation: dict[str, Array]  # rows (n, r) of each axis' sweeps in the base parameters
     chi_squared: dict[str, tuple[float, float]]  # of J = W beta on each axis and its degrees of freedom
     suspects: tuple[Suspect, ...]
     held_out: dict[str, HeldOut]
+    known: KnownEffects
 
     @cached_property
     def workspace(self) -> Array:
@@ -100,19 +104,37 @@ class Estimate:
         return self.base.rows(self.chain, self._own(joint), poses)
 
 
+def _check_alive(spectrum: Spectrum) -> None:
+    """BadInput where a channel shows nothing at a commanded line: dead, or the axis stood."""
+    for name, values in (("effort", spectrum.effort), ("velocity", spectrum.velocity)):
+        silent = spectrum.line & (values == 0)
+        if silent.any():
+            raise BadInput(
+                f"sweep {spectrum.spec.id} {name}",
+                f"is 0 at the line of {spectrum.frequency[silent][0]:g} Hz: the channel is dead or the axis stood",
+            )
+
+
 def identify(
     robot: Robot,
     spectra: Sequence[Spectrum],
     analyses: Mapping[str, AxisAnalysis] | None = None,
     gains: Mapping[str, TorqueGain] | None = None,
+    known: KnownEffects | None = None,
 ) -> Estimate:
-    """The estimate from these spectra; BadInput when none of them shows inertia (noise and standstill do not).
+    """The estimate from these spectra; BadInput when none of them shows inertia (noise and standstill do not), or where
+    axes moved together.
 
-    `analyses` and `gains` by joint: initial analyses, and torque gains that a test mass calibrated.
+    `analyses` and `gains` by joint: initial analyses, and torque gains that a test mass calibrated. `known`: effects
+    that the robot's model has beside its rigid body.
     """
+    known = known or KnownEffects()
     spectra = sorted((s for s in spectra if s.spec.shows_inertia), key=lambda spectrum: spectrum.spec.id)
     if not spectra:
         raise BadInput("estimate", "there is no sweep to identify from")
+    check_moved_alone(spectra)
+    for spectrum in spectra:
+        _check_alive(spectrum)
     poses = np.array([spectrum.spec.pose for spectrum in spectra])
     moved = sorted({robot.index(spectrum.spec.axis) for spectrum in spectra})
     chain, unlocked = moving_chain(robot, moved, poses)
@@ -125,14 +147,23 @@ def identify(
     for number in moved:
         own = [spectrum for spectrum in spectra if robot.index(spectrum.spec.axis) == number]
         joint = robot.joints[number]
-        analysis, gain = (analyses or {}).get(joint), (gains or {}).get(joint) or uncalibrated(robot)
-        axes.append(identify_axis(robot, number, chain, unlocked, nominal, own, analysis, gain))
+        effects = known.of(joint)
+        analysis, gain = (analyses or {}).get(joint), (gains or {}).get(joint) or torque_gain(robot, effects)
+        axes.append(identify_axis(robot, number, chain, unlocked, nominal, own, analysis, gain, effects))
         places.append(np.array([s.spec.pose for s in own]))
         observation[joint] = base.rows(chain, unlocked.index(number), places[-1][:, list(unlocked)])
     judged = _judge(axes, observation, np.vstack(places))
     information = Information.empty(len(base.columns))
     for axis in judged.axes:
         information = information.add(observation[axis.joint], axis.values, axis.covariance)
+    start, rows = base.combination @ nominal, np.vstack(list(observation.values()))
+    measured = Measured(
+        values=np.concatenate([axis.values for axis in judged.axes]),
+        variance=np.concatenate([np.diag(axis.covariance) for axis in judged.axes]),
+        model=rows @ start,
+        rows=rows,
+    )
+    spread = base_spread(robot, chain, unlocked, base.combination, measured)
     return Estimate(
         robot=robot,
         chain=chain,
@@ -141,12 +172,14 @@ def identify(
         axes=judged.axes,
         base=base,
         nominal=nominal,
-        solution=information.solve(base.combination @ nominal),
-        condition_number=condition_number(np.vstack(list(observation.values()))),
+        solution=information.solve(start, spread),
+        spread=spread,
+        condition_number=condition_number(rows),
         observation=observation,
         chi_squared=judged.chi_squared,
         suspects=judged.suspects,
         held_out=judged.held_out,
+        known=known,
     )
 
 

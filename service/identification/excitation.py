@@ -15,11 +15,14 @@ T = 1 / (1 - (f/f_lr)^2) is how much more the load moves than the motor below th
 Travel. v0 (ramp + settle + P) stays within the travel; at fixed travel the standard deviation of J goes with
 1 / (v0 sqrt(P)), so the fastest and shortest window that the first rule allows is taken.
 
-Schroeder phases (1970), phi_i = -pi i (i - 1) / n, keep the crest factor low.
+Schroeder phases (1970), phi_i = -pi i (i - 1) / n, keep the crest factor low. Several realisations of one sweep have
+random phases instead, uniform but for crest factors above CREST, which are drawn again: what a nonlinearity adds to a
+line then has a random phase as well, and scatters between realisations (`distortion`). The sum of the amplitudes, which
+the no-reversal rule and the envelope bound, does not depend on phases.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from math import gcd
 
@@ -37,6 +40,8 @@ WINDOWS = (3, 5, 7)  # whole periods of 1 s; prime by the cogging rule
 RAMP = 0.5  # s
 SETTLE = 0.5  # s
 LOAD_MARGIN = 0.8  # of the offset that the sines may use on motor and load
+CREST = 2.4  # highest crest factor of a random realisation; 4 lines of any phases have at most 2.83
+DRAWS = 100
 LINE_MARGIN = 0.75  # of the locked-rotor frequency: no line above, but for the lowest
 
 
@@ -121,6 +126,31 @@ def design_sweep(
         for f, a, p in zip(frequency, amplitudes, phases, strict=True)
     )
     return Excitation(direction * offset, sines, 1.0, periods, RAMP, SETTLE)
+
+
+def realisations(excitation: Excitation, count: int, seed: Sequence[int]) -> tuple[Excitation, ...]:
+    """`count` sweeps that differ in their phases alone; one: the sweep as designed. Other `seed`: other phases."""
+    if count == 1:
+        return (excitation,)
+    rng = np.random.default_rng(list(seed))
+    return tuple(_with_random_phases(excitation, rng) for _ in range(count))
+
+
+def _with_random_phases(excitation: Excitation, rng: np.random.Generator) -> Excitation:
+    """The first draw of an acceptable crest factor, or the last of all draws."""
+    time = np.linspace(0.0, excitation.period, 200, endpoint=False)
+    frequency = np.array([sine.frequency for sine in excitation.sines])
+    amplitude = np.array([sine.amplitude for sine in excitation.sines])
+    phases = np.zeros(len(frequency))
+    for _ in range(DRAWS):
+        phases = rng.uniform(0.0, 2 * np.pi, len(frequency))
+        shape = amplitude @ np.sin(2 * np.pi * frequency[:, None] * time + phases[:, None])
+        if np.abs(shape).max() <= CREST * np.sqrt(np.sum(amplitude**2) / 2):
+            break
+    sines = tuple(
+        sine.model_copy(update={"phase": float(phase)}) for sine, phase in zip(excitation.sines, phases, strict=True)
+    )
+    return replace(excitation, sines=sines)
 
 
 def velocity_setpoint(excitation: Excitation, time: Array) -> Array:

@@ -44,7 +44,8 @@ class Spectrum:
 
     `regressors` (r, b): DFTs of the signals named by `names`: "gravity_torque" cos d and "gravity_stiffness" sin d of
     the way d since the start pose (revolute), "ripple" cos and sin of each cogging and transmission order of the motor
-    angle, "coulomb" sign of the velocity where it reverses. A free record also has "acceleration" and "offset".
+    angle, "coulomb" sign of the velocity where it reverses. A free record also has "acceleration", "offset" and "drag",
+    the velocity times its amount.
     `load_velocity` (b,) is the direct encoder's, None without one.
     """
 
@@ -98,7 +99,17 @@ def spectrum(robot: Robot, sweep: Sweep) -> Spectrum:
     """The spectrum of one sweep of an axis of `robot`; BadInput where the record cannot hold it."""
     spec, record = sweep.spec, sweep.recording
     index = robot.index(spec.axis)
+    _check_numbers(spec, record)
     return (_periodic if spec.periodic else _free)(robot, index, spec, record)
+
+
+def _check_numbers(spec: SweepSpec, record: Recording) -> None:
+    """BadInput for a NaN or an infinite sample: one would be in every bin."""
+    for name in ("effort", "velocity", "position", "load_velocity", "load_position"):
+        column: Array | None = getattr(record, name)
+        if column is not None and not np.isfinite(column).all():
+            sample = int(np.flatnonzero(~np.isfinite(column))[0])
+            raise BadInput(f"sweep {spec.id} of {spec.axis}", f"{name} is no number at sample {sample}")
 
 
 def _periodic(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> Spectrum:
@@ -162,8 +173,10 @@ def _free(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> Spect
         line=np.zeros(len(frequency), dtype=bool),
         effort=_trapezoidal_dft(record.effort[part], bins),
         velocity=velocity,
-        names=("acceleration", "offset", *names),
-        regressors=np.vstack([acceleration, offset, _trapezoidal_dft(signals, bins)]),
+        names=("acceleration", "offset", "drag", *names),
+        regressors=np.vstack(
+            [acceleration, offset, _trapezoidal_dft(speed * np.abs(speed), bins), _trapezoidal_dft(signals, bins)]
+        ),
     )
 
 

@@ -5,6 +5,8 @@ prior of the data sheet a row more. The own parameters are eliminated sweep by s
 grows linearly with the number of sweeps. The noise variance is pooled over the sweeps of one sample rate, from
 residuals with the degrees of freedom used up removed.
 
+Known effects were taken out before (`known_torque`); what they are uncertain by are further shared parameters, 0 +- 1.
+
 A sweep whose residual is larger than chance allows (a torque spike, a collision, a loose cable) would spoil the drive
 train and the noise of all: it gets the variance that its own residual shows, the likeliest under a Gaussian error of
 its own (`weight` = pooled over own variance). Chance: chi-squared at `CHANCE` over the number of sweeps.
@@ -16,6 +18,7 @@ from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.stats import chi2
 
 from service.identification.axis_inertia import DriveTrain
@@ -65,7 +68,8 @@ class JointFit:
     rest comes with the shared drive train; `bound` (n,) the Cramer-Rao bound of its standard deviation if all but J_l
     were known; `gravity` (n, 2) the fitted k_g and G0; `noise` (n,) the standard deviation of real and imaginary part
     of an effort bin; `chi_squared` (n,) each sweep's share of it, per degree of freedom, with the noise pooled;
-    `weight` (n,) below 1 where a sweep's own residual is used instead; `freedom` degrees of freedom in all.
+    `weight` (n,) below 1 where a sweep's own residual is used instead; `freedom` degrees of freedom in all; `moved`
+    (u,) by how many of its standard deviations each independent part of the known effects had to move.
     """
 
     train: DriveTrain
@@ -80,19 +84,22 @@ class JointFit:
     chi_squared: Array
     weight: Array
     freedom: float
+    moved: Array
+    shared: Array  # (5 + u,) and
+    own: tuple[Array, ...]  # of each sweep (p,): all parameters, for `sweep_model`
 
 
 @dataclass(frozen=True)
 class _Priors:
-    mean: Array  # (5,)
-    precision: Array  # (5, 5)
+    mean: Array  # (5 + u,)
+    precision: Array  # (5 + u, 5 + u)
     own_mean: tuple[Array, ...]  # a stack (n, p) each
     own_precision: tuple[Array, ...]
 
 
 @dataclass(frozen=True)
 class _Point:
-    shared: Array  # (5,)
+    shared: Array  # (5 + u,)
     own: tuple[Array, ...]  # a stack (n, p) each
 
 
@@ -101,10 +108,10 @@ class _Normal:
     """Normal equations of n sweeps, bordered: own blocks, couplings, shared block and the gradient of each."""
 
     own: Array  # (n, p, p)
-    coupling: Array  # (n, p, 5)
-    shared: Array  # (5, 5)
+    coupling: Array  # (n, p, 5 + u)
+    shared: Array  # (5 + u, 5 + u)
     own_gradient: Array  # (n, p)
-    shared_gradient: Array  # (5,)
+    shared_gradient: Array  # (5 + u,)
 
 
 @dataclass(frozen=True)
@@ -116,14 +123,25 @@ class _Noise:
 
 
 def fit_axis(
-    spectra: Sequence[Spectrum], shared_prior: SharedPrior, pose_priors: Sequence[PosePrior], noise_guess: float
+    spectra: Sequence[Spectrum],
+    shared_prior: SharedPrior,
+    pose_priors: Sequence[PosePrior],
+    noise_guess: float,
+    uncertain: Sequence[Complex] | None = None,
+    spread: Sequence[Array] | None = None,
 ) -> JointFit:
-    """Fit all periodic sweeps of one axis; `noise_guess` is the effort noise of one sample, N m (N)."""
+    """Fit all periodic sweeps of one axis; `noise_guess` is the effort noise of one sample, N m (N).
+
+    `uncertain` (u, b) of each sweep: what the effects taken out of its effort are uncertain by. `spread` (b,) of each:
+    how many times the noise each bin's standard deviation is, where a nonlinearity distorts it (`distortion`).
+    """
+    known = list(uncertain or [np.zeros((0, len(one.frequency)), dtype=np.complex128) for one in spectra])
     poses = [complete_prior(*pair) for pair in zip(spectra, pose_priors, strict=True)]
     sigma = np.array([noise_guess / np.sqrt(2 * spectrum.samples) for spectrum in spectra])
     some = slice(None, None, max(1, len(spectra) // STARTERS))
-    shared = _first_train(stacks(spectra[some]), shared_prior, poses[some], sigma[some])
-    parts = stacks(spectra)
+    wide = list(spread or [np.ones(len(one.frequency)) for one in spectra])
+    shared = _first_train(stacks(spectra[some], known[some], wide[some]), shared_prior, poses[some], sigma[some])
+    parts = stacks(spectra, known, wide)
     priors = _priors(parts, shared_prior, poses)
     point = _Point(shared, priors.own_mean)
     rate = np.array([spectrum.spec.sample_rate for spectrum in spectra])
@@ -144,9 +162,10 @@ def complete_prior(spectrum: Spectrum, prior: PosePrior) -> PosePrior:
 
 def _priors(parts: Sequence[Stack], shared: SharedPrior, poses: Sequence[PosePrior]) -> _Priors:
     own = [[poses[place] for place in cast(list[int], stack.place.tolist())] for stack in parts]
+    unknown = parts[0].uncertain.shape[1]
     return _Priors(
-        shared.mean,
-        scaled_inverse(shared.covariance),
+        np.append(shared.mean, np.zeros(unknown)),
+        block_diag(scaled_inverse(shared.covariance), np.eye(unknown)),
         tuple(np.stack([prior.mean for prior in priors]) for priors in own),
         tuple(np.stack([prior.sigma**-2.0 for prior in priors]) for priors in own),
     )
@@ -177,7 +196,7 @@ def _equations(
     cost = float(away @ priors.precision @ away)
     normals: list[_Normal] = []
     for stack, own, mean, precision in zip(parts, point.own, priors.own_mean, priors.own_precision, strict=True):
-        scale = 1 / sigma[stack.place][:, None, None]
+        scale = 1 / (sigma[stack.place][:, None, None] * np.repeat(stack.spread, 2, axis=1)[:, None])
         residual, by_shared, by_own = stack_residual(stack, point.shared, own)
         r, a, b = (_real(part) * scale for part in (residual[:, None], by_shared, by_own))
         pull = precision * (mean - own)
@@ -228,7 +247,7 @@ def _step(normals: Sequence[_Normal], priors: _Priors, point: _Point, damping: f
         own = normal.own.copy()
         own[:, size, size] *= 1 + damping
         solved = _solve(own, np.concatenate([normal.coupling, normal.own_gradient[:, :, None]], axis=2))
-        gain, step = solved[:, :, :SHARED], solved[:, :, SHARED]
+        gain, step = solved[:, :, :-1], solved[:, :, -1]
         matrix += normal.shared - np.einsum("npi,npj->ij", normal.coupling, gain)
         gradient += normal.shared_gradient - np.einsum("npi,np->i", gain, normal.own_gradient)
         eliminated.append((step, gain))
@@ -245,7 +264,7 @@ def _pooled_noise(
     squares, freedom, samples, largest = np.zeros((4, count))
     normals = _equations(parts, priors, sigma, point)[1]
     for stack, own, normal, precision in zip(parts, point.own, normals, priors.own_precision, strict=True):
-        residual = stack_residual(stack, point.shared, own)[0]
+        residual = stack_residual(stack, point.shared, own)[0] / stack.spread
         squares[stack.place] = np.sum(np.abs(residual) ** 2, axis=1) * stack.samples
         # a parameter costs a degree of freedom as far as the data told it and not its prior; all share the train's
         by_prior = np.sum(precision * np.diagonal(scaled_inverse(normal.own), axis1=1, axis2=2), axis=1)
@@ -283,7 +302,7 @@ def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tu
 def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Point) -> JointFit:
     count = len(noise.sigma)
     load, own_variance, bound = np.zeros((3, count))
-    gravity, by_shared = np.zeros((count, 2)), np.zeros((count, SHARED))
+    gravity, by_shared = np.zeros((count, 2)), np.zeros((count, len(point.shared)))
     matrix = priors.precision.copy()
     normals = _equations(parts, priors, noise.sigma, point)[1]
     for stack, own, normal, precision in zip(parts, point.own, normals, priors.own_precision, strict=True):
@@ -297,7 +316,7 @@ def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Poin
         load[stack.place], gravity[stack.place] = own[:, 0], own[:, 1:3]
     by_shared[:, 0] += 1  # J = Jm + J_l
     shared_covariance = scaled_inverse(matrix)
-    shared, shared_std = point.shared.copy(), np.sqrt(np.diag(shared_covariance))
+    shared, shared_std = point.shared[:SHARED].copy(), np.sqrt(np.diag(shared_covariance))[:SHARED]
     if all(stack.load_velocity is not None for stack in parts):  # the inertias did not need the spring
         shared[3:], shared_std[3:] = spring(parts, point.shared, point.own, float(shared_std[2]))
     motor_inertia, motor_friction, load_friction, compliance, damping_time = (float(value) for value in shared)
@@ -314,7 +333,20 @@ def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Poin
         chi_squared=noise.chi_squared,
         weight=noise.weight,
         freedom=noise.freedom,
+        moved=point.shared[SHARED:],
+        shared=point.shared,
+        own=_by_sweep(parts, point),
     )
+
+
+def _by_sweep(parts: Sequence[Stack], point: _Point) -> tuple[Array, ...]:
+    """The own parameters of each sweep, in the order given."""
+    found = {
+        place: values
+        for stack, own in zip(parts, point.own, strict=True)
+        for place, values in zip(cast(list[int], stack.place.tolist()), own, strict=True)
+    }
+    return tuple(found[place] for place in sorted(found))
 
 
 def _real(values: Complex) -> Array:

@@ -5,6 +5,11 @@ With rows W, values y and covariance C of one batch,
     Lambda += W^T C^-1 W,    eta += W^T C^-1 y,    beta = Lambda^-1 eta,    cov beta = Lambda^-1
 
 so batches may come in any number and order. Columns are scaled by the diagonal of Lambda before anything is inverted.
+
+Where the standard deviations S of a start value are given, columns are scaled by these instead: the eigenvalues of
+S Lambda S then say how much better than the start the data tell a direction. One that they tell worse (eigenvalue
+below 1) is not followed, wherever noise puts it: it stays at the start, with the start's variance. A parameter that
+hangs on such a direction by more than a tenth of its own S is called undetermined.
 """
 
 from collections.abc import Sequence
@@ -17,6 +22,8 @@ from scipy import linalg
 Array = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-12  # of the scaled information matrix's largest eigenvalue
+BETTER = 1.0  # times the start's precision: below, data do not tell a direction
+HANGS_ON = 0.1  # of its start's standard deviation that a determined parameter may owe to what data do not tell
 NOT_TOLD = 1e-8  # of a value's own precision: what is left of it when no other value tells the same
 
 
@@ -43,17 +50,29 @@ class Information:
             self.count + len(values),
         )
 
-    def solve(self, start: Array) -> "Solution":
-        """Parameters (n,) nearest to `start` where the data leave a choice, with covariance and what is determined."""
-        scale = np.sqrt(np.diag(self.matrix))
-        scale = np.where(scale > 0, scale, 1.0)
-        eigenvalues, vectors = np.linalg.eigh(self.matrix / np.outer(scale, scale))
-        seen = eigenvalues > RANK_TOLERANCE * max(eigenvalues[-1], 1e-300)
+    def plus(self, other: "Information") -> "Information":
+        """What two independent sets of measurements tell."""
+        return Information(self.matrix + other.matrix, self.vector + other.vector, self.count + other.count)
+
+    def solve(self, start: Array, spread: Array | None = None) -> "Solution":
+        """Parameters (n,) nearest to `start` where the data leave a choice, with covariance and what is determined.
+
+        `spread` (n,), positive: standard deviations of the start; without, any direction above rounding is followed and
+        what stays at the start has no variance.
+        """
+        scale = 1 / np.sqrt(np.where(np.diag(self.matrix) > 0, np.diag(self.matrix), 1.0)) if spread is None else spread
+        eigenvalues, vectors = np.linalg.eigh(self.matrix * np.outer(scale, scale))
+        rounding = RANK_TOLERANCE * max(eigenvalues[-1], 1e-300)
+        seen = eigenvalues > (rounding if spread is None else max(rounding, BETTER))
         inverse = (vectors[:, seen] / eigenvalues[seen]) @ vectors[:, seen].T
-        step = inverse @ ((self.vector - self.matrix @ start) / scale) / scale
-        # a parameter is determined when no unseen direction moves it
-        determined = np.linalg.norm(vectors[:, ~seen], axis=1) < 1e-6
-        return Solution(start + step, inverse / np.outer(scale, scale), determined)
+        step = inverse @ ((self.vector - self.matrix @ start) * scale) * scale
+        unseen = np.linalg.norm(vectors[:, ~seen], axis=1)
+        if spread is None:
+            # a parameter is determined when no unseen direction moves it
+            return Solution(start + step, inverse * np.outer(scale, scale), unseen < 1e-6)
+        covariance = inverse + vectors[:, ~seen] @ vectors[:, ~seen].T
+        determined = (unseen < HANGS_ON) & (np.diag(covariance) < 1.0)
+        return Solution(start + step, covariance * np.outer(scale, scale), determined)
 
 
 @dataclass(frozen=True)

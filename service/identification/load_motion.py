@@ -23,7 +23,8 @@ def spring(
 ) -> tuple[Array, Array]:
     """Compliance and damping time [c, h] and their standard deviations, (2,) each; parameters as in `sweep_model`."""
     values, covariance = _solve(parts, shared, own)
-    other = shared + np.array([0.0, 0.0, load_friction_std, 0.0, 0.0])
+    other = shared.copy()
+    other[2] += load_friction_std
     moved = _solve(parts, other, own)[0] - values
     return values, np.sqrt(np.diag(covariance) + moved**2)
 

@@ -1,4 +1,7 @@
-"""What is known before anything is measured: the data sheet's drive train, the nominal model, the torque constant."""
+"""What is known before anything is measured: the data sheet's drive train, the nominal model, the torque constant.
+
+And what of them a diagnosis knows better: the spring, a hose, the torque constant (`known_effects`).
+"""
 
 from dataclasses import dataclass
 
@@ -7,10 +10,13 @@ from numpy.typing import NDArray
 
 from service.identification.frequency_response import Spectrum
 from service.identification.joint_fit import PosePrior, SharedPrior
+from service.identification.known_effects import ELASTICITY, GAIN, HOSE, KnownAxis
 from service.robot import Robot
+from service.urdf import Chain
 
 Array = NDArray[np.float64]
 
+LIGHT = 0.01  # of the mean link's mass: what a link without mass in the model may have
 NOISE_GUESS = 0.002  # of the rated effort: start value only, the noise is then estimated
 
 
@@ -25,6 +31,44 @@ class TorqueGain:
 def uncalibrated(robot: Robot) -> TorqueGain:
     """The gain of an axis that no test mass calibrated."""
     return TorqueGain(1.0, robot.prior.effort_gain)
+
+
+def torque_gain(robot: Robot, known: KnownAxis) -> TorqueGain:
+    """The gain of an axis that no test mass calibrated: as its model knows it, else the prior."""
+    effect = known.get(GAIN)
+    if effect is None:
+        return uncalibrated(robot)
+    return TorqueGain(1 + effect.values["gain_error"], effect.std["gain_error"])
+
+
+def with_known_spring(prior: SharedPrior, known: KnownAxis, gain: float) -> SharedPrior:
+    """The drive train's prior with what a diagnosis says of the spring, two independent words on the same values.
+
+    The diagnosis' spring carries `ratio` times the load that the nominal motor inertia leaves: at the true load that is
+    a compliance of compliance / ratio. `gain`: effort as the drive tells it over true effort, see `known_torque`.
+    """
+    effect = known.get(ELASTICITY)
+    if effect is None:
+        return prior
+    scale = (1.0 if known.true_torque else gain) / effect.values.get("ratio", 1.0)
+    compliance, damping = scale * effect.values["compliance"], effect.values["damping_time"]
+    relative = [effect.std[name] / effect.values[name] for name in ("compliance", "ratio") if name in effect.values]
+    noise = np.diag([(compliance * float(np.hypot.reduce(relative))) ** 2, effect.std["damping_time"] ** 2])
+    seen = slice(3, 5)
+    blend = prior.covariance[:, seen] @ np.linalg.inv(prior.covariance[seen, seen] + noise)
+    return SharedPrior(
+        mean=prior.mean + blend @ (np.array([compliance, damping]) - prior.mean[seen]),
+        covariance=prior.covariance - blend @ prior.covariance[seen, :],
+    )
+
+
+def with_known_hose(prior: PosePrior, known: KnownAxis, gain: float) -> PosePrior:
+    """A hose pulls like gravity's stiffness: towards its rest position, wherever that is."""
+    effect = known.get(HOSE)
+    if effect is None:
+        return prior
+    stiffness = effect.values["stiffness"] / (1.0 if known.true_torque else gain)
+    return PosePrior(prior.mean + np.array([0.0, stiffness, 0.0]), prior.sigma)
 
 
 def _typical(robot: Robot, number: int, reference: Array, spectra: list[Spectrum]) -> float:
@@ -67,3 +111,40 @@ def pose_prior(robot: Robot, number: int, reference: float, gravity: Array) -> P
         mean=np.array([load, gravity[1], gravity[0]]),
         sigma=np.array([2 * robot.prior.inertia * reference, spread, spread]),
     )
+
+
+def link_spread(links: Array, inertia: float) -> Array:
+    """Standard deviations (10 n,) of the parameters of links (n, 10) whose inertia is known to `inertia`, relative.
+
+    By the size of a link, mass m and radius of gyration r: m, m r and m r^2 for mass, first and second moments.
+    """
+    mass = np.maximum(links[:, :1], max(LIGHT * float(links[:, 0].mean()), 1e-9))
+    length = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(-1, keepdims=True), 0) / 2 / mass) + 1e-3
+    size = np.hstack([mass, np.repeat(mass * length, 3, 1), np.repeat(mass * length**2, 6, 1)])
+    return inertia * size.ravel()
+
+
+def base_spread(
+    robot: Robot, chain: Chain, unlocked: tuple[int, ...], combination: Array, measured: "Measured"
+) -> Array:
+    """Standard deviations (r,) that the model leaves to the base parameters  beta = `combination` (r, 11 n) x.
+
+    Of a motor that no data sheet knows: the largest inertia measured. A model that is further from what was measured
+    than its prior says has a prior that much wider: it must not keep data from telling what they tell.
+    """
+    motors = [(robot.axes[number].reflected_motor_inertia or 0.0) * robot.prior.motor_inertia for number in unlocked]
+    largest = float(np.abs(measured.values).max())
+    spread = np.concatenate([link_spread(chain.inertial, robot.prior.inertia), [own or largest for own in motors]])
+    base = np.sqrt(combination**2 @ spread**2)
+    variance = measured.rows**2 @ base**2 + measured.variance
+    return base * max(1.0, float(np.sqrt(np.mean((measured.values - measured.model) ** 2 / variance))))
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Axis inertias (m,) with their variance, the model's, and their rows (m, r) in the base parameters."""
+
+    values: Array
+    variance: Array
+    model: Array
+    rows: Array

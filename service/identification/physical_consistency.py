@@ -72,9 +72,7 @@ def nearest_physical(
             return Physical(parameters, 0.0)
     noise = _whitening(covariance)
     white = problem.transformed(noise)
-    multipliers = _maximise(white, 1.0, np.zeros(len(noise)))
-    if multipliers is None:
-        raise ArithmeticError("Newton's method found no maximum of a concave function")
+    multipliers = _most_probable(white)
     parameters = problem.parameters(white.blocks(multipliers))
     return Physical(parameters, float(np.linalg.norm(noise @ (rows @ parameters - values))))
 
@@ -201,6 +199,28 @@ def _exactly(problem: _Problem) -> Array | None:
             return None
         multipliers = found
     return problem.parameters(white.blocks(multipliers))
+
+
+def _most_probable(white: _Problem) -> Array:
+    """Multipliers (k,) at the maximum of the dual of the second problem, which always has one.
+
+    Values hundreds of standard deviations away (effort with the wrong sign) put it where blocks are nearly singular
+    and Newton's method loses its way from afar. With noise enlarged, e > 1, the maximum is near; noise then shrinks
+    step by step. Where it is lost for good, the last one found is taken: physical as well, and as far from impossible
+    values as they are from it.
+    """
+    nothing = np.zeros(len(white.values))
+    found = _maximise(white, 1.0, nothing)
+    if found is not None:
+        return found
+    multipliers = nothing
+    distance = float(np.max(np.abs(white.residual(white.blocks(nothing))), initial=1.0))
+    for softness in np.geomspace(distance**2, 1.0, 2 * int(np.ceil(np.log2(distance))) + 1):
+        found = _maximise(white, float(softness), multipliers)
+        if found is None:
+            break
+        multipliers = found
+    return multipliers
 
 
 def _maximise(problem: _Problem, softness: float, start: Array) -> Array | None:

@@ -1,11 +1,13 @@
-r"""Chooses, one by one, the poses that tell the base parameters apart best (the paper's section 4.3).
+r"""Chooses, one by one, the poses that tell the base parameters apart best; D-optimal unless one says otherwise.
+
+The condition number is the paper's own measure (section 4.3).
 
 With the rows V_i (a, p) of candidate i (one row an axis measured there, columns scaled), each step looks for the
 candidate that is best beside the choice so far, G = sum V_c' V_c:
 
+    d_optimal               largest  log det(G + ridge + V_i' V_i)
     condition               least  kappa_i = sqrt( lambda_max(G + V_i' V_i) / lambda_min(G + V_i' V_i) )
     condition_and_travel    of all with kappa_i <= SLACK x the least, the one nearest to a pose already chosen
-    d_optimal               largest  log det(G + ridge + V_i' V_i)
 
 Scaling: by the lengths of the columns over *all* candidates, so nothing depends on units and all steps are judged by
 one measure. Start: while no candidate makes G regular, kappa is infinite for all; then the D-optimal one is taken: it
@@ -50,9 +52,9 @@ PROMISING = 16  # candidates evaluated first
 class Criterion(Enum):
     """What makes a pose the best next one (see the module's header)."""
 
+    D_OPTIMAL = "d_optimal"
     CONDITION = "condition"
     CONDITION_AND_TRAVEL = "condition_and_travel"
-    D_OPTIMAL = "d_optimal"
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,7 @@ class Selection:
     condition: tuple[float, ...]
 
 
-def select_poses(rows: Array, count: int, criterion: Criterion = Criterion.CONDITION) -> Selection:
+def select_poses(rows: Array, count: int, criterion: Criterion) -> Selection:
     """Greedy choice of `count` out of the candidates `rows` (m, a, p); BadInput if there are fewer than `count`.
 
     For condition_and_travel, whose choice needs the poses, see `choices`.

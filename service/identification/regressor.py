@@ -73,6 +73,30 @@ def gravity_terms(chain: Chain, parameters: Array, gravity: Array, joint: int, p
     return np.stack([-turned @ gravity, -np.cross(axis, turned) @ gravity], -1)
 
 
+def gravity_rows(chain: Chain, gravity: Array, joint: int, poses: Array) -> Array:
+    """(m, 2, 10 n) with ``rows @ link parameters`` = [torque, stiffness] as `gravity_terms`; a prismatic axis has the
+    force -g.z of what it carries, N, and no stiffness.
+    """
+    poses = np.atleast_2d(poses)
+    rotations, origins = link_frames(chain, poses)
+    count = len(chain.joints)
+    axis = rotations[:, joint] @ chain.joints[joint].axis
+    rows = np.zeros((len(poses), 2, count, 10))
+    prismatic = chain.joints[joint].kind == "prismatic"
+    # -g.(z x S) = S.(z x g) and -g.(z x (z x S)) = -S.(z x (z x g)), S the first moment
+    across = np.cross(axis, gravity)
+    along = -np.cross(axis, across)
+    for body in range(joint, count):
+        if prismatic:
+            rows[:, 0, body, 0] = -axis @ gravity
+            continue
+        arm = origins[:, body] - origins[:, joint]
+        for part, direction in enumerate((across, along)):
+            rows[:, part, body, 0] = np.sum(arm * direction, -1)
+            rows[:, part, body, 1:4] = _apply(np.swapaxes(rotations[:, body], -1, -2), direction)
+    return rows.reshape(len(poses), 2, -1)
+
+
 def lock(chain: Chain, fixed: dict[int, float]) -> Chain:
     """The chain with the joints of `fixed` frozen at the given positions, their links folded into the one before.
 

@@ -17,6 +17,8 @@ Where a direct encoder gives the motion Omega_l of the load itself, no spring is
 takes its place, linear in every parameter and right whatever the spring does; t0 is then what the difference of the
 speeds at both ends of the window leaves of the accelerations. Shared by all sweeps: Jm, mu_m, mu_l, c, h. Own to each:
 J_l, k_g, G0, t0, t1, and one factor for each ripple and for the sign of a velocity that reverses.
+
+What known effects are uncertain by (`known_torque`) adds x_1 U_1 + x_2 U_2 + ..., the x shared by all sweeps as well.
 """
 
 from collections.abc import Sequence
@@ -30,7 +32,7 @@ from service.identification.frequency_response import Complex, Spectrum
 
 Array = NDArray[np.float64]
 
-SHARED = 5  # parameters of DriveTrain
+SHARED = 5  # parameters of DriveTrain; the amounts x follow
 OWN = 5  # J_l, k_g, G0, t0, t1; the factors of the direct terms follow
 
 
@@ -47,6 +49,8 @@ class Stack:
     gravity_torque: Complex  # (n, b), R0
     gravity_rest: Complex  # (n, b), R1
     terms: Complex  # (n, r, b), what acts on the motor itself: ripple, dry friction
+    uncertain: Complex  # (n, u, b), U: what known effects are uncertain by
+    spread: Array  # (n, b), standard deviation of a bin over the noise
     samples: Array  # (n,)
 
     @property
@@ -65,13 +69,25 @@ class Stack:
         return np.abs(self.effort).max(axis=1)
 
 
-def stacks(spectra: Sequence[Spectrum]) -> tuple[Stack, ...]:
-    """All spectra, those of equal shape together."""
+def stacks(
+    spectra: Sequence[Spectrum], uncertain: Sequence[Complex] | None = None, spread: Sequence[Array] | None = None
+) -> tuple[Stack, ...]:
+    """All spectra, those of equal shape together; of each `uncertain` (u, b), the same u for all, and `spread` (b,)."""
+    known = list(uncertain or [np.zeros((0, len(one.frequency)), dtype=np.complex128) for one in spectra])
+    wide = list(spread or [np.ones(len(one.frequency)) for one in spectra])
     groups: dict[tuple[int, int, bool], list[int]] = {}
     for place, one in enumerate(spectra):
         key = (len(one.frequency), len(direct_terms(one)), one.load_velocity is not None)
         groups.setdefault(key, []).append(place)
-    return tuple(_stack([spectra[place] for place in places], places) for places in groups.values())
+    return tuple(
+        _stack(
+            [spectra[place] for place in places],
+            [known[place] for place in places],
+            [wide[place] for place in places],
+            places,
+        )
+        for places in groups.values()
+    )
 
 
 def direct_terms(spectrum: Spectrum) -> Complex:
@@ -79,7 +95,9 @@ def direct_terms(spectrum: Spectrum) -> Complex:
     return np.concatenate([spectrum.named("ripple"), spectrum.named("coulomb")])
 
 
-def _stack(spectra: Sequence[Spectrum], places: Sequence[int]) -> Stack:
+def _stack(
+    spectra: Sequence[Spectrum], uncertain: Sequence[Complex], spread: Sequence[Array], places: Sequence[int]
+) -> Stack:
     s = np.stack([np.multiply(2j * np.pi, one.frequency, dtype=np.complex128) for one in spectra])
     velocity = np.stack([one.velocity for one in spectra])
     load = [one.load_velocity for one in spectra if one.load_velocity is not None]
@@ -97,20 +115,25 @@ def _stack(spectra: Sequence[Spectrum], places: Sequence[int]) -> Stack:
         gravity_torque=torque,
         gravity_rest=np.stack(rest),
         terms=np.stack([direct_terms(one) for one in spectra]),
+        uncertain=np.stack(uncertain),
+        spread=np.stack(spread),
         samples=np.array([float(one.samples) for one in spectra]),
     )
 
 
 def stack_residual(stack: Stack, shared: Array, own: Array) -> tuple[Complex, Complex, Complex]:
-    """Effort not explained (n, b); derivatives of what is by the shared (n, 5, b) and own (n, OWN + r, b) parameters.
+    """Effort not explained (n, b); derivatives of what is by shared (n, 5 + u, b) and own (n, OWN + r, b) parameters.
 
-    `shared` (5,) as in `DriveTrain.as_array`, `own` (n, OWN + r).
+    `shared` (5 + u,) as in `DriveTrain.as_array` and the amounts x, `own` (n, OWN + r).
     """
     by_own = np.empty((len(own), stack.parameters, stack.s.shape[1]), dtype=np.complex128)
     by_own[:, OWN:] = stack.terms
-    by_shared = np.zeros((len(own), SHARED, stack.s.shape[1]), dtype=np.complex128)
+    by_shared = np.zeros((len(own), len(shared), stack.s.shape[1]), dtype=np.complex128)
+    by_shared[:, SHARED:] = stack.uncertain
     fill = _elastic if stack.load_velocity is None else _direct
-    model = fill(stack, shared, own, by_shared, by_own)
+    model = fill(stack, shared[:SHARED], own, by_shared, by_own)
+    if stack.uncertain.shape[1]:
+        model += np.einsum("u,nub->nb", shared[SHARED:], stack.uncertain)
     if stack.terms.shape[1]:
         model += np.einsum("nr,nrb->nb", own[:, OWN:], stack.terms)
     return stack.effort - model, by_shared, by_own

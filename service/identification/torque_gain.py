@@ -15,15 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from service.errors import BadInput
-from service.identification.estimate import SAME_POSITION, nominal_parameters
 from service.identification.frequency_response import Spectrum
-from service.identification.joint_fit import CHANCE, fit_axis
-from service.identification.least_squares import Information, LeftOut
-from service.identification.nominal_priors import NOISE_GUESS, TorqueGain, pose_prior, shared_prior
-from service.identification.regressor import axis_rows, gravity_terms
+from service.identification.nominal_priors import TorqueGain
+from service.identification.paired_sweeps import fit_pairs, pairs
+from service.identification.regressor import inertia_rows
 from service.robot import Robot
 from service.urdf import transform_inertial
 
@@ -65,52 +62,24 @@ def torque_gains(
         raise BadInput("mass", f"{mass.mass} kg is not above 0")
     found: dict[str, Calibration] = {}
     for number, joint in enumerate(robot.joints):
-        pair = [[one for one in part if one.spec.axis == joint and one.spec.periodic] for part in (before, after)]
-        common = set(map(_place, pair[0])) & set(map(_place, pair[1]))
-        if common:
-            kept = [[one for one in part if _place(one) in common] for part in pair]
-            found[joint] = _axis(robot, number, kept[0], kept[1], mass)
+        both = pairs(joint, before, after)
+        if both is not None:
+            found[joint] = _axis(robot, number, *both, mass)
     if not found:
         raise BadInput("test mass", "no axis was swept in the same pose before and after")
     return found
 
 
-def _place(spectrum: Spectrum) -> tuple[int, ...]:
-    """The pose of a sweep on a grid of `SAME_POSITION`."""
-    return tuple(round(position / SAME_POSITION) for position in spectrum.spec.pose)
-
-
 def _axis(
     robot: Robot, number: int, before: Sequence[Spectrum], after: Sequence[Spectrum], mass: KnownMass
 ) -> Calibration:
-    spectra = [*before, *after]
-    poses = np.array([one.spec.pose for one in spectra])
-    empty = nominal_parameters(robot, robot.chain, range(len(robot.axes)))
-    body = np.zeros_like(empty)
+    paired = fit_pairs(robot, number, before, after, mass.parameters)
     last = 10 * (len(robot.axes) - 1)
-    body[last : last + 10] = mass.parameters
-    carried = (np.arange(len(spectra)) >= len(before)).astype(float)
-    rows = axis_rows(robot.chain, number, poses)
-    added = carried * (rows @ body)
-    reference = rows @ empty + added
-    gravity = gravity_terms(robot.chain, empty, robot.gravity, number, poses)
-    gravity += carried[:, None] * gravity_terms(robot.chain, body, robot.gravity, number, poses)
-    fit = fit_axis(
-        spectra,
-        shared_prior(robot, number, reference, spectra),
-        [pose_prior(robot, number, float(inertia), terms) for inertia, terms in zip(reference, gravity, strict=True)],
-        NOISE_GUESS * robot.axes[number].rated_effort,
-    )
-    places = np.unique([_place(one) for one in spectra], axis=0, return_inverse=True)[1].ravel()
-    count = int(places.max()) + 1
-    columns = np.hstack([np.eye(count)[places], added[:, None]])
-    information = Information.empty(count + 1).add(columns, fit.inertia, fit.covariance)
-    solution = information.solve(np.zeros(count + 1))
-    joint = robot.joints[number]
+    body = inertia_rows(robot.chain, number, paired.poses)[:, last : last + 10] @ mass.parameters
+    added = paired.carried * body
+    information, worse = paired.solve(added[:, None])
+    solution = information.solve(np.zeros(len(information.vector)))
     if not solution.determined[-1]:
-        raise BadInput(joint, "the test mass adds no inertia to this axis in any of the poses")
-    squares, freedom = LeftOut.of(columns, fit.inertia, [fit.covariance]).chi_squared(np.arange(len(spectra)))
-    worse = freedom >= 1 and squares > float(chi2.isf(CHANCE, freedom))
-    std = float(solution.std[-1]) * (np.sqrt(squares / freedom) if worse else 1.0)
-    gain = TorqueGain(float(solution.values[-1]), std)
-    return Calibration(gain, count, float(added.max()))
+        raise BadInput(robot.joints[number], "the test mass adds no inertia to this axis in any of the poses")
+    gain = TorqueGain(float(solution.values[-1]), float(solution.std[-1]) * np.sqrt(worse))
+    return Calibration(gain, paired.place.shape[1], float(added.max()))

@@ -144,7 +144,9 @@ def trajectories(robot: Robot, tracks: Sequence[AxisTrack]) -> tuple[TrajectoryR
     for track in tracks:
         spec = track.spec
         groups.setdefault((spec.block, spec.started_at, spec.pose, spec.repeat), []).append(track)
-    return tuple(trajectory(robot, group) for group in groups.values() if len(group) >= _axes(group[0].spec.block))
+    return tuple(
+        trajectory(robot, group) for group in groups.values() if len(group) >= axes_of_block(group[0].spec.block)
+    )
 
 
 def trajectory(robot: Robot, tracks: Sequence[AxisTrack]) -> TrajectoryRecord:
@@ -198,7 +200,7 @@ def in_time(harmonics: Complex, samples: int) -> Array:
     return np.fft.irfft(spectrum * samples, samples)
 
 
-def _axes(block: str) -> int:
+def axes_of_block(block: str) -> int:
     """How many axes the label of a trajectory names; 1 for any other label."""
     found = re.fullmatch(r"trajectory \d+ of (\d+) axes", block)
     return int(found[1]) if found else 1

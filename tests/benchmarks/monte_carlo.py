@@ -32,6 +32,7 @@ from service.identification import Spectrum
 from service.identification.axis_estimate import identify_axis
 from service.identification.estimate import moving_chain, nominal_parameters
 from service.identification.frequency_response import window
+from service.identification.known_effects import KnownAxis
 from service.identification.nominal_priors import pose_prior, shared_prior, uncalibrated
 from service.identification.regressor import axis_rows, gravity_terms
 from service.recording import Sweep
@@ -200,7 +201,7 @@ def simulate(joint: str, poses: np.ndarray, runs: int, seed: int) -> dict[str, A
             replace(one, effort=one.effort + heavier * extra + _noise(rng, one, noise))
             for one, extra in zip(spectra, acceleration, strict=True)
         ]
-        axis = identify_axis(robot, number, chain, unlocked, nominal, measured, None, uncalibrated(robot))
+        axis = identify_axis(robot, number, chain, unlocked, nominal, measured, None, uncalibrated(robot), KnownAxis())
         error[run] = axis.values - truth - heavier
         std[run] = np.sqrt(np.diag(axis.covariance))
         freedom[run] = axis.fit.freedom if axis.fit is not None else np.nan

@@ -58,7 +58,7 @@ def three_axes(robot: Robot, cell: Cell, poses: int) -> dict[str, Any]:
         return free, observe(robot, request, home).rows(free)
 
     (free, rows), preparing = timed(candidates)
-    chosen, choosing = timed(lambda: select_poses(rows, poses))
+    chosen, choosing = timed(lambda: select_poses(rows, poses, Criterion.CONDITION))
     (picks, _), naive = timed(lambda: naive_condition(rows, poses))
     plan, whole = timed(lambda: build_plan(robot, request, cell))
     figures: dict[str, Any] = {
@@ -102,11 +102,11 @@ def six_axes(robot: Robot, cell: Cell, poses: int, count: int, subsample: int) -
         free = np.unique(np.vstack([free, drawn[checker.collision_free(drawn)]]), axis=0)
     free = rng.permutation(free)[:count]
     rows = np.stack([base.rows(robot.chain, axis, free) for axis in range(6)], axis=1)
-    chosen, choosing = timed(lambda: select_poses(rows, poses))
+    chosen, choosing = timed(lambda: select_poses(rows, poses, Criterion.CONDITION))
     few = rows[:subsample]
     within = min(poses, subsample // 2)
     (picks, condition), naive = timed(lambda: naive_condition(few, within))
-    ours = select_poses(few, within)
+    ours = select_poses(few, within, Criterion.CONDITION)
     return {
         "candidates": len(rows),
         "base parameters": rows.shape[2],

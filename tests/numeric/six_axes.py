@@ -8,12 +8,13 @@ from service.cell import read_cell
 from service.collision import CollisionChecker
 from service.identification import Spectrum, spectrum
 from service.identification.base_parameters import joint_ranges
-from service.identification.combination import Combination, dynamic_base
+from service.identification.combination import Combination
 from service.identification.excitation import design_sweep
 from service.identification.exciting_trajectory import Shape, Trajectory, TrajectoryLimits, design_trajectory
 from service.identification.frequency_response import window
 from service.identification.regressor import inertia_rows
 from service.identification.trajectory_record import TrajectoryRecord, axis_track, trajectory
+from service.identification.whole_base import dynamic_base
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot
 from service.urdf import read_chain

@@ -11,13 +11,13 @@ from service.identification.combination import (
     Combination,
     Source,
     combine,
-    dynamic_base,
-    nominal_parameters,
 )
 from service.identification.exciting_trajectory import Shape, TrajectoryLimits, design_trajectory, steady_motion
 from service.identification.inverse_dynamics import Motion, dynamics_rows
+from service.identification.parameter_prior import nominal_parameters
 from service.identification.regressor import axis_rows
 from service.identification.trajectory_record import AxisTrack, TrajectoryRecord
+from service.identification.whole_base import dynamic_base
 from service.recording import SweepSpec
 from service.robot import Robot, RobotDescription, build_robot
 from tests.random_chain import random_urdf

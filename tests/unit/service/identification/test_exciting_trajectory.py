@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from service.errors import BadInput
-from service.identification.combination import dynamic_base
 from service.identification.excitation import velocity_setpoint
 from service.identification.exciting_trajectory import (
     Shape,
@@ -14,6 +13,7 @@ from service.identification.exciting_trajectory import (
     nominal_effort,
     steady_motion,
 )
+from service.identification.whole_base import dynamic_base
 from service.robot import Robot, RobotDescription, build_robot
 from tests.random_chain import random_urdf
 

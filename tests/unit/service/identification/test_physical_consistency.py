@@ -126,6 +126,18 @@ def test_an_impossible_value_is_weighed_against_the_model() -> None:
         assert slope == pytest.approx(-found.deviation / 0.5)
 
 
+@settings(FEW, max_examples=10)
+@given(SEEDS)
+def test_values_thousands_of_deviations_away_come_back_physical(seed: int) -> None:
+    """What effort of the wrong sign makes: minus the base parameters of a real robot, known well."""
+    rng, _, rows, nominal = robot(seed)
+    values = -rows @ random_parameters(rng, len(nominal) // 11)
+    size = np.abs(rows) @ np.abs(nominal)
+    found = nearest(nominal, rows, values, np.diag((1e-3 * size) ** 2))
+    assert is_physical(found.parameters[: 10 * len(nominal) // 11].reshape(-1, 10)).all()
+    assert (found.parameters[10 * len(nominal) // 11 :] > 0).all()
+
+
 def test_correlated_noise_counts_by_its_covariance() -> None:
     """The masses of two links, one impossible."""
     nominal = np.concatenate([np.tile([1.0, 0, 0, 0, 0.1, 0, 0.1, 0, 0, 0.1], 2), [0.0, 0.0]])

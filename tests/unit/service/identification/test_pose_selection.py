@@ -23,7 +23,7 @@ def svd_condition(rows: np.ndarray, picks: tuple[int, ...]) -> float:
 
 def test_each_step_takes_what_an_svd_of_every_candidate_takes() -> None:
     rows = candidates(40, 1, 4)
-    chosen = select_poses(rows, 12)
+    chosen = select_poses(rows, 12, Criterion.CONDITION)
     for k in range(4, 12):
         before = chosen.picks[:k]
         rest = [i for i in range(40) if i not in before]
@@ -35,7 +35,7 @@ def test_each_step_takes_what_an_svd_of_every_candidate_takes() -> None:
 @pytest.mark.parametrize("p", [1, 2])
 def test_few_parameters_are_chosen_for_as_well(p: int) -> None:
     rows = candidates(20, 1, p)
-    chosen = select_poses(rows, 10)
+    chosen = select_poses(rows, 10, Criterion.CONDITION)
     assert len(set(chosen.picks)) == 10
     assert chosen.condition[p:] == pytest.approx([svd_condition(rows, chosen.picks[:n]) for n in range(p + 1, 11)])
 
@@ -44,7 +44,7 @@ def test_start_reaches_full_rank_with_the_fewest_poses() -> None:
     # every candidate but three repeats the same row; 3 parameters need all three odd ones within 3 picks
     rows = np.tile(np.array([[1.0, 1.0, 1.0]]), (50, 1, 1))
     rows[7], rows[23], rows[41] = [[1.0, 0, 0]], [[0, 1.0, 0]], [[0, 0, 1.0]]
-    chosen = select_poses(rows, 5)
+    chosen = select_poses(rows, 5, Criterion.CONDITION)
     assert np.isinf(chosen.condition[:2]).all()
     assert np.isfinite(chosen.condition[2:]).all()
 
@@ -52,32 +52,35 @@ def test_start_reaches_full_rank_with_the_fewest_poses() -> None:
 def test_a_direction_that_no_pose_shows_leaves_the_choice_to_the_volume() -> None:
     rows = candidates(40, 1, 4)
     rows[:, :, 3] = 0
-    chosen = select_poses(rows, 8)
+    chosen = select_poses(rows, 8, Criterion.CONDITION)
     assert list(chosen.picks) == naive_condition(rows, 8)[0]
     assert np.isinf(chosen.condition).all()
 
 
 def test_no_pose_twice_and_the_same_again() -> None:
     rows = candidates(30, 2, 5)
-    first = select_poses(rows, 30)
+    first = select_poses(rows, 30, Criterion.CONDITION)
     assert sorted(first.picks) == list(range(30))
-    assert select_poses(rows, 30) == first
+    assert select_poses(rows, 30, Criterion.CONDITION) == first
 
 
 def test_units_of_a_column_do_not_matter() -> None:
     rows = candidates(60, 1, 5)
-    assert select_poses(rows * np.array([1e-3, 1, 1e3, 1, 7]), 15).picks == select_poses(rows, 15).picks
+    assert (
+        select_poses(rows * np.array([1e-3, 1, 1e3, 1, 7]), 15, Criterion.CONDITION).picks
+        == select_poses(rows, 15, Criterion.CONDITION).picks
+    )
 
 
 def test_more_poses_than_candidates_is_refused() -> None:
     with pytest.raises(BadInput, match="24 wanted, but only 5"):
-        select_poses(candidates(5, 1, 3), 24)
+        select_poses(candidates(5, 1, 3), 24, Criterion.CONDITION)
 
 
 def test_the_grid_of_two_axes_takes_seconds() -> None:
     rows = candidates(1728, 3, 11)
     start = time.perf_counter()
-    select_poses(rows, 24)
+    select_poses(rows, 24, Criterion.CONDITION)
     assert time.perf_counter() - start < 10.0
 
 
@@ -86,7 +89,7 @@ def test_bounds_spare_work_and_change_no_pick(m: int, a: int, p: int) -> None:
     """Rows of low variety, as those of a robot: a few directions are seldom seen."""
     rng = np.random.default_rng(p)
     rows = rng.normal(size=(m, a, p)) * rng.lognormal(sigma=1.5, size=(m, 1, 1)) * rng.lognormal(sigma=1.5, size=p)
-    chosen = select_poses(rows, 25)
+    chosen = select_poses(rows, 25, Criterion.CONDITION)
     picks, condition = naive_condition(rows, 25)
     assert list(chosen.picks) == picks
     assert chosen.condition == pytest.approx(condition, rel=1e-6)
@@ -95,7 +98,7 @@ def test_bounds_spare_work_and_change_no_pick(m: int, a: int, p: int) -> None:
 def test_symmetric_candidates_tie_and_the_first_is_taken() -> None:
     rows = candidates(20, 2, 5)
     mirrored = np.concatenate([rows, -rows])
-    assert list(select_poses(mirrored, 15).picks) == naive_condition(mirrored, 15)[0]
+    assert list(select_poses(mirrored, 15, Criterion.CONDITION).picks) == naive_condition(mirrored, 15)[0]
 
 
 @pytest.mark.parametrize("width", [1, 3])

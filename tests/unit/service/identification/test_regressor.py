@@ -5,7 +5,15 @@ import pinocchio as pin
 import pytest
 
 from service.identification.base_parameters import base_parameters, condition_number
-from service.identification.regressor import axis_rows, fold, gravity_terms, inertia_rows, lock, parameter_names
+from service.identification.regressor import (
+    axis_rows,
+    fold,
+    gravity_rows,
+    gravity_terms,
+    inertia_rows,
+    lock,
+    parameter_names,
+)
 from service.urdf import read_chain
 from tests.random_chain import random_urdf
 
@@ -42,6 +50,34 @@ def test_gravity_torque_turns_with_the_axis(seed: int) -> None:
         turned[k] += turn
         expected = pin.computeGeneralizedGravity(model, data, turned)[k]
         assert torque * np.cos(turn) + stiffness * np.sin(turn) == pytest.approx(expected, rel=1e-10, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_gravity_is_linear_in_the_links(seed: int) -> None:
+    """The rows give the terms of any links; a prismatic axis needs the weight along it, as Pinocchio says."""
+    rng = np.random.default_rng(300 + seed)
+    text = random_urdf(rng, 4, prismatic=0.5)
+    chain, model = read_chain(text), pin.buildModelFromXML(text)
+    model.gravity.linear = GRAVITY
+    data, poses = model.createData(), rng.uniform(-2.5, 2.5, (3, model.nv))
+    parameters = chain.inertial.ravel()
+    for k in range(model.nv):
+        rows = gravity_rows(chain, GRAVITY, k, poses) @ parameters
+        if chain.joints[k].kind == "prismatic":
+            expected = [pin.computeGeneralizedGravity(model, data, pose)[k] for pose in poses]
+            np.testing.assert_allclose(rows, np.column_stack([expected, np.zeros(3)]), rtol=1e-9, atol=1e-9)
+        else:
+            np.testing.assert_allclose(rows, gravity_terms(chain, parameters, GRAVITY, k, poses), rtol=1e-9, atol=1e-9)
+
+
+def test_a_lift_carries_its_weight() -> None:
+    text = """<robot name="r"><link name="base"/><link name="table"><inertial><mass value="7"/>
+    <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+    <joint name="z" type="prismatic"><parent link="base"/><child link="table"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
+    chain = read_chain(text)
+    rows = gravity_rows(chain, GRAVITY, 0, np.array([[0.3]]))[0] @ chain.inertial.ravel()
+    assert rows == pytest.approx([7 * 9.81, 0.0])
 
 
 def test_a_locked_joint_changes_no_inertia() -> None:

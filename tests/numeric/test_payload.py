@@ -1,0 +1,153 @@
+"""A body mounted on the last link, from free motions that Pinocchio computed and from sweeps of the virtual machine."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.cli.payload import payload_of
+from service.errors import BadInput
+from service.identification.payload import Payload, body_of, payload
+from service.identification.torque_gain import KnownMass
+from service.recording import Sweep
+from service.store.bundle import Bundle, read_bundle, write_bundle
+from simulator import LinkDeviation
+from simulator.scenario import AddedBody
+from tests.command import sweepid
+from tests.numeric.campaign import measure_at, scenario_named
+from tests.numeric.free_motion import PAYLOAD, Truth, draw, log, program, wander
+
+ROBOTS = range(200, 212)
+
+
+def warmer(truth: Truth) -> Truth:
+    """Hours later: friction has changed."""
+    return replace(truth, viscous=0.93 * truth.viscous, coulomb=1.04 * truth.coulomb, offset=1.1 * truth.offset)
+
+
+def before_and_after(truth: Truth, seed: int, body: np.ndarray = PAYLOAD) -> tuple[list[Sweep], list[Sweep]]:
+    rng = np.random.default_rng(seed + 5000)
+    path = (program if seed % 2 else wander)(rng, len(truth.robot.axes))
+    return log(truth, path, seed), log(warmer(truth.with_payload(body)), path, seed + 1, started_at=900.0)
+
+
+def off(found: Payload, body: np.ndarray = PAYLOAD) -> np.ndarray:
+    """In standard deviations, of [m, c, I about c]; NaN where it was not excited."""
+    return np.where(found.excited, (found.body - body_of(body)) / found.body_std, np.nan)
+
+
+def test_free_motions_tell_the_payload() -> None:
+    """40 s each, before and after; robots of 3 to 6 axes of 100 kg and more, with 8 kg."""
+    found = []
+    for seed in ROBOTS:
+        truth = draw(seed, 3 + seed % 4)
+        found.append(payload(truth.robot, *before_and_after(truth, seed)))
+    z = np.concatenate([off(one) for one in found])
+    z = z[np.isfinite(z)]
+    errors = np.array([np.where(one.excited, one.body - body_of(PAYLOAD), np.nan) for one in found])
+    stds = np.array([np.where(one.excited, one.body_std, np.nan) for one in found])
+    parts = (("mass", slice(0, 1), "kg"), ("center", slice(1, 4), "m"), ("inertia", slice(4, 10), "kg m2"))
+    for name, part, unit in parts:
+        size, std = np.nanmedian(np.abs(errors[:, part])), np.nanmedian(stds[:, part])
+        seen = np.mean(np.isfinite(errors[:, part]))
+        print(f"{name}: median error {size:.3g}, median std {std:.3g} {unit}, {100 * seen:.0f} % excited")
+    print(f"{len(z)} figures, {100 * np.mean(np.abs(z) < 2):.1f} % within two standard deviations")
+    assert 0.90 < np.mean(np.abs(z) < 2) <= 1.0
+    assert np.nanmedian(np.abs(errors[:, 0])) < 0.3
+    assert np.nanmedian(np.abs(errors[:, 1:4])) < 0.02
+    assert np.mean(np.isfinite(errors[:, :4])) > 0.9
+
+
+def test_a_torque_constant_is_in_the_total() -> None:
+    truth = draw(230, 4)
+    before, after = before_and_after(truth, 230)
+    wrong = [
+        [replace(s, recording=replace(s.recording, effort=1.05 * s.recording.effort)) for s in part]
+        for part in (before, after)
+    ]
+    found = payload(truth.robot, *wrong)
+    assert found.body[0] == pytest.approx(1.05 * PAYLOAD[0], abs=3 * found.body_std[0])
+    assert found.body_std_total[0] > 0.02 * PAYLOAD[0]
+    assert abs(found.body[0] - PAYLOAD[0]) < 3 * found.body_std_total[0]
+
+
+def test_records_that_begin_elsewhere_in_the_program_are_shifted() -> None:
+    truth = draw(231, 4)
+    path = wander(np.random.default_rng(1), 4)
+    before = log(truth, path, 1)
+    after = log(truth.with_payload(PAYLOAD), lambda time: path(time + 0.6), 2)
+    after = [replace(s, spec=s.spec.model_copy(update={"pose": before[0].spec.pose})) for s in after]
+    found = payload(truth.robot, before, after)
+    assert np.nanmax(np.abs(off(found))) < 4
+    assert found.excited[:4].all()
+
+
+def test_nothing_mounted_is_no_mass() -> None:
+    truth = draw(232, 4)
+    found = payload(truth.robot, *before_and_after(truth, 232, np.zeros(10)))
+    assert abs(found.body[0]) < 3 * found.body_std[0]
+
+
+def test_the_command_tells_the_payload(tmp_path: Path) -> None:
+    truth = draw(234, 3)
+    for name, sweeps in zip(("before", "after"), before_and_after(truth, 234), strict=True):
+        write_bundle(tmp_path / name, truth.robot, sweeps)
+    pair = str(tmp_path / "before"), str(tmp_path / "after")
+    told = sweepid("payload", *pair, "--json", str(tmp_path / "payload.json"))
+    assert told.returncode == 0, told.stderr
+    assert "Payload on link_3, in the frame of joint_3" in told.stdout
+    document = json.loads((tmp_path / "payload.json").read_text())
+    mass = document["mass"]
+    assert mass["value"] == pytest.approx(PAYLOAD[0], abs=4 * mass["std"])
+    assert np.shape(document["parameters"]["covariance"]) == (10, 10)
+    assert document["physical"]["nearest"]["mass"] > 0
+
+
+def test_another_program_tells_nothing() -> None:
+    truth = draw(233, 3)
+    before = log(truth, wander(np.random.default_rng(1), 3), 1)
+    after = log(truth.with_payload(PAYLOAD), wander(np.random.default_rng(2), 3), 2)
+    with pytest.raises(BadInput, match="no motion was run both before and after"):
+        payload(truth.robot, before, after)
+
+
+def test_one_axis_alone_does_not_excite_a_body() -> None:
+    """A single vertical axis: only the inertia about it shows, and no mass."""
+    scenario = scenario_named("max100-full")
+    body = AddedBody(name="payload", mass=40.0, start=(0.1, 0, 0), end=(0.35, 0, 0), radius=0.1)
+    loaded = scenario.model_copy(update={"links": {**scenario.links, "link_6": LinkDeviation(added=(body,))}})
+    poses = np.zeros((2, 6))
+    poses[:, 1] = 0.0, 0.5
+    before, after = (measure_at(s, k, poses, axes=("joint_1",)) for k, s in enumerate((scenario, loaded), 1))
+    found = payload(before.robot, before.sweeps, after.sweeps)
+    assert not found.excited.all()
+    assert not found.excited[4:].any()
+
+
+def test_sweeps_tell_the_payload(tmp_path: Path) -> None:
+    """Axes 1 to 3 of the virtual machine in 14 poses, 60 kg."""
+    rng = np.random.default_rng(9)
+    poses = np.zeros((14, 6))
+    poses[:, 1], poses[:, 2] = rng.uniform(-1.0, 1.0, 14), rng.uniform(-1.8, 1.0, 14)
+    poses[:, 3:] = rng.uniform(-1.2, 1.2, (14, 3))
+    mass, length, radius = 60.0, 0.25, 0.14
+    bar = AddedBody(name="payload", mass=mass, start=(0.1, 0, 0), end=(0.1 + length, 0, 0), radius=radius)
+    across, along = mass * (3 * radius**2 + length**2) / 12, mass * radius**2 / 2
+    true = body_of(KnownMass(mass, (0.1 + length / 2, 0, 0), (along, 0, across, 0, 0, across)).parameters)
+    bare = scenario_named("max100-full")
+    loaded = bare.model_copy(update={"links": {**bare.links, "link_6": LinkDeviation(added=(bar,))}})
+    before, after = measure_at(bare, 3, poses), measure_at(loaded, 4, poses)
+    for name, campaign in (("before", before), ("after", after)):
+        write_bundle(tmp_path / name, campaign.robot, campaign.sweeps)
+    bundles: list[Bundle] = [read_bundle(tmp_path / name) for name in ("before", "after")]
+    document = payload_of(*bundles, "after")
+    figures = [document["mass"], *document["center"].values(), *document["inertia"].values()]
+    for figure, value in zip(figures, true, strict=True):
+        print(f"{figure['value']} +- {figure['std']}, true {value:.4f}")
+        if figure["excited"]:
+            assert figure["value"] == pytest.approx(value, abs=4 * figure["std"])
+    assert document["mass"]["std"] < 2.0
+    assert document["mass"]["std_total"] > document["mass"]["std"]
+    assert [each["axis"] for each in document["evidence"]] == ["joint_1", "joint_2", "joint_3"]

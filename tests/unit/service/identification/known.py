@@ -1,0 +1,31 @@
+"""Known effects as a model's document has them."""
+
+from typing import Any
+
+from service.identification.known_effects import KnownEffects, known_effects
+
+Told = dict[str, tuple[float, float]]  # parameter: value, std
+
+
+def model(torques: str = "recorded", **axes: dict[str, Told]) -> dict[str, Any]:
+    """The document of a model: by joint the effects with their parameters."""
+    return {
+        "axes": {
+            joint: {
+                "effects": [
+                    {
+                        "effect": name,
+                        "parameters": {key: {"value": v, "std": s, "unit": "SI"} for key, (v, s) in told.items()},
+                    }
+                    for name, told in effects.items()
+                ],
+                "fit": {"torques": torques},
+            }
+            for joint, effects in axes.items()
+        }
+    }
+
+
+def known(torques: str = "recorded", **axes: dict[str, Told]) -> KnownEffects:
+    """The same, read."""
+    return known_effects(model(torques, **axes), tuple(axes), {"revision": 1})
