@@ -1,0 +1,250 @@
+"""The plant itself: against Pinocchio, MuJoCo's own step, energy, and numbers by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import NDArray
+
+from tests.numeric.second_plant.bodies import Curve, Rigid
+from tests.numeric.second_plant.build import Wanted, build
+from tests.numeric.second_plant.free import run_free
+from tests.numeric.second_plant.friction import Bristle, Now, Sliders
+from tests.numeric.second_plant.machine import STEP, Controls, Raw, Spring, Train, run
+from tests.numeric.second_plant.plans import Motion
+from tests.numeric.second_plant.robots import FAMILIES, put_off, random_mechanism, urdf
+from tests.numeric.second_plant.sensors import Sensors, noise, sample
+
+Array = NDArray[np.float64]
+
+NO_CONTROLS = Controls(0.0, 0.0, 0.0, 1.0, 0.0, 1e9)  # what is fed forward is the torque
+QUIET = Sensors(0.0, 0.0, 100.0, 0.0, 1e-8, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_inertia_and_weight_are_pinocchios(family: str) -> None:
+    random = np.random.default_rng(4)
+    cad = random_mechanism(random, "robot", family)
+    for mechanism in (cad, put_off(cad, 0.10, 0.18, random)):
+        model = pin.buildModelFromXML(urdf(mechanism))
+        data, rigid = model.createData(), Rigid(mechanism)
+        for pose in random.uniform(-0.5, 0.5, (5, len(mechanism.joints))):
+            whole = pin.crba(model, data, pose)
+            weight = pin.computeGeneralizedGravity(model, data, pose)
+            np.testing.assert_allclose(rigid.matrix(pose), whole, rtol=1e-6, atol=1e-6)
+            np.testing.assert_allclose(rigid.holding(pose), weight, rtol=1e-6, atol=1e-5)
+
+
+def test_weight_along_a_sweep_is_the_weight_there() -> None:
+    mechanism = random_mechanism(np.random.default_rng(5), "robot", "arm")
+    rigid, pose = Rigid(mechanism), np.full(len(mechanism.joints), 0.3)
+    curve = rigid.curve(1, pose[None], 0.4)
+    for away in (-0.35, -0.0123, 0.0, 0.2001):
+        there = pose + away * np.eye(len(pose))[1]
+        assert curve.at(there[1:2])[0] == pytest.approx(rigid.holding(there)[1], rel=3e-6)
+
+
+@pytest.mark.parametrize("low", [0.015, 0.10])
+def test_what_is_built_is_off_as_said_and_can_exist(low: float) -> None:
+    random = np.random.default_rng(6)
+    cad = random_mechanism(random, "robot", "arm")
+    built = put_off(cad, low, low + 0.08, random)
+    for old, new in zip(cad.bodies, built.bodies, strict=True):
+        off = np.abs(np.append(new.centre / old.centre, new.mass / old.mass) - 1.0)
+        assert (off > low - 1e-12).all()
+        assert (off < low + 0.08 + 1e-12).all()
+        assert (np.linalg.eigvalsh(new.spread) > 0).all()
+
+
+def test_stepping_is_mujocos() -> None:
+    """Closed loop with all joints free: a tenth of a per cent of the torque that moves the axis, or better."""
+    random = np.random.default_rng(11)
+    while True:
+        scene = build(random, Wanted((), "none", small=True), "robot")
+        if scene.draft.built.joints[scene.draft.index].kind == "revolute" and scene.draft.weight() > 100:
+            break
+    draft, some = scene.draft, [6, 12]  # fast, wide
+    short = round(1.5 / STEP)
+    wanted = Motion(*(part[:short, some] for part in (
+        draft.wanted.velocity, draft.wanted.acceleration, draft.wanted.position,
+    )))  # fmt: skip
+    train = draft.train
+    train.load, train.gravity = train.load[some], replace(
+        train.gravity, start=train.gravity.start[some], values=train.gravity.values[some]
+    )  # fmt: skip
+    train.viscous_motor, train.viscous_load = train.viscous_motor[some], train.viscous_load[some]
+    ours = run(train, scene.controls, draft.starts[some], wanted, np.zeros((short, len(some))))
+    theirs = run_free(
+        draft.built, draft.index, draft.motor, draft.viscous, scene.controls, draft.plan.poses[some], wanted
+    )
+    moving = np.abs(theirs.torque - theirs.torque[0]).max(axis=0)
+    assert (np.abs(ours.torque - theirs.torque).max(axis=0) < 2e-3 * moving).all()
+    assert (np.abs(ours.velocity - theirs.velocity).max(axis=0) < 2e-3 * np.abs(theirs.velocity).max(axis=0)).all()
+
+
+def test_energy_goes_where_it_should() -> None:
+    """Work of the drive = kinetic + potential energy + what viscous and dry friction took, over two seconds."""
+    level, viscous = np.array([40.0]), np.array([300.0])
+    train = _train(load=150.0, motor=50.0, viscous=viscous, slope=900.0)
+    train.dry = [Bristle(lambda now: level, 2e-6, np.zeros(1))]
+    time = np.arange(8000) * STEP
+    ramp = np.clip(time / 0.3, 0, 1)
+    velocity = (ramp * (0.1 + 0.02 * np.sin(2 * np.pi * 3 * time)))[:, None]
+    controls = Controls(200.0 * 100, 15.0, 2.0, 200.0, 300.0, 1e5)
+    raw = run(train, controls, np.zeros(1), _motion(velocity), np.zeros_like(velocity))
+    v, q, u = raw.velocity[:, 0], raw.position[:, 0], raw.torque[:, 0]
+    work = np.trapezoid(u * v, dx=STEP)
+    kept = 0.5 * 200.0 * (v[-1] ** 2 - v[0] ** 2) + 0.5 * 900.0 * (q[-1] ** 2 - q[0] ** 2)
+    taken = np.trapezoid(viscous[0] * v**2 + level[0] * np.abs(v), dx=STEP)
+    assert work == pytest.approx(kept + taken, rel=2e-3)
+
+
+@pytest.mark.parametrize("kind", ["bristle", "sliders"])
+def test_friction_sticks_until_its_level_is_reached(kind: str) -> None:
+    """A torque that creeps up to 98 % of the level moves nothing but the bristle; what comes above moves the axis."""
+    level, reach, inertia = np.array([80.0]), 2e-6, 200.0
+    train = _train(load=150.0, motor=50.0)
+    train.dry = [
+        Bristle(lambda now: level, reach, np.zeros(1))
+        if kind == "bristle"
+        else Sliders(lambda now: level, np.array([[reach], [2 * reach]]), np.array([[0.5], [0.5]]), np.zeros((2, 1)))
+    ]
+    torque = np.interp(np.arange(16000) * STEP, [0.0, 3.0, 3.5, 4.0], [0.0, 0.98 * 80.0, 0.98 * 80.0, 1.3 * 80.0])
+    raw = run(train, NO_CONTROLS, np.zeros(1), _torque(torque), np.zeros((16000, 1)))
+    stuck = slice(0, round(3.5 / STEP))
+    assert np.abs(raw.velocity[stuck]).max() < 1e-4
+    assert raw.position[stuck][-1, 0] < 10 * reach
+    slides = (0.3 * 80.0 / inertia) * 0.5**2 / 6  # the surplus grows with time: x = a t^2 / 6
+    assert raw.position[-1, 0] == pytest.approx(slides, rel=0.15)
+
+
+def test_friction_holds_through_a_reversal_of_the_torque() -> None:
+    """Within its level a torque that swings moves a stuck axis by some bristles' reach and no further."""
+    level = np.array([80.0])
+    train = _train(load=150.0, motor=50.0)
+    train.dry = [Bristle(lambda now: level, 2e-6, np.zeros(1))]
+    torque = 0.8 * 80.0 * np.sin(2 * np.pi * np.arange(12000) * STEP)
+    raw = run(train, NO_CONTROLS, np.zeros(1), _torque(torque), np.zeros((12000, 1)))
+    assert np.ptp(raw.position) < 2e-5
+
+
+@pytest.mark.parametrize("velocity", [1e-7, 1e-3, 0.2])
+def test_a_bristle_is_dahls_equation_solved(velocity: float) -> None:
+    """Against fine steps of dy/dt = v / z (1 - y): exact however far a step goes."""
+    now = Now(STEP, 0.0, *(np.zeros(1) for _ in range(5)))
+    one = Bristle(lambda now: np.ones(1), 2e-6, np.array([-0.5]))
+    share, fine = -0.5, STEP / 4000
+    for _ in range(4000):
+        share += fine * velocity / 2e-6 * (1 - share)
+    force, stiff = one.opposes(now, np.array([velocity]))
+    further, _ = one.opposes(now, np.array([velocity * 1.0001]))
+    one.moved(now, np.array([velocity]))
+    assert force[0] == pytest.approx(share, rel=2e-2)
+    assert one.share[0] == pytest.approx(force[0], rel=1e-12)
+    assert stiff[0] == pytest.approx((further - force)[0] / (velocity * 1e-4), rel=1e-2, abs=1e-6)
+
+
+def test_two_masses_swing_at_their_frequency() -> None:
+    """Free: w^2 = k (1 / J + 1 / Jm), no energy lost in ten seconds."""
+    load, motor, stiffness = 120.0, 60.0, 2e5
+    train = _train(load=load, motor=motor)
+    train.spring = Spring(np.array([stiffness]), np.zeros(1))
+    kick = np.zeros(40000)
+    kick[:40] = 500.0
+    raw = run(train, NO_CONTROLS, np.zeros(1), _torque(kick), np.zeros((40000, 1)))
+    twist = (raw.position - raw.load_position)[100:, 0]
+    rises = np.flatnonzero((twist[:-1] < 0) & (twist[1:] >= 0))
+    frequency = (len(rises) - 1) / ((rises[-1] - rises[0]) * STEP)
+    assert frequency == pytest.approx(np.sqrt(stiffness * (1 / load + 1 / motor)) / (2 * np.pi), rel=1e-3)
+    assert np.ptp(twist[-4000:]) == pytest.approx(np.ptp(twist[:4000]), rel=1e-3)
+
+
+def test_a_gear_with_play_carries_nothing_within_it() -> None:
+    spring = Spring(np.array([1e6]), np.array([10.0]), play=1e-4)
+    assert spring.torque(np.array([0.9e-4]), np.array([1.0]))[0] == 0.0
+    assert spring.torque(np.array([3e-4]), np.array([0.0]))[0] == pytest.approx(200.0)
+    assert spring.torque(np.array([1.01e-4]), np.array([-1.0]))[0] == 0.0  # flanks do not pull
+    assert spring.twist(np.array([-200.0]))[0] == pytest.approx(-3e-4)
+
+
+def test_a_hardening_spring_is_solved_at_rest() -> None:
+    spring = Spring(np.array([1e5]), np.zeros(1), hard=1e-3)
+    torque = np.array([-250.0, 10.0, 400.0])
+    np.testing.assert_allclose(spring.torque(spring.twist(torque), np.zeros(3)), torque, rtol=1e-12)
+
+
+def test_torque_and_motion_are_of_one_instant() -> None:
+    """J dv/dt at the samples is the torque told there: no part of a step between them."""
+    raw, _ = _shaken()
+    acceleration = np.gradient(raw.velocity[:, 0], STEP)
+    middle = slice(400, -400)
+    assert _lag(raw.torque[middle, 0], 200.0 * acceleration[middle]) == pytest.approx(0.0, abs=1e-7)
+
+
+@pytest.mark.parametrize("late", [0.31e-3, 1.7e-3])
+def test_a_torque_is_told_as_late_as_given(late: float) -> None:
+    raw, _ = _shaken()
+    told = sample(replace(QUIET, effort_delay=late, single=False), raw, 2000.0, np.random.default_rng(1))
+    true = sample(replace(QUIET, single=False), raw, 2000.0, np.random.default_rng(1))
+    middle = slice(300, -300)
+    assert _lag(told.effort[middle, 0], true.effort[middle, 0], 1 / 2000.0) == pytest.approx(late, rel=1e-2)
+
+
+def test_a_filter_delays_by_its_time_constant() -> None:
+    raw, _ = _shaken()
+    told = sample(replace(QUIET, effort_lag=1e-3, single=False), raw, 2000.0, np.random.default_rng(1))
+    true = sample(replace(QUIET, single=False), raw, 2000.0, np.random.default_rng(1))
+    middle = slice(600, -300)
+    lag = _lag(told.effort[middle, 0], true.effort[middle, 0], 1 / 2000.0)
+    assert lag == pytest.approx(np.arctan(2 * np.pi * 7 * 1e-3) / (2 * np.pi * 7), rel=3e-2)
+
+
+def test_columns_have_the_steps_that_are_given() -> None:
+    raw, _ = _shaken()
+    told = sample(replace(QUIET, effort_step=2.5, count=1e-6, single=False), raw, 1000.0, np.random.default_rng(1))
+    for column, step in ((told.effort, 2.5), (told.position, 1e-6), (told.velocity, 1e-6 / (2 * STEP))):
+        np.testing.assert_allclose(column[1:-1] / step, np.round(column[1:-1] / step), atol=1e-6)
+    single = sample(QUIET, raw, 1000.0, np.random.default_rng(1))
+    assert (single.position == single.position.astype(np.float32)).all()
+
+
+def test_noise_is_as_loud_as_said_and_louder_below() -> None:
+    sensors = replace(QUIET, white=1.0, slow=1.0, corner=100.0, flicker=1.0)
+    told = noise(sensors, (200_000, 4), 1000.0, np.random.default_rng(2))
+    assert told.std() == pytest.approx(np.sqrt(3.0), rel=0.03)
+    power = (np.abs(np.fft.rfft(told, axis=0)) ** 2).mean(axis=1)
+    frequency = np.fft.rfftfreq(200_000, 1e-3)
+    of = [power[(frequency > low) & (frequency < 2 * low)].mean() for low in (0.5, 5.0, 250.0)]
+    assert of[0] > 3 * of[1] > 3 * of[2]
+
+
+def _train(load: float, motor: float, viscous: Array | None = None, slope: float = 0.0) -> Train:
+    """One sweep about 0 against a torque `slope` times the position."""
+    grid = np.linspace(-1.0, 1.0, 2001)
+    zero = np.zeros(1)
+    curve = Curve(np.array([-1.0]), 1e-3, slope * grid[None])
+    return Train(motor, np.array([load]), zero if viscous is None else viscous, zero, curve)
+
+
+def _motion(velocity: Array) -> Motion:
+    return Motion(velocity, np.gradient(velocity, STEP, axis=0), np.cumsum(velocity, axis=0) * STEP)
+
+
+def _torque(torque: Array) -> Motion:
+    column = torque[:, None]
+    return Motion(np.zeros_like(column), column, np.zeros_like(column))
+
+
+def _shaken() -> tuple[Raw, Array]:
+    """A free mass of 200 kg m^2 under 7 Hz."""
+    torque = 300.0 * np.sin(2 * np.pi * 7 * np.arange(12000) * STEP)
+    return run(_train(150.0, 50.0), NO_CONTROLS, np.zeros(1), _torque(torque), np.zeros((12000, 1))), torque
+
+
+def _lag(late: Array, early: Array, step: float = STEP) -> float:
+    """By how much a sine of 7 Hz comes later, s."""
+    turn = np.exp(-2j * np.pi * 7 * step * np.arange(len(late)))
+    whole = turn[: len(turn) - len(turn) % round(1 / (7 * step)) or None]
+    a, b = (float(np.angle((column[: len(whole)] * whole).sum())) for column in (late, early))
+    return (b - a) / (2 * np.pi * 7)
