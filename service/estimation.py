@@ -8,8 +8,10 @@ from service.identification import Estimate, Spectrum, as_document, identify, sp
 from service.identification.analysis_document import analyses_document
 from service.identification.combination import combine, inertias_of
 from service.identification.combination_document import combination_document
+from service.identification.free_motion import FreeMotion
 from service.identification.ideal_frequency import AxisAnalysis
 from service.identification.initial_analysis import analyse
+from service.identification.known_effects import KnownEffects
 from service.identification.noise_response import NoiseSpectrum, has_reference, noise_spectrum
 from service.identification.nominal_priors import TorqueGain
 from service.identification.trajectory_record import AxisTrack, axis_track, runs_at_once, trajectories
@@ -38,32 +40,45 @@ def estimate_document(
     spectra: Sequence[SweepSpectrum],
     analyses: Mapping[str, AxisAnalysis] | None = None,
     gains: Mapping[str, TorqueGain] | None = None,
+    known: KnownEffects | None = None,
+    motions: Sequence[FreeMotion] = (),
 ) -> dict[str, Any]:
     """Identify, and compare with the nominal model over the poses of the workspace that the robot can take.
 
     The initial analysis of noise runs and stepped sines among the `spectra` stands in "analysis"; it is the prior of
     its axes' drive trains, as are `analyses` of other campaigns for axes that have none here. `gains`: what a test mass
-    calibrated, by joint. With trajectories of axes that moved at once, "combination" is the joint estimate of sweeps
-    and trajectories; else it is null.
+    calibrated, by joint. `known`: effects of the robot's model, for the sweeps with lines. With trajectories of axes
+    that moved at once and free `motions`, "combination" is the joint estimate of sweeps and these; else it is null.
+    The spectra of sweeps that are in `motions` tell nothing of an axis alone and are left out.
     """
     sweeps = [each for each in spectra if isinstance(each, Spectrum)]
+    together = {id for motion in motions for id in motion.ids}
+    sweeps = [sweep for sweep in sweeps if sweep.spec.id not in together]
     runs = [each for each in spectra if isinstance(each, NoiseSpectrum)]
     own = analyse(robot, runs, [sweep for sweep in sweeps if sweep.spec.stepped])
     estimate = None
     if any(sweep.spec.shows_inertia for sweep in sweeps):
-        estimate = identify(robot, sweeps, {**(analyses or {}), **own}, gains or {})
+        estimate = identify(robot, sweeps, {**(analyses or {}), **own}, gains or {}, known)
     return {
         **_document(robot, estimate),
         "analysis": analyses_document(own),
-        "combination": _combination(robot, estimate, [each for each in spectra if isinstance(each, AxisTrack)]),
+        "combination": _combination(
+            robot, estimate, [each for each in spectra if isinstance(each, AxisTrack)], motions, gains or {}
+        ),
     }
 
 
-def _combination(robot: Robot, estimate: Estimate | None, tracks: Sequence[AxisTrack]) -> dict[str, Any] | None:
+def _combination(
+    robot: Robot,
+    estimate: Estimate | None,
+    tracks: Sequence[AxisTrack],
+    motions: Sequence[FreeMotion],
+    gains: Mapping[str, TorqueGain],
+) -> dict[str, Any] | None:
     records = trajectories(robot, tracks)
-    if not records:
+    if not records and not motions:
         return None
-    return combination_document(combine(robot, inertias_of(estimate) if estimate else (), records))
+    return combination_document(combine(robot, inertias_of(estimate) if estimate else (), records, motions, gains))
 
 
 def _document(robot: Robot, estimate: Estimate | None) -> dict[str, Any]:
@@ -78,5 +93,7 @@ def _document(robot: Robot, estimate: Estimate | None) -> dict[str, Any]:
             "standard_parameters": nothing,
             "physical": {"deviation_in_std": None},
             "suspect": [],
+            "effects": [],
+            "model": None,
         }
     return as_document(estimate, reachable(robot, estimate.poses, estimate.workspace))

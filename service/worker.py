@@ -23,6 +23,7 @@ from service.diagnosis.parameters import Parameter
 from service.errors import SweepidError
 from service.estimation import estimate_document, spectrum_from, sweep_spectrum
 from service.identification.analysis_document import analyses_from
+from service.identification.known_effects import known_effects
 from service.identification.torque_gain import KnownMass
 from service.recording import Sweep, SweepSpec
 from service.robot import RobotDescription, build_robot
@@ -75,6 +76,7 @@ class Job:
     path: Path
     earlier: tuple[dict[str, JsonValue], ...]  # spectrum documents
     analyses: dict[str, JsonValue]  # "analysis" of the campaign that the plan names, {} if it names none
+    model: dict[str, JsonValue] | None = None  # "axes" of the robot's model, and its "source"; None: it has none yet
 
     @property
     def priority(self) -> int:
@@ -85,7 +87,11 @@ class Job:
         new = sweep_spectrum(robot, Sweep(self.spec, read_columns(self.path)))
         earlier = [spectrum_from(document) for document in self.earlier]
         analyses = analyses_from(cast("dict[str, Any]", self.analyses))
-        return Result(new.to_document(), estimate_document(robot, [*earlier, new], analyses))
+        known = None
+        if self.model is not None:
+            model = cast("dict[str, Any]", self.model)
+            known = known_effects(model, robot.joints, model["source"])
+        return Result(new.to_document(), estimate_document(robot, [*earlier, new], analyses, known=known))
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 Exit codes: 0 done, 2 bad input, 1 any other failure; 1 and 2 come with one line on stderr.
 """
 
+import os
 import sys
 from importlib.metadata import EntryPoint, entry_points
 
@@ -20,9 +21,11 @@ _OWN = (
     ("measure", "service.cli.measure:measure"),
     ("import", "service.cli.bundles:import_bundle"),
     ("export", "service.cli.bundles:export_bundle"),
+    ("check", "service.cli.check:check"),
     ("identify", "service.cli.identify:identify"),
     ("diagnose", "service.cli.diagnose:diagnose"),
     ("torque-gain", "service.cli.torque_gain:torque_gain"),
+    ("payload", "service.cli.payload:payload_command"),
     ("channels", "service.cli.channels:channels"),
     ("import-trace", "service.cli.import_trace:import_trace"),
     ("export-model", "service.cli.export_model:export_model"),
@@ -32,6 +35,8 @@ _OWN = (
 
 def main() -> None:
     """Console script `sweepid`."""
+    # before NumPy is imported: our matrices are small, and more threads of its algebra than one only wait for another
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         build(sys.argv[1:])()
     except (BadInput, BadProfile) as error:

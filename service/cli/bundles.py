@@ -9,21 +9,29 @@ from typing import Annotated
 import typer
 
 from service.cli.address import DEFAULT_URL, Url
+from service.cli.check import warn
 from service.client import ServiceClient
+from service.data_check import check
 from service.errors import BadInput
+from service.store.bundle import read_bundle
 
 
 def import_bundle(
     bundle: Annotated[Path, typer.Argument(help="Folder of a bundle, or a zip of it.")],
     url: Url = DEFAULT_URL,
 ) -> None:
-    """Bring measured sweeps into the service, which identifies them. Prints the number of the campaign."""
+    """Bring measured sweeps into the service, which identifies them. Prints the number of the campaign.
+
+    What a check of the data finds goes to stderr.
+    """
     with ServiceClient(url) as client, tempfile.TemporaryDirectory() as folder:
         archive = _pack(bundle, Path(folder) / "bundle.zip") if bundle.is_dir() else bundle
         if not zipfile.is_zipfile(archive):
             raise BadInput(str(bundle), "is neither the folder of a bundle nor a zip file")
         campaign = client.import_bundle(archive)
-    sys.stdout.write(f"{campaign['id']}\n")
+        sys.stdout.write(f"{campaign['id']}\n")
+        measured = read_bundle(bundle if bundle.is_dir() else _unpack(archive, Path(folder) / "bundle"))
+        warn(check(measured.robot, measured.sweeps))
 
 
 def export_bundle(
@@ -40,6 +48,13 @@ def export_bundle(
         with zipfile.ZipFile(archive) as content:
             content.extractall(folder)
     sys.stdout.write(f"{folder}\n")
+
+
+def _unpack(archive: Path, folder: Path) -> Path:
+    """Of a zip that the service has taken."""
+    with zipfile.ZipFile(archive) as content:
+        content.extractall(folder)
+    return folder
 
 
 def _pack(folder: Path, target: Path) -> Path:

@@ -1,4 +1,4 @@
-"""Prints the joint estimate of sweeps and trajectories."""
+"""Prints the joint estimate of sweeps, trajectories and free motions."""
 
 from typing import Any
 
@@ -8,7 +8,8 @@ from rich.table import Table
 
 def print_combination(combination: dict[str, Any], console: Console) -> None:
     """Every base parameter of the whole dynamics, what determines it, or why nothing does."""
-    table = Table(title=f"Sweeps and {len(combination['trajectories'])} trajectories together, SI")
+    runs, motions = (len(combination.get(key, ())) for key in ("trajectories", "free_motions"))
+    table = Table(title=f"Sweeps, {runs} trajectories and {motions} free motions together, SI")
     for name in ("parameter", "value", "std", "std by sweeps", "by trajectories", "of the model", "determined by"):
         table.add_column(name, overflow="fold", justify="left" if name in ("parameter", "determined by") else "right")
     became = set(combination["became_identifiable"])
@@ -24,3 +25,17 @@ def print_combination(combination: dict[str, Any], console: Console) -> None:
     console.print(table)
     identified = sum(parameter["identified"] for parameter in combination["base_parameters"])
     console.print(f"{identified} of {len(combination['base_parameters'])} base parameters identified")
+    _print_held_out(combination.get("free_motion_axes", {}), console)  # stored by an earlier version: none
+
+
+def _print_held_out(axes: dict[str, Any], console: Console) -> None:
+    """How well efforts of free motions are predicted along parts that the fit has not seen."""
+    if not axes:
+        return
+    table = Table(title="Free motions, effort below the band's end, RMS, SI")
+    for name in ("axis", "left by the fit", "held out", "% of rated", "noise floor"):
+        table.add_column(name, justify="left" if name == "axis" else "right")
+    for joint, axis in axes.items():
+        sizes = (axis[key] for key in ("residual_rms", "held_out_rms", "held_out_percent", "noise_floor_rms"))
+        table.add_row(joint, *("-" if size is None else f"{size:.3g}" for size in sizes))
+    console.print(table)

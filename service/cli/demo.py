@@ -16,6 +16,7 @@ from service.client import Json
 from service.demo.hidden import Found, plain
 from service.demo.run import Outcome, run_demo
 from service.demo.screen import Screen
+from service.diagnosis.summary import judged_on
 from service.errors import SweepidError
 
 SEEDS = 1_000_000
@@ -103,7 +104,7 @@ def _print_diagnosis(found: Found, console: Console) -> None:
     console.print(f"\n[bold]A machine that hides something in {found.joint}[/bold]", highlight=False)
     console.print(f"Found{asked}: {found.axis['summary']}", highlight=False)
     console.print(
-        f"Gap on {gap['held_out_sweeps']} held-out sweeps: {gap['before_rms']:.3g} N m before, "
+        f"Gap {judged_on(gap)}: {gap['before_rms']:.3g} N m before, "
         f"{gap['after_rms']:.3g} N m after, noise floor {gap['noise_floor_rms']:.3g} N m.",
         highlight=False,
     )

@@ -18,6 +18,9 @@ from service.report import diagnosis_page
 from service.robot import Robot
 from service.store.bundle import Bundle, read_bundle
 
+_SIZES = {"before": "before_rms", "after": "after_rms", "noise floor": "noise_floor_rms", "twin": "twin_rms"}
+"""Columns of the table, and where of the gap they stand."""
+
 
 def diagnose(
     bundle: Annotated[Path, typer.Argument(help="Directory of the bundle.", show_default=False)],
@@ -26,7 +29,7 @@ def diagnose(
     known: Annotated[
         list[str] | None, typer.Option(help="Effect that the axes are known to have; may be repeated.")
     ] = None,
-    twin: Annotated[bool, typer.Option(help="Gap as the simulator leaves it; else as linear columns do.")] = True,
+    twin: Annotated[bool, typer.Option(help="Run the simulator with the model found, and tell what it leaves.")] = True,
     model: Annotated[Path | None, typer.Option(help="Write the model with named effects here.", metavar="FILE")] = None,
     scenario: Annotated[
         Path | None, typer.Option(help="Write what the twin is here, with its robot beside.", metavar="FILE")
@@ -84,14 +87,16 @@ def diagnose_bundle(
 
 
 def print_diagnosis(document: dict[str, Any], console: Console) -> None:
-    """Verdict and gap of each axis; the same in words, where the gap is, the parameters, and what to measure next."""
-    sources = " and ".join(sorted({axis["gap"]["source"] for axis in document["axes"].values()}))
-    table = Table(title=f"Diagnosis; gap, RMS, by the {sources}")
-    for name in ("axis", "verdict", "effects", "before", "after", "noise floor", ""):
-        table.add_column(name, justify="right" if name in ("before", "after", "noise floor") else "left")
+    """Verdict and gap of each axis; the same in words, where the gap is, the parameters, and what to measure next.
+
+    "twin" is what the simulator leaves with the model that is handed on.
+    """
+    table = Table(title="Diagnosis; gap, RMS")
+    for name in ("axis", "verdict", "effects", *_SIZES, ""):
+        table.add_column(name, no_wrap=name in ("axis", "effects"), justify="right" if name in _SIZES else "left")
     for joint, axis in document["axes"].items():
         names = axis["candidates"] or [effect["effect"] for effect in axis["effects"]]
-        sizes = (axis["gap"][key] for key in ("before_rms", "after_rms", "noise_floor_rms"))
+        sizes = (axis["gap"][key] for key in _SIZES.values())
         table.add_row(
             joint,
             axis["verdict"],
@@ -105,9 +110,26 @@ def print_diagnosis(document: dict[str, Any], console: Console) -> None:
         for sentence in axis["sentences"]:
             console.print(f"  {sentence}")
         for effect in axis["effects"]:
-            undecided = effect["effect"] in axis["candidates"]
-            console.print(f"  {'If it is that: ' if undecided else ''}{effect['sentence']}")
-            for name, value in effect["parameters"].items():
-                console.print(f"    {name} = {value['value']:.4g} ± {value['std']:.2g} {value['unit']}".rstrip())
+            _print_effect(effect, "If it is that: " if effect["effect"] in axis["candidates"] else "", console)
+        for effect in axis["part"]:
+            _print_effect(effect, "Part of it, beside what nobody knows: ", console)
+        console.print(_rigid_table(joint, axis["rigid_model"]))
         if axis["next_experiment"]:
             console.print(f"{joint}: next, {axis['next_experiment']['kind']}. {axis['next_experiment']['reason']}")
+
+
+def _print_effect(effect: dict[str, Any], before: str, console: Console) -> None:
+    console.print(f"  {before}{effect['sentence']}")
+    for name, value in effect["parameters"].items():
+        console.print(f"    {name} = {value['value']:.4g} ± {value['std']:.2g} {value['unit']}".rstrip())
+
+
+def _rigid_table(joint: str, parameters: Sequence[dict[str, Any]]) -> Table:
+    """What CAD and data sheet say of the rigid model, and what these sweeps say."""
+    table = Table(title=f"{joint}: rigid model, base parameters")
+    for name in ("parameter", "CAD", "found", "± std"):
+        table.add_column(name, justify="left" if name == "parameter" else "right")
+    for one in parameters:
+        nominal = "-" if one["nominal"] is None else f"{one['nominal']:.4g}"
+        table.add_row(one["name"], nominal, f"{one['value']:.4g}", f"{one['std']:.2g}")
+    return table

@@ -33,7 +33,12 @@ def plan(
     confidence: Annotated[
         float | None, typer.Option(help="Budget: until J is known to so many percent everywhere in the workspace.")
     ] = None,
-    criterion: Annotated[Criterion | None, typer.Option(help="What makes a pose the best next one.")] = None,
+    criterion: Annotated[
+        Criterion | None, typer.Option(help="What makes a pose the best next one (usually d_optimal).")
+    ] = None,
+    realisations: Annotated[
+        int | None, typer.Option(min=1, help="Sweeps of an axis in a pose, of random phases each (usually 1).")
+    ] = None,
     step: Annotated[float | None, typer.Option(help="deg (cm) between grid positions.")] = None,
     cell: Annotated[str | None, typer.Option(help="Name of the cell around the robot.")] = None,
     modes: Annotated[Modes | None, typer.Option(help="Who generates the motion; the last: one sweep an axis.")] = None,
@@ -70,6 +75,7 @@ def plan(
         "duration": duration,
         "confidence": confidence,
         "criterion": None if criterion is None else criterion.value,
+        "realisations": realisations,
         "step": step,
         "cell": cell,
         "modes": None if modes is None else modes.value,

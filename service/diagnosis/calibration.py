@@ -17,14 +17,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.effects.gravity_error import gravity_columns
-from service.diagnosis.equations import Term, equations, grouped, nominal_right, solve
-from service.diagnosis.periods import in_periods
+from service.diagnosis.equations import nominal_right
+from service.diagnosis.rigid import load_rows
 from service.diagnosis.signals import Tracks, tracks
 from service.errors import BadInput
 from service.identification import spectrum
 from service.identification.nominal_priors import TorqueGain
-from service.identification.regressor import inertia_rows
 from service.identification.torque_gain import KnownMass, torque_gains
 from service.recording import Sweep, SweepSpec
 from service.robot import Robot
@@ -34,8 +32,6 @@ Visit = tuple[int, tuple[int, ...]]
 
 CERTAIN = 3.0  # standard deviations of a gain that is not one
 DECIDED = 0.006  # standard deviation of a gain, above which a mass decides nothing
-CHANCE = 6.0  # standard deviations of what chance leaves
-UNCERTAIN = 2.0  # standard deviations by which a gain may be moved
 KNOWN = 0.003  # of the mass' torque: how well mass, place and the axis' angle under it are known
 PULLS = 0.01  # of the rated effort: less weight tells nothing
 FRICTION = 0.005  # of it: what friction may change while a mass is bolted on
@@ -70,21 +66,7 @@ def weighed_gain(robot: Robot, joint: str, bare: Sequence[Sweep], weighed: Weigh
     more = _means(heavy, nominal_right(heavy), visits) - _means(light, nominal_right(light), visits)
     grown = _means(heavy, heavy.direction * (np.abs(heavy.gravity + pull) - np.abs(heavy.gravity)), visits)
     columns = [_means(heavy, pull, visits), _means(heavy, heavy.direction, visits), grown]
-    gain = _solved(np.stack(columns, axis=-1), more, LEAST * rated, np.array([np.inf, FRICTION * rated, BY_LOAD]))
-    return _agreeing(robot, joint, bare, gain) if is_wrong(gain) else gain
-
-
-def _agreeing(robot: Robot, joint: str, bare: Sequence[Sweep], gain: TorqueGain) -> TorqueGain:
-    """The gain moved, as far as it is uncertain, to where the bare sweeps show none of it, if it is all they show."""
-    motion = tracks(robot, joint, in_periods(joint, corrected(bare, gain)))
-    given = equations(motion, grouped(motion))
-    rows = given.rows(Term("torque_constant_error"))
-    system = given.system_of(np.concatenate([given.base, rows, given.right[..., None]], axis=-1))
-    values, cost, _ = solve(system, given.viscous_precision)
-    if cost - float(given.pairs.alone.sum()) > CHANCE * float(np.sqrt(2 * given.pairs.rows)):
-        return gain
-    most = UNCERTAIN * gain.std / gain.gain
-    return TorqueGain(gain.gain * (1 + float(np.clip(values[1], -most, most))), gain.std)
+    return _solved(np.stack(columns, axis=-1), more, LEAST * rated, np.array([np.inf, FRICTION * rated, BY_LOAD]))
 
 
 def is_wrong(gain: TorqueGain) -> bool:
@@ -110,10 +92,9 @@ def _visit(spec: SweepSpec) -> Visit:
 def _added(motion: Tracks, mass: KnownMass) -> Array:
     """Torque of the mass along the motion, (n, t)."""
     robot, index = motion.robot, motion.robot.index(motion.joint)
-    body = np.zeros(robot.chain.inertial.size)
-    body[-len(mass.parameters) :] = mass.parameters
-    inertia = (inertia_rows(robot.chain, index, motion.poses) @ body)[motion.spot]
-    return gravity_columns(motion, body) + inertia[:, None] * motion.acceleration
+    last = robot.chain.inertial.size
+    rows = load_rows(robot, index, motion.poses)[:, last - len(mass.parameters) : last]
+    return motion.along((rows @ mass.parameters).reshape(3, -1))
 
 
 def _means(motion: Tracks, signal: Array, visits: Sequence[Visit]) -> Array:

@@ -1,7 +1,8 @@
 """The diagnosis of one axis: locate the gap, name the effects, prove them on held-out sweeps, ask for what is missing.
 
-The model to start from is rigid: inertia free in each pose within its prior, viscous friction within its prior, gravity
-as CAD has it. Everything else is an effect; those that the axis is `known` to have are fitted with the base.
+The model to start from is rigid: inertia and gravity of all poses and viscous friction, within the robot's prior.
+Everything else is an effect; those that the axis is `known` to have are fitted with the base. One pose takes no part in
+the naming, where there are enough of them: the gap is shown there.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,22 +12,28 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
+from service.data_check import Finding, check, untrustworthy
 from service.diagnosis.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.equations import equations, grouped
+from service.diagnosis.equations import Equations, Term, applies, equations, grouped, held_back
 from service.diagnosis.example import Example, example
 from service.diagnosis.experiments import TEST_MASS, NextExperiment, next_experiment
-from service.diagnosis.gap import Gap, gap, noise
+from service.diagnosis.gap import Gap, gap, noise, residual
 from service.diagnosis.locate import Cell, cells, lines, sentences
 from service.diagnosis.parameters import Parameter
 from service.diagnosis.patch import Patch
 from service.diagnosis.periods import in_periods
-from service.diagnosis.select import Selection, select
+from service.diagnosis.repeatability import unrepeated
+from service.diagnosis.rigid_model import RigidParameter, rigid_model
+from service.diagnosis.ripple_search import ripples, with_ripples
+from service.diagnosis.search import Beside
+from service.diagnosis.select import Selection, allowed_by_physics, select, settled, with_groups
 from service.diagnosis.show import Fit, Fitted, Shown, show
-from service.diagnosis.signals import tracks
-from service.diagnosis.verdict import Verdict, explains, judge, share, tie_sets, without
+from service.diagnosis.signals import SHORTEST, sticking_within, tracks
+from service.diagnosis.verdict import Verdict, at_floor, judge, of_one_record, share, tie_sets, without
 from service.diagnosis.visibility import untestable
 from service.errors import BadInput
+from service.identification.free_motion import at_once
 from service.identification.nominal_priors import TorqueGain
 from service.recording import Sweep
 from service.robot import Robot
@@ -35,6 +42,7 @@ Array = NDArray[np.float64]
 Known = Mapping[str, Mapping[str, Parameter]]
 
 NOTHING: Known = {}
+LONGER = 2.0  # times: ways within which dry friction may turn round
 CHANGED = 4.0  # standard deviations by which a parameter of the model is another now
 GAIN, GAIN_ERROR = "torque_constant_error", "gain_error"
 HEAVIER = "The mass that was weighed is too light to decide it: take a heavier one, or bolt it further out."
@@ -74,6 +82,7 @@ class AxisDiagnosis:
     verdict: Verdict
     effects: tuple[NamedEffect, ...]
     known: tuple[NamedEffect, ...]
+    part: tuple[NamedEffect, ...]  # known in part beside an unknown rest
     changes: tuple[Change, ...]  # of the known ones
     alternatives: tuple[tuple[str, ...], ...]  # of each effect it and who explains as much in its place, if ambiguous
     rivals: tuple[tuple[str, float], ...]  # by how much of Schwarz's criterion each is behind
@@ -81,14 +90,16 @@ class AxisDiagnosis:
     cells: tuple[Cell, ...]
     sentences: tuple[str, ...]
     gap: Gap
-    source: str  # of the gap: "twin" or "columns"
+    twin_rms: float | None  # what the simulator leaves along the recorded motion, N m (N)
     example: Example
     poses: tuple[tuple[float, ...], ...]
     fit: Fit
+    rigid_model: tuple[RigidParameter, ...]
     weighed: bool  # a test mass put the torques right
     unexplained: float  # part of the repeatable excess
     next_experiment: NextExperiment | None
     untestable: tuple[str, ...]
+    data: tuple[Finding, ...]  # what the check of the data found
 
     @property
     def candidates(self) -> tuple[str, ...]:
@@ -111,31 +122,27 @@ def diagnose_axis(
     cannot have, as gravity on an upright axis, is left out.
     `weighed`: some of the sweeps again with a known test mass. A gain that is not one is named a wrong torque constant,
     and the rest diagnosed with it put right; one that is leaves what else pulls.
-    `twin`: the gap is what the simulator leaves; else what the linear columns do, which is quicker.
+    `twin`: the simulator runs with the model found, and what it leaves is told beside the gap.
     """
     for name in known:
         if name not in CATALOGUE:
             raise BadInput(name, f"unknown effect; there are {', '.join(CATALOGUE)}")
+    together = {spec.id for group in at_once([sweep.spec for sweep in sweeps]) for spec in group}
+    sweeps = [sweep for sweep in sweeps if sweep.spec.id not in together]  # equations of one axis do not hold there
     gain = _accepted(known) if weighed is None else weighed_gain(robot, joint, sweeps, weighed)
     wrong = gain if gain is not None and is_wrong(gain) else None
     calibrated = gain is not None and is_decided(gain)
     own = in_periods(joint, corrected(sweeps, wrong) if wrong else sweeps)
-    motion = tracks(robot, joint, own)
-    given = equations(motion, grouped(motion))
-    possible = [
-        name for name, effect in CATALOGUE.items() if effect.applies(motion) and not (calibrated and name == GAIN)
-    ]
-    told = [name for name in known if name in possible]
-    applying = [name for name in possible if name not in told]
-    selection = select(given, told, applying)
-    hidden = untestable(selection.given, [name for name in applying if name not in selection.chosen.names], own)
-    testable = [name for name in applying if name not in hidden]
-    verdict, shown = _shown(selection, judge(selection, told, testable), own, told, twin=twin)
-    ties = tie_sets(selection, told, applying) if verdict is Verdict.AMBIGUOUS else {}
+    data = check(robot, [sweep for sweep in sweeps if sweep.spec.axis == joint])
+    trusted = not untrustworthy(data, joint)
+    found = _explained(robot, joint, own, known, calibrated=calibrated, trusted=trusted, twin=twin)
+    selection, shown, verdict, told = found.selection, found.shown, found.verdict, found.told
+    motion, hidden = selection.given.tracks, found.hidden
+    ties = tie_sets(selection, told, found.applying) if verdict is Verdict.AMBIGUOUS else {}
     before = shown.before
     if wrong and GAIN not in known:  # the gap is that of the effort as the drive told it
-        before = _as_told(robot, joint, sweeps, selection, told, twin=twin)
-    found = gap(selection.given, before, shown.after, held_out=shown.held_out)
+        before = _as_told(robot, joint, sweeps, selection, told)
+    unseen = [k for k, spot in enumerate(motion.spot) if spot == found.unseen]
     where = (
         *lines(motion, before, shown.after),
         *cells(motion, selection.given.groups, before, shown.after, noise(selection.given, shown.after)),
@@ -150,61 +157,140 @@ def diagnose_axis(
     wanted = next_experiment(selection, verdict, tuple(sorted({*ties, *chain(*ties.values())})), hidden, own)
     if wanted is not None and weighed is not None:
         wanted = replace(wanted, reason=f"{wanted.reason} {HEAVIER if wanted.kind == TEST_MASS else OFF}")
+    unit = "N" if motion.prismatic else "N m"
+    loose = unrepeated(selection.given, shown.after)
+    said = (loose.sentence(joint, unit),) if loose is not None and loose.is_physical else ()
     return AxisDiagnosis(
         joint=joint,
-        unit="N" if robot.chain.joints[robot.index(joint)].kind == "prismatic" else "N m",
+        unit=unit,
         verdict=verdict,
         effects=tuple(named),
         known=tuple(base),
+        part=tuple(_named(one, selection) for one in found.part),
         changes=_changes(known, base),
         alternatives=tuple((name, *sorted(rivals)) for name, rivals in ties.items()),
         rivals=_behind(selection),
         rolled_back=shown.rolled_back,
         cells=tuple(sorted(where, key=lambda cell: -cell.significance)),
-        sentences=(*sentences(joint, where), *shown.sentences),
-        gap=found,
-        source=shown.source,
+        sentences=(*(one.sentence for one in (*data, *found.said)), *sentences(joint, where), *said, *shown.sentences),
+        gap=gap(selection.given, before, shown.after, unseen),
+        twin_rms=shown.twin_rms,
         example=example(selection.given, before, shown.after),
         poses=tuple(tuple(pose) for pose in motion.poses.tolist()),
         fit=shown.fit,
+        rigid_model=rigid_model(selection.given, shown.fit),
         weighed=wrong is not None,
         unexplained=selection.unexplained,
         next_experiment=wanted,
-        untestable=(
-            *hidden,
-            *(name for name in CATALOGUE if name not in known and not CATALOGUE[name].applies(motion)),
-        ),
+        data=(*data, *found.said),
+        untestable=(*hidden, *(name for name in CATALOGUE if name not in known and not applies(selection.given, name))),
     )
 
 
-def _shown(
-    selection: Selection, verdict: Verdict, sweeps: Sequence[Sweep], known: Sequence[str], *, twin: bool
-) -> tuple[Verdict, Shown]:
-    """What held-out sweeps leave, and the verdict after it: what they do not bear out explains nothing.
+@dataclass(frozen=True)
+class _Explained:
+    """What the sweeps of an axis amount to, by which candidates, and what was changed in the robot file for it."""
 
-    An unknown effect is never patched: the model stays what it was.
+    selection: Selection
+    verdict: Verdict
+    shown: Shown
+    part: tuple[Fitted, ...]
+    told: tuple[str, ...]
+    applying: tuple[str, ...]
+    hidden: dict[str, tuple[str, ...]]
+    unseen: int | None
+    said: tuple[Finding, ...] = ()
+
+
+def _explained(
+    robot: Robot, joint: str, sweeps: Sequence[Sweep], known: Known, *, calibrated: bool, trusted: bool, twin: bool
+) -> _Explained:
+    """The explanation; where one fails, ripples that the robot file does not know are searched in what is left."""
+    found = _tried(robot, joint, sweeps, known, calibrated=calibrated, trusted=trusted, twin=twin)
+    if found.verdict is not Verdict.UNKNOWN or not trusted:
+        return found
+    left = residual(found.selection.given, found.selection.chosen.terms)
+    other, said = with_ripples(robot, joint, ripples(found.selection.given, left))
+    if other is robot:
+        return found
+    again = _tried(other, joint, sweeps, known, calibrated=calibrated, trusted=trusted, twin=twin)
+    return found if again.verdict is Verdict.UNKNOWN else replace(again, said=said)
+
+
+def _sticking(given: Equations, sweeps: Sequence[Sweep]) -> Equations:
+    """With dry friction that turns round within the way that fits best, of those so short that it sticks."""
+    ways = [given.tracks.sticking]
+    while LONGER * ways[-1] <= given.tracks.turning:
+        ways.append(LONGER * ways[-1])
+    ways += [SHORTEST] if ways[0] > SHORTEST else []  # an encoder without noise may show that friction turns at once
+    best, least = given, np.inf
+    for way in ways:
+        tried = given if way == ways[0] else replace(given, tracks=sticking_within(given.tracks, sweeps, way))
+        cost = Beside(tried, [Term("coulomb_friction")]).alone().cost
+        if cost < least - CHANGED**2:
+            best, least = tried, cost
+    return best
+
+
+def _tried(
+    robot: Robot, joint: str, sweeps: Sequence[Sweep], known: Known, *, calibrated: bool, trusted: bool, twin: bool
+) -> _Explained:
+    motion = tracks(robot, joint, sweeps)
+    groups = grouped(motion)
+    unseen = held_back(motion, groups)
+    seen = [group for group in groups if group.fold != unseen]
+    naming = _sticking(equations(motion, seen), sweeps)
+    possible = [name for name in CATALOGUE if applies(naming, name) and not (calibrated and name == GAIN)]
+    told = [name for name in known if name in possible]
+    applying = [name for name in possible if name not in told] if trusted else []
+    selection = select(naming, told, applying)
+    hidden = untestable(selection.given, [name for name in applying if name not in selection.chosen.names], sweeps)
+    testable = [name for name in applying if name not in hidden]
+    named = with_groups(selection, groups)
+    selection = settled(named, told)
+    verdict, shown, part = _shown(selection, sweeps, told, testable, twin=twin)
+    if unseen is not None and verdict is not Verdict.UNKNOWN and not shown.rolled_back:
+        # of the pose held back, what a model says that never saw it
+        after, held = residual(named.given, named.chosen.terms), motion.spot == unseen
+        shown = replace(shown, after=np.where(held[:, None], after, shown.after))
+    if not trusted:  # where the data cannot be trusted, no physics is named
+        verdict = Verdict.UNKNOWN
+    return _Explained(selection, verdict, shown, part, tuple(told), tuple(applying), hidden, unseen)
+
+
+def _shown(
+    selection: Selection, sweeps: Sequence[Sweep], known: Sequence[str], testable: Sequence[str], *, twin: bool
+) -> tuple[Verdict, Shown, tuple[Fitted, ...]]:
+    """The verdict after what held-out sweeps leave, and what is known in part beside an unknown rest.
+
+    What they do not bear out explains nothing, and an unknown effect is never patched: the model stays what it was.
     """
+    given = selection.given
     fixed = [term for term in selection.chosen.terms if term.effect in known]
     added = [term for term in selection.chosen.terms if term.effect not in known]
+    shown = show(given, sweeps, fixed, added, twin=twin)
+    left = without(selection, shown.rolled_back) if shown.rolled_back else selection
+    loose = unrepeated(given, shown.after)
+    moved_otherwise = loose is not None and loose.is_physical and not of_one_record(given)
+    quiet = at_floor(left, shown.after) and not moved_otherwise
+    verdict = judge(left, known, testable, at_floor=quiet)
+    if shown.rolled_back and len(left.chosen.terms) == len(fixed):
+        verdict = Verdict.UNKNOWN
     if verdict is not Verdict.UNKNOWN:
-        shown = show(selection.given, sweeps, fixed, added, twin=twin)
-        left = without(selection, shown.rolled_back) if shown.rolled_back else selection
-        if not shown.rolled_back or (len(left.chosen.terms) > len(fixed) and explains(left, known)):
-            return verdict, shown
-        return Verdict.UNKNOWN, replace(
-            show(selection.given, sweeps, fixed, [], twin=twin), rolled_back=shown.rolled_back
-        )
-    return verdict, show(selection.given, sweeps, fixed, [], twin=twin)
+        return verdict, shown, ()
+    part = (
+        tuple(one for one in shown.fitted if one.effect not in known) if allowed_by_physics(given, left.chosen) else ()
+    )
+    bare = show(given, sweeps, fixed, [], twin=twin) if added else shown
+    return verdict, replace(bare, rolled_back=shown.rolled_back), part
 
 
-def _as_told(
-    robot: Robot, joint: str, sweeps: Sequence[Sweep], selection: Selection, known: Sequence[str], *, twin: bool
-) -> Array:
+def _as_told(robot: Robot, joint: str, sweeps: Sequence[Sweep], selection: Selection, known: Sequence[str]) -> Array:
     """What the model without any new effect leaves (n, rows) of the effort that the drive told."""
     own = in_periods(joint, sweeps)
     given = equations(tracks(robot, joint, own), selection.given.groups)
     fixed = [term for term in selection.chosen.terms if term.effect in known]
-    return show(given, own, fixed, [], twin=twin).before
+    return residual(given, fixed, as_cad=True)
 
 
 def _named(one: Fitted, selection: Selection) -> NamedEffect:

@@ -32,6 +32,7 @@ def axis_document(one: AxisDiagnosis) -> dict[str, Any]:
         "unit": one.unit,
         "effects": [_effect(effect, one.unit) for effect in one.effects],
         "known": [_effect(effect, one.unit) for effect in one.known],
+        "part": [_effect(effect, one.unit) for effect in one.part],
         "changes": [
             {
                 "effect": c.effect,
@@ -52,9 +53,11 @@ def axis_document(one: AxisDiagnosis) -> dict[str, Any]:
             "after_rms": gap.after_rms,
             "noise_floor_rms": gap.noise_floor_rms,
             "held_out_sweeps": gap.held_out_sweeps,
+            "cross_validated": gap.others,
+            "source": "columns",  # of `before_rms` and `after_rms`
             "before_percent": 100 * gap.before_rms / effort,
             "after_percent": 100 * gap.after_rms / effort,
-            "source": one.source,
+            "twin_rms": one.twin_rms,
             "by_pose": [asdict(pose) | {"pose": list(pose.pose)} for pose in gap.by_pose],
         },
         "example": {
@@ -69,12 +72,18 @@ def axis_document(one: AxisDiagnosis) -> dict[str, Any]:
                     one.poses, one.fit.inertia.tolist(), one.fit.inertia_std.tolist(), strict=True
                 )
             ],
+            "gravity": [
+                {"pose": list(pose), "torque": torque, "slope": slope}
+                for pose, torque, slope in zip(one.poses, *one.fit.load[1:].tolist(), strict=True)
+            ],
             "viscous_friction": {"value": one.fit.viscous, "std": one.fit.viscous_std},
             "torques": "true" if one.weighed else "recorded",
         },
+        "rigid_model": [asdict(parameter) for parameter in one.rigid_model],
         "unexplained": one.unexplained,
         "next_experiment": None if one.next_experiment is None else _experiment(one.next_experiment),
         "untestable": list(one.untestable),
+        "data": [asdict(finding) for finding in one.data],
         "visible_in": {effect: list(CATALOGUE[effect].visible_in) for effect in one.untestable},
     }
     return document | {"summary": summary(one.joint, document)}

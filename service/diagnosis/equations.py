@@ -1,9 +1,10 @@
 r"""The equations of one axis: what the rigid model leaves of the effort, as a sum of columns.
 
-    effort - gravity - J0 a - b0 v = dJ_p a + db v + effects + noise
+    effort - nominal = Q z + db v + effects + noise
 
-gravity, J0 and b0 are those of CAD and data sheet; dJ_p belongs to the pose p and db to the axis, both held by their
-priors, which enter as pseudo-data. dJ_p is eliminated pose by pose, so a pose can be left out by leaving out its sum.
+`nominal` is the torque of CAD and data sheet along the motion; Q z is by how much the load (inertia and gravity of all
+poses, `rigid`) differs from it and db the viscous friction, both held by the robot's prior, which enters as
+pseudo-data. Only what these cannot take within the prior is evidence.
 """
 
 from collections.abc import Sequence
@@ -16,16 +17,18 @@ from numpy.typing import NDArray
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Model, Shape
 from service.diagnosis.grams import ORDER, Gathered, Group, Pairing, Piece, Whitening, noise_model, pairing
+from service.diagnosis.rigid import Rigid, nominal_load, rigid
 from service.diagnosis.signals import Tracks, white_covariance
-from service.identification.regressor import axis_rows
-from service.robot import Robot
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SMALLEST = 1e-60  # product of a column that is there
 SAME = 1e-3  # a model that moved by less is the same
-FLAT = 1e-9  # of a column's own product: below, it is a combination of the others
+FLAT = 1e-12  # of a column's own product: below, it is a combination of the others
+UNKNOWN_MOTOR = 0.1  # of the axis' inertia: a motor that the robot file does not know
+LEAST_INERTIA = 0.05  # of CAD's
+ENOUGH_POSES = 4  # of which one may be held back
 REPEATED = 0.2  # of the velocity, RMS, by which a repeat may differ
 
 
@@ -39,18 +42,43 @@ class Term:
 
 @dataclass(frozen=True)
 class Equations:
-    """Filtered, whitened rows of base columns and right side, and how to add columns to them."""
+    """Filtered, whitened rows of base columns and right side, and how to add columns to them.
+
+    The base columns (n, rows, b) are those of the load (`rigid.basis`) and the velocity, which stands last.
+    """
 
     tracks: Tracks
     groups: tuple[Group, ...]
     pairs: Pairing
     whitening: Whitening
+    rigid: Rigid
     model: Model
-    base: Array  # (n, rows, 2)
+    base: Array  # (n, rows, b)
     right: Array  # (n, rows)
-    inertia_precision: Array  # (folds,)
     viscous_precision: float
+    sensor_noise: float  # RMS in the band of the rows, N m (N)
     kept: dict[Term, Gathered] = field(init=False, repr=False, compare=False, default_factory=dict[Term, Gathered])
+
+    @property
+    def folds(self) -> int:
+        """How many poses."""
+        return len(self.pairs.blocks)
+
+    @property
+    def width_of_base(self) -> int:
+        """b."""
+        return self.base.shape[-1]
+
+    def precision(self, terms: Sequence[Term]) -> Array:
+        """(b, b): the prior of the base columns' coefficients, without what some terms free."""
+        result = np.zeros((self.width_of_base, self.width_of_base))
+        result[:-1, :-1] = self.rigid.precision_without([term.effect for term in terms])
+        result[-1, -1] = self.viscous_precision
+        return result
+
+    def freedom(self, terms: Sequence[Term]) -> int:
+        """Parameters of terms that are no columns: shapes, and directions of the load that are freed."""
+        return sum(len(term.shape) + self.rigid.freedom(term.effect) for term in terms)
 
     def columns(self, term: Term) -> Sequence[Array]:
         """Signals of an effect, (n, t) each."""
@@ -61,6 +89,8 @@ class Equations:
         return self._whitened(self.columns(term))
 
     def _whitened(self, columns: Sequence[Array]) -> Array:
+        if not columns:
+            return self.base[..., :0]
         rows = self.tracks.whitened(np.concatenate(columns), self.whitening.taps)
         return np.moveaxis(rows.reshape(len(columns), -1, rows.shape[1]), 0, -1)
 
@@ -99,62 +129,69 @@ class Equations:
 
     @cached_property
     def ends(self) -> tuple[Gathered, Gathered]:
-        """The base columns [a, v] and the right side, gathered."""
+        """The base columns and the right side, gathered."""
         return self.pairs.gathered(self.base), self.pairs.gathered(self.right[..., None])
 
     def together(self, terms: Sequence[Term], *more: Gathered) -> Gathered:
-        """Gathered [a, v, terms, more, right side]."""
+        """Gathered [base, terms, more, right side]."""
         base, right = self.ends
         parts = [base, *(self.gathered(term) for term in terms), *more, right]
         return tuple(np.concatenate(fold) for fold in zip(*parts, strict=True))
 
     def system_with(self, terms: Sequence[Term], *more: Gathered) -> Array:
-        """(folds, k, k) products of [v, terms, more, right side], the pose's inertia eliminated."""
+        """(folds, k, k) products of [base, terms, more, right side]."""
         columns = self.together(terms, *more)
-        return self.eliminated(self.pairs.crossed(columns, columns))
+        return symmetric(self.pairs.crossed(columns, columns))
 
     def system_against(self, right: Gathered, terms: Sequence[Term]) -> Array:
-        """(k, k) products of [v, terms, right], with a right side of its own, summed over folds."""
+        """(k, k) products of [base, terms, right], with a right side of its own, summed over folds."""
         parts = [self.ends[0], *(self.gathered(term) for term in terms), right]
         columns = tuple(np.concatenate(fold) for fold in zip(*parts, strict=True))
-        return self.eliminated(self.pairs.crossed(columns, columns)).sum(axis=0)
+        return symmetric(self.pairs.crossed(columns, columns)).sum(axis=0)
 
     def system_of(self, columns: Array) -> Array:
-        """Products of [v, columns, right side], summed over folds, from whitened [a, v, columns, right side]."""
-        return self.eliminated(self.pairs.products(columns)).sum(axis=0)
+        """(folds, k, k) products of whitened columns (n, rows, k), the right side last."""
+        return symmetric(self.pairs.products(columns))
 
     def system(self, columns: Array | None = None) -> Array:
-        """(folds, k, k) products of [v, columns, right side], the pose's inertia eliminated."""
+        """(folds, k, k) products of [base, columns, right side]."""
         parts = [self.base, *([] if columns is None else [columns]), self.right[..., None]]
-        return self.eliminated(self.pairs.products(np.concatenate(parts, axis=-1)))
-
-    def eliminated(self, products: Array) -> Array:
-        """The same from the products of [a, v, columns, right side]."""
-        first = products[:, 0]
-        symmetric = (products + products.transpose(0, 2, 1)) / 2
-        pivot = first[:, 0] + self.inertia_precision
-        return symmetric[:, 1:, 1:] - first[:, 1:, None] * first[:, None, 1:] / pivot[:, None, None]
+        return self.system_of(np.concatenate(parts, axis=-1))
 
 
-def solve(system: Array, viscous_precision: float) -> tuple[Array, float, int]:
-    """Least squares from a system (k + 1, k + 1) of [v, columns, right side]: coefficients (k,), cost, rank."""
-    values, vectors, scale = _scaled(system, viscous_precision)
+def symmetric(products: Array) -> Array:
+    """Products without what chance makes of their order."""
+    return (products + products.transpose(0, 2, 1)) / 2
+
+
+def solve(system: Array, precision: Array) -> tuple[Array, float, int]:
+    """Least squares from a system (k + 1, k + 1) of [base, columns, right side] and the prior `precision` (b, b) of the
+    base: coefficients (k,), cost with the prior's, rank.
+    """
+    values, vectors, scale = _scaled(system, precision)
     right, kept = system[:-1, -1] / scale, values > FLAT
     turned = vectors[:, kept].T @ right
     solution = vectors[:, kept] @ (turned / values[kept])
     return solution / scale, float(system[-1, -1] - right @ solution), int(kept.sum())
 
 
-def covariance(system: Array, viscous_precision: float) -> Array:
+def covariance(system: Array, precision: Array) -> Array:
     """Covariance (k, k) of the same; what is not determined is as uncertain as `FLAT` allows."""
-    values, vectors, scale = _scaled(system, viscous_precision)
+    values, vectors, scale = _scaled(system, precision)
     return (vectors / np.maximum(values, FLAT)) @ vectors.T / np.outer(scale, scale)
 
 
-def _scaled(system: Array, viscous_precision: float) -> tuple[Array, Array, Array]:
+def given_rest(system: Array, precision: Array, rest: Array) -> Array:
+    """Coefficients (b,) of the base while those of all other columns are `rest` (k - b,)."""
+    b = len(precision)
+    right = system[:b, -1] - system[:b, b:-1] @ rest
+    return np.asarray(np.linalg.solve(system[:b, :b] + precision, right), dtype=np.float64)
+
+
+def _scaled(system: Array, precision: Array) -> tuple[Array, Array, Array]:
     """Eigenvalues and vectors of the matrix with unit diagonal, and the scale (k,) that made it so."""
     matrix = system[:-1, :-1].copy()
-    matrix[0, 0] += viscous_precision
+    matrix[: len(precision), : len(precision)] += precision
     diagonal = np.diag(matrix)
     # a column that moves nothing has no product, or noise for one
     there = diagonal > SMALLEST
@@ -164,55 +201,57 @@ def _scaled(system: Array, viscous_precision: float) -> tuple[Array, Array, Arra
     return values, vectors, scale
 
 
-def equations(tracks: Tracks, groups: Sequence[Group]) -> Equations:
-    """The base model's equations, whitened by what the repeats show."""
-    robot, index = tracks.robot, tracks.robot.index(tracks.joint)
-    axis, prior = robot.axis(tracks.joint), robot.prior
-    nominal = nominal_inertia(robot, index, tracks.poses)
+def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | None = None) -> Equations:
+    """The base model's equations, whitened by what the repeats show unless told how."""
+    axis, prior = tracks.robot.axis(tracks.joint), tracks.robot.prior
+    model = rigid(tracks.robot, tracks.joint, tracks.poses, tracks.sizes)
     viscous = axis.viscous_friction or 0.0
-    model = Model(nominal[tracks.spot], axis.reflected_motor_inertia or 0.0, viscous)
-    rows = [tracks.rows(column) for column in (tracks.acceleration, tracks.velocity)]
     remaining = tracks.rows(nominal_right(tracks))
+    signals = [*(tracks.along(load) for load in model.basis), tracks.velocity]
+    rows = np.stack([tracks.rows(signal) for signal in signals], axis=-1)
     alone = white_covariance(tracks.effort, tracks.inside, tracks.rate, ORDER)
-    whitening = noise_model(_refitted(tracks, rows, remaining), tracks.usable, groups, alone)
-    first_sweep = {group.fold: group.pieces[0].sweep for group in groups}
-    typical = np.array([model.inertia[first_sweep[fold]] for fold in range(len(first_sweep))])
-    return Equations(
+    if whitening is None:
+        whitening = noise_model(_refitted(tracks, rows, remaining), tracks.usable, groups, alone)
+    given = Equations(
         tracks=tracks,
         groups=tuple(groups),
-        pairs=pairing(tracks.usable, groups, ORDER, len(typical)),
+        pairs=pairing(tracks.usable, groups, ORDER, 1 + max(group.fold for group in groups)),
         whitening=whitening,
-        model=model,
-        base=np.stack([whitening(row) for row in rows], axis=-1),
+        rigid=model,
+        model=_model(
+            tracks,
+            model.nominal,
+            axis.reflected_motor_inertia or UNKNOWN_MOTOR * float(model.nominal[0].mean()),
+            viscous,
+        ),
+        base=np.stack([whitening(rows[..., k]) for k in range(rows.shape[-1])], axis=-1),
         right=whitening(remaining),
-        inertia_precision=(prior.inertia * typical) ** -2.0,
         viscous_precision=(prior.viscous_friction * viscous) ** -2.0 if viscous else 0.0,
+        sensor_noise=float(np.sqrt(alone[0])),
     )
+    return remodelled(given, ())
 
 
 def nominal_right(tracks: Tracks) -> Array:
     """What CAD and data sheet leave of the effort, (n, t)."""
-    nominal = nominal_inertia(tracks.robot, tracks.robot.index(tracks.joint), tracks.poses)[tracks.spot]
     viscous = tracks.robot.axis(tracks.joint).viscous_friction or 0.0
-    return tracks.effort - tracks.gravity - nominal[:, None] * tracks.acceleration - viscous * tracks.velocity
+    return (
+        tracks.effort - tracks.along(nominal_load(tracks.robot, tracks.joint, tracks.poses)) - viscous * tracks.velocity
+    )
 
 
-def _refitted(tracks: Tracks, columns: Sequence[Array], right: Array) -> Array:
-    """What the best rigid model of each pose leaves of rows (n, rows), noise weighted alike at all frequencies."""
-    left = right.copy()
-    for spot in range(len(tracks.poses)):
-        here = tracks.spot == spot
-        good = tracks.usable[here]
-        matrix = np.stack([column[here] for column in columns], axis=-1)
-        solution = np.linalg.lstsq(matrix[good], right[here][good], rcond=None)[0]
-        left[here] -= matrix @ solution
-    return left
+def _refitted(tracks: Tracks, rows: Array, right: Array) -> Array:
+    """What the best rigid model leaves of rows (n, rows): noise alike at all frequencies, no prior."""
+    matrix, target = rows[tracks.usable], right[tracks.usable]
+    return right - rows @ np.linalg.lstsq(matrix, target, rcond=None)[0]
 
 
-def nominal_inertia(robot: Robot, index: int, poses: Array) -> Array:
-    """Axis inertia (m,) of CAD and data sheet, motor included."""
-    motors = [axis.reflected_motor_inertia or 0.0 for axis in robot.axes]
-    return axis_rows(robot.chain, index, poses) @ np.concatenate([robot.chain.inertial.ravel(), motors])
+def _model(tracks: Tracks, load: Array, motor_inertia: float, viscous: float) -> Model:
+    """What columns are made of, for a load (3, m)."""
+    inertia, torque, slope = load[:, tracks.spot]
+    return Model(
+        inertia, motor_inertia, viscous, tracks.along(np.stack([0 * load[0], load[1], load[2]])), torque, slope
+    )
 
 
 def grouped(tracks: Tracks) -> tuple[Group, ...]:
@@ -230,6 +269,21 @@ def grouped(tracks: Tracks) -> tuple[Group, ...]:
     return tuple(Group(tuple(Piece(k, 0, width) for k in numbers), spot) for spot, _, numbers in collected)
 
 
+def held_back(tracks: Tracks, groups: Sequence[Group]) -> int | None:
+    """The pose, by its number, that is to take no part in the naming: the one of middling weight; None of too few."""
+    folds = sorted({group.fold for group in groups})
+    if len(folds) < ENOUGH_POSES:
+        return None
+    weight = {fold: float(tracks.gravity[tracks.spot == fold].mean()) for fold in folds}
+    return sorted(folds, key=lambda fold: weight[fold])[len(folds) // 2]
+
+
+def applies(given: Equations, name: str) -> bool:
+    """Whether an axis can have an effect at all."""
+    effect = CATALOGUE[name]
+    return name in given.rigid.freed if effect.by_load else effect.applies(given.tracks)
+
+
 def _same_motion(motion: Array, usable: Mask, one: int, other: int) -> bool:
     """Whether two sweeps moved alike where both count: names alone may be missing, or wrong."""
     both = usable[one] & usable[other]
@@ -237,28 +291,36 @@ def _same_motion(motion: Array, usable: Mask, one: int, other: int) -> bool:
     return bool(both.any() and np.sum((first - second) ** 2) < REPEATED**2 * np.sum(first**2))
 
 
-def remodelled(given: Equations, terms: Sequence[Term]) -> Equations:
-    """With the inertias and friction that a fit with these terms finds, of which some columns are made."""
+def remodelled(given: Equations, terms: Sequence[Term], *, motor: bool = True) -> Equations:
+    """With the load and the friction that a fit with these terms finds, of which some columns are made; and with the
+    inertia of the `motor` that goes with them.
+    """
+    values = solve(given.system_with(terms).sum(axis=0), given.precision(terms))[0]
+    start, inertia = given.width_of_base, given.model.motor_inertia
+    for term in terms:
+        by_effect = CATALOGUE[term.effect].motor
+        if by_effect is not None and motor:
+            inertia = by_effect(given.tracks, given.model, float(values[start]))
+        start += given.width(term)
+    return with_base(given, values[: given.width_of_base], inertia)
+
+
+def with_base(given: Equations, values: Array, motor: float | None = None) -> Equations:
+    """With the load and friction of base coefficients (b,), and the reflected inertia of the motor if told."""
     tracks = given.tracks
-    columns = given.together(terms)
-    products = given.pairs.crossed(columns, columns)
-    values, _, _ = solve(given.eliminated(products).sum(axis=0), given.viscous_precision)
-    pivot = products[:, 0, 0] + given.inertia_precision
-    change = (products[:, 0, -1] - products[:, 0, 1:-1] @ values) / pivot
-    nominal = nominal_inertia(tracks.robot, tracks.robot.index(tracks.joint), tracks.poses)[tracks.spot]
-    fold = np.empty(len(tracks.specs), dtype=int)
-    for group in given.groups:
-        fold[[piece.sweep for piece in group.pieces]] = group.fold
-    viscous = (tracks.robot.axis(tracks.joint).viscous_friction or 0.0) + float(values[0])
-    inertia = np.maximum(nominal + change[fold], 0.05 * nominal)
-    model = replace(given.model, inertia=inertia, viscous=max(viscous, 0.0))
-    if _alike(model, given.model):
+    viscous = (tracks.robot.axis(tracks.joint).viscous_friction or 0.0) + float(values[-1])
+    load = given.rigid.load(values[:-1])
+    load[0] = np.maximum(load[0], LEAST_INERTIA * given.rigid.nominal[0])
+    model = _model(tracks, load, given.model.motor_inertia if motor is None else motor, max(viscous, 0.0))
+    if _alike(model, given.model, tracks.robot.axis(tracks.joint).rated_effort):
         return given
     moved = replace(given, model=model)
     moved.kept.update({term: rows for term, rows in given.kept.items() if not CATALOGUE[term.effect].of_model})
     return moved
 
 
-def _alike(one: Model, other: Model) -> bool:
+def _alike(one: Model, other: Model, rated: float) -> bool:
     inertia = np.allclose(one.inertia, other.inertia, rtol=SAME, atol=0.0)
-    return bool(inertia and np.isclose(one.viscous, other.viscous, rtol=SAME, atol=0.0))
+    torque = np.allclose(one.torque, other.torque, rtol=0.0, atol=SAME * rated)
+    motor = np.isclose(one.motor_inertia, other.motor_inertia, rtol=SAME, atol=0.0)
+    return bool(inertia and torque and motor and np.isclose(one.viscous, other.viscous, rtol=SAME, atol=0.0))

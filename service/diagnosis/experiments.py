@@ -134,7 +134,8 @@ class _Campaign:
             numbers = range(first, first + len(proposal.sweeps))
             scored.append((_separation(ahead, effort, numbers, self.selection.rigid.cost), proposal))
             first += len(proposal.sweeps)
-        score, chosen = max(scored, key=lambda one: one[0] / (SET_UP + one[1].seconds), default=(0.0, None))
+        warming = [one for one in scored if one[1].kind == WARM_UP and one[0] >= LITTLE]
+        score, chosen = max(warming or scored, key=lambda one: one[0] / (SET_UP + one[1].seconds), default=(0.0, None))
         if chosen is None or score < LITTLE:
             return None
         reason = f"{chosen.kind} separates {in_words(rivals)} best for its time."

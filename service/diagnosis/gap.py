@@ -1,7 +1,8 @@
 """How far model and measurement are apart, in N m (N), on sweeps that took no part in the fit.
 
-Poses are left out one after the other; where there is one pose, its repeats are. A pose left out keeps its own inertia,
-which nothing else can tell; friction and effects come from the others.
+Poses are left out one after the other; where there is one pose, its repeats are. The coefficients of the effects come
+from the others; the rigid model, before and after, is fitted to all, as nothing else tells the inertia of a pose left
+out.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -10,13 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.equations import Equations, Term, nominal_right, solve
+from service.diagnosis.equations import Equations, Term, given_rest, nominal_right, solve, symmetric
 from service.diagnosis.grams import ORDER, Group, pairing
 
 Array = NDArray[np.float64]
 
 ALIKE = 4  # neighbouring rows share a filter: so many are one independent value
 CERTAIN = 3.0  # standard deviations of a gain that is not chance
+HELD = 1e12  # of a column's product: what holds a coefficient at zero
 RIDGE = 1e-6  # of a column's product: what the others do not tell is drawn to zero
 
 
@@ -35,7 +37,8 @@ class PoseGap:
 class Gap:
     """RMS of what is left, N m (N): rigid model, with effects, repeats against one another (None: nothing is repeated).
 
-    `held_out_sweeps`: how many took no part in the fit that they judge; 0 where nothing could be left out.
+    `held_out_sweeps`: of how many, none of which took part in naming or fit; 0: it is that of all sweeps, each judged
+    by a fit of the others as far as there were `others`.
     """
 
     before_rms: float
@@ -43,13 +46,17 @@ class Gap:
     noise_floor_rms: float | None
     effort_rms: float
     held_out_sweeps: int
+    others: bool
     by_pose: tuple[PoseGap, ...]
 
 
-def gap(given: Equations, before: Array, after: Array, held_out: int) -> Gap:
-    """Of what sweeps leave (n, rows) before and after, so many of them held out."""
+def gap(given: Equations, before: Array, after: Array, unseen: Sequence[int]) -> Gap:
+    """Of what sweeps leave (n, rows) before and after; `unseen`: those that took no part in the naming."""
     tracks = given.tracks
     every = np.arange(len(tracks.specs))
+    judged = np.array(unseen, dtype=int) if unseen else every
+    counted = np.zeros_like(tracks.usable)
+    counted[judged] = tracks.usable[judged]
     poses: list[PoseGap] = []
     for spot, pose in enumerate(tracks.poses):
         here = every[tracks.spot == spot]
@@ -58,11 +65,12 @@ def gap(given: Equations, before: Array, after: Array, held_out: int) -> Gap:
             sizes = (_rms(before[here][usable]), _rms(after[here][usable]), noise_floor(given, after, here))
             poses.append(PoseGap(tuple(pose.tolist()), *sizes, len(here)))
     return Gap(
-        before_rms=_rms(before[tracks.usable]),
-        after_rms=_rms(after[tracks.usable]),
-        noise_floor_rms=noise_floor(given, after, every),
+        before_rms=_rms(before[counted]),
+        after_rms=_rms(after[counted]),
+        noise_floor_rms=noise_floor(given, after, judged.tolist()),
         effort_rms=_rms(tracks.rows(tracks.effort)[tracks.usable]),
-        held_out_sweeps=held_out,
+        held_out_sweeps=len(unseen),
+        others=left_out(given),
         by_pose=tuple(poses),
     )
 
@@ -75,27 +83,59 @@ def improves(given: Equations, before: Array, after: Array) -> bool:
     return float(np.mean(old**2) - np.mean(new**2)) > CERTAIN * chance
 
 
-def residual(given: Equations, terms: Sequence[Term], *, by_repeat: bool = False) -> Array:
-    """What each sweep leaves of its effort (n, rows), N m (N), filtered alike, with coefficients from the others."""
-    tracks = given.tracks
+def by_prior(given: Equations, before: Sequence[Term], after: Sequence[Term]) -> bool:
+    """Whether what speaks for terms more is mostly the prior: a load that could take their place, if CAD let it."""
+    costs: list[float] = []
+    priors: list[float] = []
+    for terms in (before, after):
+        precision = given.precision(terms)
+        values, cost, _ = solve(given.system_with(terms).sum(axis=0), precision)
+        base = values[: len(precision)]
+        costs.append(cost)
+        priors.append(float(base @ precision @ base))
+    return priors[0] - priors[1] > (costs[0] - costs[1]) / 2 > 0
+
+
+def residual(given: Equations, terms: Sequence[Term], *, by_repeat: bool = False, as_cad: bool = False) -> Array:
+    """What each sweep leaves of its effort (n, rows), N m (N), filtered alike: the effects' coefficients are those of
+    the other sweeps, the rigid model is fitted to all. `as_cad`: the load is CAD's.
+    """
+    tracks, b = given.tracks, given.width_of_base
     whitened = np.concatenate([given.base, *(given.rows(t) for t in terms), given.right[..., None]], axis=-1)
-    unfiltered = [tracks.acceleration, tracks.velocity, *(column for t in terms for column in given.columns(t))]
-    columns = np.stack([tracks.rows(column) for column in unfiltered], axis=-1)
-    right = tracks.rows(nominal_right(tracks))
-    result, folds = right.copy(), len(given.inertia_precision)
+    precision, total = given.precision(terms), given.system_of(whitened).sum(axis=0)
+    if as_cad:
+        precision[range(b - 1), range(b - 1)] += HELD * np.abs(np.diag(total)[: b - 1])
+    ridge = np.zeros(len(total) - 1)
+    ridge[b:] = RIDGE * np.abs(np.diag(total)[b:-1])
+    columns = np.stack(rows_of(given, terms), axis=-1)
+    result = tracks.rows(nominal_right(tracks))
     for train, test in splits(given.groups, by_repeat=by_repeat):
-        products = pairing(tracks.usable, train, ORDER, folds).products(whitened)
-        fitted = given.eliminated(products).sum(axis=0)
-        ridge = RIDGE * np.abs(np.diag(given.system_of(whitened)))[:-1]
+        products = pairing(tracks.usable, train, ORDER, given.folds).products(whitened)
+        fitted = symmetric(products).sum(axis=0)
         fitted[range(len(ridge)), range(len(ridge))] += ridge
-        values = solve(fitted, given.viscous_precision)[0]
-        for group in test:
-            own = products[group.fold] if products[group.fold].any() else _own(given, whitened, test, group.fold)
-            change = (own[0, -1] - own[0, 1:-1] @ values) / (own[0, 0] + given.inertia_precision[group.fold])
-            for piece in group.pieces:
-                at = slice(piece.first, piece.first + piece.rows)
-                result[piece.sweep, at] -= columns[piece.sweep, at] @ np.concatenate([[change], values])
+        effects = solve(fitted, precision)[0][b:]
+        values = np.append(given_rest(total, precision, effects), effects)
+        for piece in (piece for group in test for piece in group.pieces):
+            at = slice(piece.first, piece.first + piece.rows)
+            result[piece.sweep, at] -= columns[piece.sweep, at] @ values
     return result
+
+
+def rows_of(given: Equations, terms: Sequence[Term]) -> list[Array]:
+    """Base columns and those of terms (n, rows), filtered but not whitened, N m for coefficients of one unit."""
+    tracks = given.tracks
+    signals = [*(tracks.along(load) for load in given.rigid.basis), tracks.velocity]
+    signals += [column for term in terms for column in given.columns(term)]
+    return [tracks.rows(signal) for signal in signals]
+
+
+def over_floor(given: Equations, terms: Sequence[Term]) -> float:
+    """RMS of what a fit to all grouped sweeps leaves of them, over the noise floor; infinite where none repeats."""
+    values = solve(given.system_with(terms).sum(axis=0), given.precision(terms))[0]
+    left = given.tracks.rows(nominal_right(given.tracks)) - np.stack(rows_of(given, terms), axis=-1) @ values
+    grouped = sorted({piece.sweep for group in given.groups for piece in group.pieces})
+    floor = noise_floor(given, left, grouped)
+    return np.inf if not floor else _rms(left[grouped][given.tracks.usable[grouped]]) / floor
 
 
 def splits(groups: Sequence[Group], *, by_repeat: bool = False) -> Iterator[tuple[list[Group], list[Group]]]:
@@ -111,10 +151,9 @@ def splits(groups: Sequence[Group], *, by_repeat: bool = False) -> Iterator[tupl
         yield [g for g in train if g.pieces] or list(groups), test
 
 
-def left_out(given: Equations, *, by_repeat: bool) -> int:
-    """How many sweeps take no part in the fit that judges them: none where one pose was measured without repeats."""
-    by_pose = len(given.inertia_precision) > 1 and not by_repeat
-    return len(given.tracks.specs) if by_pose or any(len(group.pieces) > 1 for group in given.groups) else 0
+def left_out(given: Equations) -> bool:
+    """Whether sweeps can take no part in the fit that judges them: not where one pose was measured without repeats."""
+    return given.folds > 1 or any(len(group.pieces) > 1 for group in given.groups)
 
 
 def noise(given: Equations, left: Array) -> float:
@@ -135,10 +174,6 @@ def noise_floor(given: Equations, left: Array, sweeps: Iterable[int]) -> float |
             squares += float(np.sum((parts - parts.mean(axis=0))[:, good] ** 2))
             rows += float((len(parts) - 1) * good.sum())
     return float(np.sqrt(squares / rows)) if rows else None
-
-
-def _own(given: Equations, whitened: Array, groups: Sequence[Group], fold: int) -> Array:
-    return pairing(given.tracks.usable, groups, ORDER, fold + 1).products(whitened)[fold]
 
 
 def _rms(values: Array) -> float:

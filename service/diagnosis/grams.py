@@ -87,7 +87,8 @@ class Pairing:
 
     def gathered(self, columns: Array) -> Gathered:
         """The rows that count of columns (sweeps, rows, k), fold by fold (k, rows): products of them are `crossed`."""
-        flat = np.ascontiguousarray(columns.reshape(-1, columns.shape[-1]).T)
+        n, rows, count = columns.shape
+        flat = np.ascontiguousarray(columns.reshape(n * rows, count).T)
         none = np.empty((len(flat), 0))
         return tuple(np.concatenate([none, *(_summed(flat, block) for block in fold)], axis=1) for fold in self.blocks)
 
@@ -161,7 +162,7 @@ def _summed(flat: Array, block: Index) -> Array:
     if count == 1:
         return flat[:, block[0]]
     total: Array = rows.sum(axis=1)
-    together: Array = np.concatenate([total, rows.reshape(len(flat), -1)], axis=1) / np.sqrt(count - 1)
+    together: Array = np.concatenate([total, rows.reshape(len(flat), block.size)], axis=1) / np.sqrt(count - 1)
     return together
 
 

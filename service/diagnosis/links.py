@@ -89,11 +89,16 @@ def joined(robot: Robot, wanted: Sequence[tuple[int, Array, Array]]) -> Array:
     return changes
 
 
+def gravity_of_fit(poses: Array, joint: int, torque: Array, slope: Array) -> Array:
+    """(m, 2): cosine and sine part by the axis' own angle, from torque and slope (m,) in each pose."""
+    cosine, sine = np.cos(poses[:, joint]), np.sin(poses[:, joint])
+    return np.stack([torque * cosine - slope * sine, torque * sine + slope * cosine], axis=-1)
+
+
 def gravity_of(robot: Robot, inertial: Array, joint: int, poses: Array) -> Array:
     """(m, 2): cosine and sine part, N m, about a joint by its own angle, of links (n, 10); linear in them."""
     torque, stiffness = gravity_terms(robot.chain, inertial.ravel(), robot.gravity, joint, poses).T
-    cosine, sine = np.cos(poses[:, joint]), np.sin(poses[:, joint])
-    return np.stack([torque * cosine - stiffness * sine, torque * sine + stiffness * cosine], axis=-1)
+    return gravity_of_fit(poses, joint, torque, stiffness)
 
 
 def inertia_factors(robot: Robot, links: Links, wanted: Sequence[tuple[int, Array, Array]]) -> dict[str, float]:

@@ -76,7 +76,7 @@ def lines(tracks: Tracks, residual: Array, after: Array) -> tuple[Cell, ...]:
             continue
         first, count = round((spec.measure_from - start) / every), round(spec.period * spec.periods / every)
         inside = (np.count_nonzero(tracks.inside[number]) - 1) / tracks.rate
-        if first < 0 or start + (first + count - 1) * every > inside:
+        if first < 0 or first + count > residual.shape[1] or start + (first + count - 1) * every > inside:
             continue  # no whole window
         time = np.arange(count, dtype=np.float64) * every
         beside = (np.arange(1, spec.periods) / (spec.period * spec.periods)).tolist()

@@ -6,13 +6,13 @@ expected, the poses of both count for what gravity may do, and the warmth goes o
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.design import DesignedSweep
-from service.diagnosis.equations import Equations, Term, nominal_inertia, nominal_right, solve
-from service.diagnosis.grams import ORDER, pairing
+from service.diagnosis.equations import Equations, Term, equations, solve
 from service.diagnosis.signals import Tracks, tracks
 from service.identification.excitation import Excitation, velocity_setpoint
 from service.recording import Recording, Sweep
@@ -32,43 +32,40 @@ class Prospect:
         return self.given.tracks
 
     def effort(self, terms: Sequence[Term]) -> Array:
-        """Whitened rows (expected sweeps, rows) of what terms need, with the coefficients that the data give them."""
+        """Whitened rows (expected sweeps, rows) of what load, friction and terms need, as the data give them."""
         given, rows = self.given, [self.given.rows(term) for term in terms]
-        system = given.system_of(np.concatenate([given.base, *rows, given.right[..., None]], axis=-1))
-        values = solve(system, given.viscous_precision)[0][1:]
-        return np.concatenate(rows, axis=-1)[self.measured :] @ values
+        every = np.concatenate([given.base, *rows, given.right[..., None]], axis=-1)
+        values = solve(given.system_of(every).sum(axis=0), given.precision(terms))[0]
+        return every[self.measured :, :, :-1] @ values
 
     def beyond_rigid(self, effort: Array, sweeps: Sequence[int]) -> float:
-        """Chi-squared of an effort (expected sweeps, rows) in some of the sweeps, besides any inertia and friction."""
+        """Chi-squared of an effort (expected sweeps, rows) in some of the sweeps, besides what load and friction may be
+        by the prior and the measured sweeps.
+        """
         at = np.array(sweeps) + self.measured
-        motion, good = self.tracks, self.tracks.usable[np.array(sweeps) + self.measured]
-        base = self.given.base[at]
-        own = [base[..., 0] * (motion.spot[at] == spot)[:, None] for spot in np.unique(motion.spot[at])]
-        columns = np.stack([*own, base[..., 1]], axis=-1)[good]
-        left = effort[np.array(sweeps)][good]
-        left = left - columns @ np.linalg.lstsq(columns, left, rcond=None)[0]
-        return float(left @ left)
+        good = self.tracks.usable[at]
+        columns, left = self.given.base[at][good], effort[np.array(sweeps)][good]
+        known = self._known + columns.T @ columns
+        across = columns.T @ left
+        return float(left @ left - across @ np.linalg.solve(known, across))
+
+    @cached_property
+    def _known(self) -> Array:
+        """Information (b, b) on the base: prior and measured sweeps."""
+        b = self.given.width_of_base
+        system = self.given.system_of(self.given.base).sum(axis=0)
+        return system + self.given.precision(()) + 1e-12 * np.trace(system) * np.eye(b)
 
 
 def prospect(given: Equations, measured: Sequence[Sweep], designed: Sequence[DesignedSweep]) -> Prospect:
     """`measured` are the sweeps of `given`; BadInput where the designed cannot stand beside them."""
     robot, joint, index = given.tracks.robot, given.tracks.joint, given.tracks.robot.index(given.tracks.joint)
     motion = tracks(robot, joint, [*measured, *(expected(one, one.spec.pose[index]) for one in designed)])
-    count, width = len(given.tracks.specs), motion.usable.shape[1]
     groups = tuple(
-        replace(group, pieces=tuple(replace(piece, rows=width) for piece in group.pieces)) for group in given.groups
+        replace(group, pieces=tuple(replace(piece, rows=motion.usable.shape[1]) for piece in group.pieces))
+        for group in given.groups
     )
-    rows = [motion.rows(column) for column in (motion.acceleration, motion.velocity)]
-    there = replace(
-        given,
-        tracks=motion,
-        groups=groups,
-        pairs=pairing(motion.usable, groups, ORDER, len(given.inertia_precision)),
-        model=replace(given.model, inertia=np.append(given.model.inertia, _inertia(given, motion, count))),
-        base=np.stack([given.whitening(row) for row in rows], axis=-1),
-        right=given.whitening(motion.rows(nominal_right(motion))),
-    )
-    return Prospect(there, count)
+    return Prospect(equations(motion, groups, given.whitening), len(given.tracks.specs))
 
 
 def expected(designed: DesignedSweep, start: float) -> Sweep:
@@ -80,11 +77,3 @@ def expected(designed: DesignedSweep, start: float) -> Sweep:
     time = np.arange(round(designed.duration * spec.sample_rate)) / spec.sample_rate
     velocity = velocity_setpoint(excitation, time)
     return Sweep(spec, Recording(time, np.zeros_like(time), velocity, start + np.cumsum(velocity) / spec.sample_rate))
-
-
-def _inertia(given: Equations, motion: Tracks, count: int) -> Array:
-    """Of the expected sweeps: as fitted where the pose was measured, else CAD's with the typical change."""
-    nominal = nominal_inertia(motion.robot, motion.robot.index(motion.joint), motion.poses)
-    typical = float(np.median(given.model.inertia / nominal[motion.spot[:count]]))
-    fitted = dict(zip(motion.spot[:count].tolist(), given.model.inertia.tolist(), strict=True))
-    return np.array([fitted.get(spot, typical * nominal[spot]) for spot in motion.spot[count:].tolist()])

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from service.diagnosis.links import deviations, gravity, inertia_factors, joined
+from service.diagnosis.links import deviations, gravity, gravity_of_fit, inertia_factors, joined
 from service.diagnosis.patch import Inexpressible, merged
 from service.diagnosis.scenario import AxisEntry, axis_entry, stiffened
 from service.robot import Robot
@@ -102,6 +102,14 @@ def _entry(robot: Robot, joint: str, axis: Mapping[str, Any]) -> AxisEntry:
     return axis_entry(robot, joint, _inertia(axis), viscous, patches, true=true)
 
 
+def _pull(robot: Robot, fit: Mapping[str, Any], links: Mapping[str, Any], index: int, poses: Any, scale: float) -> Any:
+    """True gravity (m, 2) as fitted; documents before that was told hold it in their links."""
+    if "gravity" not in fit:
+        return gravity(robot, links, index, poses)
+    torque, slope = (np.array([pose[part] for pose in fit["gravity"]]) for part in ("torque", "slope"))
+    return gravity_of_fit(poses, index, torque, slope) / scale
+
+
 def _inertia(axis: Mapping[str, Any]) -> float:
     """Typical inertia, kg m^2."""
     return float(np.mean([pose["value"] for pose in axis["fit"]["inertia"]]))
@@ -115,7 +123,13 @@ def _links(robot: Robot, axes: Documents, entries: Mapping[str, AxisEntry]) -> d
     for joint, entry in entries.items():
         index, poses = robot.index(joint), np.array([pose["pose"] for pose in axes[joint]["fit"]["inertia"]])
         shifted = {link: {key: x for key, x in part.items() if key != "added"} for link, part in entry.links.items()}
-        gravities.append((index, poses, gravity(robot, shifted, index, poses) - gravity(robot, {}, index, poses)))
+        gravities.append(
+            (
+                index,
+                poses,
+                _pull(robot, axes[joint]["fit"], shifted, index, poses, entry.scale) - gravity(robot, {}, index, poses),
+            )
+        )
         measured = np.array([pose["value"] for pose in axes[joint]["fit"]["inertia"]]) / entry.scale
         motor = entry.train["motor_inertia"] * robot.axis(joint).gear_ratio ** 2
         inertias.append((index, poses, np.maximum(measured - motor, 0.02 * measured)))

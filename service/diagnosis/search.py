@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Shape, ShapeParameter
-from service.diagnosis.equations import Equations, Term, solve
+from service.diagnosis.equations import Equations, Term, solve, symmetric
 from service.diagnosis.grams import Gathered
 
 Array = NDArray[np.float64]
@@ -109,14 +109,14 @@ class Beside:
 
     def _step(self, term: Term, shapes: Sequence[ShapeParameter], at: Array, nudges: Array) -> Array:
         """Of the shape's vector `at`, from derivatives beside the columns themselves."""
-        own = self._given.gathered(term, keep=False)
-        values = self._values(self._with(own))[-len(own[0]) :]
+        own, terms = self._given.gathered(term, keep=False), (*self._terms, term)
+        values = self._values(self._with(own), terms)[-len(own[0]) :]
         parts = [own]
         for nudge in np.diag(nudges):
             there = self._given.gathered(Term(term.effect, _from_vector(shapes, at + nudge)), keep=False)
             parts.append(tuple(values[None] @ (b - a) / nudge.sum() for a, b in zip(own, there, strict=True)))
         extended = tuple(np.concatenate(fold) for fold in zip(*parts, strict=True))
-        return np.clip(self._values(self._with(extended))[-len(at) :], -LONGEST, LONGEST)
+        return np.clip(self._values(self._with(extended), terms)[-len(at) :], -LONGEST, LONGEST)
 
     def _with(self, columns: Gathered) -> Array:
         """Products with columns put before the right side, which stays last."""
@@ -128,13 +128,13 @@ class Beside:
         bottom = np.concatenate([old[:, -1:, :-1], new[:, -1:], old[:, -1:, -1:]], axis=2)
         return np.concatenate([top, middle, bottom], axis=1)
 
-    def _values(self, products: Array) -> Array:
-        return solve(self._given.eliminated(products).sum(axis=0), self._given.viscous_precision)[0]
+    def _values(self, products: Array, terms: Sequence[Term]) -> Array:
+        return solve(symmetric(products).sum(axis=0), self._given.precision(terms))[0]
 
     def _judged(self, terms: tuple[Term, ...], products: Array) -> Explanation:
-        _, cost, rank = solve(self._given.eliminated(products).sum(axis=0), self._given.viscous_precision)
+        _, cost, rank = solve(symmetric(products).sum(axis=0), self._given.precision(terms))
         cost -= float(self._given.pairs.alone.sum())
-        parameters = rank + sum(len(term.shape) for term in terms)
+        parameters = rank + self._given.freedom(terms)
         return Explanation(terms, cost, cost + parameters * float(np.log(self._given.pairs.rows)), parameters)
 
 

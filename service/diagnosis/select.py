@@ -20,7 +20,10 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.equations import Equations, Term, remodelled, solve
+from service.diagnosis.equations import Equations, Term, given_rest, remodelled, solve, with_base
+from service.diagnosis.gap import over_floor
+from service.diagnosis.grams import ORDER, Group, pairing
+from service.diagnosis.parameters import by_name, of_load
 from service.diagnosis.search import Beside, Explanation
 
 Array = NDArray[np.float64]
@@ -32,7 +35,10 @@ LARGE = 0.03  # of it
 MOSTLY = 0.6  # of what is left
 TOLERANCE = 0.001  # of it: a difference that richer physics than the columns' may make
 CERTAIN = 6.0  # standard deviations of an excess that chance makes
-ROUNDS = 3  # of fitting inertias and shapes in turn
+ROUNDS = 6  # of fitting inertias and shapes in turn
+UNCERTAIN = 2.0  # standard deviations by which a parameter of a load may be more than it seems
+OF_SPEED = frozenset({"coulomb_friction", "asymmetric_friction", "stribeck_friction", "nonlinear_viscous_friction"})
+NEAR_FLOOR = 1.3  # times the noise floor, below which no further effect is looked for
 MOST = 4  # effects at once
 RIVAL = 10.0  # of Schwarz's criterion
 LOCAL = 0.9  # of the gain in one pose: other poses cannot confirm it, repeats do
@@ -65,46 +71,88 @@ def select(given: Equations, known: Sequence[str], candidates: Sequence[str]) ->
     if fixed:
         given = remodelled(given, fixed)
     rigid = Beside(given, fixed).alone()
-    limit = float(chi2.isf(CHANCE / (8 * max(1, len(candidates))), 2))
+    chance = CHANCE / (8 * max(1, len(candidates)))
     chosen, tried = rigid, list[Explanation]()
     for _ in range(MOST):
+        if chosen is not rigid and over_floor(given, chosen.terms) < NEAR_FLOOR:
+            break  # what is left is little, and its likeliest cause are laws simpler than the world
         table = _table(given, chosen.terms, [c for c in candidates if c not in chosen.names])
-        step = _step(given, chosen, table, rigid.cost, limit, first=chosen is rigid)
+        step = _step(given, chosen, table, rigid.cost, chance, first=chosen is rigid)
         if step is None:
             tried = tried or table
             break
-        chosen = step
-        for _ in range(ROUNDS):
-            before, given = given, remodelled(given, chosen.terms)
-            if given is before:
-                break
-            chosen = _settled(given, chosen, len(fixed))
-        chosen = _without_needless(given, chosen, rigid.cost, limit, len(fixed))
+        given, chosen = step
+        given, chosen = _consistent(given, chosen, len(fixed))
+        chosen = _without_needless(given, chosen, rigid.cost, chance, len(fixed))
         tried = _exchanges(given, chosen, candidates, len(fixed))
         if (better := _exchange(given, chosen, tried, rigid.cost, len(fixed))) is not chosen:
             chosen, tried = better, _exchanges(given, better, candidates, len(fixed))
     return Selection(given, chosen, rigid, tuple(tried))
 
 
+def with_groups(selection: Selection, groups: Sequence[Group]) -> Selection:
+    """The same explanation on all sweeps, with the load of the poses that took no part in the naming."""
+    given = selection.given
+    if len(groups) == len(given.groups):
+        return selection
+    whole = replace(
+        given,
+        groups=tuple(groups),
+        pairs=pairing(given.tracks.usable, groups, ORDER, 1 + max(group.fold for group in groups)),
+    )
+    for _ in range(ROUNDS):
+        before, whole = whole, remodelled(whole, selection.chosen.terms, motor=False)
+        if whole is before:
+            break
+    costs = {
+        terms: Beside(whole, terms).alone()
+        for terms in (selection.chosen.terms, selection.rigid.terms, *(one.terms for one in selection.tried))
+    }
+    return Selection(
+        whole,
+        costs[selection.chosen.terms],
+        costs[selection.rigid.terms],
+        tuple(costs[o.terms] for o in selection.tried),
+    )
+
+
+def settled(selection: Selection, known: Sequence[str]) -> Selection:
+    """The same with the shapes that all sweeps say."""
+    fixed = sum(term.effect in known for term in selection.chosen.terms)
+    if len(selection.chosen.terms) == fixed:
+        return selection
+    given, chosen = _consistent(selection.given, selection.chosen, fixed)
+    return replace(selection, given=given, chosen=chosen)
+
+
 def held_out(given: Equations, terms: Sequence[Term]) -> Array:
-    """Cost of each fold (folds,) with coefficients from all others; its own inertia is fitted where it is.
+    """Cost of each fold (folds,) with the effects' coefficients from all others; the rigid model is fitted to all.
 
     With a single fold the fit is on all of it: repeats then hold one another out.
     """
-    system = given.system_with(terms)
+    system, precision = given.system_with(terms), given.precision(terms)
     total = system.sum(axis=0)
-    return np.array([_cost(own, _elsewhere(given, total, own if len(system) > 1 else 0 * own)) for own in system])
+    costs: list[float] = []
+    for own in system:
+        effects = _elsewhere(total, own if len(system) > 1 else 0 * own, precision)[len(precision) :]
+        costs.append(_cost(own, np.append(given_rest(total, precision, effects), effects)))
+    return np.array(costs)
 
 
 def allowed_by_physics(given: Equations, explanation: Explanation) -> bool:
-    """Whether every effect's first coefficient is one that its physics allows."""
+    """Whether every effect's parameters are ones that its physics allows."""
     terms = explanation.terms
-    values, start = solve(given.system_with(terms).sum(axis=0), given.viscous_precision)[0], 1
+    values = solve(given.system_with(terms).sum(axis=0), given.precision(terms))[0]
+    start, model = given.width_of_base, with_base(given, values[: given.width_of_base]).model
     for term in terms:
-        low, high = CATALOGUE[term.effect].plausible
-        if not low <= values[start] <= high:
+        width = given.width(term)
+        found = by_name(given, term, values[start : start + width])
+        if CATALOGUE[term.effect].by_load:
+            told = of_load(given, terms, values, term.effect)
+            found = {name: one.value + UNCERTAIN * one.std for name, one in told.items()}
+        if not CATALOGUE[term.effect].possible(found, given.tracks, model):
             return False
-        start += given.width(term)
+        start += width
     return True
 
 
@@ -116,16 +164,16 @@ def local(given: Equations, before: Sequence[Term], after: Sequence[Term]) -> bo
 
 def _in_sample(given: Equations, terms: Sequence[Term]) -> Array:
     system = given.system_with(terms)
-    values = solve(system.sum(axis=0), given.viscous_precision)[0]
+    values = solve(system.sum(axis=0), given.precision(terms))[0]
     return np.array([_cost(own, values) for own in system])
 
 
-def _elsewhere(given: Equations, total: Array, own: Array) -> Array:
+def _elsewhere(total: Array, own: Array, precision: Array) -> Array:
     """Coefficients without a fold, drawn to zero as far as nothing else tells them."""
     system = total - own
     k = len(system) - 1
     system[range(k), range(k)] += RIDGE * np.abs(np.diag(total)[:k])
-    return solve(system, given.viscous_precision)[0]
+    return solve(system, precision)[0]
 
 
 def _cost(system: Array, values: Array) -> float:
@@ -145,31 +193,36 @@ def _table(given: Equations, terms: Sequence[Term], names: Sequence[str]) -> lis
 
 
 def _step(
-    given: Equations, before: Explanation, table: Sequence[Explanation], excess: float, limit: float, *, first: bool
-) -> Explanation | None:
-    """The best of a table that enters; one that other poses refuse, or physics beside others, gives way to the next."""
+    given: Equations, before: Explanation, table: Sequence[Explanation], excess: float, chance: float, *, first: bool
+) -> tuple[Equations, Explanation] | None:
+    """The best of a table that enters, on the load that goes with it; one that other poses or physics refuse gives way
+    to the next.
+    """
     wanted = list(table)
     for _ in range(REFINED):
         step = _simplest(given, wanted, excess)
-        if step is None or not _gains(given, before, step, excess, limit, first=first):
+        if step is None or not _gains(given, before, step, excess, chance, first=first):
             return None
-        if _holds(given, before, step) and (first or allowed_by_physics(given, step)):
-            return step
+        # columns that are made of the load say what they are only with the load that goes with them
+        there, settled = _consistent(given, step, len(before.terms)) if _of_model(step) else (given, step)
+        if _holds(given, before, step) and allowed_by_physics(there, settled):
+            return there, settled
         wanted.remove(step)
     return None
 
 
 def _simplest(given: Equations, table: Sequence[Explanation], excess: float) -> Explanation | None:
-    """The best, or a simpler one that is as good, of those that physics allows if any; one that leaves nothing stands
-    against all but what it contains.
+    """The best, or a simpler one that is as good, of those that physics allows if any. A wrong load has only the prior
+    against it, which physics richer than the columns' does not touch.
     """
     if not table:
         return None
     best = table[0]
+    if CATALOGUE[best.terms[-1].effect].by_load:
+        return best
     near = [one for one in table if one.criterion <= best.criterion + max(0.0, TOLERANCE * excess)]
     if not _leaves(given, best):
-        contained = CATALOGUE[best.terms[-1].effect].contains
-        near = [one for one in near if not _leaves(given, one) or one.terms[-1].effect in contained]
+        near = [one for one in near if not _leaves(given, one)]
     near = [one for one in near if allowed_by_physics(given, one)] or near
     fewest = min(one.parameters for one in near)
     return next(one for one in near if one.parameters == fewest)
@@ -181,23 +234,42 @@ def _leaves(given: Equations, explanation: Explanation) -> bool:
 
 
 def _gains(
-    given: Equations, before: Explanation, after: Explanation, excess: float, limit: float, *, first: bool
+    given: Equations, before: Explanation, after: Explanation, excess: float, chance: float, *, first: bool
 ) -> bool:
     """Whether an effect more explains enough."""
     gain = before.cost - after.cost
     # what explains the whole rest need not be a large part of the excess
     whole = _leaves(given, before) and not _leaves(given, after)
-    least = max(limit, MATERIAL * given.pairs.rows, 0.0 if first or whole else SHARE * excess)
-    if not first and gain < min(LARGE * excess, MOSTLY * before.cost):
+    limit = float(chi2.isf(chance, max(2, after.parameters - before.parameters)))
+    material = 0.0 if CATALOGUE[after.terms[-1].effect].by_load else MATERIAL * given.pairs.rows
+    least = max(limit, material, 0.0 if first or whole else SHARE * excess)
+    large, mostly = LARGE * excess, MOSTLY * before.cost
+    # of two laws of the same speed one is but the other's shape, unless it is large
+    alike = after.terms[-1].effect in OF_SPEED and not OF_SPEED.isdisjoint(before.names)
+    if not first and gain < (large if alike else min(large, mostly)):
         return False
     return gain >= least and after.criterion < before.criterion
 
 
 def _holds(given: Equations, before: Explanation, after: Explanation) -> bool:
     """Whether it does so in poses that took no part as well."""
-    if local(given, before.terms, after.terms):
-        return True
+    if CATALOGUE[after.terms[-1].effect].by_load or local(given, before.terms, after.terms):
+        return True  # what the prior alone speaks against, no pose can confirm
     return float(held_out(given, after.terms).sum()) < float(held_out(given, before.terms).sum())
+
+
+def _of_model(explanation: Explanation) -> bool:
+    return any(CATALOGUE[term.effect].of_model for term in explanation.terms)
+
+
+def _consistent(given: Equations, chosen: Explanation, fixed: int) -> tuple[Equations, Explanation]:
+    """Load and shapes fitted in turn until neither moves."""
+    for _ in range(ROUNDS):
+        before, given = given, remodelled(given, chosen.terms)
+        if given is before:
+            break
+        chosen = _settled(given, chosen, fixed)
+    return given, chosen
 
 
 def _settled(given: Equations, start: Explanation, fixed: int) -> Explanation:
@@ -216,8 +288,9 @@ def _settled(given: Equations, start: Explanation, fixed: int) -> Explanation:
     return result
 
 
-def _without_needless(given: Equations, chosen: Explanation, excess: float, limit: float, fixed: int) -> Explanation:
+def _without_needless(given: Equations, chosen: Explanation, excess: float, chance: float, fixed: int) -> Explanation:
     """Without the terms that the others make superfluous."""
+    limit = float(chi2.isf(chance, 2))
     for term in chosen.terms[fixed:-1]:
         fewer = Beside(given, [other for other in chosen.terms if other is not term]).alone()
         needed = _leaves(given, fewer) and not _leaves(given, chosen)
@@ -244,7 +317,7 @@ def _exchange(
         return chosen
     tolerance = max(RIVAL, TOLERANCE * excess)
     best = min(tried, key=lambda one: one.criterion)
-    if best.criterion < chosen.criterion - tolerance:
+    if best.criterion < chosen.criterion - tolerance or (_leaves(given, chosen) and not _leaves(given, best)):
         return best
     near = [one for one in tried if one.parameters < chosen.parameters and one.criterion < chosen.criterion + tolerance]
     if not _leaves(given, chosen):

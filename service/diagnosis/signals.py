@@ -7,7 +7,7 @@ would look like a delay or a spring.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
 from service.errors import BadInput
-from service.identification.regressor import gravity_terms
+from service.identification.regressor import gravity_rows
 from service.identification.trajectory_record import runs_at_once
 from service.recording import Sweep, SweepSpec
 from service.robot import Robot
@@ -30,9 +30,19 @@ BAND = 20.0  # Hz, of the Gaussian
 BLOCK = 32  # rows that are filtered at once
 EVERY = 2  # one row of the equations a so many samples
 TOP = 0.36  # of the rate: above, there is nothing but noise
+ENDING = 0.05  # s, within which the slope at the end of a record goes to zero
+PADDED = 3  # times the record: what rings on after its end must not come back at its beginning
 REACH = 4.0  # standard deviations of the Gaussian that count
 STUCK = 0.03  # of the slowest sweep's peak speed: below it friction may take any value
+REVERSES = 0.3  # of the peak speed the other way
+SETTLED = 3e-4  # rad (m) from the begin, until which dry friction is as an earlier motion left it
+SETTLED_PART = 0.05  # of the travel at most
 STUCK_TIME = 0.016  # s below that make a standstill; a mere crossing is shorter
+COARSE = 400.0  # Hz: within a sample of a slower recording friction may turn round unseen by its positions
+PARTS = 8  # of such a sample
+SHORT = 2e-6  # rad (m): a way so short that friction sticks
+SHORTEST = 2.5e-8  # rad (m): the same in a slow recording, which a sample goes far beyond
+STICKING = 3.0  # times the encoder's noise, which must not turn friction round
 ONE_POSE = 1e-3  # rad (m) by which the joints of one pose may differ
 
 
@@ -42,7 +52,8 @@ class Tracks:
 
     `inside` says which samples were recorded, `usable` (n, rows) which rows of the equations count: recorded, and the
     axis not stuck by friction. `spot` (n,) numbers the poses, `poses` (m, all joints) are they. `gravity` is the torque
-    that CAD predicts along the motion; `stiffness` (n,) its slope at the pose.
+    that CAD predicts along the motion. `direction` (n, t) is that of dry friction: the sign of the velocity, which
+    turns round within the way `sticking`, rad (m), as short as the encoder allows.
     """
 
     robot: Robot
@@ -57,15 +68,48 @@ class Tracks:
     position: Array
     acceleration: Array
     gravity: Array
-    stiffness: Array
     inside: Mask
     usable: Mask
+    direction: Array
+    sticking: float
     temperature: Array | None
 
+    @property
+    def prismatic(self) -> bool:
+        return self.robot.chain.joints[self.robot.index(self.joint)].kind == "prismatic"
+
     @cached_property
-    def direction(self) -> Array:
-        """(n, t): sign of the velocity."""
-        return np.sign(self.velocity)
+    def away(self) -> Array:
+        """(n, t): position from that of the pose, rad (m)."""
+        return self.position - self.poses[self.spot, self.robot.index(self.joint)][:, None]
+
+    @cached_property
+    def _turned(self) -> tuple[Array, Array]:
+        """Cosine and sine of it; 1 and 0 for a prismatic axis, whose gravity force is the same everywhere."""
+        if self.prismatic:
+            return np.ones_like(self.position), np.zeros_like(self.position)
+        return np.cos(self.away), np.sin(self.away)
+
+    def along(self, load: Array) -> Array:
+        """Torque (n, t) of a load (3, m), [inertia; torque; its slope] in each pose, along the motion."""
+        inertia, torque, slope = load[:, self.spot, None]
+        cosine, sine = self._turned
+        return inertia * self.acceleration + torque * cosine + slope * sine
+
+    @cached_property
+    def sizes(self) -> Array:
+        """(3,): RMS of what inertia, torque and slope are multiplied by."""
+        return np.array([np.sqrt(np.mean(part[self.inside] ** 2)) for part in (self.acceleration, *self._turned)])
+
+    @cached_property
+    def turning(self) -> float:
+        """Way, rad (m), that an axis goes within `STUCK_TIME` of a reversal: friction that turns in it sticks."""
+        low, high = self.velocity.min(axis=1), self.velocity.max(axis=1)
+        reverses = np.minimum(-low, high) > REVERSES * np.maximum(-low, high)
+        if not reverses.any():
+            return 0.0
+        moved = self.acceleration[reverses][self.inside[reverses]]
+        return float(np.sqrt(np.mean(moved**2)) * STUCK_TIME**2 / 2)
 
     @property
     def clock(self) -> Array:
@@ -90,7 +134,7 @@ class Tracks:
 
     def accelerated(self, response: Complex) -> Array:
         """The acceleration (n, t) behind a response (n or 1, bins) of `bins(t, rate)`."""
-        return _back(self.velocity, self.rate, self._spectrum, response)
+        return _back(self.velocity.shape[1], self._spectrum, response)
 
     def rows(self, signal: Array) -> Array:
         """A signal (n, t) through the filter: (n, rows)."""
@@ -146,28 +190,33 @@ def row_samples(samples: int, rate: float) -> NDArray[np.int_]:
 
 
 def in_frequency(signal: Array, rate: float, response: Complex | None = None) -> Array:
-    """Derivative of signals (n, t), times a response (n or 1, bins) of `bins(t, rate)`.
-
-    The straight line between both ends is taken apart, so that a record may begin and end in motion.
-    """
+    """Derivative of signals (n, t), times a response (n or 1, bins) of `bins(t, rate)`."""
     flat = np.ones((1, len(bins(signal.shape[1], rate))), dtype=np.complex128)
-    return _back(signal, rate, derivative_spectrum(signal, rate), flat if response is None else response)
+    return _back(signal.shape[1], derivative_spectrum(signal, rate), flat if response is None else response)
 
 
 def derivative_spectrum(signal: Array, rate: float) -> Complex:
-    """Transform (n, bins) of the derivative of signals (n, t) less the straight line between their ends."""
+    """Transform (n, bins) of the derivative of signals (n, t).
+
+    Before its begin a signal is taken to have been as it begins, so that what starts from standstill has stood; behind
+    its end it goes back there, so smoothly and so long that nothing of the end rings on into the begin.
+    """
     count = signal.shape[1]
-    slope = np.subtract(signal[:, -1:], signal[:, :1]) / (count - 1)
-    away = np.subtract(np.subtract(signal, signal[:, :1]), np.multiply(slope, np.arange(float(count))))
-    transform = np.fft.rfft(away, _padded(count))
+    first, last = signal[:, :1], signal[:, -1:]
+    away = np.subtract(signal, first)
+    phase: Array = np.arange(1, count + 1, dtype=np.float64) * (np.pi / (count + 1))
+    turning = (1 + np.cos(phase)) / 2
+    after: Array = np.arange(1.0, count + 1) / (ENDING * rate)
+    slope = np.multiply(np.subtract(last, signal[:, -2:-1]), ENDING * rate)
+    fading = np.multiply(slope, np.multiply(after, np.exp(-after)))
+    returning = np.add(np.multiply(np.subtract(last, first), turning), fading)
+    extended = np.concatenate([away, returning], axis=1)
+    transform = np.fft.rfft(extended, _padded(count))
     return np.multiply(transform, 2j * np.pi * bins(count, rate), dtype=np.complex128)
 
 
-def _back(signal: Array, rate: float, spectrum: Complex, response: Complex) -> Array:
-    count = signal.shape[1]
-    slope = np.subtract(signal[:, -1:], signal[:, :1]) * (rate / (count - 1))
-    moved = np.fft.irfft(spectrum * response, _padded(count))[:, :count]
-    return np.add(moved, slope * response[:, :1].real, dtype=np.float64)
+def _back(count: int, spectrum: Complex, response: Complex) -> Array:
+    return np.fft.irfft(spectrum * response, _padded(count))[:, :count].astype(np.float64, copy=False)
 
 
 def bins(samples: int, rate: float) -> Array:
@@ -210,9 +259,9 @@ def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
     velocity = stacked("velocity") * inside
     position = stacked("position")
     poses, spot = _poses(own)
-    away = position - poses[spot, index][:, None]
-    terms = gravity_terms(robot.chain, robot.chain.inertial.ravel(), robot.gravity, index, poses)[spot]
-    return Tracks(
+    coarse = own[0].spec.sample_rate < COARSE
+    sticking = max(SHORTEST if coarse else SHORT, STICKING * _jitter(own))
+    found = Tracks(
         robot=robot,
         joint=joint,
         specs=tuple(s.spec for s in own),
@@ -224,12 +273,65 @@ def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
         velocity=velocity,
         position=position,
         acceleration=in_frequency(velocity, rate),
-        gravity=terms[:, :1] * np.cos(away) + terms[:, 1:] * np.sin(away),
-        stiffness=terms[:, 1],
+        gravity=np.zeros_like(position),
         inside=inside,
-        usable=_usable(velocity, inside, rate),
+        usable=_usable(velocity, position, inside, rate),
+        direction=_directions(own, sticking, block, most),
+        sticking=sticking,
         temperature=stacked("temperature") if all(s.recording.temperature is not None for s in own) else None,
     )
+    terms = gravity_rows(robot.chain, robot.gravity, index, poses) @ robot.chain.inertial.ravel()
+    return replace(found, gravity=found.along(np.vstack([np.zeros(len(poses)), terms.T])))
+
+
+def bristle(position: Array, way: float) -> Array:
+    """Dahl's state (n, t) between -1 and 1: dz/dx = (1 - z sign(v)) / way, exact for each step of positions (n, t)."""
+    steps = np.diff(position, axis=1, prepend=position[:, :1])
+    keep, sign = np.exp(-np.abs(steps) / way), np.sign(steps)
+    gained = sign * (1 - keep)
+    state = np.zeros_like(steps)
+    now = np.zeros(len(steps))
+    for n in range(1, steps.shape[1]):
+        now = gained[:, n] + now * keep[:, n]
+        state[:, n] = now
+    return state
+
+
+def _directions(sweeps: Sequence[Sweep], way: float, block: int, most: int) -> Array:
+    """Of dry friction (n, t), at the recordings' rate: a reversal may fall between two samples of the tracks."""
+    length = max(len(sweep.recording.position) for sweep in sweeps)
+    stacked = np.stack(
+        [np.pad(s.recording.position, (0, length - len(s.recording.position)), mode="edge") for s in sweeps]
+    )
+    rate, parts = sweeps[0].spec.sample_rate, 1
+    if rate < COARSE:
+        speeds = [s.recording.velocity for s in sweeps]
+        stacked = _between(np.stack([np.pad(v, (0, length - len(v))) for v in speeds]), rate)
+        parts = PARTS
+    state = bristle(stacked, way)[:, ::parts][:, : length // block * block]
+    return state.reshape(len(state), -1, block).mean(axis=-1)[:, :most]
+
+
+def _between(velocity: Array, rate: float) -> Array:
+    """Ways (n, PARTS t) at parts of each sample, the speed taken to go straight from one sample to the next."""
+    share = np.arange(PARTS) / PARTS
+    start, change = velocity[:, :-1, None], np.diff(velocity, axis=1)[..., None]
+    speed = np.concatenate([(start + share * change).reshape(len(velocity), -1), velocity[:, -1:]], axis=1)
+    steps = (speed[:, 1:] + speed[:, :-1]) / (2 * PARTS * rate)
+    return np.concatenate([np.zeros((len(velocity), 1)), np.cumsum(steps, axis=1)], axis=1)
+
+
+def sticking_within(tracks: Tracks, sweeps: Sequence[Sweep], way: float) -> Tracks:
+    """The same with dry friction that turns round within another way; `sweeps` are those of the tracks."""
+    block = round(tracks.specs[0].sample_rate / tracks.rate)
+    return replace(tracks, direction=_directions(sweeps, way, block, tracks.effort.shape[1]), sticking=way)
+
+
+def _jitter(sweeps: Sequence[Sweep]) -> float:
+    """Standard deviation of the encoder's noise, rad (m), from eighth differences, which show no motion below 20 Hz,
+    not even at 250 samples a second; those of white noise are sqrt(16 over 8) as large as it.
+    """
+    return float(np.median([np.std(np.diff(sweep.recording.position, 8)) for sweep in sweeps])) / np.sqrt(12870)
 
 
 def _poses(sweeps: Sequence[Sweep]) -> tuple[Array, NDArray[np.int_]]:
@@ -246,10 +348,12 @@ def laid_out(tracks: Tracks, signals: Sequence[Array]) -> Array:
     return np.stack([np.pad(part, (0, most - len(part)), mode="edge") for part in parts])
 
 
-def _usable(velocity: Array, inside: Mask, rate: float) -> Mask:
-    """Rows (n, rows) whose kernel lies inside of the record and touches no standstill."""
+def _usable(velocity: Array, position: Array, inside: Mask, rate: float) -> Mask:
+    """Rows (n, rows) whose kernel lies inside of the record and touches no standstill, nor the first way from one."""
+    away = np.maximum.accumulate(np.abs(position - position[:, :1]), axis=1)
+    early = away < np.minimum(SETTLED, SETTLED_PART * away[:, -1:])
     stuck = _long(np.abs(velocity) < STUCK * slowest(velocity), round(STUCK_TIME * rate))
-    spoilt = (stuck | ~inside).astype(float)
+    spoilt = (stuck | early | ~inside).astype(float)
     return lowpass(spoilt, rate) < 1e-9
 
 
@@ -269,7 +373,7 @@ def _averaged(signal: Array, block: int) -> Array:
 
 
 def _padded(samples: int) -> int:
-    return next_fast_len(int(1.5 * samples), real=True)
+    return next_fast_len(PADDED * samples, real=True)
 
 
 def _kernel(rate: float) -> Array:

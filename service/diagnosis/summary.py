@@ -27,9 +27,7 @@ def _none(axis: Mapping[str, Any]) -> str:
 
 def _named(axis: Mapping[str, Any]) -> str:
     names = [effect["effect"] for effect in axis["effects"]]
-    where = (
-        "on held-out sweeps" if axis["gap"]["held_out_sweeps"] else "(on the sweeps themselves: none could be left out)"
-    )
+    where = judged_on(axis["gap"])
     text = (
         f"the model lacks {in_words(names)}. With {'it' if len(names) == 1 else 'them'} the gap {where} falls from "
         f"{_rms(axis, 'before')} to {_rms(axis, 'after')}{_floor(axis, '; the noise alone makes {}')}."
@@ -87,6 +85,16 @@ def _rolled_back(effects: Sequence[str]) -> str:
     if not effects:
         return ""
     return f" Rolled back, because held-out sweeps came out no better: {in_words(effects)}."
+
+
+def judged_on(gap: Mapping[str, Any]) -> str:
+    """On which sweeps the gap was taken."""
+    if gap["held_out_sweeps"]:
+        return "on sweeps that took no part in naming or fit"
+    # documents of before the key was there were cross-validated whenever they could be
+    if gap.get("cross_validated", False):
+        return "(cross-validated)"
+    return "(on the sweeps themselves: none could be left out)"
 
 
 def _rms(axis: Mapping[str, Any], when: str) -> str:

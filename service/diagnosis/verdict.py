@@ -10,11 +10,15 @@ from numpy.typing import NDArray
 from service.diagnosis.design import is_partial
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.equations import Equations, Term, solve
+from service.diagnosis.gap import noise_floor
 from service.diagnosis.search import Beside, Explanation
 from service.diagnosis.select import CERTAIN, RIVAL, TOLERANCE, Selection, allowed_by_physics
 from service.diagnosis.visibility import grid, left, shows_beside, visible_part
 
 Array = NDArray[np.float64]
+
+AT_FLOOR = 1.5  # times the noise floor
+ALONE = 3.0  # times the sensor's noise, where nothing is repeated: coloured noise makes about twice
 
 
 class Verdict(Enum):
@@ -27,14 +31,14 @@ class Verdict(Enum):
     UNTESTABLE = "untestable"  # the sweeps can show no effect at all
 
 
-def judge(selection: Selection, known: Sequence[str], candidates: Sequence[str]) -> Verdict:
-    """The verdict."""
+def judge(selection: Selection, known: Sequence[str], candidates: Sequence[str], *, at_floor: bool) -> Verdict:
+    """The verdict. `at_floor`: whether what is left is no more than noise; else something is missing or misnamed."""
     chosen = selection.chosen
     added = [name for name in chosen.names if name not in known]
     doubtful = is_partial(selection.given.tracks.specs) and _doubtful(selection, added)
     if added and not (doubtful or allowed_by_physics(selection.given, chosen)):
         return Verdict.UNKNOWN
-    if not explains(selection, known):
+    if not at_floor:
         return Verdict.UNKNOWN
     if not added:
         return Verdict.NONE if candidates else Verdict.UNTESTABLE
@@ -42,10 +46,25 @@ def judge(selection: Selection, known: Sequence[str], candidates: Sequence[str])
     return Verdict.AMBIGUOUS if doubtful or rivals else Verdict.NAMED
 
 
-def explains(selection: Selection, known: Sequence[str]) -> bool:
-    """Whether what is left is chance, or no more than physics richer than the columns' makes."""
-    allowed = max((CATALOGUE[name].rest for name in selection.chosen.names if name not in known), default=0.0)
-    return selection.unexplained <= allowed or excess(selection.given, selection.chosen) <= CERTAIN
+def of_one_record(given: Equations) -> bool:
+    """Whether all evidence is free motion: periods of a record repeat whatever depends on the position, too, so that
+    their floor is not the machine's.
+    """
+    return all(spec.excitation == "trajectory" for spec in given.tracks.specs)
+
+
+def at_floor(selection: Selection, left: Array) -> bool:
+    """Whether what is left (n, rows) is chance, or so little above the noise floor that the effects' laws, which are
+    simpler than the world, may have left it.
+    """
+    given = selection.given
+    if excess(given, selection.chosen) <= CERTAIN:
+        return True
+    if of_one_record(given):
+        return selection.unexplained <= max((CATALOGUE[name].rest for name in selection.chosen.names), default=0.0)
+    floor = noise_floor(given, left, range(len(left)))
+    allowed = AT_FLOOR * floor if floor is not None else ALONE * given.sensor_noise
+    return float(np.sqrt(np.mean(left[given.tracks.usable] ** 2))) <= allowed
 
 
 def _doubtful(selection: Selection, added: Sequence[str]) -> bool:
@@ -73,7 +92,7 @@ def without(selection: Selection, effects: Sequence[str]) -> Selection:
 def excess(given: Equations, explanation: Explanation) -> float:
     """What an explanation leaves of the repeatable part, in standard deviations of chance; the most of all poses."""
     system = given.system_with(explanation.terms)
-    values = np.append(solve(system.sum(axis=0), given.viscous_precision)[0], -1.0)
+    values = np.append(solve(system.sum(axis=0), given.precision(explanation.terms))[0], -1.0)
     costs = np.einsum("i,fij,j->f", values, system, values) - given.pairs.alone
     rows = np.array([sum(block.size for block in fold) for fold in given.pairs.blocks])
     single = costs / np.sqrt(2 * np.maximum(rows, 1))
@@ -106,7 +125,8 @@ def tie_sets(selection: Selection, known: Sequence[str], candidates: Sequence[st
 def _as_good(selection: Selection, added: Sequence[Term], rival: Explanation) -> bool:
     """Whether an exchange explains as much as what was chosen, and is neither needless nor against physics."""
     given, chosen = selection.given, selection.chosen
-    limit = max(RIVAL, TOLERANCE * selection.rigid.cost)
+    by_load = any(CATALOGUE[term.effect].by_load for term in (*added, rival.terms[-1]))
+    limit = RIVAL if by_load else max(RIVAL, TOLERANCE * selection.rigid.cost)
     one_way, partial = _one_way(given), is_partial(given.tracks.specs)
     as_good = rival.cost < chosen.cost + limit if one_way else rival.criterion <= chosen.criterion + RIVAL
     if not as_good or not allowed_by_physics(given, rival):
@@ -124,7 +144,11 @@ def _as_good(selection: Selection, added: Sequence[Term], rival: Explanation) ->
 def _freedom(given: Equations, name: str) -> int:
     """Parameters of an effect."""
     effect = CATALOGUE[name]
-    return len(effect.coefficients(given.tracks)) + len(effect.shape(given.tracks, given.model))
+    return (
+        len(effect.coefficients(given.tracks))
+        + len(effect.shape(given.tracks, given.model))
+        + given.rigid.freedom(name)
+    )
 
 
 def _one_way(given: Equations) -> bool:
@@ -138,10 +162,12 @@ def _indistinguishable(selection: Selection, term: Term, names: Sequence[str]) -
     given, terms = selection.given, selection.chosen.terms
     one_way = _one_way(given)
     explained = max(selection.rigid.cost - selection.chosen.cost, 1.0)
+    if CATALOGUE[term.effect].by_load:
+        return set()
     others = [other for other in terms if other is not term]
     own = [given.column(term, k) for k in range(given.width(term))]
     result: set[str] = set()
-    for name in names:
+    for name in (name for name in names if not CATALOGUE[name].by_load):
         if not one_way and _freedom(given, name) > _freedom(given, term.effect):
             continue
         if visible_part(given, terms, name) * explained > RIVAL:

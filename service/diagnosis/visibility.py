@@ -31,7 +31,7 @@ def grid(given: Equations, name: str) -> list[tuple[float, ...]]:
 def left(given: Equations, terms: Sequence[Term], column: Gathered) -> tuple[float, float]:
     """Part and power of a gathered column that rigid model and terms do not imitate."""
     raw = float(np.sum(given.pairs.crossed(column, column)))
-    power = solve(given.system_against(column, terms), given.viscous_precision)[1]
+    power = solve(given.system_against(column, terms), given.precision(terms))[1]
     return (power / raw if raw > 0 else 0.0), power
 
 
@@ -61,6 +61,8 @@ def untestable(given: Equations, names: Sequence[str], sweeps: Sequence[Sweep]) 
     ahead = _missing(given, sweeps)
     result: dict[str, tuple[str, ...]] = {}
     for name in names:
+        if CATALOGUE[name].by_load:
+            continue
         shown = [_shown(given, ahead, Term(name, shape)) for shape in grid(given, name)]
         if max(here for here, _ in shown) < TESTABLE:
             blocks = {block for _, there in shown for block, square in there.items() if square >= TESTABLE}

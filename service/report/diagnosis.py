@@ -1,7 +1,7 @@
 """What a diagnosis found, as a page of its own or a section of the report; from its document alone."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -21,8 +21,12 @@ _BUILDERS = {
 
 
 _HELD_OUT = (
-    "Pose by pose. The parameters with which a pose is judged come from the other poses; where one pose alone shows an "
-    "effect, those of a sweep come from its repeats."
+    "Before and after are those of one pose that took no part in naming or fit. Pose by pose below, the parameters "
+    "with which a pose is judged come from the other poses."
+)
+_CROSS_VALIDATED = (
+    "Cross-validated: the parameters with which a pose is judged come from the other poses; where one pose alone shows "
+    "an effect, or there is but one, those of a sweep come from its repeats."
 )
 _NOT_HELD_OUT = "One pose without repeats: nothing could be left out, so the fit is judged on its own sweeps."
 
@@ -71,10 +75,15 @@ def _axis(page: Page, joint: str, axis: Document) -> None:
         _known(page, axis)
     if drawn.explained(axis):
         _effects(page, axis, figures)
+    if axis.get("part"):
+        page.add("<h3>Known in part</h3>", "<p>Beside a rest that no effect of the catalogue explains.</p>")
+        page.table(["effect", "parameter", "value", "± std", "unit"], _parameter_rows(axis["part"]))
+    if axis.get("rigid_model"):
+        _rigid_model(page, axis["rigid_model"])
     sweep, block = axis["example"]["sweep"], axis["example"]["block"]
     page.add(
         "<h3>Example</h3>",
-        f"<p>Sweep {escape(sweep)}{escape(f' ({_plain(block)})') if block else ''}, the held-out sweep with the "
+        f"<p>Sweep {escape(sweep)}{escape(f' ({_plain(block)})') if block else ''}, the sweep with the "
         "largest gap before. Above the effort, below what the model leaves of it.</p>",
     )
     page.figure(figures["example"])
@@ -91,11 +100,21 @@ def _gap(page: Page, axis: Document) -> None:
         ("–", "noise floor: nothing was measured twice")
         if floor is None
         else (f"{floor:.3g} {unit}", "noise floor, from repeats"),
-        (str(gap["held_out_sweeps"]), "held-out sweeps"),
+        (str(gap["held_out_sweeps"]), "sweeps that took no part in naming or fit")
+        if gap["held_out_sweeps"]
+        else ("–", "no pose could be kept out of the naming"),
     ]
+    if gap.get("twin_rms") is not None:
+        facts.append((f"{gap['twin_rms']:.3g} {unit}", "left by the simulator with this model"))
     page.facts(facts)
-    page.add(f"<p>{_HELD_OUT if gap['held_out_sweeps'] else _NOT_HELD_OUT}</p>")
+    page.add(f"<p>{_how_judged(gap)}</p>")
     page.figure(drawn.gap_by_pose(axis))
+
+
+def _how_judged(gap: Document) -> str:
+    if gap["held_out_sweeps"]:
+        return _HELD_OUT
+    return _CROSS_VALIDATED if gap.get("cross_validated", False) else _NOT_HELD_OUT
 
 
 def _known(page: Page, axis: Document) -> None:
@@ -128,12 +147,7 @@ def _effects(page: Page, axis: Document, figures: Mapping[str, Figure]) -> None:
             f"<code>{escape(effect['physics'])}</code> "
             f'<span class="note">({escape(effect["source"])})</span></p>'
         )
-    rows = [
-        [drawn.effect_words(effect["effect"]), _plain(name), *_value(value)]
-        for effect in axis["effects"]
-        for name, value in effect["parameters"].items()
-    ]
-    page.table(["effect", "parameter", "value", "± std", "unit"], rows)
+    page.table(["effect", "parameter", "value", "± std", "unit"], _parameter_rows(axis["effects"]))
     if "parameters" in figures:
         page.figure(figures["parameters"])
     if "evidence" in figures:
@@ -143,6 +157,28 @@ def _effects(page: Page, axis: Document, figures: Mapping[str, Figure]) -> None:
         )
         page.figure(figures["evidence"])
     _fit(page, axis["fit"])
+
+
+def _parameter_rows(effects: Sequence[Document]) -> list[list[str]]:
+    return [
+        [drawn.effect_words(effect["effect"]), _plain(name), *_value(value)]
+        for effect in effects
+        for name, value in effect["parameters"].items()
+    ]
+
+
+def _rigid_model(page: Page, parameters: Sequence[Document]) -> None:
+    """What CAD and data sheet say of the rigid model, and what these sweeps say."""
+    page.add(
+        "<h3>The rigid model</h3>",
+        "<p>Base parameters of inertia and gravity about the axis, kg, kg m and kg m², and viscous friction, N m s/rad "
+        "(N s/m). What the measured poses do not tell stays as CAD has it, as uncertain as its prior.</p>",
+    )
+    rows = [
+        [one["name"], "–" if one["nominal"] is None else f"{one['nominal']:.5g}", *_value(one)[:2]]
+        for one in parameters
+    ]
+    page.table(["parameter", "CAD", "found", "± std"], rows)
 
 
 def _fit(page: Page, fit: Document) -> None:

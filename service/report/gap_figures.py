@@ -132,7 +132,7 @@ def _keys(axis: Axis) -> list[Figure]:
 
 
 def gap_by_pose(axis: Axis) -> Figure:
-    """Gap before and after in every pose, on sweeps that took no part in the fit, beside the noise floor."""
+    """Gap before and after in every pose, cross-validated, beside the noise floor."""
     poses: Sequence[Axis] = axis["gap"]["by_pose"]
     labels = pose_labels([pose["pose"] for pose in poses])
     bars = [
@@ -169,7 +169,7 @@ def gap_by_pose(axis: Axis) -> Figure:
 
 
 def example(axis: Axis) -> Figure:
-    """The held-out sweep with the largest gap: what the drive gave, what either model needs, and what is left."""
+    """The sweep with the largest gap: what the drive gave, what either model needs, and what is left."""
     sweep: Axis = axis["example"]
     time = rounded(np.array(sweep["time"]), 4)
     measured, before, after = (np.array(sweep[key], dtype=float) for key in ("measured", "before", "after"))

@@ -37,6 +37,13 @@ def test_all_arrows_hold(root: Path) -> None:
             "mathematics",
             "service.identification.regressor -> time",
         ),
+        ("service/data_check/check.py", "import time", "mathematics", "service.data_check.check -> time"),
+        (
+            "service/data_check/check.py",
+            "import service.diagnosis",
+            "floors",
+            "service.data_check.check -> service.diagnosis",
+        ),
         ("service/urdf.py", "import pathlib", "mathematics", "service.urdf -> pathlib"),
         ("service/campaigns/session.py", "import scipy", "motion", "service.campaigns.session -> scipy"),
         ("service/hmi/__init__.py", "import service.store", "page", "service.hmi -> service.store"),

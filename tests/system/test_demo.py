@@ -66,7 +66,10 @@ def test_demo_from_end_to_end(root: Path, tmp_path: Path) -> None:
     assert len(read_bundle(tmp_path / "bundle").sweeps) == 24
     estimate = json.loads((tmp_path / "estimate.json").read_text())
     assert all(len(axis["inertia"]) == 8 for axis in estimate["axes"].values())
-    assert all(parameter["std"] is not None for parameter in estimate["base_parameters"])
+    # eight poses tell a few combinations worse than the nominal model does: those say why they have no std
+    told = [parameter["std"] is not None for parameter in estimate["base_parameters"]]
+    assert sum(told) >= 8
+    assert all(known or one["reason"] for known, one in zip(told, estimate["base_parameters"], strict=True))
     report = (tmp_path / "report.html").read_text()
     assert report.count('class="card"') >= 8
 

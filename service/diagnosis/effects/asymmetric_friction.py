@@ -14,6 +14,11 @@ def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> 
     return dry(mean + half, mean - half, viscous=viscous, backward_viscous=-viscous)
 
 
+def _possible(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> bool:
+    """Whether each direction has friction: one less than none is an offset."""
+    return parameters["coulomb"] >= 0 and abs(parameters["coulomb_difference"]) <= 1.05 * parameters["coulomb"]
+
+
 EFFECT = Effect(
     name="asymmetric_friction",
     physics="tau = Fc sign(v) + Fd |sign(v)| + bd |v|; Fc + Fd forward, Fc - Fd backward",
@@ -26,4 +31,5 @@ EFFECT = Effect(
     columns=lambda tracks, model, shape: [tracks.direction, np.abs(tracks.direction), np.abs(tracks.velocity)],
     scenario=_scenario,
     essential=1,
+    possible=_possible,
 )

@@ -24,14 +24,18 @@ def _scan(tracks: Tracks, model: Model, shapes: Sequence[Shape]) -> Sequence[Seq
     """Torque through the gear with the play less that without it, in sweeps that may change flanks."""
     result: Array = np.zeros((len(shapes), *tracks.position.shape))
     shaken = np.abs(model.load_inertia * tracks.acceleration).max(axis=1)
-    rows = np.flatnonzero(np.abs(tracks.gravity).min(axis=1) < WEIGHT * shaken)
+    rows = np.flatnonzero(np.abs(model.gravity).min(axis=1) < WEIGHT * shaken)
     if rows.size:
         plays, shares = np.array(shapes).T
-        result[:, rows] = missing(tracks, rows, model.load_inertia[rows, 0], model.viscous * shares, plays)
+        result[:, rows] = missing(
+            tracks, model.gravity, rows, model.load_inertia[rows, 0], model.viscous * shares, plays
+        )
     return [[result[k]] for k in range(len(shapes))]
 
 
-def missing(tracks: Tracks, rows: NDArray[np.int_], inertia: Array, viscous: Array, plays: Array) -> Array:
+def missing(
+    tracks: Tracks, gravity: Array, rows: NDArray[np.int_], inertia: Array, viscous: Array, plays: Array
+) -> Array:
     """Torque (plays, rows, t) that a load coasting between flanks `plays` (rad) apart doesn't take, and impacts give.
 
     In the motor's frame: r, how far the motor is ahead of the load, r'' = a + (gravity + b v_l) / J while |r| is less
@@ -40,8 +44,8 @@ def missing(tracks: Tracks, rows: NDArray[np.int_], inertia: Array, viscous: Arr
     step, half, damping = 1 / tracks.rate, plays[:, None] / 2, viscous[:, None] / inertia
     # between two samples each, as the load moves on from one to the next
     velocity = _between(tracks.velocity[rows])
-    coasting = _between(tracks.acceleration[rows]) + _between(tracks.gravity[rows]) / inertia
-    ahead = np.sign(tracks.gravity[rows, 0]) * half
+    coasting = _between(tracks.acceleration[rows]) + _between(gravity[rows]) / inertia
+    ahead = np.sign(gravity[rows, 0]) * half
     rate = np.zeros_like(ahead)
     lost = np.zeros((len(velocity) + 2, *ahead.shape))
     for n in range(len(velocity)):
@@ -91,5 +95,5 @@ EFFECT = Effect(
     scenario=_scenario,
     shape=_shape,
     of_model=True,
-    plausible=(0.5, 2.0),
+    possible=lambda parameters, tracks, model: 0.5 <= parameters["ratio"] <= 2.0,
 )

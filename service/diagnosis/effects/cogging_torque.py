@@ -15,25 +15,31 @@ Array = NDArray[np.float64]
 def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
     axis = tracks.robot.axis(tracks.joint)
     result: list[Array] = []
-    for order in axis.cogging_orders:
+    for order in _orders(tracks):
         turn = order * axis.gear_ratio
         left = tracks.faded(turn * tracks.velocity)
         result += [left * np.sin(turn * tracks.position), left * np.cos(turn * tracks.position)]
     return result
 
 
+def _orders(tracks: Tracks) -> list[float]:
+    """Those of the robot file, and one period a turn beside each: a rotor out of round modulates its ripple."""
+    own = tracks.robot.axis(tracks.joint).cogging_orders
+    sides = {order + side for order in own for side in (-1.0, 1.0)}
+    return sorted({*own, *(side for side in sides if side > 1)})
+
+
 def _coefficients(tracks: Tracks) -> Sequence[tuple[str, str]]:
-    orders = tracks.robot.axis(tracks.joint).cogging_orders
-    return [(f"{wave}_{order:g}", "N m") for order in orders for wave in ("sine", "cosine")]
+    return [(f"{wave}_{order:g}", "N m") for order in _orders(tracks) for wave in ("sine", "cosine")]
 
 
 def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
-    return {"train": {"cogging": ripples(parameters, tracks.robot.axis(tracks.joint).cogging_orders)}}
+    return {"train": {"cogging": ripples(parameters, _orders(tracks))}}
 
 
 EFFECT = Effect(
     name="cogging_torque",
-    physics="tau = sum over orders o of A sin(o theta) + B cos(o theta), theta the motor's angle",
+    physics="tau = sum over orders o, o - 1, o + 1 of A sin(o theta) + B cos(o theta), theta the motor's angle",
     source="Hanselman, Brushless Permanent Magnet Motor Design (2006), ch. 9",
     sentence="The motor's torque ripples with its angle.",
     visible_in=("forward_slow", "backward_slow"),

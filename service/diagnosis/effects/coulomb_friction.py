@@ -1,7 +1,5 @@
 """Dry friction: the same torque against every motion."""
 
-import numpy as np
-
 from service.diagnosis.effects.effect import Effect, named
 from service.diagnosis.patch import dry
 
@@ -15,5 +13,5 @@ EFFECT = Effect(
     coefficients=named(("coulomb", "N m")),
     columns=lambda tracks, model, shape: [tracks.direction],
     scenario=lambda parameters, tracks, model: dry(parameters["coulomb"]),
-    plausible=(0.0, np.inf),
+    possible=lambda parameters, tracks, model: parameters["coulomb"] > 0,
 )

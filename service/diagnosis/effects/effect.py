@@ -11,15 +11,26 @@ from service.diagnosis.signals import Tracks
 
 Array = NDArray[np.float64]
 Shape = tuple[float, ...]
+Readout = Mapping[str, tuple[float, float, str]]
+"""Value, standard deviation and unit of parameters by name."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """The rigid model as fitted so far: axis inertia of each sweep (n,), reflected motor inertia, viscous friction."""
+    """The rigid model as fitted so far: axis inertia of each sweep (n,), reflected motor inertia, viscous friction,
+    gravity torque along the motion (n, t), and at the pose (n,) with its slope (n,).
+    """
 
     inertia: Array
     motor_inertia: float
     viscous: float
+    gravity: Array
+    torque: Array
+    slope: Array
+
+    def transmitted(self, acceleration: Array) -> Array:
+        """Torque (n, t) through a stiff gear."""
+        return self.gravity + self.load_inertia * acceleration
 
     @property
     def load_inertia(self) -> Array:
@@ -44,7 +55,9 @@ class Effect:
     """One entry of the catalogue.
 
     `columns(tracks, model, shape)` are signals (n, t) before the filter, N m (N) for coefficients of one unit;
-    `coefficients(tracks)` name them with their units. `entry` is what of a scenario carries the effect, and
+    `coefficients(tracks)` name them with their units. An effect without columns frees directions of the load
+    (`rigid.Rigid.freed`), and `readout(tracks, change, covariance)` makes parameters of the change (3, m) that it makes
+    of the load, and its covariance (3 m, 3 m). `entry` is what of a scenario carries the effect, and
     `scenario(parameters, tracks, model)` gives it for coefficients and shape by name; it raises Inexpressible.
     """
 
@@ -54,14 +67,19 @@ class Effect:
     sentence: str
     visible_in: tuple[str, ...]
     entry: str
-    coefficients: Callable[[Tracks], Sequence[tuple[str, str]]]
-    columns: Callable[[Tracks, Model, Shape], Sequence[Array]]
-    scenario: Callable[[Mapping[str, float], Tracks, Model], Patch]
+    coefficients: Callable[[Tracks], Sequence[tuple[str, str]]] = lambda tracks: ()
+    columns: Callable[[Tracks, Model, Shape], Sequence[Array]] = lambda tracks, model, shape: ()
+    scenario: Callable[[Mapping[str, float], Tracks, Model], Patch] = lambda parameters, tracks, model: {}
+    readout: Callable[[Tracks, Array, Array], Readout] | None = None
     shape: Callable[[Tracks, Model], tuple[ShapeParameter, ...]] = lambda tracks, model: ()
     scan: Callable[[Tracks, Model, Sequence[Shape]], Sequence[Sequence[Array]]] | None = None  # many shapes at once
     essential: int = 0  # number of the column without which it is another, simpler effect
-    plausible: tuple[float, float] = (-np.inf, np.inf)  # of the first coefficient: beyond, something else is at work
+    # whether its parameters are ones that its physics allows: beyond, something else is at work
+    possible: Callable[[Mapping[str, float], Tracks, Model], bool] = lambda parameters, tracks, model: True
     rest: float = 0.1  # part of the repeatable excess that its columns may leave: real physics is richer
+    by_load: bool = False  # no columns: it frees directions of the load
+    # the reflected motor inertia that goes with its first coefficient
+    motor: Callable[[Tracks, Model, float], float] | None = None
     of_model: bool = False  # whether the columns depend on the fitted inertia and friction
     by_test_mass: bool = False  # only a known mass tells it from its likes
     contains: tuple[str, ...] = ()  # simpler effects that it can be

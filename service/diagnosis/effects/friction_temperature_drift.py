@@ -11,9 +11,13 @@ from service.diagnosis.signals import Tracks
 
 Array = NDArray[np.float64]
 
+NOTHING = 0.003  # of the rated effort: dry friction so little below 0 is none
 
-def warmth(tracks: Tracks, time_constant: float) -> Array:
-    """Temperature (n, t) of a gear heated by the way it goes and cooling with a time constant, in rad (m)."""
+
+def warmth(tracks: Tracks, time_constant: float, exponent: float = 1.0) -> Array:
+    """Temperature (n, t) of a gear heated by a power of its speed and cooling with a time constant: by the way it goes,
+    rad (m), for the power 1, as dry friction heats; by rad^2/s for 2, as viscous friction does.
+    """
     heat = np.zeros_like(tracks.velocity)
     step = 1 / tracks.rate
     keep = float(np.exp(-step / time_constant))
@@ -23,7 +27,7 @@ def warmth(tracks: Tracks, time_constant: float) -> Array:
         spec, count = tracks.specs[row], int(tracks.inside[row].sum())
         level *= np.exp(-max(spec.started_at - clock, 0.0) / time_constant)
         # T_n = keep T_{n-1} + |v_n| step, written out so that no loop over samples is needed
-        gains = np.abs(tracks.velocity[row, :count]) * step
+        gains = np.abs(tracks.velocity[row, :count]) ** exponent * step
         gained = np.multiply(np.cumsum(np.divide(gains, ages[:count])), ages[:count])
         heat[row, :count] = level * ages[:count] + gained
         heat[row, count:] = heat[row, count - 1]
@@ -32,7 +36,7 @@ def warmth(tracks: Tracks, time_constant: float) -> Array:
 
 
 def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
-    warm = warmth(tracks, shape[0])
+    warm = warmth(tracks, *shape)
     return [tracks.direction, tracks.direction * warm, tracks.velocity * warm]
 
 
@@ -56,7 +60,17 @@ def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> 
 
 
 def _shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
-    return (ShapeParameter("time_constant", "s", spread(20.0, 5000.0, 6), 10.0, 1e4),)
+    return (
+        ShapeParameter("time_constant", "s", spread(20.0, 5000.0, 6), 10.0, 1e4),
+        ShapeParameter("heating_exponent", "", (1.0, 2.0), 1.0, 2.0),
+    )
+
+
+def _possible(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> bool:
+    """Whether dry friction opposes the motion, cold and warm."""
+    warm = float(warmth(tracks, parameters["time_constant"], parameters["heating_exponent"]).max())
+    least = -NOTHING * tracks.robot.axis(tracks.joint).rated_effort
+    return min(parameters["coulomb"], parameters["coulomb"] + parameters["coulomb_change"] * warm) > least
 
 
 def _lasts(tracks: Tracks) -> bool:
@@ -75,6 +89,7 @@ EFFECT = Effect(
     columns=_columns,
     scenario=_scenario,
     essential=1,
+    possible=_possible,
     shape=_shape,
     applies=_lasts,
 )

@@ -19,7 +19,7 @@ def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
     s: Complex = np.multiply(2j * np.pi, bins(tracks.velocity.shape[1], tracks.rate)[None], dtype=np.complex128)
     late = np.divide(np.exp(-s * delay) - 1, delay, dtype=np.complex128)
     of_motion = model.inertia[:, None] * tracks.accelerated(late)
-    return [of_motion - (model.viscous * tracks.acceleration + tracks.stiffness[:, None] * tracks.velocity)]
+    return [of_motion - (model.viscous * tracks.acceleration + model.slope[:, None] * tracks.velocity)]
 
 
 def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:

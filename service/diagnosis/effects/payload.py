@@ -1,59 +1,45 @@
 """A mass at the tip that the model does not know."""
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.effects.effect import Effect, Model, Shape, ShapeParameter, named
-from service.diagnosis.effects.gravity_error import gravity_columns
-from service.diagnosis.patch import Patch, positive
+from service.diagnosis.effects.effect import Effect, Readout
+from service.diagnosis.rigid import load_rows
 from service.diagnosis.signals import Tracks
 
 Array = NDArray[np.float64]
 
-FARTHEST = 1.5  # m from the last axis' origin towards the last link's centre of mass
-
-LENGTH = 0.1  # m of the bar that stands for it
-
-
-def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
-    links = np.zeros_like(tracks.robot.chain.inertial)
-    links[-1, 0] = 1.0
-    links[-1, 1:4] = _centre(tracks, shape[0])
-    return [gravity_columns(tracks, links.ravel())]
+FARTHEST = 1.0  # m from the last joint's origin to the centre of mass, one sigma
+MOST = 0.3  # of the mass of the robot's links, one sigma
+CERTAIN = 3.0  # standard deviations of a mass below 0 that is none
 
 
-def _centre(tracks: Tracks, distance: float) -> Array:
-    """Of the mass, (3,) m in the last link's frame."""
-    moment = tracks.robot.chain.inertial[-1, 1:4]
-    length = float(np.linalg.norm(moment))
-    return distance * moment / length if length > 0 else np.zeros(3)
-
-
-def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
-    centre, half = _centre(tracks, parameters["distance"]), np.array([LENGTH / 2, 0.0, 0.0])
-    ends = {"start": (centre - half).tolist(), "end": (centre + half).tolist()}
-    body = {"name": "payload", "mass": positive(parameters, "mass"), "radius": LENGTH / 2}
-    return {"links": {tracks.robot.chain.joints[-1].link: {"added": [body | ends]}}}
-
-
-def _pulls(tracks: Tracks) -> bool:
-    return float(np.abs(_columns(tracks, Model(np.ones(1), 0.0, 0.0), (0.0,))[0]).max()) > 1e-6
+def _readout(tracks: Tracks, change: Array, covariance: Array) -> Readout:
+    """Mass and first moments of what hangs on the last link: the likeliest that change the load so."""
+    robot, index = tracks.robot, tracks.robot.index(tracks.joint)
+    last = robot.chain.inertial.size
+    mass = MOST * float(np.abs(robot.chain.inertial[:, 0]).sum())
+    sigma = mass * np.repeat([1.0, FARTHEST, FARTHEST**2], (1, 3, 6))
+    weight = np.repeat(tracks.sizes, len(tracks.poses))
+    rows = weight[:, None] * load_rows(robot, index, tracks.poses)[:, last - 10 : last] * sigma
+    noise = covariance * np.outer(weight, weight)
+    noise += np.eye(len(noise)) * (1e-4 * float(np.abs(weight * change.ravel()).max())) ** 2
+    gain = rows.T @ np.linalg.inv(rows @ rows.T + noise)
+    values = sigma * (gain @ (weight * change.ravel()))
+    spread = np.sqrt(np.maximum(np.diag(np.eye(10) - gain @ rows), 0.0)) * sigma
+    names = (("mass", "kg"), ("moment_x", "kg m"), ("moment_y", "kg m"), ("moment_z", "kg m"))
+    return {name: (float(values[k]), float(spread[k]), unit) for k, (name, unit) in enumerate(names)}
 
 
 EFFECT = Effect(
     name="payload",
-    physics="tau = m g r(q), m at the last link",
+    physics="tau = Y(q, a) [m, m c, I] of a body on the last link: gravity and inertia",
     source="Khalil, Gautier and Lemoine, ICRA 2007, Identification of the payload inertial parameters",
     sentence="The robot carries a mass that the model does not know.",
     visible_in=("forward_slow", "backward_slow"),
     entry="links.added",
-    coefficients=named(("mass", "kg")),
-    columns=_columns,
-    scenario=_scenario,
-    shape=lambda tracks, model: (ShapeParameter("distance", "m", (0.0, 0.2, 0.5, 0.9), 0.0, FARTHEST),),
-    plausible=(0.0, np.inf),
+    readout=_readout,
     by_test_mass=True,
-    applies=_pulls,
+    by_load=True,
+    possible=lambda parameters, tracks, model: parameters["mass"] > 0,
 )

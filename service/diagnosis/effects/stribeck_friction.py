@@ -43,5 +43,8 @@ EFFECT = Effect(
     columns=_columns,
     scenario=_scenario,
     essential=1,
+    possible=lambda parameters, tracks, model: (
+        parameters["extra"] > 0 and parameters["coulomb"] > -0.5 * parameters["extra"]
+    ),
     shape=_shape,
 )

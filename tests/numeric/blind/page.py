@@ -5,6 +5,7 @@ from typing import Any
 
 from tests.numeric.blind.effects import CATALOGUE
 from tests.numeric.blind.scoring import Outcome, Score, confusion, figures, intervals, kinds, outcomes
+from tests.numeric.tables import count, number, table
 
 Result = dict[str, Any]
 
@@ -98,22 +99,22 @@ def _section(title: str, run: Result, wanted: Mapping[str, str]) -> list[str]:
         run["command"],
         "```",
         "",
-        *_table(
+        *table(
             ("", "measured", "wanted"),
-            [(text, _number(found[key]), wanted.get(key, "")) for key, text in ROWS.items() if found[key] is not None],
+            [(text, number(found[key]), wanted.get(key, "")) for key, text in ROWS.items() if found[key] is not None],
         ),
         "",
         "What came of each, at once:",
         "",
-        *_table(("hidden", *names), _counted(run["outcomes"], names)),
+        *table(("hidden", *names), _counted(run["outcomes"], names)),
         "",
         "What came of each after the experiments asked for:",
         "",
-        *_table(("hidden", *names), _counted(run["after_experiments"], names)),
+        *table(("hidden", *names), _counted(run["after_experiments"], names)),
         "",
         "Experiments:",
         "",
-        *_table(
+        *table(
             ("kind", "run", "median, s", "together, s"),
             [
                 (kind, str(one["count"]), f"{one['median']:.0f}", f"{one['sum']:.0f}")
@@ -127,7 +128,7 @@ def _section(title: str, run: Result, wanted: Mapping[str, str]) -> list[str]:
         "",
         "True parameters within the stated intervals:",
         "",
-        *_table(
+        *table(
             ("parameter", "stated", "within two std", "within three"),
             [(name, str(one["stated"]), str(one["two"]), str(one["three"])) for name, one in run["intervals"].items()],
         ),
@@ -135,34 +136,17 @@ def _section(title: str, run: Result, wanted: Mapping[str, str]) -> list[str]:
     ]
 
 
-def _confusion(table: Mapping[str, Mapping[str, int]]) -> list[str]:
+def _confusion(counted: Mapping[str, Mapping[str, int]]) -> list[str]:
     names = list(CATALOGUE)
     rows = [
         (
             f"{names.index(name) + 1} {name}" if name in names else name,
-            *(_count(counts.get(key, 0)) for key in (*names, *VERDICTS)),
+            *(count(counts.get(key, 0)) for key in (*names, *VERDICTS)),
         )
-        for name, counts in table.items()
+        for name, counts in counted.items()
     ]
-    return _table(("hidden", *(str(k + 1) for k in range(len(names))), *VERDICTS), rows)
+    return table(("hidden", *(str(k + 1) for k in range(len(names))), *VERDICTS), rows)
 
 
-def _counted(table: Mapping[str, Mapping[str, int]], columns: Sequence[str]) -> list[tuple[str, ...]]:
-    return [(name, *(_count(counts.get(column, 0)) for column in columns)) for name, counts in table.items()]
-
-
-def _count(value: int) -> str:
-    return str(value) if value else ""
-
-
-def _number(value: float) -> str:
-    return str(value) if isinstance(value, int) else f"{value:.4g}" if value >= 100 else f"{value:.3g}"
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    line = "|" + "|".join([" --- ", *[" ---: "] * (len(head) - 1)]) + "|"
-    return [_row(head), line, *map(_row, rows)]
-
-
-def _row(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
+def _counted(counted: Mapping[str, Mapping[str, int]], columns: Sequence[str]) -> list[tuple[str, ...]]:
+    return [(name, *(count(counts.get(column, 0)) for column in columns)) for name, counts in counted.items()]

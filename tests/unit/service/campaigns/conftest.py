@@ -24,6 +24,7 @@ from service.robot import Robot
 from service.store.database import Database, open_database
 from service.store.documents import CampaignDocument, NewSweep, SweepDocument
 from service.store.guards import StopLatch
+from service.store.model_revisions import ModelStore
 from service.store.recordings import RecordingFiles
 from service.store.store import Store
 from service.worker import Worker
@@ -105,7 +106,8 @@ async def open_bench(
         drive = FormulaDrive(REACHED)
         latch = StopLatch(database)
         machine = Machine(drive, latch, latch.latched())
-        jobs = Taken(store, files) if worker is None else Jobs(store, files, worker)
+        models = ModelStore(database)
+        jobs = Taken(store, files, models) if worker is None else Jobs(store, files, worker, models)
         stack.push_async_callback(jobs.close)
         station = Station(store, files, machine, hub)
         stack.callback(station.close)
@@ -127,8 +129,8 @@ async def open_bench(
 class Taken(Jobs):
     """Jobs that are taken and never done."""
 
-    def __init__(self, store: Store, files: RecordingFiles) -> None:
-        super().__init__(store, files, Worker("tcp://127.0.0.1:1"))
+    def __init__(self, store: Store, files: RecordingFiles, models: ModelStore) -> None:
+        super().__init__(store, files, Worker("tcp://127.0.0.1:1"), models)
         self.sweeps: list[int] = []
 
     def submit(self, sweep: SweepDocument) -> None:

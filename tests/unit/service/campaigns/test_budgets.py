@@ -94,12 +94,19 @@ def test_too_little_time_for_one_pose_is_refused() -> None:
         plan(duration=5.0)
 
 
-def test_d_optimal_is_another_choice_with_the_larger_determinant(all_poses: PlanDocument) -> None:
-    document = plan(poses=20, criterion="d_optimal")
-    assert document.request.criterion is Criterion.D_OPTIMAL
+def test_poses_are_d_optimal_and_the_condition_number_is_a_choice(all_poses: PlanDocument) -> None:
+    document = plan(poses=20, criterion="condition")
+    assert all_poses.request.criterion is Criterion.D_OPTIMAL
+    assert document.request.criterion is Criterion.CONDITION
     assert document.condition[-1] is not None
     assert all_poses.condition[19] is not None
-    assert document.condition[-1] >= all_poses.condition[19]
+    assert document.condition[-1] <= all_poses.condition[19]
+
+
+def test_a_plan_from_before_there_was_a_criterion_was_made_by_the_condition_number() -> None:
+    stored = plan(poses=3, criterion="condition").model_dump(mode="json")
+    del stored["request"]["criterion"]
+    assert PlanDocument.model_validate(stored).request.criterion is Criterion.CONDITION
 
 
 def test_travel_buys_a_shorter_way_with_a_little_condition() -> None:

@@ -57,16 +57,16 @@ def measured(
     body = np.zeros(robot.chain.inertial.size)
     if mass is not None:
         body[-10:] = mass.parameters
+    motor = robot.axes[index].reflected_motor_inertia or 0.0
     sweeps: list[Sweep] = []
     for designed in full_design(robot, joint, POSES, sample_rate=250.0, blocks=("forward_slow", "backward_slow")):
         sweep = expected(designed, designed.spec.pose[index])
         record, pose = sweep.recording, sweep.spec.pose
-        inertia = 300.0 + float((inertia_rows(robot.chain, index, np.array([pose])) @ body)[0])
+        links = robot.chain.inertial.ravel() + body
+        inertia = motor + float((inertia_rows(robot.chain, index, np.array([pose])) @ links)[0])
         friction = 200.0 * record.velocity + coulomb * np.sign(record.velocity)
         noise = random.normal(0, 3.0, len(record.time))
-        pulls = gravity_terms(robot.chain, robot.chain.inertial.ravel() + body, robot.gravity, index, np.array([pose]))[
-            0
-        ]
+        (pulls,) = gravity_terms(robot.chain, links, robot.gravity, index, np.array([pose]))
         away = record.position - pose[index]
         gravity = pulls[0] * np.cos(away) + pulls[1] * np.sin(away)
         record.effort[:] = inertia * np.gradient(record.velocity, record.time) + friction + gravity + noise

@@ -5,15 +5,22 @@ import os
 import signal
 from pathlib import Path
 
+import pytest
+
 from service.campaigns.envelope import Envelope
 from service.campaigns.recovery import recover
 from service.estimation import estimate_document
 from service.identification import spectrum
+from service.identification.known_effects import known_effects
 from service.robot import Robot
+from service.store.diagnoses import DiagnosisStore
+from service.store.diagnosis_documents import NewDiagnosis
 from service.store.documents import CampaignState, SweepState
 from service.store.exchange import campaign_bundle
+from service.store.model_revisions import ModelStore
 from service.worker import open_worker
 from tests.unit.service.campaigns.conftest import POSES, Bench, open_bench, until
+from tests.unit.service.identification.known import model
 
 
 async def completed(bench: Bench) -> None:
@@ -37,6 +44,31 @@ async def test_every_sweep_gives_one_revision_whatever_happens_to_the_worker(
     assert [(e.revision, e.number) for e in estimates] == [(n, n) for n in range(1, len(POSES) + 1)]
     offline = estimate_document(bundle.robot, [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps])
     assert estimates[-1].document == offline
+
+
+async def test_the_newest_accepted_model_enters_new_estimates_and_is_told(
+    tmp_path: Path, robot: Robot, envelope: Envelope
+) -> None:
+    """A delay that nobody has: effort is taken earlier by it, and friction that falls with frequency appears."""
+    told = model(joint_1={"measurement_delay": {"delay": (2e-3, 1e-5)}})
+    async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
+        diagnoses, models = DiagnosisStore(bench.database), ModelStore(bench.database)
+        new = NewDiagnosis(robot_id=bench.campaign.robot_id, campaigns=(bench.campaign.id,), axes=("joint_1",))
+        accepted = models.add(diagnoses.add(new).id, "Ada", told, None)
+        await bench.runner.start(bench.campaign.id)
+        await bench.runner.finished()
+        await completed(bench)
+        document = bench.store.estimates(bench.campaign.id)[-1].document
+        bundle = campaign_bundle(bench.store, bench.files, bench.campaign.id)
+    source = {"id": accepted.id, "revision": 1}
+    assert document["model"] == source
+    (effect,) = document["effects"]
+    assert (effect["axis"], effect["effect"], effect["used"]) == ("joint_1", "measurement_delay", True)
+    assert effect["parameters"]["delay"] == {"value": 2e-3, "std": pytest.approx(1e-5), "unit": "SI"}
+    spectra = [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps]
+    known = known_effects(told, bundle.robot.joints, source)
+    assert document == estimate_document(bundle.robot, spectra, known=known)
+    assert document["axes"] != estimate_document(bundle.robot, spectra)["axes"]
 
 
 async def test_what_is_recorded_and_not_identified_is_taken_up_by_the_next_process(

@@ -13,6 +13,7 @@ from service.cell import Box, Cell, read_cell
 from service.configuration import read_robot
 from service.errors import BadInput
 from service.identification.base_parameters import base_parameters, condition_number
+from service.identification.pose_selection import Criterion
 from service.identification.regressor import inertia_rows, lock
 from service.robot import Robot
 from tests.unit.service.campaigns.small_arm import small_arm
@@ -80,7 +81,7 @@ def test_one_host_streamed_sweep_an_axis(plan: PlanDocument) -> None:
     assert sorted(streamed) == ["joint_1", "joint_2", "joint_3"]
 
 
-def test_condition_beats_random_choices(plan: PlanDocument, max100: Robot, workshop: Cell) -> None:
+def test_condition_beats_random_choices(max100: Robot, workshop: Cell) -> None:
     """Against 20 random choices of as many poses out of the same workspace, by the condition number of an SVD."""
     chain = lock(max100.chain, {3: 0.0, 4: 0.0, 5: 0.0})
     base = base_parameters(chain, (0, 1, 2))
@@ -90,6 +91,7 @@ def test_condition_beats_random_choices(plan: PlanDocument, max100: Robot, works
     def condition(poses: np.ndarray) -> float:
         return condition_number(np.vstack([base.rows(chain, axis, poses[:, :3]) for axis in range(3)]))
 
+    plan = build_plan(max100, REQUEST.model_copy(update={"criterion": Criterion.CONDITION}), workshop)
     chosen = np.array([sweep.spec.pose for sweep in plan.sweeps[::3]])
     assert condition(chosen) < 0.8 * min(condition(rng.permutation(grid)[:24]) for _ in range(20))
     assert plan.condition[0] is None  # one pose alone cannot tell the parameters apart
@@ -195,3 +197,26 @@ def test_lines_and_rate_of_one_s_choice(max100: Robot, workshop: Cell) -> None:
 def test_bad_requests_name_the_field(max100: Robot, workshop: Cell, change: dict[str, object], message: str) -> None:
     with pytest.raises(BadInput, match=message):
         build_plan(max100, REQUEST.model_copy(update=change), workshop)
+
+
+def test_realisations_of_a_sweep_differ_in_their_phases_and_pass_the_envelope(arm: Robot) -> None:
+    request = PlanRequest(robot_id=1, axes=("j1", "j2"), varied=("j1", "j2"), step=20.0, poses=3, realisations=4)
+    cell = Cell(name="plain", floor=0.0)
+    plan, once = (build_plan(arm, one, cell) for one in (request, request.model_copy(update={"realisations": 1})))
+    assert len(plan.sweeps) == 4 * len(once.sweeps) == 24
+    envelope = Envelope(arm, cell)
+    seen: set[tuple[float, ...]] = set()
+    for sweep in plan.sweeps:
+        (designed,) = (
+            one for one in once.sweeps if (one.spec.axis, one.spec.pose) == (sweep.spec.axis, sweep.spec.pose)
+        )
+        for sine, other in zip(sweep.spec.sines, designed.spec.sines, strict=True):
+            assert (sine.frequency, sine.amplitude) == (other.frequency, other.amplitude)
+        assert sweep.spec.offset_velocity == designed.spec.offset_velocity
+        seen.add(tuple(sine.phase for sine in sweep.spec.sines))
+        envelope.check_sweep(sweep.command(), sweep.spec.pose)
+    assert len(seen) == 24
+    told, alone = plan.confidence[-1], once.confidence[-1]
+    assert told is not None
+    assert alone is not None
+    assert told == pytest.approx(alone / 2, rel=0.05)  # four times the information

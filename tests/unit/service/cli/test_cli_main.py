@@ -1,6 +1,7 @@
 """The console script as a person calls it: exit codes, one line on stderr, results only on stdout."""
 
 import json
+import os
 import socket
 import subprocess
 import sys
@@ -94,3 +95,21 @@ def test_the_overview_lists_own_and_installed_commands() -> None:
     assert done.returncode == 0
     for name in ("demo", "serve", "plan", "measure", "import", "export", "identify", "import-trace", "drive", "truth"):
         assert f"  {name} " in done.stdout
+
+
+def test_algebra_runs_on_one_thread() -> None:
+    """The console entry says so before NumPy is imported: no thread but the first is there when it is."""
+    code = (
+        "import os, sys, service.cli\n"
+        "assert 'numpy' not in sys.modules\n"
+        "sys.argv = ['sweepid', 'plan', '--help']\n"
+        "try: service.cli.main()\n"
+        "except SystemExit: pass\n"
+        "import numpy\n"
+        "print(os.environ['OPENBLAS_NUM_THREADS'], len(os.listdir('/proc/self/task')))"
+    )
+    bare = {key: value for key, value in os.environ.items() if not key.endswith("_NUM_THREADS")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True, env=bare
+    )
+    assert done.stdout.splitlines()[-1] == "1 1"

@@ -15,6 +15,7 @@ from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Axis, RobotDescription, build_robot
 from service.store.bundle import write_bundle
 from tests.command import sweepid
+from tests.unit.service.identification.known import model
 from tests.unit.service.identification.test_ideal_frequency import STIFF, analysis
 
 INERTIA = 6.0  # kg m^2 of the load about the first axis; CAD says 5, the second link included; motor 100^2 0.0001 = 1
@@ -92,6 +93,37 @@ def test_tables_for_people_and_json_for_a_file(bundle: Path, tmp_path: Path) -> 
     for word in ("j1", "14.29", "Base parameters", "Condition number"):
         assert word in done.stdout
     assert json.loads((tmp_path / "out.json").read_text())["axes"].keys() == {"j1"}
+
+
+def test_known_effects_of_a_model_are_taken_into_account_and_told(bundle: Path, tmp_path: Path) -> None:
+    told = model(j1={"coulomb_friction": {"coulomb": (1.0, 0.1)}, "backlash": {"gap": (1e-3, 1e-4)}})
+    (tmp_path / "model.json").write_text(json.dumps(told))
+    done = sweepid("identify", str(bundle), "--model", str(tmp_path / "model.json"), "--json", str(tmp_path / "out"))
+    assert done.returncode == 0, done.stderr
+    assert "Taken into account: coulomb_friction of j1, its torque at the measured velocity" in done.stdout
+    assert "Left out: backlash of j1" in done.stdout
+    document = json.loads((tmp_path / "out").read_text())
+    assert document["model"] == {"file": "model.json"}
+    assert [(effect["effect"], effect["used"]) for effect in document["effects"]] == [
+        ("coulomb_friction", True),
+        ("backlash", False),
+    ]
+    assert document["axes"]["j1"]["effects_moved_in_std"] < 1e-6  # nothing reverses: no line shows it
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("no json", "model.json: cannot be read as JSON"),
+        ("[]", "model.json: is not a JSON object"),
+        ('{"axes": {"j9": {}}}', "model.json: model.axes.j9: is no joint of the robot, j1, j2 are"),
+    ],
+)
+def test_a_model_that_cannot_be_read_is_one_line_and_two(bundle: Path, tmp_path: Path, text: str, reason: str) -> None:
+    (tmp_path / "model.json").write_text(text)
+    done = sweepid("identify", str(bundle), "--model", str(tmp_path / "model.json"))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert reason in done.stderr.splitlines()[-1]
 
 
 @pytest.mark.parametrize(

@@ -1,16 +1,22 @@
 """Sweeps that follow their set-points on a machine made of the model's own columns: what a test wants to be there."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.diagnosis.design import DesignedSweep
-from service.diagnosis.equations import Equations, Term, equations, grouped, nominal_inertia
+from service.diagnosis.equations import Equations, Term, equations, grouped
 from service.diagnosis.prospect import expected
-from service.diagnosis.signals import tracks
+from service.diagnosis.rigid import load_rows, nominal_load
+from service.diagnosis.signals import Tracks, tracks
+from service.identification.torque_gain import KnownMass
 from service.recording import Sweep
 from service.robot import Robot
+from tests.numeric.campaign import max100
+
+Array = NDArray[np.float64]
 
 RATE = 250.0  # Hz: what the tracks keep
 
@@ -21,18 +27,20 @@ def following(
     designed: Sequence[DesignedSweep],
     hidden: Mapping[Term, Sequence[float]] | None = None,
     *,
+    load: Callable[[Tracks], Array] | None = None,
     noise: float = 0.001,
     seed: int = 1,
 ) -> list[Sweep]:
-    """Sweeps with the nominal effort, `hidden` terms with their coefficients, and noise (of the rated effort)."""
+    """Sweeps with the nominal effort, `hidden` terms with their coefficients, what `load` (3, m) adds to CAD's, and
+    noise (of the rated effort).
+    """
     index, random = robot.index(joint), np.random.default_rng(seed)
     bare = [expected(one, one.spec.pose[index]) for one in designed]
     motion = tracks(robot, joint, bare)
-    model = equations(motion, grouped(motion))
-    inertia = nominal_inertia(robot, index, motion.poses)[motion.spot][:, None]
-    effort = (
-        motion.gravity + inertia * motion.acceleration + (robot.axis(joint).viscous_friction or 0) * motion.velocity
-    )
+    effort = motion.along(nominal_load(robot, joint, motion.poses) + (0.0 if load is None else load(motion)))
+    effort += (robot.axis(joint).viscous_friction or 0) * motion.velocity
+    nominal = replace(motion, effort=effort.copy())
+    model = equations(nominal, grouped(nominal))
     for term, coefficients in (hidden or {}).items():
         effort += sum(c * column for c, column in zip(coefficients, model.columns(term), strict=True))
     effort += noise * robot.axis(joint).rated_effort * random.standard_normal(effort.shape)
@@ -40,6 +48,29 @@ def following(
         replace(sweep, recording=replace(sweep.recording, effort=effort[number, : len(sweep.recording.time)]))
         for number, sweep in enumerate(bare)
     ]
+
+
+def known_to(part: float) -> Robot:
+    """The representative robot, of which CAD knows inertia and gravity to a part, one sigma."""
+    robot = max100()
+    prior = robot.prior.model_copy(update={"gravity": part, "inertia": part})
+    return replace(robot, description=robot.description.model_copy(update={"prior": prior}))
+
+
+def heavier(part: float) -> Callable[[Tracks], Array]:
+    """All of CAD's load once more by a part, as a wrong torque gain shows it."""
+    return lambda motion: part * nominal_load(motion.robot, motion.joint, motion.poses)
+
+
+def carrying(mass: KnownMass) -> Callable[[Tracks], Array]:
+    """A body on the last link."""
+
+    def load(motion: Tracks) -> Array:
+        links = motion.robot.chain.inertial.size
+        rows = load_rows(motion.robot, motion.robot.index(motion.joint), motion.poses)
+        return (rows[:, links - 10 : links] @ mass.parameters).reshape(3, -1)
+
+    return load
 
 
 def equations_of(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Equations:

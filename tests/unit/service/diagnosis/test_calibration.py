@@ -8,20 +8,19 @@ import pytest
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
 from service.diagnosis.design import DesignedSweep, full_design
-from service.diagnosis.effects.gravity_error import gravity_columns
-from service.diagnosis.equations import nominal_inertia
 from service.diagnosis.parameters import Parameter
 from service.diagnosis.prospect import expected
+from service.diagnosis.rigid import load_rows, nominal_load
 from service.diagnosis.signals import tracks
 from service.errors import BadInput
-from service.identification.regressor import inertia_rows
 from service.identification.torque_gain import KnownMass
 from service.recording import Sweep
 from service.robot import Robot
-from tests.numeric.campaign import max100
+from tests.unit.service.diagnosis.following import known_to
 
 POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.0, -0.5, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
 MASS = KnownMass(30.0, (0.15, 0.0, 0.0))
+TIGHT = 0.003  # of inertia and gravity: how well CAD knows the robot
 SLOW = ("forward_slow", "backward_slow")
 
 
@@ -38,11 +37,11 @@ def measured(
     index = robot.index(joint)
     bare = [expected(one, one.spec.pose[index]) for one in designed]
     motion = tracks(robot, joint, bare)
-    body = np.zeros(robot.chain.inertial.size)
+    body = np.zeros(11 * len(robot.joints))
     if mass is not None:
-        body[-10:] = mass.parameters
-    inertia = nominal_inertia(robot, index, motion.poses) + inertia_rows(robot.chain, index, motion.poses) @ body
-    load = motion.gravity + gravity_columns(motion, body) + inertia[motion.spot][:, None] * motion.acceleration
+        body[10 * len(robot.joints) - 10 : 10 * len(robot.joints)] = mass.parameters
+    carried = (load_rows(robot, index, motion.poses) @ body).reshape(3, -1)
+    load = motion.along(nominal_load(robot, joint, motion.poses) + carried)
     viscous = (robot.axis(joint).viscous_friction or 0.0) * motion.velocity
     effort = gain * (load + by_load * np.abs(load) * motion.direction + viscous)
     specs = [one.spec.model_copy(update={"sample_rate": motion.rate}) for one in bare]
@@ -62,7 +61,7 @@ def measured(
 
 @pytest.mark.parametrize(("gain", "by_load"), [(1.0, 0.0), (1.04, 0.0), (0.93, 0.1), (1.0, 0.1)])
 def test_a_mass_tells_the_gain(gain: float, by_load: float) -> None:
-    robot = max100()
+    robot = known_to(TIGHT)
     designed = full_design(robot, "joint_2", POSES, repeats=1, blocks=SLOW, revisit=False)
     bare = measured(robot, "joint_2", designed, gain=gain, mass=None, by_load=by_load)
     weighed = Weighed(MASS, tuple(measured(robot, "joint_2", designed, gain=gain, mass=MASS, by_load=by_load)))
@@ -76,7 +75,7 @@ def test_a_mass_tells_the_gain(gain: float, by_load: float) -> None:
 
 
 def test_in_one_direction_a_mass_says_how_little_it_tells() -> None:
-    robot, one_side = max100(), POSES[2:]
+    robot, one_side = known_to(TIGHT), POSES[2:]
     designed = full_design(robot, "joint_2", one_side, repeats=1, blocks=SLOW[:1], revisit=False)
     bare = measured(robot, "joint_2", designed, gain=1.0, mass=None, by_load=0.1)
     weighed = Weighed(MASS, tuple(measured(robot, "joint_2", designed, gain=1.0, mass=MASS, by_load=0.1)))
@@ -102,7 +101,7 @@ def noisy(sweeps: list[Sweep]) -> list[Sweep]:
 def test_what_comes_next_says_what_is_to_hang_on_the_flange(
     poses: int, test_mass: float, again: bool, said: str
 ) -> None:
-    robot, payload, center = max100(), 8.0, (0.15, 0.0, 0.0)
+    robot, payload, center = known_to(TIGHT), 8.0, (0.15, 0.0, 0.0)
     designed = full_design(robot, "joint_2", POSES[:poses], blocks=SLOW, revisit=False)
 
     def carrying(mass: float) -> list[Sweep]:
@@ -117,7 +116,7 @@ def test_what_comes_next_says_what_is_to_hang_on_the_flange(
 
 def with_mass(gain: float, ripple: float = 0.0) -> tuple[list[Sweep], Weighed]:
     """Bare sweeps and weighed ones of a drive of this gain; `ripple`, N m, is a square wave over the position."""
-    robot = max100()
+    robot = known_to(TIGHT)
     designed = full_design(robot, "joint_2", POSES, blocks=SLOW, revisit=False)
 
     def told(mass: KnownMass | None) -> list[Sweep]:
@@ -132,7 +131,7 @@ def with_mass(gain: float, ripple: float = 0.0) -> tuple[list[Sweep], Weighed]:
 
 def test_what_a_mass_explains_is_a_gap_of_the_effort_as_it_was_told() -> None:
     bare, weighed = with_mass(1.15)
-    found = axis_document(diagnose_axis(max100(), "joint_2", bare, weighed=weighed, twin=False))
+    found = axis_document(diagnose_axis(known_to(TIGHT), "joint_2", bare, weighed=weighed, twin=False))
     assert (found["verdict"], [effect["effect"] for effect in found["effects"]]) == ("named", ["torque_constant_error"])
     assert found["effects"][0]["parameters"]["gain_error"]["value"] == pytest.approx(0.15, abs=0.01)
     assert found["gap"]["after_rms"] < 0.1 * found["gap"]["before_rms"]
@@ -140,7 +139,7 @@ def test_what_a_mass_explains_is_a_gap_of_the_effort_as_it_was_told() -> None:
 
 def test_beside_what_nobody_knows_a_mass_still_tells_the_gain() -> None:
     bare, weighed = with_mass(1.15, ripple=60.0)
-    found = axis_document(diagnose_axis(max100(), "joint_2", bare, weighed=weighed, twin=False))
+    found = axis_document(diagnose_axis(known_to(TIGHT), "joint_2", bare, weighed=weighed, twin=False))
     assert (found["verdict"], [effect["effect"] for effect in found["effects"]]) == (
         "unknown",
         ["torque_constant_error"],
@@ -152,7 +151,7 @@ def test_beside_what_nobody_knows_a_mass_still_tells_the_gain() -> None:
 def test_a_gain_that_the_model_has_is_weighed_too(gain: float, changes: int) -> None:
     bare, weighed = with_mass(gain)
     known = {"torque_constant_error": {"gain_error": Parameter(0.15, 0.005, "")}}
-    found = axis_document(diagnose_axis(max100(), "joint_2", bare, known=known, weighed=weighed, twin=False))
+    found = axis_document(diagnose_axis(known_to(TIGHT), "joint_2", bare, known=known, weighed=weighed, twin=False))
     assert (found["verdict"], found["effects"]) == ("none", [])
     (gained,) = found["known"]
     assert gained["parameters"]["gain_error"]["value"] == pytest.approx(gain - 1, abs=0.01)
@@ -163,7 +162,7 @@ def test_a_gain_that_the_model_has_is_held_until_it_is_weighed_again() -> None:
     """What pulls 3 % less than CAD says is no other gain."""
     bare, _ = with_mass(1.15 * 0.97)
     known = {"torque_constant_error": {"gain_error": Parameter(0.15, 0.005, "")}}
-    found = axis_document(diagnose_axis(max100(), "joint_2", bare, known=known, twin=False))
+    found = axis_document(diagnose_axis(known_to(TIGHT), "joint_2", bare, known=known, twin=False))
     assert found["known"][0]["parameters"]["gain_error"] == {"value": pytest.approx(0.15), "std": 0.005, "unit": ""}
     assert (found["changes"], found["fit"]["torques"]) == ([], "true")
     assert "torque_constant_error" not in found["candidates"]
@@ -171,7 +170,7 @@ def test_a_gain_that_the_model_has_is_held_until_it_is_weighed_again() -> None:
 
 
 def test_bad_masses_and_sweeps_are_refused() -> None:
-    robot = max100()
+    robot = known_to(TIGHT)
     designed = full_design(robot, "joint_2", POSES[:1], repeats=1, blocks=SLOW, revisit=False)
     sweeps = measured(robot, "joint_2", designed, gain=1.0, mass=None, by_load=0.0)
     with pytest.raises(BadInput, match=r"mass: 0.0 kg is not above 0"):

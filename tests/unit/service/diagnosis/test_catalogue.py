@@ -1,6 +1,5 @@
 """Every entry of the catalogue is complete, and its columns are what its names promise."""
 
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -11,9 +10,8 @@ from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.backlash import missing
 from service.diagnosis.effects.effect import Model
 from service.diagnosis.effects.friction_temperature_drift import warmth
-from service.diagnosis.effects.presliding_hysteresis import bristle
 from service.diagnosis.prospect import expected
-from service.diagnosis.signals import Tracks, tracks
+from service.diagnosis.signals import Tracks, bristle, tracks
 from tests.numeric.campaign import max100
 
 NAMES = [
@@ -45,6 +43,12 @@ def motion() -> Tracks:
     return tracks(robot, "joint_2", [expected(sweep, sweep.spec.pose[1]) for sweep in designed])
 
 
+def model_of(motion: Tracks, inertia: float = 300.0, viscous: float = 200.0, *, weight: float = 1.0) -> Model:
+    """A motor of 66 kg m^2 that carries so much of CAD's weight."""
+    none = np.zeros(len(motion.specs))
+    return Model(none + inertia, 66.0, viscous, weight * motion.gravity, none, none)
+
+
 def test_all_effects_are_there() -> None:
     assert list(CATALOGUE) == sorted(CATALOGUE, key=NAMES.index)
     assert len(CATALOGUE) == len(NAMES)
@@ -52,13 +56,15 @@ def test_all_effects_are_there() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_columns_names_and_bounds_agree(name: str, motion: Tracks) -> None:
-    effect, model = CATALOGUE[name], Model(np.full(len(motion.specs), 300.0), 66.0, 200.0)
+    effect, model = CATALOGUE[name], model_of(motion)
     assert effect.applies(motion)
     shapes = effect.shape(motion, model)
     assert all(shape.low <= value <= shape.high for shape in shapes for value in shape.grid)
     shape = next(product(*(one.grid for one in shapes)))
     columns = effect.columns(motion, model, shape)
-    assert len(columns) == len(effect.coefficients(motion)) > effect.essential
+    assert len(columns) == len(effect.coefficients(motion))
+    assert effect.by_load == (not columns) == (effect.readout is not None)
+    assert effect.by_load or len(columns) > effect.essential
     for column in columns:
         assert column.shape == motion.velocity.shape
         assert np.isfinite(column).all()
@@ -71,7 +77,7 @@ def test_bristles_follow_dahl(motion: Tracks) -> None:
     row, way = 0, 1e-3
     gone = motion.position[row] - motion.position[row, 0]
     here = int(np.searchsorted(gone, 3 * way))
-    assert bristle(motion, way)[row, here] == pytest.approx(1 - np.exp(-gone[here] / way), rel=1e-9)
+    assert bristle(motion.position, way)[row, here] == pytest.approx(1 - np.exp(-gone[here] / way), rel=1e-9)
 
 
 def test_a_gear_that_hardly_cools_is_as_warm_as_it_has_gone_far(motion: Tracks) -> None:
@@ -83,32 +89,29 @@ def test_a_gear_that_hardly_cools_is_as_warm_as_it_has_gone_far(motion: Tracks) 
 @pytest.mark.parametrize("name", NAMES)
 def test_columns_that_depend_on_the_fitted_model_say_so(name: str, motion: Tracks) -> None:
     """Others are kept when the model moves."""
-    effect, count = CATALOGUE[name], len(motion.specs)
-    if name == "backlash":  # weight keeps the flanks together
-        motion = replace(motion, gravity=np.zeros_like(motion.gravity))
-    shape = next(product(*(one.grid for one in effect.shape(motion, Model(np.full(count, 300.0), 66.0, 200.0)))))
+    effect, weight = CATALOGUE[name], float(name != "backlash")  # weight keeps the flanks together
+    shape = next(product(*(one.grid for one in effect.shape(motion, model_of(motion)))))
     one, other = (
-        effect.columns(motion, Model(np.full(count, inertia), 66.0, viscous), shape)
+        effect.columns(motion, model_of(motion, inertia, viscous, weight=weight), shape)
         for inertia, viscous in ((300.0, 200.0), (350.0, 250.0))
     )
     assert effect.of_model == any(not np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
 def test_play_found_in_many_shapes_at_once_is_that_of_each(motion: Tracks) -> None:
-    effect, model = CATALOGUE["backlash"], Model(np.full(len(motion.specs), 300.0), 66.0, 200.0)
-    weightless = replace(motion, gravity=np.zeros_like(motion.gravity))
+    effect, model = CATALOGUE["backlash"], model_of(motion, weight=0.0)
     shapes = [(1e-5, 0.5), (1e-4, 0.2), (3e-4, 0.9)]
     assert effect.scan is not None
-    for shape, found in zip(shapes, effect.scan(weightless, model, shapes), strict=True):
+    for shape, found in zip(shapes, effect.scan(motion, model, shapes), strict=True):
         assert found[0].any()
-        assert np.array_equal(found[0], effect.columns(weightless, model, shape)[0])
+        assert np.array_equal(found[0], effect.columns(motion, model, shape)[0])
 
 
 def test_within_a_very_wide_play_the_motor_never_meets_the_load(motion: Tracks) -> None:
     """Without gravity and friction the load stays at rest: all of its inertia torque is missing."""
     inertia, none = np.array([250.0]), np.zeros(1)
-    weightless = replace(motion, gravity=np.zeros_like(motion.gravity))
-    lost = missing(weightless, np.array([0]), inertia, none, np.array([10.0]))[0, 0]
+    weightless = np.zeros_like(motion.gravity)
+    lost = missing(motion, weightless, np.array([0]), inertia, none, np.array([10.0]))[0, 0]
     expected_torque = -250.0 * motion.acceleration[0]
     middle = slice(20, -20)
     assert lost[middle] == pytest.approx(expected_torque[middle], abs=0.02 * float(np.abs(expected_torque).max()))

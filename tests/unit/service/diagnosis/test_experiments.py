@@ -1,6 +1,6 @@
 """Each kind of experiment where it is the one to run."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import pytest
@@ -9,9 +9,11 @@ from service.diagnosis.design import BLOCKS, full_design, machine_time, paper_de
 from service.diagnosis.equations import Term
 from service.diagnosis.experiments import BOLTING, NextExperiment, next_experiment
 from service.diagnosis.select import select
+from service.diagnosis.signals import Tracks
 from service.diagnosis.verdict import Verdict, tie_set
+from service.identification.torque_gain import KnownMass
 from tests.numeric.campaign import max100
-from tests.unit.service.diagnosis.following import RATE, equations_of, following
+from tests.unit.service.diagnosis.following import RATE, carrying, equations_of, following, heavier
 
 POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.1, -0.5, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
 DRIFT = "friction_temperature_drift"
@@ -25,11 +27,12 @@ def asked(
     unseen: dict[str, tuple[str, ...]] | None = None,
     poses: np.ndarray = POSES,
     noise: float = 0.001,
+    load: Callable[[Tracks], np.ndarray] | None = None,
 ) -> NextExperiment | None:
     """What is asked for when these blocks were run and the rivals are left."""
     robot = max100()
     designed = full_design(robot, "joint_2", poses, blocks=blocks, sample_rate=RATE, revisit=False)
-    sweeps = following(robot, "joint_2", designed, hidden, noise=noise)
+    sweeps = following(robot, "joint_2", designed, hidden, noise=noise, load=load)
     selection = select(equations_of(robot, "joint_2", sweeps), (), list(rivals))
     return next_experiment(selection, verdict, rivals, unseen or {}, sweeps)
 
@@ -50,7 +53,7 @@ def test_coulomb_or_offset_needs_the_other_direction() -> None:
 
 
 def test_a_power_of_the_speed_needs_another_speed() -> None:
-    power = {Term("nonlinear_viscous_friction", (0.5,)): (10.0,)}
+    power = {Term("nonlinear_viscous_friction", (0.01, 0.5)): (10.0,)}
     blocks = ("forward_slow", "backward_slow")
     wanted = asked(blocks, power, ["nonlinear_viscous_friction", "coulomb_friction"], noise=0.02)
     assert wanted is not None
@@ -65,7 +68,7 @@ def test_delay_or_elasticity_needs_the_wide_band() -> None:
 
 
 def test_drift_needs_warmth() -> None:
-    drift = {Term(DRIFT, (300.0,)): (60.0, -3.0, 0.0)}
+    drift = {Term(DRIFT, (300.0, 1.0)): (60.0, -3.0, 0.0)}
     wanted = asked(BLOCKS, drift, [DRIFT, "coulomb_friction"], poses=POSES[:1])
     assert wanted is not None
     assert wanted.kind == "warm_up"
@@ -76,11 +79,11 @@ def test_drift_needs_warmth() -> None:
 
 
 def test_a_mass_is_asked_for_once_both_directions_were_run() -> None:
-    gain, rivals = {Term("torque_constant_error"): (0.05,)}, ["payload", "torque_constant_error"]
-    first = asked(FORWARD, gain, rivals)
+    rivals = ["payload", "torque_constant_error"]
+    first = asked(FORWARD, {}, rivals, load=heavier(0.05))
     assert first is not None
     assert first.kind == "backward_slow"
-    then = asked(("forward_slow", "backward_slow"), gain, rivals)
+    then = asked(("forward_slow", "backward_slow"), {}, rivals, load=heavier(0.05))
     assert then is not None
     assert (then.kind, then.blocks) == ("test_mass", ("forward_slow", "backward_slow"))
     assert then.seconds == machine_time(then.sweeps) + BOLTING
@@ -93,7 +96,7 @@ def test_the_mass_is_measured_in_sweeps_as_they_were_run_without_it() -> None:
     slower = full_design(
         robot, "joint_2", poses, blocks=("forward_slow", "backward_slow"), sample_rate=RATE, travel=0.04
     )
-    sweeps = following(robot, "joint_2", slower, {Term("torque_constant_error"): (0.05,)})
+    sweeps = following(robot, "joint_2", slower, load=heavier(0.05))
     rivals = ["payload", "torque_constant_error"]
     selection = select(equations_of(robot, "joint_2", sweeps), (), rivals)
     wanted = next_experiment(selection, Verdict.AMBIGUOUS, rivals, {}, sweeps)
@@ -104,7 +107,8 @@ def test_the_mass_is_measured_in_sweeps_as_they_were_run_without_it() -> None:
 
 
 def test_gravity_or_payload_needs_poses_in_which_other_joints_are_turned() -> None:
-    wanted = asked(BLOCKS, {Term("payload", (0.2,)): (8.0,)}, ["payload", "gravity_error"], poses=POSES[:2])
+    tip = carrying(KnownMass(8.0, (0.2, 0.0, 0.0)))
+    wanted = asked(BLOCKS, {}, ["payload", "gravity_error"], poses=POSES[:2], load=tip)
     assert wanted is not None
     assert wanted.kind == "more_poses"
     assert not {sweep.spec.pose for sweep in wanted.sweeps} & {tuple(pose) for pose in POSES.tolist()}

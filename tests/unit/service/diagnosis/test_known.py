@@ -1,5 +1,7 @@
 """Effects that the model has already: fitted with the base, and compared with what the model says of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -45,11 +47,14 @@ def test_a_known_effect_that_is_as_the_model_says_is_not() -> None:
 
 
 def test_what_the_axis_cannot_have_is_left_out() -> None:
-    """`--known` is about all axes; gravity pulls not on an upright one."""
-    found = diagnose_axis(max100(), "joint_1", sweeps_of("joint_1", 60.0, 6), known={"gravity_error": {}}, twin=False)
+    """`--known` is about all axes; a motor of which the robot file knows no orders cannot cog."""
+    robot = max100()
+    axes = tuple(axis.model_copy(update={"cogging_orders": ()}) for axis in robot.axes)
+    smooth = replace(robot, description=robot.description.model_copy(update={"axes": axes}))
+    found = diagnose_axis(smooth, "joint_1", sweeps_of("joint_1", 60.0, 6), known={"cogging_torque": {}}, twin=False)
     assert [effect.name for effect in found.effects] == ["coulomb_friction"]
     assert found.known == ()
-    assert "gravity_error" not in found.untestable
+    assert "cogging_torque" not in found.untestable
 
 
 def test_all_effects_may_be_known() -> None:

@@ -40,7 +40,7 @@ def test_what_is_said_of_real_sweeps_is_what_their_cells_show() -> None:
     """Friction that grows with the load is a gap where the axis is slow: at speed, viscous friction passes for it."""
     robot = max100()
     designed = full_design(robot, "joint_2", POSES, blocks=("forward_slow", "backward_slow"), sample_rate=RATE)
-    sweeps = following(robot, "joint_2", designed, {Term("load_dependent_friction"): (30.0, 0.05)})
+    sweeps = following(robot, "joint_2", designed, {Term("load_dependent_friction", (1.0,)): (30.0, 0.05, 0.0)})
     found = diagnose_axis(robot, "joint_2", sweeps, twin=False)
     speeds = [one for one in found.cells if one.dimension == "speed"]
     largest = max(speeds, key=lambda one: one.rms)

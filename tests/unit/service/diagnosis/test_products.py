@@ -22,10 +22,15 @@ def test_the_filter_shifts_nothing_and_forgets_no_constant() -> None:
 
 
 def test_derivative_in_the_frequency_domain_also_of_a_record_that_ends_in_motion() -> None:
+    """From standstill, as sweeps begin, it is right to the first sample; a jerk at the begin rings for 0.2 s."""
     time = np.arange(1500) / RATE
+    smooth = (1 - np.cos(2 * np.pi * time) + 0.15 * time**2)[None]
+    turning = 2 * np.pi * np.sin(2 * np.pi * time)
+    assert in_frequency(smooth, RATE)[0, :-20] == pytest.approx((turning + 0.3 * time)[:-20], abs=2e-2)
+    assert in_frequency(smooth, RATE)[0, 20:-20] == pytest.approx((turning + 0.3 * time)[20:-20], abs=2e-3)
     velocity = (1 - np.cos(2 * np.pi * time))[None] + 0.3 * time
-    expected = 2 * np.pi * np.sin(2 * np.pi * time) + 0.3
-    assert in_frequency(velocity, RATE)[0, 20:-20] == pytest.approx(expected[20:-20], abs=2e-3)
+    expected = turning + 0.3
+    assert in_frequency(velocity, RATE)[0, 50:-20] == pytest.approx(expected[50:-20], abs=2e-3)
     late = np.exp(-2j * np.pi * bins(1500, RATE)[None] * 0.02)
     assert in_frequency(velocity, RATE, late)[0, 50:-50] == pytest.approx(expected[45:-55], abs=5e-3)
 

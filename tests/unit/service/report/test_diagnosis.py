@@ -39,6 +39,7 @@ def axis(**changes: Any) -> dict[str, Any]:
             }
         ],
         "known": [],
+        "part": [],
         "changes": [],
         "candidates": [],
         "alternatives": [],
@@ -55,7 +56,9 @@ def axis(**changes: Any) -> dict[str, Any]:
             "held_out_sweeps": 42,
             "before_percent": 9.0,
             "after_percent": 0.63,
-            "source": "twin",
+            "cross_validated": True,
+            "source": "columns",
+            "twin_rms": 2.2,
             "by_pose": [
                 {"pose": pose, "before_rms": 30.0, "after_rms": 2.1, "noise_floor_rms": 2.0, "sweeps": 14}
                 for pose in POSES
@@ -74,6 +77,10 @@ def axis(**changes: Any) -> dict[str, Any]:
             "inertia": [{"pose": pose, "value": 60.0, "std": 0.3} for pose in POSES],
             "viscous_friction": {"value": 800.0, "std": 3.0},
         },
+        "rigid_model": [
+            {"name": "Izz2 + 0.3 m3", "nominal": 60.0, "value": 61.25, "std": 0.5},
+            {"name": "viscous_friction", "nominal": None, "value": 800.0, "std": 3.0},
+        ],
         "next_experiment": None,
         "untestable": ["friction_temperature_drift"],
         "visible_in": {"friction_temperature_drift": ["revisit_forward_slow", "revisit_backward_slow"]},
@@ -158,7 +165,10 @@ def test_the_page_says_it_in_words_and_loads_nothing() -> None:
     markup = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
     assert not re.search(r"\b(src|href)\s*=", markup)
     assert "Robot &lt;1&gt;" in markup
-    assert "joint_2: the model lacks Coulomb friction. With it the gap on held-out sweeps falls from 30 N m" in markup
+    assert (
+        "joint_2: the model lacks Coulomb friction. With it the gap on sweeps that took no part in naming or fit "
+        "falls from 30 N m" in markup
+    )
     assert "tau = Fc sign(v) &lt;/script&gt;" in markup
     assert "<td>50</td><td>0.5</td><td>N m</td>" in markup
     assert "inertia at +0.50" in markup
@@ -219,6 +229,7 @@ def test_of_two_effects_the_one_that_is_sure_is_said() -> None:
 
 def test_where_nothing_was_repeated_no_noise_floor_is_made_up() -> None:
     gap = {**axis()["gap"], "noise_floor_rms": None, "held_out_sweeps": 0, "before_percent": 112.3}
+    gap["cross_validated"] = False
     gap["by_pose"] = [{**pose, "noise_floor_rms": None} for pose in gap["by_pose"]]
     page = diagnosis_page(document(gap=gap), "title")
     assert "nothing was measured twice" in page
@@ -238,3 +249,25 @@ def test_what_the_model_has_stands_beside_what_it_is_now() -> None:
     page = diagnosis_page(document(verdict="none", effects=[], known=[known], changes=[change]), "title")
     assert "Coulomb friction</td><td>Coulomb</td><td>50</td><td>0.5</td><td>N m</td><td>40 ± 0.4</td>" in page
     assert "lacks no effect, but Coulomb friction has changed: coulomb is 50 ± 0.5, not 40 N m" in page
+
+
+def test_the_rigid_model_stands_beside_cad() -> None:
+    markup = diagnosis_page(document(), "t")
+    for text in ("The rigid model", "Izz2 + 0.3 m3", ">60<", ">61.25<", ">0.5<", "left by the simulator"):
+        assert text in markup
+
+
+def test_what_is_known_in_part_stands_beside_the_unknown() -> None:
+    part = [{**axis()["effects"][0], "effect": "hose_spring", "parameters": {}}]
+    part[0]["parameters"] = {"stiffness": {"value": 76.5, "std": 1.0, "unit": "N m/rad"}}
+    markup = diagnosis_page(document(verdict="unknown", effects=[], part=part), "t")
+    assert "Known in part" in markup
+    assert "76.5" in markup
+    assert "Known in part" not in diagnosis_page(document(), "t")
+
+
+def test_a_gap_without_a_pose_held_back_says_how_it_was_judged() -> None:
+    gap = {**axis()["gap"], "held_out_sweeps": 0}
+    assert "the gap (cross-validated) falls" in diagnosis_page(document(gap=gap), "t")
+    markup = diagnosis_page(document(gap={**gap, "cross_validated": False}), "t")
+    assert "nothing could be left out" in markup

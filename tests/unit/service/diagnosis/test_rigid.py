@@ -1,0 +1,75 @@
+"""The rigid model of a pendulum by hand: its load, what the prior says of it, and what an effect frees."""
+
+import numpy as np
+import pytest
+
+from service.diagnosis.rigid import Rigid, nominal_load, parameter_spread, rigid
+from service.robot import Axis, Prior, Robot, RobotDescription
+
+MASS, ARM, MOTOR, G = 3.0, 2.0, 0.5, 9.81
+POSES = np.array([[0.0], [0.5]])
+URDF = f"""<robot name="pendulum"><link name="base"/><link name="arm"><inertial><origin xyz="{ARM} 0 0"/>
+<mass value="{MASS}"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial></link>
+<joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 -1 0"/>
+<limit lower="-2" upper="2" velocity="1" effort="100"/></joint></robot>"""
+
+
+def pendulum(prior: Prior | None = None) -> Robot:
+    """A point mass on an arm that is level at 0 and turns upwards; the motor reflects MOTOR."""
+    axis = Axis(joint="j", gear_ratio=10.0, motor_inertia=MOTOR / 100, rated_effort=100.0, viscous_friction=5.0)
+    return Robot(RobotDescription(name="p", urdf="p.urdf", axes=(axis,), prior=prior or Prior()), URDF)
+
+
+def model() -> Rigid:
+    return rigid(pendulum(), "j", POSES, np.array([1.0, 1.0, 0.3]))
+
+
+def test_the_load_of_a_pendulum() -> None:
+    inertia, torque, slope = nominal_load(pendulum(), "j", POSES)
+    assert inertia == pytest.approx(MASS * ARM**2 + MOTOR)
+    assert torque == pytest.approx(MASS * G * ARM * np.cos(POSES[:, 0]))
+    assert slope == pytest.approx(-MASS * G * ARM * np.sin(POSES[:, 0]))
+
+
+def test_the_prior_is_that_of_each_parameter() -> None:
+    prior = Prior(inertia=0.2, gravity=0.1, motor_inertia=0.05)
+    sigma = np.diag(parameter_spread(pendulum(prior), 0, POSES))
+    assert sigma[0] == pytest.approx(0.1 * MASS)
+    assert sigma[1:4] == pytest.approx(0.1 * MASS * ARM)
+    assert sigma[4:10] == pytest.approx(0.2 * MASS * ARM**2)
+    assert sigma[10] == pytest.approx(0.05 * MOTOR)
+
+
+def test_a_load_within_the_prior_costs_what_its_probability_says() -> None:
+    """One sigma of the first moment alone, in units of the noise: about one, as no other parameter gives the same."""
+    found = model()
+    wanted = np.zeros((3, len(POSES)))
+    wanted[1], wanted[2] = G * np.cos(POSES[:, 0]), -G * np.sin(POSES[:, 0])
+    wanted *= 0.3 * MASS * ARM
+    basis = found.basis.reshape(len(found.basis), -1)
+    coefficients = np.linalg.lstsq(basis.T, wanted.ravel(), rcond=None)[0]
+    np.testing.assert_allclose(found.load(coefficients) - found.nominal, wanted, atol=1e-3 * np.abs(wanted).max())
+    assert coefficients @ found.precision @ coefficients == pytest.approx(1.0, rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["gravity_error", "payload", "torque_constant_error"])
+def test_what_an_effect_frees_costs_nothing_and_the_rest_what_it_did(name: str) -> None:
+    """Along freed directions there is no penalty; beside them that of the best that they can add (Schur complement)."""
+    found = model()
+    directions, precision = found.freed[name], found.precision
+    free = found.precision_without([name])
+    scale = float(np.abs(precision).max())
+    np.testing.assert_allclose(free @ directions, 0.0, atol=1e-8 * scale)
+    values = np.linalg.eigvalsh(free)
+    assert values.min() > -1e-8 * scale
+    across = np.random.default_rng(1).normal(size=len(precision))
+    inner = np.linalg.solve(directions.T @ precision @ directions, directions.T @ precision @ across)
+    best = across - directions @ inner
+    assert across @ free @ across == pytest.approx(best @ precision @ best, rel=1e-6, abs=1e-8 * scale)
+    assert found.freedom(name) == directions.shape[1] == np.linalg.matrix_rank(directions)
+
+
+def test_what_is_no_load_frees_nothing() -> None:
+    found = model()
+    assert found.precision_without(["coulomb_friction"]) is found.precision
+    assert found.freedom("coulomb_friction") == 0

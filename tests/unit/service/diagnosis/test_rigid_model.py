@@ -1,0 +1,51 @@
+"""The rigid model of a healthy machine that CAD does not know well, and which pose is held back."""
+
+import numpy as np
+
+from service.diagnosis import axis_document, diagnose_axis
+from service.diagnosis.design import full_design
+from service.diagnosis.equations import grouped, held_back
+from service.diagnosis.rigid import load_rows, nominal_parameters
+from service.diagnosis.signals import tracks
+from service.identification.base_parameters import joint_ranges, reduce_columns
+from service.identification.regressor import parameter_names
+from tests.numeric.campaign import max100
+from tests.unit.service.diagnosis.following import RATE, following, heavier
+
+JOINT = "joint_2"
+POSES = np.array([[0.0, angle, elbow, 0, 0, 0] for angle, elbow in ((-0.8, 0.3), (0.1, -0.5), (0.9, 0.9), (0.4, 0.2))])
+OFF = 0.1  # part by which CAD is off
+
+
+def test_a_healthy_machine_off_by_a_tenth_is_none_and_its_model_is_found() -> None:
+    robot = max100()
+    designed = full_design(robot, JOINT, POSES, blocks=("forward_slow", "backward_slow", "wide"), sample_rate=RATE)
+    sweeps = following(robot, JOINT, designed, load=heavier(OFF))
+    found = axis_document(diagnose_axis(robot, JOINT, sweeps, twin=False))
+    assert (found["verdict"], found["effects"]) == ("none", [])
+    for pose in found["fit"]["inertia"]:
+        rows = load_rows(robot, robot.index(JOINT), np.array([pose["pose"]]))
+        true = (1 + OFF) * float((rows @ nominal_parameters(robot))[0])
+        assert abs(pose["value"] - true) < 3 * pose["std"]
+    lower, upper = joint_ranges(robot.chain)
+    anywhere = np.random.default_rng(0).uniform(lower, upper, (60, len(lower)))
+    base = reduce_columns(load_rows(robot, robot.index(JOINT), anywhere), parameter_names(robot.chain))
+    nominal = dict(zip(base.names, base.combination @ nominal_parameters(robot), strict=True))
+    told = {one["name"]: one for one in found["rigid_model"]}
+    assert set(told) == {*nominal, "viscous_friction"}
+    for name, value in nominal.items():
+        assert abs(told[name]["nominal"] - value) < 1e-9
+        assert abs(told[name]["value"] - (1 + OFF) * value) < 3 * told[name]["std"]
+
+
+def test_the_pose_of_middling_weight_is_held_back_of_four_and_none_of_three() -> None:
+    robot = max100()
+    designed = full_design(robot, JOINT, POSES, blocks=("forward_slow",), sample_rate=RATE, revisit=False)
+    motion = tracks(robot, JOINT, following(robot, JOINT, designed))
+    unseen = held_back(motion, grouped(motion))
+    assert unseen is not None
+    weight = [float(motion.gravity[motion.spot == k].mean()) for k in range(4)]
+    assert sorted(weight).index(weight[unseen]) == 2
+    few = [sweep for sweep in following(robot, JOINT, designed) if sweep.spec.pose != tuple(POSES[0])]
+    motion = tracks(robot, JOINT, few)
+    assert held_back(motion, grouped(motion)) is None
