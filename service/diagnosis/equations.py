@@ -53,6 +53,9 @@ class Equations:
     whitening: Whitening
     rigid: Rigid
     model: Model
+    coefficients: Array  # (b,) of the base, from which the model is
+    load: Array  # (3, m), that of the model
+    parts: Array  # (3, n, t): what the load is multiplied by, see `reshaped`
     base: Array  # (n, rows, b)
     right: Array  # (n, rows)
     viscous_precision: float
@@ -79,6 +82,14 @@ class Equations:
     def freedom(self, terms: Sequence[Term]) -> int:
         """Parameters of terms that are no columns: shapes, and directions of the load that are freed."""
         return sum(len(term.shape) + self.rigid.freedom(term.effect) for term in terms)
+
+    def base_signals(self) -> list[Array]:
+        """Of the base columns, (n, t) each."""
+        return [*(self.tracks.summed(load, self.parts) for load in self.rigid.basis), self.tracks.velocity]
+
+    def target(self) -> Array:
+        """What base and effects are to make, (n, t): the effort less that of CAD and data sheet; see `reshaped`."""
+        return nominal_right(self.tracks) + self.tracks.summed(self.load - self.rigid.nominal, self.parts - self.tracks.parts)
 
     def columns(self, term: Term) -> Sequence[Array]:
         """Signals of an effect, (n, t) each."""
@@ -207,8 +218,7 @@ def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | No
     model = rigid(tracks.robot, tracks.joint, tracks.poses, tracks.sizes)
     viscous = axis.viscous_friction or 0.0
     remaining = tracks.rows(nominal_right(tracks))
-    signals = [*(tracks.along(load) for load in model.basis), tracks.velocity]
-    rows = np.stack([tracks.rows(signal) for signal in signals], axis=-1)
+    rows = np.stack([tracks.rows(signal) for signal in (*map(tracks.along, model.basis), tracks.velocity)], axis=-1)
     alone = white_covariance(tracks.effort, tracks.inside, tracks.rate, ORDER)
     if whitening is None:
         whitening = noise_model(_refitted(tracks, rows, remaining), tracks.usable, groups, alone)
@@ -224,6 +234,9 @@ def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | No
             axis.reflected_motor_inertia or UNKNOWN_MOTOR * float(model.nominal[0].mean()),
             viscous,
         ),
+        coefficients=np.zeros(rows.shape[-1]),
+        load=model.nominal,
+        parts=tracks.parts,
         base=np.stack([whitening(rows[..., k]) for k in range(rows.shape[-1])], axis=-1),
         right=whitening(remaining),
         viscous_precision=(prior.viscous_friction * viscous) ** -2.0 if viscous else 0.0,
@@ -291,30 +304,42 @@ def _same_motion(motion: Array, usable: Mask, one: int, other: int) -> bool:
     return bool(both.any() and np.sum((first - second) ** 2) < REPEATED**2 * np.sum(first**2))
 
 
-def remodelled(given: Equations, terms: Sequence[Term], *, motor: bool = True) -> Equations:
-    """With the load and the friction that a fit with these terms finds, of which some columns are made; and with the
-    inertia of the `motor` that goes with them.
-    """
+def remodelled(given: Equations, terms: Sequence[Term]) -> Equations:
+    """With the load and the friction that a fit with these terms finds, of which some columns are made."""
     values = solve(given.system_with(terms).sum(axis=0), given.precision(terms))[0]
-    start, inertia = given.width_of_base, given.model.motor_inertia
-    for term in terms:
-        by_effect = CATALOGUE[term.effect].motor
-        if by_effect is not None and motor:
-            inertia = by_effect(given.tracks, given.model, float(values[start]))
-        start += given.width(term)
-    return with_base(given, values[: given.width_of_base], inertia)
+    return reshaped(with_base(given, values[: given.width_of_base]), terms)
 
 
-def with_base(given: Equations, values: Array, motor: float | None = None) -> Equations:
-    """With the load and friction of base coefficients (b,), and the reflected inertia of the motor if told."""
+def reshaped(given: Equations, terms: Sequence[Term]) -> Equations:
+    """With base columns as these terms make them.
+
+    Behind a spring, a load that differs by dz makes another torque than on a stiff gear. Columns E of that, and the
+    target beside them, stand for a step of Gauss and Newton from the model's load z0:
+
+        effort - nominal + (E - Q) z0 = E z + effects(z0),      the same as  Q z + effects(z0)  at z = z0
+    """
+    bent = [(CATALOGUE[term.effect].parts, term.shape) for term in terms]
+    found = [make(given.tracks, given.model, shape) for make, shape in bent if make is not None]
+    parts = found[0] if found else given.tracks.parts
+    if parts is given.parts:
+        return given
+    moved = replace(given, parts=parts)
+    whitened = [given.tracks.whitened(signal, given.whitening.taps) for signal in (*moved.base_signals(), moved.target())]
+    moved = replace(moved, base=np.stack(whitened[:-1], axis=-1), right=whitened[-1])
+    moved.kept.update(given.kept)
+    return moved
+
+
+def with_base(given: Equations, values: Array) -> Equations:
+    """With the load and friction of base coefficients (b,)."""
     tracks = given.tracks
     viscous = (tracks.robot.axis(tracks.joint).viscous_friction or 0.0) + float(values[-1])
     load = given.rigid.load(values[:-1])
     load[0] = np.maximum(load[0], LEAST_INERTIA * given.rigid.nominal[0])
-    model = _model(tracks, load, given.model.motor_inertia if motor is None else motor, max(viscous, 0.0))
+    model = _model(tracks, load, given.model.motor_inertia, max(viscous, 0.0))
     if _alike(model, given.model, tracks.robot.axis(tracks.joint).rated_effort):
         return given
-    moved = replace(given, model=model)
+    moved = replace(given, model=model, load=load, coefficients=values)
     moved.kept.update({term: rows for term, rows in given.kept.items() if not CATALOGUE[term.effect].of_model})
     return moved
 
@@ -322,5 +347,4 @@ def with_base(given: Equations, values: Array, motor: float | None = None) -> Eq
 def _alike(one: Model, other: Model, rated: float) -> bool:
     inertia = np.allclose(one.inertia, other.inertia, rtol=SAME, atol=0.0)
     torque = np.allclose(one.torque, other.torque, rtol=0.0, atol=SAME * rated)
-    motor = np.isclose(one.motor_inertia, other.motor_inertia, rtol=SAME, atol=0.0)
-    return bool(inertia and torque and motor and np.isclose(one.viscous, other.viscous, rtol=SAME, atol=0.0))
+    return bool(inertia and torque and np.isclose(one.viscous, other.viscous, rtol=SAME, atol=0.0))

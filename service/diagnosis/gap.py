@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.equations import Equations, Term, given_rest, nominal_right, solve, symmetric
+from service.diagnosis.equations import Equations, Term, given_rest, reshaped, solve, symmetric
 from service.diagnosis.grams import ORDER, Group, pairing
 
 Array = NDArray[np.float64]
@@ -100,6 +100,7 @@ def residual(given: Equations, terms: Sequence[Term], *, by_repeat: bool = False
     """What each sweep leaves of its effort (n, rows), N m (N), filtered alike: the effects' coefficients are those of
     the other sweeps, the rigid model is fitted to all. `as_cad`: the load is CAD's.
     """
+    given = reshaped(given, terms)
     tracks, b = given.tracks, given.width_of_base
     whitened = np.concatenate([given.base, *(given.rows(t) for t in terms), given.right[..., None]], axis=-1)
     precision, total = given.precision(terms), given.system_of(whitened).sum(axis=0)
@@ -108,7 +109,7 @@ def residual(given: Equations, terms: Sequence[Term], *, by_repeat: bool = False
     ridge = np.zeros(len(total) - 1)
     ridge[b:] = RIDGE * np.abs(np.diag(total)[b:-1])
     columns = np.stack(rows_of(given, terms), axis=-1)
-    result = tracks.rows(nominal_right(tracks))
+    result = tracks.rows(given.target())
     for train, test in splits(given.groups, by_repeat=by_repeat):
         products = pairing(tracks.usable, train, ORDER, given.folds).products(whitened)
         fitted = symmetric(products).sum(axis=0)
@@ -123,16 +124,14 @@ def residual(given: Equations, terms: Sequence[Term], *, by_repeat: bool = False
 
 def rows_of(given: Equations, terms: Sequence[Term]) -> list[Array]:
     """Base columns and those of terms (n, rows), filtered but not whitened, N m for coefficients of one unit."""
-    tracks = given.tracks
-    signals = [*(tracks.along(load) for load in given.rigid.basis), tracks.velocity]
-    signals += [column for term in terms for column in given.columns(term)]
-    return [tracks.rows(signal) for signal in signals]
+    signals = [*given.base_signals(), *(column for term in terms for column in given.columns(term))]
+    return [given.tracks.rows(signal) for signal in signals]
 
 
 def over_floor(given: Equations, terms: Sequence[Term]) -> float:
     """RMS of what a fit to all grouped sweeps leaves of them, over the noise floor; infinite where none repeats."""
     values = solve(given.system_with(terms).sum(axis=0), given.precision(terms))[0]
-    left = given.tracks.rows(nominal_right(given.tracks)) - np.stack(rows_of(given, terms), axis=-1) @ values
+    left = given.tracks.rows(given.target()) - np.stack(rows_of(given, terms), axis=-1) @ values
     grouped = sorted({piece.sweep for group in given.groups for piece in group.pieces})
     floor = noise_floor(given, left, grouped)
     return np.inf if not floor else _rms(left[grouped][given.tracks.usable[grouped]]) / floor

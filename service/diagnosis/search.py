@@ -79,24 +79,23 @@ class Beside:
         best = start
         for width in WIDTHS:
             for k, shape in enumerate(shapes):
-                at = _to_vector(shapes, best.terms[-1].shape)
-                grid = _to_vector([shape] * len(shape.grid), shape.grid)
+                at = to_vector(shapes, best.terms[-1].shape)
+                grid = to_vector([shape] * len(shape.grid), shape.grid)
                 reach = width * (float(np.ptp(grid)) / (len(grid) - 1) if len(grid) > 1 else REACH)
                 moved = at + np.linspace(-reach, reach, POINTS)[:, None] * np.eye(len(at))[k]
                 name = best.terms[-1].effect
-                found = self._at(name, [_from_vector(shapes, vector) for vector in moved], keep=False)
+                found = self._at(name, [from_vector(shapes, vector) for vector in moved], keep=False)
                 best = min([best, *found], key=lambda one: one.cost)
         return best
 
     def _stepped(self, start: Explanation, shapes: Sequence[ShapeParameter]) -> Explanation:
         """By Gauss and Newton, each step shortened until it gains."""
         best, name = start, start.terms[-1].effect
-        limits = _to_vector(shapes, [shape.high for shape in shapes])
         for _ in range(STEPS):
-            at = _to_vector(shapes, best.terms[-1].shape)
-            step = self._step(best.terms[-1], shapes, at, np.where(at + NUDGE < limits, NUDGE, -NUDGE))
+            at = to_vector(shapes, best.terms[-1].shape)
+            step = self._step(best.terms[-1], shapes, at)
             for _ in range(HALVINGS):
-                tried = self.explanation(Term(name, _from_vector(shapes, at + step)))
+                tried = self.explanation(Term(name, from_vector(shapes, at + step)))
                 if tried.cost < best.cost:
                     break
                 step = step / 3
@@ -107,15 +106,12 @@ class Beside:
                 return best
         return best
 
-    def _step(self, term: Term, shapes: Sequence[ShapeParameter], at: Array, nudges: Array) -> Array:
+    def _step(self, term: Term, shapes: Sequence[ShapeParameter], at: Array) -> Array:
         """Of the shape's vector `at`, from derivatives beside the columns themselves."""
         own, terms = self._given.gathered(term, keep=False), (*self._terms, term)
         values = self._values(self._with(own), terms)[-len(own[0]) :]
-        parts = [own]
-        for nudge in np.diag(nudges):
-            there = self._given.gathered(Term(term.effect, _from_vector(shapes, at + nudge)), keep=False)
-            parts.append(tuple(values[None] @ (b - a) / nudge.sum() for a, b in zip(own, there, strict=True)))
-        extended = tuple(np.concatenate(fold) for fold in zip(*parts, strict=True))
+        bent = derivatives(self._given, term, shapes, values)
+        extended = tuple(np.concatenate(fold) for fold in zip(own, bent, strict=True))
         return np.clip(self._values(self._with(extended), terms)[-len(at) :], -LONGEST, LONGEST)
 
     def _with(self, columns: Gathered) -> Array:
@@ -138,12 +134,23 @@ class Beside:
         return Explanation(terms, cost, cost + parameters * float(np.log(self._given.pairs.rows)), parameters)
 
 
-def _to_vector(shapes: Sequence[ShapeParameter], shape: Sequence[float]) -> Array:
+def derivatives(given: Equations, term: Term, shapes: Sequence[ShapeParameter], values: Array) -> Gathered:
+    """Of a term's columns with coefficients `values`, by each entry of its shape's vector."""
+    own, at = given.gathered(term, keep=False), to_vector(shapes, term.shape)
+    limits = to_vector(shapes, [shape.high for shape in shapes])
+    parts: list[Gathered] = []
+    for nudge in np.diag(np.where(at + NUDGE < limits, NUDGE, -NUDGE)):
+        there = given.gathered(Term(term.effect, from_vector(shapes, at + nudge)), keep=False)
+        parts.append(tuple(values[None] @ (b - a) / nudge.sum() for a, b in zip(own, there, strict=True)))
+    return tuple(np.concatenate(fold) for fold in zip(*parts, strict=True))
+
+
+def to_vector(shapes: Sequence[ShapeParameter], shape: Sequence[float]) -> Array:
     """Logarithms of what is positive, and parts of the range of what is not: steps of the order of one."""
     return np.array([np.log(x) if s.low > 0 else x / (s.high - s.low) for s, x in zip(shapes, shape, strict=True)])
 
 
-def _from_vector(shapes: Sequence[ShapeParameter], vector: Array) -> Shape:
+def from_vector(shapes: Sequence[ShapeParameter], vector: Array) -> Shape:
     return tuple(
         float(np.clip(np.exp(x) if s.low > 0 else x * (s.high - s.low), s.low, s.high))
         for s, x in zip(shapes, vector.tolist(), strict=True)

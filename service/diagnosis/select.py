@@ -23,6 +23,7 @@ from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.equations import Equations, Term, given_rest, remodelled, solve, with_base
 from service.diagnosis.gap import over_floor
 from service.diagnosis.grams import ORDER, Group, pairing
+from service.diagnosis.joint_steps import NEAR_FLOOR, bends, together
 from service.diagnosis.parameters import by_name, of_load
 from service.diagnosis.search import Beside, Explanation
 
@@ -38,7 +39,6 @@ CERTAIN = 6.0  # standard deviations of an excess that chance makes
 ROUNDS = 6  # of fitting inertias and shapes in turn
 UNCERTAIN = 2.0  # standard deviations by which a parameter of a load may be more than it seems
 OF_SPEED = frozenset({"coulomb_friction", "asymmetric_friction", "stribeck_friction", "nonlinear_viscous_friction"})
-NEAR_FLOOR = 1.3  # times the noise floor, below which no further effect is looked for
 MOST = 4  # effects at once
 RIVAL = 10.0  # of Schwarz's criterion
 LOCAL = 0.9  # of the gain in one pose: other poses cannot confirm it, repeats do
@@ -101,7 +101,7 @@ def with_groups(selection: Selection, groups: Sequence[Group]) -> Selection:
         pairs=pairing(given.tracks.usable, groups, ORDER, 1 + max(group.fold for group in groups)),
     )
     for _ in range(ROUNDS):
-        before, whole = whole, remodelled(whole, selection.chosen.terms, motor=False)
+        before, whole = whole, remodelled(whole, selection.chosen.terms)
         if whole is before:
             break
     costs = {
@@ -263,20 +263,28 @@ def _of_model(explanation: Explanation) -> bool:
 
 
 def _consistent(given: Equations, chosen: Explanation, fixed: int) -> tuple[Equations, Explanation]:
-    """Load and shapes fitted in turn until neither moves."""
-    for _ in range(ROUNDS):
+    """Load and shapes fitted in turn until neither moves; together where the load is behind a spring."""
+    if any(number >= fixed for number in bends(chosen.terms)):
+        given, chosen = together(given, chosen)
+        if len(chosen.terms) - fixed > 1:
+            given, chosen = together(given, _settled(given, chosen, fixed, anew=False))
+        return given, chosen
+    for count in range(ROUNDS):
         before, given = given, remodelled(given, chosen.terms)
         if given is before:
             break
-        chosen = _settled(given, chosen, fixed)
+        chosen = _settled(given, chosen, fixed, anew=count == 0)
     return given, chosen
 
 
-def _settled(given: Equations, start: Explanation, fixed: int) -> Explanation:
-    """All shapes refined in turn, as each changes what is best for the others."""
+def _settled(given: Equations, start: Explanation, fixed: int, *, anew: bool) -> Explanation:
+    """All shapes refined in turn, as each changes what is best for the others; the last one's found `anew`, for other
+    inertias may have moved it far away.
+    """
     beside, last = Beside(given, start.terms[:-1]), start.terms[-1]
-    # other inertias may have moved the best shape far away
-    result = min(beside.explanation(last), beside.best(last.effect), key=lambda one: one.cost)
+    result = beside.explanation(last)
+    if anew:
+        result = min(result, beside.best(last.effect), key=lambda one: one.cost)
     if len(start.terms) - fixed == 1:
         return beside.refined(result)
     for number in range(fixed, len(start.terms)):

@@ -90,16 +90,23 @@ class Tracks:
             return np.ones_like(self.position), np.zeros_like(self.position)
         return np.cos(self.away), np.sin(self.away)
 
+    @cached_property
+    def parts(self) -> Array:
+        """(3, n, t): what inertia, torque and slope of a load are multiplied by along the motion."""
+        return np.stack([self.acceleration, *self._turned])
+
     def along(self, load: Array) -> Array:
         """Torque (n, t) of a load (3, m), [inertia; torque; its slope] in each pose, along the motion."""
-        inertia, torque, slope = load[:, self.spot, None]
-        cosine, sine = self._turned
-        return inertia * self.acceleration + torque * cosine + slope * sine
+        return self.summed(load, self.parts)
+
+    def summed(self, load: Array, parts: Array) -> Array:
+        """The same where it is multiplied by other signals (3, n, t)."""
+        return np.einsum("kn,knt->nt", load[:, self.spot], parts)
 
     @cached_property
     def sizes(self) -> Array:
         """(3,): RMS of what inertia, torque and slope are multiplied by."""
-        return np.array([np.sqrt(np.mean(part[self.inside] ** 2)) for part in (self.acceleration, *self._turned)])
+        return np.array([np.sqrt(np.mean(part[self.inside] ** 2)) for part in self.parts])
 
     @cached_property
     def turning(self) -> float:
@@ -195,8 +202,20 @@ def in_frequency(signal: Array, rate: float, response: Complex | None = None) ->
     return _back(signal.shape[1], derivative_spectrum(signal, rate), flat if response is None else response)
 
 
+def through(signal: Array, rate: float, response: Complex) -> Array:
+    """Signals (n, t) behind a response (n or 1, bins) of `bins(t, rate)`, which have stood at their first value."""
+    away = _back(signal.shape[1], _spectrum(signal, rate), response)
+    return np.asarray(signal[:, :1] * response[:, :1].real + away)
+
+
 def derivative_spectrum(signal: Array, rate: float) -> Complex:
-    """Transform (n, bins) of the derivative of signals (n, t).
+    """Transform (n, bins) of the derivative of signals (n, t), see `_spectrum`."""
+    frequencies = 2j * np.pi * bins(signal.shape[1], rate)
+    return np.multiply(_spectrum(signal, rate), frequencies, dtype=np.complex128)
+
+
+def _spectrum(signal: Array, rate: float) -> Complex:
+    """Transform (n, bins) of signals (n, t) less their first values.
 
     Before its begin a signal is taken to have been as it begins, so that what starts from standstill has stood; behind
     its end it goes back there, so smoothly and so long that nothing of the end rings on into the begin.
@@ -211,8 +230,7 @@ def derivative_spectrum(signal: Array, rate: float) -> Complex:
     fading = np.multiply(slope, np.multiply(after, np.exp(-after)))
     returning = np.add(np.multiply(np.subtract(last, first), turning), fading)
     extended = np.concatenate([away, returning], axis=1)
-    transform = np.fft.rfft(extended, _padded(count))
-    return np.multiply(transform, 2j * np.pi * bins(count, rate), dtype=np.complex128)
+    return np.asarray(np.fft.rfft(extended, _padded(count)), dtype=np.complex128)
 
 
 def _back(count: int, spectrum: Complex, response: Complex) -> Array:

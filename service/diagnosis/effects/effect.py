@@ -78,8 +78,8 @@ class Effect:
     possible: Callable[[Mapping[str, float], Tracks, Model], bool] = lambda parameters, tracks, model: True
     rest: float = 0.1  # part of the repeatable excess that its columns may leave: real physics is richer
     by_load: bool = False  # no columns: it frees directions of the load
-    # the reflected motor inertia that goes with its first coefficient
-    motor: Callable[[Tracks, Model, float], float] | None = None
+    # what inertia, torque and slope of the load are multiplied by (3, n, t) behind this effect, to first order
+    parts: Callable[[Tracks, Model, Shape], Array] | None = None
     of_model: bool = False  # whether the columns depend on the fitted inertia and friction
     by_test_mass: bool = False  # only a known mass tells it from its likes
     contains: tuple[str, ...] = ()  # simpler effects that it can be
