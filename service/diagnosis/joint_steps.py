@@ -16,7 +16,7 @@ from service.diagnosis.search import LITTLE, LONGEST, Beside, Explanation, deriv
 
 STEPS = 15
 HALVINGS = 4
-ELSEWHERE = (0.5, 0.25, 2.0)
+ELSEWHERE = (0.5, 2.0, 0.25, 4.0)
 NEAR_FLOOR = 1.3  # times the noise floor
 
 
@@ -36,7 +36,8 @@ def together(given: Equations, start: Explanation) -> tuple[Equations, Explanati
         if over_floor(best[0], best[1].terms) < NEAR_FLOOR:
             break
         term = start.terms[(number := bends(start.terms)[0])]
-        other = replace(term, shape=(factor * term.shape[0], *term.shape[1:]))
+        plain = [entry.grid[0] for entry in CATALOGUE[term.effect].shape(given.tracks, given.model)]
+        other = replace(term, shape=(factor * term.shape[0], *plain[1:]))
         terms = (*start.terms[:number], other, *start.terms[number + 1 :])
         best = min(best, _from(given, Beside(given, terms).alone()), key=lambda found: found[1].cost)
     return best

@@ -205,7 +205,7 @@ def _step(
             return None
         # columns that are made of the load say what they are only with the load that goes with them
         there, settled = _consistent(given, step, len(before.terms)) if _of_model(step) else (given, step)
-        if _holds(given, before, step) and allowed_by_physics(there, settled):
+        if _holds(given, before, there, settled) and allowed_by_physics(there, settled):
             return there, settled
         wanted.remove(step)
     return None
@@ -251,11 +251,11 @@ def _gains(
     return gain >= least and after.criterion < before.criterion
 
 
-def _holds(given: Equations, before: Explanation, after: Explanation) -> bool:
-    """Whether it does so in poses that took no part as well."""
+def _holds(given: Equations, before: Explanation, there: Equations, after: Explanation) -> bool:
+    """Whether it does so in poses that took no part as well, on the load that goes with it."""
     if CATALOGUE[after.terms[-1].effect].by_load or local(given, before.terms, after.terms):
         return True  # what the prior alone speaks against, no pose can confirm
-    return float(held_out(given, after.terms).sum()) < float(held_out(given, before.terms).sum())
+    return float(held_out(there, after.terms).sum()) < float(held_out(given, before.terms).sum())
 
 
 def _of_model(explanation: Explanation) -> bool:
