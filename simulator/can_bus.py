@@ -4,16 +4,20 @@ import selectors
 import socket
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from threading import Event, Thread
 from typing import Any, cast
 
 import can
 import structlog
+from can.interfaces.socketcan import SocketcanBus
 
 from simulator.canopen.node import Frame
 
 _log = structlog.get_logger(__name__)
 _BUS_OFF = 0x40  # SocketCAN's error class in the identifier of an error frame
+_RECEIVE_BUFFER = 1 << 22  # bytes: a real drive misses no SYNC because its computer was busy for a second
+_FORCED = 33  # SO_RCVBUFFORCE of Linux: beyond what the kernel allows, for who may
 _POLL = 0.1  # s, after which the reader looks whether it shall end
 
 
@@ -26,6 +30,8 @@ class CanBus:
         self._selector = selector
         self._receive = receive
         self._bus = cast(Any, can.Bus)(interface=interface, channel=channel)
+        if isinstance(self._bus, SocketcanBus):
+            _widen(self._bus.socket)
         self._frames: deque[Frame] = deque()
         self._wake, self._woken = socket.socketpair()
         self._woken.setblocking(False)
@@ -87,3 +93,10 @@ class CanBus:
             frame = self._frames.popleft()
             if not self._off:
                 self._receive(frame)
+
+
+def _widen(receiving: socket.socket) -> None:
+    """A receive buffer as large as the kernel grants."""
+    receiving.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+    with suppress(OSError):  # needs CAP_NET_ADMIN
+        receiving.setsockopt(socket.SOL_SOCKET, _FORCED, _RECEIVE_BUFFER)

@@ -23,7 +23,7 @@ TORQUES = (
     "motor_inertia", "motor_friction.viscous", "motor_friction.backward_viscous", "motor_friction.coulomb",
     "motor_friction.backward_coulomb", "motor_friction.stribeck.extra", "motor_friction.power.coefficient",
     "warming.heat_capacity", "lugre.stiffness", "lugre.damping", "lugre.coulomb", "lugre.breakaway",
-    "spring.stiffness", "spring.damping", "hose.stiffness",
+    "spring.stiffness", "spring.damping", "spring.hardening", "hose.stiffness",
 )  # fmt: skip
 
 

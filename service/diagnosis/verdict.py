@@ -125,6 +125,10 @@ def tie_sets(selection: Selection, known: Sequence[str], candidates: Sequence[st
 def _as_good(selection: Selection, added: Sequence[Term], rival: Explanation) -> bool:
     """Whether an exchange explains as much as what was chosen, and is neither needless nor against physics."""
     given, chosen = selection.given, selection.chosen
+    replaced = [term for term in added if term not in rival.terms]
+    if all(CATALOGUE[term.effect].by_load for term in (*replaced, rival.terms[-1])):
+        # which directions of the load a name frees besides is no evidence: they cost nothing where they are not needed
+        return rival.cost < chosen.cost + RIVAL and allowed_by_physics(given, rival)
     by_load = any(CATALOGUE[term.effect].by_load for term in (*added, rival.terms[-1]))
     limit = RIVAL if by_load else max(RIVAL, TOLERANCE * selection.rigid.cost)
     one_way, partial = _one_way(given), is_partial(given.tracks.specs)

@@ -115,9 +115,12 @@ def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> 
     heavier = parameters["motor_inertia"] / axis.gear_ratio**2 - (axis.motor_inertia or 0.0)
     on_load = parameters["load_friction_share"] * model.viscous
     friction = {"viscous": -on_load, "backward_viscous": -on_load}
+    spring = {"stiffness": stiffness, "damping": stiffness * parameters["damping_time"]}
+    if parameters["hardening"]:
+        spring["hardening"] = parameters["hardening"] * stiffness**3 / axis.rated_effort**2
     return {
         "train": {
-            "spring": {"stiffness": stiffness, "damping": stiffness * parameters["damping_time"]},
+            "spring": spring,
             "motor_inertia": heavier if axis.motor_inertia else 0.0,
             "motor_friction": friction,
             "load_friction": {"viscous": on_load},
