@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeVar, cast
 import distributed
 from pydantic import JsonValue
 
-from service.diagnosis import axis_document, diagnose_axis
+from service.diagnosis import axis_document, diagnose_axis, started_from
 from service.diagnosis.calibration import Weighed
 from service.diagnosis.parameters import Parameter
 from service.errors import SweepidError
@@ -125,6 +125,8 @@ class DiagnosisJob:
     known: Mapping[str, Mapping[str, Parameter]]
     mass: KnownMass | None
     weighed: tuple[RecordedSweep, ...]
+    estimate: Mapping[str, JsonValue] | None = None  # document from which the rigid model starts; None: CAD
+    started_from: str = ""  # which estimate that is
 
     @property
     def priority(self) -> int:
@@ -132,6 +134,8 @@ class DiagnosisJob:
 
     def __call__(self) -> dict[str, JsonValue]:
         robot = build_robot(self.robot, self.urdf_text)
+        if self.estimate is not None:
+            robot = started_from(robot, self.estimate, self.started_from)
         sweeps = [sweep.read() for sweep in self.sweeps]
         weighed = None
         if self.mass is not None:

@@ -146,6 +146,7 @@ class DiagnosisRow(Base):
     campaigns: Mapped[list[int]]
     axes: Mapped[list[str]]
     weighed: Mapped[dict[str, JsonValue] | None]
+    estimate: Mapped[dict[str, JsonValue] | None]
     unattended: Mapped[bool]
     state: Mapped[DiagnosisState]
     cause: Mapped[str] = mapped_column(default="")
