@@ -17,6 +17,7 @@ from typing import Any, Protocol, TypeVar, cast
 import distributed
 from pydantic import JsonValue
 
+from service.data_check import check, findings_document
 from service.diagnosis import axis_document, diagnose_axis, started_from
 from service.diagnosis.calibration import Weighed
 from service.diagnosis.parameters import Parameter
@@ -141,6 +142,25 @@ class DiagnosisJob:
         if self.mass is not None:
             weighed = Weighed(self.mass, tuple(sweep.read() for sweep in self.weighed))
         return axis_document(diagnose_axis(robot, self.joint, sweeps, known=self.known, weighed=weighed))
+
+
+@dataclass(frozen=True, slots=True)
+class CheckJob:
+    """Check the data of sweeps, before any physics."""
+
+    key: str
+    robot: RobotDescription
+    urdf_text: str
+    sweeps: tuple[RecordedSweep, ...]
+
+    @property
+    def priority(self) -> int:
+        return 0
+
+    def __call__(self) -> dict[str, JsonValue]:
+        robot = build_robot(self.robot, self.urdf_text)
+        sweeps = [sweep.read() for sweep in self.sweeps]
+        return findings_document(robot, sweeps, check(robot, sweeps))
 
 
 def work(job: Work[_Answer]) -> _Answer:

@@ -9,7 +9,10 @@ from service.diagnosis import started_from
 from service.errors import BadInput
 from service.store.diagnoses import DiagnosisStore
 from service.store.diagnosis_documents import EstimateOf, NewDiagnosis
+from service.store.documents import CampaignState
 from service.store.store import Store
+
+_WHOLE = (CampaignState.COMPLETED, CampaignState.ABORTED)  # no revision will follow
 
 _log = structlog.get_logger(__name__)
 
@@ -22,7 +25,7 @@ class Start(Enum):
 
 
 def latest_estimate(store: Store, diagnoses: DiagnosisStore, new: NewDiagnosis) -> EstimateOf | None:
-    """The robot's latest estimate that is no part of the evidence; None: there is none.
+    """The robot's latest estimate of a campaign that is over and no part of the evidence; None: there is none.
 
     One that was made of the diagnosis' own sweeps would use the same data twice; one that was measured with a test mass
     is not of the bare robot. What was stored and does not fit the robot is passed over, and the log says so.
@@ -31,7 +34,10 @@ def latest_estimate(store: Store, diagnoses: DiagnosisStore, new: NewDiagnosis) 
     every = store.estimated(new.robot_id)
     weighed = diagnoses.masses([one.campaign_id for one in every])
     for one in every:
-        beside = campaign_beside(store, store.campaign(one.campaign_id))
+        campaign = store.campaign(one.campaign_id)
+        if campaign.state not in _WHOLE:
+            continue
+        beside = campaign_beside(store, campaign)
         used = {one.campaign_id, one.campaign_id if beside is None else beside.id}
         if used & {*new.campaigns, *weighed}:
             continue

@@ -184,6 +184,16 @@ class ModelRow(Base):
     document: Mapped[dict[str, JsonValue]]
 
 
+class DataCheckRow(Base):
+    """What the check of the data found. The unique campaign makes a result that comes twice count once."""
+
+    __tablename__ = "data_check"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"), unique=True)
+    document: Mapped[dict[str, JsonValue]]
+    at: Mapped[datetime] = mapped_column(default=now)
+
+
 class EventRow(Base):
     """The outbox. AUTOINCREMENT: an id is never given twice, even after the newest row went."""
 

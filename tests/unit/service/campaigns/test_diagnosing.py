@@ -304,7 +304,10 @@ async def test_the_rigid_model_starts_from_the_robots_latest_estimate_that_is_no
         request = bench.diagnosing.request
         before = await request([second], None, None, unattended=False)
         assert before.estimate is None  # there is none yet
-        identified(bench, robot, first)
+        identified(bench, robot, first, over=False)
+        before = await request([second], None, None, unattended=False)
+        assert before.estimate is None  # a better one may follow
+        bench.store.move_campaign(first, lambda _: CampaignState.COMPLETED)
         told = EstimateOf(campaign_id=first, revision=1)
         other, same, both, asked = [
             await request(campaigns, None, None, unattended=False, start=start)
@@ -324,8 +327,6 @@ async def test_the_rigid_model_starts_from_the_robots_latest_estimate_that_is_no
         axes = found.document["axes"]["joint_1"], by_cad.document["axes"]["joint_1"]
         assert [axis["started_from"] for axis in axes] == [f"campaign {first}, revision 1", "cad"]
         assert axes[0]["rigid_model"][0]["nominal"] != axes[1]["rigid_model"][0]["nominal"]
-    keys = [job.key for job in worker.jobs if isinstance(job, DiagnosisJob)]
-    assert len(set(keys)) == len(keys) - 1  # the first was asked for again, from CAD
 
 
 async def test_an_estimate_that_does_not_fit_the_robot_is_passed_over(tmp_path: Path, robot: Robot) -> None:
@@ -337,12 +338,16 @@ async def test_an_estimate_that_does_not_fit_the_robot_is_passed_over(tmp_path: 
         assert diagnosis.estimate == EstimateOf(campaign_id=first, revision=1)
 
 
-def identified(bench: Bench, robot: Robot, campaign: int, change: dict[str, Any] | None = None) -> None:
+def identified(
+    bench: Bench, robot: Robot, campaign: int, change: dict[str, Any] | None = None, *, over: bool = True
+) -> None:
     """The estimate of a campaign, as if it had come with its last sweep."""
     sweeps = campaign_bundle(bench.store, bench.files, campaign).sweeps
     document = estimate_document(robot, [sweep_spectrum(robot, sweep) for sweep in sweeps]) | (change or {})
     last = bench.store.sweeps(campaign)[-1]
     assert bench.store.add_estimate(last, sweep_move(SweepEvent.IDENTIFY), {}, document) is not None
+    if over:
+        bench.store.move_campaign(campaign, lambda _: CampaignState.COMPLETED)
 
 
 def test_the_sweeps_of_two_campaigns_share_a_clock_and_no_repeats(tmp_path: Path, robot: Robot) -> None:
