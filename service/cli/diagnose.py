@@ -1,6 +1,6 @@
 """`sweepid diagnose BUNDLE`: where model and measurement disagree, what is missing, and what to measure next."""
 
-import json
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,8 +11,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from service.cli.estimate_file import read_estimate, source_of_file
-from service.cli.identify import write_json
+from service.cli.documents import JsonTo, as_json, put_json, read_document, write_file
 from service.diagnosis import AxisDiagnosis, as_document, diagnose_axis, is_evidence, model_document, started_from
 from service.diagnosis.start import CAD
 from service.errors import BadInput
@@ -27,7 +26,7 @@ _SIZES = {"before": "before_rms", "after": "after_rms", "noise floor": "noise_fl
 def diagnose(
     bundle: Annotated[Path, typer.Argument(help="Directory of the bundle.", show_default=False)],
     axis: Annotated[str | None, typer.Option(help="Diagnose this joint only.")] = None,
-    json_to: Annotated[str | None, typer.Option("--json", help="Write JSON here; - is stdout.", metavar="FILE")] = None,
+    json_to: JsonTo = None,
     known: Annotated[
         list[str] | None, typer.Option(help="Effect that the axes are known to have; may be repeated.")
     ] = None,
@@ -46,19 +45,15 @@ def diagnose(
     measured = read_bundle(bundle)
     document = diagnose_bundle(measured, axis, str(bundle), known or (), estimate, twin=twin)
     if model is not None:
-        write_json(model, json.dumps(model_document(measured.robot, document), indent=2, allow_nan=False))
+        write_file(model, as_json(model_document(measured.robot, document)))
     if scenario is not None:
         write_scenario(scenario, measured.robot, document["model"]["scenario"])
     if report is not None:
-        write_json(
+        write_file(
             report, diagnosis_page(document, f"Diagnosis of the robot {document['model']['robot']}", str(bundle))
         )
-    text = json.dumps(document, indent=2, allow_nan=False)
-    if json_to == "-":
-        typer.echo(text)
+    if put_json(document, json_to):
         return
-    if json_to is not None:
-        write_json(Path(json_to), text)
     print_diagnosis(document, Console())
 
 
@@ -71,7 +66,7 @@ def write_scenario(path: Path, robot: Robot, scenario: dict[str, Any]) -> None:
         path.name: yaml.safe_dump(scenario | {"robot": f"{path.stem}-robot.yaml"}, sort_keys=False),
     }
     for name, text in files.items():
-        write_json(path.parent / name, text)
+        write_file(path.parent / name, text)
 
 
 def diagnose_bundle(
@@ -89,7 +84,9 @@ def diagnose_bundle(
     """
     robot = bundle.robot
     if estimate is not None:
-        robot = started_from(robot, read_estimate(estimate), source_of_file(estimate), str(estimate))
+        document = read_document(estimate)
+        source = f"{estimate.name}, sha256 {hashlib.sha256(estimate.read_bytes()).hexdigest()}"
+        robot = started_from(robot, document, source, str(estimate))
     if axis is not None:
         bundle.robot.index(axis)
     swept = {sweep.spec.axis for sweep in bundle.sweeps if is_evidence(sweep.spec)}

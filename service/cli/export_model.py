@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.estimate_file import read_estimate
+from service.cli.documents import read_document
 from service.cli.identify import identify_bundle
 from service.configuration import read_robot
 from service.errors import BadInput
@@ -31,7 +31,7 @@ def export_model(
         bundle = read_bundle(source)
         known, document = bundle.robot, identify_bundle(bundle, None, str(source))
     else:
-        known, document = _robot_of(robot), read_estimate(source)
+        known, document = _robot_of(robot), read_document(source)
     model = identified_model(known, document, str(source))
     write_model(folder, model)
     if model.deviation_in_std:

@@ -88,8 +88,8 @@ def test_the_rigid_model_starts_from_an_estimate_and_says_so(bundle: Path, tmp_p
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("{", "not JSON"),
-        ("[]", "is not the JSON object of an estimate"),
+        ("{", "cannot be read as JSON"),
+        ("[]", "is not a JSON object"),
         ("{}", "axes"),
     ],
 )
