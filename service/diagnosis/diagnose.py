@@ -244,7 +244,10 @@ def _tried(
     groups = grouped(motion)
     unseen = held_back(motion, groups)
     seen = [group for group in groups if group.fold != unseen]
-    naming = _sticking(equations(motion, seen), sweeps)
+    given = equations(motion, seen)
+    if not given.pairs.rows:
+        raise BadInput(joint, "its sweeps have no sample off standstill and the first way from there: record longer")
+    naming = _sticking(given, sweeps)
     possible = [name for name in CATALOGUE if applies(naming, name) and not (calibrated and name == GAIN)]
     told = [name for name in known if name in possible]
     applying = [name for name in possible if name not in told] if trusted else []
