@@ -111,9 +111,10 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         axes: Sequence[str] | None = None,
         model: int | None = None,
         unattended: bool = False,
+        start: str = "estimate",
     ) -> Json:
         """Returns at once; `diagnosed` waits for the end."""
-        wanted = {"campaigns": campaigns, "axes": axes, "model": model, "unattended": unattended}
+        wanted = {"campaigns": campaigns, "axes": axes, "model": model, "start": start, "unattended": unattended}
         return self._post("/diagnoses", wanted)
 
     def diagnoses(self) -> list[Json]:

@@ -88,6 +88,7 @@ def _document(robot: Robot, estimate: Estimate | None) -> dict[str, Any]:
         return {
             "axes": {},
             "base_parameters": [],
+            "base": {"locked": {}, "covariance": []},
             "symbols": {},
             "condition_number": None,
             "standard_parameters": nothing,

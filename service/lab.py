@@ -12,6 +12,7 @@ import structlog
 from drivers.errors import DriveError
 from drivers.registry import load_profile, open_drive
 from service.campaigns.acceptance import accept_model
+from service.campaigns.checking import Checking
 from service.campaigns.course import course_of, planned_sweeps
 from service.campaigns.diagnosing import Diagnosing
 from service.campaigns.experiments import Experiments
@@ -24,6 +25,7 @@ from service.campaigns.station import Station
 from service.configuration import read_robot
 from service.settings import Settings
 from service.store.bundle import read_bundle, write_bundle
+from service.store.checks import CheckStore
 from service.store.database import open_database
 from service.store.diagnoses import DiagnosisStore
 from service.store.diagnosis_documents import ModelDocument
@@ -57,6 +59,7 @@ class Lab:
     models: ModelStore
     diagnosing: Diagnosing
     experiments: Experiments
+    checks: CheckStore
 
     async def add_campaign(self, plan_id: int) -> CampaignDocument:
         """A campaign of a stored plan, in state `planned`. Nothing moves until `runner.start`."""
@@ -128,6 +131,13 @@ async def open_lab(settings: Settings) -> AsyncGenerator[Lab]:
         told = await asyncio.to_thread(store.last_event_id)
         await diagnosing.recover()
         await experiments.recover()
+        checks = CheckStore(database)
+        checking = Checking(store, checks, files, worker)
+        stack.push_async_callback(checking.close)
+        await checking.recover()
+        checker = asyncio.create_task(checking.follow(feed, told), name="check of the data")
+        checker.add_done_callback(tell_error)
+        stack.push_async_callback(_end, checker)
         follower = asyncio.create_task(experiments.follow(feed, told), name="loop of the diagnoses")
         follower.add_done_callback(tell_error)
         stack.push_async_callback(_end, follower)
@@ -139,7 +149,7 @@ async def open_lab(settings: Settings) -> AsyncGenerator[Lab]:
             _log.warning("machine_not_connected", reason=str(error))
         yield Lab(
             *(settings, store, files, keys, machine, runner, jobs, worker, hub, feed),
-            *(diagnoses, models, diagnosing, experiments),
+            *(diagnoses, models, diagnosing, experiments, checks),
         )
 
 

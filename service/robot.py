@@ -9,7 +9,7 @@ The ten inertial parameters of a link are taken at its frame's origin, in the or
 Atkeson, An and Hollerbach (1986): [m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz].
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -78,12 +78,27 @@ class RobotDescription(BaseModel):
     prior: Prior = Prior()
 
 
+@dataclass(frozen=True, eq=False)
+class Knowledge:
+    """What an estimate knows of a robot beside its prior: combinations (r, 11 n) of the inertial parameters, links
+    first, then reflected motor inertias, with their covariance (r, r). `source`: which estimate.
+    """
+
+    combination: Array
+    covariance: Array
+    source: str
+
+
 @dataclass(frozen=True)
 class Robot:
-    """A described robot with its chain. Immutable; `urdf_text` is kept so that a bundle gets back what it gave."""
+    """A described robot with its chain. Immutable; `urdf_text` is kept so that a bundle gets back what it gave.
+
+    `knowledge`: of an estimate, whose values the URDF then holds; None: the URDF is CAD's.
+    """
 
     description: RobotDescription
     urdf_text: str
+    knowledge: Knowledge | None = field(default=None, compare=False, repr=False)
 
     @cached_property
     def chain(self) -> Chain:

@@ -17,7 +17,8 @@ from typing import Any, Protocol, TypeVar, cast
 import distributed
 from pydantic import JsonValue
 
-from service.diagnosis import axis_document, diagnose_axis
+from service.data_check import check, findings_document
+from service.diagnosis import axis_document, diagnose_axis, started_from
 from service.diagnosis.calibration import Weighed
 from service.diagnosis.parameters import Parameter
 from service.errors import SweepidError
@@ -125,6 +126,32 @@ class DiagnosisJob:
     known: Mapping[str, Mapping[str, Parameter]]
     mass: KnownMass | None
     weighed: tuple[RecordedSweep, ...]
+    estimate: Mapping[str, JsonValue] | None = None  # document from which the rigid model starts; None: CAD
+    started_from: str = ""  # which estimate that is
+
+    @property
+    def priority(self) -> int:
+        return 0
+
+    def __call__(self) -> dict[str, JsonValue]:
+        robot = build_robot(self.robot, self.urdf_text)
+        if self.estimate is not None:
+            robot = started_from(robot, self.estimate, self.started_from)
+        sweeps = [sweep.read() for sweep in self.sweeps]
+        weighed = None
+        if self.mass is not None:
+            weighed = Weighed(self.mass, tuple(sweep.read() for sweep in self.weighed))
+        return axis_document(diagnose_axis(robot, self.joint, sweeps, known=self.known, weighed=weighed))
+
+
+@dataclass(frozen=True, slots=True)
+class CheckJob:
+    """Check the data of sweeps, before any physics."""
+
+    key: str
+    robot: RobotDescription
+    urdf_text: str
+    sweeps: tuple[RecordedSweep, ...]
 
     @property
     def priority(self) -> int:
@@ -133,10 +160,7 @@ class DiagnosisJob:
     def __call__(self) -> dict[str, JsonValue]:
         robot = build_robot(self.robot, self.urdf_text)
         sweeps = [sweep.read() for sweep in self.sweeps]
-        weighed = None
-        if self.mass is not None:
-            weighed = Weighed(self.mass, tuple(sweep.read() for sweep in self.weighed))
-        return axis_document(diagnose_axis(robot, self.joint, sweeps, known=self.known, weighed=weighed))
+        return findings_document(robot, sweeps, check(robot, sweeps))
 
 
 def work(job: Work[_Answer]) -> _Answer:

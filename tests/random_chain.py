@@ -2,6 +2,15 @@
 
 import numpy as np
 
+from service.robot import Axis, Robot, RobotDescription, build_robot
+
+
+def random_arm(seed: int, joints: int, **axis: float) -> Robot:
+    """A robot of turning joints with gears of 100; `axis`: what all of them have in common."""
+    axes = tuple(Axis(joint=f"joint_{k}", gear_ratio=100.0, **axis) for k in range(1, joints + 1))
+    text = random_urdf(np.random.default_rng(seed), joints, prismatic=0.0)
+    return build_robot(RobotDescription(name="r", urdf="r.urdf", axes=axes), text)
+
 
 def random_urdf(rng: np.random.Generator, joints: int, prismatic: float = 0.25) -> str:
     """A chain whose links are physical (positive definite inertia about their centre of mass)."""

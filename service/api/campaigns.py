@@ -6,6 +6,7 @@ Commands take `If-Match` with the campaign's ETag: 412 when the campaign has cha
 from collections.abc import Sequence
 from itertools import pairwise
 from statistics import median
+from typing import Literal
 
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
@@ -53,6 +54,37 @@ class Progress(BaseModel):
     current: SweepDocument | None
 
 
+class Finding(BaseModel):
+    """`severity` wrong: no physics of the `axis` (null: of the whole robot) can be trusted; warning: read it.
+
+    `value` and `limit` are of one unit, which the sentence names; null where there is no number.
+    """
+
+    code: str
+    severity: Literal["wrong", "warning"]
+    axis: str | None
+    sweeps: tuple[str, ...]
+    value: float | None
+    limit: float | None
+    sentence: str
+    action: str
+
+
+class CheckedAxis(BaseModel):
+    """An axis that was swept, and the codes of what was found about it."""
+
+    sweeps: int
+    trustworthy: bool
+    codes: tuple[str, ...]
+
+
+class DataCheck(BaseModel):
+    """Do recordings, set-points and robot file fit together?"""
+
+    findings: tuple[Finding, ...]
+    axes: dict[str, CheckedAxis]
+
+
 class CheckMoveView(BaseModel):
     """An axis goes `way` rad (m) and back: the right one, the right way? Only a person sees that from outside."""
 
@@ -62,10 +94,14 @@ class CheckMoveView(BaseModel):
 
 
 class CampaignView(CampaignDocument):
-    """A campaign with its progress, and the check move that it makes at this moment."""
+    """A campaign with its progress, the check move that it makes at this moment, and what the check of its data found.
+
+    `data_check` as `sweepid check --json` gives it; null until the campaign is over and was checked.
+    """
 
     progress: Progress
     check_move: CheckMoveView | None
+    data_check: DataCheck | None
 
 
 @router.post("", status_code=201)
@@ -119,10 +155,12 @@ async def abort_campaign(
 
 def view(lab: Lab, campaign: CampaignDocument) -> CampaignView:
     """The campaign with its progress; reads the store."""
+    checked = lab.checks.document(campaign.id)
     return CampaignView(
         **campaign.model_dump(),
         progress=progress(campaign.state, lab.store.sweeps(campaign.id)),
         check_move=_check_move(lab.runner.check_move) if lab.runner.running == campaign.id else None,
+        data_check=None if checked is None else DataCheck.model_validate(checked),
     )
 
 

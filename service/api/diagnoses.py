@@ -14,6 +14,7 @@ from service.api.campaigns import CampaignView, view
 from service.api.dependencies import After, Id, LabOf, Limit, Page, set_etag
 from service.api.idempotent import IdempotentRoute
 from service.campaigns.diagnosis_documents import CELL_NAME
+from service.campaigns.starting import Start
 from service.errors import Conflict
 from service.report.diagnosis import diagnosis_figures, diagnosis_page
 from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, DiagnosisEntry, ModelDocument
@@ -33,13 +34,16 @@ class _Body(BaseModel):
 class WantedDiagnosis(_Body):
     """All complete sweeps of `campaigns`, which are of one robot and over; `axes` null: all that moved.
 
-    `model`: number of an accepted model to start from, null: the nominal one. `unattended`: proposed experiments are
-    run without approval, which only a service whose settings call its machine virtual does.
+    `model`: number of an accepted model to start from, null: the nominal one. `start`: the rigid model is that of the
+    robot's latest estimate that was not made of these campaigns, or CAD's; `estimate` of the answer tells which.
+    `unattended`: proposed experiments are run without approval, which only a service whose settings call its machine
+    virtual does.
     """
 
     campaigns: tuple[Number, ...] = Field(min_length=1, max_length=100)
     axes: tuple[str, ...] | None = Field(default=None, min_length=1)
     model: Number | None = None
+    start: Start = Start.ESTIMATE
     unattended: bool = False
 
 
@@ -77,7 +81,9 @@ async def add_diagnosis(wanted: WantedDiagnosis, request: Request, response: Res
         raise Conflict(
             "unattended experiments are for virtual machines alone; the settings do not call this one virtual"
         )
-    diagnosis = await lab.diagnosing.request(wanted.campaigns, wanted.axes, wanted.model, wanted.unattended)
+    diagnosis = await lab.diagnosing.request(
+        wanted.campaigns, wanted.axes, wanted.model, wanted.unattended, wanted.start
+    )
     response.headers["Location"] = str(request.url_for("get_diagnosis", diagnosis_id=diagnosis.id))
     return diagnosis
 

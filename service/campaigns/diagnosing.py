@@ -14,6 +14,7 @@ from typing import Any, cast
 import structlog
 
 from service.campaigns.evidence import campaigns_of, recorded_sweeps, swept_axes
+from service.campaigns.starting import Start, latest_estimate
 from service.diagnosis import compose
 from service.diagnosis.parameters import Parameter
 from service.errors import BadInput, Conflict, NotFound
@@ -41,13 +42,21 @@ class Diagnosing:
         self._tasks: set[asyncio.Task[None]] = set()
 
     async def request(
-        self, campaigns: Sequence[int], axes: Sequence[str] | None, model: int | None, unattended: bool
+        self,
+        campaigns: Sequence[int],
+        axes: Sequence[str] | None,
+        model: int | None,
+        unattended: bool,
+        start: Start = Start.ESTIMATE,
     ) -> DiagnosisDocument:
         """A diagnosis of the axes (None: all) that moved in the campaigns, started from a model; returns at once.
 
         BadInput names the field; Conflict where campaigns or model do not belong together, or a campaign is not over.
         """
         new = await asyncio.to_thread(self._checked, campaigns, axes, model, unattended)
+        if start is Start.ESTIMATE:
+            estimate = await asyncio.to_thread(latest_estimate, self._store, self._diagnoses, new)
+            new = new.model_copy(update={"estimate": estimate})
         diagnosis = await asyncio.to_thread(self._diagnoses.add, new)
         self.submit(diagnosis)
         return diagnosis
@@ -150,11 +159,12 @@ class Diagnosing:
             campaign = campaigns_of(self._store, [weighing.campaign_id])
             weighed, told_too = recorded_sweeps(self._store, self._files, campaign, joint)
             mass = KnownMass(**weighing.mass.model_dump())
-        known = self._known(diagnosis.model, joint)
+        known, start = self._known(diagnosis.model, joint), diagnosis.estimate
         # the same files may be looked at for different ends: all that makes a difference takes part in the key
         content = [
             diagnosis.model_dump(mode="json", include={"robot_id", "campaigns"}),
             None if weighing is None else weighing.model_dump(mode="json"),
+            None if diagnosis.estimate is None else diagnosis.estimate.model_dump(mode="json"),
             [robot.description.model_dump(mode="json"), robot.urdf_text],
             {effect: {name: asdict(value) for name, value in own.items()} for effect, own in known.items()},
             [told, told_too],
@@ -169,6 +179,8 @@ class Diagnosing:
             known=known,
             mass=mass,
             weighed=weighed,
+            estimate=None if start is None else self._store.estimate(start.campaign_id, start.revision).document,
+            started_from="" if start is None else start.name,
         )
 
     def _known(self, model_id: int | None, joint: str) -> dict[str, dict[str, Parameter]]:

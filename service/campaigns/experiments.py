@@ -158,6 +158,7 @@ class Experiments:
             campaigns=campaigns,
             axes=parent.axes,
             model=parent.model,
+            estimate=parent.estimate,
             weighed=weighed,
             parent=parent.id,
             unattended=parent.unattended,

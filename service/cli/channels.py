@@ -1,6 +1,5 @@
 """`sweepid channels BUNDLE`: delay and smoothing of the channels, from calibration sweeps, for the drive profile."""
 
-import json
 import math
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-from service.cli.identify import write_json
+from service.cli.documents import JsonTo, put_json
 from service.errors import BadInput
 from service.identification.channel_timing import ChannelLags, Lag, channel_lags
 from service.store.bundle import Bundle, read_bundle
@@ -18,16 +17,12 @@ from service.store.bundle import Bundle, read_bundle
 def channels(
     bundle: Annotated[Path, typer.Argument(help="Directory of the bundle.", show_default=False)],
     axis: Annotated[str | None, typer.Option(help="Use the sweeps of this joint only.")] = None,
-    json_to: Annotated[str | None, typer.Option("--json", help="Write JSON here; - is stdout.", metavar="FILE")] = None,
+    json_to: JsonTo = None,
 ) -> None:
     """Measure how far effort and velocity lag behind position. Prints the lines for the drive profile."""
     found = measure_channels(read_bundle(bundle), axis, str(bundle))
-    text = json.dumps({"axes": {joint: as_document(lags) for joint, lags in found.items()}}, indent=2, allow_nan=False)
-    if json_to == "-":
-        typer.echo(text)
+    if put_json({"axes": {joint: as_document(lags) for joint, lags in found.items()}}, json_to):
         return
-    if json_to is not None:
-        write_json(Path(json_to), text)
     for joint, lags in found.items():
         typer.echo(profile_lines(joint, lags))
 

@@ -1,6 +1,5 @@
 """`sweepid check BUNDLE`: is the data fit for physics? What a person may read, and what a program may."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from service.cli.identify import write_json
+from service.cli.documents import JsonTo, put_json
 from service.data_check import Finding, findings_document
 from service.data_check import check as check_data
 from service.store.bundle import read_bundle
@@ -17,17 +16,13 @@ from service.store.bundle import read_bundle
 
 def check(
     bundle: Annotated[Path, typer.Argument(help="Directory of the bundle.", show_default=False)],
-    json_to: Annotated[str | None, typer.Option("--json", help="Write JSON here; - is stdout.", metavar="FILE")] = None,
+    json_to: JsonTo = None,
 ) -> None:
     """Tell what is wrong with recordings and robot file, before any physics."""
     measured = read_bundle(bundle)
     findings = check_data(measured.robot, measured.sweeps)
-    text = json.dumps(findings_document(measured.robot, measured.sweeps, findings), indent=2, allow_nan=False)
-    if json_to == "-":
-        typer.echo(text)
+    if put_json(findings_document(measured.robot, measured.sweeps, findings), json_to):
         return
-    if json_to is not None:
-        write_json(Path(json_to), text)
     print_findings(findings, len(measured.sweeps), Console())
 
 

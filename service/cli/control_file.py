@@ -1,6 +1,5 @@
 """What a Sinumerik measured of itself, on the terminal, as JSON and as tables."""
 
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ import typer
 from numpy.typing import NDArray
 from rich.console import Console
 
-from service.cli.identify import write_json
+from service.cli.documents import as_json, put_json
 from service.errors import BadInput
 from service.sinumerik import measurement, tuning
 from service.sinumerik.document import (
@@ -42,18 +41,14 @@ def import_control_file(path: Path, given: Given, out: Path | None, json_to: str
         document = measurement_document(found, given, str(path))
         tables = {"frequency_response": response_table(found), "recording": recording_table(found)}
     document["frequency_response"] = {name: values.tolist() for name, values in tables["frequency_response"].items()}
-    text = json.dumps(document, indent=2, allow_nan=False)
     if out is not None:
-        _write(out, text, tables)
+        _write(out, as_json(document), tables)
     unread: list[str] = document["unread"]
     if unread:
         more = f" and {len(unread) - SOME} more (all in the JSON)" if len(unread) > SOME else ""
         typer.echo(f"{path}: members not read: {', '.join(unread[:SOME])}{more}", err=True)
-    if json_to == "-":
-        typer.echo(text)
+    if put_json(document, json_to):
         return
-    if json_to is not None:
-        write_json(Path(json_to), text)
     _print(document, Console())
 
 

@@ -1,6 +1,6 @@
 """`sweepid diagnose BUNDLE`: where model and measurement disagree, what is missing, and what to measure next."""
 
-import json
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,8 +11,9 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from service.cli.identify import write_json
-from service.diagnosis import AxisDiagnosis, as_document, diagnose_axis, is_evidence, model_document
+from service.cli.documents import JsonTo, as_json, put_json, read_document, write_file
+from service.diagnosis import AxisDiagnosis, as_document, diagnose_axis, is_evidence, model_document, started_from
+from service.diagnosis.start import CAD
 from service.errors import BadInput
 from service.report import diagnosis_page
 from service.robot import Robot
@@ -25,9 +26,13 @@ _SIZES = {"before": "before_rms", "after": "after_rms", "noise floor": "noise_fl
 def diagnose(
     bundle: Annotated[Path, typer.Argument(help="Directory of the bundle.", show_default=False)],
     axis: Annotated[str | None, typer.Option(help="Diagnose this joint only.")] = None,
-    json_to: Annotated[str | None, typer.Option("--json", help="Write JSON here; - is stdout.", metavar="FILE")] = None,
+    json_to: JsonTo = None,
     known: Annotated[
         list[str] | None, typer.Option(help="Effect that the axes are known to have; may be repeated.")
+    ] = None,
+    estimate: Annotated[
+        Path | None,
+        typer.Option(help="Start from this estimate, JSON file of `sweepid identify`, not from CAD.", metavar="FILE"),
     ] = None,
     twin: Annotated[bool, typer.Option(help="Run the simulator with the model found, and tell what it leaves.")] = True,
     model: Annotated[Path | None, typer.Option(help="Write the model with named effects here.", metavar="FILE")] = None,
@@ -38,21 +43,17 @@ def diagnose(
 ) -> None:
     """Find where simulation and measurement disagree, and name the missing effect."""
     measured = read_bundle(bundle)
-    document = diagnose_bundle(measured, axis, str(bundle), known or (), twin=twin)
+    document = diagnose_bundle(measured, axis, str(bundle), known or (), estimate, twin=twin)
     if model is not None:
-        write_json(model, json.dumps(model_document(measured.robot, document), indent=2, allow_nan=False))
+        write_file(model, as_json(model_document(measured.robot, document)))
     if scenario is not None:
         write_scenario(scenario, measured.robot, document["model"]["scenario"])
     if report is not None:
-        write_json(
+        write_file(
             report, diagnosis_page(document, f"Diagnosis of the robot {document['model']['robot']}", str(bundle))
         )
-    text = json.dumps(document, indent=2, allow_nan=False)
-    if json_to == "-":
-        typer.echo(text)
+    if put_json(document, json_to):
         return
-    if json_to is not None:
-        write_json(Path(json_to), text)
     print_diagnosis(document, Console())
 
 
@@ -65,13 +66,27 @@ def write_scenario(path: Path, robot: Robot, scenario: dict[str, Any]) -> None:
         path.name: yaml.safe_dump(scenario | {"robot": f"{path.stem}-robot.yaml"}, sort_keys=False),
     }
     for name, text in files.items():
-        write_json(path.parent / name, text)
+        write_file(path.parent / name, text)
 
 
 def diagnose_bundle(
-    bundle: Bundle, axis: str | None, place: str, known: Sequence[str] = (), *, twin: bool = True
+    bundle: Bundle,
+    axis: str | None,
+    place: str,
+    known: Sequence[str] = (),
+    estimate: Path | None = None,
+    *,
+    twin: bool = True,
 ) -> dict[str, Any]:
-    """The document of all axes that were swept, or of one; BadInput if that leaves none."""
+    """The document of all axes that were swept, or of one; BadInput if that leaves none.
+
+    `estimate`: file of an estimate from which the rigid model starts; BadInput if it is of another robot.
+    """
+    robot = bundle.robot
+    if estimate is not None:
+        document = read_document(estimate)
+        source = f"{estimate.name}, sha256 {hashlib.sha256(estimate.read_bytes()).hexdigest()}"
+        robot = started_from(robot, document, source, str(estimate))
     if axis is not None:
         bundle.robot.index(axis)
     swept = {sweep.spec.axis for sweep in bundle.sweeps if is_evidence(sweep.spec)}
@@ -80,7 +95,7 @@ def diagnose_bundle(
         raise BadInput(place, "has no sweep that moves" + ("" if axis is None else f" joint {axis}"))
     console = Console(stderr=True)
     found: list[AxisDiagnosis] = [
-        diagnose_axis(bundle.robot, joint, bundle.sweeps, known={name: {} for name in known}, twin=twin)
+        diagnose_axis(robot, joint, bundle.sweeps, known={name: {} for name in known}, twin=twin)
         for joint in track(joints, "Axes", console=console, transient=True, disable=not console.is_terminal)
     ]
     return as_document(bundle.robot, found)
@@ -107,13 +122,15 @@ def print_diagnosis(document: dict[str, Any], console: Console) -> None:
     console.print(table)
     for joint, axis in document["axes"].items():
         console.print(axis["summary"])
+        if axis["started_from"] != CAD:
+            console.print(f"  The rigid model started from {axis['started_from']}.", highlight=False, soft_wrap=True)
         for sentence in axis["sentences"]:
             console.print(f"  {sentence}")
         for effect in axis["effects"]:
             _print_effect(effect, "If it is that: " if effect["effect"] in axis["candidates"] else "", console)
         for effect in axis["part"]:
             _print_effect(effect, "Part of it, beside what nobody knows: ", console)
-        console.print(_rigid_table(joint, axis["rigid_model"]))
+        console.print(_rigid_table(joint, axis["rigid_model"], "CAD" if axis["started_from"] == CAD else "estimate"))
         if axis["next_experiment"]:
             console.print(f"{joint}: next, {axis['next_experiment']['kind']}. {axis['next_experiment']['reason']}")
 
@@ -124,10 +141,10 @@ def _print_effect(effect: dict[str, Any], before: str, console: Console) -> None
         console.print(f"    {name} = {value['value']:.4g} ± {value['std']:.2g} {value['unit']}".rstrip())
 
 
-def _rigid_table(joint: str, parameters: Sequence[dict[str, Any]]) -> Table:
-    """What CAD and data sheet say of the rigid model, and what these sweeps say."""
+def _rigid_table(joint: str, parameters: Sequence[dict[str, Any]], before: str) -> Table:
+    """What CAD and data sheet, or an estimate, say of the rigid model, and what these sweeps say."""
     table = Table(title=f"{joint}: rigid model, base parameters")
-    for name in ("parameter", "CAD", "found", "± std"):
+    for name in ("parameter", before, "found", "± std"):
         table.add_column(name, justify="left" if name == "parameter" else "right")
     for one in parameters:
         nominal = "-" if one["nominal"] is None else f"{one['nominal']:.4g}"

@@ -1,13 +1,13 @@
 """`sweepid export-model SOURCE DIR`: the identified robot as URDF, MJCF and YAML."""
 
-import json
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated
 
 import typer
 
+from service.cli.documents import read_document
 from service.cli.identify import identify_bundle
-from service.configuration import read_robot, read_text
+from service.configuration import read_robot
 from service.errors import BadInput
 from service.export import identified_model, write_model
 from service.robot import Robot
@@ -31,7 +31,7 @@ def export_model(
         bundle = read_bundle(source)
         known, document = bundle.robot, identify_bundle(bundle, None, str(source))
     else:
-        known, document = _robot_of(robot), _read_estimate(source)
+        known, document = _robot_of(robot), read_document(source)
     model = identified_model(known, document, str(source))
     write_model(folder, model)
     if model.deviation_in_std:
@@ -47,13 +47,3 @@ def _robot_of(side_file: Path | None) -> Robot:
     if side_file is None:
         raise BadInput("--robot", "is needed with an estimate, which does not hold the robot's geometry")
     return read_robot(side_file)
-
-
-def _read_estimate(path: Path) -> dict[str, Any]:
-    try:
-        document: object = json.loads(read_text(path))
-    except ValueError as error:
-        raise BadInput(str(path), f"not JSON: {error}") from None
-    if not isinstance(document, dict):
-        raise BadInput(str(path), "is not the JSON object of an estimate")
-    return cast("dict[str, Any]", document)

@@ -1,9 +1,8 @@
 """`sweepid identify BUNDLE`: the paper's Table 1, the base parameters and their quality from recorded sweeps."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -11,6 +10,7 @@ from rich.progress import track
 from rich.table import Table
 
 from service.cli.combination import print_combination
+from service.cli.documents import JsonTo, put_json, read_document, write_file
 from service.cli.gains_file import read_gains
 from service.errors import BadInput
 from service.estimation import SweepSpectrum, estimate_document, sweep_spectrum
@@ -36,7 +36,7 @@ _ROWS = (
 def identify(
     bundle: Annotated[Path, typer.Argument(help="Directory of the bundle.", show_default=False)],
     axis: Annotated[str | None, typer.Option(help="Use the sweeps of this joint only.")] = None,
-    json_to: Annotated[str | None, typer.Option("--json", help="Write JSON here; - is stdout.", metavar="FILE")] = None,
+    json_to: JsonTo = None,
     gains: Annotated[Path | None, typer.Option("--torque-gain", help="JSON file of `sweepid torque-gain`.")] = None,
     model: Annotated[
         Path | None, typer.Option(help="Known effects: JSON file of `sweepid diagnose --model`.", metavar="FILE")
@@ -57,13 +57,9 @@ def identify(
     if report is not None:
         if not document["analysis"]:
             raise BadInput(str(bundle), "has no noise runs and no stepped sines to report on")
-        write_json(report, render_analysis(measured.robot, document["analysis"]))
-    text = json.dumps(document, indent=2, allow_nan=False)
-    if json_to == "-":
-        typer.echo(text)
+        write_file(report, render_analysis(measured.robot, document["analysis"]))
+    if put_json(document, json_to):
         return
-    if json_to is not None:
-        write_json(Path(json_to), text)
     print_estimate(document, Console())
 
 
@@ -95,14 +91,9 @@ def identify_bundle(
 
 def read_effects(path: Path, robot: Robot) -> KnownEffects:
     """What `sweepid diagnose --model` wrote; BadInput names the file."""
+    document = read_document(path)
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise BadInput(str(path), f"cannot be read as JSON: {error}") from None
-    if not isinstance(document, dict):
-        raise BadInput(str(path), "is not a JSON object")
-    try:
-        return known_effects(cast("dict[str, Any]", document), robot.joints, {"file": path.name})
+        return known_effects(document, robot.joints, {"file": path.name})
     except BadInput as error:
         raise BadInput(f"{path}: {error.place}", error.reason) from None
 
@@ -203,14 +194,6 @@ def _print_free_records(axes: dict[str, Any], console: Console) -> None:
         for name, term in terms.items():
             table.add_row(joint, sweep["sweep"], name, f"{term['value']:.5g}", _number(term["std"]))
     console.print(table)
-
-
-def write_json(path: Path, text: str) -> None:
-    """Write a result where a person asked for it; BadInput if that cannot be."""
-    try:
-        path.write_text(text + "\n", encoding="utf-8")
-    except OSError as error:
-        raise BadInput(str(path), f"cannot be written: {error.strerror or error}") from None
 
 
 def _percent(value: float | None) -> str:

@@ -1,6 +1,5 @@
 """`sweepid payload BEFORE AFTER`: mass, centre and inertia of what was mounted on the last link in between."""
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,8 +7,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from service.cli.documents import JsonTo, put_json
 from service.cli.gains_file import read_gains
-from service.cli.identify import write_json
 from service.errors import BadInput
 from service.identification.payload import payload
 from service.identification.payload_document import payload_document
@@ -20,16 +19,12 @@ def payload_command(
     before: Annotated[Path, typer.Argument(help="Bundle measured without the payload.", show_default=False)],
     after: Annotated[Path, typer.Argument(help="Bundle of the same motions with it.", show_default=False)],
     gains: Annotated[Path | None, typer.Option("--torque-gain", help="JSON file of `sweepid torque-gain`.")] = None,
-    json_to: Annotated[str | None, typer.Option("--json", help="Write JSON here; - is stdout.", metavar="FILE")] = None,
+    json_to: JsonTo = None,
 ) -> None:
     """Identify a payload on the last link from the same motions with and without it."""
     document = payload_of(read_bundle(before), read_bundle(after), str(after), gains)
-    text = json.dumps(document, indent=2, allow_nan=False)
-    if json_to == "-":
-        typer.echo(text)
+    if put_json(document, json_to):
         return
-    if json_to is not None:
-        write_json(Path(json_to), text)
     _print(document, Console())
 
 

@@ -1,6 +1,5 @@
 """`sweepid torque-gain BEFORE AFTER`: the torque constants from a known mass, for `sweepid identify --torque-gain`."""
 
-import json
 import math
 from pathlib import Path
 from typing import Annotated, cast
@@ -9,7 +8,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from service.cli.identify import write_json
+from service.cli.documents import JsonTo, put_json
 from service.errors import BadInput
 from service.identification import spectrum
 from service.identification.nominal_priors import TorqueGain
@@ -30,7 +29,7 @@ def torque_gain(
         str, typer.Option(help="x,y,z of its centre of mass in the last joint's frame, m", show_default=False)
     ],
     inertia: Annotated[str, typer.Option(help="Ixx,Ixy,Iyy,Ixz,Iyz,Izz about that centre, kg m^2")] = "0,0,0,0,0,0",
-    json_to: Annotated[str | None, typer.Option("--json", help="Write JSON here; - is stdout.", metavar="FILE")] = None,
+    json_to: JsonTo = None,
 ) -> None:
     """Calibrate the torque constant of every axis with a known mass on the last link."""
     place, shape = _numbers("--center", center, 3), _numbers("--inertia", inertia, 6)
@@ -46,12 +45,8 @@ def torque_gain(
         }
         for joint, one in found.items()
     }
-    text = json.dumps({"axes": axes}, indent=2, allow_nan=False)
-    if json_to == "-":
-        typer.echo(text)
+    if put_json({"axes": axes}, json_to):
         return
-    if json_to is not None:
-        write_json(Path(json_to), text)
     _print(found)
 
 

@@ -13,11 +13,11 @@ LIKELY = 1e-6  # chance of a run of equal values in one record, by which a hold 
 def frozen(axis: AxisRecords) -> list[Finding]:
     """Channels with one value, or with a run of equal values that their own steps do not explain."""
     findings: list[Finding] = []
-    for name in ("effort", "velocity", "position"):
+    moving = axis.channels(chosen=lambda record: record.spec.moves and (record.travels or record.alone))
+    for name, samples in moving:
         dead: list[str] = []
         held: list[tuple[str, float]] = []
-        for record in axis.those(lambda record: record.spec.moves and (record.travels or record.alone)):
-            values: Array = getattr(record, name)
+        for record, values in samples:
             if np.ptp(values) == 0:
                 if record.travels or name == "effort":
                     dead.append(record.id)

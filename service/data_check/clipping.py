@@ -20,10 +20,9 @@ OVER = 4.0  # times what lies on the neighbouring step, or within as much of the
 def clipping(axis: AxisRecords) -> list[Finding]:
     """One finding a channel, with the share of samples that lie on the limit."""
     findings: list[Finding] = []
-    for name in ("effort", "velocity"):
+    for name, samples in axis.channels(("effort", "velocity"), lambda record: record.spec.moves):
         found: list[tuple[str, float, float]] = []
-        for record in axis.those(lambda record: record.spec.moves):
-            values: Array = getattr(record, name)
+        for record, values in samples:
             for sign in (1.0, -1.0):
                 share = _on_limit(sign * values, record.steps[name])
                 if share > 0:

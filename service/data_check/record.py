@@ -1,8 +1,9 @@
 """The records of one axis as the checks look at them: the measured window of each sweep."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from service.identification.trajectory_record import runs_at_once
 from service.recording import Array, Sweep, SweepSpec
 from service.robot import Axis, Robot
 
+Channel = Literal["effort", "velocity", "position"]
+
+CHANNELS: tuple[Channel, ...] = ("effort", "velocity", "position")
 SHORTEST = 32  # samples of a window: with fewer there is nothing to judge
 
 
@@ -63,7 +67,7 @@ class Record:
     @cached_property
     def steps(self) -> dict[str, float]:
         """`resolution` of effort, velocity and position."""
-        return {name: resolution(getattr(self, name)) for name in ("effort", "velocity", "position")}
+        return {name: resolution(getattr(self, name)) for name in CHANNELS}
 
     @property
     def load_position(self) -> Array | None:
@@ -123,6 +127,13 @@ class AxisRecords:
 
     def those(self, chosen: Callable[[Record], bool]) -> tuple[Record, ...]:
         return tuple(record for record in self.records if chosen(record))
+
+    def channels(
+        self, names: Sequence[Channel] = CHANNELS, chosen: Callable[[Record], bool] = lambda _: True
+    ) -> Iterator[tuple[Channel, list[tuple[Record, Array]]]]:
+        """Channel by channel, its samples in the records that are chosen."""
+        for name in names:
+            yield name, [(record, getattr(record, name)) for record in self.those(chosen)]
 
     def load_inertia(self, pose: Sequence[float], index: int | None = None) -> float:
         """What CAD says of the links behind an axis in a pose, kg m^2 (kg); `index`: another axis than this."""

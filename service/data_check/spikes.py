@@ -29,10 +29,9 @@ BESIDE = 3.0  # times the largest deviation near by (20 samples) that is no part
 def spikes(axis: AxisRecords) -> list[Finding]:
     """One finding a channel: how many, and the largest."""
     findings: list[Finding] = []
-    for name in ("effort", "velocity", "position"):
+    for name, samples in axis.channels():
         found: list[tuple[str, int, float]] = []
-        for record in axis.records:
-            values: Array = getattr(record, name)
+        for record, values in samples:
             floor = _floor(axis, record, name, values)
             off = _off(values)
             single = _single(values, off, max(FAR * _noise(values, off), 3 * record.steps[name], floor))

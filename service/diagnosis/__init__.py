@@ -8,6 +8,7 @@ from service.diagnosis.diagnose import AxisDiagnosis, diagnose_axis
 from service.diagnosis.document import as_document, axis_document, compose
 from service.diagnosis.revision import model_document
 from service.diagnosis.signals import is_evidence
+from service.diagnosis.start import started_from
 
 __all__ = [
     "AxisDiagnosis",
@@ -17,4 +18,5 @@ __all__ = [
     "diagnose_axis",
     "is_evidence",
     "model_document",
+    "started_from",
 ]

@@ -30,6 +30,7 @@ from service.diagnosis.search import Beside
 from service.diagnosis.select import Selection, allowed_by_physics, select, settled, with_groups
 from service.diagnosis.show import Fit, Fitted, Shown, show
 from service.diagnosis.signals import SHORTEST, sticking_within, tracks
+from service.diagnosis.start import source_of
 from service.diagnosis.verdict import Verdict, at_floor, judge, of_one_record, share, tie_sets, without
 from service.diagnosis.visibility import untestable
 from service.errors import BadInput
@@ -95,6 +96,7 @@ class AxisDiagnosis:
     poses: tuple[tuple[float, ...], ...]
     fit: Fit
     rigid_model: tuple[RigidParameter, ...]
+    started_from: str  # what the rigid model was before: "cad", or which estimate
     weighed: bool  # a test mass put the torques right
     unexplained: float  # part of the repeatable excess
     next_experiment: NextExperiment | None
@@ -117,6 +119,8 @@ def diagnose_axis(
     twin: bool = True,
 ) -> AxisDiagnosis:
     """Diagnose `joint` from its sweeps; BadInput if none of them moves or an effect of `known` is not in the catalogue.
+
+    `robot`: with CAD's rigid model, or with that of an estimate (`start.started_from`).
 
     `known`: effects that the model has, with what it says of their parameters as far as it does. One that this axis
     cannot have, as gravity on an upright axis, is left out.
@@ -179,6 +183,7 @@ def diagnose_axis(
         poses=tuple(tuple(pose) for pose in motion.poses.tolist()),
         fit=shown.fit,
         rigid_model=rigid_model(selection.given, shown.fit),
+        started_from=source_of(robot),
         weighed=wrong is not None,
         unexplained=selection.unexplained,
         next_experiment=wanted,
@@ -239,7 +244,10 @@ def _tried(
     groups = grouped(motion)
     unseen = held_back(motion, groups)
     seen = [group for group in groups if group.fold != unseen]
-    naming = _sticking(equations(motion, seen), sweeps)
+    given = equations(motion, seen)
+    if not given.pairs.rows:
+        raise BadInput(joint, "its sweeps have no sample off standstill and the first way from there: record longer")
+    naming = _sticking(given, sweeps)
     possible = [name for name in CATALOGUE if applies(naming, name) and not (calibrated and name == GAIN)]
     told = [name for name in known if name in possible]
     applying = [name for name in possible if name not in told] if trusted else []

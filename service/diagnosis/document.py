@@ -79,6 +79,7 @@ def axis_document(one: AxisDiagnosis) -> dict[str, Any]:
             "viscous_friction": {"value": one.fit.viscous, "std": one.fit.viscous_std},
             "torques": "true" if one.weighed else "recorded",
         },
+        "started_from": one.started_from,
         "rigid_model": [asdict(parameter) for parameter in one.rigid_model],
         "unexplained": one.unexplained,
         "next_experiment": None if one.next_experiment is None else _experiment(one.next_experiment),

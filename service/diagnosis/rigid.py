@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.regressor import axis_rows, gravity_rows
-from service.robot import Robot
+from service.robot import Knowledge, Robot
 
 Array = NDArray[np.float64]
 
@@ -115,8 +115,8 @@ def nominal_parameters(robot: Robot) -> Array:
 
 
 def parameter_spread(robot: Robot, index: int, poses: Array) -> Array:
-    """(11 n, 11 n) diagonal: one sigma of each parameter. Masses and first moments by the prior of gravity, inertias
-    and motors by their own.
+    """(11 n, 11 n): a root of the parameters' covariance. CAD's is diagonal, masses and first moments by the prior of
+    gravity, inertias and motors by their own; what an estimate knows makes it smaller.
     """
     prior, inertial = robot.prior, robot.chain.inertial
     mass = np.abs(inertial[:, :1])
@@ -130,7 +130,22 @@ def parameter_spread(robot: Robot, index: int, poses: Array) -> Array:
         UNKNOWN_MOTOR * typical if u is None else prior.motor_inertia * u
         for u in (axis.reflected_motor_inertia for axis in robot.axes)
     ]
-    return np.diag(np.concatenate([sigma.ravel(), motors]))
+    return _informed(np.concatenate([sigma.ravel(), motors]), robot.knowledge)
+
+
+def _informed(sigma: Array, knowledge: Knowledge | None) -> Array:
+    """The root of the covariance that is left of independent sigmas (p,) when combinations are known."""
+    if knowledge is None:
+        return np.diag(sigma)
+    rows = knowledge.combination * sigma
+    size = np.linalg.norm(rows, axis=1)
+    told = size > 0
+    rows = rows[told] / size[told, None]
+    noise = knowledge.covariance[np.ix_(told, told)] / np.outer(size[told], size[told])
+    inverse = np.asarray(np.linalg.pinv(rows @ rows.T + noise, hermitian=True), dtype=np.float64)
+    left = np.eye(len(sigma)) - rows.T @ inverse @ rows
+    values, vectors = np.linalg.eigh((left + left.T) / 2)
+    return sigma[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def _moments(robot: Robot) -> Array:

@@ -10,7 +10,7 @@ enough to see a wrong gear ratio in it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,7 +115,7 @@ def with_ripples(robot: Robot, joint: str, found: Sequence[Ripple]) -> tuple[Rob
 
 def _changed(robot: Robot, joint: str, axis: Axis) -> Robot:
     axes = tuple(axis if one.joint == joint else one for one in robot.axes)
-    return Robot(robot.description.model_copy(update={"axes": axes}), robot.urdf_text)
+    return replace(robot, description=robot.description.model_copy(update={"axes": axes}))
 
 
 def _orders(given: Equations, turning: Sequence[tuple[int, int]], ratio: float, travel: float) -> Array:

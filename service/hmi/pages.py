@@ -15,6 +15,7 @@ _SCRIPTS = (
     "elements",
     "experiment",
     "figures",
+    "findings",
     "intent",
     "machine",
     "motion",

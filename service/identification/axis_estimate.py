@@ -223,7 +223,7 @@ def _paper_value(response: tuple[tuple[float, complex, float], ...], fit: JointF
     That is the geometric mean of the locked-rotor frequency and the corner mu/(2 pi J) below which friction rules.
     """
     friction = max(fit.train.motor_friction + fit.train.load_friction, 0.0)
-    corner = friction / (2 * np.pi * float(fit.inertia[row]))
+    corner = friction / (2 * np.pi * abs(float(fit.inertia[row])))  # effort of the wrong sign makes J negative
     resonance = fit.train.locked_rotor_frequency(float(fit.load_inertia[row]))
     ideal = np.sqrt(corner * resonance)
     frequency, z, _ = min(response, key=lambda line: abs(line[0] - ideal))

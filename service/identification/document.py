@@ -43,6 +43,10 @@ def as_document(estimate: Estimate, workspace: Array) -> dict[str, Any]:
                 strict=True,
             )
         ],
+        "base": {
+            "locked": _locked(estimate),
+            "covariance": estimate.solution.covariance.tolist(),
+        },
         "symbols": {
             symbol.symbol: {"value": symbol.value, "unit": symbol.unit, "meaning": symbol.meaning} for symbol in symbols
         },
@@ -54,6 +58,13 @@ def as_document(estimate: Estimate, workspace: Array) -> dict[str, Any]:
         ],
         **effects_document(estimate.known, estimate.axes),
     }
+
+
+def _locked(estimate: Estimate) -> dict[str, float]:
+    """Positions, rad (m), of the joints that never moved: the base parameters are those of the chain without them."""
+    position = estimate.poses.mean(axis=0)
+    joints = estimate.robot.joints
+    return {joint: float(position[k]) for k, joint in enumerate(joints) if k not in estimate.unlocked}
 
 
 def _axis(estimate: Estimate, axis: AxisEstimate, workspace: Array) -> dict[str, Any]:

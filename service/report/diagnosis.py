@@ -67,9 +67,15 @@ def diagnosis_section(page: Page, document: Document) -> None:
 def _axis(page: Page, joint: str, axis: Document) -> None:
     figures = figures_of(axis)
     page.add(f'<div class="card {escape(axis["verdict"])}"><p class="verdict">{escape(axis["summary"])}</p></div>')
+    told = {finding["sentence"] for finding in axis.get("data", ())}
+    if told:
+        _data(page, axis["data"])
     _gap(page, axis)
     if "map" in figures:
-        page.add("<h3>Where the gap is</h3>", *(f"<p>{escape(sentence)}</p>" for sentence in axis["sentences"]))
+        page.add(
+            "<h3>Where the gap is</h3>",
+            *(f"<p>{escape(sentence)}</p>" for sentence in axis["sentences"] if sentence not in told),
+        )
         page.figure(figures["map"])
     if axis["known"]:
         _known(page, axis)
@@ -79,7 +85,7 @@ def _axis(page: Page, joint: str, axis: Document) -> None:
         page.add("<h3>Known in part</h3>", "<p>Beside a rest that no effect of the catalogue explains.</p>")
         page.table(["effect", "parameter", "value", "± std", "unit"], _parameter_rows(axis["part"]))
     if axis.get("rigid_model"):
-        _rigid_model(page, axis["rigid_model"])
+        _rigid_model(page, axis["rigid_model"], axis.get("started_from", "cad"))
     sweep, block = axis["example"]["sweep"], axis["example"]["block"]
     page.add(
         "<h3>Example</h3>",
@@ -167,18 +173,33 @@ def _parameter_rows(effects: Sequence[Document]) -> list[list[str]]:
     ]
 
 
-def _rigid_model(page: Page, parameters: Sequence[Document]) -> None:
-    """What CAD and data sheet say of the rigid model, and what these sweeps say."""
+def _data(page: Page, findings: Sequence[Document]) -> None:
+    """Where one is wrong, no physics was named."""
+    ordered = sorted(findings, key=lambda one: one["severity"] != "wrong")
+    page.add(
+        "<h3>Check of the data</h3>",
+        *(
+            f"<p><b>{escape(one['severity'])}:</b> {escape(one['sentence'])} {escape(one['action'])}</p>"
+            for one in ordered
+        ),
+    )
+
+
+def _rigid_model(page: Page, parameters: Sequence[Document], started_from: str) -> None:
+    """What CAD and data sheet, or an estimate, say of the rigid model, and what these sweeps say."""
+    by_cad = started_from == "cad"
     page.add(
         "<h3>The rigid model</h3>",
         "<p>Base parameters of inertia and gravity about the axis, kg, kg m and kg m², and viscous friction, N m s/rad "
-        "(N s/m). What the measured poses do not tell stays as CAD has it, as uncertain as its prior.</p>",
+        "(N s/m). What was found is a correction within the prior, and no effect. What the measured poses do not tell "
+        f"stays as {'CAD' if by_cad else 'the estimate'} has it, as uncertain as its prior.</p>",
+        "" if by_cad else f"<p>Started from an estimate: {escape(started_from)}.</p>",
     )
     rows = [
         [one["name"], "–" if one["nominal"] is None else f"{one['nominal']:.5g}", *_value(one)[:2]]
         for one in parameters
     ]
-    page.table(["parameter", "CAD", "found", "± std"], rows)
+    page.table(["parameter", "CAD" if by_cad else "estimate", "found", "± std"], rows)
 
 
 def _fit(page: Page, fit: Document) -> None:

@@ -39,6 +39,18 @@ class Weighing(_Document):
     mass: BoltedMass
 
 
+class EstimateOf(_Document):
+    """Revision n of a campaign's estimate."""
+
+    campaign_id: int
+    revision: int
+
+    @property
+    def name(self) -> str:
+        """In words, as `started_from` has it."""
+        return f"campaign {self.campaign_id}, revision {self.revision}"
+
+
 class ExperimentDocument(_Document):
     """The next experiment of one axis as it was approved; `test_mass` is bolted on while it is measured."""
 
@@ -52,14 +64,16 @@ class ExperimentDocument(_Document):
 class NewDiagnosis(_Document):
     """What is to be diagnosed: axes of one robot, from all complete sweeps of `campaigns`.
 
-    `model`: accepted model to start from. `weighed`: a campaign with a known mass beside those without. `parent`: the
-    diagnosis that this one continues. `unattended`: proposed experiments are run without anybody's approval.
+    `model`: accepted model to start from. `estimate`: from which the rigid model starts, None: CAD. `weighed`: a
+    campaign with a known mass beside those without. `parent`: the diagnosis that this one continues. `unattended`:
+    proposed experiments are run without anybody's approval.
     """
 
     robot_id: int = Field(ge=1, le=LARGEST_ID)
     campaigns: tuple[int, ...]
     axes: tuple[str, ...]
     model: int | None = None
+    estimate: EstimateOf | None = None
     weighed: Weighing | None = None
     parent: int | None = None
     unattended: bool = False

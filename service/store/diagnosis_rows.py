@@ -12,6 +12,7 @@ from service.store.diagnosis_documents import (
     DiagnosisDocument,
     DiagnosisEntry,
     DiagnosisState,
+    EstimateOf,
     ExperimentDocument,
     NewDiagnosis,
     Weighing,
@@ -34,6 +35,7 @@ def add(session: Session, new: NewDiagnosis) -> t.DiagnosisRow:
         campaigns=list(new.campaigns),
         axes=list(new.axes),
         weighed=None if new.weighed is None else new.weighed.model_dump(mode="json"),
+        estimate=None if new.estimate is None else new.estimate.model_dump(mode="json"),
         unattended=new.unattended,
         state=DiagnosisState.WAITING,
     )
@@ -93,6 +95,7 @@ def entry(session: Session, row: t.DiagnosisRow) -> DiagnosisEntry:
         axes=tuple(row.axes),
         model=row.model_id,
         weighed=None if row.weighed is None else Weighing.model_validate(row.weighed),
+        estimate=None if row.estimate is None else EstimateOf.model_validate(row.estimate),
         parent=row.parent_id,
         unattended=row.unattended,
         state=row.state,

@@ -58,6 +58,7 @@ class EventKind(Enum):
     ESTIMATE = "estimate"  # {"revision", "sweep"}
     STOP = "stop"  # {"latched", "by", "why"}; belongs to no campaign
     DIAGNOSIS = "diagnosis"  # {"diagnosis", "state", "cause", "verdicts", "parent"}; belongs to no campaign
+    DATA_CHECK = "data_check"  # {}: the campaign's findings are there
 
 
 class _Document(BaseModel):

@@ -19,6 +19,7 @@ from service.robot import Robot
 from service.store import rows
 from service.store import tables as t
 from service.store.database import Database
+from service.store.diagnosis_documents import EstimateOf
 from service.store.documents import (
     CampaignDocument,
     CampaignState,
@@ -165,6 +166,18 @@ class Store:
                 which = "estimate" if revision is None else f"estimate revision {revision}"
                 raise NotFound(f"campaign {campaign_id} has no {which}")
             return rows.estimate_document(*found)
+
+    def estimated(self, robot_id: int) -> tuple[EstimateOf, ...]:
+        """The latest revision of each campaign of a robot that has an estimate, the newest first."""
+        query = (
+            select(t.EstimateRow.campaign_id, func.max(t.EstimateRow.revision))
+            .join(t.CampaignRow, t.CampaignRow.id == t.EstimateRow.campaign_id)
+            .where(t.CampaignRow.robot_id == robot_id)
+            .group_by(t.EstimateRow.campaign_id)
+            .order_by(func.max(t.EstimateRow.id).desc())
+        )
+        with self._database.read() as session:
+            return tuple(EstimateOf(campaign_id=number, revision=last) for number, last in session.execute(query))
 
     def estimates(self, campaign_id: int, after: int = 0, limit: int = 100) -> tuple[EstimateDocument, ...]:
         query = rows.estimates_of(campaign_id).where(t.EstimateRow.revision > after).order_by(t.EstimateRow.revision)

@@ -146,6 +146,7 @@ class DiagnosisRow(Base):
     campaigns: Mapped[list[int]]
     axes: Mapped[list[str]]
     weighed: Mapped[dict[str, JsonValue] | None]
+    estimate: Mapped[dict[str, JsonValue] | None]
     unattended: Mapped[bool]
     state: Mapped[DiagnosisState]
     cause: Mapped[str] = mapped_column(default="")
@@ -181,6 +182,16 @@ class ModelRow(Base):
     accepted_by: Mapped[str]
     at: Mapped[datetime] = mapped_column(default=now)
     document: Mapped[dict[str, JsonValue]]
+
+
+class DataCheckRow(Base):
+    """What the check of the data found. The unique campaign makes a result that comes twice count once."""
+
+    __tablename__ = "data_check"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"), unique=True)
+    document: Mapped[dict[str, JsonValue]]
+    at: Mapped[datetime] = mapped_column(default=now)
 
 
 class EventRow(Base):

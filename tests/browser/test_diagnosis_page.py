@@ -81,6 +81,7 @@ def measured(scenario: Scenario, designed: Sequence[DesignedSweep]) -> list[Swee
 
 def diagnose(page: Page, campaign: int) -> None:
     page.get_by_label(f"{campaign} (robot", exact=False).check()
+    page.locator("#start").select_option("cad")  # whether the other campaign is identified by now is chance
     page.get_by_role("button", name="Diagnose").click()
     expect(page.locator("#shown-about")).to_contain_text(f"from campaign {campaign}")
     expect(page.locator("#shown-state")).to_have_text("done")
@@ -103,6 +104,11 @@ def test_a_named_effect_is_shown_and_accepted(service: Service, page: Page) -> N
     for figure in ("map", "gap_by_pose", "example", "evidence", "parameters"):
         expect(page.locator(f"#figure-{figure} svg.main-svg").first).to_be_visible()
     expect(page.locator("#experiment")).to_be_hidden()
+    page.locator("#rigid-model summary").click()
+    expect(page.locator("#rigid-before")).to_have_text("CAD")
+    rows = page.locator("#rigid-parameters tr")
+    expect(rows.last).to_contain_text("viscous friction")
+    assert rows.count() > 1
     assert page.evaluate(OVERLAPS, ["#figure-map [class^='yaxislayer'] text", "#figure-map .bars .point path"]) == 0
     caption = page.locator("#pictures p", has_text="Every other candidate").inner_text()
     with page.expect_popup() as report:
@@ -115,6 +121,45 @@ def test_a_named_effect_is_shown_and_accepted(service: Service, page: Page) -> N
     with ServiceClient(service.url) as client:
         (model,) = client.models()
     assert model["accepted_by"] == "Ada"
+
+
+def test_what_is_known_in_part_the_check_of_the_data_and_where_it_started_are_shown(
+    service: Service, page: Page
+) -> None:
+    """A real document, of which an effect is known in part only; so that no machine must be found that does it."""
+    finding = {
+        "severity": "warning",
+        "code": "coarse",
+        "sentence": "Torque has steps of 4 N m.",
+        "action": "Record finer.",
+    }
+
+    def in_part(route: Route) -> None:
+        found = route.fetch().json()
+        if found["document"]:
+            axis = found["document"]["axes"][AXIS]
+            axis |= {"verdict": "unknown", "part": axis["effects"], "effects": [], "data": [finding]}
+            axis |= {"started_from": "campaign 7, revision 3"}
+            found["estimate"] = {"campaign_id": 7, "revision": 3}
+        route.fulfill(json=found)
+
+    with ServiceClient(service.url) as client:
+        diagnosis = int(client.diagnosed(int(client.add_diagnosis([BOTH_WAYS], start="cad")["id"]))["id"])
+        page.route(f"**/api/v1/diagnoses/{diagnosis}", in_part)
+        page.goto(f"{service.url}/diagnosis#{diagnosis}", wait_until="commit")
+        page.reload(wait_until="commit")
+        expect(page.locator("#part")).to_contain_text("Known in part, beside a rest")
+        expect(page.locator("#part")).to_contain_text("Coulomb")
+        expect(page.locator("#effects")).to_be_empty()
+        expect(page.locator("#data")).to_contain_text("warning: Torque has steps of 4 N m. Record finer.")
+        expect(page.locator("#rigid-before")).to_have_text("Estimate")
+        expect(page.locator("#shown-about")).to_contain_text("rigid model from the estimate of campaign 7, revision 3")
+        page.unroute_all(behavior="wait")
+
+
+def test_a_campaign_tells_what_the_check_of_its_data_found(service: Service, page: Page) -> None:
+    page.goto(f"{service.url}/#campaign-{BOTH_WAYS}", wait_until="commit")
+    expect(page.locator("#data-check")).to_contain_text("Check of the data: nothing found.")
 
 
 def test_nothing_moves_before_the_experiment_is_approved_and_the_stop_is_at_hand(

@@ -2,7 +2,8 @@
 
 import { all, call, events, get, Refused } from "./api.js";
 import { showAxes, watchAxes } from "./axes.js";
-import { byId, choices, complain, duration, fixed, number, row } from "./elements.js";
+import { byId, choices, complain, duration, element, fixed, number, row } from "./elements.js";
+import { findingParts } from "./findings.js";
 import { held, owner, showIntent } from "./intent.js";
 import { showCheckMove, watchMachine } from "./machine.js";
 import { showMotion, unitsOf } from "./motion.js";
@@ -59,6 +60,7 @@ async function showCampaign() {
   byId("progress-text").textContent = [`${done} of ${total} sweeps`, now, done < total && left !== null ? `about ${duration(left)} left` : ""].filter(Boolean).join(" \u00b7 ");
   showCheckMove(campaign.check_move);
   byId("cause").textContent = campaign.cause;
+  showDataCheck(campaign.data_check);
   byId("campaign-state").textContent = campaign.state;
   byId("campaign-state").className = `badge ${campaign.state}`;
   for (const button of document.querySelectorAll("[data-command]")) {
@@ -67,6 +69,11 @@ async function showCampaign() {
   byId("repeat-choice").hidden = campaign.state !== "paused";
   showStart();
   await showEstimate(id);
+}
+
+function showDataCheck(check) {
+  byId("data-check").replaceChildren(...(check ? findingParts(check.findings) : []));
+  if (check && !check.findings.length) byId("data-check").append(element("p", "Check of the data: nothing found.", "quiet"));
 }
 
 async function planOf({ plan_id, robot_id }) {
@@ -176,5 +183,5 @@ for (const button of document.querySelectorAll("[data-command]")) {
 
 const stream = events();
 stream.addEventListener("open", refresh); // whatever was missed meanwhile
-for (const kind of ["campaign", "sweep", "check_move", "estimate", "diagnosis", "stop"]) stream.addEventListener(kind, refresh);
+for (const kind of ["campaign", "sweep", "check_move", "estimate", "data_check", "diagnosis", "stop"]) stream.addEventListener(kind, refresh);
 watchMachine(refresh, showAxes);

@@ -4,12 +4,14 @@ import { address, all, call, events, get } from "./api.js";
 import { byId, choices, complain, element, link, number, plain, row } from "./elements.js";
 import { clearExperiment, showExperiment, watchExperiment } from "./experiment.js";
 import { drawFigures } from "./figures.js";
+import { findingParts } from "./findings.js";
 import { owner, showIntent } from "./intent.js";
 import { showCheckMove, watchMachine } from "./machine.js";
 import { refresher } from "./refresh.js";
 
 const FINISHED = ["measured", "completed"];
 const OPEN = ["waiting", "running"];
+const NOTHING = 1e-6; // of a standard deviation: rounding
 
 let shown = null; // the diagnosis on the page, with its document once it is done
 let drawn = ""; // diagnosis and axis of the figures on the page
@@ -61,12 +63,13 @@ const evidence = () => [...byId("evidence").querySelectorAll(":checked")];
 async function showModels() {
   const robot = evidence()[0]?.dataset.robot;
   const models = robot ? await all(`/models?robot=${robot}`) : [];
-  choices(byId("model"), [["", "as CAD has it"], ...models.map((one) => [one.id, `revision ${one.revision}, accepted by ${one.accepted_by}`])]);
+  choices(byId("model"), [["", "none"], ...models.map((one) => [one.id, `revision ${one.revision}, accepted by ${one.accepted_by}`])]);
 }
 
 async function start() {
   const campaigns = evidence().map((box) => Number(box.value)).sort((one, other) => one - other);
-  const made = await call("POST", "/diagnoses", { campaigns, axes: null, model: Number(byId("model").value) || null });
+  const model = Number(byId("model").value) || null;
+  const made = await call("POST", "/diagnoses", { campaigns, axes: null, model, start: byId("start").value });
   location.hash = `#${made.content.id}`;
 }
 
@@ -95,6 +98,7 @@ async function showDiagnosis([campaigns, diagnoses]) {
 function about(after) {
   const parts = [`from campaign ${shown.campaigns.join(", ")}`];
   if (shown.model) parts.push(`, starts from model ${shown.model}`);
+  if (shown.estimate) parts.push(`, rigid model from the estimate of campaign ${shown.estimate.campaign_id}, revision ${shown.estimate.revision}`);
   if (shown.parent) parts.push(", continues ", link(`diagnosis ${shown.parent}`, `#${shown.parent}`));
   if (after) parts.push(", continued by ", link(`diagnosis ${after.id} (${after.state})`, `#${after.id}`));
   if (OPEN.includes(shown.state)) parts.push(`; ${Object.keys(shown.verdicts).length} of ${shown.axes.length || "all"} axes done`);
@@ -112,8 +116,11 @@ async function showAxis(campaign, after) {
   }
   byId("verdict").textContent = axis.summary;
   byId("verdict").className = `verdict ${axis.verdict}`;
+  byId("data").replaceChildren(...findingParts(axis.data ?? []));
   byId("effects").replaceChildren(...axis.effects.flatMap(effectParts));
   if (axis.verdict === "ambiguous") byId("effects").prepend(element("p", "The simplest explanation so far, not decided:"));
+  showPart(axis.part ?? []);
+  showRigidModel(axis);
   byId("untestable").textContent = axis.untestable.length ? `These sweeps cannot show: ${axis.untestable.map(plain).join(", ")}.` : "";
   await showExperiment(shown, joint, axis.next_experiment, campaign, after);
   await showAcceptance(axis);
@@ -134,6 +141,28 @@ function effectParts(effect) {
     [plain(name)], [`${number(value.value)} \u00b1 ${number(value.std && Number(value.std.toPrecision(2)))} ${value.unit}`, "number"],
   ])));
   return [heading, sentence, table];
+}
+
+function showPart(part) {
+  byId("part").replaceChildren(...part.flatMap(effectParts));
+  if (part.length) byId("part").prepend(element("p", "Known in part, beside a rest that no effect of the catalogue explains; the model stays what it was:"));
+}
+
+// what differs from before by more than its standard deviation stands out
+function showRigidModel(axis) {
+  const parameters = axis.rigid_model ?? [];
+  byId("rigid-model").hidden = !parameters.length;
+  byId("rigid-before").textContent = (axis.started_from ?? "cad") === "cad" ? "CAD" : "Estimate";
+  byId("rigid-parameters").replaceChildren(...parameters.map((one) => {
+    const shown = (value) => number(value !== null && Math.abs(value) < NOTHING * one.std ? 0 : value);
+    const name = /^\w+$/.test(one.name) ? plain(one.name) : one.name;
+    const line = row([
+      [name, "words"], [shown(one.nominal), "number"], [shown(one.value), "number"],
+      [number(one.std && Number(one.std.toPrecision(2))), "number"],
+    ]);
+    if (one.nominal !== null && Math.abs(one.value - one.nominal) > one.std) line.className = "moved";
+    return line;
+  }));
 }
 
 // -- into the model
@@ -187,5 +216,5 @@ showModels().catch(complain);
 
 const stream = events();
 stream.addEventListener("open", refresh); // whatever was missed meanwhile
-for (const kind of ["campaign", "sweep", "check_move", "diagnosis", "stop"]) stream.addEventListener(kind, refresh);
+for (const kind of ["campaign", "sweep", "check_move", "data_check", "diagnosis", "stop"]) stream.addEventListener(kind, refresh);
 watchMachine(refresh);

@@ -20,7 +20,7 @@ export function drawFigures(place, figures, axis) {
   place.replaceChildren();
   for (const [name, figure] of Object.entries(figures)) {
     place.append(element("h2", TITLES[name] ?? name));
-    if (name === "map") place.append(...axis.sentences.map((sentence) => element("p", sentence)));
+    if (name === "map") place.append(...sentencesOf(axis).map((sentence) => element("p", sentence)));
     if (CAPTIONS[name]) place.append(element("p", CAPTIONS[name]));
     const plot = element("div", undefined, "figure");
     plot.id = `figure-${name}`;
@@ -30,6 +30,12 @@ export function drawFigures(place, figures, axis) {
     place.append(scroll);
     Plotly.newPlot(plot, figure.data, inColours(figure.layout), { displayModeBar: false, responsive: true });
   }
+}
+
+// what the check of the data found stands above
+function sentencesOf(axis) {
+  const told = new Set((axis.data ?? []).map((finding) => finding.sentence));
+  return axis.sentences.filter((sentence) => !told.has(sentence));
 }
 
 function inColours(layout) {

@@ -15,7 +15,6 @@ from service.campaigns.envelope import Envelope
 from service.campaigns.noise_motion import noise_effort, noise_velocity, noise_way
 from service.campaigns.plan import PlanRequest, build_plan
 from service.cell import Cell, read_cell
-from service.configuration import read_robot
 from service.errors import BadInput, EnvelopeViolation
 from service.identification.ideal_frequency import AxisAnalysis, Figure, Ideal, PoseAnalysis
 from service.identification.noise_response import Response
@@ -24,11 +23,6 @@ from service.robot import Robot
 from tests.unit.service.campaigns.small_arm import small_arm
 
 REQUEST = {"kind": "analysis", "robot_id": 1, "axes": ("joint_1", "joint_3"), "varied": ("joint_2", "joint_3")}
-
-
-@pytest.fixture(scope="module")
-def robot(root: Path) -> Robot:
-    return read_robot(root / "config/robots/max100-class.yaml")
 
 
 @pytest.fixture(scope="module")

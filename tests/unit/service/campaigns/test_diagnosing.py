@@ -17,10 +17,13 @@ import pytest
 from service.campaigns.acceptance import accept_model
 from service.campaigns.diagnosing import Diagnosing
 from service.campaigns.evidence import campaigns_of, recorded_sweeps
+from service.campaigns.session import SweepEvent, sweep_move
+from service.campaigns.starting import Start
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.design import full_design
 from service.diagnosis.prospect import expected
 from service.errors import BadInput, Conflict, SweepidError
+from service.estimation import estimate_document, sweep_spectrum
 from service.identification.regressor import gravity_terms, inertia_rows
 from service.identification.torque_gain import KnownMass
 from service.recording import Sweep
@@ -28,9 +31,16 @@ from service.robot import Robot
 from service.store.bundle import Bundle
 from service.store.database import open_database
 from service.store.diagnoses import DiagnosisStore
-from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, DiagnosisState, NewDiagnosis, Weighing
+from service.store.diagnosis_documents import (
+    BoltedMass,
+    DiagnosisDocument,
+    DiagnosisState,
+    EstimateOf,
+    NewDiagnosis,
+    Weighing,
+)
 from service.store.documents import CampaignState, NewSweep
-from service.store.exchange import import_campaign
+from service.store.exchange import campaign_bundle, import_campaign
 from service.store.model_revisions import ModelStore
 from service.store.recordings import RecordingFiles
 from service.store.store import Store
@@ -283,6 +293,61 @@ async def test_a_known_effect_that_has_changed_may_be_accepted(tmp_path: Path, r
             found.append(effect["parameters"]["coulomb"]["value"])
         assert done.verdicts == {"joint_1": "none"}
     assert found == pytest.approx([60.0, 80.0], abs=0.5)
+
+
+async def test_the_rigid_model_starts_from_the_robots_latest_estimate_that_is_no_evidence(
+    tmp_path: Path, robot: Robot
+) -> None:
+    worker = InProcess()
+    async with open_bench(tmp_path, worker) as bench:
+        first, second = (measured(bench.store, bench.files, robot, "joint_1", seed) for seed in (1, 2))
+        request = bench.diagnosing.request
+        before = await request([second], None, None, unattended=False)
+        assert before.estimate is None  # there is none yet
+        identified(bench, robot, first, over=False)
+        before = await request([second], None, None, unattended=False)
+        assert before.estimate is None  # a better one may follow
+        bench.store.move_campaign(first, lambda _: CampaignState.COMPLETED)
+        told = EstimateOf(campaign_id=first, revision=1)
+        other, same, both, asked = [
+            await request(campaigns, None, None, unattended=False, start=start)
+            for campaigns, start in (
+                ([second], Start.ESTIMATE),
+                ([first], Start.ESTIMATE),
+                ([first, second], Start.ESTIMATE),
+                ([second], Start.CAD),
+            )
+        ]
+        assert [one.estimate for one in (other, same, both, asked)] == [told, None, None, None]
+        assert bench.diagnoses.diagnosis(other.id).estimate == told
+        found = await bench.over(other.id)
+        by_cad = await bench.over(asked.id)
+        assert found.document is not None, found.cause
+        assert by_cad.document is not None, by_cad.cause
+        axes = found.document["axes"]["joint_1"], by_cad.document["axes"]["joint_1"]
+        assert [axis["started_from"] for axis in axes] == [f"campaign {first}, revision 1", "cad"]
+        assert axes[0]["rigid_model"][0]["nominal"] != axes[1]["rigid_model"][0]["nominal"]
+
+
+async def test_an_estimate_that_does_not_fit_the_robot_is_passed_over(tmp_path: Path, robot: Robot) -> None:
+    async with open_bench(tmp_path, InProcess()) as bench:
+        first, second, third = (measured(bench.store, bench.files, robot, "joint_1", seed) for seed in (1, 2, 3))
+        identified(bench, robot, first)
+        identified(bench, robot, second, {"base_parameters": []})
+        diagnosis = await bench.diagnosing.request([third], None, None, unattended=False)
+        assert diagnosis.estimate == EstimateOf(campaign_id=first, revision=1)
+
+
+def identified(
+    bench: Bench, robot: Robot, campaign: int, change: dict[str, Any] | None = None, *, over: bool = True
+) -> None:
+    """The estimate of a campaign, as if it had come with its last sweep."""
+    sweeps = campaign_bundle(bench.store, bench.files, campaign).sweeps
+    document = estimate_document(robot, [sweep_spectrum(robot, sweep) for sweep in sweeps]) | (change or {})
+    last = bench.store.sweeps(campaign)[-1]
+    assert bench.store.add_estimate(last, sweep_move(SweepEvent.IDENTIFY), {}, document) is not None
+    if over:
+        bench.store.move_campaign(campaign, lambda _: CampaignState.COMPLETED)
 
 
 def test_the_sweeps_of_two_campaigns_share_a_clock_and_no_repeats(tmp_path: Path, robot: Robot) -> None:

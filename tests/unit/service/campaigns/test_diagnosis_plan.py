@@ -15,7 +15,6 @@ from service.campaigns.diagnosis_documents import DiagnosisPlan, DiagnosisReques
 from service.campaigns.diagnosis_plan import build_diagnosis_plan, build_experiment_plan
 from service.campaigns.envelope import Envelope
 from service.cell import Cell, read_cell
-from service.configuration import read_robot
 from service.diagnosis.design import BLOCKS, DesignedSweep, full_design
 from service.errors import BadInput
 from service.identification.regressor import gravity_terms
@@ -28,11 +27,6 @@ REQUEST = {"kind": "diagnosis", "robot_id": 1, "axes": ("joint_1", "joint_2"), "
 EXPERIMENT = ExperimentRequest(robot_id=1)
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
 POSE = np.array([[0.0, -0.5, 0.3, 0.0, 0.0, 0.0]])
-
-
-@pytest.fixture(scope="module")
-def robot(root: Path) -> Robot:
-    return read_robot(root / "config/robots/max100-class.yaml")
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """`sweepid diagnose` as a person calls it: a table or JSON on stdout, one line and exit code 2 for bad input."""
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -71,6 +72,34 @@ def test_the_model_and_its_machine_are_written(bundle: Path, tmp_path: Path) -> 
     assert axis["fit"]["inertia"][0]["value"] == pytest.approx(300.0, abs=1.0)
     friction = load_scenario(scenario).driven("joint_1").train.motor_friction
     assert (friction.coulomb, friction.viscous) == (pytest.approx(FRICTION, abs=1.0), pytest.approx(200.0, abs=20.0))
+
+
+def test_the_rigid_model_starts_from_an_estimate_and_says_so(bundle: Path, tmp_path: Path) -> None:
+    estimate = tmp_path / "estimate.json"
+    assert sweepid("identify", str(bundle), "--json", str(estimate)).returncode == 0
+    done = sweepid("diagnose", str(bundle), "--no-twin", "--estimate", str(estimate), "--json", "-")
+    assert done.returncode == 0, done.stderr
+    axis = json.loads(done.stdout)["axes"]["joint_1"]
+    assert axis["started_from"] == f"estimate.json, sha256 {hashlib.sha256(estimate.read_bytes()).hexdigest()}"
+    words = sweepid("diagnose", str(bundle), "--no-twin", "--estimate", str(estimate))
+    assert "The rigid model started from estimate.json" in words.stdout
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("{", "cannot be read as JSON"),
+        ("[]", "is not a JSON object"),
+        ("{}", "axes"),
+    ],
+)
+def test_an_estimate_that_is_none_is_one_line_and_two(bundle: Path, tmp_path: Path, text: str, reason: str) -> None:
+    estimate = tmp_path / "estimate.json"
+    estimate.write_text(text)
+    done = sweepid("diagnose", str(bundle), "--estimate", str(estimate))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "estimate.json" in done.stderr.splitlines()[-1]
+    assert reason in done.stderr.splitlines()[-1]
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from service.cli.diagnose import diagnose_bundle
 from service.cli.identify import identify_bundle
 from service.data_check import check, findings_document
 from service.errors import BadInput
@@ -22,6 +23,8 @@ from tests.unit.service.data_check.conftest import OFFSET, RATED, lift_sweep, pa
 USES: dict[str, Callable[[Bundle], object]] = {
     "check": lambda bundle: findings_document(bundle.robot, bundle.sweeps, check(bundle.robot, bundle.sweeps)),
     "identify": lambda bundle: identify_bundle(bundle, None, "bundle"),
+    "diagnose": lambda bundle: diagnose_bundle(bundle, None, "bundle", twin=False),
+    "diagnose with its twin": lambda bundle: diagnose_bundle(bundle, None, "bundle"),
 }
 
 CHANGES: dict[str, Callable[[Recording], Recording]] = {
@@ -48,16 +51,20 @@ def shapes(draw: st.DrawFn) -> tuple[Sweep, ...]:
     """One to four sweeps of an axis, each with a length, a rate, a direction and a record of its own."""
     sweeps: list[Sweep] = []
     directions = draw(st.sampled_from([(1,), (1, 1), (1, -1), (1, 1, -1, -1), (0, 0), (1, 0)]))
+    rates = draw(st.sampled_from([(40.0,), (100.0,), (250.0,), (1000.0,), (40.0, 1000.0)]))
+    elsewhere = draw(st.sampled_from([None, None, 0.3]))
     changes = draw(st.lists(st.sampled_from(sorted(CHANGES)), max_size=2, unique=True))
     free = draw(st.sampled_from(["lines", "lines", "lines", "trajectory", "standstill", "noise"]))
     for number, direction in enumerate(directions):
-        periods, rate = draw(st.integers(1, 4)), draw(st.sampled_from([40.0, 100.0, 250.0, 1000.0]))
+        periods, rate = draw(st.integers(1, 4)), draw(st.sampled_from(rates))
         run_up = draw(st.sampled_from([0.0, 0.5]))
         sweep = lift_sweep(number, direction * OFFSET, repeat=number % 2, periods=periods, rate=rate, run_up=run_up)
         record = sweep.recording
         for name in changes:
             record = CHANGES[name](record)
         spec = sweep.spec
+        if elsewhere is not None and number > 1:
+            spec = spec.model_copy(update={"pose": (spec.pose[0], elsewhere)})
         if free != "lines":
             update = {"excitation": free, "sines": (), "period": None, "periods": None}
             spec = spec.model_copy(update=update)
@@ -67,7 +74,7 @@ def shapes(draw: st.DrawFn) -> tuple[Sweep, ...]:
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("use", sorted(USES))
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=60, deadline=None, derandomize=True)
 @given(sweeps=shapes(), suffix=st.sampled_from(["parquet", "csv", None]))
 def test_a_bundle_of_any_shape_ends_in_a_result_or_in_bad_input(
     use: str, sweeps: tuple[Sweep, ...], suffix: str | None

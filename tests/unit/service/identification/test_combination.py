@@ -19,8 +19,8 @@ from service.identification.regressor import axis_rows
 from service.identification.trajectory_record import AxisTrack, TrajectoryRecord
 from service.identification.whole_base import dynamic_base
 from service.recording import SweepSpec
-from service.robot import Robot, RobotDescription, build_robot
-from tests.random_chain import random_urdf
+from service.robot import Robot
+from tests.random_chain import random_arm
 
 SHAPE = Shape(period=4.0, harmonics=4)
 SAMPLES = 8000  # the same instants at which the combination forms friction, so that signs agree
@@ -28,18 +28,7 @@ BINS, NOISE = 41, 1e-3  # up to 10 Hz; N m of a harmonic's real and imaginary pa
 
 
 def robot() -> Robot:
-    text = random_urdf(np.random.default_rng(11), 3, prismatic=0.0)
-    axes = [
-        {
-            "joint": f"joint_{k}",
-            "gear_ratio": 100.0,
-            "motor_inertia": 2e-4,
-            "rated_effort": 300.0,
-            "viscous_friction": 20.0,
-        }
-        for k in (1, 2, 3)
-    ]
-    return build_robot(RobotDescription.model_validate({"name": "r", "urdf": "r.urdf", "axes": axes}), text)
+    return random_arm(11, 3, motor_inertia=2e-4, rated_effort=300.0, viscous_friction=20.0)
 
 
 def truth(r: Robot) -> np.ndarray:

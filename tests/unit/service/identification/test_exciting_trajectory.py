@@ -14,18 +14,14 @@ from service.identification.exciting_trajectory import (
     steady_motion,
 )
 from service.identification.whole_base import dynamic_base
-from service.robot import Robot, RobotDescription, build_robot
-from tests.random_chain import random_urdf
+from service.robot import Robot
+from tests.random_chain import random_arm
 
 SHAPE = Shape(period=4.0, harmonics=3, periods=2, ramp=1.0, settle=0.5)
 
 
 def robot() -> Robot:
-    text = random_urdf(np.random.default_rng(3), 3, prismatic=0.0)
-    axes = [
-        {"joint": f"joint_{k}", "gear_ratio": 100.0, "motor_inertia": 1e-3, "rated_effort": 500.0} for k in (1, 2, 3)
-    ]
-    return build_robot(RobotDescription.model_validate({"name": "r", "urdf": "r.urdf", "axes": axes}), text)
+    return random_arm(3, 3, motor_inertia=1e-3, rated_effort=500.0)
 
 
 def limits(effort: float = 1e4) -> TrajectoryLimits:

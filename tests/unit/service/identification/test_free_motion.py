@@ -14,16 +14,14 @@ from service.identification.free_motion_equations import mean_sign
 from service.identification.free_motion_noise import Colour, stretches
 from service.identification.low_pass import low_pass, memory
 from service.recording import Recording, Sweep, SweepSpec
-from service.robot import Robot, RobotDescription, build_robot
-from tests.random_chain import random_urdf
+from service.robot import Robot
+from tests.random_chain import random_arm
 
 RATE = 200.0
 
 
 def robot() -> Robot:
-    axes = [{"joint": f"joint_{k}", "gear_ratio": 100.0, "rated_effort": 300.0} for k in (1, 2)]
-    text = random_urdf(np.random.default_rng(3), 2, prismatic=0.0)
-    return build_robot(RobotDescription.model_validate({"name": "r", "urdf": "r.urdf", "axes": axes}), text)
+    return random_arm(3, 2, rated_effort=300.0)
 
 
 def sweep(axis: str, samples: int = 400, **changes: object) -> Sweep:

@@ -18,8 +18,8 @@ from service.identification.trajectory_record import (
     with_loads,
 )
 from service.recording import Recording, Sine, Sweep, SweepSpec
-from service.robot import Robot, RobotDescription, build_robot
-from tests.random_chain import random_urdf
+from service.robot import Robot
+from tests.random_chain import random_arm
 
 RATE, PERIOD, PERIODS, START = 200.0, 2.0, 3, 1.0
 TIME = np.arange(0, START + PERIOD * PERIODS + 0.5, 1 / RATE)
@@ -27,9 +27,7 @@ OMEGA = 2 * np.pi / PERIOD
 
 
 def robot() -> Robot:
-    text = random_urdf(np.random.default_rng(3), 2, prismatic=0.0)
-    axes = [{"joint": f"joint_{k}", "gear_ratio": 100.0, "rated_effort": 500.0} for k in (1, 2)]
-    return build_robot(RobotDescription.model_validate({"name": "r", "urdf": "r.urdf", "axes": axes}), text)
+    return random_arm(3, 2, rated_effort=500.0)
 
 
 def sweep(axis: str, noise: float = 0.0, **changes: object) -> Sweep:

@@ -257,6 +257,26 @@ def test_the_rigid_model_stands_beside_cad() -> None:
         assert text in markup
 
 
+def test_the_rigid_model_stands_beside_the_estimate_that_it_started_from() -> None:
+    markup = diagnosis_page(document(started_from="campaign 3, revision 7"), "t")
+    assert "<th>estimate</th>" in markup
+    assert "Started from an estimate: campaign 3, revision 7." in markup
+    assert "<th>CAD</th>" in diagnosis_page(document(), "t")
+
+
+def test_findings_of_the_data_come_first_and_once() -> None:
+    findings = [
+        {"severity": "warning", "sentence": "Repeats differ.", "action": "Look at the floor."},
+        {"severity": "wrong", "sentence": "Torque has the wrong sign.", "action": "Turn it round."},
+    ]
+    sentences = [*(one["sentence"] for one in findings), "joint_2 leaves 30 N m."]
+    markup = diagnosis_page(document(data=findings, sentences=sentences), "t")
+    assert "<b>wrong:</b> Torque has the wrong sign. Turn it round." in markup
+    assert markup.index("Torque has the wrong sign") < markup.index("Repeats differ") < markup.index("leaves 30 N m")
+    assert markup.count("Repeats differ.") == 1
+    assert "Check of the data" not in diagnosis_page(document(), "t")
+
+
 def test_what_is_known_in_part_stands_beside_the_unknown() -> None:
     part = [{**axis()["effects"][0], "effect": "hose_spring", "parameters": {}}]
     part[0]["parameters"] = {"stiffness": {"value": 76.5, "std": 1.0, "unit": "N m/rad"}}

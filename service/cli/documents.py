@@ -1,0 +1,46 @@
+"""Results as files, as JSON on stdout, and back again from a file."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, cast
+
+import typer
+
+from service.configuration import read_text
+from service.errors import BadInput
+
+JsonTo = Annotated[str | None, typer.Option("--json", help="Write JSON here; - is stdout.", metavar="FILE")]
+
+
+def as_json(document: Mapping[str, Any]) -> str:
+    """For people and programs; what is not a finite number is an error of ours."""
+    return json.dumps(document, indent=2, allow_nan=False)
+
+
+def put_json(document: Mapping[str, Any], json_to: str | None) -> bool:
+    """Write a result to a file (None: to none) or, for -, to stdout: True, and nothing else may be written there."""
+    if json_to == "-":
+        typer.echo(as_json(document))
+    elif json_to is not None:
+        write_file(Path(json_to), as_json(document))
+    return json_to == "-"
+
+
+def write_file(path: Path, text: str) -> None:
+    """Write a result where a person asked for it; BadInput if that cannot be."""
+    try:
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise BadInput(str(path), f"cannot be written: {error.strerror or error}") from None
+
+
+def read_document(path: Path) -> dict[str, Any]:
+    """What another command wrote with `--json`; BadInput if the file holds no JSON object."""
+    try:
+        document: object = json.loads(read_text(path))
+    except ValueError as error:
+        raise BadInput(str(path), f"cannot be read as JSON: {error}") from None
+    if not isinstance(document, dict):
+        raise BadInput(str(path), "is not a JSON object")
+    return cast("dict[str, Any]", document)

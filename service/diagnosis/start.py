@@ -1,0 +1,92 @@
+r"""A robot whose rigid model starts from an estimate of it instead of CAD.
+
+Its links and motors are the estimate's: the physical ones nearest to CAD that give the identified base parameters
+beta = K phi. They are not averaged with CAD a second time, because the estimate did that already where data left a
+choice. How well they are known is CAD's prior P with beta as an observation of covariance C,
+
+    P' = P - P K' (K P K' + C)^-1 K P       (`rigid.parameter_spread`)
+
+so that no direction is known worse than by the prior alone (relative to these values), and what no data told keeps it.
+C is more than what the estimate states: that holds for one torque gain and for a machine without effects that nobody
+had named yet, which move an inertia by percents. Such an error is taken to be as large as that of a torque gain
+(`prior.effort_gain`), in each of the parameters that a base parameter is made of. What an estimate leaves undetermined
+is no observation.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from service.errors import BadInput
+from service.export import identified_model
+from service.export.urdf import as_urdf
+from service.identification.base_parameters import base_parameters
+from service.identification.nominal_priors import link_spread
+from service.identification.regressor import fold, lock
+from service.robot import Knowledge, Robot, build_robot
+
+Array = NDArray[np.float64]
+
+CAD = "cad"  # what a rigid model starts from without an estimate
+
+
+class _Base(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+    locked: dict[str, float] = {}
+    covariance: tuple[tuple[float, ...], ...] = ()
+
+
+def source_of(robot: Robot) -> str:
+    """What the rigid model of a robot starts from: `CAD`, or which estimate."""
+    return CAD if robot.knowledge is None else robot.knowledge.source
+
+
+def started_from(robot: Robot, estimate: Mapping[str, Any], source: str, place: str = "estimate") -> Robot:
+    """`robot` with the rigid model of an estimate's document (`sweepid identify --json`) and what is known of it.
+
+    `source` names the estimate in the diagnosis. BadInput where it identified nothing, or is of another robot: one
+    with other base parameters.
+    """
+    model = identified_model(robot, estimate, place)
+    base = _base(estimate, place)
+    for joint in base.locked:
+        robot.index(joint)
+    fixed = {robot.index(joint): position for joint, position in base.locked.items()}
+    unlocked = [k for k in range(len(robot.joints)) if k not in fixed]
+    moved = sorted(robot.index(joint) for joint in cast("Mapping[str, Any]", estimate["axes"]))
+    if not set(moved) <= set(unlocked):
+        raise BadInput(f"{place} base.locked", "names a joint that was measured")
+    own = base_parameters(lock(robot.chain, fixed), tuple(unlocked.index(k) for k in moved))
+    told = model.base_parameters
+    if tuple(one.name for one in told) != own.names:
+        other = next((one.name for one in told if one.name not in own.names), f"{len(told)} parameters")
+        raise BadInput(
+            f"{place} base_parameters",
+            f"are not those of robot {robot.name}: {other}; give an estimate of this very robot",
+        )
+    known = [k for k, one in enumerate(told) if one.std is not None]
+    std = np.array([told[k].std for k in known], dtype=np.float64)
+    whole = np.array(base.covariance, dtype=np.float64)
+    stated = whole[np.ix_(known, known)] if whole.shape == (len(told), len(told)) else np.diag(std**2)
+    combination = own.combination[known] @ fold(robot.chain, fixed)
+    size = np.concatenate([link_spread(robot.chain.inertial, 1.0), np.abs(model.motor_inertias)])
+    doubt = robot.prior.effort_gain**2 * (combination**2 @ size**2)
+    axes = tuple(
+        axis.model_copy(update={"motor_inertia": motor / axis.gear_ratio**2}) if motor > 0 else axis
+        for axis, motor in zip(robot.axes, model.motor_inertias.tolist(), strict=True)
+    )
+    description = robot.description.model_copy(update={"axes": axes})
+    started = build_robot(description, as_urdf(replace(model, friction=(None,) * len(robot.joints))), place)
+    return replace(started, knowledge=Knowledge(combination, stated + np.diag(doubt), source))
+
+
+def _base(estimate: Mapping[str, Any], place: str) -> _Base:
+    """Estimates that were stored by an earlier version have none: nothing was locked, parameters are independent."""
+    try:
+        return _Base.model_validate(estimate.get("base", {}))
+    except ValidationError as error:
+        raise BadInput(f"{place} base", str(error.errors(include_url=False)[0]["msg"])) from None

@@ -1,0 +1,51 @@
+"""What the check of the data found in campaigns that are over."""
+
+from pydantic import JsonValue
+from sqlalchemy import select
+
+from service.store import rows
+from service.store import tables as t
+from service.store.database import Database
+from service.store.documents import CampaignState, EventKind, SweepState
+
+Document = dict[str, JsonValue]
+
+OVER = (CampaignState.MEASURED, CampaignState.COMPLETED, CampaignState.ABORTED)
+COMPLETE = (SweepState.RECORDED, SweepState.IDENTIFIED)
+
+
+class CheckStore:
+    """Every method is one transaction and blocks, as in `service.store.store`."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def document(self, campaign_id: int) -> Document | None:
+        """Findings as `sweepid check --json` gives them; None until they are there."""
+        query = select(t.DataCheckRow.document).where(t.DataCheckRow.campaign_id == campaign_id)
+        with self._database.read() as session:
+            return session.scalar(query)
+
+    def add(self, campaign_id: int, document: Document) -> None:
+        """The result of a job, with its event; one that comes twice counts once."""
+        with self._database.write() as session:
+            rows.get(session, t.CampaignRow, campaign_id, "campaign")
+            if session.scalar(select(t.DataCheckRow.id).where(t.DataCheckRow.campaign_id == campaign_id)) is not None:
+                return
+            session.add(t.DataCheckRow(campaign_id=campaign_id, document=document))
+            session.add(t.EventRow(campaign_id=campaign_id, kind=EventKind.DATA_CHECK, data={}))
+
+    def wanting(self, campaign_id: int | None = None) -> tuple[int, ...]:
+        """Campaigns (or this one) that are over, have complete sweeps and were not checked."""
+        query = (
+            select(t.CampaignRow.id)
+            .join(t.SweepRow, t.SweepRow.campaign_id == t.CampaignRow.id)
+            .outerjoin(t.DataCheckRow, t.DataCheckRow.campaign_id == t.CampaignRow.id)
+            .where(t.CampaignRow.state.in_(OVER), t.SweepRow.state.in_(COMPLETE), t.DataCheckRow.id.is_(None))
+            .distinct()
+            .order_by(t.CampaignRow.id)
+        )
+        if campaign_id is not None:
+            query = query.where(t.CampaignRow.id == campaign_id)
+        with self._database.read() as session:
+            return tuple(session.scalars(query))

@@ -1,0 +1,128 @@
+"""A diagnosis whose rigid model starts from an estimate: of a machine that CAD knows worse than it says."""
+
+import copy
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from service.diagnosis import axis_document, diagnose_axis, started_from
+from service.diagnosis.design import full_design
+from service.diagnosis.rigid import load_rows, nominal_parameters, parameter_spread
+from service.diagnosis.signals import Tracks
+from service.errors import BadInput
+from service.estimation import estimate_document, sweep_spectrum
+from service.robot import INERTIAL_NAMES, Robot
+from tests.unit.service.diagnosis.following import RATE, following, known_to
+
+Array = NDArray[np.float64]
+
+JOINT = "joint_2"
+PRIOR = 0.02
+OFF = 0.6  # part by which CAD's centre of mass of the forearm is off: thirty sigma of it
+FOREARM = 2
+
+
+def poses(seed: int, count: int) -> Array:
+    random = np.random.default_rng(seed)
+    angles = random.uniform((-0.8, -1.0), (0.8, 1.0), (count, 2))
+    return np.hstack([np.zeros((count, 1)), angles, np.zeros((count, 3))])
+
+
+def off(robot: Robot) -> Array:
+    """What the machine has beside CAD (11 n,): a forearm that is heavy further out."""
+    error = np.zeros(11 * len(robot.joints))
+    moment = 10 * FOREARM + INERTIAL_NAMES.index("mx")
+    error[moment] = OFF * max(np.abs(robot.chain.inertial[FOREARM, 1:4]))
+    return error
+
+
+def machine(robot: Robot) -> Callable[[Tracks], Array]:
+    return lambda motion: (load_rows(robot, 1, motion.poses) @ off(robot)).reshape(3, -1)
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return known_to(PRIOR)
+
+
+@pytest.fixture(scope="module")
+def estimate(robot: Robot) -> dict[str, Any]:
+    designed = full_design(
+        robot, JOINT, poses(1, 12), blocks=("forward_slow", "backward_slow"), sample_rate=RATE, revisit=False
+    )
+    sweeps = following(robot, JOINT, designed, load=machine(robot), seed=5)
+    return estimate_document(robot, [sweep_spectrum(robot, sweep) for sweep in sweeps])
+
+
+def diagnosed(robot: Robot, measured: Robot) -> Mapping[str, Any]:
+    designed = full_design(
+        measured, JOINT, poses(2, 4), blocks=("forward_slow", "backward_slow", "wide"), sample_rate=RATE
+    )
+    sweeps = following(measured, JOINT, designed, load=machine(measured))
+    return axis_document(diagnose_axis(robot, JOINT, sweeps, twin=False))
+
+
+def test_cad_that_is_off_beyond_its_prior_is_told_and_not_when_an_estimate_put_it_right(
+    robot: Robot, estimate: dict[str, Any]
+) -> None:
+    by_cad = diagnosed(robot, robot)
+    assert by_cad["started_from"] == "cad"
+    assert (by_cad["verdict"], [effect["effect"] for effect in by_cad["effects"]]) == ("ambiguous", ["payload"])
+    found = diagnosed(started_from(robot, estimate, "campaign 1, revision 24"), robot)
+    assert (found["verdict"], found["effects"]) == ("none", [])
+    assert found["started_from"] == "campaign 1, revision 24"
+
+
+def test_the_nominal_values_are_the_estimates_and_no_direction_is_known_worse(
+    robot: Robot, estimate: dict[str, Any]
+) -> None:
+    started = started_from(robot, estimate, "estimate")
+    knowledge = started.knowledge
+    assert knowledge is not None
+    told = [one for one in estimate["base_parameters"] if one["std"] is not None]
+    value, std = (np.array([one[key] for one in told]) for key in ("value", "std"))
+    assert np.all(np.abs(knowledge.combination @ nominal_parameters(started) - value) < 0.1 * std)
+    anywhere = poses(3, 30)
+    before, after = (
+        knowledge.combination @ parameter_spread(one, 1, anywhere)
+        for one in (replace(started, knowledge=None), started)
+    )
+    held, known = np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1)
+    assert np.all(known <= 1.001 * held)
+    assert np.all(known <= 1.001 * np.sqrt(np.diag(knowledge.covariance)))
+    assert np.all(np.diag(knowledge.covariance) > std**2)  # a torque gain's error is shared by all
+
+
+def test_what_no_data_told_is_as_uncertain_as_before(robot: Robot, estimate: dict[str, Any]) -> None:
+    started = started_from(robot, estimate, "estimate")
+    unseen = 10 * 1 + INERTIAL_NAMES.index("mx")  # of the upper arm: its inertia does not show where its centre is
+    before, after = (np.linalg.norm(parameter_spread(one, 1, poses(3, 30)), axis=1) for one in (robot, started))
+    assert after[unseen] > 0.9 * before[unseen]
+
+
+def test_an_estimate_of_before_has_no_covariance_and_is_taken_all_the_same(
+    robot: Robot, estimate: dict[str, Any]
+) -> None:
+    old = {key: value for key, value in estimate.items() if key != "base"}
+    with pytest.raises(BadInput, match="base_parameters: are not those of robot"):  # it locked what never moved
+        started_from(robot, old, "old")
+    old["base"] = {"locked": estimate["base"]["locked"]}
+    knowledge = started_from(robot, old, "old").knowledge
+    assert knowledge is not None
+    assert np.count_nonzero(knowledge.covariance) == len(knowledge.covariance)
+
+
+def test_an_estimate_of_another_robot_is_one_clear_error(robot: Robot, estimate: dict[str, Any]) -> None:
+    other = copy.deepcopy(estimate)
+    other["base_parameters"][0]["name"] = "Izz(turret)"
+    with pytest.raises(BadInput) as error:
+        started_from(robot, other, "other", "other.json")
+    assert error.value.place == "other.json base_parameters"
+    assert "Izz(turret)" in error.value.reason
+    nothing = estimate | {"axes": {}}
+    with pytest.raises(BadInput, match="identified nothing"):
+        started_from(robot, nothing, "nothing")
