@@ -50,10 +50,15 @@ def _ambiguous(axis: Mapping[str, Any]) -> str:
 
 
 def _unknown(axis: Mapping[str, Any]) -> str:
+    wrong = [finding["sentence"] for finding in axis.get("data", ()) if finding["severity"] == "wrong"]
+    if wrong:
+        return f"no physics is named, because the data cannot be trusted. {' '.join(wrong)} Mend that first."
     measured = f"{in_words([e['effect'] for e in axis['effects']])} apart, " if axis["effects"] else ""
+    part = axis.get("part", ())
+    known = f" Known in part: {in_words([effect['effect'] for effect in part])}." if part else ""
     return (
         f"{measured}there is a gap of {_rms(axis, 'after')} that is more than noise{_floor(axis, ' ({})')}, and no "
-        "effect of the catalogue explains it. The model stays as it was."
+        f"effect of the catalogue explains it.{known} The model stays as it was."
     )
 
 

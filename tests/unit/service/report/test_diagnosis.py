@@ -291,3 +291,12 @@ def test_a_gap_without_a_pose_held_back_says_how_it_was_judged() -> None:
     assert "the gap (cross-validated) falls" in diagnosis_page(document(gap=gap), "t")
     markup = diagnosis_page(document(gap={**gap, "cross_validated": False}), "t")
     assert "nothing could be left out" in markup
+
+
+def test_the_summary_of_the_unknown_tells_what_is_known_in_part_or_that_the_data_are_wrong() -> None:
+    part = [{**axis()["effects"][0], "effect": "hose_spring"}]
+    found = axis(verdict="unknown", effects=[], part=part)["summary"]
+    assert "no effect of the catalogue explains it. Known in part: " in found
+    data = [{"severity": "wrong", "sentence": "Torque has the wrong sign.", "action": "Turn it round."}]
+    found = axis(verdict="unknown", effects=[], part=[], data=data)["summary"]
+    assert found.endswith("because the data cannot be trusted. Torque has the wrong sign. Mend that first.")
