@@ -89,7 +89,9 @@ class Equations:
 
     def target(self) -> Array:
         """What base and effects are to make, (n, t): the effort less that of CAD and data sheet; see `reshaped`."""
-        return nominal_right(self.tracks) + self.tracks.summed(self.load - self.rigid.nominal, self.parts - self.tracks.parts)
+        return nominal_right(self.tracks) + self.tracks.summed(
+            self.load - self.rigid.nominal, self.parts - self.tracks.parts
+        )
 
     def columns(self, term: Term) -> Sequence[Array]:
         """Signals of an effect, (n, t) each."""
@@ -234,7 +236,7 @@ def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | No
             axis.reflected_motor_inertia or UNKNOWN_MOTOR * float(model.nominal[0].mean()),
             viscous,
         ),
-        coefficients=np.zeros(rows.shape[-1]),
+        coefficients=np.zeros(len(model.basis) + 1),
         load=model.nominal,
         parts=tracks.parts,
         base=np.stack([whitening(rows[..., k]) for k in range(rows.shape[-1])], axis=-1),
@@ -324,7 +326,9 @@ def reshaped(given: Equations, terms: Sequence[Term]) -> Equations:
     if parts is given.parts:
         return given
     moved = replace(given, parts=parts)
-    whitened = [given.tracks.whitened(signal, given.whitening.taps) for signal in (*moved.base_signals(), moved.target())]
+    whitened = [
+        given.tracks.whitened(signal, given.whitening.taps) for signal in (*moved.base_signals(), moved.target())
+    ]
     moved = replace(moved, base=np.stack(whitened[:-1], axis=-1), right=whitened[-1])
     moved.kept.update(given.kept)
     return moved

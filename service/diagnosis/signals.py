@@ -106,7 +106,7 @@ class Tracks:
     @cached_property
     def sizes(self) -> Array:
         """(3,): RMS of what inertia, torque and slope are multiplied by."""
-        return np.array([np.sqrt(np.mean(part[self.inside] ** 2)) for part in self.parts])
+        return np.sqrt(np.mean(np.square(self.parts[:, self.inside]), axis=1))
 
     @cached_property
     def turning(self) -> float:

@@ -41,7 +41,8 @@ def _two_masses(tracks: Tracks, model: Model, shape: Shape) -> _TwoMasses:
     compliance, damping, on_load, hardening, motor = shape
     s = 2j * np.pi * bins(tracks.velocity.shape[1], tracks.rate)[None]
     load_inertia = np.maximum(model.inertia - motor, LEAST_LOAD * model.inertia)[:, None]
-    viscous, spring = on_load * model.viscous, 1 / (1 + s * damping)
+    viscous = on_load * model.viscous
+    spring = np.asarray(1 / (1 + s * damping), dtype=np.complex128)
     impedance = s * s * load_inertia + s * viscous + model.slope[:, None]
     on_motor = motor * tracks.acceleration + (model.viscous - viscous) * tracks.velocity
     torque = through(tracks.effort - on_motor, tracks.rate, spring)
@@ -49,7 +50,9 @@ def _two_masses(tracks: Tracks, model: Model, shape: Shape) -> _TwoMasses:
     if hardening > 0:
         rated = tracks.robot.axis(tracks.joint).rated_effort
         stiffer = torque - rated * softened(torque / rated, hardening)
-        torque = torque + damping * through(stiffer, tracks.rate, s * spring)  # its damping takes part in a smaller twist
+        torque = torque + damping * through(
+            stiffer, tracks.rate, s * spring
+        )  # its damping takes part in a smaller twist
         twist = compliance * rated * softened(torque / rated, hardening)
     return _TwoMasses(impedance, 1 / (1 + compliance * spring * impedance), load_inertia, viscous, linear, twist)
 
@@ -86,7 +89,7 @@ def softened(torque: Array, hardening: float) -> Array:
 
 
 def _motors(tracks: Tracks, model: Model) -> tuple[float, float, float]:
-    """Reflected inertia of the motor, kg m^2 (kg): as on its data sheet, and between which limits its prior lets it be."""
+    """Reflected inertia of the motor, kg m^2 (kg): as on its data sheet, and the limits that its prior allows."""
     axis = tracks.robot.axis(tracks.joint)
     sheet = axis.reflected_motor_inertia
     if not sheet:
