@@ -6,6 +6,7 @@
 --keep leaves the sweeps (one npz a case), the truths and the diagnoses in three folders, and what is there is not done
 again; --again diagnoses all of them anew without stepping a machine. --write puts the page into docs/reference and the
 figures beside the other benchmarks' results. The worker that diagnoses reads robot and sweeps alone.
+--paper diagnoses healthy machines and medium and large singles once more, from no more than what the paper measures.
 """
 
 import argparse
@@ -31,7 +32,7 @@ from service.cli.identify import identify_bundle
 from service.diagnosis.diagnose import diagnose_axis
 from service.diagnosis.document import axis_document
 from service.store.bundle import Bundle
-from tests.numeric.second_plant.cases import Case, cases, make
+from tests.numeric.second_plant.cases import Case, Kind, cases, make
 from tests.numeric.second_plant.kept import load, save
 from tests.numeric.second_plant.page import page, result
 from tests.numeric.second_plant.scoring import Score
@@ -39,6 +40,8 @@ from tests.numeric.second_plant.scoring import Score
 ROOT = Path(__file__).parents[3]
 PAGE = ROOT / "docs/reference/diagnosis-scores.md"
 RESULTS = ROOT / "tests/benchmarks/results/second-plant.json"
+SAID, SAID_OF_PAPER = "said", "said-of-paper"  # folders
+PAPER = ("forward_slow", 0)  # block and repeat: one direction, an offset and 2 to 5 Hz, once in every pose
 LEFT_OUT = ("example", "where")  # of a document: large, and nothing that is scored
 
 
@@ -52,9 +55,11 @@ def prepare(one: Case, folder: Path, *, small: bool = False) -> None:
     save(sweeps, robot, joint, measured)
 
 
-def diagnosed(path: Path, *, inertia: bool) -> dict[str, Any]:
+def diagnosed(path: Path, *, inertia: bool, paper: bool = False) -> dict[str, Any]:
     """What the service says of one file of sweeps, with its seconds of a processor; an exception is told as one."""
     robot, joint, sweeps = load(path)
+    if paper:
+        sweeps = tuple(sweep for sweep in sweeps if (sweep.spec.block, sweep.spec.repeat) == PAPER)
     before = time.process_time()
     try:
         said = axis_document(diagnose_axis(robot, joint, sweeps))
@@ -75,21 +80,25 @@ def _inertia(bundle: Bundle, joint: str, path: Path) -> list[dict[str, Any]]:
     return [{key: one[key] for key in ("sweep", "value", "std")} for one in found]
 
 
-def run(one: Case, folder: Path, *, inertia: bool = False, again: bool = False, small: bool = False) -> int:
+def run(
+    one: Case, folder: Path, *, inertia: bool = False, again: bool = False, small: bool = False, paper: bool = False
+) -> int:
     """Make, diagnose, write down; its number."""
     prepare(one, folder, small=small)
-    told = folder / "said" / f"{one.number:05}.json"
+    told = folder / (SAID_OF_PAPER if paper else SAID) / f"{one.number:05}.json"
     if again or not told.exists():
-        _write(told, diagnosed(folder / "sweeps" / f"{one.number:05}.npz", inertia=inertia))
+        _write(told, diagnosed(folder / "sweeps" / f"{one.number:05}.npz", inertia=inertia, paper=paper))
     return one.number
 
 
-def run_all(wanted: Sequence[Case], folder: Path, processes: int, *, inertia: bool, again: bool) -> None:
+def run_all(
+    wanted: Sequence[Case], folder: Path, processes: int, *, inertia: bool, again: bool, paper: bool = False
+) -> None:
     """All cases, in so many processes of one thread each."""
     os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), "1")
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, mp_context=context, initializer=_end_with_parent) as pool:
-        futures = [pool.submit(run, one, folder, inertia=inertia, again=again) for one in wanted]
+        futures = [pool.submit(run, one, folder, inertia=inertia, again=again, paper=paper) for one in wanted]
         shown = track(as_completed(futures), total=len(futures), description="cases", console=Console(stderr=True))
         for future in shown:
             future.result()
@@ -107,11 +116,11 @@ def _end_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def scores(wanted: Sequence[Case], folder: Path) -> list[Score]:
+def scores(wanted: Sequence[Case], folder: Path, said_in: str = SAID) -> list[Score]:
     """Truth beside what was said."""
     result: list[Score] = []
     for one in wanted:
-        truth, said = (json.loads((folder / f / f"{one.number:05}.json").read_text()) for f in ("truth", "said"))
+        truth, said = (json.loads((folder / f / f"{one.number:05}.json").read_text()) for f in ("truth", said_in))
         result.append(Score(truth, said, [j for j in said.get("inertia", []) if "error" not in j]))
     return result
 
@@ -134,6 +143,7 @@ def _arguments(given: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--small", action="store_true", help="singles of 1 to 2 times the noise as well")
     parser.add_argument("--effects", nargs="+", help="only cases that hide one of these")
     parser.add_argument("--inertia", action="store_true", help="identify the inertia of each case too")
+    parser.add_argument("--paper", action="store_true", help="also from what the paper measures alone")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--keep", type=Path, help="folder for sweeps, truths and what was said")
     parser.add_argument("--again", action="store_true", help="diagnose what lies in --keep anew")
@@ -154,9 +164,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         folder = given.keep or Path(scratch)
         run_all(wanted, folder, given.processes, inertia=given.inertia, again=given.again)
         found = scores(wanted, folder)
+        alone = [one for one in wanted if one.kind in (Kind.NONE, Kind.SINGLE) and one.size != "small"]
+        if given.paper:
+            run_all(alone, folder, given.processes, inertia=False, again=given.again, paper=True)
+        by_paper = scores(alone, folder, SAID_OF_PAPER) if given.paper else []
     git = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False)
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
-    told = result(found, _command(given), today, git.stdout.strip() or "unknown")
+    told = result(found, by_paper, _command(given), today, git.stdout.strip() or "unknown")
     console = Console()
     console.print(Markdown(page(told)))
     console.print("\n".join(told["failed"]), markup=False, highlight=False)
@@ -171,7 +185,7 @@ def _command(given: argparse.Namespace) -> str:
         f"--{name} {getattr(given, name)}"
         for name in ("seed", "singles", "pairs", "triples", "none", "outside", "nominal")
     )
-    flags = "".join(f" --{name}" for name in ("small", "inertia") if getattr(given, name))
+    flags = "".join(f" --{name}" for name in ("small", "inertia", "paper") if getattr(given, name))
     return f"python -m tests.numeric.second_plant.score {counts}{flags} --write"
 
 

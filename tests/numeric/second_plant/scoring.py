@@ -85,6 +85,11 @@ class Score:
         return frozenset(self.said["candidates"]) | {e["effect"] for e in self.said["effects"]}
 
     @property
+    def admitted(self) -> bool:
+        """Whether all that is hidden is named, or a candidate."""
+        return self.hidden <= self.named | self.candidates
+
+    @property
     def wrong(self) -> frozenset[str]:
         """Names that are not there; of candidates all, where none of them is."""
         if self.candidates:
@@ -215,9 +220,14 @@ def figures(scores: Sequence[Score]) -> dict[str, float | int | None]:
     return found | {
         "big_cases": len(big),
         "small_cases": len(small),
+        "experiment_proposed": rate(
+            [s for s in physics if s.verdict not in ("none", "named", "error")],
+            lambda s: bool(s.said.get("next_experiment")),
+        ),
         "errors": sum(score.outcome is Outcome.ERROR for score in scores),
         "right_name": rate(big, lambda s: s.outcome is Outcome.RIGHT),
         "wrong_name": rate(big, lambda s: bool(s.wrong)),
+        "truth_admitted": rate(big, lambda s: s.admitted),
         "called_unknown": rate(big, lambda s: s.outcome is Outcome.UNKNOWN),
         "small_wrong": rate(small, lambda s: bool(s.wrong)),
         "false_alarms": rate(of[Kind.NONE], lambda s: s.verdict not in ("none", "untestable", "error")),

@@ -140,7 +140,7 @@ def test_figures_of_a_few() -> None:
         "coulomb_friction": 1, "cogging_torque": 2, "unknown": 1, "error": 1,
     }  # fmt: skip
     assert len(failed(some)) == 7
-    text = page(result(some, "python -m something", "2030-01-02", "0123abc"))
+    text = page(result(some, some, "python -m something", "2030-01-02", "0123abc"))
     assert "| right name, medium and large singles, % | 25 | >= 95 |" in text
     assert "Of 2030-01-02, commit 0123abc." in text
 
