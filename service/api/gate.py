@@ -30,8 +30,11 @@ class Gate:
         self._bundle_path = bundle_path
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] not in ("http", "websocket") or scope["path"] == self._stop_path:
+        if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
+            return
+        if scope["path"].rstrip("/") == self._stop_path:  # a slash too many would be redirected: it is a stop
+            await self._app({**scope, "path": self._stop_path}, receive, send)
             return
         headers = Headers(scope=scope)
         refusal = self._stranger(headers)

@@ -59,6 +59,8 @@ class Problem(BaseModel):
     detail: str
     instance: str
     errors: tuple[FieldProblem, ...] = ()
+    confirmed: tuple[str, ...] | None = None  # of a stop: the axes that stand
+    unconfirmed: dict[str, str] | None = None  # and the others, by joint why that is not known
 
 
 def problem_response(
@@ -68,16 +70,18 @@ def problem_response(
     detail: str,
     errors: Sequence[FieldProblem] = (),
     headers: Mapping[str, str] | None = None,
+    told: Mapping[str, object] | None = None,
 ) -> Response:
-    """The response of one problem."""
-    problem = Problem(
-        type=f"urn:sweepid:problem:{name}",
-        title=status.phrase,
-        status=status.value,
-        detail=_printable(detail),
-        instance=request.url.path,
-        errors=tuple(errors),
-    )
+    """The response of one problem; `told` are its further members."""
+    members = {
+        "type": f"urn:sweepid:problem:{name}",
+        "title": status.phrase,
+        "status": status.value,
+        "detail": _printable(detail),
+        "instance": request.url.path,
+        "errors": tuple(errors),
+    }
+    problem = Problem.model_validate(members | dict(told or {}))
     content = problem.model_dump_json(exclude_none=True)
     return Response(content, status.value, headers, media_type=MEDIA_TYPE)
 
