@@ -24,7 +24,7 @@ from service.api import (
     stop,
     sweeps,
 )
-from service.api.gate import Gate
+from service.api.gate import BUNDLE_LIMIT, ROBOT_LIMIT, Gate
 from service.api.problem import Problem, install_problem_handlers
 from service.hmi.pages import add_pages
 from service.lab import Lab, open_lab
@@ -75,9 +75,8 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
     app.include_router(metrics.router)
     add_pages(app, None if stop_process is None else stop_process.port)
     install_problem_handlers(app)
-    app.add_middleware(
-        Gate, hosts=hosts, stop_path=f"{PREFIX}{stop.router.prefix}", bundle_path=f"{PREFIX}{bundles.BUNDLES}"
-    )
+    limits = {f"{PREFIX}{bundles.BUNDLES}": BUNDLE_LIMIT, f"{PREFIX}{robots.router.prefix}": ROBOT_LIMIT}
+    app.add_middleware(Gate, hosts=hosts, stop_path=f"{PREFIX}{stop.router.prefix}", limits=limits)
     return app
 
 

@@ -25,6 +25,8 @@ _log = structlog.get_logger(__name__)
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
+RECENT = 0.25  # s
+
 
 @dataclass(slots=True, eq=False)
 class Hold:
@@ -60,6 +62,8 @@ class Machine:
         self._identities: tuple[AxisIdentity, ...] = ()
         self._trouble = "not connected yet"
         self._connecting = asyncio.Lock()
+        self._asking = asyncio.Lock()
+        self._recent: tuple[float, Mapping[str, AxisStatus]] | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -111,7 +115,7 @@ class Machine:
             except DriveError as error:
                 self._trouble = str(error)
                 raise
-            self._trouble = ""
+            self._trouble, self._recent = "", None
             return self._identities
 
     async def reach(self) -> None:
@@ -127,7 +131,7 @@ class Machine:
 
     def lost(self, why: str) -> None:
         """The connection went away; nothing moves until a person connects again."""
-        self._trouble = why
+        self._trouble, self._recent = why, None
 
     async def status(self) -> Mapping[str, AxisStatus]:
         """The state of every axis. Conflict while not connected."""
@@ -141,6 +145,14 @@ class Machine:
             self.lost("no drive answers")
         return status
 
+    async def recent_status(self) -> Mapping[str, AxisStatus]:
+        """As `status`, but at most `RECENT` old: however many ask, the drives are asked once in that time."""
+        async with self._asking:
+            if self._recent is None or time.monotonic() - self._recent[0] > RECENT:
+                status = await self.status()
+                self._recent = time.monotonic(), status
+            return self._recent[1]
+
     async def faults(self) -> tuple[Fault, ...]:
         """Pending faults of all axes. Conflict while not connected."""
         self._check_connected()
@@ -151,6 +163,7 @@ class Machine:
         self._check_connected()
         self._check_unused("acknowledge")
         await self.port.acknowledge(joint)
+        self._recent = None
 
     async def stop(self, by: str, why: str, press: str = "") -> StopDocument:
         """Stop every axis first, then latch: nothing moves until a person releases it. May be called at any time.
@@ -185,6 +198,7 @@ class Machine:
                         hold.document = await _apart(self._latch.latch, hold.document.by, hold.document.why)
             finally:
                 hold.under_way -= 1
+                self._recent = None
         _log.warning("stop", stop=hold.document.id, by=hold.document.by, why=hold.document.why)
         reason = f"not connected: {self._trouble or 'the connection was closed'}"
         left = {joint: reason for joint in self.joints if joint not in confirmed}

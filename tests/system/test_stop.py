@@ -84,7 +84,7 @@ def listening(machine: VirtualMachine) -> Iterator[Ear]:
 
 @pytest.fixture(params=[Fieldbus.CANOPEN], ids=lambda fieldbus: fieldbus.value)
 def machine(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[VirtualMachine]:
-    with virtual_machine(tmp_path, 1.0, request.param) as machine:
+    with virtual_machine(tmp_path, 4.0, request.param) as machine:
         yield machine
 
 
@@ -101,10 +101,11 @@ def client(service: Service) -> Iterator[ServiceClient]:
 
 
 def moving(client: ServiceClient, machine: VirtualMachine, modes: str = "drive_side") -> int:
-    """A campaign under way: joint_1 moves."""
+    """A campaign under way: an axis moves to the pose, or (host_streamed) joint_1 along its sweep."""
     campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=1, modes=modes))["id"])
     client.start(campaign)
-    until(lambda: machine.axes()["joint_1"]["velocity"] != 0, "joint_1 moves")
+    streamed = ["joint_1"] if modes == "host_streamed" else JOINTS
+    until(lambda: any(machine.axes()[joint]["velocity"] != 0 for joint in streamed), "it moves", 3 * PATIENCE)
     return campaign
 
 
@@ -154,7 +155,7 @@ def test_on_modbus_it_writes_the_registers_by_a_connection_of_its_own(
     service_process(service).suspend()
     answer = press(url, by="Ada")
     assert (answer.status_code, set(answer.json()["told"])) == (200, JOINTS)  # every unit has answered
-    until(lambda: machine.axes()["joint_1"]["velocity"] == 0, "joint_1 stands")
+    until(lambda: all(axis["velocity"] == 0 for axis in machine.axes().values()), "the axes stand")
     service_process(service).resume()
     until(lambda: [stop["by"] for stop in client.stops()] == ["Ada"], "latched")
 
@@ -266,7 +267,7 @@ def test_measure_told_to_end_stops_the_machine(
     environment = os.environ | {"SWEEPID_URL": service.url}
     command = [sys.executable, SWEEPID, "measure", str(plan)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment) as measuring:
-        until(lambda: machine.axes()["joint_1"]["velocity"] != 0, "joint_1 moves")
+        until(lambda: any(axis["velocity"] != 0 for axis in machine.axes().values()), "it moves")
         measuring.send_signal(number)
         _, words = measuring.communicate(timeout=PATIENCE)
     assert b"machine stopped" in words.splitlines()[-1]

@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 import httpx
 import pytest
 
-from service.api.gate import BODY_LIMIT
+from service.api.gate import BODY_LIMIT, ROBOT_LIMIT
 from service.robot import Robot
 
 
@@ -97,14 +97,23 @@ def test_a_command_without_a_machine_says_why(http: httpx.Client) -> None:
     assert "not connected" in str(problem(http.post("/drives/joint_1/acknowledge"), 409)["detail"])
 
 
-def test_a_body_that_is_too_large_is_refused_unread(http: httpx.Client) -> None:
-    found = problem(http.post("/robots", content=b" " * (BODY_LIMIT + 1)), 413)
-    assert str(BODY_LIMIT) in str(found["detail"])
+@pytest.mark.parametrize(("path", "limit"), [("/robots", ROBOT_LIMIT), ("/plans", BODY_LIMIT)])
+def test_a_body_that_is_too_large_is_refused_unread(http: httpx.Client, path: str, limit: int) -> None:
+    found = problem(http.post(path, content=b" " * (limit + 1)), 413)
+    assert str(limit) in str(found["detail"])
+
+
+def test_an_answer_does_not_grow_with_what_was_sent(http: httpx.Client) -> None:
+    wanted = {"robot_id": 1, "axes": [{} for _ in range(20_000)], "x" * 20_000: "y" * 20_000}
+    refused = http.post("/plans", json=wanted)
+    found = problem(refused, 422)
+    assert len(refused.content) < 2**13
+    assert "errors, the first 8 are told" in str(found["detail"])
 
 
 def test_a_body_of_unknown_length_is_counted(http: httpx.Client) -> None:
     def pieces():  # type: ignore[no-untyped-def]
-        for _ in range(BODY_LIMIT // 2**16 + 1):
+        for _ in range(ROBOT_LIMIT // 2**16 + 1):
             yield b" " * 2**16
 
     problem(http.post("/robots", content=pieces(), headers={"Content-Type": "application/json"}), 413)
