@@ -3,6 +3,8 @@
 Every class is documented by the scenario in which a user meets it; messages name device, value, limit and unit.
 """
 
+from collections.abc import Mapping, Sequence
+
 
 class DriveError(Exception):
     """Any trouble with a drive. The caller must take the axis to be unsafe until it is told otherwise."""
@@ -46,6 +48,16 @@ class EmergencyStop(DriveFault):
 
 class CommunicationLost(DriveError):
     """Samples, heartbeat or the bus itself went away while the axis was in use (bus-off, silent node)."""
+
+
+class StopNotConfirmed(CommunicationLost):
+    """An axis did not say that it stands and has no energy: drive silent, bus gone, never connected. It may move."""
+
+    def __init__(self, confirmed: Sequence[str], unconfirmed: Mapping[str, str]) -> None:
+        """`confirmed`: the joints that stand; `unconfirmed`: by joint, why that is not known."""
+        super().__init__("; ".join(f"{joint}: {reason}" for joint, reason in unconfirmed.items()))
+        self.confirmed = tuple(confirmed)
+        self.unconfirmed = dict(unconfirmed)
 
 
 class SweepRejected(DriveError):

@@ -219,6 +219,36 @@ class SampleBlock:
     excitation_effort: Array | None = None  # N m (N), the injected part of `effort`; None where nothing is injected
 
 
+class StopSender(Protocol):
+    """A connection of its own to the same bus that can say one thing: stop. Needs no port, no answer, no event loop.
+
+    Blocking, for one thread at a time but `send` and `insist`, which may be called from any.
+    """
+
+    def open(self) -> None:
+        """ConnectionFailed where that is not possible. May be called again."""
+        ...
+
+    def listen(self, within: float) -> None:
+        """Take what comes for so many s; CommunicationLost once the connection is gone."""
+        ...
+
+    def send(self) -> Mapping[str, str]:
+        """The stop for every axis onto the wire; by joint, why it may not have been reached ("": it is there).
+
+        CommunicationLost, ConnectionFailed where nothing could be sent. The service may go on to talk to its drives.
+        """
+        ...
+
+    def insist(self) -> None:
+        """As `send`, and what makes the drives deaf to a host that goes on sending: where nobody takes over."""
+        ...
+
+    def close(self) -> None:
+        """Safe to call twice."""
+        ...
+
+
 class DrivePort(Protocol):
     """One machine. Every method raises a `drivers.errors.DriveError`; times out by itself; is safe to cancel."""
 
@@ -284,8 +314,23 @@ class DrivePort(Protocol):
         """
         ...
 
-    async def stop(self) -> None:
-        """Stop every axis now, by the stop ladder, and disable. Never raises for an axis already still."""
+    def halt(self) -> None:
+        """Tell every axis to stop by what needs no answer, at once. From any thread; waits for nothing, never raises.
+
+        Whether they do, `stop` finds out.
+        """
+        ...
+
+    async def stop(self) -> tuple[str, ...]:
+        """Stop every axis now: `halt`, then the stop ladder, axis by axis, to standstill without energy.
+
+        Gives the joints that confirmed it: all of them, or none where it is not connected. Never raises for an axis
+        already still; StopNotConfirmed names those that did not answer.
+        """
+        ...
+
+    def stop_sender(self) -> "StopSender":
+        """For a process beside this one. NotReady says why there cannot be one: a bus that has one owner."""
         ...
 
     async def faults(self) -> tuple[Fault, ...]:

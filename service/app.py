@@ -24,11 +24,12 @@ from service.api import (
     stop,
     sweeps,
 )
-from service.api.gate import Gate
+from service.api.gate import BUNDLE_LIMIT, ROBOT_LIMIT, Gate
 from service.api.problem import Problem, install_problem_handlers
 from service.hmi.pages import add_pages
 from service.lab import Lab, open_lab
 from service.settings import Settings
+from service.stop_process.handle import StopProcess
 
 PREFIX = "/api/v1"
 _ROUTERS = (
@@ -49,8 +50,11 @@ _ROUTERS = (
 )
 
 
-def create_app(settings: Settings, hosts: Sequence[str] = ()) -> FastAPI:
-    """The application; its lifespan owns the lab. `hosts`: host names it answers to, empty: any."""
+def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: StopProcess | None = None) -> FastAPI:
+    """The application; its lifespan owns the lab. `hosts`: host names it answers to, empty: any.
+
+    `stop_process` runs already, and belongs to who started it.
+    """
     app = FastAPI(
         title="sweepid",
         version=version("sweepid"),
@@ -63,16 +67,16 @@ def create_app(settings: Settings, hosts: Sequence[str] = ()) -> FastAPI:
         responses={"default": {"model": Problem, "description": "Problem details (RFC 9457)"}},
     )
     app.state.settings = settings
+    app.state.stop_process = stop_process
     api = APIRouter(prefix=PREFIX)
     for router in _ROUTERS:
         api.include_router(router)
     app.include_router(api)
     app.include_router(metrics.router)
-    add_pages(app)
+    add_pages(app, None if stop_process is None else stop_process.port)
     install_problem_handlers(app)
-    app.add_middleware(
-        Gate, hosts=hosts, stop_path=f"{PREFIX}{stop.router.prefix}", bundle_path=f"{PREFIX}{bundles.BUNDLES}"
-    )
+    limits = {f"{PREFIX}{bundles.BUNDLES}": BUNDLE_LIMIT, f"{PREFIX}{robots.router.prefix}": ROBOT_LIMIT}
+    app.add_middleware(Gate, hosts=hosts, stop_path=f"{PREFIX}{stop.router.prefix}", limits=limits)
     return app
 
 
@@ -84,9 +88,24 @@ def end_streams(app: FastAPI) -> None:
         lab.hub.close()
 
 
+async def end_motion(app: FastAPI) -> None:
+    """The machine at standstill, and moved no more: before anything of the service is waited for."""
+    lab: Lab | None = getattr(app.state, "lab", None)
+    if lab is not None:
+        lab.machine.end("the service ended")
+        await lab.runner.close()
+
+
+def halt(app: FastAPI) -> None:
+    """Tell every axis to stop; nothing moves any more."""
+    lab: Lab | None = getattr(app.state, "lab", None)
+    if lab is not None:
+        lab.machine.end("the service ended")
+
+
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncGenerator[None, None]:
-    async with open_lab(app.state.settings) as lab:
+    async with open_lab(app.state.settings, app.state.stop_process) as lab:
         app.state.lab = lab
         yield
 

@@ -4,7 +4,7 @@ import json
 import time
 import uuid
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, cast
@@ -17,6 +17,7 @@ Json = dict[str, Any]
 
 _TIMEOUT = httpx.Timeout(30.0, connect=5.0)
 _LONG_TIMEOUT = httpx.Timeout(600.0, connect=5.0)  # planning many poses, large bundles
+_STOP_TIMEOUT = httpx.Timeout(3.0)
 _BAD_INPUT = 422  # HTTP status
 _OPEN_DIAGNOSIS = ("waiting", "running")
 _SILENCE = 40.0  # s; an idle event stream carries a comment every 15 s
@@ -45,6 +46,7 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
 
     def __init__(self, url: str) -> None:
         self._url = url
+        self._stop_url = ""  # of the stop process, once it is known
         self._http = httpx.Client(base_url=f"{url.rstrip('/')}/api/v1", timeout=_TIMEOUT, trust_env=False)
 
     def __enter__(self) -> Self:
@@ -81,13 +83,15 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         return self._get(f"/campaigns/{campaign_id}")
 
     def start(self, campaign_id: int) -> Json:
-        """Connects the drives first where they are not."""
+        """Connects the drives first where they are not. Asks before where the stop is, for then it may be too late."""
+        self._find_stop()
         return self._post(f"/campaigns/{campaign_id}/start", timeout=_LONG_TIMEOUT)
 
     def pause(self, campaign_id: int) -> Json:
         return self._post(f"/campaigns/{campaign_id}/pause")
 
     def resume(self, campaign_id: int, repeat: bool = False) -> Json:
+        self._find_stop()
         return self._post(f"/campaigns/{campaign_id}/resume", {"repeat": repeat})
 
     def abort(self, campaign_id: int, why: str) -> Json:
@@ -185,12 +189,30 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         return self._post(f"/drives/{joint}/acknowledge")
 
     def stop(self, by: str, why: str) -> Json:
-        response = self._send("POST", "/stop", params={"by": by, "why": why})
+        """By the stop process first, where `start` or `resume` has asked for it, for the service may have no time.
+
+        ServiceProblem (503) names the axes that did not confirm that they stand.
+        """
+        words = {"by": by, "why": why, "press": str(uuid.uuid4())}
+        if self._stop_url:
+            with suppress(httpx.TransportError):
+                httpx.post(self._stop_url, params=words, timeout=_STOP_TIMEOUT, trust_env=False)
+        response = self._send("POST", "/stop", params=words)
         _check(response)
         return cast("Json", response.json())
 
-    def reset_stop(self, by: str) -> Json:
-        return self._post("/stop/reset", {"by": by})
+    def stops(self) -> list[Json]:
+        """The stops that hold the machine, oldest first."""
+        return cast("list[Json]", self._get("/stop")["stops"])
+
+    def reset_stop(self, by: str, stops: Sequence[int]) -> Json:
+        """Release these stops."""
+        return self._post("/stop/reset", {"by": by, "stops": list(stops)})
+
+    def _find_stop(self) -> None:
+        with suppress(ServiceUnreachable, ServiceProblem):  # what follows tells
+            port = self._get("/stop")["port"]
+            self._stop_url = "" if port is None else f"http://{self._http.base_url.host}:{port}/stop"
 
     # -- bundles
     def import_bundle(self, archive: Path) -> Json:

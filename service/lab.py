@@ -22,8 +22,10 @@ from service.campaigns.machine import Machine
 from service.campaigns.recovery import recover
 from service.campaigns.runner import Runner
 from service.campaigns.station import Station
+from service.campaigns.stop_beside import listening
 from service.configuration import read_robot
 from service.settings import Settings
+from service.stop_process.handle import StopProcess
 from service.store.bundle import read_bundle, write_bundle
 from service.store.checks import CheckStore
 from service.store.database import open_database
@@ -60,6 +62,7 @@ class Lab:
     diagnosing: Diagnosing
     experiments: Experiments
     checks: CheckStore
+    stop_process: StopProcess | None
 
     async def add_campaign(self, plan_id: int) -> CampaignDocument:
         """A campaign of a stored plan, in state `planned`. Nothing moves until `runner.start`."""
@@ -85,7 +88,7 @@ class Lab:
 
 
 @asynccontextmanager
-async def open_lab(settings: Settings) -> AsyncGenerator[Lab]:
+async def open_lab(settings: Settings, stop_process: StopProcess | None = None) -> AsyncGenerator[Lab]:
     """Open everything; MachineTaken when another service owns the machine, BadInput or BadProfile for a bad file.
 
     A machine that does not answer is no error here: the service starts, `machine.trouble` tells it, and connecting
@@ -101,10 +104,13 @@ async def open_lab(settings: Settings) -> AsyncGenerator[Lab]:
         await asyncio.to_thread(lease.acquire)
         stack.callback(lease.release)
         latch = StopLatch(database)
-        machine = Machine(port, latch, latch.latched())
+        order_stop = (lambda: None) if stop_process is None else stop_process.order
+        machine = Machine(port, latch, latch.latched(), order_stop)
         stack.push_async_callback(port.close)
         keeper = asyncio.create_task(machine.keep_lease(lease, settings.lease_time), name="lease")
         stack.push_async_callback(_end, keeper)
+        if stop_process is not None:
+            await stack.enter_async_context(listening(stop_process, machine))
 
         await asyncio.to_thread(files.clear_transfer)
         await asyncio.to_thread(recover, store, files)
@@ -149,7 +155,7 @@ async def open_lab(settings: Settings) -> AsyncGenerator[Lab]:
             _log.warning("machine_not_connected", reason=str(error))
         yield Lab(
             *(settings, store, files, keys, machine, runner, jobs, worker, hub, feed),
-            *(diagnoses, models, diagnosing, experiments, checks),
+            *(diagnoses, models, diagnosing, experiments, checks, stop_process),
         )
 
 

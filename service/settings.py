@@ -26,6 +26,7 @@ class Settings(BaseSettings):
     host: str = "127.0.0.1"
     allowed_hosts: tuple[HostName, ...] = ()  # names it answers to besides this computer's own; see `answers_to`
     port: int = Field(default=8642, ge=0, le=65535)  # 0: any free port
+    stop_port: int | None = Field(default=None, ge=0, le=65535)  # of the stop process; None: one above `port`
     dask_scheduler: str | None = None  # e.g. tcp://host:8786; None: one worker process of our own
     lease_time: float = Field(default=6.0, ge=0.5, le=60.0)  # s without a sign of life until the machine is free again
     pose_tolerance: float = Field(default=2e-3, gt=0)  # rad (m), actual against planned pose at the start of a sweep
@@ -43,6 +44,13 @@ class Settings(BaseSettings):
         if self.host not in _LOOPBACK and not self.allowed_hosts:
             return ()
         return (*_LOOPBACK, self.host, *self.allowed_hosts)
+
+    @property
+    def stop_listens_at(self) -> int:
+        """The port of the stop process; 0: any free one, as where `port` is 0."""
+        if self.stop_port is not None:
+            return self.stop_port
+        return self.port + 1 if 0 < self.port < 65535 else 0
 
     @property
     def url(self) -> str:

@@ -67,6 +67,17 @@ class Bus:
             self._fail(reason)
             raise CommunicationLost(f"bus {self._profile.channel}: {reason}") from None
 
+    def shout(self, identifier: int, data: bytes) -> None:
+        """As `send`, also on a bus that counts as lost because nobody is heard: who does not answer may listen."""
+        try:
+            self._network.send_message(identifier, data)
+        except (can.CanError, OSError, RuntimeError) as error:  # RuntimeError: closed
+            raise CommunicationLost(f"bus {self._profile.channel}: sending failed: {_in_a_line(error)}") from None
+
+    def silent(self, node: int) -> bool:
+        """Whether the bus is lost, or this node was not heard for longer than the time-out."""
+        return self._lost is not None or time.monotonic() - self._heard[node] > self._profile.drive_timeout
+
     def host_heard(self) -> bool:
         """Whether a heartbeat under our own node id came since the last question; another host's if we send none."""
         heard, self._host_heard = self._host_heard, False

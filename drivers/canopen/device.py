@@ -10,7 +10,6 @@ from drivers.canopen.objects import Entry
 from drivers.canopen.profile import CanopenAxis, CanopenProfile
 from drivers.canopen.sdo import ObjectAbsent, Sdo
 from drivers.canopen.units import Codec, velocity_unit
-from drivers.cia402 import states
 from drivers.cia402.device import Abilities, Injector, MeasuringState, Mode, Motion
 from drivers.errors import WrongConfiguration, WrongIdentity
 from drivers.ports import AxisIdentity, NoiseCommand, SampleBlock, SweepCommand
@@ -137,11 +136,18 @@ class CanopenDevice:
         history = self._history()
         return f"error {code:04X}h" + (f", history {history:08X}h" if history else "")
 
+    def reopen(self) -> None:
+        self._nmt(frames.NMT_PRE_OPERATIONAL)
+
+    @property
+    def deaf(self) -> bool:
+        """Whether there is no reason to spare its SDO channel: it takes no process data, or is not heard any more."""
+        return not self._pdos_mapped or self._bus.silent(self.profile.node)
+
     def stop_unheard(self) -> None:
         """Quick stop by RPDO, then NMT stop, which 6007h reacts to."""
-        self._bus.send(frames.RPDO1 + self.profile.node, frames.rpdo1(states.QUICK_STOP, 0))
-        self._bus.send(frames.SYNC, b"")
-        self._nmt(frames.NMT_STOP)
+        for identifier, data in frames.stop([self.profile.node], deaf=[self.profile.node]):
+            self._bus.shout(identifier, data)
 
     # -- motion --------------------------------------------------------------------------------------------------
 

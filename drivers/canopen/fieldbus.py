@@ -2,6 +2,7 @@
 
 import asyncio
 import hashlib
+import logging
 import threading
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import suppress
@@ -14,6 +15,7 @@ from drivers.canopen.device import CanopenDevice
 from drivers.canopen.host_sweep import HostSweep
 from drivers.canopen.lane import Ending, Lane
 from drivers.canopen.profile import CanopenProfile
+from drivers.canopen.stop_sender import CanopenStopSender
 from drivers.cia402.axis import Axis
 from drivers.cia402.checks import Envelope
 from drivers.cia402.connection import capabilities
@@ -28,6 +30,8 @@ from drivers.errors import (
     SweepInterrupted,
 )
 from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTiming, SweepCommand
+
+logger = logging.getLogger(__name__)
 
 LISTENING = 3  # heartbeats
 STEPS_OF_A_SINE = 20  # of the velocity unit in an amplitude: rounding then moves a line by less than one in a thousand
@@ -64,6 +68,9 @@ class CanopenFieldbus:
             capabilities(axes.values(), set_point_source(bus)),
         )
 
+    def stop_sender(self) -> CanopenStopSender:
+        return CanopenStopSender(self._profile)
+
 
 @dataclass(frozen=True, slots=True)
 class CanopenConnection:
@@ -94,6 +101,19 @@ class CanopenConnection:
         run = HostSweep(self.bus, self.profile.bus, lanes, stop)
         return StreamedSweep(run, self.thread, {command.joint: self.axes[command.joint] for command, _ in sweeps})
 
+    def halt(self, *, streaming: bool) -> None:
+        """Straight onto the bus: the thread may be waiting for a node that does not answer.
+
+        No SYNC beside that of a stream: its samples would not be told apart any more.
+        """
+        nodes = {device.profile.node: device for device in self.devices.values()}
+        deaf = [node for node, device in nodes.items() if device.deaf]
+        for identifier, data in frames.stop(nodes, deaf, sync=not streaming):
+            try:
+                self.bus.shout(identifier, data)
+            except CommunicationLost as error:  # a full send buffer may have room for the next
+                logger.error("halt: %s", error)
+
     async def close(self) -> None:
         await _release(self.thread, self.opening, self.heart)
 
@@ -109,6 +129,11 @@ class StreamedSweep:
         async for block in self.run.blocks():
             yield block
         await self._conclude()
+
+    streams = True
+
+    def halt(self) -> None:
+        self.run.halt()
 
     async def interrupted(self) -> None:
         """The ladder of a streaming axis is the stream's own."""

@@ -4,8 +4,11 @@ COB-IDs of CiA 301's predefined connection set; PDO contents as mapped in `confi
 """
 
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
+
+from drivers.cia402.states import QUICK_STOP
 
 SYNC = 0x080
 EMERGENCY = 0x080
@@ -152,6 +155,15 @@ def _controller(classes: int, data: bytes) -> Controller | None:
     else:
         return None
     return Controller(state, transmit, receive)
+
+
+def stop(nodes: Iterable[int], deaf: Iterable[int], *, sync: bool = True) -> list[tuple[int, bytes]]:
+    """Identifier and data of what stops these nodes without an answer: quick stop by RPDO1, taken over by `sync`.
+
+    `deaf`: nodes that get NMT stop as well, which 6007h reacts to. They answer no SDO until NMT pre-operational.
+    """
+    quick_stops = [(RPDO1 + node, rpdo1(QUICK_STOP, 0)) for node in nodes]
+    return [*quick_stops, *([(SYNC, b"")] if sync else []), *((NMT, bytes([NMT_STOP, node])) for node in deaf)]
 
 
 def rpdo1(controlword: int, target_velocity: int) -> bytes:

@@ -61,6 +61,7 @@ class HostSweep:
         self._kernel: KernelStream | None = None
         self._seen: dict[int, bytes] = {}  # the kernel's set-points since its last SYNC, by node
         self._released = threading.Event()
+        self._halted = threading.Event()
         self._held = False  # all axes stand and wait to be released; the thread goes on
         self._loop = asyncio.get_running_loop()
         self._blocks: asyncio.Queue[SampleBlock | None] = asyncio.Queue()
@@ -78,6 +79,10 @@ class HostSweep:
     def release(self) -> None:
         """End SYNC after COMPLETED, once the axes have left the cyclic mode."""
         self._released.set()
+
+    def halt(self) -> None:
+        """Begin the ladder at its quick stop, which another has told the drives: a ramp would take that back."""
+        self._halted.set()
 
     async def finished(self) -> None:
         """Until the thread has ended; raises what ended it."""
@@ -253,6 +258,10 @@ class HostSweep:
 
     def _check(self) -> None:
         """What does not come by an event."""
+        if self._halted.is_set():
+            if self.ending in (Ending.MISCOUNTED, Ending.NOT_SENT):  # the SYNC of the stop process came before its word
+                self.ending = Ending.COMPLETED
+            self._end(Trouble(Ending.STOPPED, "sweep was stopped"))
         if self._stop.is_set():
             self._end(Trouble(Ending.STOPPED, "sweep was stopped", Rung.RAMP))
         if self._ended:

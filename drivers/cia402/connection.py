@@ -7,7 +7,7 @@ from typing import Protocol
 from drivers.cia402.axis import Axis
 from drivers.cia402.checks import Envelope
 from drivers.cia402.thread import DriveThread
-from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTiming, SweepCommand, SweepMode
+from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTiming, StopSender, SweepCommand, SweepMode
 
 
 class Run(Protocol):
@@ -15,6 +15,15 @@ class Run(Protocol):
 
     def blocks(self) -> AsyncGenerator[SampleBlock, None]:
         """The samples as they come, to the sweep's end at standstill; raises what ended it early."""
+        ...
+
+    @property
+    def streams(self) -> bool:
+        """Whether it sends set-points, and with them what makes the drives take their words over."""
+        ...
+
+    def halt(self) -> None:
+        """Go on by the quick stop, whatever is under way. From any thread."""
         ...
 
     async def interrupted(self) -> None:
@@ -54,6 +63,13 @@ class Connection(Protocol):
         """Start set-points on enabled axes whose limits are settled."""
         ...
 
+    def halt(self, *, streaming: bool) -> None:
+        """To every axis what makes it stop and needs no answer. From any thread; waits for nothing, never raises.
+
+        `streaming`: a run sends at this moment, and was told.
+        """
+        ...
+
     async def close(self) -> None:
         """Release the bus; the axes are down."""
         ...
@@ -64,6 +80,10 @@ class Fieldbus(Protocol):
 
     async def open(self) -> Connection:
         """Open, identify, configure; nothing stays open if that fails."""
+        ...
+
+    def stop_sender(self) -> StopSender:
+        """See `DrivePort.stop_sender`."""
         ...
 
 

@@ -129,6 +129,10 @@ class Device(Protocol):
     @property
     def emergency_stop_codes(self) -> tuple[int, ...]: ...
 
+    def reopen(self) -> None:
+        """Let a drive answer again that a stop without an answer has made deaf (CANopen: NMT stop)."""
+        ...
+
     def stop_unheard(self) -> None:
         """For a drive that does not answer but may listen: the strongest stop that needs no answer."""
         ...

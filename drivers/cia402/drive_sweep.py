@@ -55,6 +55,11 @@ class DriveSweep:
     def timing(self) -> None:
         """The drive makes the set-points."""
 
+    streams = False
+
+    def halt(self) -> None:
+        """The drive has its word already; the stop event ends the run."""
+
     async def interrupted(self) -> None:
         """The stop ladder may begin: this run only reads."""
 

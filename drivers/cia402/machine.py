@@ -4,8 +4,9 @@ import asyncio
 import logging
 import threading
 from collections.abc import AsyncGenerator, Coroutine, Generator, Mapping, Sequence
-from contextlib import aclosing, contextmanager
+from contextlib import aclosing, contextmanager, suppress
 from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 from drivers.cia402 import checks, states
 from drivers.cia402.axis import Axis
@@ -15,7 +16,7 @@ from drivers.cia402.positioning import move
 from drivers.cia402.profile import AxisProfile
 from drivers.cia402.standing import Watched
 from drivers.cia402.stopping import bring_down
-from drivers.errors import DriveError, LimitExceeded, NotReady
+from drivers.errors import DriveError, LimitExceeded, NotReady, StopNotConfirmed
 from drivers.ports import (
     AxisIdentity,
     AxisStatus,
@@ -25,6 +26,7 @@ from drivers.ports import (
     NoiseCommand,
     SampleBlock,
     SetPointTiming,
+    StopSender,
     SweepCommand,
     SweepMode,
 )
@@ -32,6 +34,7 @@ from drivers.ports import (
 logger = logging.getLogger(__name__)
 
 Command = SweepCommand | NoiseCommand
+Result = TypeVar("Result")
 
 
 @dataclass(slots=True, eq=False)
@@ -52,7 +55,7 @@ class Cia402Machine:
         self._link: Connection | None = None
         self._motion: Motion | None = None
         self._enabling: list[Motion] = []  # of axes that still stand
-        self._cleanups: set[asyncio.Task[None]] = set()
+        self._cleanups: set[asyncio.Task[Any]] = set()
         self._closing: asyncio.Task[None] | None = None
         self._reading = asyncio.Lock()  # one status at a time in the thread's queue: a stop must not wait for many
         self._last_run: Run | None = None
@@ -100,6 +103,7 @@ class Cia402Machine:
             self._link = None
             for axis in link.axes.values():
                 try:
+                    await link.thread.run(axis.device.reopen)
                     await bring_down(link.thread, axis)
                 except DriveError as error:
                     logger.error("while closing: %s", error)
@@ -147,17 +151,36 @@ class Cia402Machine:
             await self._interrupt()
         await self._shield(bring_down(self._connected().thread, axis))
 
-    async def stop(self) -> None:
-        if self._link is not None:
-            await self._shield(self._stop(self._link))
-        else:
-            await self._closed()  # which brings every axis down as well
+    def halt(self) -> None:
+        link, motion = self._link, self._motion
+        for each in (*self._enabling, *(() if motion is None else (motion,))):
+            each.stop.set()
+        run = None if motion is None else motion.run
+        if run is not None:
+            run.halt()
+        if link is not None:
+            link.halt(streaming=run is not None and run.streams)
 
-    async def _stop(self, link: Connection) -> None:
-        """Every axis down, the moving ones first."""
+    async def stop(self) -> tuple[str, ...]:
+        self.halt()
+        if self._link is not None:
+            return await self._shield(self._stop(self._link))
+        await self._closed()  # which brings every axis down as well
+        return ()
+
+    def stop_sender(self) -> StopSender:
+        return self._fieldbus.stop_sender()
+
+    async def _stop(self, link: Connection) -> tuple[str, ...]:
+        """Every axis down, the moving ones first; all were told to stop already."""
         moving = () if self._motion is None else self._motion.axes
         await self._interrupt()
-        await self._bring_down(link, sorted(link.axes.values(), key=lambda axis: axis not in moving))
+        axes = sorted(link.axes.values(), key=lambda axis: axis not in moving)
+        for axis in axes:
+            with suppress(DriveError):  # the ladder tells
+                await link.thread.run(axis.device.reopen)
+        await self._bring_down(link, axes)
+        return self.joints
 
     # -- motion --------------------------------------------------------------------------------------------------
 
@@ -266,21 +289,22 @@ class Cia402Machine:
             logger.error("stop ladder: %s", error)
 
     async def _bring_down(self, link: Connection, axes: Sequence[Axis]) -> None:
-        trouble: DriveError | None = None
+        trouble: dict[str, str] = {}
         for axis in axes:
             try:
                 await bring_down(link.thread, axis)
             except DriveError as error:  # the others must be stopped all the same
-                trouble = trouble or error
-        if trouble is not None:
-            raise trouble
+                trouble[axis.profile.joint] = str(error)
+        if trouble:
+            down = [axis.profile.joint for axis in axes if axis.profile.joint not in trouble]
+            raise StopNotConfirmed(down, trouble)
 
-    async def _shield(self, work: Coroutine[object, object, None]) -> None:
+    async def _shield(self, work: Coroutine[object, object, Result]) -> Result:
         """Runs `work` to its end even if the caller is cancelled meanwhile."""
         task = asyncio.create_task(work)
         self._cleanups.add(task)
         task.add_done_callback(self._cleanups.discard)
-        await asyncio.shield(task)
+        return await asyncio.shield(task)
 
     def _connected(self) -> Connection:
         if self._link is None:

@@ -25,6 +25,11 @@ class DriveThread:
             raise CommunicationLost("the connection was closed")
         return await asyncio.wrap_future(self._executor.submit(function, *args, **kwargs))
 
+    def post(self, function: Callable[P, object], *args: P.args, **kwargs: P.kwargs) -> None:
+        """Have `function` called on the thread; nobody waits for it. Nothing after `close`."""
+        with suppress(RuntimeError):  # closed this moment
+            self._executor.submit(function, *args, **kwargs)
+
     async def close(self) -> None:
         """Ends the thread after the calls that wait for it: on a bus that is closed they fail at once."""
         self._closed = True

@@ -124,6 +124,14 @@ class ModbusDevice:
             return "drive restarted, its settings are lost"
         return f"error {code:04X}h"
 
+    def halt(self) -> None:
+        """Quick stop without waiting for the answer, but leaving a serial line free for it."""
+        self._unit.tell("controlword", states.QUICK_STOP)
+        time.sleep(self._machine.line.answer_time)
+
+    def reopen(self) -> None:
+        """A Modbus drive is never deaf."""
+
     def stop_unheard(self) -> None:
         """Quick stop, and disable voltage after the time of its ramp."""
         self._unit.tell("controlword", states.QUICK_STOP)

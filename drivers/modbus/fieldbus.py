@@ -17,6 +17,7 @@ from drivers.modbus.device import ModbusDevice
 from drivers.modbus.line import Line
 from drivers.modbus.profile import ModbusProfile
 from drivers.modbus.registers import load_registers
+from drivers.modbus.stop_sender import ModbusStopSender
 from drivers.ports import AxisIdentity, Capabilities, SweepCommand
 
 logger = logging.getLogger(__name__)
@@ -41,7 +42,11 @@ class ModbusFieldbus:
             await to_the_end(_release(thread, line, None))
             raise
         heart = asyncio.create_task(_beat(thread, devices, line.beat), name="modbus-heartbeat")
-        return ModbusConnection(thread, line, heart, axes, identities, capabilities(axes.values()))
+        return ModbusConnection(thread, line, heart, devices, axes, identities, capabilities(axes.values()))
+
+    def stop_sender(self) -> ModbusStopSender:
+        """NotReady on a serial line."""
+        return ModbusStopSender(self._profile, self._map)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +56,7 @@ class ModbusConnection:
     thread: DriveThread
     line: Line
     heart: asyncio.Task[None]
+    devices: Sequence[ModbusDevice]
     axes: Mapping[str, Axis]
     identities: tuple[AxisIdentity, ...]
     capabilities: Capabilities
@@ -59,6 +65,10 @@ class ModbusConnection:
     async def stream(self, sweeps: Sequence[tuple[SweepCommand, Envelope]], stop: threading.Event) -> Run:
         """NotReady: polling is too slow and too uneven for set-points."""
         raise NotReady("host-streamed sweeps are not possible through Modbus")
+
+    def halt(self, *, streaming: bool) -> None:
+        """The next thing that the line's thread does, for all units before anything is asked of one."""
+        self.thread.post(_halt, self.devices)
 
     async def close(self) -> None:
         await _release(self.thread, self.line, self.heart)
@@ -76,6 +86,14 @@ async def _beat(thread: DriveThread, devices: Sequence[ModbusDevice], period: fl
             except DriveError as error:  # one drive's refusal must not let the others starve
                 logger.error("heartbeat: %s", error)
         await asyncio.sleep(period)
+
+
+def _halt(devices: Sequence[ModbusDevice]) -> None:
+    for device in devices:
+        try:
+            device.halt()
+        except DriveError as error:  # the others must be told all the same
+            logger.error("halt: %s", error)
 
 
 def _introduce(axes: Iterable[Axis]) -> tuple[AxisIdentity, ...]:

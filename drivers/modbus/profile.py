@@ -8,6 +8,7 @@ from pydantic import Field, model_validator
 
 from drivers.cia402.profile import AxisProfile, Frozen, StopOptions, existing_file, parse, require_different
 
+TURNAROUND = 0.02  # s that a drive may take to begin its answer
 ROUND_TRIP = 4e-3  # s, of a Modbus TCP request: most drives answer from a cycle of some ms
 
 
@@ -41,6 +42,11 @@ class TcpLine(_Clocks):
         """Between an answer and the next request, s."""
         return self.silence_between_frames
 
+    @property
+    def answer_time(self) -> float:
+        """Until an answer that nobody waits for is over, s: many a server drops a request that comes before."""
+        return TURNAROUND
+
     def read_time(self, registers: int) -> float:
         """About what it takes to read so many registers, s; on TCP the round trip is what counts."""
         return ROUND_TRIP
@@ -63,6 +69,11 @@ class RtuLine(_Clocks):
     def silence(self) -> float:
         """At least 3.5 characters, and 1.75 ms above 19,200 baud (Modbus over serial line V1.02, 2.5.1.1)."""
         return max(self.silence_between_frames, 3.5 * self._character if self.baudrate <= 19200 else 1.75e-3)
+
+    @property
+    def answer_time(self) -> float:
+        """Until an answer to a write that nobody waits for is over, s."""
+        return TURNAROUND + 8 * self._character
 
     def read_time(self, registers: int) -> float:
         """About what it takes to read so many registers, s: request of 8 bytes, answer of 5 and the registers."""

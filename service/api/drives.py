@@ -72,7 +72,7 @@ class DrivesView(BaseModel):
 async def get_drives(lab: LabOf) -> DrivesView:
     """State, position, faults and identity of every axis."""
     machine = lab.machine
-    status: Mapping[str, AxisStatus] = await machine.status() if machine.connected else {}
+    status: Mapping[str, AxisStatus] = await machine.recent_status() if machine.connected else {}
     identities = {identity.joint: identity for identity in machine.identities}
     return DrivesView(
         connected=machine.connected,

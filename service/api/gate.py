@@ -5,7 +5,7 @@ page of another origin sends is refused, and so is one for a host name that is n
 Stopping is never refused. The service has no users; who reaches its port may use it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from urllib.parse import urlsplit
 
@@ -16,29 +16,34 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.problem import problem_response
 
-BODY_LIMIT = 4 * 2**20  # bytes; the largest JSON body is a robot's URDF or a plan's request
+BODY_LIMIT = 256 * 2**10  # bytes of JSON
+ROBOT_LIMIT = 4 * 2**20  # with a URDF in it
 BUNDLE_LIMIT = 512 * 2**20
 
 
 class Gate:
     """ASGI middleware. `hosts`: host names that the service answers to; empty: any."""
 
-    def __init__(self, app: ASGIApp, hosts: Sequence[str], stop_path: str, bundle_path: str) -> None:
+    def __init__(self, app: ASGIApp, hosts: Sequence[str], stop_path: str, limits: Mapping[str, int]) -> None:
+        """`limits`: bytes of a body by path, where it may be larger than `BODY_LIMIT`."""
         self._app = app
         self._hosts = frozenset(hosts)
         self._stop_path = stop_path
-        self._bundle_path = bundle_path
+        self._limits = dict(limits)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] not in ("http", "websocket") or scope["path"] == self._stop_path:
+        if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
+            return
+        if scope["path"].rstrip("/") == self._stop_path:  # a slash too many would be redirected: it is a stop
+            await self._app({**scope, "path": self._stop_path}, receive, send)
             return
         headers = Headers(scope=scope)
         refusal = self._stranger(headers)
         if refusal:
             await self._refuse(scope, receive, send, HTTPStatus.FORBIDDEN, "foreign-request", refusal)
             return
-        limit = BUNDLE_LIMIT if scope["path"] == self._bundle_path else BODY_LIMIT
+        limit = self._limits.get(scope["path"], BODY_LIMIT)
         length = headers.get("content-length", "0")
         if length.isdigit() and int(length) > limit:
             detail = f"body of {length} bytes, limit {limit} bytes"

@@ -32,5 +32,8 @@ async def get_ready(response: Response, lab: LabOf) -> Ready:
     held = lab.machine.latched
     if held is not None:
         causes.append(f"stopped by {held.by}: {held.why}")
+    process = lab.stop_process
+    if process is not None and process.ended:
+        causes.append(process.trouble)
     response.status_code = 503 if causes else 200
     return Ready(ready=not causes, causes=tuple(causes))

@@ -39,6 +39,8 @@ _STATUS: tuple[tuple[type[Exception], HTTPStatus], ...] = (
 )
 _LIMITS = ("gt", "ge", "lt", "le", "min_length", "max_length", "expected", "multiple_of")
 _LONGEST_VALUE = 200
+_LONGEST_TEXT = 2000
+_MOST_ERRORS = 8  # told of a request: an answer must not grow with what was sent
 
 
 class FieldProblem(BaseModel):
@@ -59,6 +61,8 @@ class Problem(BaseModel):
     detail: str
     instance: str
     errors: tuple[FieldProblem, ...] = ()
+    confirmed: tuple[str, ...] | None = None  # of a stop: the axes that stand
+    unconfirmed: dict[str, str] | None = None  # and the others, by joint why that is not known
 
 
 def problem_response(
@@ -68,16 +72,18 @@ def problem_response(
     detail: str,
     errors: Sequence[FieldProblem] = (),
     headers: Mapping[str, str] | None = None,
+    told: Mapping[str, object] | None = None,
 ) -> Response:
-    """The response of one problem."""
-    problem = Problem(
-        type=f"urn:sweepid:problem:{name}",
-        title=status.phrase,
-        status=status.value,
-        detail=_printable(detail),
-        instance=request.url.path,
-        errors=tuple(errors),
-    )
+    """The response of one problem; `told` are its further members."""
+    members = {
+        "type": f"urn:sweepid:problem:{name}",
+        "title": status.phrase,
+        "status": status.value,
+        "detail": _cut(detail, _LONGEST_TEXT),
+        "instance": _cut(request.url.path, _LONGEST_TEXT),
+        "errors": tuple(errors),
+    }
+    problem = Problem.model_validate(members | dict(told or {}))
     content = problem.model_dump_json(exclude_none=True)
     return Response(content, status.value, headers, media_type=MEDIA_TYPE)
 
@@ -99,11 +105,12 @@ def _on_known_error(request: Request, error: Exception) -> Response:
 
 def _on_invalid_request(request: Request, error: Exception) -> Response:
     details: Sequence[ErrorDetails] = error.errors() if isinstance(error, RequestValidationError) else ()
-    errors = tuple(_field_problem(detail) for detail in details)
+    errors = tuple(_field_problem(detail) for detail in details[:_MOST_ERRORS])
     first = errors[0]
     given = "" if first.value is None else f" (given: {first.value})"
+    more = f"; {len(details)} errors, the first {_MOST_ERRORS} are told" if len(details) > _MOST_ERRORS else ""
     return problem_response(
-        request, HTTPStatus.UNPROCESSABLE_ENTITY, "bad-input", f"{first.pointer}: {first.reason}{given}", errors
+        request, HTTPStatus.UNPROCESSABLE_ENTITY, "bad-input", f"{first.pointer}: {first.reason}{given}{more}", errors
     )
 
 
@@ -128,21 +135,28 @@ def _field_problem(detail: ErrorDetails) -> FieldProblem:
     pointer = "#" + "".join(f"/{part}" for part in escaped) if where == "body" else "/".join([str(where), *escaped])
     context = detail.get("ctx", {})
     limit = next((context[name] for name in _LIMITS if name in context), None)
-    if not isinstance(limit, str | int | float | None):
-        limit = str(limit)
+    if not isinstance(limit, int | float | None):
+        limit = _cut(str(limit), _LONGEST_VALUE)
     return FieldProblem(
-        pointer=_printable(pointer), reason=_printable(detail["msg"]), value=_shown(detail["input"]), limit=limit
+        pointer=_cut(pointer, _LONGEST_VALUE),
+        reason=_cut(detail["msg"], _LONGEST_VALUE),
+        value=_shown(detail["input"]),
+        limit=limit,
     )
 
 
 def _shown(value: object) -> str | float | int | bool | None:
     """The value as given, shortened to what helps a person."""
-    if value is None or isinstance(value, bool | int):
+    if value is None or isinstance(value, bool) or (isinstance(value, int) and value.bit_length() <= 64):
         return value
     if isinstance(value, float):
         return value if math.isfinite(value) else str(value)
     text = value if isinstance(value, str) else json.dumps(value, default=str)
-    return _printable(text if len(text) <= _LONGEST_VALUE else f"{text[:_LONGEST_VALUE]}...")
+    return _cut(text, _LONGEST_VALUE)
+
+
+def _cut(text: str, longest: int) -> str:
+    return _printable(text if len(text) <= longest else f"{text[:longest]}...")
 
 
 def _printable(text: str) -> str:

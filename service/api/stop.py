@@ -1,50 +1,102 @@
-"""The stop: always accepted, from anybody. What moves afterwards waits for a person's reset."""
+"""The stop: always accepted, from anybody. What moves afterwards waits for a person's release, stop by stop.
 
-from typing import Annotated
+The service's own answer; `service.stop_process` listens beside it for when the service has no time.
+"""
 
-from fastapi import APIRouter, Query, Request
-from pydantic import BaseModel, ConfigDict, StringConstraints
+from http import HTTPStatus
+from typing import Annotated, Any
 
+from fastapi import APIRouter, Query, Request, Response
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+from drivers.errors import StopNotConfirmed
 from service.api.dependencies import LabOf
-from service.store.documents import StopDocument
+from service.api.problem import Problem, problem_response
+from service.lab import Lab
+from service.store.documents import LARGEST_ID, StopDocument
 
 router = APIRouter(prefix="/stop", tags=["stop"])
 
+_SHOWN = 100  # stops in an answer
+_NOT_CONFIRMED: dict[int | str, dict[str, Any]] = {
+    503: {"model": Problem, "description": "latched, but axes did not confirm standstill: `unconfirmed`"}
+}
+
 
 class StopView(BaseModel):
-    """Whether the machine is held, and the stop that was spoken of last."""
+    """Whether the machine is held, the stop that was spoken of last, and the stops that hold it (the oldest 100).
+
+    A stop has a negative id until the database has taken it. `port` is where the stop process listens for
+    ``POST /stop``, null where there is none; `process_trouble` is why its own way to the drives is not open.
+    """
 
     latched: bool
     stop: StopDocument | None
+    stops: tuple[StopDocument, ...]
+    port: int | None
+    process_trouble: str
+
+
+class Stopped(StopView):
+    """`confirmed`: the axes that said that they stand without energy; all of them, or the answer is 503."""
+
+    confirmed: tuple[str, ...]
 
 
 class Reset(BaseModel):
-    """Who looked at the machine."""
+    """Who looked at the machine, and which stops that releases."""
 
     model_config = ConfigDict(extra="forbid")
     by: Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=100)]
+    stops: Annotated[
+        tuple[Annotated[int, Field(ge=-LARGEST_ID, le=LARGEST_ID)], ...], Field(min_length=1, max_length=_SHOWN)
+    ]
 
 
 @router.get("")
 async def get_stop(lab: LabOf) -> StopView:
-    held = lab.machine.latched
-    return StopView(latched=held is not None, stop=held)
+    return _view(lab, lab.machine.latched)
 
 
-@router.post("")
+@router.post("", response_model=Stopped, responses=_NOT_CONFIRMED)
 async def stop(
     request: Request,
     lab: LabOf,
     by: Annotated[str, Query(description="who stops; default: the client's address")] = "",
     why: Annotated[str, Query()] = "",
-) -> StopView:
-    """Stop every axis now and hold the machine. No body is needed, none is waited for or read."""
+    press: Annotated[str, Query(description="the same at the port of the stop process: then both are one stop")] = "",
+) -> Stopped | Response:
+    """Stop every axis now and hold the machine. No body is needed, none is waited for or read.
+
+    503 names the axes that did not confirm that they stand; the machine is held all the same.
+    """
     client = "unknown" if request.client is None else request.client.host
-    held = await lab.machine.stop(by[:100] or client, why[:500] or "stop requested")
-    return StopView(latched=True, stop=held)
+    try:
+        held = await lab.machine.stop(by[:100] or client, why[:500] or "stop requested", press[:100])
+    except StopNotConfirmed as error:
+        told = {"confirmed": error.confirmed, "unconfirmed": error.unconfirmed}
+        return problem_response(
+            request, HTTPStatus.SERVICE_UNAVAILABLE, "stop-not-confirmed", f"stop not confirmed: {error}", told=told
+        )
+    return Stopped(**_view(lab, held).model_dump(), confirmed=lab.machine.joints)
 
 
 @router.post("/reset")
 async def reset_stop(reset: Reset, lab: LabOf) -> StopView:
-    """Let the machine move again. Nothing moves by this; a campaign goes on when it is resumed."""
-    return StopView(latched=False, stop=await lab.machine.reset_stop(reset.by))
+    """Release these stops and no other; sent again it changes nothing. The machine may move when none is left.
+
+    Nothing moves by this; a campaign goes on when it is resumed.
+    """
+    released = await lab.machine.reset_stop(reset.by, reset.stops)
+    return _view(lab, released[0])
+
+
+def _view(lab: Lab, spoken_of: StopDocument | None) -> StopView:
+    process, stops = lab.stop_process, lab.machine.stops
+    return StopView(
+        latched=bool(stops),
+        stop=spoken_of,
+        stops=stops[:_SHOWN],
+        port=None if process is None else process.port,
+        process_trouble="no stop process" if process is None else process.trouble,
+    )

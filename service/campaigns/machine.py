@@ -1,10 +1,12 @@
 """The machine: the drive port behind the lease and the latched stop. What moves asks `check_may_move` first."""
 
 import asyncio
+import itertools
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from typing import ParamSpec, TypeVar
@@ -12,9 +14,9 @@ from typing import ParamSpec, TypeVar
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from drivers.errors import CommunicationLost, DriveError
+from drivers.errors import CommunicationLost, DriveError, StopNotConfirmed
 from drivers.ports import AxisIdentity, AxisState, AxisStatus, Capabilities, DrivePort, Fault
-from service.errors import Conflict
+from service.errors import Conflict, NotFound
 from service.store.documents import StopDocument
 from service.store.guards import LeaseLost, MachineLease, StopLatch
 
@@ -23,19 +25,36 @@ _log = structlog.get_logger(__name__)
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
-NOT_STORED = 0  # id of a stop of which the database has taken no word
+RECENT = 0.25  # s
+
+
+@dataclass(slots=True, eq=False)
+class Hold:
+    """A stop that holds the machine. The id of its document is negative until the database has taken it."""
+
+    document: StopDocument
+    press: str  # of a button whose word comes by two ways
+    under_way: int = 0  # how many wait for the drives to confirm it
 
 
 class Machine:
     """One drive port, its connection, who uses it and who stopped it."""
 
-    def __init__(self, port: DrivePort, latch: StopLatch, latched: StopDocument | None) -> None:
-        """`latched`: the stop that was in force when the service started."""
+    def __init__(
+        self,
+        port: DrivePort,
+        latch: StopLatch,
+        latched: Sequence[StopDocument],
+        order_stop: Callable[[], None] = lambda: None,
+    ) -> None:
+        """`latched`: the stops in force when the service started. `order_stop` has the stop process send as well."""
         self.port = port
         self._latch = latch
-        self._latched = latched
-        self._stops = 0  # under way
+        self._holds = [Hold(stop, "") for stop in latched]  # oldest first
+        self._unstored = itertools.count(-1, -1)
+        self._order_stop = order_stop
         self._latching = asyncio.Lock()  # what stands in the store and what is held here change in the same order
+        self._ending = ""  # the service ends: nothing moves until it is started again
         self._lease_trouble = ""  # why this service may not be the owner of the machine any more
         self._lease_over = False  # and that does not change any more
         self._user: str | None = None
@@ -43,6 +62,8 @@ class Machine:
         self._identities: tuple[AxisIdentity, ...] = ()
         self._trouble = "not connected yet"
         self._connecting = asyncio.Lock()
+        self._asking = asyncio.Lock()
+        self._recent: tuple[float, Mapping[str, AxisStatus]] | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -70,8 +91,13 @@ class Machine:
 
     @property
     def latched(self) -> StopDocument | None:
-        """The stop that holds the machine, or None. Its id is NOT_STORED until the database has taken it."""
-        return self._latched
+        """The oldest stop that holds the machine, or None."""
+        return next((hold.document for hold in tuple(self._holds)), None)
+
+    @property
+    def stops(self) -> tuple[StopDocument, ...]:
+        """Every stop that holds the machine, oldest first; one that the database has not taken has a negative id."""
+        return tuple(hold.document for hold in tuple(self._holds))
 
     async def connect(self) -> tuple[AxisIdentity, ...]:
         """Connect, also again after a loss; every axis is disabled afterwards.
@@ -89,7 +115,7 @@ class Machine:
             except DriveError as error:
                 self._trouble = str(error)
                 raise
-            self._trouble = ""
+            self._trouble, self._recent = "", None
             return self._identities
 
     async def reach(self) -> None:
@@ -105,7 +131,7 @@ class Machine:
 
     def lost(self, why: str) -> None:
         """The connection went away; nothing moves until a person connects again."""
-        self._trouble = why
+        self._trouble, self._recent = why, None
 
     async def status(self) -> Mapping[str, AxisStatus]:
         """The state of every axis. Conflict while not connected."""
@@ -119,6 +145,14 @@ class Machine:
             self.lost("no drive answers")
         return status
 
+    async def recent_status(self) -> Mapping[str, AxisStatus]:
+        """As `status`, but at most `RECENT` old: however many ask, the drives are asked once in that time."""
+        async with self._asking:
+            if self._recent is None or time.monotonic() - self._recent[0] > RECENT:
+                status = await self.status()
+                self._recent = time.monotonic(), status
+            return self._recent[1]
+
     async def faults(self) -> tuple[Fault, ...]:
         """Pending faults of all axes. Conflict while not connected."""
         self._check_connected()
@@ -129,45 +163,75 @@ class Machine:
         self._check_connected()
         self._check_unused("acknowledge")
         await self.port.acknowledge(joint)
+        self._recent = None
 
-    async def stop(self, by: str, why: str) -> StopDocument:
-        """Stop every axis first, then latch: nothing moves until a person resets it. May be called at any time.
+    async def stop(self, by: str, why: str, press: str = "") -> StopDocument:
+        """Stop every axis first, then latch: nothing moves until a person releases it. May be called at any time.
 
-        It holds also where the database does not take it (SQLAlchemyError), but then not beyond a restart.
+        StopNotConfirmed names the axes that did not say that they stand; the machine is latched all the same. It
+        holds also where the database does not take it (SQLAlchemyError), but then not beyond a restart.
         """
-        # before anything is awaited: who is about to move finds it
-        self._latched = StopDocument(id=NOT_STORED, by=by, why=why, at=datetime.now(UTC), reset_by=None, reset_at=None)
+        self._order_stop()
+        return await self.confirm(self.seize(by, why, press))
+
+    def seize(self, by: str, why: str, press: str = "") -> Hold:
+        """Nothing moves from here on, and every axis has been told to stop; `confirm` is to follow. From any thread."""
+        hold = next((each for each in tuple(self._holds) if press and each.press == press), None)
+        if hold is None:
+            at = datetime.now(UTC)
+            document = StopDocument(id=next(self._unstored), by=by, why=why, at=at, reset_by=None, reset_at=None)
+            hold = Hold(document, press)
+            self._holds.append(hold)  # before the drives are told: who is about to move finds it
+        hold.under_way += 1
         self._disturb()
-        self._stops += 1
+        self.port.halt()
+        return hold
+
+    async def confirm(self, hold: Hold) -> StopDocument:
+        """The ladder, to confirmed standstill, then the latch. Errors as `stop`."""
         try:
-            await self.port.stop()
+            confirmed = await self.port.stop()
         finally:
             try:
                 async with self._latching:
-                    self._latched = latched = await _apart(self._latch.latch, by, why)
+                    if hold.document.id < 0:
+                        hold.document = await _apart(self._latch.latch, hold.document.by, hold.document.why)
             finally:
-                self._stops -= 1
-        _log.warning("stop", by=by, why=why)
-        return latched
+                hold.under_way -= 1
+                self._recent = None
+        _log.warning("stop", stop=hold.document.id, by=hold.document.by, why=hold.document.why)
+        reason = f"not connected: {self._trouble or 'the connection was closed'}"
+        left = {joint: reason for joint in self.joints if joint not in confirmed}
+        if left:
+            raise StopNotConfirmed(confirmed, left)
+        return hold.document
 
-    async def reset_stop(self, by: str) -> StopDocument:
-        """A person looked and lets the machine move again; nothing moves by this.
+    def end(self, why: str) -> None:
+        """The service ends: every axis is told to stop, and nothing moves any more."""
+        self._ending = why
+        self._disturb()
+        self.port.halt()
 
-        Conflict if it is not stopped, or while a stop is under way.
+    async def reset_stop(self, by: str, stops: Sequence[int]) -> tuple[StopDocument, ...]:
+        """A person looked and releases these stops; the machine may move when none is left. Nothing moves by this.
+
+        Those that are released already stay so. NotFound if one never was, Conflict while one is under way.
         """
         async with self._latching:
-            if self._stops:
-                raise Conflict(f"a stop is under way: {self._forbidden}")
-            try:
-                document = await _apart(self._latch.reset, by)
-            except Conflict:
-                if self._latched is None:
-                    raise
-                document = self._latched.model_copy(update={"reset_by": by, "reset_at": datetime.now(UTC)})
-            if not self._stops:  # none came meanwhile
-                self._latched = None
-        _log.warning("stop_reset", by=by)
-        return document
+            named = {hold.document.id: hold for hold in tuple(self._holds) if hold.document.id in stops}
+            for number, hold in named.items():
+                if hold.under_way:
+                    raise Conflict(f"stop {number} is under way: {hold.document.by}: {hold.document.why}")
+            unstored = {number: hold.document for number, hold in named.items() if number < 0}
+            for number in stops:
+                if number < 0 and number not in unstored:
+                    raise NotFound(f"stop {number}")
+            stored = await _apart(self._latch.reset, by, [number for number in stops if number >= 0])
+            for hold in named.values():
+                self._holds.remove(hold)
+        _log.warning("stop_reset", by=by, stops=list(stops))
+        done = {"reset_by": by, "reset_at": datetime.now(UTC)}
+        return (*stored, *(document.model_copy(update=done) for document in unstored.values()))
 
     @property
     def held(self) -> str:
@@ -256,8 +320,11 @@ class Machine:
     @property
     def _forbidden(self) -> str:
         """Why nobody may move the machine now."""
-        if self._latched is not None:
-            return f"stopped by {self._latched.by}: {self._latched.why}"
+        held = self.latched
+        if held is not None:
+            return f"stopped by {held.by}: {held.why}"
+        if self._ending:
+            return self._ending
         return self._lease_trouble
 
     def _disturb(self) -> None:

@@ -1,9 +1,11 @@
 """`sweepid measure PLAN`: run a plan through the service and watch it."""
 
 import json
+import signal
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from types import FrameType
+from typing import Annotated, Any, Self
 
 import typer
 from rich.console import Console
@@ -22,18 +24,61 @@ def measure(
     plan: Annotated[str, typer.Argument(help="Number of a plan, or the file that `sweepid plan --out` wrote.")],
     url: Url = DEFAULT_URL,
 ) -> None:
-    """Run a plan: move, measure, identify. Prints the number of the campaign. Ctrl-C stops the machine."""
+    """Run a plan: move, measure, identify. Prints the number of the campaign.
+
+    Ctrl-C, SIGTERM and a terminal that goes away stop the machine.
+    """
     with ServiceClient(url) as client:
         campaign_id = int(client.add_campaign(plan_number(plan))["id"])
-        try:
-            client.start(campaign_id)
-            watch(client, campaign_id)
-        except KeyboardInterrupt:
-            client.stop("sweepid measure", "Ctrl-C")
-            raise NotCompleted(
-                f"campaign {campaign_id}: machine stopped; release the stop and resume or abort the campaign at {url}"
-            ) from None
+        with _Told() as told:
+            try:
+                client.start(campaign_id)
+                watch(client, campaign_id)
+            except BaseException:  # also what a terminal that is gone made of it
+                if not told.by:
+                    raise
+                raise _stopped(client, campaign_id, told.by, url) from None
     sys.stdout.write(f"{campaign_id}\n")
+
+
+_SIGNALS = {"SIGINT": "Ctrl-C", "SIGTERM": "SIGTERM", "SIGHUP": "the terminal was lost"}
+
+
+class _Told:
+    """While the block runs, the first signal that ends a program raises KeyboardInterrupt; those after it wait.
+
+    `by` says which it was. What the caller of the program has set to be ignored (nohup) stays ignored.
+    """
+
+    def __init__(self) -> None:
+        self.by = ""
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Self:
+        for name in _SIGNALS:
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+                self._before[number] = signal.signal(number, self._tell)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _tell(self, number: int, _: FrameType | None) -> None:
+        if not self.by:
+            self.by = _SIGNALS[signal.Signals(number).name]
+            raise KeyboardInterrupt
+
+
+def _stopped(client: ServiceClient, campaign_id: int, why: str, url: str) -> NotCompleted:
+    """Stop the machine; what a person is told of it."""
+    then = f"release the stop and resume or abort the campaign at {url}"
+    try:
+        client.stop("sweepid measure", why)
+    except SweepidError as error:
+        return NotCompleted(f"campaign {campaign_id}: THE STOP IS NOT CONFIRMED: {error}; look at the machine, {then}")
+    return NotCompleted(f"campaign {campaign_id}: machine stopped; {then}")
 
 
 def plan_number(plan: str) -> int:

@@ -17,10 +17,11 @@ from fastapi import FastAPI
 from starlette.types import Receive, Scope, Send
 
 from drivers.errors import DriveError
-from service.app import create_app, end_streams
+from service.app import create_app, end_motion, end_streams, halt
 from service.cli.logs import configure_logs
 from service.errors import SweepidError
-from service.settings import load_settings
+from service.settings import Settings, load_settings
+from service.stop_process.handle import StopProcess
 
 _log = structlog.get_logger(__name__)
 
@@ -44,10 +45,19 @@ def serve(
     sys.setswitchinterval(_SWITCH_INTERVAL)
     if not settings.answers_to:
         _log.warning("answers_to_any_host_name", host=settings.host, setting="allowed_hosts")
-    app = create_app(settings, settings.answers_to)
+    # uvicorn raises the signal that ended it once more when all is closed; that is then a clean end
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _end)
+    with StopProcess(settings.drive, settings.host, settings.stop_listens_at) as stop_process:
+        _serve(settings, stop_process)
+
+
+def _serve(settings: Settings, stop_process: StopProcess) -> None:
+    app = create_app(settings, settings.answers_to, stop_process)
     started = _Startup(app)
     server = _Server(
         app,
+        stop_process,
         uvicorn.Config(
             started,
             host=settings.host,
@@ -59,9 +69,6 @@ def serve(
             ws="websockets-sansio",
         ),
     )
-    # uvicorn raises the signal that ended it once more when all is closed; that is then a clean end
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _end)
     try:
         asyncio.run(server.serve())
     except SystemExit as ended:
@@ -102,24 +109,42 @@ class _Startup:
 
 
 class _Server(uvicorn.Server):
-    """Tells when it is ready, and ends endless streams before it waits for open requests."""
+    """Tells when it is ready. Told to end, it stops the machine before it waits for anything."""
 
-    def __init__(self, app: FastAPI, config: uvicorn.Config) -> None:
+    def __init__(self, app: FastAPI, stop_process: StopProcess, config: uvicorn.Config) -> None:
         super().__init__(config)
-        self._app = app
+        self._app, self._stop_process = app, stop_process
 
     async def startup(self, sockets: list[socket] | None = None) -> None:
         await super().startup(sockets)
         if self.started:
+            self._loop = asyncio.get_running_loop()
+            self._stop_process.watch_signals()
+            hang_up = getattr(signal, "SIGHUP", None)  # the terminal is gone
+            if hang_up is not None and signal.getsignal(hang_up) is not signal.SIG_IGN:  # as under nohup
+                signal.signal(hang_up, self.handle_exit)
             port = self.servers[0].sockets[0].getsockname()[1]
             host = f"[{self.config.host}]" if ":" in self.config.host else self.config.host
             ready: dict[str, Any] = {"ready": True, "url": f"http://{host}:{port}", "port": port, "pid": os.getpid()}
+            ready["stop_port"] = self._stop_process.port
             sys.stdout.write(json.dumps(ready) + "\n")
             sys.stdout.flush()
 
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """The stop process has seen the signal before; this is the service's own word to the drives."""
+        super().handle_exit(sig, frame)
+        self._loop.call_soon_threadsafe(self._halt)  # not here: the loop may hold the lock of the bus
+
     async def shutdown(self, sockets: list[socket] | None = None) -> None:
+        halting = asyncio.create_task(end_motion(self._app))
         end_streams(self._app)
+        await asyncio.wait([halting])
         await super().shutdown(sockets)
+        await halting  # an error of its own
+
+    def _halt(self) -> None:
+        halt(self._app)
+        self._stop_process.taken_over()
 
 
 def _end(number: int, frame: FrameType | None) -> None:

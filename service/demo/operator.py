@@ -38,7 +38,10 @@ class Operator:
         try:
             yield
         except BaseException as error:
-            self.client.stop("sweepid demo", type(error).__name__)
+            try:
+                self.client.stop("sweepid demo", type(error).__name__)
+            except SweepidError as unconfirmed:  # it must not hide what ended the campaign
+                self.say(str(unconfirmed))
             raise
 
     def _until_completed(self, campaign_id: int) -> None:

@@ -1,6 +1,6 @@
 """The operator's pages: static files, and the plotting script of the installed `plotly` package."""
 
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Mapping
 from importlib.resources import files
 from pathlib import Path
 
@@ -22,20 +22,22 @@ _SCRIPTS = (
     "refresh",
 )
 _STATIC = Path(__file__).parent / "static"
+# nothing is loaded from elsewhere, no inline script runs; plotly writes style attributes
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'; connect-src 'self'"
+)
 _HEADERS = {
-    # nothing is loaded from elsewhere, no inline script runs; plotly writes style attributes
-    "Content-Security-Policy": (
-        "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
-        "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-    ),
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cache-Control": "no-cache",
 }
 
 
-def add_pages(app: FastAPI) -> None:
-    """``/``, ``/diagnosis`` and the files that they load."""
+def add_pages(app: FastAPI, stop_port: int | None) -> None:
+    """``/``, ``/diagnosis`` and the files that they load. They may speak to this service and to the stop's port."""
+    stop = "" if stop_port is None else f" http://*:{stop_port}"
+    headers = _HEADERS | {"Content-Security-Policy": f"{_POLICY}{stop}"}
     plotly = Path(str(files("plotly").joinpath("package_data", "plotly.min.js")))
     pages = {
         "/": _STATIC / "index.html",
@@ -45,11 +47,11 @@ def add_pages(app: FastAPI) -> None:
         "/plotly.min.js": plotly,
     }
     for url, path in pages.items():
-        app.add_api_route(url, _page(path), response_class=FileResponse, include_in_schema=False)
+        app.add_api_route(url, _page(path, headers), response_class=FileResponse, include_in_schema=False)
 
 
-def _page(path: Path) -> Callable[[], Coroutine[None, None, FileResponse]]:
+def _page(path: Path, headers: Mapping[str, str]) -> Callable[[], Coroutine[None, None, FileResponse]]:
     async def page() -> FileResponse:
-        return FileResponse(path, headers=_HEADERS)
+        return FileResponse(path, headers=headers)
 
     return page

@@ -4,13 +4,13 @@ import os
 import socket
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from pydantic import JsonValue
 from sqlalchemy import Select, delete, select, update
 from sqlalchemy.orm import Session
 
-from service.errors import Conflict
+from service.errors import Conflict, NotFound
 from service.store import tables as t
 from service.store.database import Database
 from service.store.documents import EventKind, StopDocument
@@ -95,38 +95,42 @@ class StopLatch:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def latched(self) -> StopDocument | None:
-        """The oldest stop that nobody has reset."""
+    def latched(self) -> tuple[StopDocument, ...]:
+        """The stops that nobody has released, oldest first."""
         with self._database.read() as session:
-            row = session.scalar(_open_stops())
-            return None if row is None else _document(row)
+            return tuple(_document(row) for row in session.scalars(_open_stops()))
 
     def latch(self, by: str, why: str) -> StopDocument:
         with self._database.write() as session:
             row = t.StopRow(by=by, why=why)
             session.add(row)
-            _emit(session, True, by, why)
             session.flush()
+            _emit(session, [row.id], True, by, why)
             return _document(row)
 
-    def reset(self, by: str) -> StopDocument:
-        """Reset all stops; Conflict if there is none."""
+    def reset(self, by: str, stops: Sequence[int]) -> tuple[StopDocument, ...]:
+        """Release these stops and no other. One that is released already stays so; NotFound if one never was."""
         with self._database.write() as session:
-            first = session.scalar(_open_stops())
-            if first is None:
-                raise Conflict("no stop is latched")
-            for row in session.scalars(_open_stops()):
+            found = {row.id: row for row in session.scalars(select(t.StopRow).where(t.StopRow.id.in_(stops)))}
+            for number in stops:
+                if number not in found:
+                    raise NotFound(f"stop {number}")
+            held = [row for row in found.values() if row.reset_at is None]
+            for row in held:
                 row.reset_by, row.reset_at = by, t.now()
-            _emit(session, False, by, "reset")
-            return _document(first)
+            if held:
+                session.flush()
+                _emit(session, [row.id for row in held], session.scalar(_open_stops()) is not None, by, "reset")
+            return tuple(_document(found[number]) for number in stops)
 
 
 def _open_stops() -> Select[t.StopRow]:
     return select(t.StopRow).where(t.StopRow.reset_at.is_(None)).order_by(t.StopRow.id)
 
 
-def _emit(session: Session, latched: bool, by: str, why: str) -> None:
-    data: dict[str, JsonValue] = {"latched": latched, "by": by, "why": why}
+def _emit(session: Session, stops: Sequence[int], latched: bool, by: str, why: str) -> None:
+    """`latched`: whether any stop holds the machine now."""
+    data: dict[str, JsonValue] = {"latched": latched, "by": by, "why": why, "stops": list(stops)}
     session.add(t.EventRow(campaign_id=None, kind=EventKind.STOP, data=data))
 
 

@@ -4,13 +4,18 @@ import { call, get, Refused } from "./api.js";
 import { byId, complain } from "./elements.js";
 import { showDoubt } from "./intent.js";
 
+let stopPort = null; // of the process that stops while the service has no time
+let shown = []; // the stops that the person sees, and releases: none that came since
+
 // whether the service answered
 async function showMachine(show = () => {}) {
   const state = byId("machine");
   try {
     const [drives, stop] = await Promise.all([get("/drives"), get("/stop")]);
+    stopPort = stop.port;
+    shown = stop.stops.map(({ id }) => id);
     byId("held").hidden = !stop.latched;
-    if (stop.latched) byId("held-by").textContent = `Stopped by ${stop.stop.by}: ${stop.stop.why}`;
+    if (stop.latched) byId("held-by").textContent = stop.stops.map(({ by, why }) => `Stopped by ${by}: ${why}`).join("; ");
     const troubles = inTrouble(drives, stop);
     state.textContent = troubles.join(", ") || "machine connected";
     state.className = `state ${troubles.length ? "bad" : "good"}`;
@@ -43,12 +48,23 @@ export function showCheckMove(move) {
     "Is it this axis, and does it go that way? If not: STOP.";
 }
 
+// by both ways at once; the service's answer alone says that the axes stand
 async function stop() {
+  const press = `${Date.now()}-${Math.random()}`;
+  const words = `/stop?by=operator%20page&why=stop%20button&press=${press}`;
+  const beside = stopPort ? fetch(`http://${location.hostname}:${stopPort}${words}`, { method: "POST" }) : Promise.reject();
+  const slow = setTimeout(async () => {
+    const sent = await beside.then(({ ok }) => ok, () => false);
+    complain(new Error(`STOP ${sent ? "SENT, NOT" : "NOT"} CONFIRMED YET: look at the machine, use the emergency stop`));
+  }, 2000);
+  beside.catch(() => {}); // the service's way is told of below
   try {
-    await call("POST", "/stop?by=operator%20page&why=stop%20button");
+    await call("POST", words);
     complain(null);
   } catch (error) {
     complain(new Error(`STOP NOT CONFIRMED (${error.message}): use the emergency stop`));
+  } finally {
+    clearTimeout(slow);
   }
 }
 
@@ -75,7 +91,7 @@ export function watchMachine(refresh, show) {
   });
   byId("held").addEventListener("submit", (event) => {
     event.preventDefault();
-    command(() => call("POST", "/stop/reset", { by: byId("reset-by").value }));
+    command(() => call("POST", "/stop/reset", { by: byId("reset-by").value, stops: shown }));
   });
   byId("connect").addEventListener("click", () => command(() => call("POST", "/drives/connect")));
   const watch = async () => {

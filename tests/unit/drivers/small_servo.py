@@ -106,6 +106,8 @@ class Servo:
     def error_text(self, code: int) -> str:
         return f"error {code:04X}h"
 
+    def reopen(self) -> None: ...
+
     def stop_unheard(self) -> None:
         self.unheard += 1
         self.state = State.SWITCH_ON_DISABLED
@@ -153,7 +155,7 @@ class Link:
 
     def __init__(self, servos: Sequence[Servo]) -> None:
         self._servos = servos
-        self.opened = self.closed = 0
+        self.opened = self.closed = self.halted = 0
 
     async def open(self) -> "Link":
         self.opened += 1
@@ -168,6 +170,9 @@ class Link:
 
     async def stream(self, sweeps: object, stop: threading.Event) -> Run:
         raise CommunicationLost("no streams here")
+
+    def halt(self, *, streaming: bool) -> None:
+        self.halted += 1
 
     async def close(self) -> None:
         self.closed += 1

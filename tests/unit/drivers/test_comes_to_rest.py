@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from drivers.cia402.thread import DriveThread
-from drivers.errors import CommunicationLost, EnvelopeLeft, SweepInterrupted, WrongConfiguration
+from drivers.errors import CommunicationLost, EnvelopeLeft, StopNotConfirmed, SweepInterrupted, WrongConfiguration
 from drivers.ports import Sine, SweepCommand, SweepMode
 from tests.unit.drivers.small_servo import Servo, machine
 
@@ -169,7 +169,7 @@ async def test_a_refused_rung_does_not_keep_the_drive_from_the_next(refused: str
     await port.enable("joint_1")
     servo.velocity, servo.before = 0.5, refuse
     if refused == "statusword":  # nothing confirms it then
-        with pytest.raises(WrongConfiguration):
+        with pytest.raises(StopNotConfirmed, match="joint_1: statusword refused"):
             await port.stop()
     else:
         await port.stop()
@@ -190,7 +190,7 @@ async def test_a_drive_that_refuses_to_be_disabled_is_told_by_what_needs_no_answ
     await port.connect()
     await port.enable("joint_1")
     servo.before = refuse
-    with pytest.raises(WrongConfiguration, match="refused"):
+    with pytest.raises(StopNotConfirmed, match="joint_1: refused"):
         await port.stop()
     assert servo.unheard
     assert not servo.energised

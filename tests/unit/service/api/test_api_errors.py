@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 import httpx
 import pytest
 
-from service.api.gate import BODY_LIMIT
+from service.api.gate import BODY_LIMIT, ROBOT_LIMIT
 from service.robot import Robot
 
 
@@ -97,14 +97,23 @@ def test_a_command_without_a_machine_says_why(http: httpx.Client) -> None:
     assert "not connected" in str(problem(http.post("/drives/joint_1/acknowledge"), 409)["detail"])
 
 
-def test_a_body_that_is_too_large_is_refused_unread(http: httpx.Client) -> None:
-    found = problem(http.post("/robots", content=b" " * (BODY_LIMIT + 1)), 413)
-    assert str(BODY_LIMIT) in str(found["detail"])
+@pytest.mark.parametrize(("path", "limit"), [("/robots", ROBOT_LIMIT), ("/plans", BODY_LIMIT)])
+def test_a_body_that_is_too_large_is_refused_unread(http: httpx.Client, path: str, limit: int) -> None:
+    found = problem(http.post(path, content=b" " * (limit + 1)), 413)
+    assert str(limit) in str(found["detail"])
+
+
+def test_an_answer_does_not_grow_with_what_was_sent(http: httpx.Client) -> None:
+    wanted = {"robot_id": 1, "axes": [{} for _ in range(20_000)], "x" * 20_000: "y" * 20_000}
+    refused = http.post("/plans", json=wanted)
+    found = problem(refused, 422)
+    assert len(refused.content) < 2**13
+    assert "errors, the first 8 are told" in str(found["detail"])
 
 
 def test_a_body_of_unknown_length_is_counted(http: httpx.Client) -> None:
     def pieces():  # type: ignore[no-untyped-def]
-        for _ in range(BODY_LIMIT // 2**16 + 1):
+        for _ in range(ROBOT_LIMIT // 2**16 + 1):
             yield b" " * 2**16
 
     problem(http.post("/robots", content=pieces(), headers={"Content-Type": "application/json"}), 413)
@@ -113,8 +122,8 @@ def test_a_body_of_unknown_length_is_counted(http: httpx.Client) -> None:
 def test_a_page_of_another_origin_may_not_command_but_may_stop(http: httpx.Client) -> None:
     foreign = {"Origin": "http://elsewhere.example"}
     assert "elsewhere" in str(problem(http.post("/drives/connect", headers=foreign), 403)["detail"])
-    assert http.post("/stop", headers=foreign).status_code == 200
-    assert http.post("/stop/reset", json={"by": "test"}).status_code == 200
+    assert http.post("/stop", headers=foreign).status_code == 503  # there is no machine
+    release_all(http)
 
 
 def test_a_foreign_host_name_is_refused(http: httpx.Client) -> None:
@@ -135,12 +144,17 @@ def test_the_stop_waits_for_no_body(url: str) -> None:
             b"Content-Length: 1000\r\n\r\n{"
         )
         head, _, content = connection.recv(65536).partition(b"\r\n\r\n")
-        assert b" 200 " in head.splitlines()[0]
+        assert b" 503 " in head.splitlines()[0]  # there is no machine
         while True:
             try:
-                assert json.loads(content)["latched"] is True
+                assert json.loads(content)["unconfirmed"]
                 break
             except ValueError:
                 content += connection.recv(65536)
-    with httpx.Client(base_url=url, trust_env=False) as http:
-        assert http.post("/api/v1/stop/reset", json={"by": "test"}).status_code == 200
+    with httpx.Client(base_url=f"{url}/api/v1", trust_env=False) as http:
+        release_all(http)
+
+
+def release_all(http: httpx.Client) -> None:
+    stops = [stop["id"] for stop in http.get("/stop").json()["stops"]]
+    assert http.post("/stop/reset", json={"by": "test", "stops": stops}).json()["latched"] is False

@@ -13,23 +13,32 @@ from tests.unit.service.api.conftest import CONFIG
 
 
 def test_stop_latches_and_a_name_releases(http: httpx.Client) -> None:
-    assert http.get("/stop").json() == {"latched": False, "stop": None}
-    held = http.post("/stop", params={"by": "anna", "why": "smoke"}).json()
+    before = http.get("/stop").json()
+    assert (before["latched"], before["stop"], before["stops"]) == (False, None, [])
+    told = http.post("/stop", params={"by": "anna", "why": "smoke"})
+    assert told.status_code == 503  # latched, but there is no machine that could say that it stands
+    assert all(reason.startswith("not connected: ") for reason in told.json()["unconfirmed"].values())
+    assert set(told.json()["unconfirmed"]) == {f"joint_{number}" for number in range(1, 7)}
+    held = http.get("/stop").json()
     assert held["latched"] is True
     assert (held["stop"]["by"], held["stop"]["why"]) == ("anna", "smoke")
-    assert http.get("/stop").json()["latched"] is True
     assert "stopped by anna: smoke" in http.get("/health/ready").json()["causes"]
 
-    again = http.post("/stop", content=b"\xff not json")  # twice, and with nonsense
-    assert (again.status_code, again.json()["latched"]) == (200, True)
+    for way in ("/stop", "/stop/"):  # again, with nonsense; a slash makes no redirection of it
+        assert http.post(way, content=b"\xff not json").status_code == 503
+    anna, second, third = (stop["id"] for stop in http.get("/stop").json()["stops"])
 
-    for nobody in ({}, {"by": ""}, {"by": "  "}, {"by": "anna", "force": True}):
+    wrong = [{"by": "anna"}, {"by": "anna", "stops": []}, {"by": "anna", "stops": [anna], "force": True}]
+    for nobody in (*wrong, *({**name, "stops": [anna]} for name in ({}, {"by": ""}, {"by": "  "}))):
         assert http.post("/stop/reset", json=nobody).status_code == 422
-    assert http.get("/stop").json()["latched"] is True
-    reset = http.post("/stop/reset", json={"by": "anna"}).json()
-    assert reset["latched"] is False
-    assert reset["stop"]["reset_by"] == "anna"
-    assert http.post("/stop/reset", json={"by": "anna"}).status_code == 409
+    key = {"Idempotency-Key": "the same again"}
+    for _ in range(2):
+        reset = http.post("/stop/reset", json={"by": "anna", "stops": [anna]}, headers=key).json()
+        assert reset["stop"]["reset_by"] == "anna"
+        assert [stop["id"] for stop in reset["stops"]] == [second, third]  # those of others hold
+    assert http.post("/stop/reset", json={"by": "anna", "stops": [third + 1]}).status_code == 404
+    reset = http.post("/stop/reset", json={"by": "anna", "stops": [second, third]}).json()
+    assert (reset["latched"], reset["stops"]) == (False, [])
 
 
 async def test_stop_does_not_wait_for_a_thread_of_the_pool(tmp_path: Path, profile: Path) -> None:
@@ -44,7 +53,8 @@ async def test_stop_does_not_wait_for_a_thread_of_the_pool(tmp_path: Path, profi
             transport = httpx.ASGITransport(app=app)
             async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as http:
                 held = await asyncio.wait_for(http.post("/api/v1/stop"), 10)
-            assert held.json()["latched"] is True
+            assert held.json()["unconfirmed"]
+            assert app.state.lab.machine.latched is not None
         finally:
             go.set()
             await asyncio.gather(*waiting)

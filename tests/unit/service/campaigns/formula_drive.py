@@ -15,6 +15,7 @@ from drivers.ports import (
     Fault,
     SampleBlock,
     SetPointTiming,
+    StopSender,
     SweepCommand,
     SweepMode,
 )
@@ -118,12 +119,19 @@ class FormulaDrive:
         finally:
             self.trace.append("standstill")
 
-    async def stop(self) -> None:
+    def halt(self) -> None:
+        self._stopped.set()
+
+    async def stop(self) -> tuple[str, ...]:
         self._stopped.set()
         self.energised.clear()
         self.trace.append("stop")
         if self.stop_error is not None:
             raise self.stop_error
+        return self.joints
+
+    def stop_sender(self) -> StopSender:
+        raise NotReady("there is no bus")
 
     async def faults(self) -> tuple[Fault, ...]:
         return ()

@@ -5,8 +5,9 @@ import asyncio
 import pytest
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 
+from drivers.errors import StopNotConfirmed
 from drivers.ports import AxisState
-from service.errors import Conflict
+from service.errors import Conflict, NotFound
 from service.store.documents import CampaignState, SweepState
 from service.store.guards import MachineLease
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
@@ -78,27 +79,54 @@ async def test_a_watch_over_the_lease_that_breaks_off_stops_the_machine(bench: B
         bench.machine.check_may_move()
 
 
-async def test_a_stop_cannot_be_reset_while_another_is_under_way(bench: Bench) -> None:
-    await bench.machine.stop("anna", "smoke")
+async def test_a_release_frees_neither_a_stop_under_way_nor_one_of_another(bench: Bench) -> None:
+    anna = await bench.machine.stop("anna", "smoke")
     pressed, go, stop = asyncio.Event(), asyncio.Event(), bench.drive.stop
 
-    async def slow() -> None:
+    async def slow() -> tuple[str, ...]:
         pressed.set()
         await go.wait()
-        await stop()
+        return await stop()
 
     bench.drive.stop = slow
     second = asyncio.create_task(bench.machine.stop("berta", "hose caught"))
     await pressed.wait()
     bench.drive.stop = stop
-    await bench.machine.stop("carl", "smoke again")  # over sooner than the one before
-    with pytest.raises(Conflict, match="a stop is under way"):
-        await bench.machine.reset_stop("anna")
+    carl = await bench.machine.stop("carl", "smoke again")  # over sooner than the one before
+    (under_way,) = (stop.id for stop in bench.machine.stops if stop.by == "berta")
+    with pytest.raises(Conflict, match=f"stop {under_way} is under way: berta: hose caught"):
+        await bench.machine.reset_stop("anna", [anna.id, under_way])
+    for _ in range(2):  # the same request again
+        await bench.machine.reset_stop("anna", [anna.id])
+        assert bench.machine.held == "stopped by berta: hose caught"
     go.set()
-    await second
-    assert bench.machine.held != ""
-    await bench.machine.reset_stop("anna")
+    berta = await second
+    assert [stop.id for stop in bench.machine.stops] == [berta.id, carl.id]
+    await bench.machine.reset_stop("anna", [berta.id])
+    assert bench.machine.held == "stopped by carl: smoke again"
+    await bench.machine.reset_stop("anna", [carl.id])
     assert bench.machine.held == ""
+    with pytest.raises(NotFound):
+        await bench.machine.reset_stop("anna", [berta.id + 1])
+
+
+async def test_one_press_that_comes_by_two_ways_is_one_stop(bench: Bench) -> None:
+    hold = bench.machine.seize("anna", "smoke", "press 1")  # by the stop process
+    first, second = await asyncio.gather(bench.machine.confirm(hold), bench.machine.stop("anna", "smoke", "press 1"))
+    assert first == second
+    assert bench.machine.stops == (first,)
+    assert (await bench.machine.stop("anna", "smoke", "press 2")).id != first.id
+
+
+async def test_a_stop_that_reached_no_drive_is_no_confirmed_one(bench: Bench) -> None:
+    async def nobody() -> tuple[str, ...]:
+        return ()
+
+    bench.drive.stop = nobody
+    with pytest.raises(StopNotConfirmed, match="joint_1: not connected") as told:
+        await bench.machine.stop("anna", "smoke")
+    assert set(told.value.unconfirmed) == set(bench.machine.joints)
+    assert bench.machine.held == "stopped by anna: smoke"
 
 
 async def test_a_cabinet_that_was_switched_off_and_on_meanwhile_is_connected_before_it_moves(bench: Bench) -> None:

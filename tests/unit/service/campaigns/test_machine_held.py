@@ -2,13 +2,14 @@
 
 import asyncio
 import threading
+from collections.abc import Sequence
 
 import pytest
 from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError, OperationalError
 
 from service.campaigns import station
-from service.errors import Conflict
+from service.errors import Conflict, NotFound
 from service.store.documents import CampaignState, SweepState
 from service.store.guards import MachineLease, StopLatch
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
@@ -49,9 +50,9 @@ async def test_a_campaign_between_two_motions_does_not_go_on_when_the_stop_is_re
     between = BetweenMotions(monkeypatch)
     await bench.runner.start(bench.campaign.id)
     await until(between.reached.is_set)
-    await bench.machine.stop("ada", "hand in the cell")
+    stop = await bench.machine.stop("ada", "hand in the cell")
     moved = list(bench.drive.trace)
-    await bench.machine.reset_stop("ada")
+    await bench.machine.reset_stop("ada", [stop.id])
     between.go.set()
     await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
     assert set(bench.drive.trace[len(moved) :]) <= {"stop"}
@@ -118,28 +119,28 @@ async def test_a_stop_that_the_database_does_not_take_is_seen_and_reset_all_the_
     assert (held.by, held.why, held.reset_by) == ("ada", "smoke", None)
     with pytest.raises(Conflict, match="stopped by ada: smoke"):
         bench.machine.check_may_move()
-    reset = await bench.machine.reset_stop("berta")
+    (reset,) = await bench.machine.reset_stop("berta", [held.id])
     assert (reset.by, reset.reset_by) == ("ada", "berta")
     assert bench.machine.latched is None
     bench.machine.check_may_move()
-    with pytest.raises(Conflict, match="no stop is latched"):
-        await bench.machine.reset_stop("berta")
+    with pytest.raises(NotFound, match=f"stop {held.id}"):
+        await bench.machine.reset_stop("berta", [held.id])
 
 
 async def test_a_stop_that_comes_while_another_is_being_reset_holds(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await bench.machine.connect()
-    await bench.machine.stop("ada", "smoke")
+    stop = await bench.machine.stop("ada", "smoke")
     resetting, go, reset = threading.Event(), threading.Event(), StopLatch.reset
 
-    def slow(latch: StopLatch, by: str):
+    def slow(latch: StopLatch, by: str, stops: Sequence[int]):
         resetting.set()
         assert go.wait(TIMEOUT)
-        return reset(latch, by)
+        return reset(latch, by, stops)
 
     monkeypatch.setattr(StopLatch, "reset", slow)
-    first = asyncio.create_task(bench.machine.reset_stop("ada"))
+    first = asyncio.create_task(bench.machine.reset_stop("ada", [stop.id]))
     await until(resetting.is_set)
     second = asyncio.create_task(bench.machine.stop("berta", "fire"))
     await until(lambda: bench.drive.trace.count("stop") == 2)
@@ -159,8 +160,8 @@ async def test_neither_stop_nor_lease_waits_while_all_shared_threads_are_busy(be
     busy = [asyncio.get_running_loop().run_in_executor(None, go.wait, TIMEOUT) for _ in range(100)]
     keeper = asyncio.create_task(bench.machine.keep_lease(lease, LEASE_TIME))
     try:
-        await asyncio.wait_for(bench.machine.stop("ada", "smoke"), PATIENCE)
-        await asyncio.wait_for(bench.machine.reset_stop("ada"), PATIENCE)
+        stop = await asyncio.wait_for(bench.machine.stop("ada", "smoke"), PATIENCE)
+        await asyncio.wait_for(bench.machine.reset_stop("ada", [stop.id]), PATIENCE)
         await until(lambda: lease.renewed > 0)
     finally:
         go.set()

@@ -245,7 +245,7 @@ async def test_stop_reaches_the_drives_first_and_holds_the_machine(bench: Bench)
     with pytest.raises(Conflict, match="may not move: stopped by operator: hose caught"):
         await bench.runner.resume(bench.campaign.id)
     bench.drive.hold = None
-    await bench.machine.reset_stop("operator")
+    await bench.machine.reset_stop("operator", [stop.id])
     await bench.runner.resume(bench.campaign.id, repeat=True)
     await run_out(bench)
     assert state(bench) is CampaignState.MEASURED

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from service.errors import Conflict
+from service.errors import Conflict, NotFound
 from service.store.database import Database, open_database
 from service.store.documents import StoredAnswer
 from service.store.guards import LeaseLost, MachineLease, MachineTaken, StopLatch
@@ -85,17 +85,23 @@ def test_of_two_that_want_a_dead_lease_one_gets_it(database: Database) -> None:
 def test_a_stop_outlives_the_process_until_a_person_resets_it(url: str) -> None:
     with open_database(url) as database:
         latch = StopLatch(database)
-        assert latch.latched() is None
+        assert latch.latched() == ()
         first = latch.latch("operator", "smoke")
-        latch.latch("api", "again")
+        second = latch.latch("api", "again")
     with open_database(url) as database:
         latch = StopLatch(database)
-        assert latch.latched() == first
-        reset = latch.reset("foreman")
-        assert (reset.reset_by, latch.latched()) == ("foreman", None)
-        with pytest.raises(Conflict):
-            latch.reset("foreman")
-        assert [event.data["latched"] for event in Store(database).events(0)] == [True, True, False]
+        assert latch.latched() == (first, second)
+        (reset,) = latch.reset("foreman", [first.id])
+        assert (reset.reset_by, latch.latched()) == ("foreman", (second,))
+        assert latch.reset("another", [first.id]) == (reset,)  # sent again: nothing more
+        assert latch.latched() == (second,)
+        with pytest.raises(NotFound, match=f"stop {second.id + 1}"):
+            latch.reset("foreman", [second.id, second.id + 1])
+        assert latch.latched() == (second,)
+        latch.reset("foreman", [first.id, second.id])
+        assert latch.latched() == ()
+        told = [(event.data["latched"], event.data["stops"]) for event in Store(database).events(0)]
+        assert told == [(True, [first.id]), (True, [second.id]), (True, [first.id]), (False, [second.id])]
 
 
 def test_a_key_gives_the_same_answer_twice(database: Database) -> None:

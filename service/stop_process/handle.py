@@ -1,0 +1,151 @@
+"""The service's end of the stop process: starts it, orders a stop, hears of stops, starts it anew if it ends."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Self
+
+import structlog
+
+from service.errors import SweepidError
+from service.stop_process import END, ORDER, TAKEN_OVER
+
+_log = structlog.get_logger(__name__)
+
+_AGAIN = 1.0  # s until a process that ended is started anew
+
+Word = Callable[[str, str, str], None]
+
+
+class StopNotStarted(SweepidError):
+    """The process of the stop cannot listen at its port, or does not start."""
+
+
+class StopProcess:
+    """A context. `drive`: profile of the machine; the port is `port`, or any free one where that is 0."""
+
+    def __init__(self, drive: Path, host: str, port: int) -> None:
+        self.port, self.trouble = port, "not started yet"
+        self._drive, self._host = drive, host
+        self._reading, self._writing = os.pipe()  # one for all processes: signals keep their way into it
+        os.set_blocking(self._writing, False)
+        self.ended = False
+        """Whether it does not run, and is being started anew."""
+        self._closing = threading.Event()
+        self._word: Word | None = None
+        self._early: list[tuple[str, str, str]] = []  # stops before anybody listened
+        self._attaching = threading.Lock()
+
+    def __enter__(self) -> Self:
+        """Returns when it listens. StopNotStarted."""
+        self._process = self._start()
+        self._thread = threading.Thread(target=self._follow, name="stop-process", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._closing.set()
+        self._tell(END)
+        try:
+            self._process.wait(5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._thread.join()
+        os.close(self._writing)
+        os.close(self._reading)
+
+    def watch_signals(self) -> None:
+        """From here on a signal to this process is a stop, told by the interpreter before any Python runs.
+
+        Only in the main thread, and only where nobody else uses the wake-up descriptor; no effect on Windows.
+        """
+        if sys.platform != "win32":
+            signal.set_wakeup_fd(self._writing, warn_on_full_buffer=False)
+
+    def leave_signals(self) -> None:
+        if sys.platform != "win32":
+            signal.set_wakeup_fd(-1)
+
+    def order(self) -> None:
+        """Have the stop put on the wire. From any thread; waits for nothing."""
+        self._tell(ORDER)
+
+    def taken_over(self) -> None:
+        """The service sees to the drives itself."""
+        self._tell(TAKEN_OVER)
+
+    def attach(self, word: Word | None) -> None:
+        """`word` is given by, why and press of every stop from the process' port, on a thread of this object's."""
+        with self._attaching:
+            self._word, early = word, self._early
+            if word is not None:
+                self._early = []
+                for each in early:
+                    word(*each)
+
+    # -- inside
+
+    def _tell(self, word: bytes) -> None:
+        try:
+            os.write(self._writing, word)
+        except OSError as error:
+            _log.error("stop_process_not_told", reason=str(error))
+
+    def _start(self) -> "subprocess.Popen[bytes]":
+        command = [sys.executable, "-P", "-m", "service.stop_process", str(self._drive), self._host, str(self.port)]
+        # in a session of its own: what the terminal sends is for the service, which passes it on
+        process: subprocess.Popen[bytes] = subprocess.Popen(
+            command, stdin=self._reading, stdout=subprocess.PIPE, start_new_session=True
+        )
+        first = self._read(process)
+        if "port" not in first:
+            process.wait()
+            if process.stdout:
+                process.stdout.close()
+            raise StopNotStarted(str(first.get("error", "the stop process did not start; the log has the reason")))
+        self.port, self.trouble, self.ended = int(first["port"]), "not connected yet", False
+        return process
+
+    def _follow(self) -> None:
+        while True:
+            while message := self._read(self._process):
+                self._take(message)
+            code = self._process.wait()
+            if self._process.stdout:
+                self._process.stdout.close()
+            if self._closing.is_set():
+                return
+            self.trouble, self.ended = f"the stop process ended (code {code})", True
+            _log.error("stop_process_ended", code=code)
+            while not self._closing.wait(_AGAIN):
+                with suppress(StopNotStarted):
+                    self._process = self._start()
+                    break
+            else:
+                return
+
+    def _take(self, message: dict[str, Any]) -> None:
+        if "trouble" in message:
+            self.trouble = str(message["trouble"])
+            _log.info("stop_process", trouble=self.trouble)
+        if "stop" in message:
+            stop = message["stop"]
+            word = (str(stop["by"]), str(stop["why"]), str(stop["press"]))
+            with self._attaching:
+                if self._word is None:
+                    self._early.append(word)
+                else:
+                    self._word(*word)
+
+    @staticmethod
+    def _read(process: "subprocess.Popen[bytes]") -> dict[str, Any]:
+        """The next line; empty at the end."""
+        line = process.stdout.readline() if process.stdout else b""
+        return json.loads(line) if line.endswith(b"\n") else {}
