@@ -32,6 +32,7 @@ SCENARIO = ROOT / "config" / "scenarios" / "max100-full.yaml"
 EDS = ROOT / "config" / "eds" / "virtual-axis.eds"
 REGISTERS = ROOT / "config" / "registers"
 SPEED_FACTOR = 20.0
+SYNC_PERIOD = 0.008  # s: twice that of the machine in config, for a busy computer has to keep up with it
 
 AXIS, OTHER = "joint_1", "joint_3"
 
@@ -88,9 +89,15 @@ class Bench:
     vcan: bool = False  # needs a kernel with CAN: runs with --vcan, and then no other does
 
 
+def rate(mode: SweepMode) -> float:
+    """Samples a second of a sweep."""
+    return 1 / SYNC_PERIOD if mode is SweepMode.HOST_STREAMED else 250.0
+
+
 def _profile(name: str, section: str, **changes: object) -> dict[str, object]:
     profile = load_profile(DRIVES / f"{name}.yaml")
-    profile[section] = {**cast("dict[str, object]", profile[section]), **changes}
+    pace = {"sync_period": SYNC_PERIOD} if section == "bus" else {}
+    profile[section] = {**cast("dict[str, object]", profile[section]), **pace, **changes}
     return profile
 
 
@@ -190,7 +197,7 @@ async def sweep(port: DrivePort, mode: SweepMode, periods: int = 2, **changes: o
         "periods": periods,
         "ramp": 0.2,
         "settle": 0.2,
-        "sample_rate": 250.0,
+        "sample_rate": rate(mode),
         "velocity_limit": 0.05,
         "effort_limit": 5000.0,
         "position_window": (start - 0.5, start + 0.5),

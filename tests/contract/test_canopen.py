@@ -21,7 +21,7 @@ from drivers.cia402.machine import Cia402Machine
 from drivers.errors import WrongConfiguration, WrongIdentity
 from drivers.ports import AxisState, DrivePort, SweepMode
 from drivers.registry import open_drive
-from tests.contract.bench import AXIS, DRIVES, Virtual, closing, consume, eventually, noise, sweep
+from tests.contract.bench import AXIS, DRIVES, SYNC_PERIOD, Virtual, closing, consume, eventually, noise, sweep
 
 pytestmark = pytest.mark.adapter("canopen")
 
@@ -109,11 +109,11 @@ async def test_the_cycle_is_paced_and_its_lateness_told(port: DrivePort) -> None
     took = time.monotonic() - start
     timing = port.set_point_timing
     assert timing is not None
-    assert timing.cycles >= round(command.duration / 0.004)
+    assert timing.cycles >= round(command.duration / SYNC_PERIOD)
     assert timing.median_lateness <= timing.worst_lateness
     if timing.source == "thread":  # the kernel makes up for a late stretch by an early one
         assert timing.median_lateness >= 0.0
-        assert took >= (timing.cycles + timing.missed - 2) * 0.004  # a late cycle is never made up for in a burst
+        assert took >= (timing.cycles + timing.missed - 2) * SYNC_PERIOD  # a late cycle is never made up for in a burst
 
 
 async def test_a_drive_that_refuses_a_rung_of_the_ladder_loses_its_energy_all_the_same(

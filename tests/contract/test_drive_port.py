@@ -13,11 +13,17 @@ from drivers.errors import (
     SweepInterrupted,
     WrongIdentity,
 )
-from drivers.ports import AxisState, DrivePort, SampleBlock, Sine, SweepMode
-from tests.contract.bench import AXIS, OTHER, Virtual, closing, column, consume, eventually, sweep
+from drivers.ports import AxisState, DrivePort, SampleBlock, Sine, SweepCommand, SweepMode
+from tests.contract.bench import AXIS, OTHER, Virtual, closing, column, consume, eventually, rate, sweep
 
 # interrupted at its beginning: 100 s of a slow turn, 5 s of a machine at 20 times real time
 LONG: dict[str, object] = {"periods": 200, "offset_velocity": 0.0045}
+
+
+def one_second(command: SweepCommand) -> slice:
+    """Of its samples, from where it counts."""
+    first = round(command.measure_from * rate(command.mode))
+    return slice(first, first + round(rate(command.mode)))
 
 
 async def consume_rest(running: AsyncGenerator[SampleBlock, None]) -> None:
@@ -136,22 +142,22 @@ async def test_sweep_delivers_consecutive_samples_of_what_was_commanded(port: Dr
     blocks = [block async for block in port.run_sweep(command)]
     index, when = column(blocks, "index"), column(blocks, "time")
     assert np.array_equal(index, np.arange(len(index)))
-    assert np.allclose(when, index / 250.0)
+    assert np.allclose(when, index / rate(mode))
     assert when[-1] == pytest.approx(command.duration, abs=0.01)
     assert all(block.joint == AXIS for block in blocks)
     assert len(blocks) > 1
     # the set-point: silent at both ends, the command's lines inside the window
     velocity_setpoint = column(blocks, "velocity_setpoint")
     assert velocity_setpoint[0] == pytest.approx(0.0, abs=1e-4)
-    window = slice(round(command.measure_from * 250), round(command.measure_from * 250) + 250)
-    spectrum = np.fft.rfft(velocity_setpoint[window]) / 250
+    window = one_second(command)
+    spectrum = np.fft.rfft(velocity_setpoint[window]) / rate(mode)
     assert spectrum[0].real == pytest.approx(0.0105, rel=0.01)
     assert 2 * abs(spectrum[[2, 4]]) == pytest.approx([0.002, 0.002], rel=0.01)
     # motion: it follows, its position is the integral of its velocity, and friction opposes it
     velocity, position, effort = column(blocks, "velocity"), column(blocks, "position"), column(blocks, "effort")
     assert np.mean(velocity[window]) == pytest.approx(0.0105, rel=0.05)
     assert position[0] == pytest.approx(before, abs=1e-4)
-    travelled = np.cumsum(velocity) / 250
+    travelled = np.cumsum(velocity) / rate(mode)
     assert np.abs(position - position[0] - travelled).max() < 2e-4
     assert 50 < np.mean(effort[window]) < 400  # N m: Coulomb and viscous friction of axis 1, positive in forward motion
     status = (await port.status())[AXIS]
@@ -173,10 +179,10 @@ async def test_the_sweeps_of_a_diagnosis_run_as_commanded(
     before = (await port.status())[AXIS].position
     command = await sweep(port, mode, 1, offset_velocity=offset, sines=sines, period=1.0)
     blocks = [block async for block in port.run_sweep(command)]
-    window = slice(round(command.measure_from * 250), round(command.measure_from * 250) + 250)
+    window = one_second(command)
     wanted = np.zeros(20)
     wanted[list(lines)] = 0.001
-    spectrum = np.fft.rfft(column(blocks, "velocity_setpoint")[window]) / 250
+    spectrum = np.fft.rfft(column(blocks, "velocity_setpoint")[window]) / rate(mode)
     assert spectrum[0].real == pytest.approx(offset, abs=2e-4)
     assert 2 * abs(spectrum[1:20]) == pytest.approx(wanted[1:], abs=4e-5)
     assert np.mean(column(blocks, "velocity")[window]) == pytest.approx(offset, abs=3e-4)

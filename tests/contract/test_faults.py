@@ -14,7 +14,7 @@ from drivers.errors import (
     EnvelopeLeft,
 )
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
-from tests.contract.bench import AXIS, OTHER, Virtual, column, consume, eventually, sweep
+from tests.contract.bench import AXIS, OTHER, SYNC_PERIOD, Virtual, column, consume, eventually, sweep
 
 # interrupted on its way: 100 s of a slow turn, 5 s of a machine at 20 times real time
 LONG: dict[str, object] = {"periods": 200, "offset_velocity": 0.0045}
@@ -111,7 +111,7 @@ async def test_a_lost_sample_shows_as_a_jump_of_the_index(port: DrivePort, virtu
     index = column(blocks, "index")
     assert sorted(np.unique(np.diff(index))) == [1, 2]
     assert np.count_nonzero(np.diff(index) == 2) == 1
-    assert np.allclose(column(blocks, "time"), index * 0.004)
+    assert np.allclose(column(blocks, "time"), index * SYNC_PERIOD)
 
 
 @pytest.mark.has(SweepMode.HOST_STREAMED)
