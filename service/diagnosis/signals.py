@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len
 
+from service.diagnosis.responses import Complex, back, derivative_spectrum, in_frequency
 from service.errors import BadInput
 from service.identification.regressor import gravity_rows
 from service.identification.trajectory_record import runs_at_once
@@ -22,7 +22,6 @@ from service.recording import Sweep, SweepSpec
 from service.robot import Robot
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Mask = NDArray[np.bool_]
 
 RATE = 250.0  # Hz, of the columns
@@ -30,8 +29,6 @@ BAND = 20.0  # Hz, of the Gaussian
 BLOCK = 32  # rows that are filtered at once
 EVERY = 2  # one row of the equations a so many samples
 TOP = 0.36  # of the rate: above, there is nothing but noise
-ENDING = 0.05  # s, within which the slope at the end of a record goes to zero
-PADDED = 3  # times the record: what rings on after its end must not come back at its beginning
 REACH = 4.0  # standard deviations of the Gaussian that count
 STUCK = 0.03  # of the slowest sweep's peak speed: below it friction may take any value
 REVERSES = 0.3  # of the peak speed the other way
@@ -141,7 +138,7 @@ class Tracks:
 
     def accelerated(self, response: Complex) -> Array:
         """The acceleration (n, t) behind a response (n or 1, bins) of `bins(t, rate)`."""
-        return _back(self.velocity.shape[1], self._spectrum, response)
+        return back(self.velocity.shape[1], self._spectrum, response)
 
     def rows(self, signal: Array) -> Array:
         """A signal (n, t) through the filter: (n, rows)."""
@@ -194,52 +191,6 @@ def row_samples(samples: int, rate: float) -> NDArray[np.int_]:
     """At which samples the rows lie."""
     reach = len(_kernel(rate)) // 2
     return np.arange(reach, samples - reach, EVERY)
-
-
-def in_frequency(signal: Array, rate: float, response: Complex | None = None) -> Array:
-    """Derivative of signals (n, t), times a response (n or 1, bins) of `bins(t, rate)`."""
-    flat = np.ones((1, len(bins(signal.shape[1], rate))), dtype=np.complex128)
-    return _back(signal.shape[1], derivative_spectrum(signal, rate), flat if response is None else response)
-
-
-def through(signal: Array, rate: float, response: Complex) -> Array:
-    """Signals (n, t) behind a response (n or 1, bins) of `bins(t, rate)`, which have stood at their first value."""
-    away = _back(signal.shape[1], _spectrum(signal, rate), response)
-    return np.asarray(signal[:, :1] * response[:, :1].real + away)
-
-
-def derivative_spectrum(signal: Array, rate: float) -> Complex:
-    """Transform (n, bins) of the derivative of signals (n, t), see `_spectrum`."""
-    frequencies = 2j * np.pi * bins(signal.shape[1], rate)
-    return np.multiply(_spectrum(signal, rate), frequencies, dtype=np.complex128)
-
-
-def _spectrum(signal: Array, rate: float) -> Complex:
-    """Transform (n, bins) of signals (n, t) less their first values.
-
-    Before its begin a signal is taken to have been as it begins, so that what starts from standstill has stood; behind
-    its end it goes back there, so smoothly and so long that nothing of the end rings on into the begin.
-    """
-    count = signal.shape[1]
-    first, last = signal[:, :1], signal[:, -1:]
-    away = np.subtract(signal, first)
-    phase: Array = np.arange(1, count + 1, dtype=np.float64) * (np.pi / (count + 1))
-    turning = (1 + np.cos(phase)) / 2
-    after: Array = np.arange(1.0, count + 1) / (ENDING * rate)
-    slope = np.multiply(np.subtract(last, signal[:, -2:-1]), ENDING * rate)
-    fading = np.multiply(slope, np.multiply(after, np.exp(-after)))
-    returning = np.add(np.multiply(np.subtract(last, first), turning), fading)
-    extended = np.concatenate([away, returning], axis=1)
-    return np.asarray(np.fft.rfft(extended, _padded(count)), dtype=np.complex128)
-
-
-def _back(count: int, spectrum: Complex, response: Complex) -> Array:
-    return np.fft.irfft(spectrum * response, _padded(count))[:, :count].astype(np.float64, copy=False)
-
-
-def bins(samples: int, rate: float) -> Array:
-    """Frequencies, Hz, of `in_frequency`."""
-    return np.fft.rfftfreq(_padded(samples), 1 / rate).astype(np.float64)
 
 
 def slowest(velocity: Array) -> float:
@@ -388,10 +339,6 @@ def _long(flags: Mask, least: int) -> Mask:
 def _averaged(signal: Array, block: int) -> Array:
     count = len(signal) // block
     return signal[: count * block].reshape(count, block).mean(axis=1)
-
-
-def _padded(samples: int) -> int:
-    return next_fast_len(PADDED * samples, real=True)
 
 
 def _kernel(rate: float) -> Array:

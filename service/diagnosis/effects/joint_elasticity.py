@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import Effect, Model, Shape, ShapeParameter, named
 from service.diagnosis.patch import Patch, positive
-from service.diagnosis.signals import Complex, Tracks, bins, through
+from service.diagnosis.responses import Complex, bins, through
+from service.diagnosis.signals import Tracks
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import Effect, Model, Shape, ShapeParameter, named
 from service.diagnosis.patch import Patch
-from service.diagnosis.signals import Tracks, bins
+from service.diagnosis.responses import bins
+from service.diagnosis.signals import Tracks
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]

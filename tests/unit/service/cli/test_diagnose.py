@@ -9,7 +9,7 @@ import pytest
 
 from service.diagnosis.design import full_design
 from service.diagnosis.prospect import expected
-from service.diagnosis.signals import in_frequency
+from service.diagnosis.responses import in_frequency
 from service.recording import Sweep
 from service.store.bundle import write_bundle
 from simulator import load_scenario

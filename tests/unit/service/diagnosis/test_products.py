@@ -5,7 +5,8 @@ import pytest
 
 from service.diagnosis.grams import PLAIN, Group, Piece, noise_model, pairing
 from service.diagnosis.periods import in_periods
-from service.diagnosis.signals import bins, in_frequency, lowpass, row_samples
+from service.diagnosis.responses import bins, in_frequency
+from service.diagnosis.signals import lowpass, row_samples
 from service.recording import Recording, Sweep, SweepSpec
 
 RATE = 250.0

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from service.diagnosis.effects.nonlinear_viscous_friction import law
-from service.diagnosis.signals import bins, in_frequency
+from service.diagnosis.responses import bins, in_frequency
 
 RATE = 250.0
 
