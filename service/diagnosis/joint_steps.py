@@ -8,14 +8,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.equations import Equations, Term, remodelled, reshaped, solve, symmetric, with_base
 from service.diagnosis.gap import over_floor
 from service.diagnosis.search import LITTLE, LONGEST, Beside, Explanation, derivatives, from_vector, to_vector
 
+Array = NDArray[np.float64]
+
 STEPS = 15
-HALVINGS = 4
+DAMPING = (0.0, 0.03, 0.3, 3.0, 30.0)  # of a derivative's own product
 ELSEWHERE = (0.5, 2.0, 0.25, 4.0)
 NEAR_FLOOR = 1.3  # times the noise floor
 
@@ -59,24 +62,42 @@ def _from(given: Equations, start: Explanation) -> tuple[Equations, Explanation]
 
 
 def _step(given: Equations, best: Explanation, number: int) -> tuple[Equations, Explanation] | None:
-    """One step, shortened until it gains; None if it does not."""
+    """One step, shorter and shorter (Levenberg and Marquardt) until it gains; None if it does not."""
     term = best.terms[number]
     shapes = CATALOGUE[term.effect].shape(given.tracks, given.model)
     at = to_vector(shapes, term.shape)
+    low, high = (to_vector(shapes, [getattr(entry, end) for entry in shapes]) for end in ("low", "high"))
     values = solve(given.system_with(best.terms).sum(axis=0), given.precision(best.terms))[0]
     first = given.width_of_base + sum(given.width(other) for other in best.terms[:number])
     bent = derivatives(given, term, shapes, values[first : first + given.width(term)])
     columns = given.together(best.terms[:number] + best.terms[number + 1 :], given.gathered(term, keep=False), bent)
-    found = solve(symmetric(given.pairs.crossed(columns, columns)).sum(axis=0), given.precision(best.terms))[0]
-    step = np.clip(found[-len(at) :], -LONGEST, LONGEST)
-    here, there = given.coefficients, found[: given.width_of_base]
-    share = 1.0
-    for _ in range(HALVINGS):
-        moved = replace(term, shape=from_vector(shapes, at + share * step))
+    system = symmetric(given.pairs.crossed(columns, columns)).sum(axis=0)
+    for damping in DAMPING:
+        found, step = _solved(system, given.precision(best.terms), damping, at, low, high)
+        moved = replace(term, shape=from_vector(shapes, at + step))
         terms = (*best.terms[:number], moved, *best.terms[number + 1 :])
-        tried = reshaped(with_base(given, here + share * (there - here)), terms)
+        tried = reshaped(with_base(given, found[: given.width_of_base]), terms)
         explanation = Beside(tried, terms).alone()
         if explanation.cost < best.cost:
             return tried, explanation
-        share /= 3
     return None
+
+
+def _solved(system: Array, precision: Array, damping: float, at: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Coefficients of all columns but the last ones, and how far the shape's vector `at` moves within its limits; what
+    is at a limit and would go beyond it stays there while the rest is solved for.
+    """
+    count, k = len(system) - 1, len(at)
+    free = np.ones(k, dtype=bool)
+    while True:
+        kept = np.append(np.append(np.ones(count - k, dtype=bool), free), True)
+        reduced = system[np.ix_(kept, kept)].copy()
+        own = np.arange(count - k, len(reduced) - 1)
+        reduced[own, own] *= 1 + damping
+        found = solve(reduced, precision)[0]
+        step = np.zeros(k)
+        step[free] = np.clip(found[count - k :], -LONGEST, LONGEST)
+        beyond = free & (((at <= low) & (step < 0)) | ((at >= high) & (step > 0)))
+        if not beyond.any():
+            return found[: count - k], step
+        free &= ~beyond

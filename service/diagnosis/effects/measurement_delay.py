@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from service.diagnosis.effects.effect import Effect, Model, Shape, ShapeParameter, named
 from service.diagnosis.patch import Patch
-from service.diagnosis.responses import bins
+from service.diagnosis.responses import bins, through
 from service.diagnosis.signals import Tracks
 
 Array = NDArray[np.float64]
@@ -20,7 +20,7 @@ def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
     s: Complex = np.multiply(2j * np.pi, bins(tracks.velocity.shape[1], tracks.rate)[None], dtype=np.complex128)
     late = np.divide(np.exp(-s * delay) - 1, delay, dtype=np.complex128)
     of_motion = model.inertia[:, None] * tracks.accelerated(late)
-    return [of_motion - (model.viscous * tracks.acceleration + model.slope[:, None] * tracks.velocity)]
+    return [of_motion + through(model.viscous * tracks.velocity + model.gravity, tracks.rate, late)]
 
 
 def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
