@@ -1,7 +1,9 @@
-"""Scores the diagnosis on blind cases: `python -m tests.numeric.blind.score --cases 10 --seed 1 --write`.
+"""Scores the diagnosis on blind cases of the project's own simulator, experiments included:
 
-Every case leaves two files, `truth/NNNN.json` and `diagnoses/NNNN.json`; the scorer alone reads the first. `--write`
-puts all figures beside the other benchmarks' results, one file a design, and what both hold into docs/reference.
+    python -m tests.numeric.blind.score --cases 10 --seed 1
+
+Every case leaves two files, `truth/NNNN.json` and `diagnoses/NNNN.json`; the scorer alone reads the first. The score of
+the documentation is that of machines the project did not simulate: `tests.numeric.second_plant.score`.
 """
 
 import argparse
@@ -18,12 +20,8 @@ from rich.progress import track
 
 from tests.numeric.blind.cases import SIZES, Case, Design, cases, scene
 from tests.numeric.blind.diagnosing import ROUNDS, diagnosed
-from tests.numeric.blind.page import TITLES, page, result
+from tests.numeric.blind.page import page, result
 from tests.numeric.blind.scoring import Outcome, Score
-
-ROOT = Path(__file__).parents[3]
-PAGE = ROOT / "docs/reference/diagnosis-scores.md"
-RESULTS = ROOT / "tests/benchmarks/results"
 
 
 def run(case: Case, folder: Path, rounds: int = ROUNDS, *, twin: bool = False) -> int:
@@ -73,7 +71,7 @@ def _main() -> None:
     parser.add_argument("--twin", action="store_true", help="prove by the simulator, as `sweepid diagnose` does")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--keep", type=Path, help="folder for truth and diagnoses")
-    parser.add_argument("--write", action="store_true")
+    parser.add_argument("--json", type=Path, help="the figures as a file")
     given = parser.parse_args()
     wanted = cases(
         given.seed, singles=given.cases, none=given.none, pairs=given.pairs, outside=given.outside,
@@ -87,7 +85,7 @@ def _main() -> None:
     command = (
         f"python -m tests.numeric.blind.score --design {given.design} --cases {given.cases} --none {given.none} "
         f"--pairs {given.pairs} --outside {given.outside} --rounds {given.rounds} --seed {given.seed} "
-        f"{'--twin ' if given.twin else ''}--write"
+        f"{'--twin' if given.twin else ''}"
     )
     told = result(found, command)
     console = Console()
@@ -96,14 +94,8 @@ def _main() -> None:
         if not score.expected and score.outcome is not Outcome.TIE:
             said = ", ".join(sorted(score.tie_set)) or "-"
             console.print(f"{score.truth['number']:04} {score.truth['names']} {score.outcome.value}: {said}")
-    if given.write:
-        _file(given.design).write_text(json.dumps(told, indent=2) + "\n")
-        known = {design: _file(design) for design in TITLES}
-        PAGE.write_text(page({design: json.loads(f.read_text()) for design, f in known.items() if f.exists()}))
-
-
-def _file(design: str) -> Path:
-    return RESULTS / f"blind-{design}.json"
+    if given.json:
+        given.json.write_text(json.dumps(told, indent=2) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,12 +1,18 @@
 """The score as a page of the documentation."""
 
+import ast
+import hashlib
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from tests.numeric.second_plant.scoring import Outcome, Score, confusion, failed, figures, intervals, outcomes
 from tests.numeric.tables import count, number, table
 
 Result = dict[str, Any]
+
+ROOT = Path(__file__).parents[3]
+SCORED = ("service/diagnosis", "service/data_check")
 
 ROWS: dict[str, tuple[str, str]] = {
     "right_name": ("right name, medium and large singles, %", ">= 95"),
@@ -47,11 +53,14 @@ PAPER_ROWS = {
 
 
 def result(scores: Sequence[Score], by_paper: Sequence[Score], command: str, date: str, commit: str) -> Result:
-    """All that the page tells, as plain data; `by_paper`: of those diagnosed from what the paper measures."""
+    """All that the page tells, as plain data; `by_paper`: of those diagnosed from what the paper measures; `code`: a
+    digest of the code that was scored.
+    """
     return {
         "command": command,
         "date": date,
         "commit": commit,
+        "code": digest(),
         "figures": figures(scores),
         "paper": figures(by_paper) if by_paper else None,
         "outcomes": outcomes(scores),
@@ -59,6 +68,19 @@ def result(scores: Sequence[Score], by_paper: Sequence[Score], command: str, dat
         "intervals": intervals(scores),
         "failed": failed(scores),
     }
+
+
+def digest() -> str:
+    """Of the diagnosis and the check of the data, as they compute: words and layout do not count."""
+    found = hashlib.sha256()
+    for path in sorted(path for room in SCORED for path in (ROOT / room).rglob("*.py")):
+        found.update(path.relative_to(ROOT).as_posix().encode())
+        tree = ast.parse(path.read_text("utf-8"))
+        words = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        for node in (node for node in ast.walk(tree) if id(node) not in words):
+            values = [value for _, value in ast.iter_fields(node) if isinstance(value, str | int | float)]
+            found.update(f"{type(node).__name__} {values}\n".encode())
+    return found.hexdigest()[:16]
 
 
 def page(run: Result) -> str:

@@ -1,5 +1,6 @@
 """The scorer against diagnoses made by hand, and a few cases through all of it."""
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +9,8 @@ import pytest
 
 from tests.numeric.second_plant.cases import Case, Kind, cases
 from tests.numeric.second_plant.faults import FAULTS
-from tests.numeric.second_plant.page import page, result
-from tests.numeric.second_plant.score import run, scores
+from tests.numeric.second_plant.page import digest, page, result
+from tests.numeric.second_plant.score import PAGE, RESULTS, run, scores
 from tests.numeric.second_plant.scoring import FAULT_WORDS, Outcome, Score, confusion, failed, figures, told
 
 COULOMB = {"coulomb_friction": {"level": 100.0, "bristle": 2e-6}}
@@ -143,6 +144,13 @@ def test_figures_of_a_few() -> None:
     text = page(result(some, some, "python -m something", "2030-01-02", "0123abc"))
     assert "| right name, medium and large singles, % | 25 | >= 95 |" in text
     assert "Of 2030-01-02, commit 0123abc." in text
+
+
+def test_the_page_is_of_todays_code() -> None:
+    """Score again (`--write`) when this fails: the figures are of a diagnosis that computed otherwise."""
+    told = json.loads(RESULTS.read_text())
+    assert told["code"] == digest()
+    assert PAGE.read_text() == page(told)
 
 
 SAMPLE = (
