@@ -2,18 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from service.diagnosis.patch import Inexpressible
+from service.diagnosis.patch import Inexpressible, Patch
 from service.diagnosis.scenario import AxisEntry
 from service.recording import Sweep
 from service.robot import Robot
 from simulator import DriveTrain, Gravity, Measurement, Motion, MovingAxis, Turn, replay, warmth
 
 Array = NDArray[np.float64]
+Part = TypeVar("Part", DriveTrain, Measurement)
 
 LEAST_LOAD = 0.02  # of the axis' inertia: a load lighter than that is none
 
@@ -54,8 +56,8 @@ def torques(robot: Robot, joint: str, ways: Sequence[Way], runs: Sequence[Run]) 
     can hold an entry, or the simulator cannot follow it (a spring much too stiff for its load).
     """
     ratio = robot.axis(joint).gear_ratio
-    trains = {id(run.entry): _train(run.entry) for run in runs}
-    measurements = {id(run.entry): Measurement.model_validate(run.entry.measurement) for run in runs}
+    trains = {id(run.entry): _held(DriveTrain, run.entry.train) for run in runs}
+    measurements = {id(run.entry): _held(Measurement, run.entry.measurement) for run in runs}
     warm = {key: warmth(train, [way.turn for way in ways]) for key, train in trains.items()}
     axes: list[MovingAxis] = []
     for run in runs:
@@ -72,9 +74,9 @@ def torques(robot: Robot, joint: str, ways: Sequence[Way], runs: Sequence[Run]) 
         raise Inexpressible("the simulated load does not stay with its motor") from None
 
 
-def _train(entry: AxisEntry) -> DriveTrain:
+def _held(part: type[Part], entry: Patch) -> Part:
     try:
-        return DriveTrain.model_validate(entry.train)
+        return part.model_validate(entry)
     except ValidationError as error:
         first = error.errors()[0]
         raise Inexpressible(f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}") from None

@@ -82,6 +82,14 @@ def listening(machine: VirtualMachine) -> Iterator[Ear]:
         ear.close()
 
 
+@pytest.fixture(autouse=True)
+def heard_hang_up() -> Iterator[None]:
+    """What is started hears SIGHUP, though it ignores it where the tests themselves were started by nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
 @pytest.fixture(params=[Fieldbus.CANOPEN], ids=lambda fieldbus: fieldbus.value)
 def machine(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[VirtualMachine]:
     with virtual_machine(tmp_path, 4.0, request.param) as machine:
