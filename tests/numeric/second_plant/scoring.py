@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from service.diagnosis.experiments import TEST_MASS
 from tests.numeric.second_plant.cases import Kind
 from tests.numeric.second_plant.effects import BY_TEST_MASS
 
 Document = dict[str, Any]
 
 BIG = ("medium", "large")
-TEST_MASS = "test mass"  # kind of the experiment that tells a torque gain from a load
 
 FAULT_WORDS: dict[str, tuple[str, ...]] = {
     "gear_ratio_off": ("gear_ratio", "gear ratio"),

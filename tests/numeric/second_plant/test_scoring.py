@@ -78,7 +78,7 @@ GAIN = ("payload", "torque_constant_error")
         (score(COULOMB | COGGING, "named", NAME + RIPPLE, kind="pair"), Outcome.RIGHT),
         (score(COULOMB | COGGING, "named", NAME, kind="pair"), Outcome.PART),
         (score(COULOMB | COGGING, "named", (*NAME, "backlash"), kind="pair"), Outcome.WRONG),
-        (score(PAYLOAD, "ambiguous", (), GAIN, experiment="test mass"), Outcome.RIGHT),
+        (score(PAYLOAD, "ambiguous", (), GAIN, experiment="test_mass"), Outcome.RIGHT),
         (score(PAYLOAD, "ambiguous", (), GAIN, experiment="wide"), Outcome.TIE),
         (score(PAYLOAD, "named", ("payload",)), Outcome.RIGHT),
         (score({}, "none", kind="nominal", fault="torque_sign"), Outcome.MISSED),
