@@ -16,19 +16,32 @@ from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Model, Shape
-from service.diagnosis.grams import ORDER, Gathered, Group, Pairing, Piece, Whitening, noise_model, pairing
+from service.diagnosis.grams import (
+    ORDER,
+    Gathered,
+    Group,
+    Pairing,
+    Piece,
+    Whitening,
+    between_periods,
+    noise_model,
+    pairing,
+)
+from service.diagnosis.responses import Complex, bins, through
 from service.diagnosis.rigid import Rigid, nominal_load, rigid
-from service.diagnosis.signals import Tracks, white_covariance
+from service.diagnosis.signals import EVERY, Tracks, white_covariance
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SMALLEST = 1e-60  # product of a column that is there
 SAME = 1e-3  # a model that moved by less is the same
+SAME_TIME = 2e-6  # s
 FLAT = 1e-12  # of a column's own product: below, it is a combination of the others
 UNKNOWN_MOTOR = 0.1  # of the axis' inertia: a motor that the robot file does not know
 LEAST_INERTIA = 0.05  # of CAD's
 ENOUGH_POSES = 4  # of which one may be held back
+COLOURED = 3.0  # times the RMS of the sensor's noise were it white: flicker and drift make about twice
 REPEATED = 0.2  # of the velocity, RMS, by which a repeat may differ
 
 
@@ -60,6 +73,8 @@ class Equations:
     right: Array  # (n, rows)
     viscous_precision: float
     sensor_noise: float  # RMS in the band of the rows, N m (N)
+    period_noise: float | None  # the same from period to period, where no sweep is repeated and their periods show it
+    late: float = 0.0  # s, by which the columns of effects come late, with the whole torque
     kept: dict[Term, Gathered] = field(init=False, repr=False, compare=False, default_factory=dict[Term, Gathered])
 
     @property
@@ -95,7 +110,16 @@ class Equations:
 
     def columns(self, term: Term) -> Sequence[Array]:
         """Signals of an effect, (n, t) each."""
-        return CATALOGUE[term.effect].columns(self.tracks, self.model, term.shape)
+        return self._as_measured(term.effect, CATALOGUE[term.effect].columns(self.tracks, self.model, term.shape))
+
+    def _as_measured(self, name: str, columns: Sequence[Array]) -> Sequence[Array]:
+        """Columns of an effect behind the delay that the model has."""
+        if not self.late or CATALOGUE[name].late:
+            return columns
+        rate = self.tracks.rate
+        s = 2j * np.pi * bins(self.tracks.velocity.shape[1], rate)[None]
+        delayed: Complex = np.exp(-s * self.late)
+        return [through(column, rate, delayed) for column in columns]
 
     def rows(self, term: Term) -> Array:
         """The same filtered and whitened, (n, rows, k)."""
@@ -127,7 +151,7 @@ class Equations:
         if scan is None or not new:
             return [self.gathered(term, keep=keep) for term in terms]
         columns = scan(self.tracks, self.model, [term.shape for term in new])
-        found = {term: self._gathered(own) for term, own in zip(new, columns, strict=True)}
+        found = {term: self._gathered(self._as_measured(name, own)) for term, own in zip(new, columns, strict=True)}
         if keep:
             self.kept.update(found)
         return [found.get(term) or self.kept[term] for term in terms]
@@ -222,8 +246,10 @@ def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | No
     remaining = tracks.rows(nominal_right(tracks))
     rows = np.stack([tracks.rows(signal) for signal in (*map(tracks.along, model.basis), tracks.velocity)], axis=-1)
     alone = white_covariance(tracks.effort, tracks.inside, tracks.rate, ORDER)
+    left = _refitted(tracks, rows, remaining)
+    periods = None if any(len(group.pieces) > 1 for group in groups) else _between_periods(tracks, left, alone)
     if whitening is None:
-        whitening = noise_model(_refitted(tracks, rows, remaining), tracks.usable, groups, alone)
+        whitening = noise_model(left, tracks.usable, groups, alone if periods is None else periods)
     given = Equations(
         tracks=tracks,
         groups=tuple(groups),
@@ -243,6 +269,7 @@ def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | No
         right=whitening(remaining),
         viscous_precision=(prior.viscous_friction * viscous) ** -2.0 if viscous else 0.0,
         sensor_noise=float(np.sqrt(alone[0])),
+        period_noise=None if periods is None else float(np.sqrt(periods[0])),
     )
     return remodelled(given, ())
 
@@ -259,6 +286,20 @@ def _refitted(tracks: Tracks, rows: Array, right: Array) -> Array:
     """What the best rigid model leaves of rows (n, rows): noise alike at all frequencies, no prior."""
     matrix, target = rows[tracks.usable], right[tracks.usable]
     return right - rows @ np.linalg.lstsq(matrix, target, rcond=None)[0]
+
+
+def _between_periods(tracks: Tracks, left: Array, alone: Array) -> Array | None:
+    """Autocovariance of the noise by what periods of each sweep leave of one another, no more than a sensor with noise
+    `alone` makes: beyond, the machine moves otherwise in the next one. None without periods.
+    """
+    lengths = {spec.period for spec in tracks.specs}
+    period = lengths.pop() if len(lengths) == 1 else None
+    if period is None:
+        return None
+    found = between_periods(left, tracks.usable, round(period * tracks.rate / EVERY))
+    if found is None:
+        return None
+    return found * min(1.0, COLOURED**2 * alone[0] / found[0])
 
 
 def _model(tracks: Tracks, load: Array, motor_inertia: float, viscous: float) -> Model:
@@ -309,7 +350,20 @@ def _same_motion(motion: Array, usable: Mask, one: int, other: int) -> bool:
 def remodelled(given: Equations, terms: Sequence[Term]) -> Equations:
     """With the load and the friction that a fit with these terms finds, of which some columns are made."""
     values = solve(given.system_with(terms).sum(axis=0), given.precision(terms))[0]
-    return reshaped(with_base(given, values[: given.width_of_base]), terms)
+    return reshaped(_delayed(with_base(given, values[: given.width_of_base]), terms, values), terms)
+
+
+def _delayed(given: Equations, terms: Sequence[Term], values: Array) -> Equations:
+    """With the columns of all effects as late as a delay among these terms, with coefficients (k,), says."""
+    late, first = 0.0, given.width_of_base
+    for term in terms:
+        late += float(values[first]) if CATALOGUE[term.effect].late else 0.0
+        first += given.width(term)
+    if abs(late - given.late) < SAME_TIME:
+        return given
+    moved = replace(given, late=late)
+    moved.kept.update({term: rows for term, rows in given.kept.items() if CATALOGUE[term.effect].late})
+    return moved
 
 
 def reshaped(given: Equations, terms: Sequence[Term]) -> Equations:

@@ -155,6 +155,22 @@ def noise_model(residual: Array, usable: Mask, groups: Sequence[Group], alone: A
     return Whitening(coefficients, float(np.sqrt(max(variance, 1e-9 * covariance[0]))))
 
 
+def between_periods(residual: Array, usable: Mask, period: int) -> Array | None:
+    """Autocovariance (ORDER + 1,) of the noise that residual rows (n, t) show from one period of so many rows to the
+    next; None where fewer than a period's rows have a partner. For sweeps that nothing repeats (Pintelon and Schoukens,
+    System Identification, 2012, 2.4: periods of one record are repeats but for what depends on the position).
+    """
+    if not 0 < period < residual.shape[1]:
+        return None
+    good = usable[:, period:] & usable[:, :-period]
+    counted = int(np.count_nonzero(good))
+    if counted < period:
+        return None
+    apart = np.where(good, (residual[:, period:] - residual[:, :-period]) / np.sqrt(2), 0.0)
+    width = apart.shape[1]
+    return np.array([float(np.sum(apart[:, lag:] * apart[:, : width - lag])) for lag in range(ORDER + 1)]) / counted
+
+
 def _summed(flat: Array, block: Index) -> Array:
     """Rows (k, all) at a block (repeats, rows): their sum over the repeats, then each repeat, as `_signed` wants it."""
     rows: Array = flat[:, block]

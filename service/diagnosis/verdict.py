@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from service.diagnosis.design import is_partial
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.equations import Equations, Term, solve
+from service.diagnosis.equations import COLOURED, Equations, Term, solve
 from service.diagnosis.gap import noise_floor
 from service.diagnosis.search import Beside, Explanation
 from service.diagnosis.select import CERTAIN, RIVAL, TOLERANCE, Selection, allowed_by_physics
@@ -18,7 +18,7 @@ from service.diagnosis.visibility import grid, left, shows_beside, visible_part
 Array = NDArray[np.float64]
 
 AT_FLOOR = 1.5  # times the noise floor
-ALONE = 3.0  # times the sensor's noise, where nothing is repeated: coloured noise makes about twice
+SLOW = 0.1  # of what is explained: in one direction and without repeats, what slow noise may make of it
 
 
 class Verdict(Enum):
@@ -63,7 +63,8 @@ def at_floor(selection: Selection, left: Array) -> bool:
     if of_one_record(given):
         return selection.unexplained <= max((CATALOGUE[name].rest for name in selection.chosen.names), default=0.0)
     floor = noise_floor(given, left, range(len(left)))
-    allowed = AT_FLOOR * floor if floor is not None else ALONE * given.sensor_noise
+    floor = given.period_noise if floor is None else floor
+    allowed = AT_FLOOR * floor if floor is not None else COLOURED * given.sensor_noise
     return float(np.sqrt(np.mean(left[given.tracks.usable] ** 2))) <= allowed
 
 
@@ -132,6 +133,8 @@ def _as_good(selection: Selection, added: Sequence[Term], rival: Explanation) ->
     by_load = any(CATALOGUE[term.effect].by_load for term in (*added, rival.terms[-1]))
     limit = RIVAL if by_load else max(RIVAL, TOLERANCE * selection.rigid.cost)
     one_way, partial = _one_way(given), is_partial(given.tracks.specs)
+    if one_way and partial:
+        limit = max(limit, SLOW * (selection.rigid.cost - chosen.cost))
     as_good = rival.cost < chosen.cost + limit if one_way else rival.criterion <= chosen.criterion + RIVAL
     if not as_good or not allowed_by_physics(given, rival):
         return False
@@ -140,8 +143,9 @@ def _as_good(selection: Selection, added: Sequence[Term], rival: Explanation) ->
         return False  # were it as good, it would have been chosen
     needless = rival.parameters > chosen.parameters and chosen.cost - rival.cost < limit
     if partial:  # there a richer effect is needless only if what it has besides would show, and does not
-        shown = rival.criterion > chosen.criterion and shows_beside(given, chosen.terms, rival.terms[-1])
-        needless = needless and shown
+        name = rival.terms[-1].effect
+        shapes = (Term(name, shape) for shape in grid(given, name))
+        needless &= rival.criterion > chosen.criterion and all(shows_beside(given, chosen.terms, t) for t in shapes)
     return not needless
 
 

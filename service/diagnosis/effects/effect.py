@@ -81,6 +81,7 @@ class Effect:
     # what inertia, torque and slope of the load are multiplied by (3, n, t) behind this effect, to first order
     parts: Callable[[Tracks, Model, Shape], Array] | None = None
     of_model: bool = False  # whether the columns depend on the fitted inertia and friction
+    late: bool = False  # whether its first coefficient, s, is a delay of the whole torque, that of other effects too
     by_test_mass: bool = False  # only a known mass tells it from its likes
     contains: tuple[str, ...] = ()  # simpler effects that it can be
     applies: Callable[[Tracks], bool] = lambda tracks: True

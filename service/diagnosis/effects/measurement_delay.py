@@ -39,6 +39,7 @@ EFFECT = Effect(
     coefficients=named(("delay", "s")),
     columns=_columns,
     of_model=True,
+    late=True,
     scenario=_scenario,
     shape=lambda tracks, model: (ShapeParameter("expansion_point", "s", (-4e-3, -1e-3, 1e-3, 4e-3), -2e-2, 2e-2),),
 )

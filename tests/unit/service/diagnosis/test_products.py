@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.diagnosis.grams import PLAIN, Group, Piece, noise_model, pairing
+from service.diagnosis.grams import PLAIN, Group, Piece, between_periods, noise_model, pairing
 from service.diagnosis.periods import in_periods
 from service.diagnosis.responses import bins, in_frequency
 from service.diagnosis.signals import lowpass, row_samples
@@ -81,3 +81,24 @@ def test_gathered_products_are_those_between_different_repeats(repeats: int) -> 
     gathered = pairs.gathered(columns)
     assert pairs.crossed(gathered, gathered)[0] == pytest.approx(wanted)
     assert pairs.products(columns)[0] == pytest.approx(wanted)
+
+
+def test_noise_from_one_period_to_the_next_where_nothing_is_repeated() -> None:
+    """Autocovariance of a first-order process by hand: s^2 a^k / (1 - a^2); what is periodic does not count."""
+    random = np.random.default_rng(8)
+    rows, period, keep = 20_000, 125, 0.8
+    noise = np.zeros((4, rows))
+    white = random.normal(size=noise.shape)
+    for n in range(1, rows):
+        noise[:, n] = keep * noise[:, n - 1] + white[:, n]
+    left = noise + 30.0 * np.sin(2 * np.pi * 3 * np.arange(rows) / period)
+    found = between_periods(left, np.ones(left.shape, dtype=bool), period)
+    assert found is not None
+    assert found[:4] == pytest.approx(keep ** np.arange(4) / (1 - keep**2), rel=0.05)
+
+
+def test_less_than_two_periods_show_no_noise() -> None:
+    usable = np.zeros((2, 240), dtype=bool)
+    usable[:, :180] = True
+    assert between_periods(np.ones((2, 240)), usable, 125) is None
+    assert between_periods(np.ones((2, 240)), usable, 300) is None
