@@ -21,7 +21,7 @@ ROWS: dict[str, tuple[str, str]] = {
     "called_unknown": ("called unknown, the same, %", ""),
     "small_wrong": ("small (1 to 2 times the noise): wrong name, %", "<= 3"),
     "false_alarms": ("false alarms on healthy machines, %", "<= 1"),
-    "outside_unknown": ("effect outside the catalogue called unknown, %", ">= 90"),
+    "outside_unknown": ("effect outside the catalogue called unknown (a tilted base: or gravity error), %", ">= 90"),
     "outside_wrong": ("... given a name, %", ""),
     "pairs_exact": ("pairs named exactly, %", ">= 80"),
     "pairs_wrong": ("pairs: wrong name, %", ""),

@@ -17,6 +17,9 @@ Document = dict[str, Any]
 
 BIG = ("medium", "large")
 
+SEEN_AS = {"tilted_base": frozenset({"gravity_error"})}
+"""What the catalogue has no entry for, yet a name that is true of it: no mass makes the gravity of a base that leans."""
+
 FAULT_WORDS: dict[str, tuple[str, ...]] = {
     "gear_ratio_off": ("gear_ratio", "gear ratio"),
     "ripple_orders_missing": ("ripple", "order"),
@@ -66,7 +69,12 @@ class Score:
 
     @property
     def allowed(self) -> frozenset[str]:
-        return self.hidden | frozenset(self.truth["companions"])
+        return self.hidden | self.seen_as | frozenset(self.truth["companions"])
+
+    @property
+    def seen_as(self) -> frozenset[str]:
+        """Names that are true of what the catalogue has no entry for."""
+        return frozenset[str]().union(*(SEEN_AS.get(name, frozenset[str]()) for name in self.truth["hidden"]))
 
     @property
     def verdict(self) -> str:
@@ -118,6 +126,8 @@ class Score:
             return Outcome.RIGHT if self.kind is Kind.NONE else Outcome.MISSED
         if self.verdict == "unknown":
             return Outcome.RIGHT if self.kind is Kind.OUTSIDE else Outcome.UNKNOWN
+        if self.kind is Kind.OUTSIDE and self.named and self.named <= self.seen_as:
+            return Outcome.RIGHT
         if self.verdict == "ambiguous":
             return self._of_ties()
         return Outcome.RIGHT if self.hidden and self.hidden <= self.named else Outcome.PART
