@@ -16,6 +16,7 @@ from service.data_check.quantisation import quantisation
 from service.data_check.record import AxisRecords
 from service.data_check.repeatability import repeatability
 from service.data_check.response import responses
+from service.data_check.ripples import ripples
 from service.data_check.robot_file import description, nominals, rated_effort
 from service.data_check.spikes import spikes
 from service.data_check.start import start
@@ -38,13 +39,15 @@ def check(robot: Robot, sweeps: Sequence[Sweep]) -> tuple[Finding, ...]:
 def _axis(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> list[Finding]:
     own = tuple(sweep for sweep in sweeps if sweep.spec.axis == joint)
     axis = AxisRecords.of(robot, joint, own)
-    followed = commanded(axis)
-    of_motion = motion(axis, slopes(axis), followed)
+    lost = lost_samples(axis)
+    whole = axis.without({name for one in lost for name in one.sweeps})
+    followed = commanded(whole)
+    of_motion = motion(whole, slopes(whole), followed)
     codes = {finding.code for finding in of_motion}
-    found = responses(axis, {one.record.id: one for one in followed})
+    found = responses(whole, {one.record.id: one for one in followed})
     # without a set-point a wrong motion would be taken for a wrong effort
-    inertia = seen(axis, found) if followed or not codes else None
-    of_effort = effort(axis, inertia)
+    inertia = seen(whole, found) if followed or not codes else None
+    of_effort = effort(whole, inertia, placed=not codes)
     sound = not of_effort and not codes
     return [
         *clock(axis, own),
@@ -53,12 +56,13 @@ def _axis(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> list[Finding]:
         *clipping(axis),
         *(quantisation(axis) if sound else []),  # steps are told in SI
         *spikes(axis),
-        *lost_samples(axis),
+        *lost,
         *of_motion,
         *(start(axis) if not codes & set(DISPLACED) else []),
         *of_effort,
         *(effort_delay(axis, found) if sound else []),
         *load_encoder(axis),
         *(rated_effort(axis) if sound and inertia is not None and inertia.fits else []),
-        *repeatability(axis),
+        *repeatability(whole),
+        *(ripples(whole) if sound else []),
     ]

@@ -6,6 +6,7 @@ told apart by the neighbour, too: a rounded top fills the last steps alike.
 """
 
 import numpy as np
+from scipy.stats import poisson
 
 from service.data_check.finding import Finding, named
 from service.data_check.record import AxisRecords
@@ -14,6 +15,8 @@ from service.recording import Array
 PILE = 10  # samples on the extreme
 SHARE = 0.003  # of the window
 ALONE = 0.02  # of the window, in a single sweep
+CREST = 3.0  # times the mean of the next three steps that a parabola's last step holds: 1 against (sqrt(4) - 1) / 3
+CHANCE = 1e-6  # that a crest of the mean count holds as many
 OVER = 4.0  # times what lies on the neighbouring step, or within as much of the range
 
 
@@ -54,5 +57,7 @@ def _on_limit(values: Array, step: float) -> float:
     beside = int(np.count_nonzero((values > top - 1.5 * grain) & (values <= top - 0.5 * grain)))
     if step > 0.02 * width:  # a handful of steps: a sine rests on its last one
         beside = max(beside, on // 2)
-    enough = on > max(PILE, SHARE * len(values))
+    near = np.count_nonzero((values > top - 3.5 * grain) & (values <= top - 0.5 * grain)) / 3
+    by_chance = float(poisson.ppf(1 - CHANCE, CREST * max(float(near), 1.0)))
+    enough = on > max(PILE, SHARE * len(values), by_chance)
     return on / len(values) if enough and on > OVER * beside else 0.0

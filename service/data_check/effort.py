@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.data_check.finding import Finding, named
+from service.data_check.other_axis import FITS, Origin, another, origins, weighed
 from service.data_check.record import AxisRecords
 from service.data_check.response import Response
 from service.data_check.units import effort_unit
@@ -20,7 +21,7 @@ OFF = 2.5  # factor to either side of CAD that a sound axis keeps
 SURE = 4.0  # standard errors
 MODEL = 0.1  # of CAD: by how much records differ anyway
 UNIT = np.log(2.2)  # how far a unit's factor may be from what is found: CAD is no better
-ALIKE = np.log(1.4)  # how near is near: another axis' CAD in every pose, or a unit that comes before another axis
+RESISTS = 0.15  # of the robot file's viscous friction (prior: 50 %), dry friction not counted: less has no axis
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ def seen(axis: AxisRecords, found: Sequence[Response]) -> Seen | None:
     """Weighted by their errors; None where nothing tells inertia."""
     if not found:
         return None
-    nominal = np.array([axis.nominal_inertia(one.record.spec.pose) for one in found])
+    nominal = axis.nominal_inertias(np.array([one.record.spec.pose for one in found]))
     if not (nominal > 0).all():
         return None
     ratios = np.array([one.inertia for one in found]) / nominal
@@ -67,15 +68,57 @@ def seen(axis: AxisRecords, found: Sequence[Response]) -> Seen | None:
     )
 
 
-def effort(axis: AxisRecords, all_: Seen | None) -> list[Finding]:
-    """At most one finding: a wrong sign would make any factor meaningless."""
-    if all_ is None or all_.fits:
+def effort(axis: AxisRecords, all_: Seen | None, *, placed: bool) -> list[Finding]:
+    """At most one finding: a wrong sign would make any factor meaningless. `placed`: position can be trusted."""
+    if all_ is None:
+        return []
+    likely = origins(axis, all_.records) if placed else []
+    in_unit = bool(likely) and likely[0].is_unit and likely[0].misfit < FITS
+    if placed and not in_unit and (friction := _friction(axis, all_)) is not None and abs(friction) < RESISTS:
+        return [_still(axis, all_, friction)]
+    other = another(axis, likely)
+    if other is not None:
+        return [_other(axis, all_, other, likely)]
+    if all_.fits:
         return []
     if not all_.clear:
         return _unrelated(axis, all_)
     if all_.ratio < 0:
         return [] if all_.brakes else [_sign(axis, all_)]
     return [_size(axis, all_)]
+
+
+def _friction(axis: AxisRecords, all_: Seen) -> float | None:
+    """Resistance over the robot file's: the larger of that at the lines and that of turning round; None if unknown."""
+    nominal, held = axis.axis.viscous_friction, weighed(axis, [one.record for one in all_.records])
+    lines = [one for one in all_.records if one.impedance.size]
+    if not nominal or held is None or not lines:
+        return None
+    slow = min(abs(one.record.spec.offset_velocity) for one in lines)
+    at_lines = float(np.median(np.concatenate([one.impedance.real for one in lines]))) / nominal
+    error = float(np.median([one.resistance_error for one in lines])) / nominal / np.sqrt(len(lines))
+    turning = held.friction / (nominal * slow)
+    return max(at_lines, turning, key=abs) if SURE * error < RESISTS else None
+
+
+def _still(axis: AxisRecords, all_: Seen, friction: float) -> Finding:
+    return Finding(
+        "wrong_axis", "wrong", axis.joint, all_.ids, friction, RESISTS,
+        f"{axis.joint}, {named(all_.ids)}: effort does not answer to the motion: friction at its lines and turns is "
+        f"{100 * abs(friction):.2g} % of the robot file's, limit {100 * RESISTS:g} %, inertia "
+        f"{100 * all_.ratio:.2g} % of CAD's. The axis that it is of holds still.",
+        "Check that the effort channel is of this axis.",
+    )  # fmt: skip
+
+
+def _other(axis: AxisRecords, all_: Seen, other: Origin, likely: Sequence[Origin]) -> Finding:
+    own = min((one.misfit for one in likely if one.joint == axis.index), default=np.inf)
+    return Finding(
+        "wrong_axis", "wrong", axis.joint, all_.ids, own, FITS,
+        f"{axis.joint}, {named(all_.ids)}: inertia, weight and friction are {np.sqrt(own):.2g} standard deviations off "
+        f"those of {axis.joint} in any unit, and {np.sqrt(other.misfit):.2g} off those of {other.name} in all poses.",
+        f"Check whether these recordings are of {other.name}: the columns, or `axis` and `pose` in bundle.json.",
+    )  # fmt: skip
 
 
 def _sign(axis: AxisRecords, all_: Seen) -> Finding:
@@ -109,19 +152,11 @@ def _size(axis: AxisRecords, all_: Seen) -> Finding:
     motor = _motor(axis, all_)
     if motor is not None:
         return motor
-    near, far, other = (
-        effort_unit(axis, value, ALIKE), effort_unit(axis, value, UNIT), _other_axis(axis, all_),
-    )  # fmt: skip
-    if other is not None and near is None:
-        return Finding(
-            "wrong_axis", "wrong", axis.joint, ids, value, OFF,
-            f"{what}; it fits {other} in every pose.",
-            f"Check whether these recordings are of {other}.",
-        )  # fmt: skip
+    far = effort_unit(axis, value, UNIT)
     if far is not None:
         return Finding(
             "effort_unit", "wrong", axis.joint, ids, value, OFF,
-            f"{what}, as if effort were in {near or far}.",
+            f"{what}, as if effort were in {far}.",
             f"Convert effort to {axis.unit} on the joint side.",
         )  # fmt: skip
     return Finding(
@@ -145,13 +180,3 @@ def _motor(axis: AxisRecords, all_: Seen) -> Finding | None:
         f"squared), but the whole axis shows {measured:.4g}.",
         "Give motor_inertia in kg m^2 on the motor side (1 kg cm^2 = 1e-4 kg m^2).",
     )  # fmt: skip
-
-
-def _other_axis(axis: AxisRecords, all_: Seen) -> str | None:
-    """A joint whose CAD inertia fits the clear records in every pose."""
-    clear = [one for one in all_.records if one.inertia > SURE * one.inertia_error]
-    for k, joint in enumerate(axis.robot.joints):
-        theirs = [one.inertia / axis.nominal_inertia(one.record.spec.pose, k) for one in clear]
-        if k != axis.index and theirs and float(np.max(np.abs(np.log(theirs)))) < ALIKE:
-            return joint
-    return None

@@ -9,7 +9,7 @@ Severity = Literal["wrong", "warning"]
 Code = Literal[
     "clipped",  # a channel ends at a limit
     "clock",  # time, sample rate and window do not fit together
-    "coarse",  # steps of a channel too large
+    "coarse_steps",  # steps of a channel too large
     "channel_delay",  # between position and velocity, or between motion and effort
     "effort_scale",  # effort is off by a factor that no unit explains
     "effort_sign",  # effort brakes where it should accelerate
@@ -17,7 +17,7 @@ Code = Literal[
     "frozen",  # a channel stands still while the axis moves
     "gear_ratio",  # motor and load encoder disagree
     "gravity",  # of the robot file
-    "lost_samples",  # position goes on by more than velocity explains
+    "lost_counts",  # position jumps while the motion goes on
     "missing_nominal",  # null in the robot file where it is needed
     "motion_scale",  # motion is not what was commanded
     "motion_sign",  # encoder against set-point
@@ -30,6 +30,7 @@ Code = Literal[
     "rated_effort",  # of the robot file, against what is measured
     "ripple_order",  # a ripple that the robot file does not know
     "spikes",  # single samples far off
+    "time_jump",  # samples are missing: all channels go on as if later
     "velocity_scale",  # velocity is not the slope of position
     "velocity_sign",
     "velocity_unit",

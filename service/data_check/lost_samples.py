@@ -1,39 +1,51 @@
 """Samples lost on the way: time goes on evenly, but position steps by more than velocity explains.
 
 Where an axis turns one way, position goes on by v dt in a sample; each lost one adds as much. What the change of
-velocity between two samples may add is allowed for.
+velocity between two samples may add is allowed for. Where samples are missing, the sines of velocity go on from a later
+phase as well; where they do not, the encoder lost counts.
 """
 
 import numpy as np
 
-from service.data_check.finding import Finding, named
+from service.data_check.finding import Code, Finding, named
 from service.data_check.record import AxisRecords, Record, spread
+from service.recording import Array
 
 FAR = 15.0  # robust standard deviations
 LEAST = 0.7  # samples
+LONGER = 1.5  # times the jump at the velocity beside it: how late the sines may go on
+BETTER = 0.5  # of what they leave of velocity without a jump
 
 
 def lost_samples(axis: AxisRecords) -> list[Finding]:
-    """One finding with the number of samples lost at most in one place."""
-    found = [(record.id, lost) for record in axis.those(lambda record: record.turns) if (lost := _lost(record)) > 0]
-    if not found:
-        return []
-    ids, most = tuple(name for name, _ in found), max(lost for _, lost in found)
-    return [
-        Finding(
-            "lost_samples", "wrong", axis.joint, ids, most, LEAST,
-            f"{axis.joint}, {named(ids)}: position jumps by as much as {most:.3g} samples of its velocity make: "
-            "samples are missing, or the encoder lost counts.",
-            "Record again without lost frames; a record is never resampled here.",
-        )
-    ]  # fmt: skip
+    """One finding a kind with the number of samples lost at most in one place."""
+    found: dict[Code, list[tuple[str, float]]] = {}
+    for record in axis.those(lambda record: record.turns):
+        lost, at = _lost(record)
+        if lost > 0:
+            late = _phases_jump(record, at, lost)
+            found.setdefault("time_jump" if late else "lost_counts", []).append((record.id, lost))
+    return [_finding(axis, code, rows) for code, rows in found.items()]
 
 
-def _lost(record: Record) -> float:
-    """Largest jump in samples, 0 where there is none that stays."""
+def _finding(axis: AxisRecords, code: Code, rows: list[tuple[str, float]]) -> Finding:
+    ids, most = tuple(name for name, _ in rows), max(lost for _, lost in rows)
+    missing = code == "time_jump"
+    return Finding(
+        code, "wrong", axis.joint, ids, most, LEAST,
+        f"{axis.joint}, {named(ids)}: position jumps by as much as {most:.3g} samples of its velocity make"
+        + (", and the sines go on as much later: samples are missing, though time counts on evenly." if missing
+           else ", while the sines go on in phase: the encoder lost counts."),
+        "Record again without lost frames; a record is never resampled here." if missing
+        else "Look at the encoder, its cable and its supply, and record again.",
+    )  # fmt: skip
+
+
+def _lost(record: Record) -> tuple[float, int]:
+    """Largest jump in samples and the sample before it; 0 where there is none that stays."""
     velocity, position = record.velocity, record.position
     if not (np.all(velocity > 0) or np.all(velocity < 0)):
-        return 0.0
+        return 0.0, 0
     steps = np.diff(position)
     explained = (velocity[1:] + velocity[:-1]) / 2 / record.rate
     off = steps - explained
@@ -41,6 +53,27 @@ def _lost(record: Record) -> float:
     rounding = 3 * record.steps["position"] + record.steps["velocity"] / record.rate
     allowed = np.abs(np.diff(velocity)) / record.rate + FAR * spread(off) + rounding
     jumps = np.flatnonzero(np.abs(off) > allowed)
-    stays = [k for k in jumps if abs(off[max(k - 2, 0) : k + 3].sum()) > allowed[k]]  # a spike goes back
-    sizes = [abs(float(off[k] / explained[k])) for k in stays]
-    return max((size for size in sizes if size > LEAST), default=0.0)
+    stays = [int(k) for k in jumps if abs(off[max(k - 2, 0) : k + 3].sum()) > allowed[k]]  # a spike goes back
+    sizes = [(abs(float(off[k] / explained[k])), k) for k in stays]
+    return max((one for one in sizes if one[0] > LEAST), default=(0.0, 0))
+
+
+def _phases_jump(record: Record, at: int, lost: float) -> bool:
+    """Whether velocity after the jump goes on later; without lines nothing says that it does not."""
+    lines = [sine.frequency for sine in record.spec.sines]
+    if not lines:
+        return True
+    time = np.arange(record.count) / record.rate
+    before, after = time <= time[at], time > time[at]
+    tried = np.linspace(-LONGER * lost, LONGER * lost, 61) / record.rate  # counts may be lost backwards, too
+    left = [_left(record.velocity, lines, time + late * after) for late in (0.0, *tried)]
+    enough = min(np.count_nonzero(before), np.count_nonzero(after)) > 4 * len(lines)
+    return not enough or min(left[1:]) < BETTER * left[0]
+
+
+def _left(velocity: Array, lines: list[float], time: Array) -> float:
+    """Sum of squares beside an offset and the lines."""
+    angles = [2 * np.pi * line * time for line in lines]
+    columns = np.stack([np.ones_like(time), *(wave(angle) for angle in angles for wave in (np.cos, np.sin))], -1)
+    rest = velocity - columns @ np.linalg.lstsq(columns, velocity, rcond=None)[0]
+    return float(rest @ rest)

@@ -12,7 +12,7 @@ import numpy as np
 
 from service.data_check.finding import Code, Finding, named
 from service.data_check.kinematics import Slope
-from service.data_check.record import AxisRecords, Record
+from service.data_check.record import AxisRecords, Record, spread
 from service.data_check.units import motion_unit
 
 GAIN = 0.005  # sensor and both channels are one: rounding apart they agree to 1e-4; J is off by as much
@@ -47,6 +47,8 @@ def motion(axis: AxisRecords, slopes: Sequence[Slope], followed: Sequence[Comman
     """All findings on the motion of an axis."""
     speed = {one.record.id: one for one in followed}
     found: dict[tuple[Code, Channel, str | None], list[tuple[str, float]]] = {}
+    # a loop that ripples or is soft follows each sweep differently well: a wrong scale is the same in all
+    differ = min(spread(np.array([one.gain for one in followed])), FOLLOWS)
     judged: set[str] = set()
     for slope in slopes:
         told = _of_slope(axis, slope, speed.get(slope.record.id))
@@ -54,7 +56,7 @@ def motion(axis: AxisRecords, slopes: Sequence[Slope], followed: Sequence[Comman
             judged.add(slope.record.id)
             found.setdefault(told[0], []).append((slope.record.id, told[1]))
     for one in followed:
-        if one.record.id not in judged and abs(one.gain - 1) > FOLLOWS + one.error:
+        if one.record.id not in judged and abs(one.gain - 1) > FOLLOWS + one.error + differ:
             told = _kind(axis, one.gain, "both")
             found.setdefault(told, []).append((one.record.id, one.gain))
     return [_finding(axis, *kind, rows) for kind, rows in found.items()] + _delay(axis, slopes)

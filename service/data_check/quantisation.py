@@ -34,7 +34,7 @@ def quantisation(axis: AxisRecords) -> list[Finding]:
             ids, value = tuple(sweep for sweep, _ in found), float(np.median([step for _, step in found]))
             findings.append(
                 Finding(
-                    "coarse", "wrong", axis.joint, ids, value, limit,
+                    "coarse_steps", "wrong", axis.joint, ids, value, limit,
                     f"{axis.joint}: {name} comes in steps of {100 * value:.3g} % of {of}, limit {100 * limit:.3g} % "
                     f"({named(ids)}).",
                     f"Record {name} with more bits, or scale the channel to the range that the sweeps use.",

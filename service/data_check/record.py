@@ -1,7 +1,7 @@
 """The records of one axis as the checks look at them: the measured window of each sweep."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -108,6 +108,10 @@ class AxisRecords:
         records = [Record.of(sweep) for sweep in sweeps if sweep.spec.axis == joint]
         return cls(robot, robot.index(joint), tuple(record for record in records if record.count >= SHORTEST))
 
+    def without(self, ids: Collection[str]) -> "AxisRecords":
+        """All but those sweeps."""
+        return replace(self, records=self.those(lambda record: record.id not in ids)) if ids else self
+
     @property
     def axis(self) -> Axis:
         return self.robot.axes[self.index]
@@ -125,6 +129,11 @@ class AxisRecords:
         """Of effort."""
         return "N" if self.prismatic else "N m"
 
+    @cached_property
+    def fastest(self) -> float:
+        """That was commanded of any record, rad/s (m/s); 0 for trajectories."""
+        return max((record.peak for record in self.records), default=0.0)
+
     def those(self, chosen: Callable[[Record], bool]) -> tuple[Record, ...]:
         return tuple(record for record in self.records if chosen(record))
 
@@ -140,10 +149,11 @@ class AxisRecords:
         links = self.robot.chain.inertial.ravel()
         return float(inertia_rows(self.robot.chain, self.index if index is None else index, np.array(pose))[0] @ links)
 
-    def nominal_inertia(self, pose: Sequence[float], index: int | None = None) -> float:
-        """The same with the motor."""
-        axis = self.robot.axes[self.index if index is None else index]
-        return self.load_inertia(pose, index) + (axis.reflected_motor_inertia or 0.0)
+    def nominal_inertias(self, poses: Array, index: int | None = None) -> Array:
+        """The same with the motor, of poses (m, joints) at once (m,)."""
+        index = self.index if index is None else index
+        rows = inertia_rows(self.robot.chain, index, poses)
+        return rows @ self.robot.chain.inertial.ravel() + (self.robot.axes[index].reflected_motor_inertia or 0.0)
 
 
 def spread(values: Array) -> float:

@@ -63,13 +63,27 @@ def _noise(values: Array, off: Array) -> float:
     return max(spread(off), spread(np.diff(values, 2)) / np.sqrt(6))
 
 
+def _off_course(values: Array, first: int, last: int) -> float:
+    """Largest distance from the cubic through three samples on either side: a smooth peak of few samples has none."""
+    around = np.r_[max(first - 3, 0) : first, last + 1 : min(last + 4, len(values))]
+    course = np.polynomial.Polynomial.fit(around, values[around], min(3, len(around) - 1))
+    group = np.arange(first, last + 1)
+    return float(np.abs(values[group] - course(group)).max())
+
+
 def _moved(record: Record, name: str, single: Indices) -> NDArray[np.bool_]:
-    """Where the other of effort and velocity shows the pulse as well: play that closes, a load that breaks loose."""
+    """Where the other of effort and velocity shows the pulse as well, or velocity a kink: play that closes, a load that
+    breaks loose.
+    """
     other = "velocity" if name == "effort" else "effort"
     off = np.abs(_off(getattr(record, other)))
     beside = np.asarray(maximum_filter(off, 2 * NEAR + 1, mode="nearest"), dtype=float)[single]
     shown = beside > max(PULSE * spread(off), 2 * record.steps[other])
-    return shown | _way(record, single) if name == "velocity" else shown
+    if name == "velocity":
+        return shown | _way(record, single)
+    bent = np.abs(np.diff(record.velocity, 2, prepend=record.velocity[0], append=record.velocity[-1]))
+    kinked = np.asarray(maximum_filter(bent, 2 * NEAR + 1, mode="nearest"), dtype=float)[single]
+    return shown | (kinked > max(PULSE * spread(bent), 4 * record.steps["velocity"]))
 
 
 def _way(record: Record, single: Indices) -> NDArray[np.bool_]:
@@ -87,7 +101,7 @@ def _floor(axis: AxisRecords, record: Record, name: str, values: Array) -> float
     """Deviations below change nothing."""
     if name == "effort":
         return EFFORT * axis.axis.rated_effort
-    fastest = max(one.peak for one in axis.records) or 3 * float(np.std(record.velocity))
+    fastest = axis.fastest or 3 * float(np.std(record.velocity))
     rounding = 3 * SINGLE * float(np.abs(values).max())
     return max(VELOCITY * fastest if name == "velocity" else 5 * fastest / record.rate, rounding)
 
@@ -105,6 +119,7 @@ def _single(values: Array, off: Array, limit: float) -> Indices:
         near = near[near <= limit] if near.size and np.count_nonzero(near > limit) <= 2 else near
         before, after = values[max(first - 2, 0)], values[min(last + 2, len(values) - 1)]
         returns = abs(after - before) < size[group].max() / 2
-        if returns and last - first < LONGEST and (not near.size or size[group].max() > BESIDE * near.max()):
+        alone = last - first < LONGEST and _off_course(values, first, last) > limit
+        if returns and alone and (not near.size or size[group].max() > BESIDE * near.max()):
             kept.extend(range(first, last + 1))
     return np.array(kept, dtype=np.intp)

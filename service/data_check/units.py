@@ -14,8 +14,9 @@ def motion_unit(axis: AxisRecords, gain: float, *, velocity: bool) -> str | None
         return None
     ratio = abs(axis.axis.gear_ratio)
     side = {"": 1.0} | ({" on the motor side": ratio} if abs(ratio - 1) > CLOSE else {})
-    own = {"mm": 1e3} if axis.prismatic else {"rad": 1.0, "degrees": 360 / TURN, "turns": 1 / TURN}
     turning = {"rad": 1.0, "degrees": 360 / TURN, "turns": 1 / TURN}
+    # a control that takes a linear axis for a turning one tells degrees
+    own = {"mm": 1e3, "degrees": 360 / TURN} if axis.prismatic else turning
     rates = {"/s": 1.0, "/min": 60.0} if velocity else {"": 1.0}
     names = {
         f"{unit}{rate}{where}": factor * per * gear
@@ -28,11 +29,11 @@ def motion_unit(axis: AxisRecords, gain: float, *, velocity: bool) -> str | None
     return best if best is not None and near[best] < CLOSE else None
 
 
-def effort_unit(axis: AxisRecords, gain: float, within: float) -> str | None:
-    """Which unit makes an effort `gain` times what the model says, within a factor exp(`within`); None if none does."""
+def effort_units(axis: AxisRecords) -> dict[str, float]:
+    """Units other than SI on the joint side, and their factors."""
     rated, ratio = axis.axis.rated_effort, abs(axis.axis.gear_ratio)
     unit = axis.unit
-    names = {
+    return {
         "mN" if axis.prismatic else "N mm": 1e3,
         f"k{unit}": 1e-3,
         "percent of rated effort": 100 / rated,
@@ -41,6 +42,10 @@ def effort_unit(axis: AxisRecords, gain: float, within: float) -> str | None:
         f"{unit} on the motor side": 1 / ratio,
         "N mm on the motor side": 1e3 / ratio,
     }
-    near = {name: abs(np.log(abs(gain) / factor)) for name, factor in names.items()} if gain else {}
+
+
+def effort_unit(axis: AxisRecords, gain: float, within: float) -> str | None:
+    """Which unit makes an effort `gain` times what the model says, within a factor exp(`within`); None if none does."""
+    near = {name: abs(np.log(abs(gain) / factor)) for name, factor in effort_units(axis).items()} if gain else {}
     best = min(near, key=lambda name: near[name], default=None)
     return best if best is not None and near[best] < within else None

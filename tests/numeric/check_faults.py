@@ -268,7 +268,7 @@ FAULTS: dict[str, Fault] = {
     "effort of an axis that holds": Fault(("wrong_axis",), columns(_foreign_effort)),
     "effort late": Fault(("channel_delay",), _delayed("effort", 8e-3, 20e-3)),
     "effort clipped": Fault(("clipped",), _clipped),
-    "effort of 8 bit": Fault(("coarse",), _bits("effort", lambda s, _: rated(s))),
+    "effort of 8 bit": Fault(("coarse_steps",), _bits("effort", lambda s, _: rated(s))),
     "effort spiky": Fault(("spikes",), _spikes("effort", lambda r, s, _: r.uniform(0.05, 0.5) * rated(s))),
     "effort held": Fault(("frozen",), _held("effort", 0.05, 0.3)),
     "effort dead": Fault(("frozen",), columns(lambda _, __, s: {"effort": np.zeros_like(s.recording.effort)})),
@@ -277,7 +277,7 @@ FAULTS: dict[str, Fault] = {
     "velocity reversed": Fault(("velocity_sign",), scaled(lambda _, __: -1.0, "velocity")),
     "velocity off by 1 to 5 %": Fault(("velocity_scale",), scaled(lambda r, _: 1 + r.choice(SPEED), "velocity")),
     "velocity late": Fault(("channel_delay",), _delayed("velocity", 3e-3, 20e-3)),
-    "velocity coarse": Fault(("coarse",), _bits("velocity", lambda _, s: 10 * _peak(None, None, s))),  # type: ignore[arg-type]
+    "velocity coarse": Fault(("coarse_steps",), _bits("velocity", lambda _, s: 10 * _peak(None, None, s))),  # type: ignore[arg-type]
     "velocity spiky": Fault(("spikes",), _spikes("velocity", lambda r, s, w: r.uniform(0.3, 2) * _peak(r, s, w))),
     "velocity dead": Fault(("frozen",), columns(lambda _, __, s: {"velocity": np.zeros_like(s.recording.velocity)})),
     "position in degrees": Fault(("position_unit",), scaled(lambda _, __: DEGREES, "position")),
@@ -287,7 +287,7 @@ FAULTS: dict[str, Fault] = {
     "motion on the motor side": Fault(("position_unit",), scaled(lambda _, s: gear(s), "position", "velocity")),
     "motion reversed": Fault(("motion_sign",), scaled(lambda _, __: -1.0, "position", "velocity")),
     "frames of zeros": Fault(("spikes",), columns(_dropped, some=True)),
-    "samples lost": Fault(("lost_samples",), _lost),
+    "samples lost": Fault(("time_jump",), _lost),
     "gap in time": Fault(("clock",), columns(_gap, some=True)),
     "jitter of the clock": Fault(("clock",), columns(_jitter)),
     "another sample rate": Fault(("clock",), respecified(lambda r, _, s: {"sample_rate": s.spec.sample_rate / 2})),

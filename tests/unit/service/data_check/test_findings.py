@@ -93,7 +93,7 @@ def test_torque_that_ends_at_a_limit(robot: Robot, sweeps: tuple[Sweep, ...]) ->
     assert f"ends at {limit:.6g}" in found.sentence
 
 
-@pytest.mark.parametrize(("steps", "told"), [(1000, ()), (128, ("coarse",))])
+@pytest.mark.parametrize(("steps", "told"), [(1000, ()), (128, ("coarse_steps",))])
 def test_steps_of_torque(robot: Robot, sweeps: tuple[Sweep, ...], steps: int, told: tuple[str, ...]) -> None:
     """Per mille of the rated torque are usual; 8 bits over both directions are not."""
     step = RATED / steps
@@ -138,7 +138,7 @@ def test_lost_samples_are_counted(robot: Robot, sweeps: tuple[Sweep, ...]) -> No
     for name in ("effort", "velocity", "position"):
         short = column(short, name, cut)
     found = {one.code: one for one in check(robot, (*short, *sweeps[1:]))}
-    lost = found["lost_samples"]
+    lost = found["time_jump"]
     assert lost.value is not None
     assert abs(lost.value) * OFFSET == pytest.approx(12 * OFFSET, rel=3 * AMPLITUDE / OFFSET)
 
