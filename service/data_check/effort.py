@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.data_check.finding import Finding, named
-from service.data_check.other_axis import FITS, Origin, another, origins, weighed
+from service.data_check.other_axis import FITS, REFUSED, Origin, another, origins, weighed
 from service.data_check.record import AxisRecords
 from service.data_check.response import Response
 from service.data_check.units import effort_unit
@@ -73,8 +73,9 @@ def effort(axis: AxisRecords, all_: Seen | None, *, placed: bool) -> list[Findin
     if all_ is None:
         return []
     likely = origins(axis, all_.records) if placed else []
-    in_unit = bool(likely) and likely[0].is_unit and likely[0].misfit < FITS
-    if placed and not in_unit and (friction := _friction(axis, all_)) is not None and abs(friction) < RESISTS:
+    in_unit = bool(likely) and likely[0].is_unit and likely[0].misfit < REFUSED
+    friction = _friction(axis, all_) if placed and not in_unit and not all_.fits else None
+    if friction is not None and abs(friction) < RESISTS:
         return [_still(axis, all_, friction)]
     other = another(axis, likely)
     if other is not None:
@@ -104,9 +105,9 @@ def _friction(axis: AxisRecords, all_: Seen) -> float | None:
 def _still(axis: AxisRecords, all_: Seen, friction: float) -> Finding:
     return Finding(
         "wrong_axis", "wrong", axis.joint, all_.ids, friction, RESISTS,
-        f"{axis.joint}, {named(all_.ids)}: effort does not answer to the motion: friction at its lines and turns is "
-        f"{100 * abs(friction):.2g} % of the robot file's, limit {100 * RESISTS:g} %, inertia "
-        f"{100 * all_.ratio:.2g} % of CAD's. The axis that it is of holds still.",
+        f"{axis.joint}, {named(all_.ids)}: effort does not answer to the motion: inertia is "
+        f"{100 * all_.ratio:.2g} % of CAD's, friction at its lines and turns {100 * abs(friction):.2g} % of the robot "
+        f"file's, limit {100 * RESISTS:g} %. The axis that it is of holds still.",
         "Check that the effort channel is of this axis.",
     )  # fmt: skip
 
