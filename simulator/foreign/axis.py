@@ -77,7 +77,7 @@ class Axis:
     def following(self) -> bool:
         """Whether set-points of a host may turn the axis: enabled in a mode that a host feeds, and not braking."""
         fed = self.mode in CYCLIC or self.mode is Mode.PROFILE_VELOCITY
-        return self.state is State.OPERATION_ENABLED and fed and not self.guide.ramping
+        return self.state is State.OPERATION_ENABLED and fed and not self.guide.stopped
 
     @property
     def moving(self) -> bool:
@@ -203,6 +203,8 @@ class Axis:
             self.guide.hold(self.position)
             if self._after is not None:
                 self._release(self._after)
+            elif self.state is State.OPERATION_ENABLED and not self.guide.halted:
+                self.guide.resume()
         if self.mode != self._asked and not self.moving:
             self._take_mode(self._asked)
 
@@ -257,6 +259,8 @@ class Axis:
         """Bits of the controlword that belong to the mode."""
         now, guide = self._controlword, self.guide
         guide.halted = bool(now & 0x100)
+        if before & ~now & 0x100 and not guide.ramping:
+            guide.resume()
         if now & ~before & 0x100 and guide.moving and not guide.ramping and self.mode is not Mode.PROFILE_VELOCITY:
             self._brake(fast=self._dictionary[0x605D, 0] == 2, then=None)
         if self.mode is Mode.INTERPOLATED_POSITION:

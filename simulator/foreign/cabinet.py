@@ -96,7 +96,7 @@ class ForeignCabinet:
         """Seconds from `now` until `run` is wanted; infinity if never."""
         pace, chunk = self._pace()
         times = [node.due(now) for node in self.nodes.values()]
-        times += [node.sync_age + _SYNC_LOST for node in self.nodes.values() if node.led_by_sync and pace == 0.0]
+        times += [node.synced_at + _SYNC_LOST for node in self.nodes.values() if node.led_by_sync and pace == 0.0]
         if pace > 0.0:
             times.append((now if self._time is None else self._time) + chunk * self._machine.cycle / pace)
         return max(min(times) - now, 0.0)
@@ -161,7 +161,7 @@ class ForeignCabinet:
     def _pace(self) -> tuple[float, int]:
         """(simulated seconds a real second, cycles a chunk)."""
         axes = [axis for _, axis in self._axes if axis.energised]
-        if not axes or any(n.led_by_sync and self._now - n.sync_age < _SYNC_LOST for n in self.nodes.values()):
+        if not axes or any(n.led_by_sync and self._now - n.synced_at < _SYNC_LOST for n in self.nodes.values()):
             return 0.0, 1
         if not any(axis.moving for axis in axes):
             return 1.0, _HOLDING_CHUNK

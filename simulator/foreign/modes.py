@@ -27,20 +27,10 @@ class Mode(IntEnum):
     CYCLIC_POSITION = 8
     CYCLIC_VELOCITY = 9
 
-    @property
-    def target(self) -> tuple[int, int] | None:
-        """The object of its set-point."""
-        return _TARGETS.get(self)
 
-
-_TARGETS: dict[Mode, tuple[int, int]] = {
-    Mode.PROFILE_POSITION: (0x607A, 0),
-    Mode.PROFILE_VELOCITY: (0x60FF, 0),
-    Mode.INTERPOLATED_POSITION: (0x60C1, 1),
-    Mode.CYCLIC_POSITION: (0x607A, 0),
-    Mode.CYCLIC_VELOCITY: (0x60FF, 0),
-}
 CYCLIC = (Mode.INTERPOLATED_POSITION, Mode.CYCLIC_POSITION, Mode.CYCLIC_VELOCITY)
+SET_POINTS = ((0x607A, 0), (0x60B0, 0), (0x60B1, 0), (0x60B2, 0), (0x60C1, 1), (0x60FF, 0))
+"""What a host may feed with SYNC."""
 _TRACKING = (Mode.PROFILE_POSITION, Mode.INTERPOLATED_POSITION, Mode.CYCLIC_POSITION)
 
 
@@ -65,6 +55,7 @@ class Guide:
         self.running = True  # interpolated position waits for bit 4 of the controlword
         self.halted = False
         self.limited = False  # a target was cut to its limit
+        self.stopped = False  # braked by order: targets mean nothing until `resume` or `start`
         self.hold(position)
 
     def hold(self, position: float) -> None:
@@ -91,11 +82,16 @@ class Guide:
         if limit > 0.0:
             up, down = self._units.ramp(0x6083), self._units.ramp(0x6084)
             self._motion = travel(self._target - self._origin, self.command, limit, up, down)
-            self._time, self.ramping = 0.0, False
+            self._time, self.ramping, self.stopped = 0.0, False, False
 
     def ramp_down(self, deceleration: float) -> None:
         """Brake to standstill, rev/s^2, whatever the mode says."""
         self._motion, self._time, self.ramping = brake(self.command, deceleration), 0.0, True
+        self.stopped = True
+
+    def resume(self) -> None:
+        """Targets count again: a halt is over."""
+        self.stopped = False
 
     # State
 
@@ -133,6 +129,8 @@ class Guide:
         limit = self._units.speed_limit
         if self._motion is not None:
             speeds = self._along(self._motion, cycles)
+        elif self.stopped:
+            self.command, speeds = 0.0, np.zeros(cycles)
         elif self.mode is Mode.CYCLIC_VELOCITY:
             speeds = self._interpolate_velocity(cycles)
         elif self.mode is Mode.PROFILE_VELOCITY:

@@ -10,6 +10,7 @@ from simulator.foreign.axis import Axis
 from simulator.foreign.dictionary import ForeignDictionary
 from simulator.foreign.faults import ErrorCode
 from simulator.foreign.heartbeats import Heartbeats
+from simulator.foreign.modes import SET_POINTS
 from simulator.foreign.pdo import Pdo, process_data
 from simulator.foreign.transmission import Transmission
 from simulator.foreign.units import Plate, nameplate
@@ -42,6 +43,7 @@ class ForeignNode:
         self._pending: dict[int, bytes] = {}
         self._synced: float | None = None  # when the last SYNC came, s
         self._period = 0.0  # s between the last two
+        self._syncs = 0  # since power-on
 
     def renumber(self, number: int) -> None:
         """Another node id, by another setting of its switches: the node boots with it. The device stays what it is."""
@@ -54,10 +56,12 @@ class ForeignNode:
         self.dictionary.restore()
         self.axis.reset()
         self._server.reset()
+        for pdo in (*self._receive, *self._transmission.pdos):
+            pdo.reset()
         self._transmission.reset()
         self._heartbeats.reset()
         self._pending.clear()
-        self._synced = None
+        self._synced, self._syncs = None, 0
         self._enter(Nmt.PRE_OPERATIONAL)
         self._send(Frame(0x700 + self.number, b"\0"))
 
@@ -69,16 +73,15 @@ class ForeignNode:
     @property
     def led_by_sync(self) -> bool:
         """Whether the set-points of the axis come with SYNC: then the machine's time goes with it."""
-        target = self.axis.mode.target
         return (
             self.axis.following
             and self.nmt is Nmt.OPERATIONAL
             and self._synced is not None
-            and any(pdo.valid and pdo.synchronous and target in pdo.keys for pdo in self._receive)
+            and any(p.valid and p.synchronous and not p.entries.isdisjoint(SET_POINTS) for p in self._receive)
         )
 
     @property
-    def sync_age(self) -> float:
+    def synced_at(self) -> float:
         """When the last SYNC came, s of the clock of `sync`; 0 if none did."""
         return self._synced or 0.0
 
@@ -115,7 +118,8 @@ class ForeignNode:
             self._transmission.sync()
             self._apply([item for k, data in self._pending.items() for item in self._receive[k].unpack(data)])
             self._pending.clear()
-        code = self.disturbance.take_fault()
+        self._syncs += 1
+        code = self.disturbance.take_fault(counter=self._syncs)
         if code is not None:
             self.axis.fail(code)
         self._send_emergencies()

@@ -1,8 +1,8 @@
 """One process data object of a foreign drive: its configuration objects and its bytes (CiA 301, 7.2.2 and 7.5.2.36).
 
-The configuration procedure is enforced: COB-ID (but for bit 31) and transmission type, mapped objects and their number
-change only while the PDO is invalid, and mapped objects only while their number is 0. A drive whose file lets nobody
-write the COB-ID asks for that number alone. The sub-indices that the file has are those that the PDO has.
+The configuration procedure is enforced: COB-ID (but for bit 31), inhibit time, mapped objects and their number change
+only while the PDO is invalid, and mapped objects only while their number is 0. A drive whose file lets nobody write the
+COB-ID asks for that number alone. The sub-indices that the file has are those that the PDO has.
 """
 
 from simulator.drive.dictionary import Abort, AbortCode, Key
@@ -24,12 +24,13 @@ class Pdo:
         self._mapping = mapping
         self._receive = receive
         self.configurable = True  # in the present NMT state
+        self._mapped: tuple[Key, ...] | None = None
         self._types = {*_CYCLIC, *_EVENT, dictionary[communication, 2]}  # 0 only where the file says so
         self._switchable = dictionary.writable((communication, 1))
         dictionary.on_download((communication, 1), self._check_cob_id)
         dictionary.on_download((communication, 2), self._check_type)
-        for sub in (3, 5):
-            dictionary.on_download((communication, sub), lambda _: self._require_configurable())
+        dictionary.on_download((communication, 3), lambda _: self._require_changeable())
+        dictionary.on_download((communication, 5), lambda _: self._require_configurable())
         dictionary.on_download((mapping, 0), self._check_count)
         for key in dictionary.keys(mapping)[1:]:
             dictionary.on_download(key, self._check_entry)
@@ -63,11 +64,22 @@ class Pdo:
         """Longest time between two transmissions at once, s; 0: without end."""
         return self._dictionary.get(self._communication, 5) * 1e-3
 
+    def reset(self) -> None:
+        """The dictionary was restored."""
+        self._mapped = None
+
     @property
-    def keys(self) -> list[Key]:
+    def keys(self) -> tuple[Key, ...]:
+        """The mapped objects, in their order."""
+        if self._mapped is None:
+            d = self._dictionary
+            self._mapped = tuple(_key(d[self._mapping, sub]) for sub in range(1, d[self._mapping, 0] + 1))
+        return self._mapped
+
+    @property
+    def entries(self) -> frozenset[Key]:
         """The mapped objects."""
-        d = self._dictionary
-        return [_key(d[self._mapping, sub]) for sub in range(1, d[self._mapping, 0] + 1)]
+        return frozenset(self.keys)
 
     @property
     def size(self) -> int:
@@ -113,6 +125,7 @@ class Pdo:
             total += entry & 0xFF
         if total > 64:
             raise Abort(AbortCode.PDO_LENGTH)
+        self._mapped = None
 
     def _check_entry(self, value: int) -> None:
         self._require_changeable()
