@@ -40,7 +40,8 @@ class Master:
         return self.node.sdo.upload(index, subindex)
 
     def number(self, index: int, subindex: int = 0) -> int:
-        return int.from_bytes(self.read(index, subindex), "little", signed=True)
+        """The value of an object, as its data type says."""
+        return self.node.object_dictionary.get_variable(index, subindex).decode_raw(self.read(index, subindex))
 
     def write(self, index: int, subindex: int, value: int, size: int) -> None:
         self.node.sdo.download(index, subindex, value.to_bytes(size, "little", signed=value < 0))
