@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from simulator.canopen.node import Frame
 from simulator.foreign.cabinet import ForeignCabinet
 from simulator.machine import Machine
+from simulator.orders import Plant, carry_out
 from simulator.scenario import ScenarioError, load_scenario
 from tests.foreign_bench import PLAIN, ROOT, SCENARIO, Foreign, bench, file_of
 from tests.unit.simulator.foreign.conftest import mastered
@@ -67,6 +68,30 @@ def test_orders_reach_the_drives(master: Master) -> None:
     assert master.number(0x1018, 4) == 77
 
 
+@pytest.mark.parametrize(
+    "order",
+    [
+        {"order": "fault", "joint": "joint_1", "code": 0x7305, "at_sample": 3},
+        {"order": "glitch", "joint": "joint_1", "revolutions": 1.0, "at_sample": 3},
+        {"order": "freeze_counter", "joint": "joint_1", "on": True},
+    ],
+    ids=lambda order: order["order"],
+)
+def test_what_only_the_virtual_drive_has_cannot_be_ordered(cabinet: ForeignCabinet, order: dict[str, object]) -> None:
+    reply = carry_out(Plant(cabinet, None), json.dumps(order).encode())
+    assert reply == {"ok": False, "error": "not with this drive: it has neither trace nor sample counter"}
+
+
+def test_a_fault_comes_with_a_counted_sync(master: Master) -> None:
+    cycle = Cycle(master, VELOCITY)
+    master.foreign.order("fault", joint="joint_1", code=0x7305, at_counter=3)
+    cycle.sync()
+    cycle.sync()
+    assert master.number(0x603F) == 0
+    cycle.sync()
+    assert master.number(0x603F) == 0x7305
+
+
 def test_a_saturated_axis_gives_no_more_torque(master: Master) -> None:
     cycle = Cycle(master, VELOCITY)
     master.write(0x6060, 0, 9, 1)
@@ -84,13 +109,15 @@ def test_lost_and_doubled_frames(master: Master) -> None:
     seen: list[float] = []
     cycle.state.add_callback(lambda _: seen.append(0.0))
     master.foreign.order("duplicate_tpdos", joint="joint_1", count=1)
-    cycle.sync()
-    cycle.sync()
-    assert len(seen) == 3
-    master.foreign.order("drop_tpdos", joint="joint_1", count=2)
-    master.network.sync.transmit()
-    cycle.sync()
-    assert len(seen) == 4
+    for _ in range(2):
+        master.network.sync.transmit()
+    master.settle(lambda: len(seen) == 3)
+    master.foreign.order("drop_tpdos", joint="joint_1", count=2)  # both TPDOs of one SYNC
+    for _ in range(3):
+        master.network.sync.transmit()
+    master.settle(lambda: len(seen) == 5)
+    assert master.number(0x6041) & 0x6F == 0x40  # and no more on the way
+    assert len(seen) == 5
 
 
 def test_a_joint_without_a_dictionary_is_told() -> None:
