@@ -61,7 +61,7 @@ class Axis:
             self.hit_limit_switch(on=True)
         if self.emergency_stop:
             self.stop_safely(on=True)
-        self._publish()
+        self.publish()
 
     @property
     def energised(self) -> bool:
@@ -97,7 +97,7 @@ class Axis:
             self._obey(command_of(controlword))
             if self.state is State.OPERATION_ENABLED and self._after is None:
                 self._operate(before)
-        self._publish()
+        self.publish()
 
     def fail(self, code: int) -> None:
         """A fault: enter it and react as 605Eh says; the axis ends in FAULT."""
@@ -109,7 +109,7 @@ class Axis:
                 self._brake(fast=option != 1, then=State.FAULT)
             else:
                 self._release(State.FAULT)
-        self._publish()
+        self.publish()
 
     def lose_connection(self) -> None:
         """React as the abort connection option code 6007h says."""
@@ -127,13 +127,13 @@ class Axis:
         """Quick stop of an enabled axis as 605Ah says; any other state stays."""
         if self.state is State.OPERATION_ENABLED:
             self._obey(Command.QUICK_STOP)
-            self._publish()
+            self.publish()
 
     def disable_voltage(self) -> None:
         """Torque off now."""
         if self.state is not State.FAULT:
             self._obey(Command.DISABLE_VOLTAGE)
-            self._publish()
+            self.publish()
 
     def stop_safely(self, *, on: bool) -> None:
         """Safe torque off: torque away at once, FAULT; no reset before it is released."""
@@ -141,7 +141,7 @@ class Axis:
         if on:
             self.errors.enter(ErrorCode.EMERGENCY_STOP)
             self._release(State.FAULT)
-        self._publish()
+        self.publish()
 
     def hit_limit_switch(self, *, on: bool) -> None:
         """The hardware limit switch: a fault, and no reset before it is free again."""
@@ -175,7 +175,7 @@ class Axis:
         if code is not None and self.energised:
             self.fail(code)
         self._finish()
-        self._publish()
+        self.publish()
 
     def _supervise(self, samples: Samples, span: float) -> int | None:
         if self.state is not State.OPERATION_ENABLED or self.guide.ramping:
@@ -245,7 +245,7 @@ class Axis:
         self._asked = Mode(value)
         if not self.moving:
             self._take_mode(value)
-        self._publish()
+        self.publish()
 
     def _take_mode(self, value: int) -> None:
         self._asked = self.mode = Mode(value) if supported(self._dictionary[0x6502, 0], value) else Mode.NONE
@@ -282,7 +282,8 @@ class Axis:
         self.speed = self.torque = 0.0
         self.guide.hold(self.position)
 
-    def _publish(self) -> None:
+    def publish(self) -> None:
+        """Statusword, mode and, without torque, actual values: after whatever may have changed them or their units."""
         self._dictionary.tell(0x6041, statusword(self, acknowledged=self._acknowledged))
         self._dictionary.tell(0x6061, int(self.mode))
         if not self.energised:

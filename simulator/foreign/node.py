@@ -102,6 +102,7 @@ class ForeignNode:
             if self.nmt is not Nmt.STOPPED:
                 for response in self._server.handle(frame.data):
                     self._send(Frame(0x580 + self.number, response))
+                self.axis.publish()  # units may have changed
         elif 0x700 < frame.id < 0x780:
             self._heartbeats.hear(frame.id - 0x700, now)
         elif self.nmt is Nmt.OPERATIONAL:

@@ -217,6 +217,7 @@ def test_position_units_follow_the_feed_constant(master: Master) -> None:
     master.write(0x6092, 1, 360, 4)
     cycle = Cycle(master, POSITION)
     here = cycle.run(0, 0, 1)[3]
+    assert here == pytest.approx(master.truth()["position"] * GEAR / math.tau * 360, abs=1)
     for sub, end in enumerate((here - 720, here + 720), 1):
         master.write(0x607D, sub, end, 4)
     master.write(0x6060, 0, 8, 1)
