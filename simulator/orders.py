@@ -10,9 +10,12 @@ from simulator.cabinet import Cabinet, Node
 from simulator.canopen.node import Node as CanNode
 from simulator.drive.disturbance import Glitch, OrderedFault
 from simulator.drive.units import PER_MILLE
+from simulator.foreign.cabinet import ForeignCabinet
+from simulator.foreign.node import ForeignNode
 
 Request = dict[str, Any]
 Reply = dict[str, object]
+AnyCabinet = Cabinet[Any] | ForeignCabinet
 
 _LONGEST_ECHO = 60  # characters of what was wrong
 
@@ -32,7 +35,7 @@ class Bus(Protocol):
 class Plant:
     """What orders act on; `bus` is None where the fieldbus has nothing like bus-off."""
 
-    cabinet: Cabinet[Any]
+    cabinet: AnyCabinet
     bus: Bus | None
 
 
@@ -45,7 +48,7 @@ def _fault(plant: Plant, request: Request) -> Reply:
     if "at_sample" in request and "at_counter" in request:
         raise BadOrder("at_sample, at_counter: one of them at most")
     if "at_sample" in request:
-        node.axis.disturbance.fault = OrderedFault(code, at_sample=_number(request, "at_sample"))
+        _own(node).axis.disturbance.fault = OrderedFault(code, at_sample=_number(request, "at_sample"))
     elif "at_counter" in request:
         _can(node).disturbance.fault = OrderedFault(code, at_counter=_number(request, "at_counter"))
     else:
@@ -81,7 +84,7 @@ def _delay_tpdos(plant: Plant, request: Request) -> Reply:
 
 
 def _freeze_counter(plant: Plant, request: Request) -> Reply:
-    _can(_node(plant, request)).disturbance.counter_frozen = _flag(request)
+    _own(_can(_node(plant, request))).axis.disturbance.counter_frozen = _flag(request)
     return {}
 
 
@@ -109,7 +112,7 @@ def _glitch(plant: Plant, request: Request) -> Reply:
     node, revolutions = _node(plant, request), request.get("revolutions")
     if not isinstance(revolutions, int | float) or isinstance(revolutions, bool) or not 0 < abs(revolutions) <= 1000:
         raise BadOrder(f"revolutions: {_echo(revolutions)} is not a number up to 1000 either way, and not 0")
-    at_sample = _number(request, "at_sample") if "at_sample" in request else None
+    at_sample = _number(request, "at_sample") if "at_sample" in request and _own(node) else None
     node.axis.disturbance.glitch = Glitch(float(revolutions), at_sample)
     return {}
 
@@ -199,16 +202,22 @@ def carry_out(plant: Plant, line: bytes) -> Reply:
     return {"ok": True, **reply}
 
 
-def _node(plant: Plant, request: Request, field: str = "joint") -> Node:
+def _node(plant: Plant, request: Request, field: str = "joint") -> Node | ForeignNode:
     joint = request.get(field)
     if not isinstance(joint, str) or joint not in plant.cabinet.nodes:
         raise BadOrder(f"{field} {_echo(joint)} is none of {', '.join(plant.cabinet.nodes)}")
     return plant.cabinet.nodes[joint]
 
 
-def _can(node: Node) -> CanNode:
-    if not isinstance(node, CanNode):
+def _can(node: Node | ForeignNode) -> CanNode | ForeignNode:
+    if not isinstance(node, CanNode | ForeignNode):
         raise BadOrder("not on this fieldbus")
+    return node
+
+
+def _own(node: Node | ForeignNode) -> Node:
+    if isinstance(node, ForeignNode):
+        raise BadOrder("not with this drive: it has neither trace nor sample counter")
     return node
 
 
