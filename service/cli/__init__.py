@@ -30,6 +30,7 @@ _OWN = (
     ("channels", "service.cli.channels:channels"),
     ("import-trace", "service.cli.import_trace:import_trace"),
     ("export-model", "service.cli.export_model:export_model"),
+    ("export-sheet", "service.cli.export_sheet:export_sheet"),
     ("export-path", "service.cli.export_path:export_path"),
 )
 
