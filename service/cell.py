@@ -48,5 +48,8 @@ class Cell(BaseModel):
 
 
 def read_cell(path: Path) -> Cell:
-    """A cell from its YAML file; BadInput names the field."""
+    """A cell from its YAML file; BadInput names the field, or the cells there are."""
+    if not path.exists():
+        known = ", ".join(sorted(other.stem for other in path.parent.glob("*.yaml"))) or "none"
+        raise BadInput("cell", f"there is no cell {path.stem} in {path.parent}; there is: {known}")
     return read_yaml(path, Cell)

@@ -238,7 +238,7 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
                     for chunk in response.iter_bytes():
                         file.write(chunk)
         except httpx.TransportError as error:
-            raise ServiceUnreachable(f"{self._url}: {error}") from None
+            raise self._unreachable(error) from None
 
     # -- events
     def events(self, campaign_id: int | None = None, after: int = 0) -> Iterator[Json]:
@@ -297,7 +297,14 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         try:
             return self._http.request(method, path, **options)
         except httpx.TransportError as error:
-            raise ServiceUnreachable(f"{self._url}: {error}") from None
+            raise self._unreachable(error) from None
+
+    def _unreachable(self, error: httpx.TransportError) -> ServiceUnreachable:
+        if isinstance(error, httpx.ConnectError | httpx.ConnectTimeout):
+            return ServiceUnreachable(
+                f"no service at {self._url}: start it with `sweepid serve`, or name another with --url or SWEEPID_URL"
+            )
+        return ServiceUnreachable(f"{self._url}: {error or type(error).__name__}")
 
 
 def _check(response: httpx.Response) -> None:

@@ -1,7 +1,9 @@
 """Reads the YAML files of ``config/`` into frozen pydantic models; one BadInput names what does not fit."""
 
+from collections.abc import Iterator
+from difflib import get_close_matches
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -10,6 +12,8 @@ from service.errors import BadInput
 from service.robot import Robot, RobotDescription, build_robot
 
 Model = TypeVar("Model", bound=BaseModel)
+
+_MOST_TOLD = 12  # files
 
 
 def read_yaml(path: Path, kind: type[Model]) -> Model:
@@ -23,7 +27,7 @@ def read_yaml(path: Path, kind: type[Model]) -> Model:
     try:
         return kind.model_validate(content)
     except ValidationError as error:
-        raise bad_field(str(path), error) from None
+        raise bad_field(str(path), error, kind) from None
 
 
 def read_robot(path: Path) -> Robot:
@@ -37,16 +41,50 @@ def read_text(path: Path) -> str:
     """The UTF-8 text of a file that a person named; BadInput if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise BadInput(str(path), f"cannot be read: {error.strerror}{_beside(path)}") from None
     except OSError as error:
         raise BadInput(str(path), f"cannot be read: {error.strerror or error}") from None
     except ValueError as error:  # a NUL in the name, or bytes that are not UTF-8
         raise BadInput(str(path), f"cannot be read: {error}") from None
 
 
-def bad_field(place: str, error: ValidationError) -> BadInput:
-    """The first complaint of pydantic, with the path to the field and what stood there."""
-    first = error.errors(include_url=False)[0]
+def bad_field(place: str, error: ValidationError, kind: type[BaseModel] | None = None) -> BadInput:
+    """The first complaint of pydantic, with the path to the field and what stood there.
+
+    `kind`: the model that the content did not fit; then a key that it does not know is told with the one meant.
+    """
+    errors = error.errors(include_url=False)
+    unknown = (one for one in errors if one["type"] == "extra_forbidden")  # tells more than the key that is missing
+    first = errors[0] if kind is None else next(unknown, errors[0])
     field = ".".join(str(part) for part in first["loc"])
     given = repr(first["input"])
     shown = "" if len(given) > 60 or first["type"] == "missing" else f", got {given}"
+    if kind is not None and first["type"] == "extra_forbidden":
+        close = get_close_matches(str(first["loc"][-1]), sorted(set(_keys(kind, set()))), n=1)
+        meant = f"; did you mean {close[0]}?" if close else ""
+        return BadInput(f"{place} {field}".strip(), f"unknown key{meant}")
     return BadInput(f"{place} {field}".strip(), f"{first['msg']}{shown}")
+
+
+def _keys(kind: object, seen: set[object]) -> Iterator[str]:
+    """Of a model and of all models inside of it."""
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        if kind in seen:
+            return
+        seen.add(kind)
+        for name, field in kind.model_fields.items():
+            yield name
+            yield from _keys(field.annotation, seen)
+    inside: tuple[Any, ...] = get_args(kind)
+    for part in inside:
+        yield from _keys(part, seen)
+
+
+def _beside(path: Path) -> str:
+    """The files that could have been meant: those of its folder with the same ending."""
+    try:
+        there = sorted(one.name for one in path.parent.iterdir() if one.suffix == path.suffix)
+    except OSError:
+        return ""
+    return f"; {path.parent} has {', '.join(there[:_MOST_TOLD])}" if there else ""

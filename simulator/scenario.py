@@ -292,6 +292,9 @@ def load_scenario(path: Path) -> Scenario:
 def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        there = ", ".join(sorted(one.name for one in path.parent.glob(f"*{path.suffix}"))) or "nothing"
+        raise ScenarioError(f"{path}: cannot be read: {error.strerror}; {path.parent} has {there}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path}: cannot be read: {error}") from None
 

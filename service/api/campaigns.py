@@ -3,9 +3,6 @@
 Commands take `If-Match` with the campaign's ETag: 412 when the campaign has changed since the client read it.
 """
 
-from collections.abc import Sequence
-from itertools import pairwise
-from statistics import median
 from typing import Literal
 
 from fastapi import APIRouter, Request, Response
@@ -14,15 +11,12 @@ from starlette.concurrency import run_in_threadpool
 
 from service.api.dependencies import After, Id, IfMatch, LabOf, Limit, Page, set_etag
 from service.api.idempotent import IdempotentRoute
+from service.api.progress import Progress, StepView, planned_times, progress, steps
 from service.campaigns.check_move import CheckMove
 from service.lab import Lab
-from service.store.documents import LARGEST_ID, CampaignDocument, CampaignState, SweepDocument, SweepState
+from service.store.documents import LARGEST_ID, CampaignDocument
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=IdempotentRoute)
-
-_LEFT = (SweepState.PLANNED, SweepState.RUNNING)
-_RECORDED = (SweepState.RECORDED, SweepState.IDENTIFIED)
-_MOVING = (CampaignState.RUNNING, CampaignState.PAUSING)
 
 
 class NewCampaign(BaseModel):
@@ -40,18 +34,6 @@ class Resume(BaseModel):
 class Abort(BaseModel):
     model_config = ConfigDict(extra="forbid")
     why: str = Field(default="aborted by request", min_length=1, max_length=500)
-
-
-class Progress(BaseModel):
-    """How far the measuring is: `done` sweeps recorded of `total`; `current` is the sweep that runs.
-
-    `remaining` s, null where it cannot be told.
-    """
-
-    done: int
-    total: int
-    remaining: float | None
-    current: SweepDocument | None
 
 
 class Finding(BaseModel):
@@ -94,12 +76,14 @@ class CheckMoveView(BaseModel):
 
 
 class CampaignView(CampaignDocument):
-    """A campaign with its progress, the check move that it makes at this moment, and what the check of its data found.
+    """A campaign with its progress, what moves now (`motion`, with what follows in this sweep) and what was found.
 
+    `check_move`: the one that it makes at this moment.
     `data_check` as `sweepid check --json` gives it; null until the campaign is over and was checked.
     """
 
     progress: Progress
+    motion: tuple[StepView, ...]
     check_move: CheckMoveView | None
     data_check: DataCheck | None
 
@@ -156,26 +140,15 @@ async def abort_campaign(
 def view(lab: Lab, campaign: CampaignDocument) -> CampaignView:
     """The campaign with its progress; reads the store."""
     checked = lab.checks.document(campaign.id)
+    times = () if campaign.plan_id is None else planned_times(lab.store.plan(campaign.plan_id).document)
+    owns = lab.runner.running == campaign.id
+    under_way, check_move = (lab.runner.under_way, lab.runner.check_move) if owns else (None, None)
     return CampaignView(
         **campaign.model_dump(),
-        progress=progress(campaign.state, lab.store.sweeps(campaign.id)),
-        check_move=_check_move(lab.runner.check_move) if lab.runner.running == campaign.id else None,
+        progress=progress(campaign.state, lab.store.sweeps(campaign.id), times, under_way),
+        motion=steps(under_way, check_move),
+        check_move=_check_move(check_move),
         data_check=None if checked is None else DataCheck.model_validate(checked),
-    )
-
-
-def progress(state: CampaignState, sweeps: Sequence[SweepDocument]) -> Progress:
-    """Remaining time: sweeps left times the median pace so far, before there is one their nominal durations."""
-    left = [sweep for sweep in sweeps if sweep.state in _LEFT]
-    starts = sorted(sweep.spec.started_at for sweep in sweeps if sweep.state in _RECORDED)
-    # the median is not moved by the gap of a pause
-    paces = [after - before for before, after in pairwise(starts)]
-    remaining = len(left) * median(paces) if paces else sum(_nominal_duration(sweep) for sweep in left)
-    return Progress(
-        done=len(starts),
-        total=len(sweeps),
-        remaining=remaining if state in _MOVING or state is CampaignState.PLANNED or not left else None,
-        current=next((sweep for sweep in sweeps if sweep.state is SweepState.RUNNING), None),
     )
 
 
@@ -183,12 +156,6 @@ def _check_move(move: CheckMove | None) -> CheckMoveView | None:
     if move is None:
         return None
     return CheckMoveView(axis=move.joint, way=move.way, unit=move.units[move.joint])
-
-
-def _nominal_duration(sweep: SweepDocument) -> float:
-    """Ramp and settle, window, ramp out; the way to the pose is not known here, s."""
-    spec = sweep.spec
-    return 2 * spec.measure_from + (spec.period or 0.0) * (spec.periods or 0)
 
 
 async def _answer(lab: Lab, campaign: CampaignDocument, response: Response) -> CampaignView:

@@ -17,6 +17,7 @@ from service.campaigns.jobs import Jobs
 from service.campaigns.machine import Machine
 from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.campaigns.station import Station, cause_of
+from service.campaigns.under_way import UnderWay
 from service.errors import Conflict, NotFound, SweepidError
 from service.store.documents import CampaignDocument, CampaignState, SweepState
 from service.store.store import StaleVersion, Store, SweepMove
@@ -55,6 +56,11 @@ class Runner:
     def check_move(self) -> CheckMove | None:
         """The check move under way, or None."""
         return self._station.check_move
+
+    @property
+    def under_way(self) -> UnderWay | None:
+        """What the campaign that owns the machine moves now and next, or None."""
+        return self._station.under_way
 
     async def start(self, campaign_id: int, if_version: int | None = None) -> CampaignDocument:
         """planned -> running. Conflict while another campaign runs, the machine is stopped or does not answer."""

@@ -25,6 +25,7 @@ from service.campaigns.noise_motion import Command
 from service.campaigns.recorder import Gapless, Recorder, finish
 from service.campaigns.recovery import break_off, end_runs
 from service.campaigns.session import SweepEvent, sweep_move
+from service.campaigns.under_way import UnderWay, travels
 from service.errors import EnvelopeViolation, SweepidError
 from service.recording import SweepSpec
 from service.store.documents import EventKind, NewRecording, SweepDocument
@@ -52,6 +53,7 @@ class Station:
 
     def __init__(self, store: Store, files: RecordingFiles, machine: Machine, hub: LiveHub) -> None:
         self._store, self._files, self._machine, self._hub = store, files, machine, hub
+        self.under_way: UnderWay | None = None
         self.check_move: CheckMove | None = None
         """The first way of the check move under way, so that a person can look whether that axis goes that way."""
         # one thread: what is written to a file and what is made of it afterwards never overlap, even when cancelled
@@ -87,7 +89,7 @@ class Station:
             together = tuple(left)
             commands, pose = [each.command for each in together], together[0].sweep.spec.pose
             await asyncio.to_thread(course.envelope.check_run, commands, pose)
-            await self._approach(together, course, checked)
+            await self._approach(together, course, checked, time.monotonic())
             started_at = time.monotonic() - origin
             await self._record(together, course)
             here = await self._pose(together[0].sweep, course)  # did the others stand? A brake may have slipped
@@ -98,6 +100,8 @@ class Station:
         except BaseException as error:
             await asyncio.shield(self._give_up(left, error))
             raise
+        finally:
+            self.under_way = None
 
     async def end_runs(self, cause: str) -> None:
         """Store that nothing runs any more, where the database refused it when it was due; SQLAlchemyError if still."""
@@ -142,7 +146,7 @@ class Station:
         _log.info("recorded", campaign=run.campaign_id, sweep=run.number, axis=spec.axis)
         await self._on_disk(self._files.stream(run).unlink)
 
-    async def _approach(self, together: Sequence[_Begun], course: Course, checked: set[str]) -> None:
+    async def _approach(self, together: Sequence[_Begun], course: Course, checked: set[str], begun: float) -> None:
         """Bring the axes to the sweeps' pose, one at a time; then check that they are there.
 
         An axis makes its check move before it goes further than that, and before it is swept.
@@ -151,8 +155,13 @@ class Station:
         envelope, pose = course.envelope, sweep.spec.pose
         units = envelope.units()
         here = await self._pose(sweep, course)
-        for index, target in await asyncio.to_thread(envelope.order_of_legs, here, pose):
+        legs = await asyncio.to_thread(envelope.order_of_legs, here, pose)
+        way = travels(course.joints, here, legs, course.move_velocity)
+        numbers, joints = tuple(each.run.number for each in together), tuple(each.joint for each in commands)
+        for done, (index, target) in enumerate(legs):
             joint = course.joints[index]
+            left, seconds = way[done:], commands[0].duration
+            self.under_way = UnderWay(numbers, joints, left, seconds, frozenset(checked), begun)
             here = await self._pose(sweep, course)
             if joint not in checked and abs(target - here[index]) > WAY[units[joint]]:
                 await self._check(joint, target - here[index], sweep, course)
@@ -161,6 +170,7 @@ class Station:
             await asyncio.to_thread(envelope.check_move, joint, here, target, course.move_velocity)
             async with self._energised(joint):
                 await self._machine.port.move_to(joint, target, course.move_velocity)
+        self.under_way = UnderWay(numbers, joints, (), commands[0].duration, frozenset(checked), begun)
         for command in commands:
             if command.joint not in checked:
                 await self._check(command.joint, command.offset_velocity, sweep, course)

@@ -5,7 +5,8 @@ Exit codes: 0 done, 2 bad input, 1 any other failure; 1 and 2 come with one line
 
 import os
 import sys
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, entry_points, version
+from typing import Annotated
 
 import typer
 
@@ -29,6 +30,7 @@ _OWN = (
     ("channels", "service.cli.channels:channels"),
     ("import-trace", "service.cli.import_trace:import_trace"),
     ("export-model", "service.cli.export_model:export_model"),
+    ("export-sheet", "service.cli.export_sheet:export_sheet"),
     ("export-path", "service.cli.export_path:export_path"),
 )
 
@@ -63,7 +65,17 @@ def build(arguments: list[str]) -> typer.Typer:
     return application
 
 
-def _overview() -> None:
+def _tell_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"sweepid {version('sweepid')}")
+        raise typer.Exit
+
+
+def _overview(
+    told: Annotated[
+        bool, typer.Option("--version", help="Print the version.", callback=_tell_version, is_eager=True)
+    ] = False,
+) -> None:
     """Measures the inertia of a robot's axes through its own drives and tells where its model is wrong."""
 
 

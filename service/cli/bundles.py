@@ -10,6 +10,7 @@ import typer
 
 from service.cli.address import DEFAULT_URL, Url
 from service.cli.check import warn
+from service.cli.waiting import waiting
 from service.client import ServiceClient
 from service.data_check import check
 from service.errors import BadInput
@@ -28,7 +29,8 @@ def import_bundle(
         archive = _pack(bundle, Path(folder) / "bundle.zip") if bundle.is_dir() else bundle
         if not zipfile.is_zipfile(archive):
             raise BadInput(str(bundle), "is neither the folder of a bundle nor a zip file")
-        campaign = client.import_bundle(archive)
+        with waiting("the service reads the bundle"):
+            campaign = client.import_bundle(archive)
         sys.stdout.write(f"{campaign['id']}\n")
         measured = read_bundle(bundle if bundle.is_dir() else _unpack(archive, Path(folder) / "bundle"))
         warn(check(measured.robot, measured.sweeps))
@@ -44,7 +46,8 @@ def export_bundle(
         raise BadInput(str(folder), "exists already and is not an empty folder")
     with ServiceClient(url) as client, tempfile.TemporaryDirectory() as temporary:
         archive = Path(temporary) / "bundle.zip"
-        client.export_bundle(campaign, archive)
+        with waiting("the service packs the recordings"):
+            client.export_bundle(campaign, archive)
         with zipfile.ZipFile(archive) as content:
             content.extractall(folder)
     sys.stdout.write(f"{folder}\n")

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import track
@@ -12,6 +13,7 @@ from rich.table import Table
 from service.cli.combination import print_combination
 from service.cli.documents import JsonTo, put_json, read_document, write_file
 from service.cli.gains_file import read_gains
+from service.cli.waiting import waiting
 from service.errors import BadInput
 from service.estimation import SweepSpectrum, estimate_document, sweep_spectrum
 from service.identification.analysis_document import analyses_from
@@ -22,7 +24,7 @@ from service.identification.noise_response import has_reference
 from service.identification.nominal_priors import TorqueGain
 from service.identification.trajectory_record import runs_at_once
 from service.recording import Sweep
-from service.report import render_analysis
+from service.report import Content, render, render_analysis
 from service.robot import Robot
 from service.store.bundle import Bundle, read_bundle
 
@@ -41,9 +43,7 @@ def identify(
     model: Annotated[
         Path | None, typer.Option(help="Known effects: JSON file of `sweepid diagnose --model`.", metavar="FILE")
     ] = None,
-    report: Annotated[
-        Path | None, typer.Option(help="Write the initial analysis with its figures to this HTML file.")
-    ] = None,
+    report: Annotated[Path | None, typer.Option(help="Write what was found, with figures, to this HTML file.")] = None,
 ) -> None:
     """Identify a robot from the sweeps of a bundle."""
     measured = read_bundle(bundle)
@@ -55,9 +55,7 @@ def identify(
         read_effects(model, measured.robot) if model else None,
     )
     if report is not None:
-        if not document["analysis"]:
-            raise BadInput(str(bundle), "has no noise runs and no stepped sines to report on")
-        write_file(report, render_analysis(measured.robot, document["analysis"]))
+        write_file(report, _report(measured, document, str(bundle)))
     if put_json(document, json_to):
         return
     print_estimate(document, Console())
@@ -86,7 +84,31 @@ def identify_bundle(
         sweep_spectrum(bundle.robot, sweep)
         for sweep in track(sweeps, "Sweeps", console=console, transient=True, disable=not console.is_terminal)
     ]
-    return estimate_document(bundle.robot, spectra, gains=gains, known=known, motions=motions)
+    with waiting("estimating"):
+        return estimate_document(bundle.robot, spectra, gains=gains, known=known, motions=motions)
+
+
+def _report(bundle: Bundle, document: dict[str, Any], place: str) -> str:
+    """HTML; models are drawn over the poses of the sweeps, for a bundle has no cell. BadInput if there is nothing."""
+    if not document["axes"]:
+        if not document["analysis"]:
+            raise BadInput(
+                place, "has neither sweeps that show the inertia of one axis nor an initial analysis to report"
+            )
+        return render_analysis(bundle.robot, document["analysis"])
+    used = {one["sweep"] for axis in document["axes"].values() for one in axis["inertia"]}
+    sweeps = [sweep for sweep in bundle.sweeps if sweep.spec.id in used]
+    return render(
+        Content(
+            title=f"Inertias of the robot {bundle.robot.name}",
+            subtitle=f"Identified from {len(sweeps)} sweeps of the bundle {place}.",
+            robot=bundle.robot,
+            estimate=document,
+            specs=tuple(sweep.spec for sweep in sweeps),
+            workspace=np.unique([sweep.spec.pose for sweep in sweeps], axis=0),
+            example=max(sweeps, key=lambda sweep: len(sweep.spec.sines)),
+        )
+    )
 
 
 def read_effects(path: Path, robot: Robot) -> KnownEffects:

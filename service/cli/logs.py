@@ -1,6 +1,7 @@
 """Logs of the service: one JSON object a line on stderr, ours and those of the libraries."""
 
 import logging
+import logging.handlers
 import sys
 
 import structlog
@@ -37,3 +38,23 @@ def configure_logs(level: str) -> None:
         logger_factory=structlog.stdlib.LoggerFactory(),
         wrapper_class=structlog.stdlib.BoundLogger,
     )
+
+
+class HeldBack(logging.handlers.MemoryHandler):
+    """Holds what is logged until `let_through`: of a start that fails for a known reason one line is enough."""
+
+    def __init__(self) -> None:
+        """To be made after `configure_logs`."""
+        root = logging.getLogger()
+        (written,) = root.handlers
+        super().__init__(capacity=10**6, flushLevel=logging.CRITICAL + 1, target=written)
+        root.handlers = [self]
+
+    def let_through(self) -> None:
+        """Write what was held, and from now on everything at once."""
+        self.flush()
+        self.flushLevel = logging.NOTSET
+
+    def drop(self) -> None:
+        """Forget what was held."""
+        self.buffer.clear()

@@ -118,11 +118,10 @@ def watch(client: ServiceClient, campaign_id: int) -> None:
 
 
 def _doing(campaign: Json) -> str:
-    """Remaining time, axis and pose."""
+    """Remaining time and sweep; which axis moves at this moment changes faster than its events."""
     progress = campaign["progress"]
     current, remaining = progress["current"], progress["remaining"]
     if current is None:
         return "identifying" if campaign["state"] == "measured" else campaign["state"]
-    pose = ", ".join(f"{position:.2f}" for position in current["spec"]["pose"])
     left = "" if remaining is None else f"{int(remaining // 60)}:{int(remaining % 60):02d} left, "
-    return f"{left}{current['spec']['axis']} at [{pose}] rad"
+    return f"{left}sweep {current['number']} of {current['spec']['axis']}, with the way to its pose"

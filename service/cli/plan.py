@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from service.cli.address import DEFAULT_URL, Url
+from service.cli.waiting import waiting
 from service.client import Json, ServiceClient
 from service.configuration import read_robot
 from service.errors import BadInput
@@ -91,7 +92,8 @@ def plan(
     request |= {"axes": _names(axes), "varied": _names(varied)}
     with ServiceClient(url) as client:
         stored = client.add_robot(known.description.model_dump(mode="json"), known.urdf_text)
-        planned = client.add_plan(request | {"robot_id": stored["id"]})
+        with waiting("planning: poses, sweeps and free ways are sought"):
+            planned = client.add_plan(request | {"robot_id": stored["id"]})
     _tell(planned["document"])
     if out is not None:
         _write(out, planned)

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from service.cli.address import DEFAULT_URL, Url
+from service.cli.waiting import waiting
 from service.client import Json, ServiceClient
 from service.configuration import read_robot
 
@@ -42,7 +43,8 @@ def plan_trajectories(
     request |= {"kind": "trajectory", "axes": [name.strip() for name in axes.split(",") if name.strip()]}
     with ServiceClient(url) as client:
         stored = client.add_robot(known.description.model_dump(mode="json"), known.urdf_text)
-        planned = client.add_plan(request | {"robot_id": stored["id"]})
+        with waiting("planning: trajectories and free ways are sought"):
+            planned = client.add_plan(request | {"robot_id": stored["id"]})
     document = planned["document"]
     conditions = ", ".join(f"{condition:.0f}" for condition in document["condition"])
     sys.stderr.write(f"condition numbers {conditions}; {document['duration'] / 60:.0f} min\n")

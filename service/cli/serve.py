@@ -18,7 +18,7 @@ from starlette.types import Receive, Scope, Send
 
 from drivers.errors import DriveError
 from service.app import create_app, end_motion, end_streams, halt
-from service.cli.logs import configure_logs
+from service.cli.logs import HeldBack, configure_logs
 from service.errors import SweepidError
 from service.settings import Settings, load_settings
 from service.stop_process.handle import StopProcess
@@ -42,22 +42,27 @@ def serve(
     given = {name: value for name, value in options.items() if value is not None}
     settings = load_settings(config).model_copy(update=given)
     configure_logs(settings.log_level)
+    logs = HeldBack()
     sys.setswitchinterval(_SWITCH_INTERVAL)
     if not settings.answers_to:
         _log.warning("answers_to_any_host_name", host=settings.host, setting="allowed_hosts")
     # uvicorn raises the signal that ended it once more when all is closed; that is then a clean end
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _end)
-    with StopProcess(settings.drive, settings.host, settings.stop_listens_at) as stop_process:
-        _serve(settings, stop_process)
+    try:
+        with StopProcess(settings.drive, settings.host, settings.stop_listens_at) as stop_process:
+            _serve(settings, stop_process, logs)
+    finally:
+        logs.let_through()
 
 
-def _serve(settings: Settings, stop_process: StopProcess) -> None:
+def _serve(settings: Settings, stop_process: StopProcess, logs: HeldBack) -> None:
     app = create_app(settings, settings.answers_to, stop_process)
     started = _Startup(app)
     server = _Server(
         app,
         stop_process,
+        logs,
         uvicorn.Config(
             started,
             host=settings.host,
@@ -73,8 +78,11 @@ def _serve(settings: Settings, stop_process: StopProcess) -> None:
         asyncio.run(server.serve())
     except SystemExit as ended:
         if isinstance(started.error, SweepidError | DriveError):
+            logs.drop()
             raise started.error from None  # uvicorn has only logged it
         if ended.code:
+            if started.error is None:
+                logs.drop()
             reason = _reason(started.error) or f"cannot listen at {settings.host}:{settings.port}"
             raise NotStarted(f"the service did not start: {reason}") from None
         raise
@@ -111,13 +119,14 @@ class _Startup:
 class _Server(uvicorn.Server):
     """Tells when it is ready. Told to end, it stops the machine before it waits for anything."""
 
-    def __init__(self, app: FastAPI, stop_process: StopProcess, config: uvicorn.Config) -> None:
+    def __init__(self, app: FastAPI, stop_process: StopProcess, logs: HeldBack, config: uvicorn.Config) -> None:
         super().__init__(config)
-        self._app, self._stop_process = app, stop_process
+        self._app, self._stop_process, self._logs = app, stop_process, logs
 
     async def startup(self, sockets: list[socket] | None = None) -> None:
         await super().startup(sockets)
         if self.started:
+            self._logs.let_through()
             self._loop = asyncio.get_running_loop()
             self._stop_process.watch_signals()
             hang_up = getattr(signal, "SIGHUP", None)  # the terminal is gone

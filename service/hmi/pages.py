@@ -11,6 +11,7 @@ _SCRIPTS = (
     "api",
     "app",
     "axes",
+    "commands",
     "diagnosis",
     "elements",
     "experiment",
@@ -19,7 +20,9 @@ _SCRIPTS = (
     "intent",
     "machine",
     "motion",
+    "moving",
     "refresh",
+    "wayout",
 )
 _STATIC = Path(__file__).parent / "static"
 # nothing is loaded from elsewhere, no inline script runs; plotly writes style attributes

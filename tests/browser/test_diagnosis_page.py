@@ -190,6 +190,7 @@ def test_nothing_moves_before_the_experiment_is_approved_and_the_stop_is_at_hand
         page.get_by_role("button", name="I looked at the machine: release").click()
         expect(page.locator("#held")).to_be_hidden()
         page.get_by_role("button", name="Abort").click()
+        page.get_by_role("button", name="Give it up").click()
         expect(page.locator("#campaign-state")).to_have_text("aborted")
         assert len(client.diagnoses()) == diagnoses  # nothing went on
 

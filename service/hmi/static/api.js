@@ -4,17 +4,27 @@ const API = "api/v1";
 
 export class Refused extends Error {}
 
+// no answer at all: the head of the page tells it
+export class Silent extends Error {}
+
 export const address = (path) => `${API}${path}`;
 
-export async function call(method, path, body, headers = {}) {
+// patience: ms, for what a page asks again and again
+export async function call(method, path, body, headers = {}, patience = null) {
   if (body !== undefined) headers["Content-Type"] = "application/json";
-  const answer = await fetch(address(path), { method, headers, body: body && JSON.stringify(body) });
-  const content = await answer.json();
+  const signal = patience === null ? undefined : AbortSignal.timeout(patience);
+  let answer, content;
+  try {
+    answer = await fetch(address(path), { method, headers, body: body && JSON.stringify(body), signal });
+    content = await answer.json();
+  } catch (error) {
+    throw new Silent(`no answer from the service (${error.message})`);
+  }
   if (!answer.ok) throw new Refused(content.detail ?? answer.statusText);
   return { content, etag: answer.headers.get("ETag") };
 }
 
-export const get = async (path) => (await call("GET", path)).content;
+export const get = async (path, patience = null) => (await call("GET", path, undefined, {}, patience)).content;
 
 export async function all(path) {
   let items = [];

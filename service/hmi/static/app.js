@@ -2,103 +2,101 @@
 
 import { all, call, events, get, Refused } from "./api.js";
 import { showAxes, watchAxes } from "./axes.js";
-import { byId, choices, complain, duration, element, fixed, number, row } from "./elements.js";
+import { showCommands, watchCommands } from "./commands.js";
+import { byId, choices, complain, duration, element, number, row, tell } from "./elements.js";
 import { findingParts } from "./findings.js";
-import { held, owner, showIntent } from "./intent.js";
-import { showCheckMove, watchMachine } from "./machine.js";
-import { showMotion, unitsOf } from "./motion.js";
+import { first, held, owner } from "./intent.js";
+import { watchMachine } from "./machine.js";
+import { inWords, showMotion, unitsOf } from "./motion.js";
+import { showMoving } from "./moving.js";
 import { refresher } from "./refresh.js";
 
+let campaigns = [];
+let machine = null; // {drives, stop} as the page heard last
 let campaign = null; // the one shown
 let etag = "";
-let plan = null; // its plan {id, document, units}; none of an imported one
+let plan = null; // its plan {id, document}; none of an imported one
+let units = null; // of its robot
 let shownRevision = "";
 
 // -- campaign
 
-const COMMANDS = {
-  start: ["planned"],
-  pause: ["running"],
-  resume: ["paused", "pausing"],
-  abort: ["planned", "running", "pausing", "paused"],
-};
-
 async function listCampaigns() {
-  const campaigns = await all("/campaigns");
+  campaigns = await all("/campaigns");
   const select = byId("campaigns");
-  const newest = campaigns.at(-1);
   const known = select.options.length;
   choices(select, campaigns.map((one) => [one.id, `${one.id} (${one.state})`]).reverse());
   const asked = location.hash.match(/^#campaign-(\d+)$/)?.[1];
   const running = owner(campaigns);
   if (running) select.value = running.id;
   else if (!known && campaigns.some((one) => String(one.id) === asked)) select.value = asked;
-  else if (newest && known !== campaigns.length) select.value = (held(campaigns) ?? newest).id;
-  const [diagnoses, moving] = await Promise.all([all("/diagnoses"), running && get(`/campaigns/${running.id}`)]);
-  showIntent(campaigns, diagnoses, moving);
+  else if (campaigns.length && known !== campaigns.length) select.value = first(campaigns).id;
+  await showMoving(campaigns, await all("/diagnoses"));
 }
 
 async function showCampaign() {
   const id = byId("campaigns").value;
-  if (String(campaign?.id) !== id) {
-    for (const button of document.querySelectorAll("[data-command]")) button.disabled = true;
-  }
+  if (String(campaign?.id) !== id) campaign = null;
+  nowCommands();
   if (!id) {
-    showCheckMove(null);
-    byId("progress-text").textContent = "no campaign yet: sweepid plan, then sweepid measure";
+    tell("progress-text", "no campaign yet: sweepid plan, then sweepid measure");
     return;
   }
   const answer = await call("GET", `/campaigns/${id}`);
-  const planned = await planOf(answer.content);
+  const [planned, known] = await Promise.all([planOf(answer.content), unitsOf(answer.content.robot_id)]);
   if (byId("campaigns").value !== id) return; // another was chosen meanwhile
-  [campaign, etag, plan] = [answer.content, answer.etag, planned];
-  const { done, total, current } = campaign.progress;
-  const left = timeLeft();
-  const now = current ? `sweep ${current.number}: ${current.spec.axis} at [${current.spec.pose.map((q) => fixed(q, 2)).join(", ")}] rad` : "";
-  byId("progress").max = total;
-  byId("progress").value = done;
-  byId("progress-text").textContent = [`${done} of ${total} sweeps`, now, done < total && left !== null ? `about ${duration(left)} left` : ""].filter(Boolean).join(" \u00b7 ");
-  showCheckMove(campaign.check_move);
-  byId("cause").textContent = campaign.cause;
+  [campaign, etag, plan, units] = [answer.content, answer.etag, planned, known];
+  showProgress();
+  tell("cause", campaign.cause);
   showDataCheck(campaign.data_check);
-  byId("campaign-state").textContent = campaign.state;
+  tell("campaign-state", campaign.state);
   byId("campaign-state").className = `badge ${campaign.state}`;
-  for (const button of document.querySelectorAll("[data-command]")) {
-    button.disabled = !COMMANDS[button.dataset.command].includes(campaign.state);
-  }
   byId("repeat-choice").hidden = campaign.state !== "paused";
-  showStart();
+  nowCommands();
+  await showOrdered();
   await showEstimate(id);
 }
+
+function showProgress() {
+  const { done, total, remaining } = campaign.progress;
+  byId("progress").max = total;
+  byId("progress").value = done;
+  const now = campaign.motion.length ? `sweep ${Math.min(done + 1, total)}: ${inWords(campaign.motion, units)}` : "";
+  const left = done < total && remaining !== null && campaign.state !== "paused" ? `about ${duration(remaining)} left` : "";
+  tell("progress-text", [`${done} of ${total} sweeps`, now, left].filter(Boolean).join(" \u00b7 "));
+}
+
+const nowCommands = () => showCommands(campaign, machine, owner(campaigns));
 
 function showDataCheck(check) {
   byId("data-check").replaceChildren(...(check ? findingParts(check.findings) : []));
   if (check && !check.findings.length) byId("data-check").append(element("p", "Check of the data: nothing found.", "quiet"));
 }
 
-async function planOf({ plan_id, robot_id }) {
+async function planOf({ plan_id }) {
   if (plan_id === null) return null;
   if (plan?.id === plan_id) return plan;
-  const [{ document }, units] = await Promise.all([get(`/plans/${plan_id}`), unitsOf(robot_id)]);
-  return { id: plan_id, document, units };
+  const { document } = await get(`/plans/${plan_id}`);
+  return { id: plan_id, document };
 }
 
-// what Start will move
-function showStart() {
-  const starts = campaign.state === "planned" && plan !== null;
-  byId("ordered").hidden = !starts;
-  byId("takes").textContent = starts ? `takes ${duration(plan.document.duration)}` : "";
-  if (!starts || byId("motion").dataset.plan === String(plan.id)) return;
-  showMotion(byId("motion"), plan.document, plan.units);
-  byId("motion").dataset.plan = plan.id;
-}
-
-// s, null where it cannot be told. The plan knows the ways between poses
-function timeLeft() {
-  const { remaining } = campaign.progress;
-  if (remaining === null || !plan) return remaining;
-  const over = campaign.progress.total - (campaign.sweeps.planned ?? 0) - (campaign.sweeps.running ?? 0);
-  return plan.document.sweeps.slice(over).reduce((sum, sweep) => sum + sweep.duration, 0);
+// what Start or Resume will move
+async function showOrdered() {
+  const { state, progress, id } = campaign;
+  const command = { planned: "Start", paused: "Resume" }[state];
+  const again = state === "paused" && byId("repeat").checked;
+  const waits = plan !== null && command !== undefined;
+  const sweeps = waits ? await get(`/campaigns/${id}/sweeps`) : [];
+  const due = again ? ["planned", "failed", "interrupted"] : ["planned"];
+  const left = plan?.document.sweeps.filter((_, k) => due.includes(sweeps[k]?.state)) ?? [];
+  byId("ordered").hidden = !left.length;
+  tell("takes", left.length ? `takes ${duration(progress.remaining + (again ? progress.repeat : 0))}` : "");
+  const shown = `${plan?.id}/${command}/${left.length}`;
+  if (!left.length || byId("motion").dataset.shown === shown) return;
+  tell("ordered-title", `What ${command} will move`);
+  const seconds = progress.remaining + (again ? progress.repeat : 0);
+  showMotion(byId("motion"), { ...plan.document, sweeps: left, duration: seconds }, units);
+  byId("motion").dataset.shown = shown;
 }
 
 async function command(run) {
@@ -171,17 +169,27 @@ const refresh = refresher(async () => {
 
 watchAxes(command);
 byId("campaigns").addEventListener("change", () => showCampaign().catch(complain));
-for (const button of document.querySelectorAll("[data-command]")) {
-  const name = button.dataset.command;
-  button.addEventListener("click", () => command(() => call(
+byId("repeat").addEventListener("change", () => campaign && showOrdered().catch(complain));
+watchCommands(
+  (name) => command(() => call(
     "POST",
     `/campaigns/${campaign.id}/${name}`,
     name === "resume" ? { repeat: byId("repeat").checked } : undefined,
     { "If-Match": etag },
-  )));
-}
+  )),
+  () => `Give campaign ${campaign.id} up for good? Its present sweep stops now, ${campaign.progress.total - campaign.progress.done} sweeps are not measured; what is recorded stays.`,
+);
 
 const stream = events();
 stream.addEventListener("open", refresh); // whatever was missed meanwhile
 for (const kind of ["campaign", "sweep", "check_move", "estimate", "data_check", "diagnosis", "stop"]) stream.addEventListener(kind, refresh);
-watchMachine(refresh, showAxes);
+watchMachine(refresh, () => held(campaigns), (heard, moving) => {
+  machine = heard;
+  showAxes(heard.drives, units);
+  nowCommands();
+  if (moving && moving.id === campaign?.id) {
+    campaign.progress = moving.progress;
+    campaign.motion = moving.motion;
+    showProgress();
+  }
+});

@@ -1,22 +1,39 @@
 // How the axes stand, their faults, and the acknowledgement of who looked.
 
 import { call } from "./api.js";
-import { byId, element, fixed, row } from "./elements.js";
+import { byId, element, EMPTY, fixed, row } from "./elements.js";
 
 let faulty = []; // joints
+let last = null; // the drives
 
-export function showAxes(drives) {
-  byId("axes").replaceChildren(...drives.axes.map((axis) => row([
-    [axis.joint],
-    [axis.state],
-    [fixed(axis.position, 4), "number"],
-    [fixed(axis.velocity, 4), "number"],
-    [fixed(axis.effort, 1), "number"],
-    ...faultCells(axis),
-  ])));
+// units: of the robot, or null while none is known
+export function showAxes(drives, units) {
+  last = [drives, units];
+  byId("axes").replaceChildren(...drives.axes.map((axis) => {
+    const [factor, unit, effort] = scaleOf(axis.joint, units);
+    const digits = factor === 1 ? 4 : 2;
+    return row([
+      [axis.joint],
+      [axis.state],
+      [shown(axis.position, factor, unit, digits), "number"],
+      [shown(axis.velocity, factor, unit && `${unit}/s`, digits), "number"],
+      [shown(axis.effort, 1, effort, 1), "number"],
+      ...faultCells(axis),
+    ]);
+  }));
   faulty = drives.axes.filter((axis) => axis.fault).map((axis) => axis.joint);
   byId("acknowledge-all").hidden = faulty.length < 2;
 }
+
+function scaleOf(joint, units) {
+  const effort = units?.prismatic.has(joint) ? " N" : " N m";
+  if (units === null) return [1, "", effort]; // what kind of joint it is, the robot alone tells
+  if (byId("si").checked) return [1, units.prismatic.has(joint) ? " m" : " rad", effort];
+  return [...units.scale(joint), effort];
+}
+
+const shown = (value, factor, unit, digits) =>
+  value === null ? EMPTY : `${fixed(value * factor, digits)}${unit}`.replace("-", "\u2212");
 
 function faultCells(axis) {
   if (!axis.fault) return [["", "fault"]];
@@ -41,6 +58,7 @@ async function acknowledge(joints) {
 }
 
 export function watchAxes(command) {
+  byId("si").addEventListener("change", () => last && showAxes(...last));
   byId("axes").addEventListener("click", (click) => {
     const joint = click.target.dataset.acknowledge;
     if (joint) command(() => acknowledge([joint]));

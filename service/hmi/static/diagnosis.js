@@ -5,8 +5,9 @@ import { byId, choices, complain, element, link, number, plain, row } from "./el
 import { clearExperiment, showExperiment, watchExperiment } from "./experiment.js";
 import { drawFigures } from "./figures.js";
 import { findingParts } from "./findings.js";
-import { owner, showIntent } from "./intent.js";
-import { showCheckMove, watchMachine } from "./machine.js";
+import { held } from "./intent.js";
+import { watchMachine } from "./machine.js";
+import { showMoving } from "./moving.js";
 import { refresher } from "./refresh.js";
 
 const FINISHED = ["measured", "completed"];
@@ -14,16 +15,15 @@ const OPEN = ["waiting", "running"];
 const NOTHING = 1e-6; // of a standard deviation: rounding
 
 let shown = null; // the diagnosis on the page, with its document once it is done
+let paused; // the campaign that waits for somebody
 let drawn = ""; // diagnosis and axis of the figures on the page
 
 // -- the list, and a new one
 
 async function showLists() {
   const [campaigns, diagnoses] = await Promise.all([all("/campaigns"), all("/diagnoses")]);
-  const moving = owner(campaigns);
-  const running = moving && await get(`/campaigns/${moving.id}`);
-  showIntent(campaigns, diagnoses, running);
-  showCheckMove(running?.check_move);
+  paused = held(campaigns);
+  await showMoving(campaigns, diagnoses);
   showEvidence(campaigns.filter((one) => FINISHED.includes(one.state)).reverse());
   if (!location.hash && diagnoses.length) history.replaceState(null, "", `#${diagnoses.at(-1).id}`);
   byId("diagnoses").replaceChildren(...diagnoses.toReversed().map(listed));
@@ -217,4 +217,4 @@ showModels().catch(complain);
 const stream = events();
 stream.addEventListener("open", refresh); // whatever was missed meanwhile
 for (const kind of ["campaign", "sweep", "check_move", "data_check", "diagnosis", "stop"]) stream.addEventListener(kind, refresh);
-watchMachine(refresh);
+watchMachine(refresh, () => paused);

@@ -48,6 +48,11 @@ export function choices(select, entries) {
   if (entries.some(([value]) => String(value) === chosen)) select.value = chosen;
 }
 
+// a text that did not change is not written again: who listens to the page hears changes alone
+export function tell(id, text) {
+  if (byId(id).textContent !== text) byId(id).textContent = text;
+}
+
 export function complain(error) {
   byId("error").hidden = !error;
   byId("error").textContent = error ? `${error.message}` : "";

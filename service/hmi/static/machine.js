@@ -1,51 +1,61 @@
-// The head of every page: the machine's state, the stop, its release, and what the machine does next.
+// The head of every page: the machine's state, the stop, its release, the way out of trouble, what the machine does.
 
 import { call, get, Refused } from "./api.js";
-import { byId, complain } from "./elements.js";
+import { byId, complain, tell } from "./elements.js";
 import { showDoubt } from "./intent.js";
+import { keepMoving } from "./moving.js";
+import { showWayOut } from "./wayout.js";
+
+const PATIENCE = 5000; // ms until a service that does not answer is called silent
+const STOP_KEY = "F8";
 
 let stopPort = null; // of the process that stops while the service has no time
 let shown = []; // the stops that the person sees, and releases: none that came since
 
-// whether the service answered
-async function showMachine(show = () => {}) {
+// {drives, stop}; null: no word of the machine. `silent`: none of the service either
+async function ask() {
   const state = byId("machine");
   try {
-    const [drives, stop] = await Promise.all([get("/drives"), get("/stop")]);
+    const [drives, stop] = await Promise.all([get("/drives", PATIENCE), get("/stop", PATIENCE)]);
     stopPort = stop.port;
     shown = stop.stops.map(({ id }) => id);
     byId("held").hidden = !stop.latched;
-    if (stop.latched) byId("held-by").textContent = stop.stops.map(({ by, why }) => `Stopped by ${by}: ${why}`).join("; ");
+    if (stop.latched) tell("held-by", stop.stops.map(({ by, why }) => `Stopped by ${by}: ${why}`).join("; "));
     const troubles = inTrouble(drives, stop);
-    state.textContent = troubles.join(", ") || "machine connected";
+    tell("machine", troubles.join(", ") || "machine connected");
     state.className = `state ${troubles.length ? "bad" : "good"}`;
     byId("connect").hidden = drives.connected;
-    showDoubt(drives);
-    show(drives);
-    return true;
+    showDoubt(drives, troubles);
+    showSilence(false);
+    return { drives, stop };
   } catch (error) {
-    state.textContent = error instanceof Refused ? error.message : "no word from the service";
+    const answers = error instanceof Refused;
+    tell("machine", answers ? error.message : "no word from the service");
     state.className = "state bad";
-    showDoubt(null);
-    return false;
+    showDoubt(null, []);
+    showSilence(!answers);
+    return null;
   }
 }
 
-function inTrouble(drives, stop) {
+// what was known is grey and dead: nobody knows whether it still holds. The stop stays alive
+function showSilence(silent) {
+  byId("silence").hidden = !silent;
+  document.body.classList.toggle("silent", silent);
+  document.querySelector("main").inert = silent;
+  for (const id of ["held", "way-out"]) byId(id).inert = silent;
+}
+
+const silent = () => document.body.classList.contains("silent");
+
+export function inTrouble(drives, stop) {
+  const faulty = drives.axes.filter((axis) => axis.fault);
   const troubles = [];
-  if (drives.axes.some((axis) => axis.fault?.emergency_stop)) troubles.push("EMERGENCY STOP");
+  if (faulty.some((axis) => axis.fault.emergency_stop)) troubles.push("EMERGENCY STOP");
+  else if (faulty.length) troubles.push(`fault of ${faulty.map((axis) => axis.joint).join(", ")}`);
   if (stop.latched) troubles.push("stopped");
   if (!drives.connected) troubles.push(`no machine: ${drives.trouble}`);
   return troubles;
-}
-
-export function showCheckMove(move) {
-  byId("check-move").hidden = !move;
-  if (!move) return;
-  const [way, unit] = move.unit === "rad" ? [(move.way * 180) / Math.PI, "\u00b0"] : [move.way * 1e3, " mm"];
-  byId("check-move").textContent =
-    `Check move: ${move.axis} goes ${way > 0 ? "+" : "\u2212"}${Math.abs(way).toFixed(1)}${unit} and back. ` +
-    "Is it this axis, and does it go that way? If not: STOP.";
 }
 
 // by both ways at once; the service's answer alone says that the axes stand
@@ -68,13 +78,19 @@ async function stop() {
   }
 }
 
-// once a second `show` gets the drives; `refresh` shows the rest of the page
-export function watchMachine(refresh, show) {
-  let heard = true;
+// once a second `show` gets {drives, stop} and the campaign that moves; `refresh` shows the rest of the page;
+// `paused` tells which campaign waits
+export function watchMachine(refresh, paused, show = () => {}) {
+  let machine = null;
   const now = async () => {
-    const silent = !heard;
-    heard = await showMachine(show);
-    if (heard && silent) await refresh();
+    const before = silent();
+    machine = await ask();
+    if (machine === null) return;
+    showWayOut(machine.drives, machine.stop, paused());
+    show(machine);
+    if (!before) return;
+    complain(null); // of what failed meanwhile; how it stands now is told anew
+    await refresh();
   };
   const command = async (run) => {
     try {
@@ -85,9 +101,15 @@ export function watchMachine(refresh, show) {
     }
     await Promise.all([now(), refresh()]);
   };
-  byId("stop").addEventListener("click", async () => {
+  const press = async () => {
     await stop();
     await now();
+  };
+  byId("stop").addEventListener("click", press);
+  document.addEventListener("keydown", (event) => {
+    if (event.key !== STOP_KEY) return;
+    event.preventDefault();
+    if (!event.repeat) press();
   });
   byId("held").addEventListener("submit", (event) => {
     event.preventDefault();
@@ -95,9 +117,13 @@ export function watchMachine(refresh, show) {
   });
   byId("connect").addEventListener("click", () => command(() => call("POST", "/drives/connect")));
   const watch = async () => {
-    if (!document.hidden) await now();
-    if (!byId("check-move").hidden) await refresh(); // nothing tells its end
+    if (!document.hidden) {
+      await now();
+      const moving = machine && (await keepMoving(refresh).catch(() => undefined));
+      if (moving) show(machine, moving);
+    }
     setTimeout(watch, 1000);
   };
+  document.addEventListener("visibilitychange", () => document.hidden || now());
   watch();
 }

@@ -7,17 +7,35 @@ const ORDER = "In this order. Position of the turning axis at the start of each 
 const COLUMNS = [["Pose"], ["Axis"], ["Block"], ["Sweeps", "number"], ["From", "number"], ["Goes", "number"], ["Top speed", "number"], ["Time", "number"]];
 const CHECK_MOVES = "Before its first motion each axis makes its check move: half a degree (or a small way) and back.";
 
+const known = new Map(); // by robot
+
 // {joints, length}: names in the order of a pose, and positions (rad, m) as an operator reads them
 export async function unitsOf(robot) {
+  if (!known.has(robot)) known.set(robot, await read(robot));
+  return known.get(robot);
+}
+
+async function read(robot) {
   const { description, urdf_text } = await get(`/robots/${robot}`);
   const urdf = new DOMParser().parseFromString(urdf_text, "application/xml");
   const prismatic = new Set([...urdf.querySelectorAll('joint[type="prismatic"]')].map((joint) => joint.getAttribute("name")));
+  const scale = (joint) => (prismatic.has(joint) ? [1e3, " mm"] : [180 / Math.PI, "\u00b0"]);
   const length = (joint, value, signed = false) => {
-    const [factor, unit] = prismatic.has(joint) ? [1e3, " mm"] : [180 / Math.PI, "\u00b0"];
+    const [factor, unit] = scale(joint);
     const shown = Number((value * factor).toPrecision(3));
     return `${signed && shown > 0 ? "+" : ""}${shown}${unit}`.replace("-", "\u2212");
   };
-  return { joints: description.axes.map((axis) => axis.joint), length };
+  return { joints: description.axes.map((axis) => axis.joint), length, scale, prismatic };
+}
+
+// what moves now and what follows, in words: "joint_2 travels to -40 deg, then joint_3 sweeps, 12 s"
+export function inWords(steps, { length }) {
+  return steps.map(({ kind, axes, target, seconds }) => {
+    const [axis] = axes;
+    if (kind === "travel") return `${axis} travels to ${length(axis, target)}`;
+    if (kind === "check_move") return `${axis} makes its check move`;
+    return axes.length > 1 ? `${axes.join(", ")} move at once, ${duration(seconds)}` : `${axis} sweeps, ${duration(seconds)}`;
+  }).join(", then ");
 }
 
 export function showMotion(place, plan, units) {

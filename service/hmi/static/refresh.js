@@ -1,5 +1,6 @@
 // One refresh at a time: what asks meanwhile is answered by one more.
 
+import { Silent } from "./api.js";
 import { complain } from "./elements.js";
 
 export function refresher(show) {
@@ -15,7 +16,7 @@ export function refresher(show) {
         await show();
       }
     } catch (error) {
-      complain(error);
+      if (!(error instanceof Silent)) complain(error);
     } finally {
       refreshing = false;
     }

@@ -18,7 +18,7 @@ Document = dict[str, Any]
 BIG = ("medium", "large")
 
 SEEN_AS = {"tilted_base": frozenset({"gravity_error"})}
-"""What the catalogue has no entry for, and a name that is true of it: no mass makes the gravity of a base that leans."""
+"""What the catalogue has no entry for, and a name that is true of it: no mass explains a base that leans."""
 
 FAULT_WORDS: dict[str, tuple[str, ...]] = {
     "gear_ratio_off": ("gear_ratio", "gear ratio"),

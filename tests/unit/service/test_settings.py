@@ -23,7 +23,7 @@ def test_the_environment_stands_above_the_file(tmp_path: Path, monkeypatch: pyte
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("lease_tiem: 5", "lease_tiem: Extra inputs are not permitted"),
+        ("lease_tiem: 5", "lease_tiem: unknown key; did you mean lease_time?"),
         ("lease_time: 0", "lease_time: Input should be greater than or equal to 0.5, got 0"),
         ("port: 70000", "port: Input should be less than or equal to 65535, got 70000"),
         ("port: [", "not YAML"),

@@ -1,15 +1,21 @@
-"""Remaining time of a campaign."""
+"""Remaining time of a campaign, and what moves now."""
+
+import math
 
 import pytest
 
 from drivers.ports import SweepMode
-from service.api.campaigns import progress
+from service.api.progress import CHECK_MOVE, PlannedTime, planned_times, progress, steps
+from service.campaigns.check_move import CheckMove
+from service.campaigns.under_way import Travel, UnderWay, travels
 from service.recording import Sine, SweepSpec
 from service.store.documents import CampaignState, SweepDocument, SweepState
 
+PLANNED, RUNNING = SweepState.PLANNED, SweepState.RUNNING
+TIMES = (30.0, 12.0, 20.0, 12.0, 40.0, 12.0, 16.0, 12.0)  # s, as planned: long ways and short ones
+
 
 def sweep(number: int, state: SweepState, started_at: float = 0.0) -> SweepDocument:
-    """1.5 s to the window of 5 periods of 1 s, 1.5 s out of it: 8 s nominal."""
     spec = SweepSpec(
         id=f"{number:04d}",
         axis="joint_1",
@@ -22,32 +28,82 @@ def sweep(number: int, state: SweepState, started_at: float = 0.0) -> SweepDocum
         sample_rate=250.0,
         started_at=started_at,
     )
+    attempt = 0 if state is PLANNED else 1
     return SweepDocument(
-        campaign_id=1, number=number, spec=spec, mode=SweepMode.DRIVE_SIDE, state=state, cause="", attempt=1
+        campaign_id=1, number=number, spec=spec, mode=SweepMode.DRIVE_SIDE, state=state, cause="", attempt=attempt
     )
 
 
-def test_before_the_first_sweep_the_nominal_durations_count() -> None:
-    found = progress(CampaignState.PLANNED, [sweep(n, SweepState.PLANNED) for n in (1, 2, 3)])
-    assert (found.done, found.total, found.current) == (0, 3, None)
-    assert found.remaining == pytest.approx(24.0)
+def plan(durations: tuple[float, ...] = TIMES) -> tuple[PlannedTime, ...]:
+    """Each sweep proper takes 8 s, what remains of its time is the way to it."""
+    ends = [sum(durations[: number + 1]) for number in range(len(durations))]
+    return planned_times(
+        {
+            "sweeps": [
+                {"duration": took, "spec": {"axis": "joint_1", "started_at": end - 8.0}, "legs": [{"joint": "joint_2"}]}
+                for took, end in zip(durations, ends, strict=True)
+            ]
+        }
+    )
 
 
-def test_the_pace_so_far_counts_and_a_pause_does_not() -> None:
-    starts = (10.0, 22.0, 34.0, 1034.0, 1046.0)  # every 12 s, one pause
+def under_way(number: int, begun: float, checked: frozenset[str] = frozenset({"joint_1", "joint_2"})) -> UnderWay:
+    return UnderWay((number,), ("joint_1",), (), 8.0, checked, begun)
+
+
+def test_before_the_start_the_plan_counts_with_its_moves_and_the_check_moves() -> None:
+    found = progress(CampaignState.PLANNED, [sweep(n + 1, PLANNED) for n in range(len(TIMES))], plan())
+    assert (found.done, found.total, found.current) == (0, len(TIMES), None)
+    assert found.remaining == pytest.approx(sum(TIMES) + 2 * CHECK_MOVE)
+
+
+@pytest.mark.parametrize(("pace", "extra"), [(1.0, 0.0), (1.3, 0.0), (1.0, 2.1), (0.05, 0.1)])
+def test_after_the_first_quarter_it_is_right_within_a_tenth(pace: float, extra: float) -> None:
+    """Whether the machine is slower than planned, needs time around each sweep, or is simulated faster than time."""
+    durations = TIMES * 4
+    really = [pace * took + extra for took in durations]
+    starts = [sum(really[: n + 1]) - pace * 8.0 for n in range(len(really))]
+    for done in range(len(really) // 4, len(really)):
+        sweeps = [sweep(n + 1, SweepState.IDENTIFIED, starts[n]) for n in range(done)]
+        sweeps += [sweep(done + 1, RUNNING), *(sweep(n + 1, PLANNED) for n in range(done + 1, len(really)))]
+        begun = sum(really[:done])
+        for part in (0.0, 0.5):
+            now = begun + part * really[done]
+            found = progress(CampaignState.RUNNING, sweeps, plan(durations), under_way(done + 1, begun), now)
+            assert found.current == sweeps[done]
+            assert found.remaining == pytest.approx(sum(really) - now, rel=0.1, abs=0.1 * really[-1])
+
+
+def test_a_pause_does_not_slow_the_pace() -> None:
+    starts = (4.0, 16.0, 28.0, 1028.0, 1040.0)  # every 12 s, one pause
     sweeps = [sweep(n, SweepState.IDENTIFIED, start) for n, start in enumerate(starts, 1)]
-    sweeps += [sweep(6, SweepState.RUNNING), sweep(7, SweepState.PLANNED)]
-    found = progress(CampaignState.RUNNING, sweeps)
-    assert (found.done, found.total) == (5, 7)
-    assert found.current == sweeps[5]
-    assert found.remaining == pytest.approx(24.0)
+    sweeps += [sweep(6, RUNNING), sweep(7, PLANNED)]
+    found = progress(CampaignState.RUNNING, sweeps, plan((12.0,) * 7), under_way(6, 100.0), 106.0)
+    assert found.remaining == pytest.approx(18.0)
 
 
-def test_a_held_campaign_has_no_remaining_time() -> None:
-    assert progress(CampaignState.PAUSED, [sweep(1, SweepState.PLANNED)]).remaining is None
+def test_a_held_campaign_tells_what_its_resume_takes_and_what_a_repeat_adds() -> None:
+    sweeps = [sweep(1, SweepState.IDENTIFIED, 22.0), sweep(2, SweepState.INTERRUPTED), sweep(3, PLANNED)]
+    found = progress(CampaignState.PAUSED, sweeps, plan((30.0, 12.0, 20.0)))
+    assert (found.remaining, found.repeat) == (pytest.approx(20.0 + 2 * CHECK_MOVE), pytest.approx(12.0))
 
 
 def test_a_failed_sweep_is_not_done_and_a_finished_campaign_has_no_time_left() -> None:
     sweeps = [sweep(1, SweepState.IDENTIFIED, 10.0), sweep(2, SweepState.FAILED)]
-    found = progress(CampaignState.COMPLETED, sweeps)
-    assert (found.done, found.total, found.remaining) == (1, 2, 0.0)
+    found = progress(CampaignState.COMPLETED, sweeps, plan((12.0, 12.0)))
+    assert (found.done, found.total, found.remaining, found.repeat) == (1, 2, 0.0, 0.0)
+
+
+def test_without_a_plan_there_is_no_remaining_time() -> None:
+    assert progress(CampaignState.PLANNED, [sweep(1, PLANNED)], ()).remaining is None
+
+
+def test_the_axis_that_travels_comes_first_and_what_follows_after_it() -> None:
+    way = travels(("joint_1", "joint_2"), (0.0, 0.1), ((1, -0.7), (0, 0.2)), 0.1)
+    assert way == (Travel("joint_2", -0.7, pytest.approx(8.0)), Travel("joint_1", 0.2, pytest.approx(2.0)))
+    now = UnderWay((3,), ("joint_1",), way, 12.0, frozenset(), 0.0)
+    told = [(step.kind, step.axes, step.target) for step in steps(now, None)]
+    assert told == [("travel", ("joint_2",), -0.7), ("travel", ("joint_1",), 0.2), ("sweep", ("joint_1",), None)]
+    check = CheckMove("joint_2", -math.radians(0.5), {"joint_2": 0.1}, {"joint_2": "rad"})
+    assert [step.kind for step in steps(now, check)] == ["check_move", "travel", "travel", "sweep"]
+    assert steps(None, None) == ()

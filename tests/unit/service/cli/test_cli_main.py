@@ -5,10 +5,13 @@ import os
 import socket
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
+from service.cell import read_cell
+from service.errors import BadInput
 from tests.command import sweepid
 
 SWEEPID = str(Path(sys.executable).with_name("sweepid"))
@@ -64,7 +67,8 @@ def test_a_port_that_is_taken_is_1_and_named(tmp_path: Path) -> None:
         port = taken.getsockname()[1]
         ended = run("serve", "--port", str(port), "--data-dir", str(tmp_path / "data"))
     assert (ended.returncode, ended.stdout) == (1, "")
-    assert f"127.0.0.1:{port}" in ended.stderr.splitlines()[-1]
+    (line,) = ended.stderr.splitlines()  # no log before it
+    assert f"127.0.0.1:{port}" in line
 
 
 def test_export_refuses_a_folder_with_something_in_it(tmp_path: Path, plan_file: Path) -> None:
@@ -87,7 +91,52 @@ def test_a_service_that_is_not_there_is_1_and_named(plan_file: Path) -> None:
     done = run("measure", str(plan_file), "--url", url)
     assert (done.returncode, done.stdout) == (1, "")
     (line,) = done.stderr.splitlines()
-    assert url in line
+    assert f"no service at {url}: start it with `sweepid serve`" in line
+
+
+def test_the_version_is_told() -> None:
+    done = run("--version")
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"sweepid {version('sweepid')}\n", "")
+
+
+def test_a_misspelt_key_is_told_with_the_one_that_was_meant(tmp_path: Path, root: Path) -> None:
+    settings = tmp_path / "settings.yaml"
+    settings.write_text("data_dirr: var\n", encoding="utf-8")
+    done = sweepid("serve", "--config", str(settings))
+    assert done.returncode == 2
+    assert f"{settings} data_dirr: unknown key; did you mean data_dir?" in done.stderr
+    robot = tmp_path / "robot.yaml"
+    text = (root / "config/robots/max100-class.yaml").read_text("utf-8")
+    robot.write_text(text.replace("gear_ratio:", "gear_ration:"), encoding="utf-8")
+    done = sweepid("plan", str(robot), "--axes", "a", "--varied", "b")
+    assert "axes.0.gear_ration: unknown key; did you mean gear_ratio?" in done.stderr
+
+
+def test_what_is_not_there_is_told_with_what_is(root: Path) -> None:
+    robots = root / "config" / "robots"
+    done = sweepid("plan", str(robots / "max10.yaml"), "--axes", "a", "--varied", "b")
+    assert f"{robots} has emps.yaml, max100-class.yaml" in done.stderr
+    done = run("drive", "--scenario", str(root / "config/scenarios/nope.yaml"))
+    assert done.returncode != 0
+    assert "max100-full.yaml" in done.stderr
+    with pytest.raises(BadInput, match=r"cell: there is no cell garage in .*cells; there is: workshop"):
+        read_cell(root / "config" / "cells" / "garage.yaml")
+
+
+def test_who_waits_at_a_terminal_sees_for_what() -> None:
+    code = "from service.cli.waiting import waiting\nwith waiting('the plan'): print('42')"
+    shown, inside = os.openpty()
+    try:
+        environment = os.environ | {"TERM": "xterm"}
+        done = subprocess.run(
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=inside, timeout=60, check=True, env=environment
+        )
+        assert (done.stdout, b"the plan" in os.read(shown, 10_000)) == (b"42\n", True)
+    finally:
+        os.close(inside)
+        os.close(shown)
+    silent = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60, check=True)
+    assert (silent.stdout, silent.stderr) == (b"42\n", b"")
 
 
 def test_the_overview_lists_own_and_installed_commands() -> None:

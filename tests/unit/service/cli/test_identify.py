@@ -158,3 +158,12 @@ def test_a_locked_rotor_above_the_band_is_told_as_such() -> None:
         assert "above 38.75 " in row
         assert re.search(r"above \d\.\d+ .* [2345] ", row)
         assert "inf" not in row
+
+
+def test_every_bundle_has_a_report(bundle: Path, tmp_path: Path) -> None:
+    page = tmp_path / "report.html"
+    done = sweepid("identify", str(bundle), "--report", str(page))
+    assert (done.returncode, done.stderr) == (0, "")
+    text = page.read_text("utf-8")
+    for words in ("Inertias of the robot pair", "from 4 sweeps", "RMSE in %", "Base parameters"):
+        assert words in text

@@ -1,0 +1,229 @@
+"""The page tells the truth first: what moves, never green in trouble, the way out, and nothing it does not know."""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from service.client import ServiceClient
+from tests.browser.browsing import WITHOUT_BROWSER, browsing
+from tests.browser.looking import faint, green, small, too_wide
+from tests.system.rest_bench import Service, VirtualMachine, add_plan, serving, until, virtual_machine
+
+pytestmark = WITHOUT_BROWSER
+MOVES = 1e-3  # rad/s
+SILENCE = "The service does not answer. Assume that the machine moves: use the emergency stop"
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Iterator[VirtualMachine]:
+    with virtual_machine(tmp_path, speed_factor=1.0) as machine:
+        yield machine
+
+
+@pytest.fixture
+def service(tmp_path: Path, machine: VirtualMachine) -> Iterator[Service]:
+    with serving(tmp_path, machine.profile) as service:
+        yield service
+
+
+@pytest.fixture
+def page(service: Service) -> Iterator[Page]:
+    with browsing(service.url) as page:
+        yield page
+
+
+def degrees(angle: float) -> str:
+    """As the page tells an angle in rad."""
+    return f"{math.degrees(angle):.3g}°".replace("-", "−")
+
+
+def moving(machine: VirtualMachine) -> list[str]:
+    return [joint for joint, axis in machine.axes().items() if abs(axis["velocity"]) > MOVES]
+
+
+def test_the_axis_that_really_moves_is_named_and_what_follows(
+    machine: VirtualMachine, service: Service, page: Page
+) -> None:
+    """The sweep is one of joint_1, but before it others travel."""
+    with ServiceClient(service.url) as client:
+        plan = add_plan(client, axes=["joint_1"], poses=2, move_velocity=0.4)
+        first = client.plan(plan)["document"]["sweeps"][0]
+        leg = max(first["legs"], key=lambda leg: abs(leg["target"]))
+        campaign = int(client.add_campaign(plan)["id"])
+        page.get_by_role("button", name="Start").click()
+        told = f"{leg['joint']} travels to {degrees(leg['target'])}"
+        expect(page.locator("#intent")).to_contain_text(told)
+        until(lambda: moving(machine) == [leg["joint"]], f"{leg['joint']} on its way")
+        expect(page.locator("#intent")).to_contain_text("then joint_1 sweeps, ")
+        expect(page.locator("#progress-text")).to_contain_text(told)
+        left = client.campaign(campaign)["progress"]["remaining"]
+        shown = page.locator("#progress-text").text_content() or ""
+        assert abs(seconds(shown.rpartition("about ")[2]) - left) < 10, (shown, left)
+        until(lambda: moving(machine) == ["joint_1"], "the sweep")
+        expect(page.locator("#intent")).to_contain_text(": joint_1 sweeps, ")
+        expect(page.locator("#intent")).not_to_contain_text("travels")
+
+
+def seconds(told: str) -> float:
+    """Of "1 min 5 s left"."""
+    words = told.split()
+    return sum(float(words[k - 1]) * {"min": 60, "s": 1}[unit] for k, unit in enumerate(words) if unit in ("min", "s"))
+
+
+def test_nothing_is_green_in_trouble_and_the_way_out_stands_there(machine: VirtualMachine, page: Page) -> None:
+    way_out = page.locator("#way-out li")
+    expect(page.locator("#machine")).to_have_text("machine connected")
+    expect(page.locator("#intent")).to_have_class("still")
+    assert green(page)  # so that the looking is known to find it
+    expect(way_out).to_have_count(0)
+
+    assert machine.order("fault", joint="joint_2", code=0x2310)["ok"]
+    expect(page.locator("#machine")).to_have_text("fault of joint_2")
+    assert green(page) == []
+    expect(way_out).to_contain_text(["Look at joint_2", "Acknowledge"])
+    page.get_by_role("button", name="I looked: acknowledge").click()
+    expect(page.locator("#machine")).to_have_text("machine connected")
+
+    assert machine.order("emergency_stop", on=True)["ok"]
+    expect(page.locator("#machine")).to_have_text("EMERGENCY STOP")
+    assert green(page) == []
+    expect(way_out).to_contain_text(["Look at the machine", "Unlock the machine's own emergency stop", "Acknowledge"])
+    assert machine.order("emergency_stop", on=False)["ok"]
+    page.get_by_role("button", name="acknowledge all axes").click()
+    expect(page.locator("#machine")).to_have_text("machine connected")
+
+    page.get_by_role("button", name="STOP").click()
+    expect(page.locator("#machine")).to_have_text("stopped")
+    assert green(page) == []
+    expect(way_out).to_contain_text(["Look at the machine", "Type your name and release"])
+
+    machine.power_off()
+    expect(page.locator("#machine")).to_contain_text("no machine")
+    assert green(page) == []
+    expect(page.locator("#way-out")).to_contain_text("an axis may still move")
+
+
+@pytest.mark.parametrize("how", ["the network is lost", "the service hangs"])
+def test_without_the_service_all_is_dimmed_and_after_its_return_nothing_of_it_is_left(page: Page, how: str) -> None:
+    expect(page.locator("#machine")).to_have_text("machine connected")
+    if how == "the network is lost":
+        page.context.set_offline(True)
+    else:
+        page.route("**/api/v1/**", lambda route: None)
+    expect(page.locator("#silence")).to_be_visible()
+    expect(page.locator("#silence")).to_contain_text(SILENCE)
+    assert green(page) == []
+    assert page.locator("main").evaluate("main => main.inert && getComputedStyle(main).opacity < 0.6")
+    expect(page.locator("#intent")).to_have_text("")
+    if how == "the network is lost":
+        page.context.set_offline(False)
+    else:
+        page.unroute_all(behavior="ignoreErrors")
+    expect(page.locator("#silence")).to_be_hidden()
+    expect(page.locator("#machine")).to_have_text("machine connected")
+    expect(page.locator("#error")).to_be_hidden()
+    assert page.locator("main").evaluate("main => !main.inert && getComputedStyle(main).opacity === '1'")
+
+
+def test_resume_shows_what_it_moves_and_what_cannot_work_says_why(
+    machine: VirtualMachine, service: Service, page: Page
+) -> None:
+    with ServiceClient(service.url) as client:
+        campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=2))["id"])
+        client.start(campaign)
+        until(lambda: not machine.stands(), "an axis with energy")
+        expect(page.locator("#why-start")).to_have_text("runs already")
+        expect(page.locator("#why-resume")).to_have_text("runs already")
+        client.stop("a test", "to be resumed")
+        until(lambda: client.campaign(campaign)["state"] == "paused", "the pause")
+        resume = page.get_by_role("button", name="Resume")
+        expect(page.locator("#why-resume")).to_have_text("the machine is stopped: release it first")
+        expect(resume).to_be_disabled()
+        client.reset_stop("a test", [stop["id"] for stop in client.stops()])
+        expect(resume).to_be_enabled()
+        expect(page.locator("#why-resume")).to_have_text("")
+        expect(page.locator("#why-pause")).to_have_text("nothing runs")
+        expect(page.locator("#ordered-title")).to_have_text("What Resume will move")
+        told = client.campaign(campaign)["progress"]
+        expect(page.locator("#motion")).to_contain_text("2 sweeps of joint_1 in 2 poses")
+        expect(page.locator("#takes")).to_have_text(f"takes {duration(told['remaining'] + told['repeat'])}")
+        page.get_by_label("measure interrupted and failed sweeps again").uncheck()
+        expect(page.locator("#motion")).to_contain_text("1 sweep of joint_1 in 1 pose")
+        expect(page.locator("#takes")).to_have_text(f"takes {duration(told['remaining'])}")
+
+
+def duration(seconds: float) -> str:
+    minutes, left = divmod(round(seconds), 60)
+    return f"{minutes} min {left} s" if minutes else f"{left} s"
+
+
+def test_the_campaign_that_matters_is_shown_first(service: Service, page: Page) -> None:
+    with ServiceClient(service.url) as client:
+        plan = add_plan(client, axes=["joint_1"], poses=1)
+        planned, given_up = (int(client.add_campaign(plan)["id"]) for _ in range(2))
+        client.abort(given_up, "a test")
+    page.reload(wait_until="commit")
+    expect(page.locator("#campaigns option")).to_have_count(2)
+    expect(page.locator("#campaigns")).to_have_value(str(planned))
+
+
+def test_stop_is_first_by_keyboard_and_abort_asks(machine: VirtualMachine, service: Service, page: Page) -> None:
+    expect(page.locator("#machine")).to_have_text("machine connected")
+    page.keyboard.press("Tab")
+    expect(page.locator("#stop")).to_be_focused()
+    with ServiceClient(service.url) as client:
+        campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=1))["id"])
+        page.get_by_role("button", name="Start").click()
+        until(lambda: not machine.stands(), "an axis with energy")
+        page.get_by_role("button", name="Abort", exact=True).click()
+        expect(page.locator("#abort-question")).to_contain_text(f"Give campaign {campaign} up for good?")
+        page.get_by_role("button", name="Keep it").click()
+        assert client.campaign(campaign)["state"] == "running"
+        page.get_by_label("Campaign", exact=True).focus()
+        page.keyboard.press("F8")
+        expect(page.locator("#held-by")).to_contain_text("Stopped by operator page: stop button")
+        until(machine.stands, "standing axes")
+        expect(page.locator("#campaign-state")).to_have_text("paused")
+        page.get_by_role("button", name="Abort", exact=True).click()
+        page.get_by_role("button", name="Give it up").click()
+        expect(page.locator("#campaign-state")).to_have_text("aborted")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_can_be_read_and_hit_in_every_state_and_width(
+    service: Service, machine: VirtualMachine, page: Page, scheme: str
+) -> None:
+    page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
+    expect(page.locator("#machine")).to_have_text("machine connected")
+    look(page)
+    with ServiceClient(service.url) as client:
+        campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=2))["id"])
+        look(page)
+        client.start(campaign)
+        expect(page.locator("#campaign-state")).to_have_text("running")
+        look(page)
+        assert machine.order("emergency_stop", on=True)["ok"]
+        expect(page.locator("#machine")).to_contain_text("EMERGENCY STOP")
+        expect(page.locator("#campaign-state")).to_have_text("paused")
+        look(page)
+        client.stop("a test", "to look at it")
+        expect(page.locator("#held")).to_be_visible()
+        look(page)
+
+
+def look(page: Page) -> None:
+    for width in (768, 1280, 1920):
+        page.set_viewport_size({"width": width, "height": 1000})
+        page.mouse.wheel(0, 2000)
+        settled(page)
+        for banner in page.locator(".banner:visible").all():
+            expect(banner).to_be_in_viewport()  # however far it is scrolled
+        assert (faint(page), small(page), too_wide(page)) == ([], [], False), width
+
+
+def settled(page: Page) -> None:
+    """Until what was asked for is drawn; the second frame has the layout of the first."""
+    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")

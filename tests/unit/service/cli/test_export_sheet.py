@@ -1,0 +1,129 @@
+"""`sweepid export-sheet`: the values a control takes, from known truth, with what they are worth."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.errors import BadInput
+from service.export.sheet import check_sheet, fingerprint
+from service.export.sheet_text import as_markdown
+from tests.command import sweepid
+from tests.unit.service.cli.test_export_model import side_file
+from tests.unit.service.cli.test_identify import INERTIA, bundle
+
+__all__ = ["bundle", "side_file"]  # the fixtures
+
+TOTAL = INERTIA + 1.0  # kg m^2 about the joint, its motor of 1e-4 behind a gear of 100 included
+GEAR = 100.0
+
+
+@pytest.fixture
+def made(bundle: Path, tmp_path: Path) -> tuple[dict, str]:
+    path = tmp_path / "sheet.json"
+    done = sweepid("export-sheet", str(bundle), "--json", str(path))
+    assert (done.returncode, done.stderr) == (0, "")
+    return json.loads(path.read_text("utf-8")), done.stdout
+
+
+def test_the_truth_comes_out_on_the_side_of_the_motor(made: tuple[dict, str]) -> None:
+    sheet, text = made
+    (axis,) = sheet["axes"]
+    assert axis["identified"] == pytest.approx(TOTAL, rel=0.01)
+    assert axis["cad"] == pytest.approx(6.0)
+    assert axis["motor"] == pytest.approx(axis["identified"] / GEAR**2)
+    assert axis["motor_std"] / axis["motor"] == pytest.approx(0.05, rel=0.3)  # the torque constant's prior rules
+    typed = re.search(r"\| j1 \| ([0-9.e-]+) \|", text.partition("MD32650 |")[2])
+    assert typed
+    assert float(typed[1]) == pytest.approx(TOTAL / GEAR**2, rel=0.01)
+    for words in ("MD32620", "S-0-0348", "export-model", "Valid for the robot as it was measured", "± std"):
+        assert words in text
+    assert sheet["poses"]["j1"].keys() == {"j1", "j2"}
+    assert "- j1 was measured with j1 " in text
+
+
+def test_a_load_is_not_made_of_an_estimate(made: tuple[dict, str]) -> None:
+    assert made[1].count("Left out. An estimate of the robot tells combinations") == 2  # KUKA, ABB
+
+
+def test_a_load_that_was_measured_stands_in_the_words_of_kuka_and_abb(made: tuple[dict, str]) -> None:
+    text = as_markdown(made[0], payload())
+    assert "| 12 ± 0.3 | 10, 0, 150 | " in text
+    inertia = re.search(r"loaddata measured := \[12,\[10,0,150\],\[(.*?)\],(.*?)\];", text)
+    assert inertia
+    w, x, y, z = (float(number) for number in inertia[1].split(","))
+    moments = [float(number) for number in inertia[2].split(",")]
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    assert rotation @ np.diag(moments) @ rotation.T == pytest.approx(TENSOR, abs=1e-3)
+
+
+TENSOR = np.array([[0.3, 0.02, 0.0], [0.02, 0.25, 0.01], [0.0, 0.01, 0.2]])
+
+
+def payload() -> dict:
+    """As `sweepid payload --json` writes it."""
+
+    def known(value: float) -> dict:
+        return {"value": value, "std": 0.1, "std_total": 0.3, "excited": True}
+
+    names = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+    inertia = dict(zip(names, TENSOR[np.triu_indices(3)].tolist(), strict=True))
+    return {
+        "frame": "joint_6",
+        "mass": known(12.0),
+        "center": {"x": known(0.01), "y": known(0.0), "z": known(0.15)},
+        "inertia": {name: known(value) for name, value in inertia.items()},
+        "physical": {"nearest": {"mass": 12.0, "center": [0.01, 0.0, 0.15], "inertia": inertia}},
+    }
+
+
+def test_a_load_that_is_known_in_part_is_refused(made: tuple[dict, str]) -> None:
+    known = payload()
+    known["inertia"]["Izz"]["value"] = None
+    with pytest.raises(BadInput, match="--payload: does not know Izz"):
+        as_markdown(made[0], known)
+
+
+def test_the_fingerprint_is_that_of_the_result_and_tells_what_was_altered(
+    made: tuple[dict, str], bundle: Path, side_file: Path, tmp_path: Path
+) -> None:
+    sheet, text = made
+    assert sheet["fingerprint"] in text
+    check_sheet(sheet, "sheet")
+    estimate, again = tmp_path / "estimate.json", tmp_path / "again.json"
+    assert sweepid("identify", str(bundle), "--json", str(estimate)).returncode == 0
+    done = sweepid("export-sheet", str(estimate), "--robot", str(side_file), "--json", str(again))
+    assert done.returncode == 0, done.stderr
+    assert fingerprint(json.loads(again.read_text("utf-8"))) == sheet["fingerprint"]
+    assert "make the sheet of the bundle" in done.stdout  # for its poses
+    sheet["axes"][0]["motor"] *= 1.01
+    with pytest.raises(BadInput, match="was altered"):
+        check_sheet(sheet, "sheet")
+
+
+def test_what_no_body_can_have_and_what_is_hardly_known_is_not_for_use(
+    bundle: Path, side_file: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "estimate.json"
+    assert sweepid("identify", str(bundle), "--json", str(path)).returncode == 0
+    estimate = json.loads(path.read_text("utf-8"))
+    estimate["axes"]["j1"]["confidence_percent"] = 40.0
+    path.write_text(json.dumps(estimate), encoding="utf-8")
+    done = sweepid("export-sheet", str(path), "--robot", str(side_file))
+    assert "Left out: j1, known to 40 % only, limit 25 %." in done.stdout
+    assert "(no value)" in done.stdout
+    estimate["standard_parameters"]["links"]["one"]["m"] = -1.0
+    path.write_text(json.dumps(estimate), encoding="utf-8")
+    done = sweepid("export-sheet", str(path), "--robot", str(side_file))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "no body can have those of one" in done.stderr
+    done = sweepid("export-sheet", str(path))
+    assert "--robot: is needed with an estimate" in done.stderr
