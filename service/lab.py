@@ -62,7 +62,25 @@ class Lab:
     diagnosing: Diagnosing
     experiments: Experiments
     checks: CheckStore
+    checking: Checking
     stop_process: StopProcess | None
+
+    async def troubles(self) -> tuple[str, ...]:
+        """Why nothing can be measured now, or why what was measured is not identified; one line each."""
+        stop, process = self.machine.latched, self.stop_process
+        found = [
+            "" if self.machine.connected else f"machine not connected: {self.machine.trouble or 'not tried yet'}",
+            "" if stop is None else f"stopped by {stop.by}: {stop.why}",
+            self.machine.lease_trouble,
+            process.trouble if process is not None and process.ended else "",
+            await asyncio.to_thread(self.files.disk_trouble, self.settings.least_free_disk),
+            self.worker.trouble,
+            self.runner.untold,
+            *self.jobs.troubles,
+            *self.checking.troubles,
+            *self.diagnosing.troubles,
+        ]
+        return tuple(line for line in found if line)
 
     async def add_campaign(self, plan_id: int) -> CampaignDocument:
         """A campaign of a stored plan, in state `planned`. Nothing moves until `runner.start`."""
@@ -155,7 +173,7 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
             _log.warning("machine_not_connected", reason=str(error))
         yield Lab(
             *(settings, store, files, keys, machine, runner, jobs, worker, hub, feed),
-            *(diagnoses, models, diagnosing, experiments, checks, stop_process),
+            *(diagnoses, models, diagnosing, experiments, checks, checking, stop_process),
         )
 
 

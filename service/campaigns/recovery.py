@@ -24,6 +24,8 @@ _CAUSE = "the service ended during the sweep"
 def recover(store: Store, files: RecordingFiles) -> None:
     """Bring store and files in order before anything is started. To be called with the machine's lease held."""
     end_runs(store, files, _CAUSE, "the service was restarted")
+    while store.move_spectrum_to_file(files.save_spectrum):
+        pass
     for run, path in files.streams().items():
         try:
             store.sweep(run.campaign_id, run.number)

@@ -19,7 +19,8 @@ from pydantic import JsonValue
 from service.errors import BadInput
 from service.recording import Recording
 from service.store.columns import read_columns, write_columns
-from service.store.documents import NewRecording, RecordingDocument, RecordingState
+from service.store.documents import NewRecording, RecordingDocument, RecordingState, SpectrumRecord
+from service.store.spectra import Document, SpectrumFile, encode_spectrum
 
 _STREAM = re.compile(r"campaign-(\d+)/(\d+)-(\d+)\.arrows")
 
@@ -38,6 +39,16 @@ class RecordingFiles:
 
     def __init__(self, data_dir: Path) -> None:
         self._root = data_dir
+
+    def disk_trouble(self, least: int) -> str:
+        """Why no recording could be written now: less than `least` bytes free, or read-only; empty if it could."""
+        try:
+            free = shutil.disk_usage(self._root).free
+        except OSError as error:
+            return f"data folder: {error}"
+        if not os.access(self._root, os.W_OK):
+            return f"data folder {self._root} cannot be written"
+        return f"{free} bytes free in {self._root}, limit {least} bytes" if free < least else ""
 
     def stream(self, run: Run) -> Path:
         """Where the samples of a run go as they come; the folder is made."""
@@ -99,6 +110,20 @@ class RecordingFiles:
         partial.write_text(json.dumps(manifest, indent=2, allow_nan=False) + "\n", encoding="utf-8")
         _place(partial, path.with_suffix(".json"))
         return new
+
+    def save_spectrum(self, recording: str, document: Document) -> SpectrumRecord:
+        """Write the spectrum of a recording (its path in documents) beside it; one that is there is left as it is."""
+        content, sha256 = encode_spectrum(document)
+        path = (self._root / recording).with_suffix(f".spectrum-{sha256[:16]}.json")
+        if not path.exists() or _sha256(path) != sha256:
+            partial = path.with_name(f".{path.name}.partial")
+            partial.write_bytes(content)
+            _place(partial, path)
+        return SpectrumRecord(path=path.relative_to(self._root).as_posix(), sha256=sha256)
+
+    def spectrum(self, record: SpectrumRecord) -> SpectrumFile:
+        """Where it is to be read."""
+        return SpectrumFile(self._root.absolute() / record.path, record.sha256)
 
     def load(self, document: RecordingDocument) -> Recording:
         """The samples of a recording; BadInput if the file is not what was written."""
