@@ -251,11 +251,11 @@ class Store:
             rows.emit_campaign(session, row)
             return rows.campaign_document(session, row)
 
-    def begin_sweep(self, campaign_id: int, number: int, move: SweepMove) -> SweepDocument:
-        """As `move_sweep`, and count the attempt. Committed before anything moves."""
+    def begin_sweep(self, campaign_id: int, number: int, move: SweepMove, last_attempt: int = 0) -> SweepDocument:
+        """As `move_sweep`, and count the attempt, on from `last_attempt` on disk. Committed before anything moves."""
         with self._database.write() as session:
             row = rows.get_sweep(session, campaign_id, number)
-            row.attempt += 1
+            row.attempt = max(row.attempt, last_attempt) + 1
             return rows.move_sweep(session, row, move, "")
 
     def move_sweep(self, campaign_id: int, number: int, move: SweepMove, cause: str = "") -> SweepDocument:

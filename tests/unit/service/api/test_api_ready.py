@@ -64,3 +64,19 @@ async def test_a_lease_that_cannot_be_renewed_is_told(
 async def test_a_disk_that_is_too_full_is_told(tmp_path: Path, profile: Path) -> None:
     async with service(tmp_path, profile, least_free_disk=2**62) as (_, http):
         assert f"limit {2**62} bytes" in await told(http, "bytes free in")
+
+
+async def test_a_lost_database_is_told_and_nothing_is_stored_in_its_place(tmp_path: Path, profile: Path) -> None:
+    recordings = tmp_path / "recordings" / "campaign-000001"
+    recordings.mkdir(parents=True)
+    (recordings / "0001-1.parquet").write_bytes(b"samples")
+    stream = recordings / "0002-1.arrows"
+    stream.write_bytes(b"stream")
+    async with service(tmp_path, profile) as (lab, http):
+        assert "holds 1 recordings" in await told(http, "knows no campaign")
+        plan = lab.store.add_plan(lab.store.robots()[0].id, {})
+        answer = await http.post("/campaigns", json={"plan_id": plan.id})
+        assert answer.status_code == 409
+        assert "restore it from a backup" in answer.json()["detail"]
+        assert lab.store.campaigns() == ()
+    assert stream.read_bytes() == b"stream"
