@@ -123,7 +123,7 @@ def reachable(robot: Robot, stood: Array, poses: Array) -> Array:
 
 def _compile(robot: Robot, cell: Cell) -> Any:
     try:
-        spec = _mujoco.MjSpec.from_string(_shapes_only(robot.urdf_text))
+        spec = _mujoco.MjSpec.from_string(_shapes_only(robot.urdf_text, robot.name))
     except ValueError as error:
         raise BadInput(f"robot {robot.name} urdf", f"collision shapes cannot be read: {error}") from None
     links = {str(body.name) for body in spec.bodies}
@@ -146,17 +146,28 @@ def _compile(robot: Robot, cell: Cell) -> Any:
             if link not in links:
                 raise BadInput(f"cell {cell.name} ignored_pairs", f"robot {robot.name} has no link {link}")
         spec.add_exclude(bodyname1=pair[0], bodyname2=pair[1])
-    model = spec.compile()
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise BadInput(f"robot {robot.name} urdf", f"collision shapes cannot be used: {error}") from None
     model.geom_margin[:] = cell.clearance
     return model
 
 
-def _shapes_only(urdf: str) -> str:
-    """The URDF without what collision does not need; static links stay bodies of their own."""
+def _shapes_only(urdf: str, name: str) -> str:
+    """The URDF without what collision does not need; static links stay bodies of their own.
+
+    BadInput for meshes: whoever wrote the URDF must not choose which of our files is opened.
+    """
     root = ET.fromstring(urdf)
-    for element in root.findall("mujoco"):
+    for element in [child for child in root if child.tag not in ("link", "joint")]:
         root.remove(element)
     for link in root.findall("link"):
+        for mesh in link.iterfind("collision//mesh"):
+            raise BadInput(
+                f"robot {name} urdf link {link.get('name')}",
+                f"collision shapes cannot be read: mesh {mesh.get('filename')!r}; boxes, cylinders and spheres can",
+            )
         for tag in ("visual", "inertial"):
             for element in link.findall(tag):
                 link.remove(element)

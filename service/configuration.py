@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar, cast, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -13,13 +13,31 @@ from service.robot import Robot, RobotDescription, build_robot
 
 Model = TypeVar("Model", bound=BaseModel)
 
+LARGEST_YAML = 2**20  # bytes
+LARGEST_TEXT = 2**26  # bytes
 _MOST_TOLD = 12  # files
+MOST_ALIASES = 20  # aliases of aliases grow with a power of their number
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML's safe loader, for files that somebody else may have written."""
+
+    def __init__(self, stream: str) -> None:
+        super().__init__(stream)
+        self._aliases = 0
+
+    def get_event(self) -> yaml.Event:
+        event = cast(yaml.Event, cast(Any, super()).get_event())
+        self._aliases += isinstance(event, yaml.AliasEvent)
+        if self._aliases > MOST_ALIASES:
+            raise yaml.YAMLError(f"more than {MOST_ALIASES} aliases")
+        return event
 
 
 def read_yaml(path: Path, kind: type[Model]) -> Model:
     """The file as a `kind`; BadInput names file, field and value."""
     try:
-        content: object = yaml.safe_load(read_text(path))
+        content: object = yaml.load(read_text(path, LARGEST_YAML), Loader=_Loader)
     except yaml.YAMLError as error:
         raise BadInput(str(path), f"not YAML: {' '.join(str(error).split())}") from None
     except RecursionError:
@@ -37,10 +55,14 @@ def read_robot(path: Path) -> Robot:
     return build_robot(description, read_text(urdf), str(path))
 
 
-def read_text(path: Path) -> str:
-    """The UTF-8 text of a file that a person named; BadInput if it cannot be read."""
+def read_text(path: Path, largest: int = LARGEST_TEXT) -> str:
+    """The UTF-8 text of a file that a person named; BadInput if it cannot be read or has more than `largest` bytes."""
     try:
-        return path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            content = file.read(largest + 1)
+        if len(content) > largest:
+            raise BadInput(str(path), f"is larger than {largest} bytes")
+        return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError as error:
         raise BadInput(str(path), f"cannot be read: {error.strerror}{_beside(path)}") from None
     except OSError as error:

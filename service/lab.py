@@ -24,10 +24,12 @@ from service.campaigns.runner import Runner
 from service.campaigns.station import Station
 from service.campaigns.stop_beside import listening
 from service.configuration import read_robot
+from service.errors import Conflict
 from service.settings import Settings
 from service.stop_process.handle import StopProcess
 from service.store.bundle import read_bundle, write_bundle
 from service.store.checks import CheckStore
+from service.store.data_folder import claim_folder
 from service.store.database import open_database
 from service.store.diagnoses import DiagnosisStore
 from service.store.diagnosis_documents import ModelDocument
@@ -62,15 +64,38 @@ class Lab:
     diagnosing: Diagnosing
     experiments: Experiments
     checks: CheckStore
+    checking: Checking
     stop_process: StopProcess | None
+    lost: str
+    """Why nothing may be stored, because the database is not the one of the data folder; empty if it is."""
+
+    async def troubles(self) -> tuple[str, ...]:
+        """Why nothing can be measured now, or why what was measured is not identified; one line each."""
+        stop, process = self.machine.latched, self.stop_process
+        found = [
+            self.lost,
+            "" if self.machine.connected else f"machine not connected: {self.machine.trouble or 'not tried yet'}",
+            "" if stop is None else f"stopped by {stop.by}: {stop.why}",
+            self.machine.lease_trouble,
+            process.trouble if process is not None and process.ended else "",
+            await asyncio.to_thread(self.files.disk_trouble, self.settings.least_free_disk),
+            self.worker.trouble,
+            self.runner.untold,
+            *self.jobs.troubles,
+            *self.checking.troubles,
+            *self.diagnosing.troubles,
+        ]
+        return tuple(line for line in found if line)
 
     async def add_campaign(self, plan_id: int) -> CampaignDocument:
         """A campaign of a stored plan, in state `planned`. Nothing moves until `runner.start`."""
+        self._check_database()
         plan = await asyncio.to_thread(self.store.plan, plan_id)
         return await asyncio.to_thread(self.store.add_campaign, plan_id, planned_sweeps(plan))
 
     async def import_bundle(self, folder: Path) -> CampaignDocument:
         """A campaign of the sweeps of a bundle, which are then identified. BadInput: nothing is stored."""
+        self._check_database()
         bundle = await asyncio.to_thread(read_bundle, folder)
         campaign = await asyncio.to_thread(import_campaign, self.store, self.files, bundle)
         for sweep in await asyncio.to_thread(self.store.sweeps, campaign.id):
@@ -81,6 +106,10 @@ class Lab:
         """Write the completely recorded sweeps of a campaign as a bundle. Conflict if there are none."""
         bundle = await asyncio.to_thread(campaign_bundle, self.store, self.files, campaign_id)
         await asyncio.to_thread(write_bundle, folder, bundle.robot, bundle.sweeps)
+
+    def _check_database(self) -> None:
+        if self.lost:
+            raise Conflict(self.lost)
 
     def accept_model(self, diagnosis_id: int, axes: Sequence[str] | None, accepted_by: str) -> ModelDocument:
         """A diagnosis becomes the next revision of its robot's model (see `acceptance`); blocks."""
@@ -100,6 +129,9 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
         database = stack.enter_context(open_database(settings.url))
         store, files, keys = Store(database), RecordingFiles(settings.data_dir), IdempotencyKeys(database)
 
+        lost = await asyncio.to_thread(claim_folder, settings.data_dir, database)
+        if lost:
+            _log.error("database_lost", reason=lost)
         lease = MachineLease(database, settings.lease_time)
         await asyncio.to_thread(lease.acquire)
         stack.callback(lease.release)
@@ -112,8 +144,9 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
         if stop_process is not None:
             await stack.enter_async_context(listening(stop_process, machine))
 
-        await asyncio.to_thread(files.clear_transfer)
-        await asyncio.to_thread(recover, store, files)
+        if not lost:
+            await asyncio.to_thread(files.clear_transfer)
+            await asyncio.to_thread(recover, store, files)
         keys.release_unanswered()
         for path in sorted(settings.robots_dir.glob("*.yaml")):
             store.add_robot(read_robot(path))
@@ -155,7 +188,7 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
             _log.warning("machine_not_connected", reason=str(error))
         yield Lab(
             *(settings, store, files, keys, machine, runner, jobs, worker, hub, feed),
-            *(diagnoses, models, diagnosing, experiments, checks, stop_process),
+            *(diagnoses, models, diagnosing, experiments, checks, checking, stop_process, lost),
         )
 
 

@@ -1,13 +1,17 @@
 """A sweep: what was commanded and what was recorded (BUNDLE format `sweepid-bundle/1`, section "sweeps")."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 Array = NDArray[np.float64]
+
+_PRINTABLE = r"^[^\x00-\x1f\x7f-\x9f]*$"
+Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=_PRINTABLE)]
+Label = Annotated[str, StringConstraints(max_length=200, pattern=_PRINTABLE)]
 
 REQUIRED_COLUMNS = ("time", "effort", "velocity", "position")
 STEPPED = "stepped_sine"  # how the block of an initial analysis by sines is called
@@ -28,8 +32,8 @@ class SweepSpec(BaseModel):
     """One sweep as planned and as written to a bundle; all times in s, all quantities SI on the joint side."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    id: str = Field(min_length=1)
-    axis: str
+    id: Name
+    axis: Name
     pose: tuple[float, ...]
     offset_velocity: float
     excitation: Literal["multisine", "noise", "trajectory", "standstill"] = "multisine"
@@ -40,7 +44,7 @@ class SweepSpec(BaseModel):
     sample_rate: float = Field(gt=0)
     started_at: float = 0.0
     repeat: int = Field(default=0, ge=0)
-    block: str = ""
+    block: Label = ""
 
     @property
     def periodic(self) -> bool:

@@ -11,28 +11,32 @@ Atkeson, An and Hollerbach (1986): [m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz]
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from service.errors import BadInput
-from service.urdf import Chain, read_chain
+from service.recording import Name
+from service.urdf import LARGEST, Chain, read_chain
 
 Array = NDArray[np.float64]
 
 INERTIAL_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+_LEAST_RATIO, _LARGEST_RATIO = 1e-6, 1e9
+Gravity = Annotated[float, Field(ge=-1e3, le=1e3)]
 
 
 class Axis(BaseModel):
     """What the drive train of one joint is made of; SI on the joint side unless said otherwise."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    joint: str
+    joint: Name
     gear_ratio: float  # motor revolutions per joint revolution; prismatic: rad per m; signed
-    motor_inertia: float | None = Field(default=None, ge=0)  # kg m^2 on the motor side
-    rated_effort: float = Field(gt=0)  # N m (N)
-    viscous_friction: float | None = Field(default=None, ge=0)  # N m s/rad (N s/m)
+    motor_inertia: float | None = Field(default=None, ge=0, le=LARGEST)  # kg m^2 on the motor side
+    rated_effort: float = Field(ge=1e-9, le=LARGEST)  # N m (N)
+    viscous_friction: float | None = Field(default=None, ge=0, le=LARGEST)  # N m s/rad (N s/m)
     cogging_orders: tuple[float, ...] = ()  # periods per motor revolution
     transmission_orders: tuple[float, ...] = ()
 
@@ -41,13 +45,15 @@ class Axis(BaseModel):
     def _turns_the_motor(cls, ratio: float) -> float:
         if ratio == 0:
             raise ValueError("must not be 0: the motor would stand still")
+        if not _LEAST_RATIO <= abs(ratio) <= _LARGEST_RATIO:
+            raise ValueError(f"must be between {_LEAST_RATIO:g} and {_LARGEST_RATIO:g}, either sign")
         return ratio
 
     @field_validator("cogging_orders", "transmission_orders")
     @classmethod
     def _positive(cls, orders: tuple[float, ...]) -> tuple[float, ...]:
-        if any(order <= 0 for order in orders):
-            raise ValueError("orders must be greater than 0")
+        if any(not 0 < order <= _LARGEST_RATIO for order in orders):
+            raise ValueError(f"orders must be greater than 0 and at most {_LARGEST_RATIO:g}")
         return orders
 
     @property
@@ -60,20 +66,20 @@ class Prior(BaseModel):
     """How far the nominal model may be off: one sigma, relative."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    inertia: float = Field(default=0.3, gt=0)
-    gravity: float = Field(default=0.3, gt=0)
-    viscous_friction: float = Field(default=0.5, gt=0)
-    motor_inertia: float = Field(default=0.1, gt=0)
-    effort_gain: float = Field(default=0.05, ge=0)
+    inertia: float = Field(default=0.3, ge=1e-6, le=1e6)
+    gravity: float = Field(default=0.3, ge=1e-6, le=1e6)
+    viscous_friction: float = Field(default=0.5, ge=1e-6, le=1e6)
+    motor_inertia: float = Field(default=0.1, ge=1e-6, le=1e6)
+    effort_gain: float = Field(default=0.05, ge=0, le=1e6)
 
 
 class RobotDescription(BaseModel):
     """The "robot" object of a bundle: names, gravity in the base frame (m/s^2), axes in URDF order, prior."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    name: str = Field(min_length=1)
-    urdf: str
-    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    name: Name
+    urdf: Annotated[str, Field(max_length=1000)]
+    gravity: tuple[Gravity, Gravity, Gravity] = (0.0, 0.0, -9.81)
     axes: tuple[Axis, ...] = Field(min_length=1)
     prior: Prior = Prior()
 

@@ -28,6 +28,7 @@ class Settings(BaseSettings):
     port: int = Field(default=8642, ge=0, le=65535)  # 0: any free port
     stop_port: int | None = Field(default=None, ge=0, le=65535)  # of the stop process; None: one above `port`
     dask_scheduler: str | None = None  # e.g. tcp://host:8786; None: one worker process of our own
+    least_free_disk: int = Field(default=256 * 2**20, ge=0)  # bytes; with less, the service is not ready
     lease_time: float = Field(default=6.0, ge=0.5, le=60.0)  # s without a sign of life until the machine is free again
     pose_tolerance: float = Field(default=2e-3, gt=0)  # rad (m), actual against planned pose at the start of a sweep
     virtual_machine: bool = False  # True only where nothing real can move: a diagnosis may then measure unattended

@@ -5,8 +5,10 @@ rpy are fixed-axis angles, R = Rz(yaw) Ry(pitch) Rx(roll).
 """
 
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
+from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,10 @@ from service.errors import BadInput
 Array = NDArray[np.float64]
 
 MOST_LINKS = 200  # a serial robot has some ten; the chain is walked recursively
+MOST_ELEMENTS = 20_000
+DEEPEST = 50  # elements inside of each other; URDF has some six
+LONGEST_NAME = 200
+LARGEST = 1e15  # of a number, SI; its square is a number still
 
 
 @dataclass(frozen=True)
@@ -44,10 +50,8 @@ class Chain:
 
 def read_chain(text: str, place: str = "urdf") -> Chain:
     """The serial chain of a URDF; BadInput where it branches, has loops or lacks a number."""
-    try:
-        root = ET.fromstring(text)
-    except ET.ParseError as error:
-        raise BadInput(place, f"not XML: {error}") from None
+    _look_over(text, place)
+    root = ET.fromstring(text)
     links = {element.get("name", ""): element for element in root.findall("link")}
     if len(links) > MOST_LINKS:
         raise BadInput(place, f"has {len(links)} links, limit {MOST_LINKS}")
@@ -94,6 +98,38 @@ def read_chain(text: str, place: str = "urdf") -> Chain:
     if not chain:
         raise BadInput(place, "has no moving joint")
     return Chain(tuple(chain), np.array(inertial))
+
+
+def _look_over(text: str, place: str) -> None:
+    """BadInput for what is no XML, or larger than any robot, before anything is made of it."""
+    depth, count = 0, 0
+
+    def begin(kind: str, attributes: Mapping[str, str]) -> None:
+        nonlocal depth, count
+        depth, count = depth + 1, count + 1
+        if depth > DEEPEST or count > MOST_ELEMENTS:
+            raise BadInput(
+                place, f"has more than {MOST_ELEMENTS} elements, or more than {DEEPEST} inside of each other"
+            )
+        name = attributes.get("name", "")
+        if kind in ("link", "joint") and (len(name) > LONGEST_NAME or not name.isprintable()):
+            raise BadInput(place, f"name {name[:20]!r} of a {kind} is longer than {LONGEST_NAME} or not printable")
+
+    def end(_: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def doctype(*_: object) -> None:
+        raise BadInput(place, "declares a DOCTYPE; entities are not expanded")
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = doctype
+    parser.StartElementHandler = begin
+    parser.EndElementHandler = end
+    try:
+        parser.Parse(text, True)
+    except (expat.ExpatError, ValueError) as error:
+        raise BadInput(place, f"not XML: {error}") from None
 
 
 def transform_inertial(parameters: Array, rotation: Array, translation: Array) -> Array:
@@ -220,8 +256,8 @@ def _number(element: ET.Element, name: str, here: str) -> float:
         value = float(text or "")
     except ValueError:
         raise BadInput(here, f"{element.tag} {name}={text!r} is not a number") from None
-    if not np.isfinite(value):
-        raise BadInput(here, f"{element.tag} {name}={text!r} is not finite")
+    if not abs(value) <= LARGEST:
+        raise BadInput(here, f"{element.tag} {name}={text!r} is not finite or beyond {LARGEST:g}")
     return value
 
 
@@ -231,6 +267,6 @@ def _vector(element: ET.Element, name: str, here: str) -> Array:
         values = np.array([float(part) for part in text.split()])
     except ValueError:
         raise BadInput(here, f"{element.tag} {name}={text!r} is not three numbers") from None
-    if values.shape != (3,) or not np.isfinite(values).all():
-        raise BadInput(here, f"{element.tag} {name}={text!r} is not three finite numbers")
+    if values.shape != (3,) or not (np.abs(values) <= LARGEST).all():
+        raise BadInput(here, f"{element.tag} {name}={text!r} is not three finite numbers up to {LARGEST:g}")
     return values

@@ -13,7 +13,7 @@ class Live(BaseModel):
 
 
 class Ready(BaseModel):
-    """`causes` says why nothing can be measured now, one line each."""
+    """`causes` says why nothing can be measured now, or is not identified, one line each."""
 
     ready: bool
     causes: tuple[str, ...]
@@ -26,14 +26,6 @@ async def get_live() -> Live:
 
 @router.get("/ready", responses={503: {"model": Ready, "description": "nothing can be measured now"}})
 async def get_ready(response: Response, lab: LabOf) -> Ready:
-    causes: list[str] = []
-    if not lab.machine.connected:
-        causes.append(f"machine not connected: {lab.machine.trouble or 'not tried yet'}")
-    held = lab.machine.latched
-    if held is not None:
-        causes.append(f"stopped by {held.by}: {held.why}")
-    process = lab.stop_process
-    if process is not None and process.ended:
-        causes.append(process.trouble)
+    causes = await lab.troubles()
     response.status_code = 503 if causes else 200
-    return Ready(ready=not causes, causes=tuple(causes))
+    return Ready(ready=not causes, causes=causes)

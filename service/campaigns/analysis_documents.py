@@ -26,7 +26,7 @@ class AnalysisRequest(BaseModel):
     # None: noise where the machine can inject torque; a stepped sine takes no torque injection
     excitation: Literal["noise", "stepped_sine"] | None = None
     sample_rate: float = Field(default=250.0, ge=4 * HIGHEST, le=20_000)  # Hz
-    move_velocity: float = Field(default=0.1, gt=0)  # rad/s (m/s)
+    move_velocity: float = Field(default=0.1, ge=1e-5, le=100.0)  # rad/s (m/s)
 
     def as_sweeps(self) -> PlanRequest:
         """The plan of sweeps with the same axes and grid."""

@@ -9,11 +9,13 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import Any, cast
 
 import structlog
 
 from service.campaigns.evidence import campaigns_of, recorded_sweeps, swept_axes
+from service.campaigns.open_jobs import OpenJobs
 from service.campaigns.starting import Start, latest_estimate
 from service.diagnosis import compose
 from service.diagnosis.parameters import Parameter
@@ -24,11 +26,9 @@ from service.store.diagnosis_documents import DiagnosisDocument, DiagnosisEntry,
 from service.store.model_revisions import ModelStore
 from service.store.recordings import RecordingFiles
 from service.store.store import Store
-from service.worker import DiagnosisJob, JobFailed, Worker, WorkerLost
+from service.worker import DiagnosisJob, JobFailed, Worker
 
 _log = structlog.get_logger(__name__)
-
-_RETRY = 2.0  # s between attempts to reach the workers
 
 
 class Diagnosing:
@@ -39,7 +39,11 @@ class Diagnosing:
     ) -> None:
         self._store, self._diagnoses, self._models = store, diagnoses, models
         self._files, self._worker = files, worker
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._open = OpenJobs()
+
+    @property
+    def troubles(self) -> tuple[str, ...]:
+        return self._open.troubles
 
     async def request(
         self,
@@ -68,16 +72,11 @@ class Diagnosing:
 
     def submit(self, diagnosis: DiagnosisEntry) -> None:
         """Do a diagnosis; returns at once."""
-        task = asyncio.create_task(self._do(diagnosis), name=f"diagnosis {diagnosis.id}")
-        self._tasks.add(task)
-        task.add_done_callback(self._done)
+        self._open.begin(f"diagnosis {diagnosis.id}", partial(self._do, diagnosis))
 
     async def close(self) -> None:
         """Leave open diagnoses to the next process."""
-        tasks = list(self._tasks)
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await self._open.close()
 
     def _checked(
         self, campaigns: Sequence[int], axes: Sequence[str] | None, model: int | None, unattended: bool
@@ -138,15 +137,10 @@ class Diagnosing:
         await asyncio.to_thread(self._diagnoses.fail, diagnosis.id, cause, document)
 
     async def _axis(self, diagnosis_id: int, job: DiagnosisJob) -> None:
-        while True:
-            try:
-                document = await self._worker.run(job)
-                break
-            except WorkerLost as error:
-                _log.warning("worker_lost", reason=str(error))
-                await asyncio.sleep(_RETRY)
-            except JobFailed as error:
-                raise JobFailed(f"{job.joint}: {error}") from None
+        try:
+            document = await self._worker.run_patiently(job)
+        except JobFailed as error:
+            raise JobFailed(f"{job.joint}: {error}") from None
         verdict = str(document["verdict"])
         await asyncio.to_thread(self._diagnoses.add_result, diagnosis_id, job.joint, verdict, document)
 
@@ -210,9 +204,3 @@ class Diagnosing:
         robot = self._store.robot(diagnosis.robot_id).build()
         done = {joint: results[joint] for joint in diagnosis.axes if joint in results}
         return compose(robot, done) if done else None
-
-    def _done(self, task: asyncio.Task[None]) -> None:
-        self._tasks.discard(task)
-        if not task.cancelled() and (error := task.exception()) is not None:
-            # the diagnosis stays open: the next start submits it again
-            _log.error("diagnosis_broke_off", task=task.get_name(), error=repr(error))

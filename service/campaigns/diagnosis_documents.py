@@ -36,7 +36,7 @@ class DiagnosisRequest(BaseModel):
     repeats: int = Field(default=2, ge=1, le=10)  # of each block, back to back
     modes: Literal["drive_side", "host_streamed"] = "drive_side"
     sample_rate: float = Field(default=250.0, ge=10 * max(WIDE_LINES), le=20_000)  # Hz
-    move_velocity: float = Field(default=0.1, gt=0)  # rad/s (m/s)
+    move_velocity: float = Field(default=0.1, ge=1e-5, le=100.0)  # rad/s (m/s)
 
     @property
     def mode(self) -> SweepMode:
@@ -68,7 +68,7 @@ class ExperimentRequest(BaseModel):
     robot_id: int = Field(ge=1, le=LARGEST_ID)
     cell: str = Field(default="workshop", pattern=CELL_NAME)
     modes: Literal["drive_side", "host_streamed"] = "drive_side"
-    move_velocity: float = Field(default=0.1, gt=0)  # rad/s (m/s)
+    move_velocity: float = Field(default=0.1, ge=1e-5, le=100.0)  # rad/s (m/s)
     test_mass: BoltedMass | None = None
 
     @property

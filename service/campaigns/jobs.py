@@ -7,24 +7,24 @@ before it. A sweep is identified with what the robot's newest accepted model say
 
 import asyncio
 from collections import defaultdict
+from functools import partial
 
 import structlog
 from pydantic import JsonValue
 
 from service.campaigns.analysis import analysis_behind
 from service.campaigns.beside import campaign_beside
+from service.campaigns.open_jobs import OpenJobs
 from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.errors import BadInput
 from service.store.diagnosis_documents import ModelDocument
-from service.store.documents import CampaignState, SweepDocument, SweepState
+from service.store.documents import CampaignState, RecordingDocument, SweepDocument, SweepState
 from service.store.model_revisions import ModelStore
 from service.store.recordings import RecordingFiles
 from service.store.store import Store
-from service.worker import Job, JobFailed, Worker, WorkerLost
+from service.worker import Job, JobFailed, Worker
 
 _log = structlog.get_logger(__name__)
-
-_RETRY = 2.0  # s between attempts to reach the workers
 
 
 class Jobs:
@@ -33,12 +33,16 @@ class Jobs:
     def __init__(self, store: Store, files: RecordingFiles, worker: Worker, models: ModelStore) -> None:
         self._store, self._files, self._worker, self._models = store, files, worker, models
         self._turn: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)  # by campaign, first come first served
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._open = OpenJobs()
 
     @property
     def open(self) -> int:
         """How many sweeps wait to be identified."""
-        return len(self._tasks)
+        return len(self._open)
+
+    @property
+    def troubles(self) -> tuple[str, ...]:
+        return self._open.troubles
 
     async def recover(self) -> None:
         """Submit what the last process left open."""
@@ -49,9 +53,8 @@ class Jobs:
 
     def submit(self, sweep: SweepDocument) -> None:
         """Identify a recorded sweep; returns at once."""
-        task = asyncio.create_task(self._do(sweep), name=f"identify {sweep.campaign_id}/{sweep.number}")
-        self._tasks.add(task)
-        task.add_done_callback(self._done)
+        name = f"identification of campaign {sweep.campaign_id} sweep {sweep.number} attempt {sweep.attempt}"
+        self._open.begin(name, partial(self._do, sweep), self._turn[sweep.campaign_id])
 
     async def settle(self, campaign_id: int) -> None:
         """measured -> completed, if no sweep is left to identify."""
@@ -62,45 +65,36 @@ class Jobs:
 
     async def close(self) -> None:
         """Leave open jobs to the next process."""
-        tasks = list(self._tasks)
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await self._open.close()
 
     async def _do(self, sweep: SweepDocument) -> None:
-        async with self._turn[sweep.campaign_id]:
-            try:
-                await self._identify(sweep)
-            except (JobFailed, BadInput) as error:
-                cause = f"identification: {error}"
-                _log.error("identification_failed", campaign=sweep.campaign_id, sweep=sweep.number, cause=cause)
-                await asyncio.to_thread(
-                    self._store.move_sweep, sweep.campaign_id, sweep.number, sweep_move(SweepEvent.FAIL), cause
-                )
-            await self.settle(sweep.campaign_id)
+        try:
+            await self._identify(sweep)
+        except (JobFailed, BadInput) as error:
+            cause = f"identification: {error}"
+            _log.error("identification_failed", campaign=sweep.campaign_id, sweep=sweep.number, cause=cause)
+            await asyncio.to_thread(
+                self._store.move_sweep, sweep.campaign_id, sweep.number, sweep_move(SweepEvent.FAIL), cause
+            )
+        await self.settle(sweep.campaign_id)
 
     async def _identify(self, sweep: SweepDocument) -> None:
-        job = await asyncio.to_thread(self._job, sweep)
-        while True:
-            try:
-                result = await self._worker.run(job)
-                break
-            except WorkerLost as error:
-                _log.warning("worker_lost", reason=str(error))
-                await asyncio.sleep(_RETRY)
+        recording = await asyncio.to_thread(self._store.recording, sweep.campaign_id, sweep.number)
+        job = await asyncio.to_thread(self._job, sweep, recording)
+        result = await self._worker.run_patiently(job)
+        spectrum = await asyncio.to_thread(self._files.save_spectrum, recording.path, result.spectrum)
         estimate = await asyncio.to_thread(
-            self._store.add_estimate, sweep, sweep_move(SweepEvent.IDENTIFY), result.spectrum, result.estimate
+            self._store.add_estimate, sweep, sweep_move(SweepEvent.IDENTIFY), spectrum, result.estimate
         )
         if estimate is not None:
             _log.info("estimate", campaign=sweep.campaign_id, sweep=sweep.number, revision=estimate.revision)
 
-    def _job(self, sweep: SweepDocument) -> Job:
-        recording = self._store.recording(sweep.campaign_id, sweep.number)
+    def _job(self, sweep: SweepDocument, recording: RecordingDocument) -> Job:
         self._files.check(recording)
         campaign = self._store.campaign(sweep.campaign_id)
         robot = self._store.robot(campaign.robot_id)
         beside = campaign_beside(self._store, campaign)
-        others = {} if beside is None else self._store.spectra(beside.id)
+        others = () if beside is None else self._store.spectra(beside.id)
         model = self._models.newest(campaign.robot_id)
         return Job(
             key=f"identify-{recording.sha256}-{sweep.campaign_id}-{sweep.number}-{model.id if model else 0}",
@@ -108,16 +102,10 @@ class Jobs:
             urdf_text=robot.urdf_text,
             spec=sweep.spec,
             path=self._files.path(recording).absolute(),
-            earlier=(*others.values(), *self._store.spectra(sweep.campaign_id).values()),
+            earlier=tuple(map(self._files.spectrum, (*others, *self._store.spectra(sweep.campaign_id)))),
             analyses=analysis_behind(self._store, beside or campaign),
             model=None if model is None else _known(model),
         )
-
-    def _done(self, task: asyncio.Task[None]) -> None:
-        self._tasks.discard(task)
-        if not task.cancelled() and (error := task.exception()) is not None:
-            # the sweep stays `recorded`: the next start submits it again
-            _log.error("job_broke_off", task=task.get_name(), error=repr(error))
 
 
 def _known(model: ModelDocument) -> dict[str, JsonValue]:

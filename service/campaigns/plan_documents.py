@@ -34,7 +34,7 @@ class PlanRequest(BaseModel):
     poses: int | None = Field(default=None, ge=1, le=LARGEST_CHOICE)
     duration: float | None = Field(default=None, gt=0)  # s, moves included: as many poses as fit
     # percent, largest std of J over the workspace: as many poses as take it; the campaign ends when it is reached
-    confidence: float | None = Field(default=None, gt=0)
+    confidence: float | None = Field(default=None, ge=1e-6)
     # sweeps of an axis in a pose that differ in their phases: from two on, noise and nonlinear distortion come apart
     realisations: int = Field(default=1, ge=1, le=20)
     modes: Literal["drive_side", "host_streamed", "one_host_streamed"] = "drive_side"  # the last: one sweep an axis
@@ -42,7 +42,9 @@ class PlanRequest(BaseModel):
         default=(), max_length=16
     )  # whole Hz, sines of every sweep; (): as the method has it
     sample_rate: float = Field(default=250.0, gt=0, le=20_000)  # Hz
-    move_velocity: float = Field(default=0.1, gt=0)  # rad/s (m/s), between poses; for the estimate of the duration
+    move_velocity: float = Field(
+        default=0.1, ge=1e-5, le=100.0
+    )  # rad/s (m/s), between poses; for the estimate of the duration
     warm_up: float = Field(default=0.0, ge=0, le=7200)  # s of sweeps in the first pose that serve the temperature alone
     locked_rotor: dict[str, float] = {}  # lowest first locked-rotor frequency by joint, Hz, where it is known
     # campaign of an initial analysis: its locked-rotor and ideal frequencies hold, its drive trains are the prior

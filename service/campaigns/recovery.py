@@ -11,7 +11,7 @@ from pydantic import JsonValue
 
 from service.campaigns.recorder import UnreadableStream, salvage
 from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
-from service.errors import NotFound
+from service.errors import BadInput, NotFound
 from service.store.documents import CampaignState, SweepState
 from service.store.recordings import RecordingFiles, Run
 from service.store.store import Store
@@ -24,11 +24,12 @@ _CAUSE = "the service ended during the sweep"
 def recover(store: Store, files: RecordingFiles) -> None:
     """Bring store and files in order before anything is started. To be called with the machine's lease held."""
     end_runs(store, files, _CAUSE, "the service was restarted")
+    while store.move_spectrum_to_file(files.save_spectrum):
+        pass
     for run, path in files.streams().items():
-        try:
-            store.sweep(run.campaign_id, run.number)
-        except NotFound:
-            _log.warning("unknown_stream", path=str(path))
+        if not _known(store, run):
+            # of a campaign, sweep or attempt that a database brought back from a backup has forgotten
+            _log.error("unknown_stream", path=str(files.put_aside(path, "unknown")))
             continue
         _bring_in(store, files, run, path)
 
@@ -50,7 +51,7 @@ def break_off(
     """End a run that did not come to its end; what came of its samples is kept as a partial recording."""
     try:
         recording = salvage(files, run, {**facts, "cause": cause})
-    except (OSError, UnreadableStream) as error:  # the stream stays; the next start looks at it again
+    except (OSError, UnreadableStream, BadInput) as error:  # the stream stays; the next start looks at it again
         cause, recording = f"{cause}; partial recording not written: {error}", None
     store.end_sweep(run.campaign_id, run.number, sweep_move(event), cause, None, recording)
     if recording is not None:
@@ -62,9 +63,12 @@ def _bring_in(store: Store, files: RecordingFiles, run: Run, path: Path) -> None
     if not _has_recording(store, run):
         try:
             recording = salvage(files, run, {**_facts(run), "cause": _CAUSE})
-        except UnreadableStream as error:
-            aside = path.rename(f"{path}.unreadable")
+        except (UnreadableStream, BadInput) as error:
+            aside = files.put_aside(path, "unreadable")
             _log.error("unreadable_stream", path=str(aside), reason=str(error))
+            return
+        except OSError as error:  # a full disk, say: the stream stays, and the next start looks at it again
+            _log.error("stream_left", path=str(path), reason=str(error))
             return
         if recording is not None:
             store.add_recording(run.campaign_id, run.number, run.attempt, recording)
@@ -73,6 +77,13 @@ def _bring_in(store: Store, files: RecordingFiles, run: Run, path: Path) -> None
 
 def _facts(run: Run) -> dict[str, JsonValue]:
     return {"campaign": run.campaign_id, "sweep": run.number}
+
+
+def _known(store: Store, run: Run) -> bool:
+    try:
+        return run.attempt <= store.sweep(run.campaign_id, run.number).attempt
+    except NotFound:
+        return False
 
 
 def _has_recording(store: Store, run: Run) -> bool:

@@ -53,6 +53,11 @@ class Runner:
         return self._running
 
     @property
+    def untold(self) -> str:
+        """What the store has not taken yet of the end of a campaign; empty if nothing."""
+        return f"the end of a campaign is not stored yet: {self._untold}" if self._untold else ""
+
+    @property
     def check_move(self) -> CheckMove | None:
         """The check move under way, or None."""
         return self._station.check_move

@@ -111,7 +111,8 @@ class Station:
         """Begin them in the store; `begun` has those that were, also where one is refused."""
         for planned in sweeps:
             command = course.commands[planned.number]
-            sweep = self._store.begin_sweep(planned.campaign_id, planned.number, sweep_move(SweepEvent.BEGIN))
+            last = self._files.last_attempt(planned.campaign_id, planned.number)
+            sweep = self._store.begin_sweep(planned.campaign_id, planned.number, sweep_move(SweepEvent.BEGIN), last)
             run = Run(sweep.campaign_id, sweep.number, sweep.attempt)
             facts: dict[str, JsonValue] = {
                 **asdict(run),

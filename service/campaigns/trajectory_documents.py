@@ -24,7 +24,7 @@ class TrajectoryRequest(BaseModel):
     acceleration: float = Field(default=1.0, gt=0)  # rad/s^2 (m/s^2)
     seed: int = Field(default=0, ge=0)  # other seeds, other trajectories
     sample_rate: float = Field(default=100.0, ge=50.0, le=20_000)  # Hz
-    move_velocity: float = Field(default=0.1, gt=0)  # rad/s (m/s), between trajectories
+    move_velocity: float = Field(default=0.1, ge=1e-5, le=100.0)  # rad/s (m/s), between trajectories
     # campaign of the same robot whose sweeps the estimate combines with the trajectories
     sweeps: int | None = Field(default=None, ge=1, le=LARGEST_ID)
 

@@ -18,9 +18,10 @@ from service.configuration import bad_field, read_text
 from service.errors import BadInput
 from service.recording import Sweep, SweepSpec
 from service.robot import Robot, RobotDescription, build_robot
-from service.store.columns import check_samples, read_columns, write_columns
+from service.store.columns import check_samples, columns_of, read_columns, write_columns
 
 FORMAT = "sweepid-bundle/1"
+MOST_NUMBERS = 250_000_000  # all sweeps of a bundle are in memory at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +56,14 @@ def read_bundle(directory: Path) -> Bundle:
     specs = [SweepSpec.model_validate(entry.model_dump(exclude={"file"})) for entry in document.sweeps]
     check_specs(robot, specs, str(place))
     sweeps: list[Sweep] = []
+    numbers = 0
     for entry, spec in zip(document.sweeps, specs, strict=True):
         path = _inside(directory, entry.file, f"{place} sweep {spec.id}")
         here = f"{path} sweep {spec.id}"
         sweep = Sweep(spec, read_columns(path, here))
+        numbers += sum(column.size for column in columns_of(sweep.recording).values())
+        if numbers > MOST_NUMBERS:
+            raise BadInput(str(place), f"its sweeps hold more than {MOST_NUMBERS} numbers together")
         check_clock(sweep, here)
         sweeps.append(sweep)
     return Bundle(robot, tuple(sweeps))

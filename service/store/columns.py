@@ -22,6 +22,10 @@ Array = NDArray[np.float64]
 _arrow, _csv, _parquet = cast(Any, pa), cast(Any, pa_csv), cast(Any, pa_parquet)
 
 
+MOST_NUMBERS = 50_000_000  # of one file: an hour of all columns at 1 kHz and more
+LARGEST_CSV = 2**29  # bytes
+
+
 @dataclass(frozen=True, slots=True)
 class CsvForm:
     """How a CSV file is written: BUNDLE.md knows the plain form only, trace exports come in others."""
@@ -50,7 +54,7 @@ def read_columns(path: Path, place: str | None = None) -> Recording:
 def write_columns(path: Path, recording: Recording) -> None:
     """Write a sweep's samples as Parquet or CSV, by the suffix; optional columns that are None are left out."""
     check_samples(recording, str(path))
-    table = _arrow.table(_present(recording))
+    table = _arrow.table(columns_of(recording))
     if path.suffix == ".csv":
         _csv.write_csv(table, str(path), _csv.WriteOptions(quoting_style="none"))
     elif path.suffix == ".parquet":
@@ -64,7 +68,7 @@ def check_samples(recording: Recording, place: str) -> None:
     count = recording.time.size
     if count < 2:
         raise BadInput(place, f"has {count} samples; a sweep has two at least")
-    for name, column in _present(recording).items():
+    for name, column in columns_of(recording).items():
         if column.shape != (count,):
             raise BadInput(place, f"column {name!r} has shape {column.shape}, time has ({count},)")
         bad = np.flatnonzero(~np.isfinite(column))
@@ -91,7 +95,8 @@ def read_table(
     if path.suffix not in (".csv", ".parquet"):
         raise BadInput(place, "samples are .parquet or .csv")
     try:
-        table = _read_csv(path, form) if path.suffix == ".csv" else _read_parquet(path)
+        wanted = {*required, *optional}
+        table = _read_csv(path, form, place) if path.suffix == ".csv" else _read_parquet(path, wanted, place)
         there = cast(list[str], table.column_names)
         for name in required:
             if name not in there:
@@ -103,17 +108,43 @@ def read_table(
         raise BadInput(place, f"cannot be read: {' '.join(str(error).split())}") from None
 
 
-def _present(recording: Recording) -> dict[str, Array]:
+def columns_of(recording: Recording) -> dict[str, Array]:
+    """The columns that a recording has, by name."""
     columns = {name: cast(Array | None, getattr(recording, name)) for name in (*REQUIRED_COLUMNS, *OPTIONAL_COLUMNS)}
     return {name: column for name, column in columns.items() if column is not None}
 
 
-def _read_parquet(path: Path) -> Any:
+def _read_parquet(path: Path, wanted: Collection[str], place: str) -> Any:
+    """The wanted columns. What the file says of itself is looked at before: a small file can hold very long columns."""
     with _parquet.ParquetFile(str(path)) as file:
-        return file.read()
+        schema, metadata = file.schema_arrow, file.metadata
+        names = cast(list[str], schema.names)
+        rows = max(int(metadata.num_rows), sum(metadata.row_group(k).num_rows for k in range(metadata.num_row_groups)))
+        _check_numbers(rows, sum(name in wanted for name in names), place)
+        for name in names:
+            if name in wanted:
+                if names.count(name) > 1:
+                    raise BadInput(place, f"column {name!r} stands twice")
+                _check_type(schema.field(name).type, name, place)
+        present = [name for name in names if name in wanted]
+        return file.read(columns=present) if present else schema.empty_table()
 
 
-def _read_csv(path: Path, form: CsvForm) -> Any:
+def _check_numbers(rows: int, columns: int, place: str) -> None:
+    if rows * columns > MOST_NUMBERS:
+        raise BadInput(place, f"holds {rows} rows of {columns} columns, limit {MOST_NUMBERS} numbers")
+
+
+def _check_type(kind: Any, name: str, place: str) -> None:
+    kinds = _arrow.types
+    if not (kinds.is_integer(kind) or kinds.is_floating(kind) or kinds.is_null(kind)):
+        raise BadInput(place, f"column {name!r} holds {kind}, not numbers")
+
+
+def _read_csv(path: Path, form: CsvForm, place: str) -> Any:
+    size = path.stat().st_size
+    if size > LARGEST_CSV:
+        raise BadInput(place, f"is {size} bytes large, limit {LARGEST_CSV} bytes")
     return _csv.read_csv(
         str(path),
         read_options=_csv.ReadOptions(skip_rows=form.skip_rows),
@@ -125,7 +156,6 @@ def _read_csv(path: Path, form: CsvForm) -> Any:
 def _numbers(table: Any, name: str, place: str) -> Array:
     if table.column_names.count(name) > 1:
         raise BadInput(place, f"column {name!r} stands twice")
-    column, kinds = table.column(name), _arrow.types
-    if not (kinds.is_integer(column.type) or kinds.is_floating(column.type) or kinds.is_null(column.type)):
-        raise BadInput(place, f"column {name!r} holds {column.type}, not numbers")
+    column = table.column(name)
+    _check_type(column.type, name, place)
     return np.array(column.cast(_arrow.float64(), safe=False).to_numpy(), dtype=np.float64)

@@ -21,6 +21,7 @@ class Database:
         self._reading = engine
         self._writing = engine.execution_options(write=True)
         self._listeners: list[Callable[[], None]] = []
+        self.address = engine.url.render_as_string(hide_password=True)
 
     @contextmanager
     def read(self) -> Generator[Session]:

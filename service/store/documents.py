@@ -177,3 +177,10 @@ class NewRecording(_Document):
     path: str
     sha256: str
     samples: int
+
+
+class SpectrumRecord(_Document):
+    """The file of an identified sweep's spectrum; `path` is relative to the data directory."""
+
+    path: str
+    sha256: str

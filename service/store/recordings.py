@@ -6,11 +6,13 @@ manifest (same name, ``.json``) tells what it is without the database. The strea
 """
 
 import hashlib
+import itertools
 import json
 import os
 import re
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +21,9 @@ from pydantic import JsonValue
 from service.errors import BadInput
 from service.recording import Recording
 from service.store.columns import read_columns, write_columns
-from service.store.documents import NewRecording, RecordingDocument, RecordingState
+from service.store.documents import NewRecording, RecordingDocument, RecordingState, SpectrumRecord
+from service.store.placing import place, place_new
+from service.store.spectra import Document, SpectrumFile, encode_spectrum
 
 _STREAM = re.compile(r"campaign-(\d+)/(\d+)-(\d+)\.arrows")
 
@@ -39,11 +43,36 @@ class RecordingFiles:
     def __init__(self, data_dir: Path) -> None:
         self._root = data_dir
 
+    def disk_trouble(self, least: int) -> str:
+        """Why no recording could be written now: less than `least` bytes free, or read-only; empty if it could."""
+        try:
+            free = shutil.disk_usage(self._root).free
+        except OSError as error:
+            return f"data folder: {error}"
+        if not os.access(self._root, os.W_OK):
+            return f"data folder {self._root} cannot be written"
+        return f"{free} bytes free in {self._root}, limit {least} bytes" if free < least else ""
+
     def stream(self, run: Run) -> Path:
         """Where the samples of a run go as they come; the folder is made."""
         folder = self._root / "recordings" / f"campaign-{run.campaign_id:06d}"
         folder.mkdir(parents=True, exist_ok=True)
         return folder / f"{run.number:04d}-{run.attempt}.arrows"
+
+    def last_attempt(self, campaign_id: int, number: int) -> int:
+        """The highest attempt at a sweep of which a file lies there, also one that the database forgot; 0 if none."""
+        name = re.compile(rf"{number:04d}-(\d+)\.")
+        found = map(name.match, os.listdir(self.stream(Run(campaign_id, number, 0)).parent))
+        return max((int(match.group(1)) for match in found if match), default=0)
+
+    def put_aside(self, stream: Path, why: str) -> Path:
+        """Keep a stream that makes no recording under a name that nobody takes for one; the new path."""
+        aside = stream.with_name(f"{stream.name}.{why}")
+        for number in itertools.count(2):
+            if not aside.exists():
+                break
+            aside = stream.with_name(f"{stream.name}.{why}.{number}")
+        return stream.rename(aside)
 
     def streams(self) -> dict[Run, Path]:
         """The streams that lie about: of the sweep that runs, or left by a crash."""
@@ -82,23 +111,37 @@ class RecordingFiles:
     def save(
         self, path: Path, recording: Recording, state: RecordingState, facts: Mapping[str, JsonValue]
     ) -> NewRecording:
-        """Write a recording (Parquet) and its manifest with `facts`. OSError if the disk does not take it."""
+        """Write a recording (Parquet) and its manifest with `facts`. OSError if the disk does not take it.
+
+        What lies there already is never overwritten: the new one then has a number after its name.
+        """
         partial = path.with_name(f".{path.stem}.partial.parquet")
         try:
             write_columns(partial, recording)
-            new = NewRecording(
-                state=state,
-                path=path.relative_to(self._root).as_posix(),
-                sha256=_sha256(partial),
-                samples=len(recording.time),
-            )
-            _place(partial, path)
+            sha256 = _sha256(partial)
+            path = _place_beside(partial, path)
         finally:
             partial.unlink(missing_ok=True)
+        relative = path.relative_to(self._root).as_posix()
+        new = NewRecording(state=state, path=relative, sha256=sha256, samples=len(recording.time))
         manifest = {**facts, **new.model_dump(mode="json"), "path": path.name}
         partial.write_text(json.dumps(manifest, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        _place(partial, path.with_suffix(".json"))
+        place_new(partial, path.with_suffix(".json"))
         return new
+
+    def save_spectrum(self, recording: str, document: Document) -> SpectrumRecord:
+        """Write the spectrum of a recording (its path in documents) beside it; one that is there is left as it is."""
+        content, sha256 = encode_spectrum(document)
+        path = (self._root / recording).with_suffix(f".spectrum-{sha256[:16]}.json")
+        if not path.exists() or _sha256(path) != sha256:
+            partial = path.with_name(f".{path.name}.partial")
+            partial.write_bytes(content)
+            place(partial, path)
+        return SpectrumRecord(path=path.relative_to(self._root).as_posix(), sha256=sha256)
+
+    def spectrum(self, record: SpectrumRecord) -> SpectrumFile:
+        """Where it is to be read."""
+        return SpectrumFile(self._root.absolute() / record.path, record.sha256)
 
     def load(self, document: RecordingDocument) -> Recording:
         """The samples of a recording; BadInput if the file is not what was written."""
@@ -114,16 +157,15 @@ class RecordingFiles:
             raise BadInput(str(path), f"recording file was changed, SHA-256 is not {document.sha256}")
 
 
-def _place(partial: Path, path: Path) -> None:
-    """Bring a finished file to its place so that a power cut leaves the whole file or none."""
-    with partial.open("rb") as file:
-        os.fsync(file.fileno())
-    partial.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+def _place_beside(partial: Path, path: Path) -> Path:
+    """Bring a finished file to `path`, or to the first name like it that is free."""
+    for number in itertools.count(2):
+        if not path.with_suffix(".json").exists():
+            with suppress(FileExistsError):
+                place_new(partial, path)
+                break
+        path = path.with_name(f"{path.name.split('.')[0]}.{number}{path.suffix}")
+    return path
 
 
 def _sha256(path: Path) -> str:

@@ -31,6 +31,7 @@ from service.store.documents import (
     PlanRecord,
     RecordingDocument,
     RobotDocument,
+    SpectrumRecord,
     SweepDocument,
     SweepState,
 )
@@ -144,16 +145,31 @@ class Store:
                 samples=row.samples,
             )
 
-    def spectra(self, campaign_id: int) -> dict[int, dict[str, JsonValue]]:
-        """Spectrum documents of the identified sweeps by number."""
+    def spectra(self, campaign_id: int) -> tuple[SpectrumRecord, ...]:
+        """Of the identified sweeps, by number."""
         query = (
-            select(t.SweepRow.number, t.IdentificationRow.spectrum)
-            .join(t.IdentificationRow, t.IdentificationRow.sweep_id == t.SweepRow.id)
+            select(t.SpectrumRow.path, t.SpectrumRow.sha256)
+            .join(t.SweepRow, t.SpectrumRow.sweep_id == t.SweepRow.id)
             .where(t.SweepRow.campaign_id == campaign_id)
             .order_by(t.SweepRow.number)
         )
         with self._database.read() as session:
-            return dict(session.execute(query).all())
+            return tuple(SpectrumRecord(path=path, sha256=sha256) for path, sha256 in session.execute(query))
+
+    def move_spectrum_to_file(self, save: Callable[[str, dict[str, JsonValue]], SpectrumRecord]) -> bool:
+        """One that lies in the database from before there were files; False if there is none.
+
+        `save` is given the path of the sweep's recording and the spectrum.
+        """
+        with self._database.write(quiet=True) as session:
+            old = session.scalar(select(t.IdentificationRow).limit(1))
+            if old is None:
+                return False
+            query = select(t.RecordingRow.path).where(t.RecordingRow.sweep_id == old.sweep_id)
+            path = session.scalars(query.order_by(t.RecordingRow.attempt.desc()).limit(1)).one()
+            session.add(t.SpectrumRow(sweep_id=old.sweep_id, **save(path, old.spectrum).model_dump()))
+            session.delete(old)
+            return True
 
     def estimate(self, campaign_id: int, revision: int | None = None) -> EstimateDocument:
         """A revision, or the latest."""
@@ -235,11 +251,11 @@ class Store:
             rows.emit_campaign(session, row)
             return rows.campaign_document(session, row)
 
-    def begin_sweep(self, campaign_id: int, number: int, move: SweepMove) -> SweepDocument:
-        """As `move_sweep`, and count the attempt. Committed before anything moves."""
+    def begin_sweep(self, campaign_id: int, number: int, move: SweepMove, last_attempt: int = 0) -> SweepDocument:
+        """As `move_sweep`, and count the attempt, on from `last_attempt` on disk. Committed before anything moves."""
         with self._database.write() as session:
             row = rows.get_sweep(session, campaign_id, number)
-            row.attempt += 1
+            row.attempt = max(row.attempt, last_attempt) + 1
             return rows.move_sweep(session, row, move, "")
 
     def move_sweep(self, campaign_id: int, number: int, move: SweepMove, cause: str = "") -> SweepDocument:
@@ -274,7 +290,7 @@ class Store:
         self,
         sweep: SweepDocument,
         move: SweepMove,
-        spectrum: dict[str, JsonValue],
+        spectrum: SpectrumRecord,
         document: dict[str, JsonValue],
     ) -> EstimateDocument | None:
         """The result of a job: spectrum, next estimate revision, state of the sweep and event, all or nothing.
@@ -291,7 +307,7 @@ class Store:
             estimate = t.EstimateRow(
                 campaign_id=row.campaign_id, revision=(last or 0) + 1, sweep_id=row.id, document=document
             )
-            session.add_all([t.IdentificationRow(sweep_id=row.id, spectrum=spectrum), estimate])
+            session.add_all([t.SpectrumRow(sweep_id=row.id, **spectrum.model_dump()), estimate])
             data: dict[str, JsonValue] = {"revision": estimate.revision, "sweep": row.number}
             session.add(t.EventRow(campaign_id=row.campaign_id, kind=EventKind.ESTIMATE, data=data))
             rows.move_sweep(session, row, move, "")

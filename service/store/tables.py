@@ -114,7 +114,26 @@ class RecordingRow(Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
+class SpectrumRow(Base):
+    """Where the spectrum of an identified sweep lies."""
+
+    __tablename__ = "spectrum_file"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    sweep_id: Mapped[int] = mapped_column(ForeignKey("sweep.id"), unique=True)
+    path: Mapped[str]
+    sha256: Mapped[str] = mapped_column(String(64))
+
+
+class IdentityRow(Base):
+    """One row: the name of this database, which its data folder bears as well."""
+
+    __tablename__ = "identity"
+    id: Mapped[str] = mapped_column(String(32), primary_key=True)
+
+
 class IdentificationRow(Base):
+    """A spectrum from before spectra were files; the next start makes a file of it and removes the row."""
+
     __tablename__ = "identification"
     id: Mapped[int] = mapped_column(primary_key=True)
     sweep_id: Mapped[int] = mapped_column(ForeignKey("sweep.id"), unique=True)

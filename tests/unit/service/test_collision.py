@@ -1,6 +1,8 @@
 """Collision checks against distances worked out by hand on a two-link arm."""
 
+import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -117,3 +119,13 @@ def test_a_path_of_all_axes_at_once_is_sampled_finely(checker: Build) -> None:
     assert not looked.path_free(ends)
     assert checker().path_free(ends)
     assert checker().path_free(ends[:1])
+
+
+def test_a_mesh_is_refused_and_not_opened(arm: Robot, tmp_path: Path) -> None:
+    """Opening the pipe would wait for who writes into it."""
+    pipe = tmp_path / "shape.stl"
+    os.mkfifo(pipe)
+    shape = f'<collision><geometry><mesh filename="{pipe}"/></geometry></collision>'
+    urdf = arm.urdf_text.replace("</link>", f"{shape}</link>", 1)
+    with pytest.raises(BadInput, match=r"shape\.stl.*boxes, cylinders and spheres can"):
+        CollisionChecker(replace(arm, urdf_text=urdf), Cell(name="empty"))

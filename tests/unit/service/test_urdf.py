@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 from service.errors import BadInput
-from service.urdf import MOST_LINKS, inertia_matrix, inertia_vector, read_chain, rotation_rpy, transform_inertial
+from service.urdf import (
+    DEEPEST,
+    MOST_ELEMENTS,
+    MOST_LINKS,
+    inertia_matrix,
+    inertia_vector,
+    read_chain,
+    rotation_rpy,
+    transform_inertial,
+)
 
 BODY = '<inertial><mass value="2"/><inertia ixx="1" iyy="2" izz="3" ixy="0" ixz="0" iyz="0"/></inertial>'
 LIMIT = '<limit lower="-1" upper="2" velocity="3" effort="4"/>'
@@ -103,3 +112,24 @@ def test_a_chain_too_long_to_walk_is_refused() -> None:
     joints = "".join(joint(f"j{number}", "fixed", f"l{number}", f"l{number + 1}") for number in range(count - 1))
     with pytest.raises(BadInput, match=f"has {count} links, limit {MOST_LINKS}"):
         read_chain(f"<robot>{links}{joints}</robot>")
+
+
+ENTITY = '<!DOCTYPE robot [<!ENTITY e SYSTEM "file:///etc/hostname">]><robot>&e;</robot>'
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("<robot>" + "<a>" * 500_000 + "</a>" * 500_000 + "</robot>", f"more than {DEEPEST} inside of each other"),
+        ("<robot>" + "<a/>" * 500_000 + "</robot>", f"more than {MOST_ELEMENTS} elements"),
+        (ENTITY, "declares a DOCTYPE"),
+        ("<robot><link name='" + "a" * 201 + "'/></robot>", "name 'aaaaaaaaaaaaaaaaaaaa' of a link is longer than 200"),
+        ('<robot><link name="a&#10;b"/></robot>', "not printable"),
+        (robot(joint("j", "revolute", "a", "b", LIMIT.replace('"4"', '"1e308"'))), "beyond 1e+15"),
+        (robot(joint("j", "revolute", "a", "b", LIMIT + '<origin xyz="0 0 1e308"/>')), "three finite numbers"),
+    ],
+)
+def test_what_no_robot_has_is_refused_before_anything_is_made_of_it(text: str, reason: str) -> None:
+    with pytest.raises(BadInput) as refusal:
+        read_chain(text, "robot.urdf")
+    assert reason in str(refusal.value)

@@ -1,11 +1,15 @@
-"""Jobs in a real worker process, which is killed in the middle of one."""
+"""Jobs in a real worker process, which is killed before, in the middle of and after one."""
 
 import asyncio
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import AsyncIterator
+from dataclasses import dataclass
 from pathlib import Path
 
+import psutil
 import pytest
 
 from service.campaigns.envelope import Envelope
@@ -32,7 +36,9 @@ async def job(tmp_path: Path, robot: Robot) -> Job:
             for n in (1, 2)
             for path in [bench.files.path(bench.store.recording(1, n))]
         ]
-    return Job("job", robot.description, robot.urdf_text, jobs[1].spec, jobs[1].path, (work(jobs[0]).spectrum,), {})
+    record = bench.files.save_spectrum(bench.store.recording(1, 1).path, work(jobs[0]).spectrum)
+    earlier = (bench.files.spectrum(record),)
+    return Job("job", robot.description, robot.urdf_text, jobs[1].spec, jobs[1].path, earlier, {})
 
 
 @pytest.fixture
@@ -67,6 +73,90 @@ async def test_a_job_that_cannot_be_done_says_why(job: Job, worker: Worker) -> N
     job.path.write_bytes(b"not parquet")
     with pytest.raises(JobFailed, match=r"BadInput: .*cannot be read"):
         await worker.run(job)
+
+
+@pytest.mark.parametrize("time", range(3))
+async def test_a_worker_killed_after_a_job_is_replaced_before_the_next(job: Job, worker: Worker, time: int) -> None:
+    await worker.run(job)
+    (before,) = await worker.processes()
+    os.kill(before, signal.SIGKILL)
+    await until(lambda: bool(worker.trouble))
+    assert "started anew" in worker.trouble
+    await until(lambda: not worker.trouble)
+    assert await worker.processes() != (before,)
+    assert await worker.run(job) == work(job)
+
+
+@pytest.mark.parametrize("time", range(3))
+async def test_a_worker_killed_just_after_a_job_does_the_next_one(job: Job, worker: Worker, time: int) -> None:
+    """At once: nobody has noticed yet."""
+    await worker.run(job)
+    os.kill((await worker.processes())[0], signal.SIGKILL)
+    assert await asyncio.wait_for(worker.run(job), 60) == work(job)
+
+
+@dataclass(frozen=True)
+class Death:
+    """A job that its process does not survive."""
+
+    key: str = "death"
+    priority: int = 0
+
+    def __call__(self) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+async def test_a_job_that_ends_every_process_ends_itself_and_no_other(job: Job, worker: Worker) -> None:
+    with pytest.raises(JobFailed, match="ended under it"):
+        await asyncio.wait_for(worker.run(Death()), 120)
+    assert await worker.run(job) == work(job)
+
+
+async def test_what_is_urgent_comes_first(worker: Worker) -> None:
+    await worker.processes()
+    done: list[str] = []
+    jobs = [Named("first", 0), Named("late", 0), Named("urgent", 1)]
+    running = [asyncio.create_task(worker.run(each)) for each in jobs]
+    for each in running:
+        each.add_done_callback(lambda task: done.append(task.result()))
+    await asyncio.wait(running)
+    assert done.index("urgent") < done.index("late")
+
+
+@dataclass(frozen=True)
+class Named:
+    key: str
+    priority: int
+
+    def __call__(self) -> str:
+        return self.key
+
+
+async def test_a_changed_spectrum_of_an_earlier_sweep_is_told(job: Job, worker: Worker) -> None:
+    (earlier,) = job.earlier
+    earlier.path.write_bytes(earlier.path.read_bytes()[:-1])
+    with pytest.raises(JobFailed, match=r"BadInput: .*spectrum file was changed"):
+        await worker.run(job)
+
+
+def test_a_worker_ends_with_the_service(tmp_path: Path) -> None:
+    """Which was killed, so that nobody is left to end it."""
+    code = """
+import asyncio, os, sys
+from service.worker import open_worker
+async def main():
+    async with open_worker(None) as worker:
+        print((await worker.processes())[0], flush=True)
+        await asyncio.sleep(600)
+if __name__ == "__main__":
+    asyncio.run(main())
+"""
+    script = tmp_path / "owner.py"
+    script.write_text(code, "utf-8")
+    with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True) as owner:
+        process = psutil.Process(int(owner.stdout.readline()) if owner.stdout else 0)
+        owner.kill()
+    assert psutil.wait_procs([process], timeout=60)[1] == []
 
 
 async def test_a_scheduler_that_does_not_answer_is_told(job: Job) -> None:

@@ -34,7 +34,7 @@ def test_a_field_out_of_its_limit_is_named_with_value_and_limit(http: httpx.Clie
     found = problem(http.post("/robots", json=wrong), 422)
     (error,) = found["errors"]  # type: ignore[misc]
     assert error["pointer"] == "#/description/axes/1/rated_effort"
-    assert (error["value"], error["limit"]) == (-3.0, 0.0)
+    assert (error["value"], error["limit"]) == (-3.0, 1e-9)
     assert "rated_effort" in str(found["detail"])
     assert robots(http) == before
 
@@ -158,3 +158,38 @@ def test_the_stop_waits_for_no_body(url: str) -> None:
 def release_all(http: httpx.Client) -> None:
     stops = [stop["id"] for stop in http.get("/stop").json()["stops"]]
     assert http.post("/stop/reset", json={"by": "test", "stops": stops}).json()["latched"] is False
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("gear_ratio", 1e308),
+        ("gear_ratio", -5e-324),
+        ("motor_inertia", 1e308),
+        ("rated_effort", 5e-324),
+        ("cogging_orders", [1e308]),
+        ("joint", "a\u0000b"),
+    ],
+)
+def test_numbers_and_names_of_no_robot_are_refused(http: httpx.Client, robot: Robot, field: str, value: object) -> None:
+    before, wrong = robots(http), body(robot)
+    wrong["description"]["axes"][1][field] = value  # type: ignore[index]
+    assert f"#/description/axes/1/{field}" in str(problem(http.post("/robots", json=wrong), 422)["errors"])
+    assert robots(http) == before
+
+
+@pytest.mark.parametrize("velocity", [5e-324, 1e308])
+def test_a_velocity_that_no_axis_moves_at_is_refused(http: httpx.Client, velocity: float) -> None:
+    plan = {"robot_id": 1, "axes": ["joint_1"], "varied": ["joint_2"], "poses": 1, "move_velocity": velocity}
+    assert "move_velocity" in str(problem(http.post("/plans", json=plan), 422)["errors"])
+
+
+def test_a_urdf_that_names_a_mesh_makes_no_plan_and_opens_no_file(http: httpx.Client, robot: Robot) -> None:
+    new = body(robot)
+    start = str(new["urdf_text"]).index("<geometry>")
+    shape = '<geometry><mesh filename="/proc/self/environ"/></geometry>'
+    new["urdf_text"] = robot.urdf_text[:start] + shape + robot.urdf_text[robot.urdf_text.index("</geometry>") + 11 :]
+    added = http.post("/robots", json=new)
+    assert added.status_code == 201, added.text
+    plan = {"robot_id": added.json()["id"], "axes": ["joint_1"], "varied": ["joint_2"], "poses": 1}
+    assert "mesh" in str(problem(http.post("/plans", json=plan), 422)["detail"])

@@ -22,12 +22,13 @@ from service.recording import Sine as SpecSine
 from service.recording import SweepSpec
 from service.robot import Robot
 from service.store.database import Database, open_database
-from service.store.documents import CampaignDocument, NewSweep, SweepDocument
+from service.store.documents import CampaignDocument, NewSweep, SpectrumRecord, SweepDocument
 from service.store.guards import StopLatch
 from service.store.model_revisions import ModelStore
 from service.store.recordings import RecordingFiles
 from service.store.store import Store
 from service.worker import Worker
+from service.worker.dask_workers import DaskWorkers
 from tests.unit.service.campaigns.formula_drive import FormulaDrive
 
 ROOT = Path(__file__).parents[4]
@@ -35,6 +36,7 @@ POSES = ((0.0, 0.0, 0.0), (0.4, 0.0, 0.0), (0.4, 0.3, 0.0), (0.0, 0.3, -0.2))
 SINES = ((2.0, 0.002, 0.3), (3.0, 0.0015, 1.1))
 OFFSET, PERIODS, RAMP, SETTLE, RATE = 0.0105, 5, 0.3, 0.7, 250.0
 TIMEOUT = 60.0  # s
+SPECTRUM = SpectrumRecord(path="s", sha256="0" * 64)  # where its content makes no difference
 REACHED = ("joint_1", "joint_2", "joint_3")
 
 
@@ -130,7 +132,7 @@ class Taken(Jobs):
     """Jobs that are taken and never done."""
 
     def __init__(self, store: Store, files: RecordingFiles, models: ModelStore) -> None:
-        super().__init__(store, files, Worker("tcp://127.0.0.1:1"), models)
+        super().__init__(store, files, DaskWorkers("tcp://127.0.0.1:1"), models)
         self.sweeps: list[int] = []
 
     def submit(self, sweep: SweepDocument) -> None:

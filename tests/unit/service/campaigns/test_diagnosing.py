@@ -39,13 +39,15 @@ from service.store.diagnosis_documents import (
     NewDiagnosis,
     Weighing,
 )
-from service.store.documents import CampaignState, NewSweep
+from service.store.documents import CampaignState, NewSweep, SpectrumRecord
 from service.store.exchange import campaign_bundle, import_campaign
 from service.store.model_revisions import ModelStore
 from service.store.recordings import RecordingFiles
 from service.store.store import Store
 from service.worker import DiagnosisJob, JobFailed, Work, Worker, open_worker
+from service.worker.dask_workers import DaskWorkers
 
+SPECTRUM = SpectrumRecord(path="s", sha256="0" * 64)  # where its content makes no difference
 POSES = np.array([[0.0, -0.6, 0.4, 0.0, 0.0, 0.0], [0.5, 0.4, -0.7, 0.0, 0.0, 0.0]])
 PATIENCE = 300.0  # s; the worker gives way to whatever else the computer does
 NOBODY = "tcp://127.0.0.1:1"  # a scheduler that does not answer
@@ -84,7 +86,7 @@ def measured(
     return import_campaign(store, files, Bundle(robot, tuple(sweeps))).id
 
 
-class InProcess(Worker):
+class InProcess(DaskWorkers):
     """Does jobs at once and keeps them; fails as a worker process does."""
 
     def __init__(self) -> None:
@@ -150,7 +152,7 @@ async def test_a_worker_killed_in_the_middle_changes_nothing(tmp_path: Path, rob
 async def test_what_is_open_is_taken_up_by_the_next_process_and_what_is_done_is_not(
     tmp_path: Path, robot: Robot
 ) -> None:
-    async with open_bench(tmp_path, Worker(NOBODY)) as bench:
+    async with open_bench(tmp_path, DaskWorkers(NOBODY)) as bench:
         campaigns = [
             measured(bench.store, bench.files, robot, joint, seed) for seed, joint in enumerate(("joint_1", "joint_2"))
         ]
@@ -170,7 +172,7 @@ async def test_what_is_open_is_taken_up_by_the_next_process_and_what_is_done_is_
 
 
 async def test_a_recording_that_was_changed_fails_the_diagnosis(tmp_path: Path, robot: Robot) -> None:
-    async with open_bench(tmp_path, Worker(NOBODY)) as bench:
+    async with open_bench(tmp_path, DaskWorkers(NOBODY)) as bench:
         campaign = measured(bench.store, bench.files, robot, "joint_1", 1)
         path = bench.files.path(bench.store.recording(campaign, 2))
         path.write_bytes(path.read_bytes()[:-1])
@@ -249,7 +251,7 @@ def dead(store: Store, files: RecordingFiles, robot: Robot) -> int:
 
 
 async def test_a_campaign_with_a_test_mass_is_no_evidence_of_the_bare_robot(tmp_path: Path, robot: Robot) -> None:
-    async with open_bench(tmp_path, Worker(NOBODY)) as bench:
+    async with open_bench(tmp_path, DaskWorkers(NOBODY)) as bench:
         bare = measured(bench.store, bench.files, robot, "joint_1", 1)
         parent = bench.diagnoses.add(NewDiagnosis(robot_id=1, campaigns=(bare,), axes=("joint_1",)))
         bench.diagnoses.finish(parent.id, {})
@@ -345,7 +347,7 @@ def identified(
     sweeps = campaign_bundle(bench.store, bench.files, campaign).sweeps
     document = estimate_document(robot, [sweep_spectrum(robot, sweep) for sweep in sweeps]) | (change or {})
     last = bench.store.sweeps(campaign)[-1]
-    assert bench.store.add_estimate(last, sweep_move(SweepEvent.IDENTIFY), {}, document) is not None
+    assert bench.store.add_estimate(last, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, document) is not None
     if over:
         bench.store.move_campaign(campaign, lambda _: CampaignState.COMPLETED)
 

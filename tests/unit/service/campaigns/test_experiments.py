@@ -19,7 +19,7 @@ from service.store.diagnoses import DiagnosisStore
 from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, NewDiagnosis
 from service.store.documents import CampaignState, NewSweep
 from service.store.model_revisions import ModelStore
-from service.worker import Worker
+from service.worker.dask_workers import DaskWorkers
 from tests.unit.service.campaigns.conftest import Bench, open_bench, spec, until
 
 MASS = BoltedMass(mass=20.0, center=(0.1, 0.0, 0.0))
@@ -56,7 +56,7 @@ class Loop:
 async def loop(tmp_path: Path, robot: Robot, envelope: Envelope) -> AsyncIterator[Loop]:
     async with open_bench(tmp_path, robot, envelope) as bench:
         diagnoses = DiagnosisStore(bench.database)
-        nobody = Worker("tcp://127.0.0.1:1")
+        nobody = DaskWorkers("tcp://127.0.0.1:1")
         diagnosing = Diagnosing(bench.store, diagnoses, ModelStore(bench.database), bench.files, nobody)
         experiments = Experiments(Settings(), bench.store, diagnoses, bench.runner, diagnosing)
         new = NewDiagnosis(

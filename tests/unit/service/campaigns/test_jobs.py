@@ -2,10 +2,14 @@
 
 import asyncio
 import os
+import pickle
 import signal
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
+from sqlalchemy import select
 
 from service.campaigns.envelope import Envelope
 from service.campaigns.recovery import recover
@@ -13,12 +17,14 @@ from service.estimation import estimate_document
 from service.identification import spectrum
 from service.identification.known_effects import known_effects
 from service.robot import Robot
+from service.store import tables as t
 from service.store.diagnoses import DiagnosisStore
 from service.store.diagnosis_documents import NewDiagnosis
 from service.store.documents import CampaignState, SweepState
 from service.store.exchange import campaign_bundle
 from service.store.model_revisions import ModelStore
-from service.worker import open_worker
+from service.store.spectra import read_spectrum
+from service.worker import Result, Work, open_worker
 from tests.unit.service.campaigns.conftest import POSES, Bench, open_bench, until
 from tests.unit.service.identification.known import model
 
@@ -83,6 +89,66 @@ async def test_what_is_recorded_and_not_identified_is_taken_up_by_the_next_proce
         await bench.jobs.recover()
         await completed(bench)
         assert [e.number for e in bench.store.estimates(bench.campaign.id)] == [1, 2, 3, 4]
+
+
+async def test_a_job_names_the_spectra_of_earlier_sweeps_and_carries_none(
+    tmp_path: Path, robot: Robot, envelope: Envelope
+) -> None:
+    """What a job weighs must not grow with what was measured before it."""
+    async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
+        weights: list[int] = []
+
+        async def weighed(job: Work[Result]) -> Result:
+            weights.append(len(pickle.dumps(job)))
+            return await run(job)
+
+        run, worker.run = worker.run, weighed
+        await bench.runner.start(bench.campaign.id)
+        await completed(bench)
+        (first, *_) = bench.store.spectra(bench.campaign.id)
+    assert len(weights) == len(POSES)
+    assert weights[-1] - weights[0] < 1000 * (len(POSES) - 1) < (tmp_path / first.path).stat().st_size
+
+
+async def test_a_job_waits_while_the_database_is_locked(
+    tmp_path: Path, robot: Robot, envelope: Envelope, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For longer than a transaction waits for its turn. Who asks is told, and nothing is done twice."""
+    monkeypatch.setattr("service.store.database._BUSY_TIMEOUT", 0.05)
+    async with open_bench(tmp_path, robot, envelope) as bench:
+        await bench.runner.start(bench.campaign.id)
+        await bench.runner.finished()
+    async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
+        await worker.processes()
+        with closing(sqlite3.connect(tmp_path / "sweepid.sqlite", isolation_level=None)) as other:
+            other.execute("BEGIN EXCLUSIVE")
+            for sweep in bench.store.sweeps(bench.campaign.id):
+                bench.jobs.submit(sweep)
+            await until(lambda: bool(bench.jobs.troubles))
+            assert "sweep 1 attempt 1: (sqlite3.OperationalError) database is locked" in bench.jobs.troubles[0]
+            other.execute("ROLLBACK")
+        await completed(bench)
+        assert bench.jobs.troubles == ()
+        assert [e.number for e in bench.store.estimates(bench.campaign.id)] == [1, 2, 3, 4]
+
+
+async def test_spectra_from_before_there_were_files_are_moved_into_files(
+    tmp_path: Path, robot: Robot, envelope: Envelope
+) -> None:
+    async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
+        await bench.runner.start(bench.campaign.id)
+        await completed(bench)
+        records = bench.store.spectra(bench.campaign.id)
+        documents = [read_spectrum(bench.files.spectrum(record)) for record in records]
+        with bench.database.write() as session:
+            for number, row in enumerate(session.scalars(select(t.SpectrumRow)).all()):
+                session.add(t.IdentificationRow(sweep_id=row.sweep_id, spectrum=documents[number]))
+                session.delete(row)
+        for record in records:
+            (tmp_path / record.path).unlink()
+        recover(bench.store, bench.files)
+        assert bench.store.spectra(bench.campaign.id) == records
+        assert [read_spectrum(bench.files.spectrum(record)) for record in records] == documents
 
 
 async def test_a_sweep_whose_file_was_changed_fails_and_the_others_go_on(

@@ -1,8 +1,10 @@
 """The service is killed while an axis moves, or its disk is full; and started again."""
 
 import json
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -121,16 +123,55 @@ async def test_a_stream_whose_recording_is_stored_goes(tmp_path: Path, robot: Ro
 
 
 @pytest.mark.parametrize("what", ["samples", "nothing"])
-async def test_a_stream_of_an_unknown_campaign_is_left_alone(
-    tmp_path: Path, robot: Robot, envelope: Envelope, what: str
+@pytest.mark.parametrize("run", [Run(99, 1, 1), Run(1, 99, 1), Run(1, 1, 1)])
+async def test_a_stream_of_a_run_that_the_database_does_not_know_is_put_aside(
+    tmp_path: Path, robot: Robot, envelope: Envelope, what: str, run: Run
 ) -> None:
     async with open_bench(tmp_path, robot, envelope) as bench:
-        recorder = Recorder(bench.files.stream(Run(99, 1, 1)), command(bench.store.sweep(1, 1)))
+        recorder = Recorder(bench.files.stream(run), command(bench.store.sweep(1, 1)))
         if what == "samples":
             recorder.write(block(0, 100))
         recorder.close()
+        aside = bench.files.stream(run).with_name(f"{bench.files.stream(run).name}.unknown")
         recover(bench.store, bench.files)
-        assert list(bench.files.streams()) == [Run(99, 1, 1)]
+        assert bench.files.streams() == {}
+        assert aside.exists()
+
+
+def restore(folder: Path, backup: bytes) -> None:
+    for part in folder.glob("sweepid.sqlite*"):
+        part.unlink()
+    (folder / "sweepid.sqlite").write_bytes(backup)
+
+
+async def test_a_database_from_a_backup_measures_on_and_loses_no_recording(
+    tmp_path: Path, robot: Robot, envelope: Envelope
+) -> None:
+    """Restored as it was before the campaign ran; a stream of the run that it forgot lies about as well."""
+    async with open_bench(tmp_path, robot, envelope) as bench:
+        with (
+            closing(sqlite3.connect(tmp_path / "sweepid.sqlite")) as source,
+            closing(sqlite3.connect(":memory:")) as to,
+        ):
+            source.backup(to)
+            backup = to.serialize()
+        await bench.runner.start(1)
+        await bench.runner.finished()
+        measured = [bench.files.path(bench.store.recording(1, sweep.number)) for sweep in bench.store.sweeps(1)]
+        recorder = Recorder(bench.files.stream(Run(1, 2, 1)), command(bench.store.sweep(1, 2)))
+        recorder.write(block(0, 100))
+        recorder.close()
+    restore(tmp_path, backup)
+    before = {path: path.read_bytes() for path in measured}
+    async with open_bench(tmp_path, robot, envelope) as bench:
+        recover(bench.store, bench.files)
+        await bench.runner.start(1)
+        await bench.runner.finished()
+        assert bench.store.campaign(1).sweeps == {SweepState.RECORDED: len(POSES)}
+        assert {sweep.attempt for sweep in bench.store.sweeps(1)} == {2}
+        for sweep in bench.store.sweeps(1):
+            bench.files.load(bench.store.recording(1, sweep.number))
+    assert {path: path.read_bytes() for path in measured} == before
 
 
 async def test_a_damaged_stream_is_put_aside_and_the_service_starts(

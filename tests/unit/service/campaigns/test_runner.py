@@ -13,7 +13,7 @@ from service.errors import Conflict
 from service.store.columns import read_columns
 from service.store.documents import CampaignState, RecordingState, SweepDocument, SweepState
 from service.store.store import StaleVersion
-from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, Taken, until
+from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench, Taken, until
 
 
 async def run_out(bench: Bench) -> None:
@@ -87,7 +87,7 @@ def wants_confidence(bench: Bench, reached: list[float | None]) -> None:
 
     def identify(sweep: SweepDocument) -> None:
         document = {"base_parameters": ["Izz"], "axes": {"joint_1": {"confidence_percent": reached.pop(0)}}}
-        bench.store.add_estimate(sweep, sweep_move(SweepEvent.IDENTIFY), {}, document)
+        bench.store.add_estimate(sweep, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, document)
 
     bench.jobs.submit = identify
 

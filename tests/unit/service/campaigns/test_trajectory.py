@@ -23,7 +23,7 @@ from service.errors import BadInput, EnvelopeViolation
 from service.recording import SweepSpec
 from service.robot import Robot
 from service.store.documents import CampaignDocument, CampaignState, NewSweep, RecordingState, SweepState
-from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, Taken
+from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench, Taken
 from tests.unit.service.campaigns.formula_drive import FormulaDrive
 from tests.unit.service.campaigns.small_arm import small_arm
 
@@ -249,7 +249,7 @@ async def test_a_trajectory_of_which_one_axis_was_identified_does_not_block_its_
     bench.drive.hold = None
     bench.drive.go.set()
     await asyncio.wait_for(runner.finished(), TIMEOUT)
-    store.add_estimate(store.sweep(planned.id, 1), identify, {}, {})
+    store.add_estimate(store.sweep(planned.id, 1), identify, SPECTRUM, {})
     store.move_sweep(planned.id, 2, fail, "identification: no")
     before = len(bench.drive.trace)
     await runner.resume(planned.id, repeat=True)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from service.errors import BadInput
 from service.recording import Recording, Sine, Sweep, SweepSpec
@@ -81,14 +82,13 @@ def same(one: Bundle, other: Bundle) -> None:
 
 
 numbers = st.floats(-1e6, 1e6)
+PRINTABLE = st.characters(codec="utf-8", exclude_categories=["Cc"])
 
 
 @st.composite
 def sweeps(draw: st.DrawFn) -> list[Sweep]:
     drawn: list[Sweep] = []
-    for name in draw(
-        st.lists(st.text(st.characters(codec="utf-8"), min_size=1, max_size=8), min_size=1, max_size=3, unique=True)
-    ):
+    for name in draw(st.lists(st.text(PRINTABLE, min_size=1, max_size=8), min_size=1, max_size=3, unique=True)):
         rate = draw(st.sampled_from([50.0, 400.0]))
         lines = draw(st.lists(st.integers(1, 20), unique=True, max_size=3))
         periods = draw(st.integers(1, 3)) if lines else None
@@ -107,7 +107,7 @@ def sweeps(draw: st.DrawFn) -> list[Sweep]:
             sample_rate=rate,
             started_at=draw(numbers),
             repeat=draw(st.integers(0, 5)),
-            block=draw(st.text(st.characters(codec="utf-8"), max_size=5)),
+            block=draw(st.text(PRINTABLE, max_size=5)),
         )
         columns = [np.full(count, draw(numbers)) for _ in range(3)]
         drawn.append(Sweep(spec, Recording(np.arange(count) / rate, *columns)))
@@ -282,3 +282,16 @@ def test_any_mutation_is_read_or_refused(folder: Path, data: st.DataObject) -> N
     finally:
         path.write_text(intact)
     assert isinstance(outcome, Bundle | BadInput)
+
+
+def test_the_sweeps_of_a_bundle_are_counted_together(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("service.store.bundle.MOST_NUMBERS", 2 * 250 * 5 - 1)
+    with pytest.raises(BadInput, match=r"bundle\.json: its sweeps hold more than 2499 numbers together"):
+        read_bundle(folder)
+
+
+@pytest.mark.parametrize("name", ["x" * 201, "a\nb", "a\x1b[31m", ""])
+@pytest.mark.parametrize("field", ["id", "axis"])
+def test_names_are_short_and_printable(sweep: Sweep, field: str, name: str) -> None:
+    with pytest.raises(ValidationError):
+        SweepSpec.model_validate(sweep.spec.model_dump() | {field: name})

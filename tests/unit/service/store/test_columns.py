@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 
 from service.errors import BadInput
 from service.recording import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Recording
-from service.store.columns import read_columns, write_columns
+from service.store.columns import LARGEST_CSV, MOST_NUMBERS, read_columns, write_columns
 
 PLAIN = "time,effort,velocity,position\n0,1,2,3\n0.5,1,2,3\n"
 
@@ -103,3 +103,38 @@ def test_nothing_unreadable_is_written(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="parquet or"):
         write_columns(tmp_path / "sweep.txt", Recording(good, good, good, good))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_small_file_with_very_long_columns_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    """Each column is one value many times over: 50 MB of numbers in far less than 1 MB."""
+    path = tmp_path / "long.parquet"
+    rows = MOST_NUMBERS // 20
+    group = pa.table({name: pa.array(np.zeros(rows)) for name in REQUIRED_COLUMNS})
+    with pq.ParquetWriter(path, group.schema) as writer:
+        for _ in range(6):
+            writer.write_table(group)
+    assert path.stat().st_size < 1_000_000
+    before = pa.total_allocated_bytes()
+    with pytest.raises(BadInput, match=f"holds {6 * rows} rows of 4 columns, limit {MOST_NUMBERS} numbers"):
+        read_columns(path)
+    assert pa.total_allocated_bytes() - before < 10_000_000
+
+
+def test_columns_that_nobody_asked_for_are_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "wide.parquet"
+    time = np.arange(1000) / 1000
+    table = pa.table(dict.fromkeys(REQUIRED_COLUMNS, time) | {"note": ["x" * 100_000] * 1000})
+    pq.write_table(table, path)
+    del table
+    pa.default_memory_pool().release_unused()
+    peak = pa.default_memory_pool().max_memory()
+    read_columns(path)
+    assert pa.default_memory_pool().max_memory() - peak < 10_000_000
+
+
+def test_a_csv_file_that_is_too_large_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "large.csv"
+    with path.open("wb") as file:
+        file.truncate(LARGEST_CSV + 1)
+    with pytest.raises(BadInput, match=f"limit {LARGEST_CSV} bytes"):
+        read_columns(path)

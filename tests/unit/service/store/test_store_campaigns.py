@@ -18,12 +18,14 @@ from service.store.documents import (
     NewRecording,
     NewSweep,
     RecordingState,
+    SpectrumRecord,
     SweepDocument,
     SweepState,
 )
 from service.store.store import StaleVersion, Store
 
 RECORDING = NewRecording(state=RecordingState.COMPLETE, path="recordings/x.parquet", sha256="0" * 64, samples=10)
+SPECTRUM = SpectrumRecord(path="recordings/x.spectrum.json", sha256="1" * 64)
 
 
 @pytest.fixture
@@ -102,12 +104,12 @@ def test_sweeps_go_with_their_campaign_in_one_step(store: Store, campaign: Campa
 def test_a_result_counts_once(store: Store, campaign: CampaignDocument, record: Callable[[int], SweepDocument]) -> None:
     sweep = record(1)
     identify = sweep_move(SweepEvent.IDENTIFY)
-    first = store.add_estimate(sweep, identify, {"s": 1}, {"value": 0.1})
+    first = store.add_estimate(sweep, identify, SPECTRUM, {"value": 0.1})
     events = store.last_event_id()
     assert first is not None
-    assert store.add_estimate(sweep, identify, {"s": 1}, {"value": 0.1}) is None
+    assert store.add_estimate(sweep, identify, SPECTRUM, {"value": 0.1}) is None
     assert store.estimates(campaign.id) == (first,)
-    assert store.spectra(campaign.id) == {1: {"s": 1}}
+    assert store.spectra(campaign.id) == (SPECTRUM,)
     assert store.last_event_id() == events
 
 
@@ -115,7 +117,7 @@ def test_revisions_follow_one_another(
     store: Store, campaign: CampaignDocument, record: Callable[[int], SweepDocument]
 ) -> None:
     for number in (2, 1):
-        store.add_estimate(record(number), sweep_move(SweepEvent.IDENTIFY), {"s": number}, {"n": number})
+        store.add_estimate(record(number), sweep_move(SweepEvent.IDENTIFY), SPECTRUM, {"n": number})
     assert [(e.revision, e.number) for e in store.estimates(campaign.id)] == [(1, 2), (2, 1)]
     assert store.estimate(campaign.id).document == {"n": 1}
     assert store.estimate(campaign.id, 1).document == {"n": 2}
@@ -129,15 +131,15 @@ def test_the_result_of_an_earlier_attempt_has_no_effect(
     store.move_sweep(campaign.id, 1, sweep_move(SweepEvent.REPEAT))
     new = record(1)
     assert (old.attempt, new.attempt) == (1, 2)
-    assert store.add_estimate(old, sweep_move(SweepEvent.IDENTIFY), {}, {}) is None
-    assert store.add_estimate(new, sweep_move(SweepEvent.IDENTIFY), {}, {}) is not None
+    assert store.add_estimate(old, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, {}) is None
+    assert store.add_estimate(new, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, {}) is not None
 
 
 def test_the_database_itself_refuses_a_second_estimate_of_a_sweep(
     database: Database, store: Store, record: Callable[[int], SweepDocument]
 ) -> None:
     sweep = record(1)
-    store.add_estimate(sweep, sweep_move(SweepEvent.IDENTIFY), {}, {})
+    store.add_estimate(sweep, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, {})
     with pytest.raises(IntegrityError, match="UNIQUE"), database.write() as session:
         session.add(t.EstimateRow(campaign_id=sweep.campaign_id, revision=2, sweep_id=1, document={}))
 
@@ -145,8 +147,7 @@ def test_the_database_itself_refuses_a_second_estimate_of_a_sweep(
 def test_floats_come_back_exactly(store: Store, record: Callable[[int], SweepDocument]) -> None:
     document = {"x": [0.1 + 0.2, 1e-300, 2.0**-1074, -1.7976931348623157e308]}
     sweep = record(1)
-    store.add_estimate(sweep, sweep_move(SweepEvent.IDENTIFY), document, document)
-    assert store.spectra(sweep.campaign_id)[1] == document
+    store.add_estimate(sweep, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, document)
     assert store.estimate(sweep.campaign_id).document == document
 
 
@@ -154,7 +155,7 @@ def test_every_change_is_told_in_order(
     store: Store, campaign: CampaignDocument, record: Callable[[int], SweepDocument]
 ) -> None:
     store.move_campaign(campaign.id, campaign_move(CampaignEvent.START))
-    store.add_estimate(record(1), sweep_move(SweepEvent.IDENTIFY), {}, {})
+    store.add_estimate(record(1), sweep_move(SweepEvent.IDENTIFY), SPECTRUM, {})
     events = store.events(0, campaign.id)
     assert [event.id for event in events] == sorted(event.id for event in events)
     told = [(event.kind, event.data.get("state") or event.data.get("revision")) for event in events]

@@ -1,0 +1,40 @@
+"""Spectra of identified sweeps as files beside their recordings, named by their content.
+
+A spectrum is written once, when its sweep is identified; every later estimate of the campaign reads it from there.
+"""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import JsonValue
+
+from service.errors import BadInput
+
+Document = dict[str, JsonValue]
+
+
+@dataclass(frozen=True, slots=True)
+class SpectrumFile:
+    """Where a spectrum document lies, and the SHA-256 of the file."""
+
+    path: Path
+    sha256: str
+
+
+def encode_spectrum(document: Document) -> tuple[bytes, str]:
+    """The content of a spectrum's file and its SHA-256. Floats survive exactly."""
+    content = json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+    return content, hashlib.sha256(content).hexdigest()
+
+
+def read_spectrum(file: SpectrumFile) -> Document:
+    """The document; BadInput if the file is not there as it was written."""
+    try:
+        content = file.path.read_bytes()
+    except FileNotFoundError:
+        raise BadInput(str(file.path), "spectrum file is missing") from None
+    if hashlib.sha256(content).hexdigest() != file.sha256:
+        raise BadInput(str(file.path), f"spectrum file was changed, SHA-256 is not {file.sha256}")
+    return json.loads(content)
