@@ -1,5 +1,6 @@
 """Collision checks against distances worked out by hand on a two-link arm."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from service.cell import Box, Cell, read_cell
 from service.collision import CollisionChecker, reachable
 from service.configuration import read_robot
 from service.errors import BadInput
-from service.robot import Robot
+from service.robot import Robot, build_robot
 from tests.unit.service.campaigns.small_arm import small_arm
 
 CLEARANCE = 0.05
@@ -117,3 +118,38 @@ def test_a_path_of_all_axes_at_once_is_sampled_finely(checker: Build) -> None:
     assert not looked.path_free(ends)
     assert checker().path_free(ends)
     assert checker().path_free(ends[:1])
+
+
+def test_a_mesh_is_met_where_the_same_box_is() -> None:
+    """The base of the small arm as a mesh with its hull: the same verdict in every pose."""
+    box = small_arm()
+    size = re.search(r'<box size="([^"]+)"', box.urdf_text)
+    assert size is not None
+    half = np.array([float(edge) for edge in size[1].split()]) / 2
+    corners = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    hull = " ".join(f"{number:.6g}" for number in corners.ravel())
+    mesh = box.urdf_text.replace(f"{size[0]}/>", f'<mesh filename="package://a/b.stl"><hull vertices="{hull}"/></mesh>')
+    assert mesh.count("<hull") == box.urdf_text.count(size[0])
+    poses = np.random.default_rng(1).uniform([-1.5, -2.8], [1.5, 2.8], (400, 2))
+    cell = Cell(name="test", clearance=CLEARANCE, floor=0.0, boxes=(Box(name="r", center=(1, 1, 1), size=(1, 0.2, 1)),))
+    checkers = [CollisionChecker(one, cell) for one in (box, build_robot(box.description, mesh))]
+    free = [one.collision_free(poses) for one in checkers]
+    assert 0.1 < free[0].mean() < 0.9
+    np.testing.assert_array_equal(free[0], free[1])
+    np.testing.assert_allclose(checkers[1].step, checkers[0].step, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("shape", "told"),
+    [
+        ('<mesh filename="package://a/b.stl"/>', "link base: mesh package://a/b.stl: its shape is not in the URDF"),
+        ('<box size="0 0 0"/>', "collision shapes cannot be read"),
+        ('<box size="1 x"/>', "collision shapes cannot be read"),
+    ],
+)
+def test_a_shape_that_cannot_be_read_is_told(shape: str, told: str) -> None:
+    arm = small_arm()
+    text = re.sub(r"<(box|cylinder|sphere) [^>]*/>", shape, arm.urdf_text)
+    with pytest.raises(BadInput) as error:
+        CollisionChecker(build_robot(arm.description, text), Cell(name="test"))
+    assert told in str(error.value)

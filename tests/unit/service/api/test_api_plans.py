@@ -1,10 +1,13 @@
 """Plans by budget, through the API and by the command."""
 
+import re
+from pathlib import Path
 from subprocess import CompletedProcess
 
 import httpx
 import pytest
 
+from service.configuration import read_robot
 from tests.command import sweepid
 from tests.unit.service.api.conftest import CONFIG
 
@@ -46,6 +49,19 @@ def test_a_budget_that_cannot_be_met_names_the_field(
     answer = http.post("/plans", json=AXES | {"robot_id": robot_id} | budget)
     assert answer.status_code == 422
     assert told in answer.json()["detail"]
+
+
+def test_a_mesh_that_the_service_does_not_have_is_told(http: httpx.Client) -> None:
+    known = read_robot(Path(ROBOT))
+    mesh = '<mesh filename="package://arm/meshes/forearm.stl"/>'
+    text = re.sub(r'<cylinder radius="0.10" length="0.52"/>', mesh, known.urdf_text)
+    assert text != known.urdf_text
+    description = known.description.model_dump(mode="json")
+    robot = http.post("/robots", json={"description": description, "urdf_text": text})
+    assert robot.status_code == 201, robot.text
+    answer = http.post("/plans", json=AXES | {"robot_id": robot.json()["id"], "poses": 2})
+    assert answer.status_code == 422, answer.text
+    assert "link link_4: mesh package://arm/meshes/forearm.stl: its shape is not in the URDF" in answer.json()["detail"]
 
 
 def test_the_command_tells_what_the_plan_promises(url: str, http: httpx.Client) -> None:
