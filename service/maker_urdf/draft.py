@@ -110,13 +110,14 @@ def _home(robot: Robot, checker: CollisionChecker) -> tuple[Array, Sequence[Pair
     low, high = _ends(robot)
     room = np.minimum(ROOM, (high - low) / 4) + MARGIN
     inside = [joint.lower + own <= 0.0 <= joint.upper - own for joint, own in zip(joints, room, strict=True)]
-    home: Array = np.round((low + high) / 2, 4)
+    home = np.round((low + high) / 2, 4)
     home[inside] = 0.0
     met = sorted(checker.touching(home))
     poses = _drawn(robot, room)
     free = poses[checker.collision_free(poses)] if met else poses[:0]
     if len(free):
-        home = np.round(free[np.argmin(np.linalg.norm(free - home, axis=1))], 4)
+        nearest = int(np.argmin(np.linalg.norm(free - home, axis=1)))
+        home = free[nearest].round(4)
     return home, met
 
 
