@@ -16,6 +16,7 @@ from service.errors import BadInput
 Array = NDArray[np.float64]
 
 MOST_NUMBERS = 30_000  # of one hull
+LARGEST = 1e4  # m, of a coordinate
 
 
 def collision_meshes(root: ET.Element) -> Iterator[tuple[str, ET.Element]]:
@@ -46,6 +47,8 @@ def read_hull(mesh: ET.Element, here: str) -> Array:
         raise BadInput(here, f"mesh {name}: hull: {error}") from None
     if len(numbers) % 3 or not np.isfinite(numbers).all():
         raise BadInput(here, f"mesh {name}: its hull is not finite numbers in threes")
+    if np.abs(numbers).max(initial=0.0) > LARGEST:
+        raise BadInput(here, f"mesh {name}: its hull reaches {np.abs(numbers).max():.3g} m, limit {LARGEST:g} m")
     vertices = numbers.reshape(-1, 3)
     if len(vertices) < 4 or np.linalg.matrix_rank(vertices - vertices[:1], tol=1e-9) < 3:
         raise BadInput(here, f"mesh {name}: its hull is no body: {len(vertices)} points, or all in one plane")

@@ -36,7 +36,7 @@ def grid(robot: Robot, request: PlanRequest, envelope: Envelope, home: Array) ->
         low, high = envelope.joint_range(index)
         if not prismatic and high - low > 2 * math.pi:  # a turn more is the same pose
             low = min(max(low, -math.pi), high - 2 * math.pi)
-            high = low + 2 * math.pi - step / 2
+            high = low + 2 * math.pi - step / 1000
         numbers = np.arange(math.ceil(low / step), math.floor(high / step) + 1, dtype=np.float64)
         positions.append(numbers * step)
     count = math.prod(len(one) for one in positions)

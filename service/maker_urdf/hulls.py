@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from service.errors import BadInput
-from service.hull import collision_meshes, read_hull, write_hull
+from service.hull import LARGEST, collision_meshes, read_hull, write_hull
 from service.maker_urdf.meshes import mesh_points
 from service.maker_urdf.packages import Packages
 from service.urdf import read_origin
@@ -22,7 +22,6 @@ Array = NDArray[np.float64]
 
 FINEST = 1e-4  # m, edge of the grid's cells
 MOST_VERTICES = 250  # of a hull; with more, the cells are made larger
-LARGEST = 1e4  # m
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 
 

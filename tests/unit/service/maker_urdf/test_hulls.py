@@ -57,6 +57,7 @@ def test_what_is_written_is_read_again() -> None:
         ('<hull vertices="1 2 3 4"/>', "not finite numbers in threes"),
         ('<hull vertices="1 2 nan"/>', "not finite numbers in threes"),
         ('<hull vertices="1 2 x"/>', "could not convert"),
+        ('<hull vertices="0 0 0 1 0 0 0 1 0 0 0 2e4"/>', "reaches 2e+04 m, limit 10000 m"),
         ('<hull vertices="0 0 0 1 0 0 0 1 0 1 1 0"/>', "all in one plane"),
         (f'<hull vertices="{"0 " * 30001}"/>', "more than 30000 numbers"),
     ],
