@@ -124,4 +124,4 @@ def test_the_side_file_says_that_inertials_are_guessed(tmp_path: Path) -> None:
     text = (tmp_path / "config/robots/r.yaml").read_text()
     assert "# the inertials of b are guesses from shapes" in text
     assert yaml.safe_load(text)["prior"]["inertia"] == 1.0
-    assert "has no <inertial>: 16 kg" in words(done.stderr)
+    assert "has no <inertial>: 8 kg" in words(done.stderr)
