@@ -65,8 +65,9 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         """All robots, without their URDF."""
         return self._all("/robots")
 
-    def add_plan(self, request: Json) -> Json:
-        return self._post("/plans", request, timeout=_LONG_TIMEOUT)
+    def add_plan(self, request: Json, *, elsewhere: bool = False) -> Json:
+        """`elsewhere`: for another machine than the service's."""
+        return self._post(f"/plans{'?elsewhere=true' * elsewhere}", request, timeout=_LONG_TIMEOUT)
 
     def plan(self, plan_id: int) -> Json:
         return self._get(f"/plans/{plan_id}")

@@ -1,5 +1,7 @@
 """Does the robot touch anything? MuJoCo's collision detection on the URDF's collision shapes and the cell's obstacles.
 
+Meshes count as their convex hulls, which the URDF brings (`service.hull`); no file is opened.
+
 Pairs checked: every link against the floor, the boxes and every other link but its neighbours in the chain and the
 cell's `ignored_pairs`. A pose is free when every checked pair is at least `cell.clearance` apart.
 
@@ -20,6 +22,7 @@ from numpy.typing import NDArray
 
 from service.cell import Cell
 from service.errors import BadInput
+from service.hull import collision_meshes, read_hull
 from service.robot import Robot
 
 Array = NDArray[np.float64]
@@ -32,7 +35,7 @@ class CollisionChecker:
     """Poses are arrays (m, n) in the order of `robot.joints`, rad (m). Deterministic; not for two threads at once."""
 
     def __init__(self, robot: Robot, cell: Cell) -> None:
-        """BadInput where the URDF has shapes that cannot be read (meshes) or the cell names an unknown link."""
+        """BadInput where a shape cannot be read, a mesh has no hull, or the cell names an unknown link."""
         self._clearance = cell.clearance
         self._model = _compile(robot, cell)
         self._data = _mujoco.MjData(self._model)
@@ -62,16 +65,15 @@ class CollisionChecker:
     def touching(self, poses: Array) -> set[tuple[str, str]]:
         """Pairs of links that come closer than the clearance in any of the poses (m, n)."""
         model, data = self._model, self._data
-        pairs: set[tuple[str, str]] = set()
+        bodies: set[tuple[int, int]] = set()
         for q in np.atleast_2d(poses):
             data.qpos[self._address] = q
             _mujoco.mj_kinematics(model, data)
             _mujoco.mj_collision(model, data)
-            for contact in data.contact:
-                if contact.dist < self._clearance:
-                    first, second = (str(model.body(int(model.geom_bodyid[g])).name) for g in contact.geom)
-                    pairs.add((first, second))
-        return pairs
+            if data.ncon:
+                near = data.contact.geom[data.contact.dist < self._clearance]
+                bodies.update(map(tuple, model.geom_bodyid[near].tolist()))
+        return {(str(model.body(one).name), str(model.body(other).name)) for one, other in bodies}
 
     def leg_free(self, pose: Sequence[float] | Array, joint: int, target: float) -> bool:
         """Is the way of one joint from `pose` to `target` free, both ends included?"""
@@ -110,7 +112,7 @@ def reachable(robot: Robot, stood: Array, poses: Array) -> Array:
     """Those of `poses` (m, n) in which the robot does not meet itself; the cell around it is not known here.
 
     Shapes that meet in a pose where the robot `stood` (k, n) nest by construction and do not count. A URDF whose shapes
-    cannot be read (meshes) counts as having none: nothing moves by this.
+    cannot be read (meshes without hulls) counts as having none: nothing moves by this.
     """
     bare = Cell(name="none", clearance=1e-3)
     try:
@@ -122,10 +124,14 @@ def reachable(robot: Robot, stood: Array, poses: Array) -> Array:
 
 
 def _compile(robot: Robot, cell: Cell) -> Any:
+    place = f"robot {robot.name} urdf"
+    text, hulls = _shapes_only(robot.urdf_text, place)
     try:
-        spec = _mujoco.MjSpec.from_string(_shapes_only(robot.urdf_text, robot.name))
+        spec = _mujoco.MjSpec.from_string(text)
     except ValueError as error:
-        raise BadInput(f"robot {robot.name} urdf", f"collision shapes cannot be read: {error}") from None
+        raise BadInput(place, f"collision shapes cannot be read: {_line(error)}") from None
+    for mesh in spec.meshes:
+        mesh.uservert, mesh.file = hulls[str(mesh.name)].ravel(), ""
     links = {str(body.name) for body in spec.bodies}
     if cell.floor is not None:
         spec.worldbody.add_geom(
@@ -149,31 +155,36 @@ def _compile(robot: Robot, cell: Cell) -> Any:
     try:
         model = spec.compile()
     except ValueError as error:
-        raise BadInput(f"robot {robot.name} urdf", f"collision shapes cannot be used: {error}") from None
+        raise BadInput(place, f"collision shapes cannot be read: {_line(error)}") from None
     model.geom_margin[:] = cell.clearance
     return model
 
 
-def _shapes_only(urdf: str, name: str) -> str:
-    """The URDF without what collision does not need; static links stay bodies of their own.
+def _shapes_only(urdf: str, place: str) -> tuple[str, dict[str, Array]]:
+    """The URDF without what collision does not need, and its hulls by the names that its meshes have got in it.
 
-    BadInput for meshes: whoever wrote the URDF must not choose which of our files is opened.
+    Static links stay bodies of their own.
     """
     root = ET.fromstring(urdf)
     for element in [child for child in root if child.tag not in ("link", "joint")]:
         root.remove(element)
     for link in root.findall("link"):
-        for mesh in link.iterfind("collision//mesh"):
-            raise BadInput(
-                f"robot {name} urdf link {link.get('name')}",
-                f"collision shapes cannot be read: mesh {mesh.get('filename')!r}; boxes, cylinders and spheres can",
-            )
         for tag in ("visual", "inertial"):
             for element in link.findall(tag):
                 link.remove(element)
+    hulls: dict[str, Array] = {}
+    for link, mesh in collision_meshes(root):
+        name = f"hull_{len(hulls)}"
+        hulls[name] = read_hull(mesh, f"{place} link {link}")
+        mesh.clear()
+        mesh.set("filename", f"{name}.stl")  # never opened
     extension = ET.SubElement(root, "mujoco")
     ET.SubElement(extension, "compiler", {"fusestatic": "false", "boundmass": "1", "boundinertia": "1"})
-    return ET.tostring(root, encoding="unicode")
+    return ET.tostring(root, encoding="unicode"), hulls
+
+
+def _line(error: ValueError) -> str:
+    return " ".join(str(error).split())
 
 
 def _standing_links(urdf: str) -> list[str]:

@@ -16,6 +16,7 @@ from service.campaigns.checking import Checking
 from service.campaigns.course import course_of, planned_sweeps
 from service.campaigns.diagnosing import Diagnosing
 from service.campaigns.experiments import Experiments
+from service.campaigns.fit import DriveAxis, drive_axes
 from service.campaigns.jobs import Jobs
 from service.campaigns.live import EventFeed, LiveHub
 from service.campaigns.machine import Machine
@@ -50,6 +51,7 @@ class Lab:
     """Everything that `sweepid serve` is made of."""
 
     settings: Settings
+    drive_axes: tuple[DriveAxis, ...]  # as the profile has them
     store: Store
     files: RecordingFiles
     keys: IdempotencyKeys
@@ -124,7 +126,9 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
     is tried again on command. After a restart nothing moves (`recovery.recover`); connecting disables every axis.
     """
     async with AsyncExitStack() as stack:
-        port = open_drive(load_profile(settings.drive), settings.drive.parent)
+        profile = load_profile(settings.drive)
+        port = open_drive(profile, settings.drive.parent)
+        axes = drive_axes(profile, port.joints)
         settings.data_dir.mkdir(parents=True, exist_ok=True)
         database = stack.enter_context(open_database(settings.url))
         store, files, keys = Store(database), RecordingFiles(settings.data_dir), IdempotencyKeys(database)
@@ -160,7 +164,7 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
         stack.push_async_callback(jobs.close)
         station = Station(store, files, machine, hub)
         stack.callback(station.close)
-        runner = Runner(store, machine, station, jobs, partial(course_of, store, settings))
+        runner = Runner(store, machine, station, jobs, partial(course_of, store, settings, axes))
         stack.push_async_callback(runner.close)
 
         diagnosing = Diagnosing(store, diagnoses, models, files, worker)
@@ -187,7 +191,7 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
         except DriveError as error:
             _log.warning("machine_not_connected", reason=str(error))
         yield Lab(
-            *(settings, store, files, keys, machine, runner, jobs, worker, hub, feed),
+            *(settings, axes, store, files, keys, machine, runner, jobs, worker, hub, feed),
             *(diagnoses, models, diagnosing, experiments, checks, checking, stop_process, lost),
         )
 

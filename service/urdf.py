@@ -1,6 +1,6 @@
 """Reads a URDF into a serial chain: joint frames, limits and the links' ten inertial parameters.
 
-Meshes, transmissions and visuals are not looked at. Source: the URDF XML specification (ROS wiki, "urdf/XML");
+Shapes, transmissions and visuals are not looked at. Source: the URDF XML specification (ROS wiki, "urdf/XML");
 rpy are fixed-axis angles, R = Rz(yaw) Ry(pitch) Rx(roll).
 """
 
@@ -22,6 +22,7 @@ MOST_ELEMENTS = 20_000
 DEEPEST = 50  # elements inside of each other; URDF has some six
 LONGEST_NAME = 200
 LARGEST = 1e15  # of a number, SI; its square is a number still
+_CHOOSE = "only a serial chain can be measured, `sweepid robot check URDF --tip LINK` makes one of it"
 
 
 @dataclass(frozen=True)
@@ -67,17 +68,19 @@ def read_chain(text: str, place: str = "urdf") -> Chain:
     _once(carried, place, "link {!r} is carried by two joints")
     roots = [name for name in links if name not in carried]
     if len(roots) != 1:
-        raise BadInput(place, f"needs one base link, has {len(roots)}: {roots}")
+        raise BadInput(place, f"needs one base link, has {len(roots)}: {roots}; {_CHOOSE}")
 
     chain: list[Joint] = []
     inertial: list[Array] = []
 
-    def walk(link: str, rotation: Array, translation: Array) -> None:
-        # rotation, translation: of `link` in the frame of the last moving link
+    def walk(link: str, body: int, rotation: Array, translation: Array) -> None:
+        # rotation, translation: of `link` in the frame of moving link number `body`; -1: the base
         if link not in links:
             raise BadInput(place, f"link {link!r} of a joint is not defined")
-        if inertial:
-            inertial[-1] = inertial[-1] + transform_inertial(read_inertial(links[link], place), rotation, translation)
+        if body >= 0:
+            inertial[body] = inertial[body] + transform_inertial(
+                read_inertial(links[link], place), rotation, translation
+            )
         moving_children = 0
         for element in children.get(link, []):
             own_rotation, own_translation = read_origin(element, f"{place} joint {element.get('name')}")
@@ -85,16 +88,17 @@ def read_chain(text: str, place: str = "urdf") -> Chain:
             joint_translation = translation + rotation @ own_translation
             child = _ref(element, "child", place)
             if element.get("type") == "fixed":
-                walk(child, joint_rotation, joint_translation)
+                walk(child, body, joint_rotation, joint_translation)
                 continue
             moving_children += 1
             if moving_children > 1:
-                raise BadInput(place, f"link {link!r} carries two moving joints; only serial chains are supported")
+                names = [one.get("name") for one in children[link] if one.get("type") != "fixed"]
+                raise BadInput(place, f"link {link!r} carries two moving joints or more, {names}; {_CHOOSE}")
             chain.append(_joint(element, child, joint_rotation, joint_translation, place))
             inertial.append(np.zeros(10))
-            walk(child, np.eye(3), np.zeros(3))
+            walk(child, len(inertial) - 1, np.eye(3), np.zeros(3))
 
-    walk(roots[0], np.eye(3), np.zeros(3))
+    walk(roots[0], -1, np.eye(3), np.zeros(3))
     if not chain:
         raise BadInput(place, "has no moving joint")
     return Chain(tuple(chain), np.array(inertial))
@@ -178,11 +182,10 @@ def _joint(element: ET.Element, link: str, rotation: Array, translation: Array, 
     kind = element.get("type")
     if kind not in ("revolute", "continuous", "prismatic"):
         raise BadInput(here, f"type {kind!r} is not supported; revolute, continuous, prismatic or fixed is")
-    axis_element = element.find("axis")
-    axis = np.array([1.0, 0.0, 0.0]) if axis_element is None else _vector(axis_element, "xyz", here)
-    norm = float(np.linalg.norm(axis))
-    if norm < 1e-9:
-        raise BadInput(here, "axis has no direction")
+    mimic = element.find("mimic")
+    if mimic is not None:
+        raise BadInput(here, f"follows joint {mimic.get('joint')!r} (<mimic>) and has no drive of its own; {_CHOOSE}")
+    axis = read_axis(element, here)
     limit = element.find("limit")
     if limit is None and kind != "continuous":
         raise BadInput(here, "has no <limit>")
@@ -197,7 +200,7 @@ def _joint(element: ET.Element, link: str, rotation: Array, translation: Array, 
         link=link,
         rotation=rotation,
         translation=translation,
-        axis=axis / norm,
+        axis=axis,
         lower=lower,
         upper=upper,
         velocity=_limit(limit, "velocity", here),
@@ -226,6 +229,16 @@ def read_origin(element: ET.Element, here: str) -> tuple[Array, Array]:
     if origin is None:
         return np.eye(3), np.zeros(3)
     return rotation_rpy(_vector(origin, "rpy", here)), _vector(origin, "xyz", here)
+
+
+def read_axis(joint: ET.Element, here: str) -> Array:
+    """Unit vector (3,) of a joint's ``<axis>`` in its frame; BadInput if it has no direction."""
+    element = joint.find("axis")
+    axis = np.array([1.0, 0.0, 0.0]) if element is None else _vector(element, "xyz", here)
+    norm = float(np.linalg.norm(axis))
+    if norm < 1e-9:
+        raise BadInput(here, "axis has no direction")
+    return axis / norm
 
 
 def _ref(element: ET.Element, tag: str, place: str) -> str:

@@ -12,12 +12,14 @@ from service.campaigns.analysis import latest_analysis
 from service.campaigns.analysis_documents import AnalysisRequest
 from service.campaigns.analysis_plan import build_analysis_plan
 from service.campaigns.beside import check_beside
+from service.campaigns.course import other_machine
 from service.campaigns.diagnosis_documents import DiagnosisRequest
 from service.campaigns.diagnosis_plan import build_diagnosis_plan
 from service.campaigns.plan import PlanRequest, build_plan
 from service.campaigns.trajectory_documents import TrajectoryRequest
 from service.campaigns.trajectory_plan import build_trajectory_plan
 from service.cell import read_cell
+from service.errors import BadInput
 from service.identification.analysis_document import analyses_from
 from service.lab import Lab
 from service.store.documents import PlanRecord
@@ -40,14 +42,20 @@ router = APIRouter(prefix="/plans", tags=["plans"], route_class=IdempotentRoute)
 
 
 @router.post("", status_code=201)
-def add_plan(wanted: Wanted, request: Request, response: Response, lab: LabOf) -> PlanRecord:
+def add_plan(wanted: Wanted, request: Request, response: Response, lab: LabOf, elsewhere: bool = False) -> PlanRecord:
     """Choose poses and excitation and store the plan. Takes seconds to minutes; nothing moves.
 
     With `kind` "analysis": an initial analysis. A plan of sweeps may name the campaign of one (`analysis`). With `kind`
     "trajectory": exciting trajectories of several axes at once. With `kind` "diagnosis": all kinds of sweeps in a few
     poses, for a diagnosis.
+
+    The robot has to be that of this service's drives: gear ratios, rated efforts, limits. `elsewhere`: the plan is for
+    another machine (part programs of a CNC), and a campaign of it cannot be started here.
     """
     robot = lab.store.robot(wanted.robot_id).build()
+    other = "" if elsewhere else other_machine(robot, wanted.robot_id, lab.settings, lab.drive_axes, _moved(wanted))
+    if other:
+        raise BadInput("robot_id", f"is of another machine: {other}")
     cell = read_cell(lab.settings.cells_dir / f"{wanted.cell}.yaml")
     if isinstance(wanted, AnalysisRequest):
         document = build_analysis_plan(robot, _with_excitation(wanted, lab), cell)
@@ -63,6 +71,10 @@ def add_plan(wanted: Wanted, request: Request, response: Response, lab: LabOf) -
     plan = lab.store.add_plan(wanted.robot_id, document.model_dump(mode="json"))
     response.headers["Location"] = str(request.url_for("get_plan", plan_id=plan.id))
     return plan
+
+
+def _moved(wanted: PlanRequest | AnalysisRequest | TrajectoryRequest | DiagnosisRequest) -> tuple[str, ...]:
+    return wanted.axes if isinstance(wanted, TrajectoryRequest) else (*wanted.axes, *wanted.varied)
 
 
 def _with_excitation(wanted: AnalysisRequest, lab: Lab) -> AnalysisRequest:

@@ -27,15 +27,16 @@ def workspace_grid(robot: Robot, request: PlanRequest, cell: Cell) -> Array:
 
 
 def grid(robot: Robot, request: PlanRequest, envelope: Envelope, home: Array) -> Array:
-    """Poses (m, n): the varied joints on multiples of the step inside their limits, the others at home."""
+    """Poses (m, n): the varied joints on multiples of the step inside their limits, at most a turn, others at home."""
     positions: list[Array] = []
     for joint in request.varied:
         index = robot.index(joint)
         prismatic = robot.chain.joints[index].kind == "prismatic"
         step = request.step / 100 if prismatic else math.radians(request.step)
         low, high = envelope.joint_range(index)
-        if not math.isfinite(high - low):
-            low, high = -math.pi, math.pi - step / 2
+        if not prismatic and high - low > 2 * math.pi:  # a turn more is the same pose
+            low = min(max(low, -math.pi), high - 2 * math.pi)
+            high = low + 2 * math.pi - step / 1000
         numbers = np.arange(math.ceil(low / step), math.floor(high / step) + 1, dtype=np.float64)
         positions.append(numbers * step)
     count = math.prod(len(one) for one in positions)

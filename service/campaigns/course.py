@@ -1,16 +1,18 @@
 """What a campaign's plan comes to at this machine: commands, and the envelope they are checked against."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from service.campaigns.analysis_documents import AnalysisPlan
 from service.campaigns.diagnosis_documents import DiagnosisPlan, ExperimentPlan
 from service.campaigns.envelope import Envelope
+from service.campaigns.fit import DriveAxis, differences
 from service.campaigns.noise_motion import Command
 from service.campaigns.plan import PlanDocument
 from service.campaigns.trajectory_documents import TrajectoryPlan
 from service.cell import read_cell
 from service.errors import Conflict
+from service.robot import Robot
 from service.settings import Settings
 from service.store.documents import CampaignDocument, NewSweep, PlanRecord, SweepDocument, SweepState
 from service.store.store import Store
@@ -64,12 +66,31 @@ def planned_sweeps(plan: PlanRecord) -> tuple[NewSweep, ...]:
     return tuple(NewSweep(spec=sweep.spec, mode=sweep.mode) for sweep in document.sweeps)
 
 
-def course_of(store: Store, settings: Settings, campaign: CampaignDocument) -> Course:
-    """The course of a planned campaign; BadInput for a bad cell file, Conflict for a campaign without plan."""
+def other_machine(
+    robot: Robot, robot_id: int, settings: Settings, axes: Sequence[DriveAxis], moved: Collection[str]
+) -> str:
+    """Why the machine of these drive axes is not one on which joints of this robot can be `moved`; "" if it is."""
+    place = f"robot {robot.name} (number {robot_id})"
+    return differences(robot, place, axes, f"drive profile {settings.drive}", moved)
+
+
+def _moved(plan: Plan) -> set[str]:
+    """Joints that the plan's sweeps move, and the ways to them."""
+    return {name for sweep in plan.sweeps for name in (sweep.spec.axis, *(leg.joint for leg in sweep.legs))}
+
+
+def course_of(store: Store, settings: Settings, axes: Sequence[DriveAxis], campaign: CampaignDocument) -> Course:
+    """The course of a planned campaign; BadInput for a bad cell file.
+
+    Conflict for a campaign without plan, and for one that is for another robot than the machine of the `axes`.
+    """
     if campaign.plan_id is None:
         raise Conflict(f"campaign {campaign.id} was imported and cannot be run")
     plan = plan_of(store.plan(campaign.plan_id))
     robot = store.robot(campaign.robot_id).build()
+    other = other_machine(robot, campaign.robot_id, settings, axes, _moved(plan))
+    if other:
+        raise Conflict(f"campaign {campaign.id} is for another machine: {other}")
     cell = read_cell(settings.cells_dir / f"{plan.request.cell}.yaml")
     return Course(
         joints=robot.joints,

@@ -17,6 +17,7 @@ GROUP = "sweepid.commands"
 _OWN = (
     ("demo", "service.cli.demo:demo"),
     ("serve", "service.cli.serve:serve"),
+    ("robot", "service.cli.robot:robot"),
     ("plan", "service.cli.plan:plan"),
     ("plan-trajectories", "service.cli.plan_trajectories:plan_trajectories"),
     ("measure", "service.cli.measure:measure"),
@@ -61,7 +62,11 @@ def build(arguments: list[str]) -> typer.Typer:
     called = next((name for name in arguments[:1] if name in entries), None)
     for name, entry in entries.items():
         if called in (None, name):
-            application.command(name)(entry.load())
+            command: object = entry.load()
+            if isinstance(command, typer.Typer):  # a group of commands
+                application.add_typer(command, name=name)
+            else:
+                application.command(name)(entry.load())
     return application
 
 

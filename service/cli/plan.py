@@ -59,6 +59,12 @@ def plan(
         int | None, typer.Option(min=1, help="Of a diagnosis or initial analysis, in each pose.")
     ] = None,
     analysis: Annotated[int | None, typer.Option(help="Campaign whose initial analysis the sweeps stand on.")] = None,
+    elsewhere: Annotated[
+        bool,
+        typer.Option(
+            "--elsewhere", help="For another machine than the service's: nothing is compared with its drives."
+        ),
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="Write the plan to this file as well.")] = None,
     url: Url = DEFAULT_URL,
 ) -> None:
@@ -93,7 +99,7 @@ def plan(
     with ServiceClient(url) as client:
         stored = client.add_robot(known.description.model_dump(mode="json"), known.urdf_text)
         with waiting("planning: poses, sweeps and free ways are sought"):
-            planned = client.add_plan(request | {"robot_id": stored["id"]})
+            planned = client.add_plan(request | {"robot_id": stored["id"]}, elsewhere=elsewhere)
     _tell(planned["document"])
     if out is not None:
         _write(out, planned)

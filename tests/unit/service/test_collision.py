@@ -1,6 +1,7 @@
 """Collision checks against distances worked out by hand on a two-link arm."""
 
 import os
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from service.cell import Box, Cell, read_cell
 from service.collision import CollisionChecker, reachable
 from service.configuration import read_robot
 from service.errors import BadInput
-from service.robot import Robot
+from service.robot import Robot, build_robot
 from tests.unit.service.campaigns.small_arm import small_arm
 
 CLEARANCE = 0.05
@@ -127,5 +128,38 @@ def test_a_mesh_is_refused_and_not_opened(arm: Robot, tmp_path: Path) -> None:
     os.mkfifo(pipe)
     shape = f'<collision><geometry><mesh filename="{pipe}"/></geometry></collision>'
     urdf = arm.urdf_text.replace("</link>", f"{shape}</link>", 1)
-    with pytest.raises(BadInput, match=r"shape\.stl.*boxes, cylinders and spheres can"):
+    with pytest.raises(BadInput, match=r"shape\.stl: its shape is not in the URDF"):
         CollisionChecker(replace(arm, urdf_text=urdf), Cell(name="empty"))
+def test_a_mesh_is_met_where_the_same_box_is() -> None:
+    """The base of the small arm as a mesh with its hull: the same verdict in every pose."""
+    box = small_arm()
+    size = re.search(r'<box size="([^"]+)"', box.urdf_text)
+    assert size is not None
+    half = np.array([float(edge) for edge in size[1].split()]) / 2
+    corners = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    hull = " ".join(f"{number:.6g}" for number in corners.ravel())
+    mesh = box.urdf_text.replace(f"{size[0]}/>", f'<mesh filename="package://a/b.stl"><hull vertices="{hull}"/></mesh>')
+    assert mesh.count("<hull") == box.urdf_text.count(size[0])
+    poses = np.random.default_rng(1).uniform([-1.5, -2.8], [1.5, 2.8], (400, 2))
+    cell = Cell(name="test", clearance=CLEARANCE, floor=0.0, boxes=(Box(name="r", center=(1, 1, 1), size=(1, 0.2, 1)),))
+    checkers = [CollisionChecker(one, cell) for one in (box, build_robot(box.description, mesh))]
+    free = [one.collision_free(poses) for one in checkers]
+    assert 0.1 < free[0].mean() < 0.9
+    np.testing.assert_array_equal(free[0], free[1])
+    np.testing.assert_allclose(checkers[1].step, checkers[0].step, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("shape", "told"),
+    [
+        ('<mesh filename="package://a/b.stl"/>', "link base: mesh package://a/b.stl: its shape is not in the URDF"),
+        ('<box size="0 0 0"/>', "collision shapes cannot be read"),
+        ('<box size="1 x"/>', "collision shapes cannot be read"),
+    ],
+)
+def test_a_shape_that_cannot_be_read_is_told(shape: str, told: str) -> None:
+    arm = small_arm()
+    text = re.sub(r"<(box|cylinder|sphere) [^>]*/>", shape, arm.urdf_text)
+    with pytest.raises(BadInput) as error:
+        CollisionChecker(build_robot(arm.description, text), Cell(name="test"))
+    assert told in str(error.value)

@@ -52,6 +52,18 @@ def test_a_fixed_child_weighs_on_the_link_that_carries_it() -> None:
     np.testing.assert_allclose(read_chain(text).inertial, [[2, 6, 0, 0, 2, 0, 1 + 18, 0, 0, 3 + 18]], atol=1e-12)
 
 
+def test_a_fixed_child_weighs_there_also_where_the_chain_goes_on_before_it() -> None:
+    parts = (
+        f'<link name="d">{BODY}</link>',
+        joint("j", "revolute", "a", "b"),
+        joint("k", "revolute", "b", "c", f'<origin xyz="0 0 5"/>{LIMIT}'),
+        joint("camera", "fixed", "b", "d", '<origin xyz="3 0 0"/>'),
+    )
+    inertial = read_chain(robot(*parts, links="abc")).inertial
+    np.testing.assert_allclose(inertial[0], [2, 6, 0, 0, 1, 0, 2 + 18, 0, 0, 3 + 18], atol=1e-12)
+    np.testing.assert_array_equal(inertial[1], np.zeros(10))
+
+
 def test_what_is_fixed_to_the_base_is_no_load() -> None:
     text = robot(f'<link name="c">{BODY}</link>', joint("f", "fixed", "a", "c", ""), joint("j", "prismatic", "c", "b"))
     chain = read_chain(text)
@@ -89,6 +101,7 @@ def test_a_body_carried_there_and_back_is_the_same() -> None:
         (robot(joint("j", "revolute", "a", "b", LIMIT + '<origin xyz="0 0 x"/>')), "is not three numbers"),
         (robot('<joint name="j" type="fixed"><parent link="a"/></joint>'), "j: has no <child link=...>"),
         (robot(joint("j", "revolute", "a", "b"), joint("k", "revolute", "a", "c"), links="abc"), "two moving joints"),
+        (robot(joint("j", "revolute", "a", "b", f'{LIMIT}<mimic joint="k"/>')), "j: follows joint 'k' (<mimic>)"),
         (robot(joint("j", "fixed", "a", "b"), joint("k", "fixed", "b", "b")), "carried by two joints"),
         (robot(joint("j", "fixed", "a", "b"), joint("k", "fixed", "a", "b")), "carried by two joints"),
         (robot('<link name="a"/>', joint("j", "revolute", "a", "b")), "link 'a' stands twice"),

@@ -1,10 +1,13 @@
 """Plans by budget, through the API and by the command."""
 
+import re
+from pathlib import Path
 from subprocess import CompletedProcess
 
 import httpx
 import pytest
 
+from service.configuration import read_robot
 from tests.command import sweepid
 from tests.unit.service.api.conftest import CONFIG
 
@@ -46,6 +49,32 @@ def test_a_budget_that_cannot_be_met_names_the_field(
     answer = http.post("/plans", json=AXES | {"robot_id": robot_id} | budget)
     assert answer.status_code == 422
     assert told in answer.json()["detail"]
+
+
+def test_a_robot_of_another_machine_is_not_planned(http: httpx.Client, profile: Path) -> None:
+    known = read_robot(Path(ROBOT))
+    description = known.description.model_dump(mode="json")
+    description["axes"][5]["gear_ratio"] = 60.0
+    robot = http.post("/robots", json={"description": description, "urdf_text": known.urdf_text}).json()["id"]
+    wanted = AXES | {"robot_id": robot, "poses": 1}
+    refused = http.post("/plans", json=wanted)
+    assert refused.status_code == 422, refused.text
+    gear = f"joint_6 gear ratio: robot max100-class (number {robot}) has 60, drive profile {profile} has 101"
+    assert refused.json()["detail"].startswith(f"robot_id: is of another machine: {gear}")
+    assert http.post("/plans", params={"elsewhere": True}, json=wanted).status_code == 201
+
+
+def test_a_mesh_that_the_service_does_not_have_is_told(http: httpx.Client) -> None:
+    known = read_robot(Path(ROBOT))
+    mesh = '<mesh filename="package://arm/meshes/forearm.stl"/>'
+    text = re.sub(r'<cylinder radius="0.10" length="0.52"/>', mesh, known.urdf_text)
+    assert text != known.urdf_text
+    description = known.description.model_dump(mode="json")
+    robot = http.post("/robots", json={"description": description, "urdf_text": text})
+    assert robot.status_code == 201, robot.text
+    answer = http.post("/plans", json=AXES | {"robot_id": robot.json()["id"], "poses": 2})
+    assert answer.status_code == 422, answer.text
+    assert "link link_4: mesh package://arm/meshes/forearm.stl: its shape is not in the URDF" in answer.json()["detail"]
 
 
 def test_the_command_tells_what_the_plan_promises(url: str, http: httpx.Client) -> None:

@@ -15,7 +15,7 @@ from service.errors import BadInput
 from service.identification.base_parameters import base_parameters, condition_number
 from service.identification.pose_selection import Criterion
 from service.identification.regressor import inertia_rows, lock
-from service.robot import Robot
+from service.robot import Robot, build_robot
 from tests.unit.service.campaigns.small_arm import small_arm
 
 CONFIG = Path(__file__).parents[4] / "config"
@@ -155,6 +155,19 @@ def test_a_pose_behind_a_wall_is_dropped_with_its_reason(arm: Robot) -> None:
     assert plan.dropped
     assert all("no way of single-axis moves" in pose.reason for pose in plan.dropped)
     assert plan.sweeps
+
+
+@pytest.mark.parametrize(("lower", "upper"), [(-6.2, 6.2), (1.0, 9.0), (-9.0, -1.0)])
+def test_a_joint_that_turns_more_than_once_is_planned_over_one_turn(arm: Robot, lower: float, upper: float) -> None:
+    text = arm.urdf_text.replace('lower="-2.9" upper="2.9"', f'lower="{lower}" upper="{upper}"')
+    wide = build_robot(arm.description, text)
+    request = PlanRequest(robot_id=1, axes=("j1",), varied=("j2",), step=10.0)
+    cell = Cell(name="wide", ignored_pairs=(("base", "fore"), ("base", "tool"), ("upper", "tool")), home={"j2": upper})
+    positions = workspace_grid(wide, request, cell)[:, 1]
+    assert len(positions) == 36
+    assert lower <= positions.min() <= positions.max() <= upper
+    turned = np.sort(np.degrees(positions) % 360).round(6) % 360
+    assert len(np.unique(turned)) == 36
 
 
 def test_workspace_is_the_free_part_of_the_grid(max100: Robot, workshop: Cell, plan: PlanDocument) -> None:

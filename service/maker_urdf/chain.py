@@ -1,0 +1,182 @@
+"""One serial chain of a URDF that may have several: what is not on the way to the tip is fixed where it stands."""
+
+import math
+import xml.etree.ElementTree as ET
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from service.errors import BadInput
+from service.maker_urdf.finding import Finding
+from service.robot import rotation_about
+from service.urdf import read_axis, read_origin
+
+MOVING = ("revolute", "continuous", "prismatic")
+
+
+def choose_chain(root: ET.Element, tip: str | None, place: str) -> list[Finding]:
+    """Make `root` one serial chain that ends in link `tip`, in place; what was changed.
+
+    None: the only chain there is. BadInput names the tips to choose from, or why that chain is none.
+    """
+    tree = _Tree(root, place)
+    if tip is None:
+        tip = tree.only_tip()
+    way = tree.way_to(tip)
+    told = tree.drop_other_trees(tip)
+    moving = [joint for joint in way if joint.get("type") != "fixed"]
+    for joint in moving:
+        _check_moving(joint, place)
+    for joint in root.findall("joint"):
+        if joint.get("type") != "fixed" and joint not in moving:
+            told.append(_fix(joint, place))
+    return [*told, *(_with_ends(joint) for joint in moving if joint.get("type") == "continuous")]
+
+
+class _Tree:
+    """Who carries whom."""
+
+    def __init__(self, root: ET.Element, place: str) -> None:
+        self._root, self._place = root, place
+        self._links = [link.get("name", "") for link in root.findall("link")]
+        self._carrier: dict[str, ET.Element] = {}
+        for joint in root.findall("joint"):
+            child = _end(joint, "child", place)
+            if child in self._carrier:
+                raise BadInput(place, f"link {child!r} is carried by two joints: a closed loop is no serial chain")
+            self._carrier[child] = joint
+            for link in (child, _end(joint, "parent", place)):
+                if link not in self._links:
+                    raise BadInput(place, f"link {link!r} of joint {joint.get('name')!r} is not defined")
+
+    def way_to(self, link: str) -> list[ET.Element]:
+        """Joints from the root of its tree to a link."""
+        if link not in self._links:
+            raise BadInput("--tip", f"{link!r} is no link of {self._place}: {', '.join(self._links)}")
+        way: list[ET.Element] = []
+        while link in self._carrier:
+            way.append(self._carrier[link])
+            link = _end(way[-1], "parent", self._place)
+            if len(way) > len(self._links):
+                raise BadInput(self._place, f"link {link!r} carries itself")
+        return way[::-1]
+
+    def only_tip(self) -> str:
+        """The link that the last moving joint of the only chain carries; BadInput tells the tips if there are more."""
+        ways = {link: self._moving(link) for link in self._links}
+        inner = {id(joint) for way in ways.values() for joint in way[:-1]}
+        ends = {
+            link: way
+            for link, way in ways.items()
+            if way and way[-1] is self._carrier[link] and id(way[-1]) not in inner
+        }
+        if not ends:
+            raise BadInput(self._place, "has no moving joint")
+        if len(ends) == 1:
+            return next(iter(ends))
+        forks = {link: self._forked(link, list(ends.values())) for link in ends}
+        shown = {**{link: self._moving(link) for link in forks.values()}, **ends}
+        tips = ", ".join(f"{link} ({len(way)} axes)" for link, way in shown.items() if way)
+        raise BadInput(self._place, f"has {len(ends)} chains; choose the end of one by --tip: {tips}")
+
+    def drop_other_trees(self, tip: str) -> list[Finding]:
+        """Take out links that hang on another root than the tip."""
+        base = self._base(tip)
+        others = {link for link in self._links if self._base(link) != base}
+        for joint in self._root.findall("joint"):
+            if _end(joint, "child", self._place) in others:
+                self._root.remove(joint)
+        for link in self._root.findall("link"):
+            if link.get("name") in others:
+                self._root.remove(link)
+        roots = sorted(link for link in others if link not in self._carrier)
+        return [Finding("changed", link, "is the base of another tree: left out with all it carries") for link in roots]
+
+    def _moving(self, link: str) -> list[ET.Element]:
+        return [joint for joint in self.way_to(link) if joint.get("type") != "fixed"]
+
+    def _base(self, link: str) -> str:
+        way = self.way_to(link)
+        return _end(way[0], "parent", self._place) if way else link
+
+    def _forked(self, link: str, ways: list[list[ET.Element]]) -> str:
+        """The link after which the way to `link` and another one part."""
+        way = self._moving(link)
+        shared = max(_shared(way, other) for other in ways if other is not way and other[-1] is not way[-1])
+        return _end(way[shared], "parent", self._place)
+
+
+def _shared(one: list[ET.Element], other: list[ET.Element]) -> int:
+    return next((k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a is not b), min(len(one), len(other)))
+
+
+def _check_moving(joint: ET.Element, place: str) -> None:
+    here, mimic = f"{place} joint {joint.get('name')}", joint.find("mimic")
+    if joint.get("type") not in MOVING:
+        raise BadInput(here, f"type {joint.get('type')!r} is on the way to the tip; only {', '.join(MOVING)} may be")
+    if mimic is not None:
+        raise BadInput(
+            here, f"follows joint {mimic.get('joint')!r} (<mimic>) and is on the way to the tip: no axis of its own"
+        )
+
+
+def _fix(joint: ET.Element, place: str) -> Finding:
+    """Make a moving joint a fixed one, at 0 or the nearest position that its limits allow."""
+    here, mimic = f"{place} joint {joint.get('name')}", joint.find("mimic")
+    kind, limit = joint.get("type"), joint.find("limit")
+    if kind not in MOVING:
+        raise BadInput(here, f"type {kind!r} cannot be fixed; only {', '.join(MOVING)} can")
+    position = 0.0
+    if kind != "continuous" and limit is not None:
+        try:
+            position = min(max(0.0, float(limit.get("lower", "0"))), float(limit.get("upper", "0")))
+        except ValueError as error:
+            raise BadInput(here, f"limit: {error}") from None
+    if position:
+        _shift(joint, position, here)
+    for tag in ("mimic", "limit", "axis", "dynamics", "safety_controller", "calibration"):
+        for element in joint.findall(tag):
+            joint.remove(element)
+    joint.set("type", "fixed")
+    why = "is not on the way to the tip" if mimic is None else f"follows {mimic.get('joint')} (<mimic>)"
+    return Finding("changed", joint.get("name", ""), f"{why}: fixed at {position:.4g}")
+
+
+def _shift(joint: ET.Element, position: float, here: str) -> None:
+    """Put the position of a joint into its origin."""
+    rotation, translation = read_origin(joint, here)
+    axis = read_axis(joint, here)
+    if joint.get("type") == "prismatic":
+        translation = translation + rotation @ axis * position
+    else:
+        rotation = rotation @ rotation_about(axis, np.array(position))
+    for element in joint.findall("origin"):
+        joint.remove(element)
+    # fixed-axis roll, pitch, yaw as URDF has them
+    rpy = Rotation.from_matrix(rotation).as_euler("xyz")
+    ET.SubElement(joint, "origin", xyz=_text(translation), rpy=_text(rpy))
+
+
+def _with_ends(joint: ET.Element) -> Finding:
+    """A continuous joint may turn once: cables, and a plan that has an end."""
+    limit = joint.find("limit")
+    if limit is None:
+        limit = ET.SubElement(joint, "limit")
+    joint.set("type", "revolute")
+    limit.set("lower", f"{-math.pi:.6f}")
+    limit.set("upper", f"{math.pi:.6f}")
+    return Finding(
+        "changed", joint.get("name", ""), "turns without end (continuous): limited to half a turn either way"
+    )
+
+
+def _end(joint: ET.Element, tag: str, place: str) -> str:
+    element = joint.find(tag)
+    name = None if element is None else element.get("link")
+    if name is None:
+        raise BadInput(f"{place} joint {joint.get('name')}", f"has no <{tag} link=...>")
+    return name
+
+
+def _text(vector: np.ndarray) -> str:
+    return " ".join(f"{float(number):.12g}" for number in vector)

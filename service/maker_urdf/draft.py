@@ -1,0 +1,137 @@
+"""Drafts to be completed by a person: the robot's side file, and a cell in which it stands free."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from service.cell import Cell
+from service.collision import CollisionChecker
+from service.maker_urdf.check import Told
+from service.maker_urdf.finding import Finding
+from service.robot import Axis, Robot, RobotDescription, build_robot
+
+Array = NDArray[np.float64]
+
+Pair = tuple[str, str]
+
+CLEARANCE, MARGIN = 0.03, 0.02  # m; rad (m)
+ROOM = math.radians(6.0)  # for a sweep, rad (m)
+POSES = 200  # drawn to find shapes that nest
+NESTED = 0.9  # share of them in which two shapes meet
+
+
+def side_file_text(told: Told, name: str, urdf: str) -> str:
+    """The side file (`config/robots/*.yaml`) of a robot, as far as its URDF tells; null where a person has to."""
+    lines = [
+        "# Drafted from a maker's URDF. What is null there is in the data sheets of motors and gears:",
+        "# gear_ratio: motor revolutions per joint revolution (prismatic: rad per m), signed; has to be completed",
+        "# rated_effort: what motor and gear can give continuously, at the joint; has to be completed",
+        "# motor_inertia: kg m^2 on the motor side, brake included; null: nobody knows, it is measured with the load",
+        "# viscous_friction: N m s/rad (N s/m) at the joint; null: nobody knows",
+        f"name: {_scalar(name)}",
+        f"urdf: {_scalar(urdf)}",
+        "gravity: [0.0, 0.0, -9.81] # in the base frame: turn it for a robot that hangs",
+        "axes:",
+    ]
+    for joint in told.chain.joints:
+        given, unit = told.gear_ratios[joint.name], "N" if joint.kind == "prismatic" else "N m"
+        ratio = "null" if given is None else f"{given!r} # of the URDF's <transmission>"
+        lines += [
+            f"  - joint: {_scalar(joint.name)}",
+            f"    gear_ratio: {ratio}",
+            "    motor_inertia: null",
+            f"    rated_effort: null # the URDF's limit is {joint.effort:g} {unit}",
+            "    viscous_friction: null",
+        ]
+    lines.append("prior: # how far the model may be off: one sigma, relative")
+    if told.guessed:
+        lines.append(f"  # the inertials of {', '.join(told.guessed)} are guesses from shapes")
+    spread = 1.0 if told.guessed else 0.3
+    lines += [f"  inertia: {spread}", f"  gravity: {spread}"]
+    lines += ["  viscous_friction: 0.5", "  motor_inertia: 0.1", "  effort_gain: 0.05"]
+    return "\n".join(lines) + "\n"
+
+
+def cell_text(told: Told, name: str) -> tuple[str, list[Finding]]:
+    """A cell without obstacles for a robot whose shapes are all known, and what of it a person should look at."""
+    robot = _bare_robot(told)
+    nested = _nested(robot)
+    pairs = tuple(pair for pair, _ in nested)
+    cell = Cell(name=name, clearance=CLEARANCE, joint_margin=MARGIN, ignored_pairs=pairs)
+    home, met = _home(robot, CollisionChecker(robot, cell))
+    found = [
+        Finding("unusual", f"{a}, {b}", f"meet in {100 * share:.0f} % of {POSES} poses: taken as nested, not checked")
+        for (a, b), share in nested
+    ]
+    found += [
+        Finding("unusual", f"{a}, {b}", "meet with all joints at 0, or in the middle: home is elsewhere")
+        for a, b in met
+    ]
+    lines = [
+        f"# Drafted for {name}: nothing stands around it. Add floor and boxes, m in the robot's base frame.",
+        f"name: {_scalar(name)}",
+        f"clearance: {CLEARANCE}",
+        f"joint_margin: {MARGIN}",
+        "boxes: []",
+        "ignored_pairs:" if nested else "ignored_pairs: []",
+        *(
+            f"  - [{_scalar(a)}, {_scalar(b)}] # meet in {100 * share:.0f} % of {POSES} poses"
+            for (a, b), share in nested
+        ),
+        "home:" if home.any() else "home: {}",
+        *(f"  {_scalar(joint)}: {at:.4f}" for joint, at in zip(robot.joints, home, strict=True) if at),
+    ]
+    return "\n".join(lines) + "\n", found
+
+
+def _bare_robot(told: Told) -> Robot:
+    """The chain with a drive train of no meaning: collisions ask for none."""
+    axes = tuple(Axis(joint=joint.name, gear_ratio=1.0, rated_effort=1.0) for joint in told.chain.joints)
+    return build_robot(RobotDescription(name=told.name, urdf="", axes=axes), told.urdf_text)
+
+
+def _nested(robot: Robot) -> Sequence[tuple[Pair, float]]:
+    """Pairs of links that meet nearly wherever the robot is, with their share of the poses."""
+    checker = CollisionChecker(robot, Cell(name="none", clearance=CLEARANCE))
+    counts = Counter(pair for pose in _drawn(robot, np.zeros(len(robot.joints))) for pair in checker.touching(pose))
+    return [(pair, count / POSES) for pair, count in sorted(counts.items()) if count >= NESTED * POSES]
+
+
+def _home(robot: Robot, checker: CollisionChecker) -> tuple[Array, Sequence[Pair]]:
+    """0 where a joint's limits have room for a sweep there, else the middle of them, (n,), and who meets there.
+
+    If anything does, the nearest of some poses with room in which nothing does.
+    """
+    joints = robot.chain.joints
+    low, high = _ends(robot)
+    room = np.minimum(ROOM, (high - low) / 4) + MARGIN
+    inside = [joint.lower + own <= 0.0 <= joint.upper - own for joint, own in zip(joints, room, strict=True)]
+    home = np.round((low + high) / 2, 4)
+    home[inside] = 0.0
+    met = sorted(checker.touching(home))
+    poses = _drawn(robot, room)
+    free = poses[checker.collision_free(poses)] if met else poses[:0]
+    if len(free):
+        nearest = int(np.argmin(np.linalg.norm(free - home, axis=1)))
+        home = free[nearest].round(4)
+    return home, met
+
+
+def _drawn(robot: Robot, room: Array) -> Array:
+    """Poses (m, n) at least `room` (n,) from the limits, the same every time."""
+    low, high = _ends(robot)
+    return np.random.default_rng(1).uniform(low + room, high - room, (POSES, len(low)))
+
+
+def _ends(robot: Robot) -> tuple[Array, Array]:
+    joints = robot.chain.joints
+    return np.array([joint.lower for joint in joints]), np.array([joint.upper for joint in joints])
+
+
+def _scalar(text: str) -> str:
+    """As YAML writes it in one line."""
+    return yaml.safe_dump(text, width=10_000).removesuffix("...\n").strip()

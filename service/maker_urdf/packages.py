@@ -1,0 +1,63 @@
+"""Mesh files by the names that a URDF gives them. Nothing outside of the package folders is read."""
+
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+
+from service.errors import BadInput
+
+LARGEST_MESH = 64 * 1024 * 1024  # bytes
+_SCHEME = "package://"
+
+
+class Packages:
+    """Folders that hold packages, or are one; `package://NAME/PATH` is the file PATH of the folder NAME.
+
+    A name without a scheme is meant beside the URDF, and has to lie in a package folder as well.
+    """
+
+    def __init__(self, folders: Sequence[Path], beside: Path) -> None:
+        """`beside`: the folder of the URDF. BadInput where a package folder is none."""
+        for folder in folders:
+            if not folder.is_dir():
+                raise BadInput(str(folder), "is no folder of packages")
+        self._folders = tuple(folder.resolve() for folder in folders)
+        self._beside = beside.resolve()
+
+    def read(self, name: str, place: str) -> bytes:
+        """The file; BadInput names the mesh where it is not there, too large, or outside of the package folders."""
+        for candidate in self._candidates(name, place):
+            try:
+                found = candidate.resolve(strict=True)
+            except (OSError, RuntimeError, ValueError):  # not there, links in a circle, a NUL in the name
+                continue
+            if not any(found.is_relative_to(folder) for folder in self._folders):
+                raise BadInput(place, f"mesh {name}: lies outside of the package folders")
+            return _content(found, name, place)
+        shown = ", ".join(map(str, self._folders)) or "none was given"
+        raise BadInput(place, f"mesh {name}: no such file in the package folders ({shown})")
+
+    def _candidates(self, name: str, place: str) -> list[Path]:
+        if ".." in PurePosixPath(name.replace("\\", "/")).parts:
+            raise BadInput(place, f"mesh {name}: '..' leads out of a package")
+        if name.startswith(_SCHEME):
+            package, _, path = name.removeprefix(_SCHEME).partition("/")
+            if not package or not path:
+                raise BadInput(place, f"mesh {name}: is not {_SCHEME}PACKAGE/FILE")
+            own = [folder / path for folder in self._folders if folder.name == package]
+            return [*own, *(folder / package / path for folder in self._folders)]
+        if "://" in name:
+            raise BadInput(place, f"mesh {name}: only {_SCHEME}PACKAGE/FILE or a path beside the URDF is read")
+        return [self._beside / name]
+
+
+def _content(path: Path, name: str, place: str) -> bytes:
+    try:
+        if not path.is_file():
+            raise BadInput(place, f"mesh {name}: is no file")
+        with path.open("rb") as file:
+            content = file.read(LARGEST_MESH + 1)
+    except OSError as error:
+        raise BadInput(place, f"mesh {name}: cannot be read: {error.strerror or error}") from None
+    if len(content) > LARGEST_MESH:
+        raise BadInput(place, f"mesh {name}: is larger than {LARGEST_MESH // 2**20} MiB")
+    return content

@@ -1,0 +1,127 @@
+"""Robot and machine belong together: each number that both files have, and what is done with one that differs."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from drivers.registry import load_profile
+from service.campaigns.course import course_of, planned_sweeps
+from service.campaigns.fit import COMPARED, DriveAxis, differences, drive_axes
+from service.campaigns.plan import PlanRequest, build_plan
+from service.cell import read_cell
+from service.configuration import read_robot
+from service.errors import Conflict
+from service.robot import Robot, build_robot
+from service.settings import Settings
+from service.store.database import open_database
+from service.store.documents import CampaignDocument
+from service.store.store import Store
+
+CONFIG = Path(__file__).parents[4] / "config"
+PROFILES = sorted((CONFIG / "drives").glob("*.yaml"))
+JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return read_robot(CONFIG / "robots/max100-class.yaml")
+
+
+def axes_of(path: Path) -> tuple[DriveAxis, ...]:
+    return drive_axes(load_profile(path), JOINTS)
+
+
+def told(robot: Robot, axes: tuple[DriveAxis, ...], *moved: str) -> str:
+    return differences(robot, "robot r", axes, "profile p", moved)
+
+
+@pytest.mark.parametrize("path", PROFILES, ids=lambda path: path.stem)
+def test_the_profiles_that_are_shipped_fit_their_robot(path: Path, robot: Robot) -> None:
+    axes = axes_of(path)
+    assert told(robot, axes, *JOINTS) == ""
+    assert all(axis.gear_ratio and axis.rated_torque and axis.position_limits for axis in axes)
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"gear_ratio": 60.0, "rated_torque": 350 / 60}, "joint_6 gear ratio: robot r has 101, profile p has 60"),
+        ({"gear_ratio": -101.0}, "joint_6 gear ratio: robot r has 101, profile p has -101"),
+        ({"rated_torque": 1.0}, "joint_6 rated effort: robot r has 350 N m, profile p has 101 N m"),
+        ({"position_limits": (-3.0, 6.28)}, "joint_6 lower limit: robot r has -6.28 rad, profile p has -3 rad"),
+        ({"position_limits": (-6.28, 7.0)}, "joint_6 upper limit: robot r has 6.28 rad, profile p has 7 rad"),
+        ({"velocity_limit": 4.0}, "joint_6 velocity limit: robot r has 3.6 rad/s, profile p has 4 rad/s"),
+        ({"effort_limit": 800.0}, "joint_6 effort limit: robot r has 700 N m, profile p has 800 N m"),
+        ({"unit": "m"}, "joint_6 unit: robot r has rad, profile p has m"),
+    ],
+)
+def test_a_difference_names_both_places_and_both_values(robot: Robot, change: dict[str, object], sentence: str) -> None:
+    axes = axes_of(PROFILES[0])
+    assert told(robot, (*axes[:-1], axes[-1].model_copy(update=change))) == sentence
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"gear_ratio": 101.05}, {"rated_torque": 3.44}, {"velocity_limit": 0.2}, {"effort_limit": 90.0}, {"unit": None}]
+    + [{name: None} for name in DriveAxis.model_fields if name != "joint"],
+)
+def test_rounded_values_lower_limits_and_what_a_profile_lacks_are_no_difference(
+    robot: Robot, change: dict[str, object]
+) -> None:
+    axes = axes_of(PROFILES[0])
+    assert told(robot, (*axes[:-1], axes[-1].model_copy(update=change))) == ""
+
+
+def test_joints_go_by_name_and_order(robot: Robot) -> None:
+    axes = axes_of(PROFILES[0])
+    swapped = (axes[1], axes[0], *axes[2:])
+    assert told(robot, swapped).startswith("joints: robot r has joint_1, joint_2")
+    assert "profile p has joint_2, joint_1" in told(robot, swapped)
+    other = tuple(axis.model_copy(update={"joint": f"axis_{k}"}) for k, axis in enumerate(axes))
+    assert "profile p has axis_0" in told(robot, other)
+
+
+def test_a_joint_that_does_not_move_needs_no_drive(robot: Robot) -> None:
+    axes = axes_of(PROFILES[0])[:3]
+    assert told(robot, axes, "joint_1", "joint_3") == ""
+    assert told(robot, axes, "joint_4").startswith("joints:")
+    assert told(robot, axes, "no_joint_of_it") == ""  # what the request says of it tells that
+
+
+def test_every_axis_that_differs_is_told_and_a_long_list_is_cut(robot: Robot) -> None:
+    axes = tuple(axis.model_copy(update={"gear_ratio": 1.0, "effort_limit": 1e9}) for axis in axes_of(PROFILES[0]))
+    sentence = told(robot, axes)
+    assert sentence.endswith("and 10 more")
+    assert len({row.what for row in COMPARED}) == len(COMPARED) == 6
+
+
+def test_a_profile_with_other_words_is_compared_by_its_joints() -> None:
+    assert drive_axes({"adapter": "other"}, ("a", "b")) == (DriveAxis(joint="a"), DriveAxis(joint="b"))
+    assert drive_axes({"axes": [{"joint": "a", "gear_ratio": "many"}, 3]}, ("a",)) == (DriveAxis(joint="a"),)
+
+
+@pytest.fixture
+def planned(tmp_path: Path, robot: Robot) -> Iterator[tuple[Store, Settings, CampaignDocument]]:
+    """A campaign of a plan for a robot whose axis 6 has a gear of 60."""
+    axes = (*robot.axes[:-1], robot.axes[-1].model_copy(update={"gear_ratio": 60.0}))
+    other = build_robot(robot.description.model_copy(update={"axes": axes}), robot.urdf_text)
+    settings = Settings(cells_dir=CONFIG / "cells", drive=PROFILES[0])
+    with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
+        store = Store(database)
+        robot_id = store.add_robot(other).id
+        request = PlanRequest(robot_id=robot_id, axes=("joint_2",), varied=("joint_3",), step=30.0, poses=1)
+        document = build_plan(other, request, read_cell(CONFIG / "cells/workshop.yaml"))
+        plan = store.add_plan(robot_id, document.model_dump(mode="json"))
+        yield store, settings, store.add_campaign(plan.id, planned_sweeps(plan))
+
+
+def test_a_campaign_for_another_machine_has_no_course(planned: tuple[Store, Settings, CampaignDocument]) -> None:
+    """`course_of` is asked at every start and resume."""
+    store, settings, campaign = planned
+    with pytest.raises(Conflict) as refusal:
+        course_of(store, settings, axes_of(PROFILES[0]), campaign)
+    said = str(refusal.value)
+    assert said.startswith(f"campaign {campaign.id} is for another machine: joint_6 gear ratio: robot max100-class")
+    assert f"has 60, drive profile {PROFILES[0]} has 101" in said
+    assert "joint_1" in course_of(store, settings, axes_of(PROFILES[0])[:3], campaign).joints

@@ -1,0 +1,107 @@
+"""Convex hulls hold all of their mesh, stay near it, and a guessed inertial is that of the body they enclose."""
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
+
+from service.errors import BadInput
+from service.hull import read_hull, write_hull
+from service.maker_urdf.hulls import FINEST, MOST_VERTICES, convex_hull, solid
+from service.maker_urdf.inertials import DENSITY, complete_inertials, look_at_inertials
+from service.urdf import read_chain
+
+BOX = np.array([[x, y, z] for x in (0.1, 0.3) for y in (-0.2, 0.2) for z in (0.0, 0.1)])
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10_000), count=st.integers(1, 3000), size=st.sampled_from([1e-3, 0.1, 3.0]))
+def test_no_point_is_left_out_and_none_is_far(seed: int, count: int, size: float) -> None:
+    points = size * np.random.default_rng(seed).normal(size=(count, 3))
+    vertices, off = convex_hull(points)
+    assert len(vertices) <= MOST_VERTICES
+    planes = ConvexHull(vertices).equations
+    assert (points @ planes[:, :3].T + planes[:, 3]).max() < 1e-9 * max(size, 1)
+    nearest = np.sqrt(((vertices[:, None, :] - points[None]) ** 2).sum(-1)).min(1)
+    assert nearest.max() <= off * (1 + 1e-9)
+
+
+def test_a_flat_mesh_gets_a_thickness() -> None:
+    vertices, off = convex_hull(BOX * [1, 1, 0])
+    assert np.ptp(vertices[:, 2]) == pytest.approx(FINEST)
+    assert off < 2 * FINEST
+
+
+def test_a_box_has_the_volume_and_moments_of_a_box() -> None:
+    volume, centre, moment = solid(BOX)
+    edges = np.array([0.2, 0.4, 0.1])
+    assert volume == pytest.approx(0.2 * 0.4 * 0.1)
+    np.testing.assert_allclose(centre, [0.2, 0.0, 0.05], atol=1e-12)
+    np.testing.assert_allclose(moment - volume * np.outer(centre, centre), volume * np.diag(edges**2) / 12, atol=1e-12)
+
+
+def test_what_is_written_is_read_again() -> None:
+    mesh = ET.Element("mesh", filename="a.stl")
+    vertices, _ = convex_hull(BOX)
+    write_hull(mesh, vertices)
+    np.testing.assert_allclose(read_hull(mesh, "x"), vertices, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("hull", "told"),
+    [
+        ("", "`sweepid robot check URDF --packages DIR` puts it in"),
+        ('<hull vertices="1 2 3 4"/>', "not finite numbers in threes"),
+        ('<hull vertices="1 2 nan"/>', "not finite numbers in threes"),
+        ('<hull vertices="1 2 x"/>', "could not convert"),
+        ('<hull vertices="0 0 0 1 0 0 0 1 0 0 0 2e4"/>', "reaches 2e+04 m, limit 10000 m"),
+        ('<hull vertices="0 0 0 1 0 0 0 1 0 1 1 0"/>', "all in one plane"),
+        (f'<hull vertices="{"0 " * 30001}"/>', "more than 30000 numbers"),
+    ],
+)
+def test_a_hull_that_is_none_is_told(hull: str, told: str) -> None:
+    with pytest.raises(BadInput) as error:
+        read_hull(ET.fromstring(f'<mesh filename="a.stl">{hull}</mesh>'), "link b")
+    assert told in str(error.value)
+    assert "a.stl" in str(error.value)
+
+
+def arm(inertial: str, shape: str) -> ET.Element:
+    return ET.fromstring(
+        f"""<robot name="r"><link name="a"/><link name="b">{inertial}{shape}</link>
+        <joint name="j" type="revolute"><parent link="a"/><child link="b"/>
+        <limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>"""
+    )
+
+
+SHAPE = '<collision><origin xyz="0.2 0 0.05"/><geometry><box size="0.2 0.4 0.1"/></geometry></collision>'
+
+
+def test_a_link_without_inertial_is_completed_and_told() -> None:
+    root = arm("", SHAPE)
+    (told,) = complete_inertials(root, "x")
+    assert (told.kind, told.place) == ("changed", "b")
+    assert "a guess" in told.sentence
+    mass = DENSITY * 0.008
+    inertial = read_chain(ET.tostring(root, encoding="unicode")).inertial[0]
+    np.testing.assert_allclose(inertial[:4], mass * np.array([1, 0.2, 0, 0.05]), rtol=1e-5, atol=1e-9)
+    assert inertial[9] == pytest.approx(mass * ((0.04 + 0.16) / 12 + 0.04), rel=1e-5)
+
+
+def test_a_link_with_neither_inertial_nor_shape_is_missing() -> None:
+    (told,) = complete_inertials(arm("", ""), "x")
+    assert (told.kind, told.place) == ("missing", "b")
+
+
+@pytest.mark.parametrize(
+    ("mass", "tensor", "told"),
+    [(1.0, (1, 1, 3), "no body has its principal inertias"), (-1.0, (1, 1, 1), "mass of -1 kg")],
+)
+def test_what_no_body_can_have_is_told(mass: float, tensor: tuple[float, ...], told: str) -> None:
+    inertia = f'ixx="{tensor[0]}" iyy="{tensor[1]}" izz="{tensor[2]}" ixy="0" ixz="0" iyz="0"'
+    (found,) = look_at_inertials(arm(f'<inertial><mass value="{mass}"/><inertia {inertia}/></inertial>', ""), "x")
+    assert (found.kind, found.place) == ("unusual", "b")
+    assert told in found.sentence

@@ -1,0 +1,123 @@
+"""Points of mesh files: the three kinds, what is cut off or no number, and folders that are not to be left."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.errors import BadInput
+from service.maker_urdf import packages
+from service.maker_urdf.meshes import mesh_points
+from service.maker_urdf.packages import Packages
+
+CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]])
+
+
+def binary_stl(triangles: list[list[int]], head: bytes = b"solid as some makers write") -> bytes:
+    body = b"".join(struct.pack("<12fH", 0, 0, 1, *CORNERS[list(corners)].ravel(), 0) for corners in triangles)
+    return head.ljust(80) + struct.pack("<I", len(triangles)) + body
+
+
+TEXT_STL = (
+    b"solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nVERTEX 0 2 0\nendloop\nendfacet\nendsolid"
+)
+OBJ = b"# comment\nvn 0 0 1\nv 0 0 0 1.0\nv 1 0 0\nv 0 2 0\nf 1 2 3\n"
+
+
+def dae(node: str, *, unit: str = "0.01", used: str = "0 1 2") -> bytes:
+    return f"""<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema"><asset><unit meter="{unit}"/></asset>
+    <library_geometries><geometry id="g"><mesh>
+    <source id="p"><float_array id="a" count="12">0 0 0 1 0 0 0 2 0 0 0 3</float_array>
+    <technique_common><accessor source="#a" stride="3"/></technique_common></source>
+    <vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+    <triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/>
+    <input semantic="NORMAL" source="#p" offset="1"/><p>{" ".join(f"{k} 0" for k in used.split())}</p></triangles>
+    </mesh></geometry></library_geometries>
+    <library_visual_scenes><visual_scene id="s"><node>{node}<instance_geometry url="#g"/></node></visual_scene>
+    </library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>""".encode()
+
+
+@pytest.mark.parametrize(
+    ("content", "name"),
+    [(binary_stl([[0, 1, 2]]), "a.STL"), (TEXT_STL, "a.stl"), (OBJ, "a.obj"), (dae("", unit="1"), "a.dae")],
+    ids=["binary", "text", "obj", "dae"],
+)
+def test_each_kind_gives_its_points(content: bytes, name: str) -> None:
+    np.testing.assert_array_equal(np.unique(mesh_points(content, name, "x"), axis=0), np.unique(CORNERS[:3], axis=0))
+
+
+def test_the_scene_of_a_dae_places_scales_and_turns() -> None:
+    node = "<translate>5 0 0</translate><rotate>0 0 1 90</rotate><scale>2 2 2</scale>"
+    expected = 0.01 * (2 * CORNERS[:3] @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]]) + [5, 0, 0])
+    np.testing.assert_allclose(mesh_points(dae(node), "a.dae", "x"), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("content", "name", "told"),
+    [
+        (binary_stl([[0, 1, 2]], b"\0")[:-7], "a.stl", "is cut off: 1 triangles told in 127 bytes"),
+        (b"", "a.stl", "is cut off"),
+        (b"solid nothing", "a.stl", "has no points"),
+        (b"v 1 2\n", "a.obj", "fewer than three numbers"),
+        (b"v 1 2 x\n", "a.obj", "could not convert"),
+        (b"v 1 2 nan\n", "a.obj", "not finite"),
+        (b"<COLLADA>", "a.dae", "not XML"),
+        (b"<COLLADA/>", "a.dae", "has no visual scene"),
+        (dae("<matrix>1 2 3</matrix>"), "a.dae", "cannot be read"),
+        (dae("", used="0 1 9"), "a.dae", "cannot be read"),
+        (b"", "a.step", "is none of .stl, .obj, .dae"),
+    ],
+)
+def test_what_is_no_mesh_is_told(content: bytes, name: str, told: str) -> None:
+    with pytest.raises(BadInput, match=f"(?s)a\\..*{told}"):
+        mesh_points(content, name, "x")
+
+
+@pytest.fixture
+def share(tmp_path: Path) -> Path:
+    (tmp_path / "share/arm/meshes").mkdir(parents=True)
+    (tmp_path / "share/arm/meshes/a.obj").write_bytes(OBJ)
+    (tmp_path / "secret.obj").write_bytes(b"v 9 9 9")
+    (tmp_path / "share/arm/out.obj").symlink_to(tmp_path / "secret.obj")
+    (tmp_path / "share/arm/circle.obj").symlink_to(tmp_path / "share/arm/circle.obj")
+    return tmp_path / "share"
+
+
+def test_a_package_is_found_below_a_folder_and_as_one(share: Path) -> None:
+    for folder in (share, share / "arm"):
+        assert Packages([folder], share).read("package://arm/meshes/a.obj", "x") == OBJ
+    assert Packages([share], share / "arm").read("meshes/a.obj", "x") == OBJ
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("package://arm/../../secret.obj", "'..' leads out of a package"),
+        ("package://arm/..\\..\\secret.obj", "'..' leads out of a package"),
+        ("package://arm/out.obj", "lies outside of the package folders"),
+        ("package://arm/circle.obj", "no such file"),
+        ("package://other/a.obj", "no such file in the package folders"),
+        ("package://arm", "is not package://PACKAGE/FILE"),
+        ("package://arm/meshes", "is no file"),
+        ("package://arm/\0", "no such file"),
+        ("file:///etc/passwd", "only package://PACKAGE/FILE or a path beside the URDF"),
+        ("/etc/passwd", "lies outside"),
+        ("secret.obj", "lies outside"),
+    ],
+)
+def test_nothing_outside_of_the_packages_is_read(share: Path, name: str, told: str) -> None:
+    with pytest.raises(BadInput) as error:
+        Packages([share], share.parent).read(name, "link a")
+    assert told in str(error.value)
+
+
+def test_a_mesh_larger_than_the_limit_is_refused(share: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(packages, "LARGEST_MESH", len(OBJ) - 1)
+    with pytest.raises(BadInput, match="is larger than"):
+        Packages([share], share).read("package://arm/meshes/a.obj", "x")
+
+
+def test_a_package_folder_that_is_none_is_told(tmp_path: Path) -> None:
+    with pytest.raises(BadInput, match="is no folder of packages"):
+        Packages([tmp_path / "nowhere"], tmp_path)
