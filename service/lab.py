@@ -22,7 +22,7 @@ from service.campaigns.machine import Machine
 from service.campaigns.recovery import recover
 from service.campaigns.runner import Runner
 from service.campaigns.station import Station
-from service.campaigns.stop_beside import listening
+from service.campaigns.stop_beside import listening, watching
 from service.configuration import read_robot
 from service.settings import Settings
 from service.stop_process.handle import StopProcess
@@ -109,6 +109,7 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
         stack.push_async_callback(port.close)
         keeper = asyncio.create_task(machine.keep_lease(lease, settings.lease_time), name="lease")
         stack.push_async_callback(_end, keeper)
+        await stack.enter_async_context(watching(machine))
         if stop_process is not None:
             await stack.enter_async_context(listening(stop_process, machine))
 

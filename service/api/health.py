@@ -29,9 +29,8 @@ async def get_ready(response: Response, lab: LabOf) -> Ready:
     causes: list[str] = []
     if not lab.machine.connected:
         causes.append(f"machine not connected: {lab.machine.trouble or 'not tried yet'}")
-    held = lab.machine.latched
-    if held is not None:
-        causes.append(f"stopped by {held.by}: {held.why}")
+    if lab.machine.forbidden:
+        causes.append(lab.machine.forbidden)
     process = lab.stop_process
     if process is not None and process.ended:
         causes.append(process.trouble)
