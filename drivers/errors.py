@@ -38,6 +38,10 @@ class NotReady(DriveError):
     """The drive's state does not allow the command, e.g. a sweep on an axis that is not enabled."""
 
 
+class MotionForbidden(DriveError):
+    """This host was suspended, or is not alone with its drives: nothing moves until a person has looked."""
+
+
 class DriveFault(DriveError):
     """The drive reported a fault (EMCY, statusword). It stays de-energised until a person acknowledges."""
 

@@ -9,10 +9,12 @@ Rules that every adapter keeps (tests/contract):
 - Nothing energises an axis but `enable`. A fault is cleared by `acknowledge` alone, and that never energises.
 - Leaving `run_sweep` or `run_noise` early, for whatever reason (error, ``aclose``, cancellation), stops the axis.
 - `stop` may be called at any time, from any task, and twice.
+- After a gap of the host's time, beside another host, or with an axis that gained or lost its energy by nobody here,
+  nothing is energised or moved until `allow`.
 - Whatever a drive cannot enforce itself is enforced here before the command is sent (`Capabilities`).
 """
 
-from collections.abc import AsyncGenerator, Mapping
+from collections.abc import AsyncGenerator, Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
@@ -55,6 +57,7 @@ class Capabilities:
     set_point_timing: str  # "thread", "bcm" (the kernel's), "none"
     simultaneous_axes: int  # that one `run_sweep` may move at once
     torque_injection: bool = False  # `run_noise`: the drive's own torque noise, with its speed control softened
+    hears_other_hosts: bool = False  # False: a second host shows only by what it does to the axes
 
 
 @dataclass(frozen=True, slots=True)
@@ -312,6 +315,14 @@ class DrivePort(Protocol):
 
         NotReady where `Capabilities.torque_injection` is False.
         """
+        ...
+
+    def watch(self, tell: Callable[[str], None] | None) -> None:
+        """`tell` is given, from any thread and at once, why nothing is energised or moved any more until `allow`."""
+        ...
+
+    def allow(self) -> None:
+        """A person looked at the machine. Nothing moves by this."""
         ...
 
     def halt(self) -> None:

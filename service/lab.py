@@ -23,7 +23,7 @@ from service.campaigns.machine import Machine
 from service.campaigns.recovery import recover
 from service.campaigns.runner import Runner
 from service.campaigns.station import Station
-from service.campaigns.stop_beside import listening
+from service.campaigns.stop_beside import listening, watching
 from service.configuration import read_robot
 from service.errors import Conflict
 from service.settings import Settings
@@ -73,12 +73,11 @@ class Lab:
 
     async def troubles(self) -> tuple[str, ...]:
         """Why nothing can be measured now, or why what was measured is not identified; one line each."""
-        stop, process = self.machine.latched, self.stop_process
+        process = self.stop_process
         found = [
             self.lost,
             "" if self.machine.connected else f"machine not connected: {self.machine.trouble or 'not tried yet'}",
-            "" if stop is None else f"stopped by {stop.by}: {stop.why}",
-            self.machine.lease_trouble,
+            self.machine.forbidden,
             process.trouble if process is not None and process.ended else "",
             await asyncio.to_thread(self.files.disk_trouble, self.settings.least_free_disk),
             self.worker.trouble,
@@ -145,6 +144,7 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
         stack.push_async_callback(port.close)
         keeper = asyncio.create_task(machine.keep_lease(lease, settings.lease_time), name="lease")
         stack.push_async_callback(_end, keeper)
+        await stack.enter_async_context(watching(machine))
         if stop_process is not None:
             await stack.enter_async_context(listening(stop_process, machine))
 

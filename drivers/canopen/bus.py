@@ -16,11 +16,14 @@ from canopen.sdo.client import SdoClient
 
 from drivers.canopen import frames
 from drivers.canopen.profile import BusProfile
+from drivers.canopen.strangers import Strangers
+from drivers.cia402.host_watch import HostWatch
 from drivers.errors import CommunicationLost, ConnectionFailed
 
 logger = logging.getLogger(__name__)
 
 RECEIVE_TIMEOUT = 0.05  # s; how long closing waits for the receiving thread
+KERNEL_REST = 1.0  # s in which frames that the kernel has sent for us may still come
 RECEIVE_BUFFER = 1 << 20  # bytes asked of the kernel, so that a busy moment loses no frame (it grants what it allows)
 
 
@@ -29,6 +32,9 @@ class Bus:
 
     def __init__(self, profile: BusProfile, nodes: tuple[int, ...]) -> None:
         """Opens the bus (blocking). ConnectionFailed where that is not possible."""
+        self.watch = HostWatch(profile.host_timeout)
+        self._strangers = Strangers(nodes, profile.host_node)
+        self._alone_from = float("inf")  # on the monotonic clock
         self._profile = profile
         self._interface = _open(profile)
         self._network = canopen.Network(self._interface)
@@ -76,7 +82,7 @@ class Bus:
 
     def silent(self, node: int) -> bool:
         """Whether the bus is lost, or this node was not heard for longer than the time-out."""
-        return self._lost is not None or time.monotonic() - self._heard[node] > self._profile.drive_timeout
+        return self._lost is not None or self._silence(self._heard[node]) > self._profile.drive_timeout
 
     def host_heard(self) -> bool:
         """Whether a heartbeat under our own node id came since the last question; another host's if we send none."""
@@ -87,10 +93,18 @@ class Bus:
         """How long a node was silent counts from here."""
         self._heard = dict.fromkeys(self._heard, time.monotonic())
 
+    def expect_no_host(self) -> None:
+        """From here on whoever speaks to our nodes as a host does is another one: `watch` forbids motion then."""
+        self._alone_from = time.monotonic()
+
+    def kernel_sends(self, *, sending: bool) -> None:
+        """While the kernel sends for us, its frames come back as those of another would."""
+        self._alone_from = float("inf") if sending else time.monotonic() + KERNEL_REST
+
     def check_alive(self) -> None:
         """CommunicationLost if the bus is gone or no node was heard for longer than the time-out."""
         timeout = self._profile.drive_timeout
-        if self._lost is None and time.monotonic() - max(self._heard.values()) > timeout:
+        if self._lost is None and self._silence(max(self._heard.values())) > timeout:
             # A socketcand connection that the server closed reads nothing for ever: end the receiving thread.
             self._fail(f"no node was heard for {timeout} s")
         if self._lost is not None:
@@ -99,7 +113,7 @@ class Bus:
     def check(self, node: int) -> None:
         """CommunicationLost if the bus is gone or this node was not heard for longer than the time-out."""
         self.check_alive()
-        silent = time.monotonic() - self._heard[node]
+        silent = self._silence(self._heard[node])
         if silent > self._profile.drive_timeout:
             raise CommunicationLost(f"node {node}: no heartbeat for {silent:.2f} s")
 
@@ -136,6 +150,10 @@ class Bus:
             self._lost = f"bus {self._profile.channel}: closed"
         self._network.disconnect()  # also shuts the interface down
 
+    def _silence(self, heard: float) -> float:
+        """s since somebody was heard; a time in which this host was suspended does not count against him."""
+        return time.monotonic() - max(heard, self.watch.woke)
+
     def _fail(self, reason: str) -> None:
         if self._lost is None:
             counters = f"; controller {self._controller}" if self._controller else ""
@@ -164,6 +182,10 @@ class Bus:
         if message.is_extended_id and not message.is_error_frame:
             return  # 29 bits: whoever sends it is none of our nodes, whatever its lower bits say
         identifier, data = message.arbitration_id, bytes(message.data)
+        if not message.is_error_frame and message.is_rx and time.monotonic() > self._alone_from:
+            word = self._strangers.word(identifier, data)
+            if word:
+                self.watch.seen(word)
         if not message.is_error_frame and identifier & ~0x7F == frames.SDO_RESPONSE:
             node = identifier & 0x7F
             if node in self._heard and len(data) == 8:  # canopen's client would fail on anything else

@@ -20,6 +20,7 @@ from drivers.cia402.axis import Axis
 from drivers.cia402.checks import Envelope
 from drivers.cia402.connection import capabilities
 from drivers.cia402.device import Mode
+from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.thread import DriveThread, to_the_end
 from drivers.errors import (
     CommunicationLost,
@@ -27,6 +28,7 @@ from drivers.errors import (
     DriveError,
     EnvelopeLeft,
     LimitExceeded,
+    MotionForbidden,
     SweepInterrupted,
 )
 from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTiming, SweepCommand
@@ -65,7 +67,7 @@ class CanopenFieldbus:
             devices,
             axes,
             identities,
-            capabilities(axes.values(), set_point_source(bus)),
+            capabilities(axes.values(), set_point_source(bus), hears_other_hosts=True),
         )
 
     def stop_sender(self) -> CanopenStopSender:
@@ -85,6 +87,10 @@ class CanopenConnection:
     axes: Mapping[str, Axis]
     identities: tuple[AxisIdentity, ...]
     capabilities: Capabilities
+
+    @property
+    def watch(self) -> HostWatch:
+        return self.bus.watch
 
     @property
     def sync_period(self) -> float:
@@ -158,6 +164,8 @@ class StreamedSweep:
                 return
             case Ending.STOPPED:
                 raise SweepInterrupted(run.reason)
+            case Ending.FORBIDDEN:
+                raise MotionForbidden(run.reason)
             case Ending.SILENT | Ending.MISCOUNTED | Ending.LATE | Ending.NOT_SENT:
                 raise CommunicationLost(run.reason)
             case Ending.LEFT_STATE:
@@ -189,6 +197,7 @@ async def _check_alone(bus: Bus, profile: CanopenProfile) -> None:
         await asyncio.sleep(LISTENING * settings.host_heartbeat)
         if not bus.host_heard():
             bus.expect_nodes()
+            bus.expect_no_host()
             return
     raise ConnectionFailed(
         f"bus {settings.interface} {settings.channel}: another host speaks as node {settings.host_node}; "
@@ -212,7 +221,7 @@ Introduced = tuple[dict[str, CanopenDevice], dict[str, Axis], tuple[AxisIdentity
 def _introduce(profile: CanopenProfile, bus: Bus) -> Introduced:
     digest = hashlib.sha256(profile.eds.read_bytes()).hexdigest()
     devices = {each.joint: CanopenDevice(each, profile, bus, digest) for each in profile.axes}
-    axes = {joint: Axis(device) for joint, device in devices.items()}
+    axes = {joint: Axis(device, bus.watch) for joint, device in devices.items()}
     return devices, axes, tuple(axis.introduce() for axis in axes.values())
 
 

@@ -62,6 +62,7 @@ class HostSweep:
         self._seen: dict[int, bytes] = {}  # the kernel's set-points since its last SYNC, by node
         self._released = threading.Event()
         self._halted = threading.Event()
+        self._forbidden = False  # by the host watch: known, and the ladder begun
         self._held = False  # all axes stand and wait to be released; the thread goes on
         self._loop = asyncio.get_running_loop()
         self._blocks: asyncio.Queue[SampleBlock | None] = asyncio.Queue()
@@ -152,12 +153,14 @@ class HostSweep:
         """The sweep's cycles, planned ahead; returns at its end, or once the ladder has begun."""
         rest = [*((frames.RPDO1 + node, REST) for node in self._lanes), (frames.SYNC, b"")]
         self._kernel = kernel = KernelStream(self._bus.kernel_interface or "", self._period, self._plan, rest)
+        self._bus.kernel_sends(sending=True)
         try:
-            kernel.begin()
+            if not self._is_forbidden():
+                kernel.begin()
             heard = time.monotonic()
             while self._number <= self._last and not self._ended:
                 event = _next(events, 0.0)
-                if event is None:  # nothing waits: what was heard is what was sent
+                if event is None and not self._is_forbidden():  # nothing waits: what was heard is what was sent
                     kernel.top_up(self._number)
                     event = _next(events, self._period)
                 if event is not None:
@@ -171,6 +174,7 @@ class HostSweep:
             self._end(Trouble(Ending.NOT_SENT, str(error)))
         finally:
             kernel.close()
+            self._bus.kernel_sends(sending=False)
 
     def _by_thread(self, events: Events) -> None:
         standstill_by = hold_until = float("inf")
@@ -179,8 +183,8 @@ class HostSweep:
             now = time.monotonic()
             self._clock.sent(now)
             self._check()
-            for node, lane in self._lanes.items():
-                self._bus.send(frames.RPDO1 + node, lane.command(self._number, now))
+            if not self._send_set_points(now):
+                continue  # without SYNC: the drives do not take what the first of them were told
             self._bus.send(frames.SYNC, b"")
             if all(lane.ladder.rung is Rung.DONE for lane in self._lanes.values()):
                 return
@@ -212,6 +216,23 @@ class HostSweep:
         """For the kernel: what a cycle ahead will send if nothing comes in between."""
         set_points = [(frames.RPDO1 + node, lane.planned(number)) for node, lane in self._lanes.items()]
         return [*set_points, (frames.SYNC, b"")]
+
+    def _send_set_points(self, now: float) -> bool:
+        """RPDO1 of every axis; False where the host turned out to be suspended in between: the next are quick stops."""
+        for node, lane in self._lanes.items():
+            word = lane.command(self._number, now)
+            if self._is_forbidden():
+                return False
+            self._bus.send(frames.RPDO1 + node, word)
+        return not self._is_forbidden()
+
+    def _is_forbidden(self) -> bool:
+        """Whether the host watch forbids motion, once: the ladders then begin at their quick stop."""
+        reason = "" if self._forbidden else self._bus.watch.reason
+        if reason:
+            self._forbidden = True
+            self._end(Trouble(Ending.FORBIDDEN, reason))
+        return bool(reason)
 
     def _count_sync(self) -> None:
         for lane in self._lanes.values():
@@ -258,6 +279,7 @@ class HostSweep:
 
     def _check(self) -> None:
         """What does not come by an event."""
+        self._is_forbidden()
         if self._halted.is_set():
             if self.ending in (Ending.MISCOUNTED, Ending.NOT_SENT):  # the SYNC of the stop process came before its word
                 self.ending = Ending.COMPLETED

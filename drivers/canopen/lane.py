@@ -25,6 +25,7 @@ class Ending(Enum):
 
     COMPLETED = "completed"
     STOPPED = "was stopped"
+    FORBIDDEN = "may not be moved any more"
     LEFT_ENVELOPE = "left its envelope"
     LEFT_STATE = "left 'operation enabled'"
     SILENT = "fell silent"

@@ -4,9 +4,11 @@ import math
 import threading
 import time
 from dataclasses import dataclass
+from enum import Enum
 
 from drivers.cia402 import states
 from drivers.cia402.device import Device, MeasuringState, Mode, Motion
+from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.states import State, Wish
 from drivers.errors import (
     CommunicationLost,
@@ -22,6 +24,15 @@ from drivers.ports import AxisIdentity, AxisState, AxisStatus, Fault
 TRANSITION_TIMEOUT = 2.0  # s, for one step of the power state machine (brakes take some 100 ms)
 RESET_TIMEOUT = 0.5  # s
 POLL = 0.002  # s
+STOP_WORD = 0.1  # s by which the word of a stop that another process sent may come later than what it does
+
+
+class Energy(Enum):
+    """What this host wants of an axis. While it is changing, any state is as expected."""
+
+    OFF = "off"
+    CHANGING = "changing"
+    ON = "on"
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,10 +47,13 @@ class Reading(Motion):
 
 
 class Axis:
-    """Holds what was learnt of the drive at connect, and its latched fault."""
+    """Holds what was learnt of the drive at connect, its latched fault, and whether it has its energy from here."""
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: Device, watch: HostWatch) -> None:
+        """`watch` is asked before each word that closes the loop or moves the axis."""
         self.device = device
+        self.energy = Energy.CHANGING
+        self._watch = watch
         self.profile = device.profile
         self.place = device.place
         self.fault: Fault | None = None
@@ -73,6 +87,7 @@ class Axis:
             self.device.check_alive()
             reading = self.read()
             self.latch_fault(reading.state)
+            self._notice_enabled(reading.state)
         except CommunicationLost:
             return AxisStatus(self.profile.joint, AxisState.UNKNOWN, math.nan, math.nan, math.nan, self.fault)
         state = AxisState.FAULT if self.fault else states.operator_view(reading.state)
@@ -92,18 +107,32 @@ class Axis:
         return self.fault
 
     def check(self, state: State) -> None:
-        """CommunicationLost, EmergencyStop or DriveFault if that is what happened to the axis."""
+        """CommunicationLost, EmergencyStop or DriveFault if that is what happened to the axis.
+
+        MotionForbidden if it lost its energy by none of these, and nobody here took it.
+        """
         self.device.check_alive()
         fault = self.latch_fault(state)
         if fault is not None:
             kind = EmergencyStop if fault.emergency_stop else DriveFault
             raise kind(f"{self.place}: {fault.text}")
+        self._check_kept(state)
 
     def check_standing(self) -> None:
         """As `check`, for an axis beside the moving one. Asks the drive only if it told of trouble by itself."""
         self.device.check_alive()
         if self.fault is not None or self.device.announced_error() is not None:
             self.check(self.state())
+
+    def check_unused(self) -> None:
+        """Looks, between motions, whether anybody else enabled it; the watch is told. CommunicationLost."""
+        self.device.check_alive()
+        self._notice_enabled(self.state())
+
+    def expect_stop(self) -> None:
+        """It was told to stop, and may lose its energy from here on. From any thread."""
+        if self.energy is Energy.ON:
+            self.energy = Energy.CHANGING
 
     # -- power ---------------------------------------------------------------------------------------------------
 
@@ -112,44 +141,54 @@ class Axis:
 
         SweepInterrupted once `stop` is set: it is asked before every step, and ends the waiting for one.
         """
+        self._watch.check()
         self.check(self.state())
         reading = self.read()
         if not self.stands(reading):
             raise NotReady(f"{self.place}: moves at {reading.velocity:.4g} {self.profile.unit}/s, cannot be enabled")
         self.device.allow_motion()
+        self.energy = Energy.CHANGING
         try:
             self.device.set_mode(Mode.PROFILE_POSITION)
             self.device.hold_target()
             state = self.state()
             while state is not State.OPERATION_ENABLED:
                 self._check_wanted(stop)
-                self.device.control(states.step(state, Wish.ENABLED))
+                self._command(states.step(state, Wish.ENABLED))
                 following = self._next_state(state, TRANSITION_TIMEOUT, stop)
                 self._check_wanted(stop)
                 self.check(following)
                 if following is state:
                     raise NotReady(f"{self.place}: stays in state '{state.value}' for {TRANSITION_TIMEOUT} s")
                 state = following
+            self.energy = Energy.ON
+            self._check_wanted(stop)
         except BaseException:
             self.disable()
             raise
 
     def disable(self) -> None:
         """Disable voltage, whatever the state and before asking for it, and wait for it."""
+        self.expect_stop()
         self.device.control(states.DISABLE_VOLTAGE)
         deadline = time.monotonic() + TRANSITION_TIMEOUT
         while (state := self.state()) in states.ENERGISED:
             if time.monotonic() > deadline:
                 raise WrongConfiguration(f"{self.place}: does not leave state '{state.value}' on 'disable voltage'")
             time.sleep(POLL)
+        self.energy = Energy.OFF
         self.device.forbid_motion()
 
     def quick_stop(self) -> None:
+        self.expect_stop()
         self.device.control(states.QUICK_STOP)
 
     def halt(self) -> None:
-        """The ladder's first rung for a positioning move: slow down by 605Dh, stay in closed loop."""
-        if self.state() is State.OPERATION_ENABLED:
+        """The ladder's first rung for a positioning move: slow down by 605Dh, stay in closed loop if we still may."""
+        self.expect_stop()
+        if self._watch.reason:
+            self.quick_stop()
+        elif self.state() is State.OPERATION_ENABLED:
             self.device.control(states.ENABLE_OPERATION | states.HALT)
 
     def slow_down(self) -> None:
@@ -190,9 +229,9 @@ class Axis:
 
         The axis may move before the drive acknowledges: `stop` ends the waiting, so that the ladder gets the thread.
         """
-        self.device.control(states.ENABLE_OPERATION)
+        self._command(states.ENABLE_OPERATION)
         self.device.set_target(position, velocity)
-        self.device.control(states.ENABLE_OPERATION | states.NEW_SET_POINT)
+        self._command(states.ENABLE_OPERATION | states.NEW_SET_POINT)
         deadline = time.monotonic() + TRANSITION_TIMEOUT
         while not self.device.statusword() & states.SET_POINT_ACKNOWLEDGED:
             if stop.is_set():
@@ -201,15 +240,34 @@ class Axis:
             if time.monotonic() > deadline:
                 raise WrongConfiguration(f"{self.place}: does not acknowledge the set-point (statusword bit 12)")
             time.sleep(POLL)
-        self.device.control(states.ENABLE_OPERATION)
+        self._command(states.ENABLE_OPERATION)
 
     def start_measuring(self) -> None:
         """SweepRejected with the drive's reason; nothing moved then."""
+        self._watch.check()
         self.device.start_measuring()
         if self.device.measuring_state() is MeasuringState.REJECTED:
             raise SweepRejected(f"{self.place}: sweep rejected: {self.device.rejection()}")
 
     # -- inside --------------------------------------------------------------------------------------------------
+
+    def _command(self, controlword: int) -> None:
+        """A word that closes the loop or moves: the watch is asked each time."""
+        self._watch.check()
+        self.device.control(controlword)
+
+    def _check_kept(self, state: State) -> None:
+        """MotionForbidden where the energy that was given here is gone. A stop from beside has time to say so."""
+        deadline = time.monotonic() + STOP_WORD
+        while self.energy is Energy.ON and state is not State.OPERATION_ENABLED:
+            if time.monotonic() > deadline:
+                self._watch.seen(f"{self.place} is '{state.value}', and nobody here took its energy")
+                self._watch.check()
+            time.sleep(POLL)
+
+    def _notice_enabled(self, state: State) -> None:
+        if self.energy is Energy.OFF and state in (State.SWITCHED_ON, State.OPERATION_ENABLED):
+            self._watch.seen(f"{self.place} is '{state.value}', and nobody here enabled it")
 
     def _check_wanted(self, stop: threading.Event) -> None:
         if stop.is_set():

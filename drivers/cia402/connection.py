@@ -6,6 +6,7 @@ from typing import Protocol
 
 from drivers.cia402.axis import Axis
 from drivers.cia402.checks import Envelope
+from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.thread import DriveThread
 from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTiming, StopSender, SweepCommand, SweepMode
 
@@ -55,6 +56,9 @@ class Connection(Protocol):
     def capabilities(self) -> Capabilities: ...
 
     @property
+    def watch(self) -> HostWatch: ...
+
+    @property
     def sync_period(self) -> float:
         """Cycle of host-streamed sweeps, s."""
         ...
@@ -87,7 +91,9 @@ class Fieldbus(Protocol):
         ...
 
 
-def capabilities(axes: Iterable[Axis], set_point_timing: str = "none") -> Capabilities:
+def capabilities(
+    axes: Iterable[Axis], set_point_timing: str = "none", *, hears_other_hosts: bool = False
+) -> Capabilities:
     """What every axis can do; `set_point_timing` is who times streamed set-points, if they can be streamed."""
     everyone = tuple(axes)
     each = tuple(axis.abilities for axis in everyone)
@@ -104,4 +110,5 @@ def capabilities(axes: Iterable[Axis], set_point_timing: str = "none") -> Capabi
         set_point_timing=set_point_timing if streams else "none",
         simultaneous_axes=len(everyone) if streams else 1,
         torque_injection=all(abilities.injects for abilities in each),
+        hears_other_hosts=hears_other_hosts,
     )

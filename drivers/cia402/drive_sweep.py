@@ -14,7 +14,7 @@ from drivers.cia402.checks import Envelope
 from drivers.cia402.device import MeasuringState
 from drivers.cia402.preparation import prepared
 from drivers.cia402.thread import DriveThread
-from drivers.errors import CommunicationLost, DriveError, DriveFault, EnvelopeLeft, SweepInterrupted
+from drivers.errors import CommunicationLost, DriveError, DriveFault, EnvelopeLeft, MotionForbidden, SweepInterrupted
 from drivers.ports import NoiseCommand, SampleBlock, SweepCommand
 
 LIVE_TIME = 0.1  # s of samples that make a page worth while during the run
@@ -83,7 +83,7 @@ class DriveSweep:
             await self._follow()
         except DriveError as error:  # nobody watches the axis from here on: it must not wait for the consumer
             await self._bring_down()
-            if isinstance(error, DriveFault | EnvelopeLeft | SweepInterrupted):
+            if isinstance(error, DriveFault | EnvelopeLeft | SweepInterrupted | MotionForbidden):
                 await self._hand_over(await self._thread.run(self._axis.device.samples_recorded))
             else:
                 await self._thread.run(self._look_for_cause)

@@ -3,12 +3,13 @@
 import asyncio
 import logging
 import threading
-from collections.abc import AsyncGenerator, Coroutine, Generator, Mapping, Sequence
+from collections.abc import AsyncGenerator, Callable, Coroutine, Generator, Mapping, Sequence
 from contextlib import aclosing, contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from drivers.cia402 import checks, states
+from drivers.cia402.attending import attend
 from drivers.cia402.axis import Axis
 from drivers.cia402.connection import Connection, Fieldbus, Run
 from drivers.cia402.drive_sweep import DriveSweep
@@ -59,6 +60,8 @@ class Cia402Machine:
         self._closing: asyncio.Task[None] | None = None
         self._reading = asyncio.Lock()  # one status at a time in the thread's queue: a stop must not wait for many
         self._last_run: Run | None = None
+        self._tell: Callable[[str], None] | None = None
+        self._attending: asyncio.Task[None] | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -83,8 +86,11 @@ class Cia402Machine:
         await self._closed()
         if self._link is not None:
             raise NotReady("already connected")
-        self._link = await self._fieldbus.open()
-        return self._link.identities
+        self._link = link = await self._fieldbus.open()
+        link.watch.tell_to(self._tell)
+        link.watch.alive()
+        self._attending = asyncio.create_task(attend(link, self._reading, self._idle), name="host watch")
+        return link.identities
 
     async def close(self) -> None:
         if self._link is not None and self._closing is None:
@@ -110,6 +116,9 @@ class Cia402Machine:
         finally:
             self._link = None
             try:
+                if self._attending is not None:
+                    self._attending.cancel()
+                    await asyncio.gather(self._attending, return_exceptions=True)
                 await link.close()
             finally:
                 self._closing = None
@@ -118,6 +127,15 @@ class Cia402Machine:
         """Until a closing under way is over."""
         if self._closing is not None:
             await asyncio.shield(self._closing)
+
+    def watch(self, tell: Callable[[str], None] | None) -> None:
+        self._tell = tell
+        if self._link is not None:
+            self._link.watch.tell_to(tell)
+
+    def allow(self) -> None:
+        if self._link is not None:
+            self._link.watch.allow()
 
     # -- state ---------------------------------------------------------------------------------------------------
 
@@ -153,8 +171,13 @@ class Cia402Machine:
 
     def halt(self) -> None:
         link, motion = self._link, self._motion
+        if link is not None:
+            link.watch.look()  # what comes of a gap is not to be taken for something else
         for each in (*self._enabling, *(() if motion is None else (motion,))):
             each.stop.set()
+        if link is not None:
+            for axis in link.axes.values():  # an axis enabled in this moment has been asked to stop by now
+                axis.expect_stop()
         run = None if motion is None else motion.run
         if run is not None:
             run.halt()
@@ -310,6 +333,9 @@ class Cia402Machine:
         if self._link is None:
             raise NotReady("not connected")
         return self._link
+
+    def _idle(self) -> bool:
+        return self._motion is None and not self._enabling and not self._cleanups
 
     def _axis(self, joint: str) -> Axis:
         axes = self._connected().axes

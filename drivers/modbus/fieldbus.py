@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from drivers.cia402.axis import Axis
 from drivers.cia402.checks import Envelope
 from drivers.cia402.connection import Run, capabilities
+from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.thread import DriveThread, to_the_end
 from drivers.errors import DriveError, NotReady
 from drivers.modbus.device import ModbusDevice
@@ -34,7 +35,8 @@ class ModbusFieldbus:
         profile, thread, line = self._profile, DriveThread("modbus"), Line(self._profile.line)
         digest = hashlib.sha256(profile.registers.read_bytes()).hexdigest()
         devices = [ModbusDevice(each, profile, self._map, digest, line) for each in profile.axes]
-        axes = {device.profile.joint: Axis(device) for device in devices}
+        watch = HostWatch(profile.line.watchdog)
+        axes = {device.profile.joint: Axis(device, watch) for device in devices}
         try:
             await thread.run(line.open)
             identities = await thread.run(_introduce, axes.values())
@@ -42,7 +44,7 @@ class ModbusFieldbus:
             await to_the_end(_release(thread, line, None))
             raise
         heart = asyncio.create_task(_beat(thread, devices, line.beat), name="modbus-heartbeat")
-        return ModbusConnection(thread, line, heart, devices, axes, identities, capabilities(axes.values()))
+        return ModbusConnection(thread, line, heart, devices, axes, identities, capabilities(axes.values()), watch)
 
     def stop_sender(self) -> ModbusStopSender:
         """NotReady on a serial line."""
@@ -60,6 +62,7 @@ class ModbusConnection:
     axes: Mapping[str, Axis]
     identities: tuple[AxisIdentity, ...]
     capabilities: Capabilities
+    watch: HostWatch
     sync_period: float = math.inf  # there is no cycle
 
     async def stream(self, sweeps: Sequence[tuple[SweepCommand, Envelope]], stop: threading.Event) -> Run:

@@ -57,13 +57,18 @@ class CapabilitiesView(BaseModel):
     host_watchdog_in_drive: bool
     set_point_timing: str
     simultaneous_axes: int
+    hears_other_hosts: bool
 
 
 class DrivesView(BaseModel):
-    """The machine; `trouble` says why it is not connected, `capabilities` are known while it is."""
+    """The machine; `trouble` says why it is not connected, `capabilities` are known while it is.
+
+    `held` says why nothing may move although it is connected: stops, the host watch, the lease.
+    """
 
     connected: bool
     trouble: str
+    held: str
     capabilities: CapabilitiesView | None
     axes: tuple[AxisView, ...]
 
@@ -77,6 +82,7 @@ async def get_drives(lab: LabOf) -> DrivesView:
     return DrivesView(
         connected=machine.connected,
         trouble=machine.trouble,
+        held=machine.forbidden,
         capabilities=_capabilities(machine.capabilities) if machine.connected else None,
         axes=tuple(_axis(joint, status.get(joint), identities.get(joint)) for joint in machine.joints),
     )

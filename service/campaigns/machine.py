@@ -234,21 +234,33 @@ class Machine:
             stored = await _apart(self._latch.reset, by, [number for number in stops if number >= 0])
             for hold in named.values():
                 self._holds.remove(hold)
+            if not self._holds:
+                self.port.allow()
         _log.warning("stop_reset", by=by, stops=list(stops))
         done = {"reset_by": by, "reset_at": datetime.now(UTC)}
         return (*stored, *(document.model_copy(update=done) for document in unstored.values()))
 
     @property
+    def forbidden(self) -> str:
+        """Why nothing may move now, though the drives answer; "" if nothing forbids it."""
+        held = self.latched
+        if held is not None:
+            return f"stopped by {held.by}: {held.why}"
+        if self._ending:
+            return self._ending
+        return self._lease_trouble
+
+    @property
     def held(self) -> str:
         """Why nothing may move, though the drives answer, or what stopped its present or last user; "" if neither."""
-        return self._forbidden or self._disturbed
+        return self.forbidden or self._disturbed
 
     def check_may_move(self) -> None:
         """Conflict while stopped, without lease or not connected.
 
         For who uses the machine also if it was so meanwhile: a reset by somebody else lets nobody move on.
         """
-        reason = self._forbidden if self._user is None else self.held
+        reason = self.forbidden if self._user is None else self.held
         if reason:
             raise Conflict(f"the machine may not move: {reason}")
         self._check_connected()
@@ -279,29 +291,35 @@ class Machine:
             raise
 
     async def _keep_lease(self, lease: MachineLease, lease_time: float) -> None:
-        renewed = time.monotonic()
+        renewed, late = time.monotonic(), 0.0  # late: s since then in which this computer did not come to it
         while True:
-            await asyncio.sleep(lease_time / 5)
+            late += await _wait(lease_time / 5)
             begun = time.monotonic()
             # one attempt at a time, however long it takes: threads that wait for the database must not pile up
             attempt = asyncio.create_task(_apart(lease.renew), name="renew lease")
             try:
-                while not (await asyncio.wait([attempt], timeout=lease_time / 5))[0]:
-                    await self._check_renewed(renewed, lease_time)
+                while True:
+                    late += await _wait(lease_time / 5, attempt)
+                    if attempt.done():
+                        break
+                    await self._check_renewed(renewed, lease_time, late)
             finally:
                 await asyncio.wait([attempt])
             try:
                 attempt.result()
             except SQLAlchemyError as error:  # also a full pool, a broken file: it must not end the watch
                 _log.warning("lease_not_renewed", reason=str(error))
-                await self._check_renewed(renewed, lease_time)
+                await self._check_renewed(renewed, lease_time, late)
             else:
-                renewed = begun
+                renewed, late = begun, 0.0
                 self._lease_trouble = ""
 
-    async def _check_renewed(self, renewed: float, lease_time: float) -> None:
-        if time.monotonic() - renewed > lease_time / 2 and not self._lease_trouble:
-            reason = "the right to the machine could not be renewed: the database does not answer"
+    async def _check_renewed(self, renewed: float, lease_time: float, late: float) -> None:
+        """The machine stands whatever the cause, for another service may take it; `late` tells which it was."""
+        passed = time.monotonic() - renewed
+        if passed > lease_time / 2 and not self._lease_trouble:
+            why = f"this computer was late by {late:.1f} s" if late > passed / 2 else "the database does not answer"
+            reason = f"the right to the machine could not be renewed: {why}"
             _log.error("lease_not_renewed", reason=reason)
             await self._stop_quietly(reason)
 
@@ -322,20 +340,10 @@ class Machine:
             _log.error("stop_not_confirmed", reason=str(error))
             self.lost(str(error))
 
-    @property
-    def _forbidden(self) -> str:
-        """Why nobody may move the machine now."""
-        held = self.latched
-        if held is not None:
-            return f"stopped by {held.by}: {held.why}"
-        if self._ending:
-            return self._ending
-        return self._lease_trouble
-
     def _disturb(self) -> None:
         """Its present user is to move it no more, also if it may be moved again before they look."""
         if self._user is not None:
-            self._disturbed = self._forbidden
+            self._disturbed = self.forbidden
 
     def _check_connected(self) -> None:
         if self._trouble:
@@ -344,6 +352,16 @@ class Machine:
     def _check_unused(self, what: str) -> None:
         if self._user is not None:
             raise Conflict(f"{what}: the machine is in use by {self._user}")
+
+
+async def _wait(within: float, work: "asyncio.Task[None] | None" = None) -> float:
+    """Wait so many s, or for `work` if that is done sooner; by how many s this computer came back late from it."""
+    due = time.monotonic() + within
+    if work is None:
+        await asyncio.sleep(within)
+    else:
+        await asyncio.wait([work], timeout=within)
+    return max(0.0, time.monotonic() - due)
 
 
 async def _apart(work: Callable[Arguments, Result], *args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:

@@ -45,6 +45,7 @@ class Runner:
         self._commands = asyncio.Lock()  # one command at a time; `Machine.stop` does not wait for it
         self._task: asyncio.Task[None] | None = None
         self._running: int | None = None
+        self._origins: dict[int, float] = {}  # starts of campaigns on the monotonic clock, s
         self._untold = ""  # why the last campaign broke off, until the store has it; nothing moves while it has not
 
     @property
@@ -168,11 +169,10 @@ class Runner:
 
     async def _run(self, campaign: CampaignDocument, course: Course) -> None:
         """The task: sweep after sweep until none is left, enough is known, a pause is due, or something goes wrong."""
-        started_at = campaign.started_at or datetime.now(UTC)
-        origin = time.monotonic() - (datetime.now(UTC) - started_at).total_seconds()
         checked: set[str] = set()  # joints that made their check move since this start or resume
         try:
             with self._machine.used_by(f"campaign {campaign.id}"):
+                origin = await asyncio.to_thread(self._origin, campaign, course)
                 while await self._next_is_due(campaign.id):
                     sweeps = await asyncio.to_thread(self._store.sweeps, campaign.id)
                     due = course.due(sweeps)
@@ -191,6 +191,23 @@ class Runner:
             await self._tell_patiently(wait=not isinstance(error, asyncio.CancelledError))
             if not isinstance(error, DriveError | SweepidError | OSError | SQLAlchemyError):
                 raise
+
+    def _origin(self, campaign: CampaignDocument, course: Course) -> float:
+        """The start of a campaign on the monotonic clock, s. Reads the store.
+
+        After a restart only the wall clock knows, and it may have been set meanwhile: nothing begins before what was
+        measured has ended.
+        """
+        if campaign.id not in self._origins:
+            now = datetime.now(UTC)
+            ends = [
+                sweep.spec.started_at + course.commands[sweep.number].duration
+                for sweep in self._store.sweeps(campaign.id)
+                if sweep.state in (SweepState.RECORDED, SweepState.IDENTIFIED)
+            ]
+            passed = max(0.0, (now - (campaign.started_at or now)).total_seconds(), *ends)
+            self._origins[campaign.id] = time.monotonic() - passed
+        return self._origins[campaign.id]
 
     async def _tell_patiently(self, *, wait: bool) -> None:
         """Store the end of a campaign that broke off, again and again while the database refuses it.

@@ -1,7 +1,11 @@
-"""Stops that come by the stop process: held at once, on its thread; confirmed and latched when the loop has time."""
+"""Stops from beside the event loop: the machine is held at once, they are confirmed and latched when the loop has time.
+
+They come by the stop process, or from the drives' side: the host was suspended, another host is there, an axis gained
+or lost its energy by nobody here.
+"""
 
 import asyncio
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 
 import structlog
@@ -13,10 +17,39 @@ from service.stop_process.handle import StopProcess
 
 _log = structlog.get_logger(__name__)
 
+WATCH = "host watch"  # who stops, where it is no person
+
 
 @asynccontextmanager
 async def listening(process: StopProcess, machine: Machine) -> AsyncGenerator[None]:
-    """While the block runs, and for the stops that came before it."""
+    """To the stop process, while the block runs, and for the stops that came before it."""
+    async with _holding(machine) as hold:
+
+        def word(by: str, why: str, press: str) -> None:
+            hold(by, why, press)
+            process.taken_over()
+
+        process.attach(word)
+        try:
+            yield
+        finally:
+            process.attach(None)
+
+
+@asynccontextmanager
+async def watching(machine: Machine) -> AsyncGenerator[None]:
+    """To what the drives' side finds, while the block runs."""
+    async with _holding(machine) as hold:
+        machine.port.watch(lambda why: hold(WATCH, f"{why}; a person must look, release this stop and resume", ""))
+        try:
+            yield
+        finally:
+            machine.port.watch(None)
+
+
+@asynccontextmanager
+async def _holding(machine: Machine) -> AsyncGenerator[Callable[[str, str, str], None]]:
+    """What holds the machine, given by, why and press; from any thread."""
     loop, confirming = asyncio.get_running_loop(), set[asyncio.Task[None]]()
 
     def follow(hold: Hold) -> None:
@@ -24,16 +57,12 @@ async def listening(process: StopProcess, machine: Machine) -> AsyncGenerator[No
         confirming.add(task)
         task.add_done_callback(confirming.discard)
 
-    def word(by: str, why: str, press: str) -> None:
-        hold = machine.seize(by, why, press)
-        process.taken_over()
-        loop.call_soon_threadsafe(follow, hold)
+    def hold_at_once(by: str, why: str, press: str) -> None:
+        loop.call_soon_threadsafe(follow, machine.seize(by, why, press))
 
-    process.attach(word)
     try:
-        yield
+        yield hold_at_once
     finally:
-        process.attach(None)
         await asyncio.sleep(0)  # what was called soon
         if confirming:
             await asyncio.wait(tuple(confirming))

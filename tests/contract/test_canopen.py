@@ -18,7 +18,7 @@ from drivers.canopen.measuring import ABORT, COMMAND
 from drivers.canopen.objects import Entry
 from drivers.canopen.speed_control import GAIN
 from drivers.cia402.machine import Cia402Machine
-from drivers.errors import WrongConfiguration, WrongIdentity
+from drivers.errors import MotionForbidden, WrongConfiguration, WrongIdentity
 from drivers.ports import AxisState, DrivePort, SweepMode
 from drivers.registry import open_drive
 from tests.contract.bench import AXIS, DRIVES, SYNC_PERIOD, Virtual, closing, consume, eventually, noise, sweep
@@ -47,6 +47,15 @@ def another_client(virtual: Virtual) -> Iterator[SdoClient]:
         yield sdo
 
 
+async def trespass_is_noticed_and_allowed(port: DrivePort) -> None:
+    await port.status()  # its answers come behind all that the other had said
+    position = (await port.status())[AXIS].position
+    with pytest.raises(MotionForbidden, match=r"another host is on the bus: SDO request to node 1 \(COB-ID 601h\)"):
+        await port.move_to(AXIS, position, 0.01)
+    port.allow()
+    await port.enable(AXIS)
+
+
 async def test_a_mapping_that_somebody_changed_is_noticed_before_moving(port: DrivePort, virtual: Virtual) -> None:
     await port.enable(AXIS)
     with another_client(virtual) as sdo:
@@ -63,6 +72,7 @@ async def test_limits_that_somebody_changed_are_put_right(port: DrivePort, virtu
     with another_client(virtual) as sdo:
         sdo.download(0x6072, 0, (1).to_bytes(2, "little"))  # 0.1 % of rated torque
         sdo.download(0x6085, 0, (1).to_bytes(4, "little"))  # quick stop in minutes
+    await trespass_is_noticed_and_allowed(port)
     await consume(port, await sweep(port, mode, effort_limit=3000.0))
     with another_client(virtual) as sdo:  # one SDO channel: never two clients at a time
         assert int.from_bytes(sdo.upload(0x6072, 0), "little") == 999  # 3000 N m of rated 3000.02

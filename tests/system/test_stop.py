@@ -5,21 +5,17 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from urllib.parse import urlsplit
 
-import can
 import httpx
 import psutil
 import pytest
-import yaml
 
-from drivers.canopen import frames
-from drivers.cia402 import states
 from service.client import ServiceClient, ServiceProblem
+from tests.system.ear import listening
 from tests.system.rest_bench import (
     PATIENCE,
     SWEEPID,
@@ -32,54 +28,8 @@ from tests.system.rest_bench import (
     virtual_machine,
 )
 
-QUICK_STOP = frames.rpdo1(states.QUICK_STOP, 0)
 NODES = range(1, 7)
 JOINTS = {f"joint_{number}" for number in NODES}
-
-
-class Ear:
-    """Everything that is said on the bus, as (identifier, data), in the order it came."""
-
-    def __init__(self, machine: VirtualMachine) -> None:
-        profile = yaml.safe_load(machine.profile.read_text("utf-8"))["bus"]
-        self._bus = can.Bus(
-            interface="socketcand", host=profile["host"], port=profile["port"], channel="can0", tcp_tune=True
-        )
-        self.heard: list[tuple[int, bytes]] = []
-        self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._listen)
-        self._thread.start()
-
-    def close(self) -> None:
-        self._closing.set()
-        self._thread.join()
-        self._bus.shutdown()
-
-    def forget(self) -> None:
-        self.heard = []
-
-    def quick_stops(self) -> set[int]:
-        """The nodes that were told to stop."""
-        return {identifier - frames.RPDO1 for identifier, data in tuple(self.heard) if data == QUICK_STOP}
-
-    def nmt_stops(self) -> set[int]:
-        words = [data for identifier, data in tuple(self.heard) if identifier == frames.NMT]
-        return {data[1] for data in words if data[0] == frames.NMT_STOP}
-
-    def _listen(self) -> None:
-        while not self._closing.is_set():
-            message = self._bus.recv(0.1)
-            if message is not None:
-                self.heard.append((message.arbitration_id, bytes(message.data)))
-
-
-@contextmanager
-def listening(machine: VirtualMachine) -> Iterator[Ear]:
-    ear = Ear(machine)
-    try:
-        yield ear
-    finally:
-        ear.close()
 
 
 @pytest.fixture(autouse=True)

@@ -10,6 +10,7 @@ from drivers.cia402 import states
 from drivers.cia402.axis import Axis
 from drivers.cia402.connection import Run, capabilities
 from drivers.cia402.device import Abilities, MeasuringState, Mode, Motion
+from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
 from drivers.cia402.profile import AxisProfile, IdentityProfile
 from drivers.cia402.states import State
@@ -17,6 +18,7 @@ from drivers.cia402.thread import DriveThread
 from drivers.errors import CommunicationLost
 from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SweepCommand
 
+HOST_TIMEOUT = 60.0  # s
 SHOWN = {State.SWITCH_ON_DISABLED: 0x40, State.READY: 0x21, State.SWITCHED_ON: 0x23, State.OPERATION_ENABLED: 0x27}
 STEPS = {
     states.SHUTDOWN: State.READY,
@@ -160,7 +162,8 @@ class Link:
     async def open(self) -> "Link":
         self.opened += 1
         self.thread = DriveThread("small")
-        self.axes = {servo.joint: Axis(servo) for servo in self._servos}  # pyright: ignore[reportArgumentType]
+        self.watch = HostWatch(HOST_TIMEOUT)
+        self.axes = {servo.joint: Axis(servo, self.watch) for servo in self._servos}  # pyright: ignore[reportArgumentType]
         self.identities = tuple([await self.thread.run(axis.introduce) for axis in self.axes.values()])
         return self
 

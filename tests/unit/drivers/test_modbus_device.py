@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from drivers.cia402.axis import Axis
 from drivers.cia402.device import Mode
+from drivers.cia402.host_watch import HostWatch
 from drivers.errors import (
     CommunicationLost,
     DriveError,
@@ -115,7 +116,7 @@ def test_settings_are_written_once_and_read_back(kind: str, registers: RegisterM
 @KINDS
 def test_a_drive_that_restarted_gets_no_energy_before_a_person_knows(kind: str, registers: RegisterMap) -> None:
     with connected(kind) as (bank, device):
-        axis = Axis(device)
+        axis = Axis(device, HostWatch(60.0))
         axis.introduce()
         put(bank, registers, 1, "watchdog", 0)
         with pytest.raises(DriveFault, match="drive restarted, its settings are lost"):
@@ -131,7 +132,7 @@ def test_a_drive_that_restarted_gets_no_energy_before_a_person_knows(kind: str, 
 @KINDS
 def test_a_swapped_drive_gets_no_energy(kind: str, registers: RegisterMap) -> None:
     with connected(kind) as (bank, device):
-        axis = Axis(device)
+        axis = Axis(device, HostWatch(60.0))
         axis.introduce()
         put(bank, registers, 1, "serial", 1003)
         with pytest.raises(WrongIdentity, match=r"serial is 000003EBh, at connect it was 000003E9h"):
@@ -144,7 +145,7 @@ def test_enabling_takes_the_one_path_and_losing_the_drive_stops_it_unheard(
     kind: str, registers: RegisterMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with connected(kind, timeout=0.1) as (bank, device):
-        axis = Axis(device)
+        axis = Axis(device, HostWatch(60.0))
         axis.introduce()
         bank.requests.clear()
         axis.enable(threading.Event())
@@ -282,7 +283,7 @@ def test_a_page_leaves_room_for_a_stop() -> None:
 def test_noise_never_leads_to_an_enabling_write(kind: str, noise: list[bytes], cut: int) -> None:
     with connected(kind, timeout=0.01) as (bank, device):
         bank.spoil = lambda _, frame: noise[len(bank.requests) % len(noise)] + frame[:cut]
-        axis = Axis(device)
+        axis = Axis(device, HostWatch(60.0))
         enable = partial(axis.enable, threading.Event())
         for attempt in (axis.introduce, enable, axis.status, axis.acknowledge, axis.start_measuring):
             with suppress(DriveError):

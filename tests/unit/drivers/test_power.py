@@ -11,6 +11,7 @@ from drivers.cia402 import axis as power
 from drivers.cia402 import states
 from drivers.cia402.axis import Axis
 from drivers.cia402.device import Mode, Motion
+from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.profile import AxisProfile, IdentityProfile
 from drivers.cia402.states import State
 from drivers.errors import DriveError
@@ -86,7 +87,7 @@ def test_torque_is_asked_for_only_along_the_one_path(
     monkeypatch.setattr(power, "TRANSITION_TIMEOUT", 0.0)
     monkeypatch.setattr(power, "RESET_TIMEOUT", 0.0)
     whim = Whim(statuswords)
-    axis = Axis(whim)  # pyright: ignore[reportArgumentType]
+    axis = Axis(whim, HostWatch(60.0))  # pyright: ignore[reportArgumentType]
     refused = False
     try:
         axis.enable(threading.Event()) if wish == "enable" else getattr(axis, wish)()

@@ -6,6 +6,7 @@ import pytest
 
 from drivers.canopen.fieldbus import StreamedSweep
 from drivers.cia402.axis import Axis
+from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.standing import Watched
 from drivers.cia402.thread import DriveThread
 from drivers.errors import CommunicationLost, DriveFault, SweepInterrupted
@@ -47,7 +48,7 @@ async def test_a_drive_side_sweep_ends_while_its_consumer_hangs() -> None:
 
 async def test_a_streamed_sweep_ends_while_its_consumer_hangs() -> None:
     drive, standing, stop = Drive(1), Servo("joint_2"), threading.Event()
-    thread, axis = DriveThread("test"), Axis(standing)  # pyright: ignore[reportArgumentType]
+    thread, axis = DriveThread("test"), Axis(standing, HostWatch(60.0))  # pyright: ignore[reportArgumentType]
     async with bench(drive) as streaming:
         run = StreamedSweep(streaming.start(streaming.lane(1, periods=10**4), stop=stop), thread, {})
 
@@ -82,7 +83,7 @@ async def test_a_stop_by_a_person_stays_a_stop() -> None:
 
 async def test_the_end_of_the_moving_axis_is_told_before_that_of_one_that_stands() -> None:
     standing, stop = Servo("joint_2", announced=0x4310), threading.Event()
-    thread, axis = DriveThread("test"), Axis(standing)  # pyright: ignore[reportArgumentType]
+    thread, axis = DriveThread("test"), Axis(standing, HostWatch(60.0))  # pyright: ignore[reportArgumentType]
 
     async def lose() -> None:
         async with Watched(thread, [axis], stop):

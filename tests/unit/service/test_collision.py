@@ -130,6 +130,8 @@ def test_a_mesh_is_refused_and_not_opened(arm: Robot, tmp_path: Path) -> None:
     urdf = arm.urdf_text.replace("</link>", f"{shape}</link>", 1)
     with pytest.raises(BadInput, match=r"shape\.stl: its shape is not in the URDF"):
         CollisionChecker(replace(arm, urdf_text=urdf), Cell(name="empty"))
+
+
 def test_a_mesh_is_met_where_the_same_box_is() -> None:
     """The base of the small arm as a mesh with its hull: the same verdict in every pose."""
     box = small_arm()

@@ -1,7 +1,7 @@
 """A machine without physics: a `DrivePort` whose samples come from a formula, and that can be told to misbehave."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Mapping
+from collections.abc import AsyncGenerator, Callable, Mapping
 
 import numpy as np
 
@@ -44,6 +44,8 @@ class FormulaDrive:
         self.holding = asyncio.Event()
         self.go = asyncio.Event()
         self._stopped = asyncio.Event()
+        self.allowed = 0
+        self.tell: Callable[[str], None] | None = None
         self.capabilities = Capabilities(frozenset(SweepMode), True, True, True, True, True, "none", 1)
         self.channel_timing: Mapping[str, ChannelTiming] = {joint: ChannelTiming() for joint in joints}
         self.set_point_timing: SetPointTiming | None = None
@@ -118,6 +120,12 @@ class FormulaDrive:
                 await asyncio.sleep(0)
         finally:
             self.trace.append("standstill")
+
+    def watch(self, tell: Callable[[str], None] | None) -> None:
+        self.tell = tell
+
+    def allow(self) -> None:
+        self.allowed += 1
 
     def halt(self) -> None:
         self._stopped.set()

@@ -1,6 +1,8 @@
 """The lease and the drives kept and lost, stops and resets that meet, in front of a formula machine."""
 
 import asyncio
+import threading
+import time
 
 import pytest
 from sqlalchemy.exc import TimeoutError as PoolTimeout
@@ -145,3 +147,25 @@ async def test_drives_that_do_not_answer_are_no_connected_machine(bench: Bench) 
     status = await bench.machine.status()
     assert {axis.state for axis in status.values()} == {AxisState.UNKNOWN}
     assert (bench.machine.connected, bench.machine.trouble) == (False, "no drive answers")
+
+
+async def test_a_computer_that_comes_late_is_told_apart_from_a_database_that_does_not_answer(bench: Bench) -> None:
+    asked, answer = threading.Event(), threading.Event()
+
+    class Slow(MachineLease):
+        """Its answer does not come in time either."""
+
+        def renew(self) -> None:
+            asked.set()
+            answer.wait(TIMEOUT)
+
+    keeper = asyncio.create_task(bench.machine.keep_lease(Slow(bench.database, LEASE_TIME), LEASE_TIME))
+    await until(asked.is_set)
+    asyncio.get_running_loop().call_soon(time.sleep, LEASE_TIME)  # something else has the processor
+    await until(lambda: bench.machine.held != "")
+    assert bench.machine.held.startswith("the right to the machine could not be renewed: this computer was late by 0.")
+    assert "stop" in bench.drive.trace  # who is late may have lost the machine all the same
+    answer.set()
+    await until(lambda: bench.machine.held == "")
+    keeper.cancel()
+    await asyncio.wait([keeper])

@@ -1,0 +1,57 @@
+"""What another host says on the bus: frames that only the host of these drives sends, where they are not ours. Pure.
+
+Own frames do not come here: python-can and socketcand gateways do not give them back. A stop is no stranger's word,
+whoever says it, and above all not that of the stop process, which says nothing else (`frames.stop`): quick stop by
+RPDO1, the SYNC after it, NMT stop.
+"""
+
+from collections.abc import Iterable
+
+from drivers.canopen import frames
+from drivers.cia402.states import QUICK_STOP
+
+_QUICK_STOP = frames.rpdo1(QUICK_STOP, 0)
+_EVERY_NODE = 0  # in an NMT command
+_SAID = {
+    frames.RPDO1: "RPDO1 to",
+    frames.RPDO2: "RPDO2 to",
+    frames.RPDO3: "RPDO3 to",
+    frames.RPDO4: "RPDO4 to",
+    frames.SDO_REQUEST: "SDO request to",
+}
+
+
+class Strangers:
+    """Hears every data frame with 11 bits of identifier, in the order of the bus."""
+
+    def __init__(self, nodes: Iterable[int], host_node: int) -> None:
+        """`nodes`: ours; `host_node`: under which we speak ourselves."""
+        self._nodes, self._host_node = frozenset(nodes), host_node
+        self._stopping = False  # a quick stop came and its SYNC has not
+
+    def word(self, identifier: int, data: bytes) -> str:
+        """What another host says by this frame, with the COB-ID; "" if it says nothing to our drives, or stops them."""
+        said = self._said(identifier, data)
+        return f"another host is on the bus: {said} (COB-ID {identifier:03X}h)" if said else ""
+
+    def _said(self, identifier: int, data: bytes) -> str:
+        if identifier == frames.SYNC:
+            stopping, self._stopping = self._stopping, False
+            return "" if stopping else "SYNC"
+        if identifier == frames.NMT:
+            return self._command(data)
+        function, node = identifier & ~0x7F, identifier & 0x7F
+        if function == frames.HEARTBEAT and node == self._host_node:
+            return f"heartbeat of node {node}, which is ours"
+        if node not in self._nodes or function not in _SAID:
+            return ""
+        if function == frames.RPDO1 and data == _QUICK_STOP:
+            self._stopping = True
+            return ""
+        return f"{_SAID[function]} node {node}"
+
+    def _command(self, data: bytes) -> str:
+        if len(data) < 2 or data[0] == frames.NMT_STOP or data[1] not in self._nodes | {_EVERY_NODE}:
+            return ""
+        whom = "every node" if data[1] == _EVERY_NODE else f"node {data[1]}"
+        return f"NMT command {data[0]:02X}h to {whom}"

@@ -1,0 +1,202 @@
+"""The gate before each word of motion: shut by a gap of the host's time, by another host, and by nobody's energy."""
+
+import asyncio
+import time
+
+import pytest
+
+from drivers.cia402 import states
+from drivers.cia402.host_watch import HostWatch
+from drivers.cia402.machine import Cia402Machine
+from drivers.cia402.states import State
+from drivers.errors import MotionForbidden
+from drivers.ports import Sine, SweepCommand, SweepMode
+from tests.unit.drivers.small_servo import Servo, machine
+from tests.unit.drivers.test_standing import eventually
+
+LIMIT = 0.05  # s
+COMMAND = SweepCommand(
+    joint="joint_1",
+    mode=SweepMode.DRIVE_SIDE,
+    offset_velocity=0.02,
+    sines=(Sine(2.0, 0.01, 0.0),),
+    period=0.5,
+    periods=2,
+    ramp=0.2,
+    settle=0.2,
+    sample_rate=250.0,
+    velocity_limit=0.5,
+    effort_limit=100.0,
+    position_window=(-0.5, 0.5),
+)
+
+
+def miss(watch: HostWatch) -> None:
+    """Nothing of this process shows life for longer than allowed."""
+    over = time.monotonic() + 2 * LIMIT
+    while time.monotonic() < over:
+        pass
+
+
+def test_a_gap_shuts_the_gate_until_a_person_opens_it() -> None:
+    watch, told = HostWatch(LIMIT), list[str]()
+    watch.tell_to(told.append)
+    miss(watch)
+    watch.check()  # nobody has shown life yet
+    watch.alive()
+    watch.check()
+    miss(watch)
+    for _ in range(3):
+        with pytest.raises(MotionForbidden, match=r"the host was suspended for 0\.\d s, its drives wait for 0\.05 s"):
+            watch.check()
+    watch.alive()
+    assert watch.reason  # life alone opens nothing
+    assert len(told) == 1
+    watch.allow()
+    watch.check()
+
+
+def test_who_shows_life_first_after_a_gap_finds_it_too() -> None:
+    watch = HostWatch(LIMIT)
+    watch.alive()
+    miss(watch)
+    watch.alive()
+    assert "suspended" in watch.reason
+    assert watch.woke <= time.monotonic()
+
+
+def test_the_first_that_was_seen_is_told_and_what_follows_is_not() -> None:
+    watch, told = HostWatch(60.0), list[str]()
+    watch.tell_to(told.append)
+    watch.seen("SYNC of another")
+    watch.seen("NMT of another")
+    assert told == [watch.reason] == ["SYNC of another"]
+    watch.allow()
+    watch.seen("NMT of another")
+    assert told[1:] == ["NMT of another"]
+    watch.tell_to(told.append)  # who asks late is told as well
+    assert told[1:] == ["NMT of another"] * 2
+
+
+def enabling(servo: Servo) -> list[int]:
+    return [word for word in servo.told if word & 0x0F in (states.SHUTDOWN, states.SWITCH_ON, states.ENABLE_OPERATION)]
+
+
+LOST = r"joint_1 \(small\) is 'switch on disabled', and nobody here took its energy"
+STEPS = ("control 06", "control 07", "control 0F", "control 1F")
+
+
+async def enable_and_move(port: Cia402Machine) -> None:
+    await port.enable("joint_1")
+    await port.move_to("joint_1", 0.0, 0.1)
+
+
+@pytest.mark.parametrize("step", STEPS)
+async def test_each_word_that_closes_the_loop_or_moves_is_asked_for(step: str) -> None:
+    """The gap comes while the drive takes the word before it."""
+    servo = Servo("joint_1")
+    port, link = machine(servo)
+    await port.connect()
+
+    def wake(what: str) -> None:
+        if what == step:
+            link.watch.seen("the host was suspended")
+
+    servo.before = wake
+    with pytest.raises(MotionForbidden):
+        await enable_and_move(port)
+    words = enabling(servo)
+    assert f"control {words[-1]:02X}" == step  # none after it
+    assert not servo.energised
+    with pytest.raises(MotionForbidden):
+        await port.enable("joint_1")
+    assert enabling(servo) == words
+    servo.before = lambda _: None
+    port.allow()
+    await port.enable("joint_1")
+    await port.close()
+
+
+async def test_a_measuring_function_is_not_started_either() -> None:
+    servo = Servo("joint_1")
+    port, link = machine(servo)
+    await port.connect()
+    await port.enable("joint_1")
+    link.watch.seen("the host was suspended")
+    with pytest.raises(MotionForbidden):
+        await anext(port.run_sweep(COMMAND))
+    assert servo.recorded == 0
+    assert not servo.energised
+    await port.close()
+
+
+async def test_a_machine_watches_over_the_time_of_its_own_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.unit.drivers.small_servo.HOST_TIMEOUT", LIMIT)
+    port, link = machine(Servo("joint_1"))
+    await port.connect()
+    miss(link.watch)
+    with pytest.raises(MotionForbidden, match="suspended"):
+        await port.enable("joint_1")
+    await port.close()
+
+
+@pytest.mark.parametrize("state", [State.SWITCHED_ON, State.OPERATION_ENABLED])
+async def test_an_axis_that_nobody_here_enabled_is_told(state: State) -> None:
+    servo = Servo("joint_1")
+    port, _ = machine(servo)
+    told: list[str] = []
+    port.watch(told.append)
+    await port.connect()
+    servo.state = state
+    await eventually(lambda: bool(told))
+    assert told == [f"joint_1 (small) is '{state.value}', and nobody here enabled it"]
+    with pytest.raises(MotionForbidden):
+        await port.enable("joint_1")
+    await port.stop()
+    await port.close()
+
+
+async def test_energy_that_nobody_here_took_is_missed_in_a_move() -> None:
+    servo = Servo("joint_1")
+    port, _ = machine(servo)
+    await port.connect()
+    await port.enable("joint_1")
+    moving = asyncio.create_task(port.move_to("joint_1", 0.5, 0.1))
+    await eventually(lambda: any(word & states.NEW_SET_POINT for word in servo.told))
+    servo.state = State.SWITCH_ON_DISABLED
+    with pytest.raises(MotionForbidden, match=LOST):
+        await moving
+    with pytest.raises(MotionForbidden, match=LOST):
+        await port.enable("joint_1")
+    await port.close()
+
+
+async def test_energy_that_nobody_here_took_is_missed_in_a_sweep() -> None:
+    servo = Servo("joint_1", samples_a_look=5)
+    port, _ = machine(servo)
+    told: list[str] = []
+    port.watch(told.append)
+    await port.connect()
+    await port.enable("joint_1")
+    run = port.run_sweep(COMMAND)
+    await anext(run)
+    servo.state = State.SWITCH_ON_DISABLED
+    with pytest.raises(MotionForbidden, match=LOST):
+        async for _ in run:
+            pass
+    assert len(told) == 1
+    await port.close()
+
+
+async def test_energy_that_a_stop_took_is_not_missed() -> None:
+    servo = Servo("joint_1")
+    port, _ = machine(servo)
+    told: list[str] = []
+    port.watch(told.append)
+    await port.connect()
+    await port.enable("joint_1")
+    await port.stop()
+    await port.status()
+    assert told == []
+    await port.enable("joint_1")
+    await port.close()
