@@ -90,11 +90,6 @@ class Machine:
         return self.port.capabilities
 
     @property
-    def lease_trouble(self) -> str:
-        """Why this service may not be the owner of the machine any more; empty while it is."""
-        return self._lease_trouble
-
-    @property
     def latched(self) -> StopDocument | None:
         """The oldest stop that holds the machine, or None."""
         return next((hold.document for hold in tuple(self._holds)), None)
