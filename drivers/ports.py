@@ -55,6 +55,9 @@ class Capabilities:
     set_point_timing: str  # "thread", "bcm" (the kernel's), "none"
     simultaneous_axes: int  # that one `run_sweep` may move at once
     torque_injection: bool = False  # `run_noise`: the drive's own torque noise, with its speed control softened
+    set_points: str = (
+        "none"  # what takes streamed set-points: "cyclic_velocity (60FFh)", "interpolated_position (60C1h)"
+    )
 
 
 @dataclass(frozen=True, slots=True)

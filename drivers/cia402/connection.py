@@ -104,4 +104,5 @@ def capabilities(axes: Iterable[Axis], set_point_timing: str = "none") -> Capabi
         set_point_timing=set_point_timing if streams else "none",
         simultaneous_axes=len(everyone) if streams else 1,
         torque_injection=all(abilities.injects for abilities in each),
+        set_points=each[0].set_point if streams else "none",
     )
