@@ -64,7 +64,7 @@ class Cabinet(Generic[AnyNode]):
         self._time: float | None = None  # real time up to which the machine ran
         self.cycles = 0
         self.nodes = dict(nodes)
-        limits = _joint_limits(machine.scenario.robot.urdf)
+        limits = joint_limits(machine.scenario.robot.urdf)
         for info in machine.axes:
             dictionary = self.nodes[info.joint].dictionary
             plate = _nameplate(info, limits[info.joint], speed_unit(dictionary))
@@ -209,7 +209,7 @@ def _nameplate(info: AxisInfo, limits: Mapping[str, float], speed: float) -> dic
     }
 
 
-def _joint_limits(urdf: str) -> dict[str, dict[str, float]]:
+def joint_limits(urdf: str) -> dict[str, dict[str, float]]:
     """lower, upper and velocity of every joint that has limits."""
     limits: dict[str, dict[str, float]] = {}
     for joint in ElementTree.fromstring(urdf).iter("joint"):

@@ -5,6 +5,7 @@ import logging
 import math
 import signal
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -25,6 +26,10 @@ def drive(
         "config/scenarios/max100-full.yaml"
     ),
     eds: Annotated[Path, typer.Option(help="Object dictionary of the axes.")] = Path("config/eds/virtual-axis.eds"),
+    foreign: Annotated[
+        list[str] | None,
+        typer.Option(help="CANopen: EDS or DCF of another maker's drive, instead of --eds; JOINT=FILE for one axis."),
+    ] = None,
     fieldbus: Annotated[Fieldbus, typer.Option(help="What the machine speaks.")] = Fieldbus.CANOPEN,
     bus: Annotated[
         str, typer.Option(help="CANopen: socketcand (a server here) or a python-can interface.")
@@ -63,7 +68,7 @@ def drive(
         machine = _machine(really, seed, start_pose)
         virtual = VirtualDrive(
             machine,
-            _readable(eds),
+            _foreign(machine.joints, foreign) if foreign else _readable(eds, ".eds"),
             fieldbus=fieldbus,
             bus=bus,
             channel=channel,
@@ -116,8 +121,19 @@ def _machine(scenario: Scenario, seed: int, start_pose: str) -> Machine:
     return machine
 
 
-def _readable(path: Path) -> Path:
-    if path.suffix != ".eds":
-        raise ScenarioError(f"--eds: {path} is not an .eds file")
+def _foreign(joints: Sequence[str], options: Sequence[str]) -> dict[str, Path]:
+    """The file of each joint's drive: that of its own, else the one for all."""
+    files: dict[str, Path] = {}
+    for option in options:
+        joint, equals, name = option.rpartition("=")
+        if equals and joint not in joints:
+            raise ScenarioError(f"--foreign: {joint!r} is none of {', '.join(joints)}")
+        files[joint] = _readable(Path(name), ".eds", ".dcf")
+    return {joint: files[joint] if joint in files else files[""] for joint in joints if joint in files or "" in files}
+
+
+def _readable(path: Path, *suffixes: str) -> Path:
+    if path.suffix not in suffixes:
+        raise ScenarioError(f"{path} is not an {' or '.join(suffixes)} file")
     path.open().close()
     return path

@@ -4,10 +4,8 @@ import json
 import selectors
 import socket
 from functools import partial
-from typing import Any
 
-from simulator.cabinet import Cabinet
-from simulator.orders import Bus, Plant, carry_out
+from simulator.orders import AnyCabinet, Bus, Plant, carry_out
 
 _LARGEST_LINE = 65536
 
@@ -16,7 +14,7 @@ class ControlServer:
     """Serves orders on `host`:`port` (0: a free one) through the owner's selector, in the owner's thread."""
 
     def __init__(
-        self, selector: selectors.BaseSelector, host: str, port: int, cabinet: Cabinet[Any], bus: Bus | None = None
+        self, selector: selectors.BaseSelector, host: str, port: int, cabinet: AnyCabinet, bus: Bus | None = None
     ) -> None:
         self._selector = selector
         self._plant = Plant(cabinet, bus)

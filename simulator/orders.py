@@ -10,9 +10,12 @@ from simulator.cabinet import Cabinet, Node
 from simulator.canopen.node import Node as CanNode
 from simulator.drive.disturbance import Glitch, OrderedFault
 from simulator.drive.units import PER_MILLE
+from simulator.foreign.cabinet import ForeignCabinet
+from simulator.foreign.node import ForeignNode
 
 Request = dict[str, Any]
 Reply = dict[str, object]
+AnyCabinet = Cabinet[Any] | ForeignCabinet
 
 _LONGEST_ECHO = 60  # characters of what was wrong
 
@@ -32,7 +35,7 @@ class Bus(Protocol):
 class Plant:
     """What orders act on; `bus` is None where the fieldbus has nothing like bus-off."""
 
-    cabinet: Cabinet[Any]
+    cabinet: AnyCabinet
     bus: Bus | None
 
 
@@ -199,15 +202,15 @@ def carry_out(plant: Plant, line: bytes) -> Reply:
     return {"ok": True, **reply}
 
 
-def _node(plant: Plant, request: Request, field: str = "joint") -> Node:
+def _node(plant: Plant, request: Request, field: str = "joint") -> Node | ForeignNode:
     joint = request.get(field)
     if not isinstance(joint, str) or joint not in plant.cabinet.nodes:
         raise BadOrder(f"{field} {_echo(joint)} is none of {', '.join(plant.cabinet.nodes)}")
     return plant.cabinet.nodes[joint]
 
 
-def _can(node: Node) -> CanNode:
-    if not isinstance(node, CanNode):
+def _can(node: Node | ForeignNode) -> CanNode | ForeignNode:
+    if not isinstance(node, CanNode | ForeignNode):
         raise BadOrder("not on this fieldbus")
     return node
 

@@ -3,6 +3,7 @@
 import selectors
 import socket
 import time
+from collections.abc import Mapping
 from enum import Enum
 from pathlib import Path
 
@@ -28,14 +29,15 @@ class VirtualDrive:
     """A machine on a fieldbus, and its control port at `host`. `run` blocks until `stop`; `close` afterwards.
 
     CANopen: socketcand at `host`:`port`, or any other python-can interface `bus` with its `channel`. Modbus, by the
-    map `registers`: TCP at `host`:`port`, RTU at the serial `device` ("pty": a pseudo-terminal made here). Raises
-    OSError or can.CanError if line or port cannot be opened, ScenarioError for an EDS that this drive cannot have.
+    map `registers`: TCP at `host`:`port`, RTU at the serial `device` ("pty": a pseudo-terminal made here). `eds` by
+    joint: drives of other makers, on CANopen alone. Raises OSError or can.CanError if line or port cannot be opened,
+    ScenarioError for an EDS that this drive cannot have.
     """
 
     def __init__(
         self,
         machine: Machine,
-        eds: Path,
+        eds: Path | Mapping[str, Path],
         *,
         fieldbus: Fieldbus = Fieldbus.CANOPEN,
         bus: str = "socketcand",
@@ -57,8 +59,8 @@ class VirtualDrive:
             self._line = CanLine(
                 self._selector, machine, eds, speed_factor, bus=bus, channel=channel, host=host, port=port
             )
-        elif registers is None:
-            raise ValueError("registers: Modbus needs a register map")
+        elif registers is None or not isinstance(eds, Path):
+            raise ValueError("registers, eds: Modbus needs a register map and the virtual drive's own EDS")
         else:
             line = TcpLine(host, port) if fieldbus is Fieldbus.MODBUS_TCP else SerialLine(device)
             self._line = ModbusLine(self._selector, machine, eds, speed_factor, registers=registers, line=line)

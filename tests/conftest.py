@@ -83,13 +83,18 @@ def root() -> Path:
     return ROOT
 
 
-@pytest.fixture(scope="session")
-def shared() -> Path:
+def shared_folder() -> Path:
     """Measured data beside the checkout, or where SWEEPID_SHARED says; the test is skipped without."""
     folder = Path(os.environ.get("SWEEPID_SHARED", ROOT.parent / "shared"))
     if not (folder / "data").is_dir():
         pytest.skip(f"no measured data in {folder.name}/data beside the checkout; SWEEPID_SHARED names another place")
     return folder
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """`shared_folder`, for a test that reads it."""
+    return shared_folder()
 
 
 @pytest.fixture(autouse=True)

@@ -2,17 +2,22 @@
 
 import selectors
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 from simulator.can_bus import CanBus
 from simulator.canopen.cabinet import Cabinet
 from simulator.canopen.node import Frame
+from simulator.foreign.cabinet import ForeignCabinet
 from simulator.machine import Machine
 from simulator.socketcand import SocketcandServer
 
 
 class CanLine:
-    """`bus`: "socketcand" at `host`:`port`, or python-can's name. Raises OSError or can.CanError if it cannot open."""
+    """`bus`: "socketcand" at `host`:`port`, or python-can's name. Raises OSError or can.CanError if it cannot open.
+
+    `eds`: the dictionary of the virtual drive; a mapping gives each joint another maker's drive.
+    """
 
     device = None
 
@@ -20,7 +25,7 @@ class CanLine:
         self,
         selector: selectors.BaseSelector,
         machine: Machine,
-        eds: Path,
+        eds: Path | Mapping[str, Path],
         speed_factor: float,
         *,
         bus: str,
@@ -29,7 +34,11 @@ class CanLine:
         port: int,
     ) -> None:
         self.bus: SocketcandServer | CanBus
-        self.cabinet = Cabinet(machine, eds, speed_factor, lambda frame: self.bus.send(frame))
+        self.cabinet: Cabinet | ForeignCabinet
+        if isinstance(eds, Path):
+            self.cabinet = Cabinet(machine, eds, speed_factor, lambda frame: self.bus.send(frame))
+        else:
+            self.cabinet = ForeignCabinet(machine, eds, speed_factor, lambda frame: self.bus.send(frame))
         if bus == "socketcand":
             self.bus = SocketcandServer(selector, host, port, channel, self._receive)
         else:

@@ -3,10 +3,25 @@
 import binascii
 import struct
 from dataclasses import dataclass
+from typing import Protocol
 
-from simulator.drive.dictionary import Abort, AbortCode, Dictionary
+from simulator.drive.dictionary import Abort, AbortCode, Traits
 
 _HEAD = struct.Struct("<BHB")
+
+
+class Objects(Protocol):
+    """The dictionary of any node."""
+
+    @property
+    def traits(self) -> Traits: ...
+
+    def upload(self, index: int, subindex: int) -> bytes:
+        """What the bus gets to read. Raises `Abort`."""
+        ...
+
+    def download(self, index: int, subindex: int, data: bytes) -> None:
+        """Take a value from the bus. Raises `Abort`; then nothing changed."""
 
 
 @dataclass(slots=True)
@@ -26,7 +41,7 @@ class _Transfer:
 class SdoServer:
     """One server channel. `handle` never raises for anything that a client may send."""
 
-    def __init__(self, dictionary: Dictionary) -> None:
+    def __init__(self, dictionary: Objects) -> None:
         self._dictionary = dictionary
         self._transfer: _Transfer | None = None
         self._multiplexer = (0, 0)

@@ -1,0 +1,158 @@
+"""One process data object of a foreign drive: its configuration objects and its bytes (CiA 301, 7.2.2 and 7.5.2.36).
+
+The configuration procedure is enforced: COB-ID (but for bit 31), inhibit time, mapped objects and their number change
+only while the PDO is invalid, and mapped objects only while their number is 0. A drive whose file lets nobody write the
+COB-ID asks for that number alone. The sub-indices that the file has are those that the PDO has.
+"""
+
+from simulator.drive.dictionary import Abort, AbortCode, Key
+from simulator.foreign.dictionary import ForeignDictionary
+
+_INVALID = 1 << 31
+_NO_REMOTE = 1 << 30
+_ID = 0x7FF
+_RESTRICTED = ((0x000, 0x080), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF))
+_CYCLIC, _EVENT = range(1, 241), (254, 255)
+
+
+class Pdo:
+    """Configured by the objects `communication` (1400h.., 1800h..) and `mapping` (1600h.., 1A00h..)."""
+
+    def __init__(self, dictionary: ForeignDictionary, communication: int, mapping: int, *, receive: bool) -> None:
+        self._dictionary = dictionary
+        self._communication = communication
+        self._mapping = mapping
+        self._receive = receive
+        self.configurable = True  # in the present NMT state
+        self._mapped: tuple[Key, ...] | None = None
+        self._types = {*_CYCLIC, *_EVENT, dictionary[communication, 2]}  # 0 only where the file says so
+        self._switchable = dictionary.writable((communication, 1))
+        dictionary.on_download((communication, 1), self._check_cob_id)
+        dictionary.on_download((communication, 2), self._check_type)
+        dictionary.on_download((communication, 3), lambda _: self._require_changeable())
+        dictionary.on_download((communication, 5), lambda _: self._require_configurable())
+        dictionary.on_download((mapping, 0), self._check_count)
+        for key in dictionary.keys(mapping)[1:]:
+            dictionary.on_download(key, self._check_entry)
+
+    @property
+    def cob_id(self) -> int:
+        """The identifier on the bus."""
+        return self._dictionary[self._communication, 1] & _ID
+
+    @property
+    def valid(self) -> bool:
+        """Whether the PDO exists at all."""
+        return not self._dictionary[self._communication, 1] & _INVALID
+
+    @property
+    def transmission_type(self) -> int:
+        """0: with a SYNC after a change; 1 to 240: every n-th SYNC; 254, 255: at once."""
+        return self._dictionary[self._communication, 2]
+
+    @property
+    def synchronous(self) -> bool:
+        return self.transmission_type not in _EVENT
+
+    @property
+    def inhibit_time(self) -> float:
+        """Shortest time between two transmissions at once, s."""
+        return self._dictionary.get(self._communication, 3) * 1e-4
+
+    @property
+    def event_time(self) -> float:
+        """Longest time between two transmissions at once, s; 0: without end."""
+        return self._dictionary.get(self._communication, 5) * 1e-3
+
+    def reset(self) -> None:
+        """The dictionary was restored."""
+        self._mapped = None
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """The mapped objects, in their order."""
+        if self._mapped is None:
+            d = self._dictionary
+            self._mapped = tuple(_key(d[self._mapping, sub]) for sub in range(1, d[self._mapping, 0] + 1))
+        return self._mapped
+
+    @property
+    def entries(self) -> frozenset[Key]:
+        """The mapped objects."""
+        return frozenset(self.keys)
+
+    @property
+    def size(self) -> int:
+        """Bytes of what is mapped."""
+        return sum(self._dictionary.bits(key) for key in self.keys) // 8
+
+    def pack(self) -> bytes:
+        """The mapped values of this instant."""
+        return b"".join(self._dictionary.encode(key) for key in self.keys)
+
+    def unpack(self, data: bytes) -> list[tuple[Key, bytes]]:
+        """The bytes of each mapped object, dummies left out; `data` has at least `size` bytes."""
+        result: list[tuple[Key, bytes]] = []
+        start = 0
+        for key in self.keys:
+            end = start + self._dictionary.bits(key) // 8
+            if key in self._dictionary:
+                result.append((key, data[start:end]))
+            start = end
+        return result
+
+    def _check_cob_id(self, value: int) -> None:
+        self._require_configurable()
+        number = value & _ID
+        if value & ~(_INVALID | _NO_REMOTE | _ID) or any(low <= number <= high for low, high in _RESTRICTED):
+            raise Abort(AbortCode.VALUE)  # extended or reserved identifiers
+        if self.valid and not value & _INVALID and number != self.cob_id:
+            raise Abort(AbortCode.STATE)
+
+    def _check_type(self, value: int) -> None:
+        self._require_configurable()
+        if value not in self._types:
+            raise Abort(AbortCode.VALUE)
+
+    def _check_count(self, value: int) -> None:
+        self._require_changeable()
+        d, total = self._dictionary, 0
+        for sub in range(1, value + 1):
+            if (self._mapping, sub) not in d:
+                raise Abort(AbortCode.PDO_LENGTH)
+            entry = d[self._mapping, sub]
+            d.check_mapping(_key(entry), entry & 0xFF, receive=self._receive)
+            total += entry & 0xFF
+        if total > 64:
+            raise Abort(AbortCode.PDO_LENGTH)
+        self._mapped = None
+
+    def _check_entry(self, value: int) -> None:
+        self._require_changeable()
+        if self._dictionary[self._mapping, 0] != 0:
+            raise Abort(AbortCode.STATE)
+        if value:
+            self._dictionary.check_mapping(_key(value), value & 0xFF, receive=self._receive)
+
+    def _require_changeable(self) -> None:
+        self._require_configurable()
+        if self.valid and self._switchable:
+            raise Abort(AbortCode.STATE)
+
+    def _require_configurable(self) -> None:
+        if not self.configurable:
+            raise Abort(AbortCode.STATE)
+
+
+def process_data(dictionary: ForeignDictionary) -> tuple[list[Pdo], list[Pdo]]:
+    """(receive, transmit) PDOs that the dictionary describes."""
+
+    def build(first: int, *, receive: bool) -> list[Pdo]:
+        present = [index for index in range(first, first + 0x200) if (index, 1) in dictionary]
+        return [Pdo(dictionary, index, index + 0x200, receive=receive) for index in present]
+
+    return build(0x1400, receive=True), build(0x1800, receive=False)
+
+
+def _key(entry: int) -> Key:
+    return entry >> 16, entry >> 8 & 0xFF
