@@ -97,6 +97,7 @@ def limits(
     at = device_map.entry
     return (
         (at("max_torque"), codec.raw_effort_limit(effort)),
+        (at("max_profile_velocity"), codec.raw_speed(velocity)),  # whose value another velocity unit has made another
         (at("max_speed"), codec.raw_max_speed(velocity)),
         (at("position_min"), low),
         (at("position_max"), high),

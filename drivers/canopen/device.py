@@ -77,8 +77,7 @@ class CanopenDevice:
 
     def configure(self) -> Abilities:
         """In NMT pre-operational: units, PDOs, session settings, limits. WrongConfiguration names what differs."""
-        for setting in self._map.settings:
-            self.sdo.settle(setting.entry, setting.value)
+        self._settle_map()  # before the units are read
         self.codec = codec(self.profile, self._map.units, self._read)
         way = self._choose_way()
         self.way = way or self.way
@@ -281,11 +280,16 @@ class CanopenDevice:
 
     def _settle_session(self) -> frozenset[Entry]:
         """What holds for the whole session; gives the absent objects that a profile can do without."""
+        self._settle_map()
         for maker in self._machine.maker_settings:
             self.sdo.settle(Entry(maker.index, maker.sub, maker.type, maker.name), maker.value)
         self._harden()
         bus, options = self._machine.bus, self._machine.stop_options
         return self._settle_present(configuration.standing(self.profile, bus, options, self.codec, self._map))
+
+    def _settle_map(self) -> None:
+        for setting in self._map.settings:
+            self.sdo.settle(setting.entry, setting.value)
 
     def _settle(self, velocity: float, effort: float, window: tuple[float, float]) -> frozenset[Entry]:
         return self._settle_present(configuration.limits(self.codec, velocity, effort, window, self._map))

@@ -46,6 +46,7 @@ STANDARD: dict[str, Entry] = {
     "target_position": objects.TARGET_POSITION,
     "position_min": objects.POSITION_MIN,
     "position_max": objects.POSITION_MAX,
+    "max_profile_velocity": objects.MAX_PROFILE_VELOCITY,
     "max_speed": objects.MAX_MOTOR_SPEED,
     "profile_velocity": objects.PROFILE_VELOCITY,
     "profile_acceleration": objects.PROFILE_ACCELERATION,

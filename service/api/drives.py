@@ -57,6 +57,7 @@ class CapabilitiesView(BaseModel):
     host_watchdog_in_drive: bool
     set_point_timing: str
     simultaneous_axes: int
+    set_points: str
 
 
 class DrivesView(BaseModel):

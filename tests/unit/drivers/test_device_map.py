@@ -1,5 +1,6 @@
 """Device maps: those of the house are read, wrong ones are refused with the place."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,17 @@ import pytest
 import yaml
 
 from drivers.canopen.configuration import pdos
-from drivers.canopen.device_map import VIRTUAL_AXIS, DeviceMap, Way, bits, load_device_map
+from drivers.canopen.device_map import (
+    STANDARD,
+    TYPES,
+    VIRTUAL_AXIS,
+    DeviceMap,
+    Pdos,
+    Units,
+    Way,
+    bits,
+    load_device_map,
+)
 from drivers.canopen.frames import Motion, Place, SetPoint, Wires, decode, stop
 from drivers.canopen.profile import parse_profile
 from drivers.cia402.profile import parse
@@ -16,6 +27,27 @@ from drivers.registry import load_profile
 
 CONFIG = Path(__file__).parents[3] / "config"
 DEVICES = sorted((CONFIG / "devices").glob("*.yaml"))
+
+
+PAGE = (CONFIG.parent / "docs/reference/device-map.md").read_text(encoding="utf-8")
+
+
+def table(after: str) -> list[str]:
+    """The names in the first column of the first table behind a heading."""
+    rows = PAGE.partition(f"{after}\n")[2].partition("\n#")[0].splitlines()
+    cells = [row.split("|")[1] for row in rows if row.startswith("| `")]
+    return [name for cell in cells for name in re.findall(r"`(\w+)`", cell)]
+
+
+def test_the_page_has_every_field_and_no_other() -> None:
+    for heading, model in (("## The file", DeviceMap), ("### `units`", Units), ("### `pdos`", Pdos)):
+        assert table(heading) == list(model.model_fields), heading
+    assert table("### Ways of excitation") == [way.value for way in Way]
+    assert table("### Names of objects") == list(STANDARD)
+    types = {code: name for name, code in TYPES.items()}
+    for name, entry in STANDARD.items():
+        assert f"| `{name}` | {entry.index:04X}h:{entry.sub:02X} | {types[entry.type]} |" in PAGE
+    assert {path.stem for path in DEVICES} == set(re.findall(r"`([a-z]+-[a-z0-9]+)`", PAGE.partition("## The file")[0]))
 
 
 def a_map(**changes: object) -> DeviceMap:
