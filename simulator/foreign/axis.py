@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 _STANDSTILL = 0.5 / 60  # rev/s; below that a ramp has ended
 _PATIENCE = 0.5  # s after the end of a ramp until torque goes in any case
-_OVERSPEED = 1.2
+_OVERSPEED = 0.1  # of the motor's highest speed, beyond the limit
 _STAYS = 4  # option codes of quick stop above it stay in QUICK STOP ACTIVE
 _SLOW_STOPS = (1, 5)
 _OPTIONS = {0x605A: (0, 1, 2, 3, 5, 6, 7), 0x605B: (0, 1), 0x605C: (0, 1), 0x605D: (1, 2), 0x605E: (0, 1, 2, 3)}
@@ -190,11 +190,12 @@ class Axis:
         self._lagging = self._lagging + span if lag > units.following_window else 0.0
         if self._lagging > self._dictionary.get(0x6066) * 1e-3:
             return ErrorCode.FOLLOWING
+        most = units.speed_limit + _OVERSPEED * units.plate.most_speed
         ahead = self.position + copysign(command**2 / (2 * units.ramp(0x6085)), command)
         low, high = units.window
         if not self.guide.tracking and ((command > 0 and ahead > high) or (command < 0 and ahead < low)):
             return self._dictionary.maker.position_limit_code
-        return ErrorCode.SPEED_LIMIT if abs(self.speed) > _OVERSPEED * units.speed_limit else None
+        return ErrorCode.SPEED_LIMIT if abs(self.speed) > most else None
 
     def _finish(self) -> None:
         self.guide.finish()

@@ -192,7 +192,9 @@ class Guide:
             way = (goal - self.reference) / self._left if self._left > 0 else 0.0
             self._left = max(self._left - 1, 0)
             self.reference += way
-            speeds[k] = self.command = way / self._cycle + ahead
+            speeds[k] = way / self._cycle + ahead
+        limit = self._units.speed_limit
+        self.command = min(max(float(speeds[-1]), -limit), limit)
         return speeds
 
     def _velocity_goal(self, limit: float) -> float:

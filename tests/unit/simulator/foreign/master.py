@@ -40,7 +40,8 @@ class Master:
         return self.node.sdo.upload(index, subindex)
 
     def number(self, index: int, subindex: int = 0) -> int:
-        return int.from_bytes(self.read(index, subindex), "little", signed=True)
+        """The value of an object, as its data type says."""
+        return self.node.object_dictionary.get_variable(index, subindex).decode_raw(self.read(index, subindex))
 
     def write(self, index: int, subindex: int, value: int, size: int) -> None:
         self.node.sdo.download(index, subindex, value.to_bytes(size, "little", signed=value < 0))
@@ -54,11 +55,25 @@ class Master:
     def map(self, kind: str, number: int, *objects: int, sync: int = 1) -> Any:
         """Map (index << 16 | sub << 8) objects into PDO `number` and save it, as the package does it."""
         pdo = getattr(self.node, kind)[number]
+        if not pdo.com_record[1].od.writable:
+            return self._map_fixed(pdo, objects, sync)
         pdo.clear()
         for entry in objects:
             pdo.add_variable(entry >> 16, entry >> 8 & 0xFF)
         pdo.trans_type, pdo.enabled = sync, True
         pdo.save()
+        return pdo
+
+    def _map_fixed(self, pdo: Any, objects: tuple[int, ...], sync: int) -> Any:
+        """The package writes the COB-ID, come what may; this drive lets nobody."""
+        mapping = pdo.map_array[0].od.index
+        self.write(mapping, 0, 0, 1)
+        for sub, entry in enumerate(objects, 1):
+            bits = len(self.node.object_dictionary.get_variable(entry >> 16, entry >> 8 & 0xFF))
+            self.write(mapping, sub, entry | bits, 4)
+        self.write(mapping, 0, len(objects), 1)
+        self.write(pdo.com_record[2].od.index, 2, sync, 1)
+        pdo.read()
         return pdo
 
     def settle(self, condition: Callable[[], bool]) -> None:
