@@ -66,19 +66,20 @@ class CanopenDevice:
         for name, have, want in zip(("vendor", "product", "revision", "serial"), found, wanted, strict=True):
             if want is not None and have != want:
                 raise WrongIdentity(f"{self.place}: {name} is {have:08X}h, the profile says {want:08X}h")
+        self._rated_torque = self.profile.rated_torque
         if "rated_torque" not in self._map.missing:
-            rated_torque = self._read("rated_torque") * self._map.units.rated_torque
-            if not math.isclose(rated_torque, self.profile.rated_torque, rel_tol=2e-3):
-                raise WrongIdentity(
-                    f"{self.place}: rated torque of the motor is {rated_torque:.4g} N m, "
-                    f"the profile says {self.profile.rated_torque:.4g} N m"
-                )
+            self._rated_torque = self._read("rated_torque") * self._map.units.rated_torque
+        if not math.isclose(self._rated_torque, self.profile.rated_torque, rel_tol=2e-3):
+            raise WrongIdentity(
+                f"{self.place}: rated torque of the motor is {self._rated_torque:.4g} N m, "
+                f"the profile says {self.profile.rated_torque:.4g} N m"
+            )
         return AxisIdentity(self.profile.joint, f"node {self.profile.node}", *found, self._sha256)
 
     def configure(self) -> Abilities:
         """In NMT pre-operational: units, PDOs, session settings, limits. WrongConfiguration names what differs."""
         self._settle_map()  # before the units are read
-        self.codec = codec(self.profile, self._map.units, self._read)
+        self.codec = codec(self.profile, self._map.units, self._rated_torque, self._read)
         way = self._choose_way()
         self.way = way or self.way
         self._pdos = configuration.pdos(self._map, self.way, self.profile.node)

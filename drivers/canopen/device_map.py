@@ -160,7 +160,9 @@ class DeviceMap(Frozen):
     objects: Mapping[str, ObjectPlace] = {}
     units: Units = Units()
     pdos: Pdos = Pdos()
-    excitation: tuple[Way, ...] = (Way.CYCLIC_VELOCITY,)  # the first that the drive supports (6502h)
+    excitation: tuple[Way, ...] = Field(
+        default=(Way.CYCLIC_VELOCITY,), min_length=1
+    )  # the first that the drive supports (6502h)
     streaming_needs: tuple[str, ...] = ("cycle_value",)  # objects without which the drive does not know the cycle
     samples: Literal["counter", "window"] = "window"
     measuring: Literal["sweepid"] | None = None  # the maker's own sweep; "sweepid": docs/reference/virtual-drive.md
@@ -181,11 +183,23 @@ class DeviceMap(Frozen):
         for name, place in self.objects.items():
             if place.type != TOLD.get(name, place.type):
                 raise ValueError(f"objects.{name}: type must be {TOLD[name]}")
-        lacking = {self.units.effort, *(way.target for way in self.excitation)} & self.missing.keys()
-        if lacking or (self.samples == "counter" and "sample_counter" in self.missing):
-            raise ValueError(f"missing: {sorted(lacking) or 'sample_counter'}, and the map uses it")
+        if lacking := sorted(self._used() & self.missing.keys()):
+            raise ValueError(f"missing: {lacking}, and the map uses it")
         self._check_pdos()
         return self
+
+    def _used(self) -> set[str]:
+        """Objects that may be missing only where the map has another way."""
+        used = {self.units.effort, *(way.target for way in self.excitation)}
+        for used_so, name in (
+            (self.units.effort == "current", "rated_current"),
+            (self.units.increments == "608Fh", "increments"),
+            (self.units.velocity == "60A9h", "velocity_unit"),
+            (self.samples == "counter", "sample_counter"),
+        ):
+            if used_so:
+                used.add(name)
+        return used
 
     def _check_pdos(self) -> None:
         pdos = self.pdos

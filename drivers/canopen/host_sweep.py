@@ -236,9 +236,12 @@ class HostSweep:
             self._clock.begin(self._clock.due + self._period)
         until = sent + self._silence / OPENING_SYNCS
         while self._clock.patient and not all(lane.answered for lane in lanes) and not self._ended:
-            if time.monotonic() > until:
+            left = until - time.monotonic()
+            if left <= 0:
                 break
-            self._listen(events, min(until, time.monotonic() + self._period))
+            event = _next(events, min(left, self._period))
+            if event is not None:
+                self._take(event)
             self._check()
         for lane in lanes if self._clock.patient else ():
             lane.silent += 0 if lane.answered else round((until - sent) / self._period)

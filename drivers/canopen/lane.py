@@ -108,7 +108,7 @@ class RunningLane:
 
     @property
     def answered(self) -> bool:
-        """The last SYNC is answered, or by its counter any answer will tell of itself to which SYNC it belongs."""
+        """Both TPDOs came since the last SYNC; of a drive that counts they may come at any time."""
         return not isinstance(self._pairing, Windows) or self._pairing.answered
 
     @property

@@ -102,8 +102,8 @@ class Codec:
         return velocity * self.gear_ratio * 60 / math.tau
 
 
-def codec(axis: CanopenAxis, units: Units, read: Callable[[str], float]) -> Codec:
-    """By the drive's unit objects, the map and the profile; `read` gives an object of the map.
+def codec(axis: CanopenAxis, units: Units, rated_torque: float, read: Callable[[str], float]) -> Codec:
+    """By the drive's unit objects, the map and the profile; `read` gives an object of the map. `rated_torque` N m.
 
     WrongConfiguration for units that are not understood.
     """
@@ -130,7 +130,7 @@ def codec(axis: CanopenAxis, units: Units, read: Callable[[str], float]) -> Code
     return Codec(
         gear_ratio=axis.gear_ratio,
         position_offset=axis.position_offset,
-        rated_torque=axis.rated_torque,
+        rated_torque=rated_torque,
         increments=increments,
         velocity_unit=speed(units.velocity) or 0.0,
         acceleration_unit=speed(units.acceleration),

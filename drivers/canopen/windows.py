@@ -11,7 +11,8 @@ So, with frames late by up to a cycle:
 - When both answers to a SYNC are missing, their loss cannot be told from all answers being a cycle late from then on.
   Samples go on behind the gap. Answers that were late show at their end, as more frames than SYNCs (the host leaves
   out one SYNC after the last sample for this reason): `doubt` then says so, and the sweep is void.
-- Where the host waits with the next SYNC until all have answered (`settle`), even that is certain.
+- Where the host waits with the next SYNC until all have answered (`settle`), even that is certain: what has not come by
+  then is lost.
 
 What remains: a late *doubled* frame comes in place of a lost one that told the very same velocity; both answers are
 late in a row of SYNCs that ends with the loss of both; both answers to a SYNC come more than a cycle late. In the last

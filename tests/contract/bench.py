@@ -186,20 +186,22 @@ LASTING: dict[str, dict[str, object]] = {  # what takes an order back
     "delay_tpdos": {"count": 0, "cycles": 0},
 }
 
+
+def _other_maker(dictionary: str, bus: str = "virtual") -> Bench:
+    machine = partial(_foreign, dictionary=dictionary, bus=bus)
+    return Bench("canopen-402", STREAMED, FOREIGN_ORDERS, machine, own_process=False, exclusive=True)
+
+
 BENCHES: dict[str, Bench] = {
     "canopen-socketcand": Bench("canopen", BOTH, CAN_ORDERS, _over_socketcand, injects=True, exclusive=True),
     "canopen-virtual": Bench(
         "canopen", BOTH, CAN_ORDERS, in_one_process, injects=True, own_process=False, exclusive=True
     ),
     "canopen-vcan": Bench("canopen", BOTH, CAN_ORDERS, _over_vcan, injects=True, exclusive=True, vcan=True),
-    "plain-virtual": Bench(
-        "canopen-402",
-        STREAMED,
-        FOREIGN_ORDERS,
-        partial(_foreign, dictionary="plain"),
-        own_process=False,
-        exclusive=True,
-    ),
+    "plain-virtual": _other_maker("plain"),
+    "plain-socketcand": _other_maker("plain", "socketcand"),
+    "epos4-virtual": _other_maker("epos4"),  # these two read ../shared
+    "gold-virtual": _other_maker("gold"),
     "modbus-tcp": Bench("modbus", DRIVE_SIDE, ORDERS, _over_modbus_tcp),
     "modbus-rtu": Bench("modbus", DRIVE_SIDE, ORDERS, _over_modbus_rtu, exclusive=True),
 }

@@ -1,4 +1,4 @@
-"""Drives of other makers swept and stopped: J of a streamed sweep against that of the virtual drive's own, same plant, same poses.
+"""Drives of other makers swept and stopped: J against that of the virtual drive's own sweep, same plant, same poses.
 
 The makers' dictionaries are read from ../shared; without that folder their tests are skipped.
 """

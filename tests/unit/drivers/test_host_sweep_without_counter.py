@@ -10,6 +10,7 @@ from drivers.ports import SampleBlock
 from tests.unit.drivers.streaming_bench import PERIOD, Drive, Frame, bench, run_to_end
 
 SAMPLES = round(0.5 / PERIOD) + 1
+WAITS = 6.0  # s, a third of it for a late answer: an overloaded computer is no lost frame
 
 
 def joined(blocks: list[SampleBlock]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -25,7 +26,7 @@ def losing(which: tuple[int, ...], numbers: range) -> Callable[[int, list[Frame]
 
 
 async def test_every_sync_is_a_sample_of_the_set_point_reached_there() -> None:
-    async with bench(Drive(1, counts=False), Drive(2, counts=False)) as on:
+    async with bench(Drive(1, counts=False), Drive(2, counts=False), silence=WAITS) as on:
         run = on.start()
         blocks = await run_to_end(run)
         assert (run.ending, run.reason) == (Ending.COMPLETED, "")
@@ -37,7 +38,7 @@ async def test_every_sync_is_a_sample_of_the_set_point_reached_there() -> None:
 
 @pytest.mark.parametrize("which", [(0,), (1,), (0, 1)])
 async def test_a_lost_answer_is_a_gap_and_the_next_sample_is_right(which: tuple[int, ...]) -> None:
-    async with bench(Drive(1, counts=False, mangle=losing(which, range(40, 41))), silence=0.3) as on:
+    async with bench(Drive(1, counts=False, mangle=losing(which, range(40, 41))), silence=WAITS) as on:
         run = on.start()
         index, velocity, asked = joined(await run_to_end(run))
         assert run.ending is Ending.COMPLETED
