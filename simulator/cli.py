@@ -68,7 +68,7 @@ def drive(
         machine = _machine(really, seed, start_pose)
         virtual = VirtualDrive(
             machine,
-            _foreign(machine.joints, foreign) if foreign else _readable(eds, ".eds"),
+            _foreign(machine.joints, foreign) if foreign else _readable("--eds", eds, ".eds"),
             fieldbus=fieldbus,
             bus=bus,
             channel=channel,
@@ -128,12 +128,12 @@ def _foreign(joints: Sequence[str], options: Sequence[str]) -> dict[str, Path]:
         joint, equals, name = option.rpartition("=")
         if equals and joint not in joints:
             raise ScenarioError(f"--foreign: {joint!r} is none of {', '.join(joints)}")
-        files[joint] = _readable(Path(name), ".eds", ".dcf")
+        files[joint] = _readable("--foreign", Path(name), ".eds", ".dcf")
     return {joint: files[joint] if joint in files else files[""] for joint in joints if joint in files or "" in files}
 
 
-def _readable(path: Path, *suffixes: str) -> Path:
+def _readable(option: str, path: Path, *suffixes: str) -> Path:
     if path.suffix not in suffixes:
-        raise ScenarioError(f"{path} is not an {' or '.join(suffixes)} file")
+        raise ScenarioError(f"{option}: {path} is not an {' or '.join(suffixes)} file")
     path.open().close()
     return path

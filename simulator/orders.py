@@ -48,7 +48,7 @@ def _fault(plant: Plant, request: Request) -> Reply:
     if "at_sample" in request and "at_counter" in request:
         raise BadOrder("at_sample, at_counter: one of them at most")
     if "at_sample" in request:
-        node.axis.disturbance.fault = OrderedFault(code, at_sample=_number(request, "at_sample"))
+        _own(node).axis.disturbance.fault = OrderedFault(code, at_sample=_number(request, "at_sample"))
     elif "at_counter" in request:
         _can(node).disturbance.fault = OrderedFault(code, at_counter=_number(request, "at_counter"))
     else:
@@ -84,7 +84,7 @@ def _delay_tpdos(plant: Plant, request: Request) -> Reply:
 
 
 def _freeze_counter(plant: Plant, request: Request) -> Reply:
-    _can(_node(plant, request)).disturbance.counter_frozen = _flag(request)
+    _own(_can(_node(plant, request))).axis.disturbance.counter_frozen = _flag(request)
     return {}
 
 
@@ -112,7 +112,7 @@ def _glitch(plant: Plant, request: Request) -> Reply:
     node, revolutions = _node(plant, request), request.get("revolutions")
     if not isinstance(revolutions, int | float) or isinstance(revolutions, bool) or not 0 < abs(revolutions) <= 1000:
         raise BadOrder(f"revolutions: {_echo(revolutions)} is not a number up to 1000 either way, and not 0")
-    at_sample = _number(request, "at_sample") if "at_sample" in request else None
+    at_sample = _number(request, "at_sample") if "at_sample" in request and _own(node) else None
     node.axis.disturbance.glitch = Glitch(float(revolutions), at_sample)
     return {}
 
@@ -212,6 +212,12 @@ def _node(plant: Plant, request: Request, field: str = "joint") -> Node | Foreig
 def _can(node: Node | ForeignNode) -> CanNode | ForeignNode:
     if not isinstance(node, CanNode | ForeignNode):
         raise BadOrder("not on this fieldbus")
+    return node
+
+
+def _own(node: Node | ForeignNode) -> Node:
+    if isinstance(node, ForeignNode):
+        raise BadOrder("not with this drive: it has neither trace nor sample counter")
     return node
 
 

@@ -4,7 +4,6 @@ In: objects that the bus wrote, and the samples of the cycles just run. Out: `en
 top of the speed controller's, and actual values. Positions in rev, speeds in rev/s, torque in N m of the motor.
 """
 
-from collections.abc import Callable
 from math import copysign
 
 import numpy as np
@@ -27,7 +26,6 @@ _PATIENCE = 0.5  # s after the end of a ramp until torque goes in any case
 _OVERSPEED = 0.1  # of the motor's highest speed, beyond the limit
 _STAYS = 4  # option codes of quick stop above it stay in QUICK STOP ACTIVE
 _SLOW_STOPS = (1, 5)
-_OPTIONS = {0x605A: (0, 1, 2, 3, 5, 6, 7), 0x605B: (0, 1), 0x605C: (0, 1), 0x605D: (1, 2), 0x605E: (0, 1, 2, 3)}
 
 
 class Axis:
@@ -46,9 +44,6 @@ class Axis:
         self.emergency_stop = False
         dictionary.on_download((0x6060, 0), self._ask_mode)
         dictionary.on_download((0x6040, 0), self.control)
-        for index, options in _OPTIONS.items():
-            if (index, 0) in dictionary:
-                dictionary.on_download((index, 0), _one_of(options))
         self.reset()
 
     def reset(self) -> None:
@@ -294,11 +289,3 @@ class Axis:
             self._dictionary.tell(0x6064, round(self.position * self.units.position))
             for index in (0x606C, 0x6077, 0x6078, 0x6074, 0x606B):
                 self._dictionary.tell(index, 0)
-
-
-def _one_of(options: tuple[int, ...]) -> Callable[[int], None]:
-    def check(value: int) -> None:
-        if value not in options:
-            raise Abort(AbortCode.VALUE)
-
-    return check

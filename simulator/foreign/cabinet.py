@@ -24,7 +24,7 @@ from simulator.scenario import ScenarioError
 _CHUNK = (4, 16)  # cycles run at a time while something moves
 _HOLDING_CHUNK = 20  # cycles run at a time while nothing does
 _BACKLOG = 4  # chunks that may be made up for when the computer was busy
-_SYNC_LOST = 2.0  # s; so long after the last SYNC the machine goes on by real time, as a real axis would
+_SYNC_LOST = 5.0  # s; so long after the last SYNC the machine goes on by real time, as a real axis would
 _CURRENT = 10.0  # A at rated torque, of every motor
 
 

@@ -44,7 +44,7 @@ class ForeignDictionary:
             (0x1018, 1): vendor,
             (0x1018, 2): self._told((0x1018, 2)) or information.product_number or 0,
             (0x1018, 3): self._told((0x1018, 3)) or information.revision_number or 0,
-            (0x1018, 4): self._told((0x1018, 4)) or 0x5D000000 + node,
+            (0x1018, 4): (self._told((0x1018, 4)) or 0x5D000000) + node,  # the file is of one device, and here are more
             (0x1008, 0): information.product_name or self.maker.name,
         }
         self.restore()

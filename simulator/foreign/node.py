@@ -7,6 +7,7 @@ from simulator.canopen.node import Frame, Nmt
 from simulator.canopen.sdo import SdoServer
 from simulator.drive.dictionary import Abort
 from simulator.foreign.axis import Axis
+from simulator.foreign.checks import NUMBER, check_options
 from simulator.foreign.dictionary import ForeignDictionary
 from simulator.foreign.faults import ErrorCode
 from simulator.foreign.heartbeats import Heartbeats
@@ -30,6 +31,7 @@ class ForeignNode:
         self.number = number
         self.dictionary = ForeignDictionary(file, number)
         self.axis = Axis(self.dictionary, plate, cycle, can_move=can_move)
+        check_options(self.dictionary)
         self.dictionary.nameplate |= nameplate(self.axis.units, self.dictionary)
         self.dictionary.restore()
         self._cycle = cycle
@@ -68,7 +70,7 @@ class ForeignNode:
     @property
     def sync_id(self) -> int:
         """Identifier of SYNC, 1005h."""
-        return self.dictionary[0x1005, 0] & 0x7FF
+        return self.dictionary[0x1005, 0] & NUMBER
 
     @property
     def led_by_sync(self) -> bool:
@@ -191,7 +193,7 @@ class ForeignNode:
         cob_id = self.dictionary.get(0x1014, 0, 0x80 + self.number)
         for message in self.axis.errors.take_messages():
             if self.nmt is not Nmt.STOPPED and not cob_id >> 31:
-                self._send(Frame(cob_id & 0x7FF, message))
+                self._send(Frame(cob_id & NUMBER, message))
 
     def _send(self, frame: Frame) -> None:
         if not self.disturbance.mute:

@@ -6,12 +6,11 @@ COB-ID asks for that number alone. The sub-indices that the file has are those t
 """
 
 from simulator.drive.dictionary import Abort, AbortCode, Key
+from simulator.foreign.checks import NUMBER, check_identifier
 from simulator.foreign.dictionary import ForeignDictionary
 
 _INVALID = 1 << 31
 _NO_REMOTE = 1 << 30
-_ID = 0x7FF
-_RESTRICTED = ((0x000, 0x080), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (0x6E0, 0x6FF), (0x701, 0x7FF))
 _CYCLIC, _EVENT = range(1, 241), (254, 255)
 
 
@@ -38,7 +37,7 @@ class Pdo:
     @property
     def cob_id(self) -> int:
         """The identifier on the bus."""
-        return self._dictionary[self._communication, 1] & _ID
+        return self._dictionary[self._communication, 1] & NUMBER
 
     @property
     def valid(self) -> bool:
@@ -103,10 +102,8 @@ class Pdo:
 
     def _check_cob_id(self, value: int) -> None:
         self._require_configurable()
-        number = value & _ID
-        if value & ~(_INVALID | _NO_REMOTE | _ID) or any(low <= number <= high for low, high in _RESTRICTED):
-            raise Abort(AbortCode.VALUE)  # extended or reserved identifiers
-        if self.valid and not value & _INVALID and number != self.cob_id:
+        check_identifier(value & ~(_INVALID | _NO_REMOTE))
+        if self.valid and not value & _INVALID and value & NUMBER != self.cob_id:
             raise Abort(AbortCode.STATE)
 
     def _check_type(self, value: int) -> None:

@@ -208,3 +208,53 @@ def test_a_set_point_left_behind_counts(master: Master) -> None:
         cycle.run(word, SPEED, 1)
     cycle.run(ENABLE, SPEED, 50)
     assert master.truth()["velocity"] == pytest.approx(SPEED * JOINT, rel=0.1)
+
+
+def test_a_mode_changes_at_standstill(master: Master) -> None:
+    cycle = Cycle(master, TARGET_VELOCITY)
+    master.write(0x6060, 0, CSV, 1)
+    cycle.enable()
+    cycle.run(ENABLE, SPEED, 50)
+    master.write(0x6060, 0, PV, 1)
+    assert master.number(0x6061) == CSV
+    cycle.run(ENABLE, 0, 100)
+    assert master.number(0x6061) == PV
+
+
+@pytest.mark.parametrize(("option", "state"), [(1, 0x08), (2, 0x40), (3, 0x40)])
+def test_nmt_stop_is_an_aborted_connection(master: Master, option: int, state: int) -> None:
+    cycle = Cycle(master, TARGET_VELOCITY)
+    master.write(0x6007, 0, option, 2)
+    master.write(0x6060, 0, CSV, 1)
+    cycle.enable()
+    cycle.run(ENABLE, SPEED, 50)
+    master.node.nmt.state = "STOPPED"
+    master.settle(lambda: not master.truth()["energised"])
+    master.node.nmt.state = "PRE-OPERATIONAL"
+    assert master.number(0x6041) & 0x4F == state
+
+
+def test_pre_operational_alone_stops_nothing(master: Master) -> None:
+    """Nor does a SYNC that stays away: the axis turns on until somebody says otherwise."""
+    cycle = Cycle(master, TARGET_VELOCITY)
+    master.write(0x6060, 0, CSV, 1)
+    cycle.enable()
+    cycle.run(ENABLE, SPEED, 50)
+    master.node.nmt.state = "PRE-OPERATIONAL"
+    before = master.truth()["position"]
+    master.settle(lambda: master.truth()["position"] > before + 0.01)
+    master.write(0x6040, 0, QUICK_STOP, 2)
+    master.settle(lambda: not master.truth()["energised"])
+
+
+def test_a_halt_holds_and_its_end_goes_on(master: Master) -> None:
+    cycle = Cycle(master, TARGET_VELOCITY)
+    master.write(0x6060, 0, CSV, 1)
+    cycle.enable()
+    cycle.run(ENABLE, SPEED, 50)
+    cycle.run(ENABLE | 0x100, SPEED, 1)
+    master.settle(lambda: abs(master.truth()["velocity"]) < 1e-5)
+    cycle.run(ENABLE | 0x100, SPEED, 20)
+    assert abs(master.truth()["velocity"]) < 1e-5
+    cycle.run(ENABLE, SPEED, 100)
+    assert master.truth()["velocity"] == pytest.approx(SPEED * JOINT, rel=0.05)

@@ -237,6 +237,18 @@ def test_an_offset_of_velocity_is_added(master: Master) -> None:
     cycle.run(ENABLE, 0, 50)
 
 
+@only("epos4", "gold")
+def test_an_offset_of_torque_pushes_the_axis(master: Master) -> None:
+    """A tenth of rated torque, more than friction, beside a speed controller that holds against it."""
+    cycle = Cycle(master, 0x60B20000)
+    master.write(0x6060, 0, 9, 1)
+    cycle.enable()
+    before = cycle.run(ENABLE, 0, 20)[2]
+    pushed = [cycle.run(ENABLE, 100, 1)[2] for _ in range(3)]
+    assert max(pushed) > before + 50
+    assert master.truth()["velocity"] > 0
+
+
 def test_drives_of_several_makers_share_one_machine(shared: object) -> None:
     """Axis 2 stands under gravity while axis 1 turns: each is asked by its own maker's dictionary."""
     del shared
