@@ -22,12 +22,16 @@ IDENTITIES = {  # vendor, product, revision; 0 where the maker's file tells none
 }
 INCREMENTS = {"gold": 65536, "simpliq": 8192}  # of the encoders, a motor revolution
 SYNC_PERIOD = 0.008  # s, as that of the benches
+# s; host and drives share one computer, however busy: a late answer is no lost one
+PATIENCE = {"silence": 6.0, "drive_timeout": 20.0, "host_timeout": 20.0, "sdo_timeout": 10.0}
 
 
-def profile(dictionary: str, foreign: Foreign, base: Path) -> dict[str, Any]:
+def profile(
+    dictionary: str, foreign: Foreign, base: Path, *, patient: bool = False, sync_period: float = SYNC_PERIOD
+) -> dict[str, Any]:
     """The virtual machine's profile with other drives; files relative to `base`, the folder of the profiles."""
     content: dict[str, Any] = load_profile(base / "virtual-max100.yaml")
-    bus = {"host": None, "port": None, **foreign.bus, "sync_period": SYNC_PERIOD}
+    bus = {"host": None, "port": None, **foreign.bus, "sync_period": sync_period, **(PATIENCE if patient else {})}
     vendor, product, revision = IDENTITIES[dictionary]
     own: dict[str, Any] = {
         "identity": {"vendor": vendor, "product": product, "revision": revision},

@@ -67,16 +67,18 @@ def own() -> Sequence[Run]:
     return asyncio.run(measure())
 
 
-@pytest.mark.parametrize("dictionary", list(WAYS))
+@pytest.mark.parametrize("dictionary", ["plain", "epos4", "gold", "powerball"])
 async def test_a_streamed_sweep_gives_the_inertia_of_the_virtual_drives_own(
     dictionary: str, own: Sequence[Run]
 ) -> None:
+    period = 0.008 if "velocity" in WAYS[dictionary] else 0.004  # s; positions make stairs, which bias J at 8 ms
     with bench(dictionary) as foreign:
-        async with closing(open_drive(profile(dictionary, foreign, DRIVES), DRIVES)) as port:
+        content = profile(dictionary, foreign, DRIVES, patient=True, sync_period=period)
+        async with closing(open_drive(content, DRIVES)) as port:
             await port.connect()
             assert port.capabilities.set_points == WAYS[dictionary]
             assert port.capabilities.sweep_modes == {SweepMode.HOST_STREAMED}
-            streamed = await swept(port, robot(), SweepMode.HOST_STREAMED, 125.0)
+            streamed = await swept(port, robot(), SweepMode.HOST_STREAMED, 1 / period)
     for joint in LINES:
         assert all(each.indices[joint].gapless for each in streamed if joint in each.indices)
         found = compare(robot(), [*own, *streamed], joint)
