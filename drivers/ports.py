@@ -58,6 +58,9 @@ class Capabilities:
     simultaneous_axes: int  # that one `run_sweep` may move at once
     torque_injection: bool = False  # `run_noise`: the drive's own torque noise, with its speed control softened
     hears_other_hosts: bool = False  # False: a second host shows only by what it does to the axes
+    set_points: str = (
+        "none"  # what takes streamed set-points: "cyclic_velocity (60FFh)", "interpolated_position (60C1h)"
+    )
 
 
 @dataclass(frozen=True, slots=True)

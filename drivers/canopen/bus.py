@@ -30,12 +30,12 @@ RECEIVE_BUFFER = 1 << 20  # bytes asked of the kernel, so that a busy moment los
 class Bus:
     """An open bus. `send` may be called from any thread."""
 
-    def __init__(self, profile: BusProfile, nodes: tuple[int, ...]) -> None:
-        """Opens the bus (blocking). ConnectionFailed where that is not possible."""
+    def __init__(self, profile: BusProfile, nodes: tuple[int, ...], wires: frames.Wires = frames.VIRTUAL_WIRES) -> None:
+        """Opens the bus (blocking). `wires` say in which PDOs to look. ConnectionFailed where that is not possible."""
         self.watch = HostWatch(profile.host_timeout)
-        self._strangers = Strangers(nodes, profile.host_node)
+        self._strangers = Strangers(nodes, profile.host_node, wires)
         self._alone_from = float("inf")  # on the monotonic clock
-        self._profile = profile
+        self._profile, self._wires = profile, wires
         self._interface = _open(profile)
         self._network = canopen.Network(self._interface)
         self._heard = dict.fromkeys(nodes, time.monotonic())
@@ -196,7 +196,7 @@ class Bus:
             # The kernel stamps frames by the wall clock; only the time since then is used of it.
             self._tell_all(frames.Sync(time.monotonic() - max(0.0, time.time() - message.timestamp)))
             return
-        event = frames.decode(identifier, data, message.is_error_frame)
+        event = frames.decode(identifier, data, message.is_error_frame, self._wires)
         if event is None:
             return
         if isinstance(event, frames.Controller):

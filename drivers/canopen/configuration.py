@@ -4,26 +4,54 @@ Every list is settled object by object: read, written where it differs, read bac
 configured in NMT pre-operational only, as CiA 301 wants it.
 """
 
+from dataclasses import dataclass
+
 from drivers.canopen import frames, objects
+from drivers.canopen.device_map import DeviceMap, Way, bits
 from drivers.canopen.objects import Entry
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.sdo import ObjectAbsent, Sdo
 from drivers.canopen.units import Codec
 from drivers.cia402.profile import AxisProfile, StopOptions
+from drivers.errors import WrongConfiguration
 
 Setting = tuple[Entry, float]
 
 INVALID = 1 << 31  # of a PDO's COB-ID
+NO_RTR = 1 << 30  # of a TPDO's COB-ID: stays as the maker has it
 SYNCHRONOUS = 1  # transmission type: every SYNC
 
-# PDO: communication object, mapping object, COB-ID without node, mapped objects (index, sub, bits)
-PDOS = (
-    (0x1400, 0x1600, frames.RPDO1, ((0x6040, 0, 16), (0x60FF, 0, 32))),
-    (0x1800, 0x1A00, frames.TPDO1, ((0x6041, 0, 16), (0x606C, 0, 32), (0x6077, 0, 16))),
-    (0x1801, 0x1A01, frames.TPDO2, ((0x6064, 0, 32), (0x2120, 1, 32))),
-)
 
-LIMITS = frozenset({objects.MAX_TORQUE, objects.MAX_MOTOR_SPEED, objects.POSITION_MIN, objects.POSITION_MAX})
+@dataclass(frozen=True, slots=True)
+class Pdo:
+    """One PDO as it shall be: communication and mapping object, COB-ID of the node, mapped objects."""
+
+    communication: int
+    mapping: int
+    identifier: int
+    mapped: tuple[Entry, ...]
+
+
+def pdos(device_map: DeviceMap, way: Way, node: int) -> tuple[Pdo, ...]:
+    """What a streamed sweep needs, by the numbers of the map."""
+    entry, numbers = device_map.entry, device_map.pdos
+    second = entry("sample_counter" if device_map.samples == "counter" else "velocity")
+    wanted = [_rpdo(numbers.set_point, node, entry("controlword"), entry(way.target))]
+    if numbers.stop is not None:
+        wanted.append(_rpdo(numbers.stop, node, entry("controlword")))
+    wanted += [
+        _tpdo(numbers.state, node, entry("statusword"), entry("velocity"), device_map.effort),
+        _tpdo(numbers.place, node, entry("position"), second),
+    ]
+    return tuple(wanted)
+
+
+def _rpdo(number: int, node: int, *mapped: Entry) -> Pdo:
+    return Pdo(0x13FF + number, 0x15FF + number, frames.rpdo_id(number) + node, mapped)
+
+
+def _tpdo(number: int, node: int, *mapped: Entry) -> Pdo:
+    return Pdo(0x17FF + number, 0x19FF + number, frames.tpdo_id(number) + node, mapped)
 
 
 def settle(sdo: Sdo, settings: tuple[Setting, ...]) -> frozenset[Entry]:
@@ -37,73 +65,103 @@ def settle(sdo: Sdo, settings: tuple[Setting, ...]) -> frozenset[Entry]:
     return frozenset(absent)
 
 
-def standing(axis: AxisProfile, bus: BusProfile, options: StopOptions, codec: Codec) -> tuple[Setting, ...]:
+def standing(
+    axis: AxisProfile, bus: BusProfile, options: StopOptions, codec: Codec, device_map: DeviceMap
+) -> tuple[Setting, ...]:
     """What holds for the whole session: stop reactions, heartbeats, cycle times, ramps."""
     milliseconds = round(bus.sync_period * 1e3)
+    at = device_map.entry
     return (
         (objects.HEARTBEAT_PRODUCER, round(bus.drive_heartbeat * 1e3)),
         (objects.HEARTBEAT_CONSUMER, bus.host_node << 16 | round(bus.host_timeout * 1e3)),
-        (objects.CONNECTION_LOSS, options.connection_loss),
-        (objects.QUICK_STOP_OPTION, options.quick_stop),
-        (objects.SHUTDOWN_OPTION, options.shutdown),
-        (objects.DISABLE_OPTION, options.disable_operation),
-        (objects.HALT_OPTION, options.halt),
-        (objects.FAULT_OPTION, options.fault_reaction),
-        (objects.SYNC_PERIOD, milliseconds * 1000),
-        (objects.CYCLE_VALUE, milliseconds),
-        (objects.CYCLE_EXPONENT, -3),
-        (objects.PROFILE_ACCELERATION, codec.raw_speed(axis.acceleration)),
-        (objects.PROFILE_DECELERATION, codec.raw_speed(axis.acceleration)),
-        (objects.QUICK_STOP_DECELERATION, codec.raw_speed(axis.quick_stop_deceleration)),
+        (at("connection_loss"), options.connection_loss),
+        (at("quick_stop_option"), options.quick_stop),
+        (at("shutdown_option"), options.shutdown),
+        (at("disable_option"), options.disable_operation),
+        (at("halt_option"), options.halt),
+        (at("fault_option"), options.fault_reaction),
+        (at("sync_period"), milliseconds * 1000),
+        (at("cycle_value"), milliseconds),
+        (at("cycle_exponent"), -3),
+        (at("profile_acceleration"), codec.raw_acceleration(axis.acceleration)),
+        (at("profile_deceleration"), codec.raw_acceleration(axis.acceleration)),
+        (at("quick_stop_deceleration"), codec.raw_acceleration(axis.quick_stop_deceleration)),
     )
 
 
-def limits(codec: Codec, velocity: float, effort: float, window: tuple[float, float]) -> tuple[Setting, ...]:
+def limits(
+    codec: Codec, velocity: float, effort: float, window: tuple[float, float], device_map: DeviceMap
+) -> tuple[Setting, ...]:
     """The limits of one motion, SI on the joint side."""
     low, high = codec.raw_window(window)
+    at = device_map.entry
     return (
-        (objects.MAX_TORQUE, codec.raw_effort_limit(effort)),
-        (objects.MAX_MOTOR_SPEED, codec.raw_speed(velocity)),
-        (objects.POSITION_MIN, low),
-        (objects.POSITION_MAX, high),
+        (at("max_torque"), codec.raw_effort_limit(effort)),
+        (at("max_profile_velocity"), codec.raw_speed(velocity)),  # whose value another velocity unit has made another
+        (at("max_speed"), codec.raw_max_speed(velocity)),
+        (at("position_min"), low),
+        (at("position_max"), high),
     )
 
 
-def configure_pdos(sdo: Sdo, node: int) -> bool:
-    """Maps the three PDOs unless they are as wanted; False if the drive lacks an object for that."""
+def configure_pdos(sdo: Sdo, wanted: tuple[Pdo, ...], device_map: DeviceMap, node: int) -> bool:
+    """Maps the PDOs unless they are as wanted; False if the drive lacks an object for that."""
+    fixed = device_map.pdos.cob_id == "fixed"
     try:
-        for communication, mapping, cob_id, mapped in PDOS:
-            if not _is_mapped(sdo, communication, mapping, cob_id + node, mapped):
-                identifier = Entry(communication, 1, "I", "COB-ID")
-                sdo.write(identifier, INVALID | cob_id + node)
-                sdo.settle(Entry(communication, 2, "B", "transmission type"), SYNCHRONOUS)
-                sdo.write(Entry(mapping, 0, "B", "number of mapped objects"), 0)
-                for number, entry in enumerate(mapped, start=1):
-                    sdo.settle(Entry(mapping, number, "I", f"mapping {number}"), _packed(entry))
-                sdo.settle(Entry(mapping, 0, "B", "number of mapped objects"), len(mapped))
-                sdo.settle(identifier, cob_id + node)
+        for pdo in _unused(device_map, node):
+            _switch_off(sdo, pdo, fixed)
+        for pdo in wanted:
+            if not _is_mapped(sdo, pdo):
+                _switch_off(sdo, pdo, fixed)
+                sdo.settle(Entry(pdo.communication, 2, "B", "transmission type"), SYNCHRONOUS)
+                sdo.write(Entry(pdo.mapping, 0, "B", "number of mapped objects"), 0)
+                for number, entry in enumerate(pdo.mapped, start=1):
+                    sdo.settle(Entry(pdo.mapping, number, "I", f"mapping {number}"), _packed(entry))
+                sdo.settle(Entry(pdo.mapping, 0, "B", "number of mapped objects"), len(pdo.mapped))
+                if not fixed:
+                    sdo.write(_identifier(pdo), sdo.integer(_identifier(pdo)) & NO_RTR | pdo.identifier)
+                if not _is_mapped(sdo, pdo):
+                    found = sdo.integer(_identifier(pdo))
+                    raise WrongConfiguration(f"{_identifier(pdo)}: is {found:08X}h, must be {pdo.identifier:08X}h")
     except ObjectAbsent:
         return False
     return True
 
 
-def pdos_are_mapped(sdo: Sdo, node: int) -> bool:
+def pdos_are_mapped(sdo: Sdo, wanted: tuple[Pdo, ...]) -> bool:
     """Read back before each host-streamed sweep."""
-    return all(_is_mapped(sdo, a, b, cob_id + node, mapped) for a, b, cob_id, mapped in PDOS)
+    return all(_is_mapped(sdo, pdo) for pdo in wanted)
 
 
-def _is_mapped(
-    sdo: Sdo, communication: int, mapping: int, cob_id: int, mapped: tuple[tuple[int, int, int], ...]
-) -> bool:
+def _unused(device_map: DeviceMap, node: int) -> list[Pdo]:
+    numbers = device_map.pdos
+    receive = [_rpdo(number, node) for number in numbers.unused_rpdos]
+    return [*receive, *(_tpdo(number, node) for number in numbers.unused_tpdos)]
+
+
+def _identifier(pdo: Pdo) -> Entry:
+    return Entry(pdo.communication, 1, "I", "COB-ID")
+
+
+def _switch_off(sdo: Sdo, pdo: Pdo, fixed: bool) -> None:
+    if fixed:
+        sdo.settle(Entry(pdo.mapping, 0, "B", "number of mapped objects"), 0)
+    else:
+        found = sdo.integer(_identifier(pdo))
+        if not found & INVALID:  # the other bits may be changed only after this one (CiA 301)
+            sdo.write(_identifier(pdo), INVALID | found)
+
+
+def _is_mapped(sdo: Sdo, pdo: Pdo) -> bool:
+    if sdo.integer(_identifier(pdo)) & ~NO_RTR != pdo.identifier:
+        return False
     wanted: list[Setting] = [
-        (Entry(communication, 1, "I", "COB-ID"), cob_id),
-        (Entry(communication, 2, "B", "transmission type"), SYNCHRONOUS),
-        (Entry(mapping, 0, "B", "number of mapped objects"), len(mapped)),
+        (Entry(pdo.communication, 2, "B", "transmission type"), SYNCHRONOUS),
+        (Entry(pdo.mapping, 0, "B", "number of mapped objects"), len(pdo.mapped)),
     ]
-    wanted += [(Entry(mapping, k, "I", f"mapping {k}"), _packed(entry)) for k, entry in enumerate(mapped, start=1)]
+    wanted += [(Entry(pdo.mapping, k, "I", f"mapping {k}"), _packed(entry)) for k, entry in enumerate(pdo.mapped, 1)]
     return all(sdo.read(entry) == value for entry, value in wanted)
 
 
-def _packed(entry: tuple[int, int, int]) -> int:
-    index, sub, bits = entry
-    return index << 16 | sub << 8 | bits
+def _packed(entry: Entry) -> int:
+    return entry.index << 16 | entry.sub << 8 | bits(entry)

@@ -3,13 +3,15 @@
 import logging
 import math
 import time
+from dataclasses import dataclass
 
 from drivers.canopen import configuration, frames, measuring, objects, speed_control
 from drivers.canopen.bus import Bus
+from drivers.canopen.device_map import Way
 from drivers.canopen.objects import Entry
 from drivers.canopen.profile import CanopenAxis, CanopenProfile
 from drivers.canopen.sdo import ObjectAbsent, Sdo
-from drivers.canopen.units import Codec, velocity_unit
+from drivers.canopen.units import codec
 from drivers.cia402.device import Abilities, Injector, MeasuringState, Mode, Motion
 from drivers.errors import WrongConfiguration, WrongIdentity
 from drivers.ports import AxisIdentity, NoiseCommand, SampleBlock, SweepCommand
@@ -19,6 +21,16 @@ logger = logging.getLogger(__name__)
 MODE_TIMEOUT = 2.0  # s
 POLL = 0.002  # s
 RESTARTED = 0  # in the place of an error code: the node booted, which has none
+FOLLOW = 0x10  # controlword bit 4 in interpolated position mode
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """An axis that waits for set-points: see `lane.Lane`."""
+
+    counter: int | None
+    position: int | None
+    mode_bits: int
 
 
 class CanopenDevice:
@@ -30,6 +42,8 @@ class CanopenDevice:
         self.emergency_stop_codes = machine.emergency_stop_codes
         self._machine = machine
         self._bus = bus
+        self._map = machine.device_map
+        self.way = self._map.excitation[0]
         self._sha256 = dictionary_sha256
         self.sdo = Sdo(bus.add_node(profile.node, str(machine.eds)), self.place, bus.check_alive)
         self._pdos_mapped = False
@@ -52,39 +66,42 @@ class CanopenDevice:
         for name, have, want in zip(("vendor", "product", "revision", "serial"), found, wanted, strict=True):
             if want is not None and have != want:
                 raise WrongIdentity(f"{self.place}: {name} is {have:08X}h, the profile says {want:08X}h")
-        increments = read(objects.INCREMENTS) / max(1, read(objects.MOTOR_REVOLUTIONS))
-        rated_torque = read(objects.RATED_TORQUE) * 1e-3
-        if not math.isclose(rated_torque, self.profile.rated_torque, rel_tol=2e-3):
+        self._rated_torque = self.profile.rated_torque
+        if "rated_torque" not in self._map.missing:
+            self._rated_torque = self._read("rated_torque") * self._map.units.rated_torque
+        if not math.isclose(self._rated_torque, self.profile.rated_torque, rel_tol=2e-3):
             raise WrongIdentity(
-                f"{self.place}: rated torque of the motor is {rated_torque:.4g} N m, "
+                f"{self.place}: rated torque of the motor is {self._rated_torque:.4g} N m, "
                 f"the profile says {self.profile.rated_torque:.4g} N m"
             )
-        self.codec = Codec(
-            gear_ratio=self.profile.gear_ratio,
-            position_offset=self.profile.position_offset,
-            rated_torque=rated_torque,
-            increments=increments,
-            velocity_unit=velocity_unit(read(objects.VELOCITY_UNIT), increments),
-        )
         return AxisIdentity(self.profile.joint, f"node {self.profile.node}", *found, self._sha256)
 
     def configure(self) -> Abilities:
-        """In NMT pre-operational: PDOs, session settings, limits. WrongConfiguration names what differs."""
-        self._pdos_mapped = configuration.configure_pdos(self.sdo, self.profile.node)
+        """In NMT pre-operational: units, PDOs, session settings, limits. WrongConfiguration names what differs."""
+        self._settle_map()  # before the units are read
+        self.codec = codec(self.profile, self._map.units, self._rated_torque, self._read)
+        way = self._choose_way()
+        self.way = way or self.way
+        self._pdos = configuration.pdos(self._map, self.way, self.profile.node)
+        self._pdos_mapped = configuration.configure_pdos(self.sdo, self._pdos, self._map, self.profile.node)
         needed = (measuring.KIND, measuring.SEED, speed_control.COMMISSIONED_RESET_TIME)
-        self.injector = self if all(self._has(entry) for entry in needed) else None
+        measures = self._map.measuring is not None and self._has(measuring.STATE)
+        self.injector = self if measures and all(self._has(entry) for entry in needed) else None
         absent = self._settle_session() | self._settle(
             self.profile.velocity_limit, self.profile.effort_limit, self.profile.position_limits
         )
         self._bus.note_configured(self.profile.node)
+        at = self._map.entry
+        streams = self._pdos_mapped and way is not None
         return Abilities(
-            measures=self._has(measuring.STATE),
+            measures=measures,
             injects=self.injector is not None,
-            streams=self._pdos_mapped and self._supports_cyclic_velocity() and objects.SYNC_PERIOD not in absent,
-            velocity_limit=objects.MAX_MOTOR_SPEED not in absent,
-            effort_limit=objects.MAX_TORQUE not in absent,
-            position_limits=not absent & {objects.POSITION_MIN, objects.POSITION_MAX},
-            host_watchdog=not absent & {objects.HEARTBEAT_CONSUMER, objects.CONNECTION_LOSS},
+            streams=streams and not absent & {at(name) for name in self._map.streaming_needs},
+            velocity_limit=at("max_speed") not in absent,
+            effort_limit=at("max_torque") not in absent,
+            position_limits=not absent & {at("position_min"), at("position_max")},
+            host_watchdog=not absent & {objects.HEARTBEAT_CONSUMER, at("connection_loss")},
+            set_point=f"{self.way.value} ({at(self.way.target).index:04X}h)" if streams else "none",
         )
 
     # -- power ---------------------------------------------------------------------------------------------------
@@ -98,16 +115,16 @@ class CanopenDevice:
         self._nmt(frames.NMT_PRE_OPERATIONAL)
 
     def statusword(self) -> int:
-        return self.sdo.integer(objects.STATUSWORD)
+        return self.sdo.integer(self._map.entry("statusword"))
 
     def control(self, controlword: int) -> None:
-        self.sdo.write(objects.CONTROLWORD, controlword)
+        self.sdo.write(self._map.entry("controlword"), controlword)
 
     def set_mode(self, mode: Mode) -> None:
         """6060h with read-back of 6061h."""
-        self.sdo.write(objects.MODE, mode)
+        self.sdo.write(self._map.entry("mode"), mode)
         deadline = time.monotonic() + MODE_TIMEOUT
-        while (shown := self.sdo.integer(objects.MODE_DISPLAY)) != mode:
+        while (shown := self.sdo.integer(self._map.entry("mode_display"))) != mode:
             if time.monotonic() > deadline:
                 raise WrongConfiguration(f"{self.place}: mode {mode} was not taken, the drive shows {shown}")
             time.sleep(POLL)
@@ -128,7 +145,9 @@ class CanopenDevice:
             self.configure()
 
     def error_code(self) -> int:
-        return self.sdo.integer(objects.ERROR_CODE)
+        if "error_code" in self._map.missing:
+            return self.announced_error() or 0
+        return self.sdo.integer(self._map.entry("error_code"))
 
     def error_text(self, code: int) -> str:
         if code == RESTARTED and self._bus.restarted(self.profile.node):
@@ -146,38 +165,47 @@ class CanopenDevice:
 
     def stop_unheard(self) -> None:
         """Quick stop by RPDO, then NMT stop, which 6007h reacts to."""
-        for identifier, data in frames.stop([self.profile.node], deaf=[self.profile.node]):
+        node = self.profile.node
+        for identifier, data in frames.stop([node], deaf=[node], wires=self._map.wires):
             self._bus.shout(identifier, data)
 
     # -- motion --------------------------------------------------------------------------------------------------
 
     def motion(self) -> Motion:
         return Motion(
-            float(self.codec.position(self.sdo.read(objects.POSITION))),
-            float(self.codec.velocity(self.sdo.read(objects.VELOCITY))),
-            float(self.codec.effort(self.sdo.read(objects.TORQUE))),
+            float(self.codec.position(self._read("position"))),
+            float(self.codec.velocity(self._read("velocity"))),
+            float(self.codec.effort(self.sdo.read(self._map.effort))),
         )
 
     def read_back(self) -> None:
         self._settle_session()
-        if self._pdos_mapped and not configuration.pdos_are_mapped(self.sdo, self.profile.node):
+        if self._pdos_mapped and not configuration.pdos_are_mapped(self.sdo, self._pdos):
             raise WrongConfiguration(f"{self.place}: PDO mapping was changed since connect")
 
     def settle_limits(self, velocity: float, effort: float, window: tuple[float, float]) -> None:
         self._settle(velocity, effort, window)
 
     def hold_target(self) -> None:
-        self.sdo.write(objects.TARGET_POSITION, self.sdo.read(objects.POSITION))
+        self.sdo.write(self._map.entry("target_position"), self._read("position"))
 
     def set_target(self, position: float, velocity: float) -> None:
-        self.sdo.settle(objects.PROFILE_VELOCITY, self.codec.raw_speed(velocity))
-        self.sdo.settle(objects.TARGET_POSITION, self.codec.raw_position(position))
+        self.sdo.settle(self._map.entry("profile_velocity"), self.codec.raw_speed(velocity))
+        self.sdo.settle(self._map.entry("target_position"), self.codec.raw_position(position))
 
-    def prepare_streaming(self) -> int:
-        """Cyclic velocity at set-point zero; gives the sample counter before the first SYNC."""
-        self.sdo.settle(objects.TARGET_VELOCITY, 0)
-        self.set_mode(Mode.CYCLIC_VELOCITY)
-        return self.sdo.integer(objects.SAMPLE_COUNTER)
+    @property
+    def cyclic_pdos(self) -> tuple[configuration.Pdo, ...]:
+        """What goes over the bus each cycle of a streamed sweep; without the RPDO of the stop."""
+        return tuple(pdo for pdo in self._pdos if pdo.mapped != (self._map.entry("controlword"),))
+
+    def prepare_streaming(self) -> Start:
+        """In the mode that follows set-points, at set-point zero, or at the position where the axis is."""
+        follows_velocity = self.way is Way.CYCLIC_VELOCITY
+        position = None if follows_velocity else int(self._read("position"))
+        self.sdo.settle(self._map.entry(self.way.target), position or 0)
+        self.set_mode(self.way.mode)
+        counter = self.sdo.integer(self._map.entry("sample_counter")) if self._map.samples == "counter" else None
+        return Start(counter, position, FOLLOW if self.way is Way.INTERPOLATED_POSITION else 0)
 
     # -- measuring function --------------------------------------------------------------------------------------
 
@@ -253,14 +281,29 @@ class CanopenDevice:
 
     def _settle_session(self) -> frozenset[Entry]:
         """What holds for the whole session; gives the absent objects that a profile can do without."""
+        self._settle_map()
         for maker in self._machine.maker_settings:
             self.sdo.settle(Entry(maker.index, maker.sub, maker.type, maker.name), maker.value)
         self._harden()
-        settings = configuration.standing(self.profile, self._machine.bus, self._machine.stop_options, self.codec)
-        return configuration.settle(self.sdo, settings)
+        bus, options = self._machine.bus, self._machine.stop_options
+        return self._settle_present(configuration.standing(self.profile, bus, options, self.codec, self._map))
+
+    def _settle_map(self) -> None:
+        for setting in self._map.settings:
+            self.sdo.settle(setting.entry, setting.value)
 
     def _settle(self, velocity: float, effort: float, window: tuple[float, float]) -> frozenset[Entry]:
-        return configuration.settle(self.sdo, configuration.limits(self.codec, velocity, effort, window))
+        return self._settle_present(configuration.limits(self.codec, velocity, effort, window, self._map))
+
+    def _settle_present(self, settings: tuple[configuration.Setting, ...]) -> frozenset[Entry]:
+        """As `configuration.settle`, without asking for what the map says is missing."""
+        missing = {self._map.entry(name) for name in self._map.missing}
+        present = tuple(setting for setting in settings if setting[0] not in missing)
+        return configuration.settle(self.sdo, present) | {entry for entry, _ in settings if entry in missing}
+
+    def _read(self, name: str) -> float:
+        """An object of the map; what is missing counts as 1: a factor that nobody changes."""
+        return 1.0 if name in self._map.missing else self.sdo.read(self._map.entry(name))
 
     def _has(self, entry: Entry) -> bool:
         try:
@@ -269,12 +312,15 @@ class CanopenDevice:
             return False
         return True
 
-    def _supports_cyclic_velocity(self) -> bool:
+    def _choose_way(self) -> Way | None:
+        """The first way of the map that the drive supports."""
+        if "supported_modes" in self._map.missing:
+            return self._map.excitation[0]
         try:
-            modes = self.sdo.integer(Entry(0x6502, 0, "I", "supported drive modes"))
+            modes = self.sdo.integer(self._map.entry("supported_modes"))
         except ObjectAbsent:
-            return True  # optional object; the mode's read-back tells
-        return bool(modes >> (Mode.CYCLIC_VELOCITY - 1) & 1)
+            return self._map.excitation[0]  # optional object; the mode's read-back tells
+        return next((way for way in self._map.excitation if modes >> (way.mode - 1) & 1), None)
 
     def _history(self) -> int:
         try:

@@ -3,6 +3,7 @@
 import asyncio
 import hashlib
 import logging
+import math
 import threading
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import suppress
@@ -11,7 +12,9 @@ from dataclasses import dataclass
 from drivers.canopen import frames
 from drivers.canopen.bcm import set_point_source
 from drivers.canopen.bus import Bus
+from drivers.canopen.bus_load import check_bus_load
 from drivers.canopen.device import CanopenDevice
+from drivers.canopen.device_map import Way
 from drivers.canopen.host_sweep import HostSweep
 from drivers.canopen.lane import Ending, Lane
 from drivers.canopen.profile import CanopenProfile
@@ -36,7 +39,7 @@ from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTimin
 logger = logging.getLogger(__name__)
 
 LISTENING = 3  # heartbeats
-STEPS_OF_A_SINE = 20  # of the velocity unit in an amplitude: rounding then moves a line by less than one in a thousand
+STEPS_OF_A_SINE = 20  # of the drive's unit in an amplitude: rounding then moves a line by less than one in a thousand
 
 
 class CanopenFieldbus:
@@ -48,7 +51,7 @@ class CanopenFieldbus:
     async def open(self) -> "CanopenConnection":
         profile, thread = self._profile, DriveThread("can-sdo")
         nodes = tuple(axis.node for axis in profile.axes)
-        opening = asyncio.create_task(thread.run(Bus, profile.bus, nodes))
+        opening = asyncio.create_task(thread.run(Bus, profile.bus, nodes, profile.device_map.wires))
         heart: asyncio.Task[None] | None = None
         try:
             bus = await asyncio.shield(opening)
@@ -98,12 +101,15 @@ class CanopenConnection:
 
     async def stream(self, sweeps: Sequence[tuple[SweepCommand, Envelope]], stop: threading.Event) -> "StreamedSweep":
         lanes: list[Lane] = []
-        for command, _ in sweeps:
-            _check_resolution(self.devices[command.joint], command)
+        swept = [self.devices[command.joint] for command, _ in sweeps]
+        check_bus_load(self.profile.bus, [device.cyclic_pdos for device in swept], len(self.devices))
+        for device, (command, _) in zip(swept, sweeps, strict=True):
+            _check_resolution(device, command)
         for command, envelope in sweeps:
             device = self.devices[command.joint]
-            counter = await self.thread.run(device.prepare_streaming)
-            lanes.append(Lane(device.profile, device.codec, command, envelope, counter))
+            start = await self.thread.run(device.prepare_streaming)
+            waiting = (start.counter, start.position, start.mode_bits, self.profile.device_map.wires)
+            lanes.append(Lane(device.profile, device.codec, command, envelope, *waiting))
         run = HostSweep(self.bus, self.profile.bus, lanes, stop)
         return StreamedSweep(run, self.thread, {command.joint: self.axes[command.joint] for command, _ in sweeps})
 
@@ -114,7 +120,7 @@ class CanopenConnection:
         """
         nodes = {device.profile.node: device for device in self.devices.values()}
         deaf = [node for node, device in nodes.items() if device.deaf]
-        for identifier, data in frames.stop(nodes, deaf, sync=not streaming):
+        for identifier, data in frames.stop(nodes, deaf, sync=not streaming, wires=self.profile.device_map.wires):
             try:
                 self.bus.shout(identifier, data)
             except CommunicationLost as error:  # a full send buffer may have room for the next
@@ -177,13 +183,21 @@ class StreamedSweep:
 
 
 def _check_resolution(device: CanopenDevice, command: SweepCommand) -> None:
-    """LimitExceeded if the drive's velocity unit would turn the sines into stairs."""
-    step = abs(float(device.codec.velocity(1.0)))
+    """LimitExceeded if the drive's velocity unit would turn the sines into stairs, or that of the positions sent."""
+    unit = device.profile.unit
+    speed = abs(float(device.codec.velocity(1.0)))
+    place = abs(float(device.codec.position(1.0) - device.codec.position(0.0)))
     for sine in command.sines:
-        if 0 < sine.amplitude < STEPS_OF_A_SINE * step:
+        if 0 < sine.amplitude < STEPS_OF_A_SINE * speed:
             raise LimitExceeded(
-                f"{device.place}: a sine of {sine.amplitude:.3g} {device.profile.unit}/s has fewer than "
-                f"{STEPS_OF_A_SINE} steps of the drive's velocity unit of {step:.3g} {device.profile.unit}/s"
+                f"{device.place}: a sine of {sine.amplitude:.3g} {unit}/s has fewer than "
+                f"{STEPS_OF_A_SINE} steps of the drive's velocity unit of {speed:.3g} {unit}/s"
+            )
+        amplitude = sine.amplitude / (2 * math.pi * sine.frequency)
+        if device.way is not Way.CYCLIC_VELOCITY and 0 < amplitude < STEPS_OF_A_SINE * place:
+            raise LimitExceeded(
+                f"{device.place}: a sine of {amplitude:.3g} {unit} at {sine.frequency:g} Hz has fewer than "
+                f"{STEPS_OF_A_SINE} steps of the drive's position unit of {place:.3g} {unit}"
             )
 
 

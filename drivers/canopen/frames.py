@@ -30,13 +30,45 @@ CONTROLLER_WARNING, CONTROLLER_PASSIVE, CONTROLLER_ACTIVE = 0x04 | 0x08, 0x10 | 
 
 _TPDO1 = struct.Struct("<Hih")
 _TPDO2 = struct.Struct("<iI")
+_TPDO2_WITHOUT_COUNTER = struct.Struct("<ii")
 _EMERGENCY = struct.Struct("<HB5s")
 _RPDO1 = struct.Struct("<Hi")
+_CONTROLWORD = struct.Struct("<H")
+
+
+@dataclass(frozen=True, slots=True)
+class Wires:
+    """Which PDOs of a node carry what, by number (predefined connection set): see `device_map.Pdos`."""
+
+    set_point: int = 1
+    stop: int | None = None
+    state: int = 1
+    place: int = 2
+    counted: bool = True  # the sample counter stands beside the position, otherwise the velocity does
+
+    def set_point_id(self, node: int) -> int:
+        return rpdo_id(self.set_point) + node
+
+    def stop_frame(self, node: int) -> tuple[int, bytes]:
+        """Quick stop for a node, by what needs no answer. Never a position that nobody asked for."""
+        if self.stop is None:
+            return self.set_point_id(node), rpdo1(QUICK_STOP, 0)
+        return rpdo_id(self.stop) + node, _CONTROLWORD.pack(QUICK_STOP)
+
+
+def rpdo_id(number: int) -> int:
+    """COB-ID of RPDO `number` without node."""
+    return 0x100 + 0x100 * number
+
+
+def tpdo_id(number: int) -> int:
+    """COB-ID of TPDO `number` without node."""
+    return 0x080 + 0x100 * number
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """TPDO1: 6041h, 606Ch, 6077h of one SYNC."""
+    """TPDO1: 6041h, 606Ch, 6077h (or 6078h) of one SYNC."""
 
     node: int
     statusword: int
@@ -46,11 +78,12 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """TPDO2: 6064h and the sample counter 2120h:01 of one SYNC."""
+    """TPDO2: 6064h and the sample counter 2120h:01 of one SYNC; in place of a counter (then 0) 606Ch once more."""
 
     node: int
     position: int
     counter: int
+    velocity: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +128,7 @@ class Controller:
 
 @dataclass(frozen=True, slots=True)
 class SetPoint:
-    """RPDO1 to a node, seen on the bus: the kernel sent it, or another host did."""
+    """Set-point or stop to a node, seen on the bus: the kernel sent it, or another host did."""
 
     node: int
     data: bytes
@@ -120,19 +153,24 @@ class Lost:
 
 Event = Frame | Sync | Lost
 
+VIRTUAL_WIRES = Wires()
 
-def decode(identifier: int, data: bytes, error: bool = False) -> Frame | None:
+
+def decode(identifier: int, data: bytes, error: bool = False, wires: Wires = VIRTUAL_WIRES) -> Frame | None:
     """What a frame says, None if it is none of ours (SDO answers go to the SDO client). SYNC is the bus' matter."""
     if error:
         return _controller(identifier, data)
     function, node = identifier & ~0x7F, identifier & 0x7F
     if node == 0:
         return None
-    if function == TPDO1 and len(data) == _TPDO1.size:
+    if function == tpdo_id(wires.state) and len(data) == _TPDO1.size:
         return Motion(node, *_TPDO1.unpack(data))
-    if function == TPDO2 and len(data) == _TPDO2.size:
-        return Place(node, *_TPDO2.unpack(data))
-    if function == RPDO1:
+    if function == tpdo_id(wires.place) and len(data) == _TPDO2.size:
+        if wires.counted:
+            return Place(node, *_TPDO2.unpack(data))
+        position, velocity = _TPDO2_WITHOUT_COUNTER.unpack(data)
+        return Place(node, position, 0, velocity)
+    if function in (rpdo_id(wires.set_point), rpdo_id(wires.stop or wires.set_point)):
         return SetPoint(node, data)
     if function == EMERGENCY and len(data) == _EMERGENCY.size:
         return Emergency(node, *_EMERGENCY.unpack(data))
@@ -159,15 +197,17 @@ def _controller(classes: int, data: bytes) -> Controller | None:
     return Controller(state, transmit, receive)
 
 
-def stop(nodes: Iterable[int], deaf: Iterable[int], *, sync: bool = True) -> list[tuple[int, bytes]]:
-    """Identifier and data of what stops these nodes without an answer: quick stop by RPDO1, taken over by `sync`.
+def stop(
+    nodes: Iterable[int], deaf: Iterable[int], *, sync: bool = True, wires: Wires = VIRTUAL_WIRES
+) -> list[tuple[int, bytes]]:
+    """Identifier and data of what stops these nodes without an answer: quick stop by RPDO, taken over by `sync`.
 
     `deaf`: nodes that get NMT stop as well, which 6007h reacts to. They answer no SDO until NMT pre-operational.
     """
-    quick_stops = [(RPDO1 + node, rpdo1(QUICK_STOP, 0)) for node in nodes]
+    quick_stops = [wires.stop_frame(node) for node in nodes]
     return [*quick_stops, *([(SYNC, b"")] if sync else []), *((NMT, bytes([NMT_STOP, node])) for node in deaf)]
 
 
-def rpdo1(controlword: int, target_velocity: int) -> bytes:
-    """6040h and 60FFh."""
-    return _RPDO1.pack(controlword, target_velocity)
+def rpdo1(controlword: int, target: int) -> bytes:
+    """6040h and the target, 60FFh or a position."""
+    return _RPDO1.pack(controlword, target)

@@ -22,7 +22,6 @@ from drivers.canopen.ladder import Rung
 from drivers.canopen.lane import STANDING_SAMPLES, Ending, Lane, RunningLane, Trouble
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.punctuality import Punctuality
-from drivers.cia402 import states
 from drivers.cia402.states import State
 from drivers.errors import CommunicationLost
 from drivers.ports import SampleBlock, SetPointTiming
@@ -31,8 +30,6 @@ OPENING_SYNCS = 3  # without set-points; a drive takes few of them for a host th
 BLOCK_TIME = 0.1  # s of samples handed over at a time
 STANDSTILL_TIMEOUT = 3.0  # s after the waveform's end
 HOLD_TIMEOUT = 5.0  # s of waiting at standstill for the mode to be left
-
-REST = frames.rpdo1(states.QUICK_STOP, 0)  # what the kernel sends when nobody plans further
 
 Events = queue.SimpleQueue[frames.Event]
 
@@ -52,6 +49,9 @@ class HostSweep:
         self._source = set_point_source(bus)
         self._clock = Punctuality(period, settings.missed_cycles, settings.host_timeout)
         self._lanes = {lane.axis.node: RunningLane(lane, period) for lane in lanes}
+        wires = self._wires = lanes[0].wires
+        # what the kernel sends when nobody plans further
+        self._rest: list[tuple[int, bytes]] = [*(wires.stop_frame(node) for node in self._lanes), (frames.SYNC, b"")]
         self._last = max(lane.last for lane in self._lanes.values())
         self._number = 0  # cycles sent
         self._ended = False  # the ladder has begun
@@ -122,9 +122,8 @@ class HostSweep:
     def _last_word(self) -> None:
         """Quick stop to every axis, as far as the bus still takes it."""
         with suppress(CommunicationLost):
-            for node in self._lanes:
-                self._bus.send(frames.RPDO1 + node, REST)
-            self._bus.send(frames.SYNC, b"")
+            for identifier, data in self._rest:
+                self._bus.send(identifier, data)
 
     def _meet(self, events: Events) -> None:
         """SYNC without set-points until every drive has said that it is enabled: none is told so before."""
@@ -137,6 +136,8 @@ class HostSweep:
             while self._unknown() and (event := _next(events, answer_by - time.monotonic())) is not None:
                 self._take(event)
             self._listen(events, sent + self._period)
+            for lane in self._lanes.values():
+                lane.settle()
             if not self._unknown():
                 break
         for lane in self._unknown():
@@ -151,8 +152,8 @@ class HostSweep:
 
     def _by_kernel(self, events: Events) -> None:
         """The sweep's cycles, planned ahead; returns at its end, or once the ladder has begun."""
-        rest = [*((frames.RPDO1 + node, REST) for node in self._lanes), (frames.SYNC, b"")]
-        self._kernel = kernel = KernelStream(self._bus.kernel_interface or "", self._period, self._plan, rest)
+        interface = self._bus.kernel_interface or ""
+        self._kernel = kernel = KernelStream(interface, self._period, self._plan, self._rest)
         self._bus.kernel_sends(sending=True)
         try:
             if not self._is_forbidden():
@@ -191,6 +192,7 @@ class HostSweep:
             self._number += 1
             self._count_sync()
             self._listen(events, self._clock.due)
+            self._wait_for_answers(events, now)
             if self._number <= self._last or self._ended:
                 continue
             now = time.monotonic()
@@ -214,16 +216,17 @@ class HostSweep:
 
     def _plan(self, number: int) -> Cycle:
         """For the kernel: what a cycle ahead will send if nothing comes in between."""
-        set_points = [(frames.RPDO1 + node, lane.planned(number)) for node, lane in self._lanes.items()]
+        wires = self._wires
+        set_points = [(wires.set_point_id(node), lane.planned(number)) for node, lane in self._lanes.items()]
         return [*set_points, (frames.SYNC, b"")]
 
     def _send_set_points(self, now: float) -> bool:
-        """RPDO1 of every axis; False where the host turned out to be suspended in between: the next are quick stops."""
+        """That of every axis; False where the host turned out to be suspended in between: the next are quick stops."""
         for node, lane in self._lanes.items():
             word = lane.command(self._number, now)
             if self._is_forbidden():
                 return False
-            self._bus.send(frames.RPDO1 + node, word)
+            self._bus.send(self._wires.set_point_id(node), word)
         return not self._is_forbidden()
 
     def _is_forbidden(self) -> bool:
@@ -236,7 +239,34 @@ class HostSweep:
 
     def _count_sync(self) -> None:
         for lane in self._lanes.values():
-            lane.sync()
+            trouble = lane.sync()
+            if trouble is not None:
+                self._end(trouble, lane)
+
+    def _wait_for_answers(self, events: Events, sent: float) -> None:
+        """Hold the next SYNC back for drives that count no samples, as far as the profile lets deadlines pass unmet.
+
+        Nothing that answers later can then be taken for the answer to another SYNC. After the last sample one SYNC is
+        left out in any case: all answers are then here, and none too many (`windows`).
+        """
+        lanes = [lane for lane in self._lanes.values() if not lane.counts]
+        if not lanes or self._ended:
+            return
+        if self._number == self._last + STANDING_SAMPLES:
+            self._listen(events, self._clock.due + self._period)
+            self._clock.begin(self._clock.due + self._period)
+        until = sent + self._silence / OPENING_SYNCS
+        while self._clock.patient and not all(lane.answered for lane in lanes) and not self._ended:
+            left = until - time.monotonic()
+            if left <= 0:
+                break
+            event = _next(events, min(left, self._period))
+            if event is not None:
+                self._take(event)
+            self._check()
+        for lane in lanes if self._clock.patient else ():
+            lane.silent += 0 if lane.answered else round((until - sent) / self._period)
+            lane.settle()
 
     def _listen(self, events: Events, deadline: float) -> None:
         """Take events until the deadline; what already waits is taken even if it has passed."""
@@ -272,7 +302,7 @@ class HostSweep:
             if seen.get(node) == lane.planned(self._number):
                 lane.was_sent(self._number)
             elif not self._ended:
-                self._end(Trouble(*_unplanned(seen.get(node))), lane)
+                self._end(Trouble(*_unplanned(seen.get(node), self._wires.stop_frame(node)[1])), lane)
         self._number += 1
         self._count_sync()
         kernel.note(self._clock.sent(at))
@@ -318,7 +348,7 @@ class HostSweep:
         self._ended = True
         now = time.monotonic()
         for lane in self._lanes.values():
-            lane.ladder.climb(rung, now, lane.target)
+            lane.ladder.climb(rung, now, lane.velocity)
 
     def _hand_over(self, at_least: int) -> None:
         for lane in self._lanes.values():
@@ -330,9 +360,9 @@ class HostSweep:
         self._loop.call_soon_threadsafe(self._blocks.put_nowait, item)
 
 
-def _unplanned(sent: bytes | None) -> tuple[Ending, str]:
+def _unplanned(sent: bytes | None, rest: bytes) -> tuple[Ending, str]:
     """What it means that the kernel sent this instead of the set-point of the plan."""
-    if sent == REST:
+    if sent == rest:
         return Ending.LATE, "the host planned no further set-points in time"
     return Ending.NOT_SENT, "a SYNC came without the set-point planned for it"
 

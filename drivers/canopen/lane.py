@@ -7,10 +7,13 @@ from enum import Enum
 import numpy as np
 
 from drivers.canopen import frames
+from drivers.canopen.frames import VIRTUAL_WIRES, Wires
 from drivers.canopen.ladder import Ladder, Rung
 from drivers.canopen.profile import CanopenAxis
 from drivers.canopen.samples import Pairing, Sample
+from drivers.canopen.set_points import Positions, SetPoints, Velocities
 from drivers.canopen.units import Codec
+from drivers.canopen.windows import Windows
 from drivers.cia402 import states
 from drivers.cia402.checks import Envelope
 from drivers.cia402.states import State
@@ -46,13 +49,21 @@ class Trouble:
 
 @dataclass(frozen=True, slots=True)
 class Lane:
-    """What one axis brings to a streamed sweep; `counter` is 2120h:01 at standstill, before the first SYNC."""
+    """What one axis brings to a streamed sweep.
+
+    `counter` is 2120h:01 at standstill, before the first SYNC; None where the drive counts no samples. `start` is where
+    a drive that takes positions stands, in its units; None for one that takes velocities. `mode_bits` of the
+    controlword make it follow.
+    """
 
     axis: CanopenAxis
     codec: Codec
     command: SweepCommand
     envelope: Envelope
-    counter: int
+    counter: int | None
+    start: int | None = None
+    mode_bits: int = 0
+    wires: Wires = VIRTUAL_WIRES
 
 
 class RunningLane:
@@ -66,20 +77,21 @@ class RunningLane:
         self.joint = axis.joint
         self.place = f"{axis.joint} (node {axis.node})"
         self.state = State.UNKNOWN  # until a TPDO says otherwise
-        self.target = 0  # raw set-point sent last
+        self.velocity = 0  # of the set-point sent last, drive units
         self.silent = 0  # SYNCs since the last sample
         self.behind = 0  # SYNCs that were sent and that the last sample's counter does not count
         self.last = round(lane.command.duration / period)  # number of the last sample
         self._lane, self._period = lane, period
         self._wave = set_point(lane.command, np.arange(self.last + 1, dtype=float) * period)
-        self._targets = [codec.raw_velocity(velocity) for velocity in (*self._wave[1:], 0.0)]
+        self._set_points = _set_points(lane, self.last, period)
         self.ladder = Ladder(
             ramp_step=max(1, round(codec.raw_speed(axis.acceleration) * period)),
             ramp_time=axis.velocity_limit / axis.acceleration + 1.0,
             quick_stop_time=axis.velocity_limit / axis.quick_stop_deceleration + 1.0,
             disable_time=1.0,
         )
-        self._pairing = Pairing(lane.counter)
+        self._pairing = Windows() if lane.counter is None else Pairing(lane.counter)
+        self._motion: frames.Motion | None = None  # last heard
         self._standing = 0
         self._syncs = 0  # sent since the counter was read
         self._first = sys.maxsize  # of them, before the sweep's first
@@ -95,37 +107,61 @@ class RunningLane:
         """The last sample came, and the drive has counted every SYNC that was sent."""
         return self._number >= self.last and self.behind == 0
 
+    @property
+    def answered(self) -> bool:
+        """Both TPDOs came since the last SYNC; of a drive that counts they may come at any time."""
+        return not isinstance(self._pairing, Windows) or self._pairing.answered
+
+    @property
+    def counts(self) -> bool:
+        """Whether the drive counts its samples."""
+        return isinstance(self._pairing, Pairing)
+
     def planned(self, number: int) -> bytes:
-        """RPDO1 of this cycle as the sweep has it."""
-        return frames.rpdo1(states.ENABLE_OPERATION, self._targets[min(number, self.last)])
+        """The set-point's RPDO of this cycle as the sweep has it; behind its end without the bits that start a mode."""
+        bits = self._set_points.mode_bits if number <= self.last else 0
+        return frames.rpdo1(states.ENABLE_OPERATION | bits, self._set_points.planned(number))
 
     def was_sent(self, number: int) -> None:
         """This cycle went out as planned."""
-        self.target = self._targets[min(number, self.last)]
+        self.velocity = self._set_points.velocity(number)
 
     def command(self, number: int, now: float) -> bytes:
-        """RPDO1 of this cycle: along the sweep, or down the ladder."""
+        """The set-point's RPDO of this cycle: along the sweep, or down the ladder."""
         if self.ladder.rung is Rung.RUN and self.state is State.OPERATION_ENABLED:
             self.was_sent(number)
             return self.planned(number)
-        controlword, self.target = self.ladder.command(now, self.standing, self.state)
-        return frames.rpdo1(controlword, self.target)
+        controlword, self.velocity = self.ladder.command(now, self.standing, self.state)
+        if controlword == states.ENABLE_OPERATION:
+            controlword |= self._set_points.mode_bits
+        return frames.rpdo1(controlword, self._set_points.ramped(number, self.velocity))
 
     def begin(self) -> None:
         """The next SYNC is the sweep's first."""
         self._first = self._syncs
 
-    def sync(self) -> None:
+    def settle(self) -> None:
+        """No answer to a SYNC is under way any more."""
+        if isinstance(self._pairing, Windows):
+            self._pairing.settle()
+
+    def sync(self) -> Trouble | None:
         """A SYNC was sent."""
         self._syncs += 1
         self.silent += 1
-        self._pairing.sync()
+        sample = self._pairing.sync()
+        if sample is not None:
+            self._keep(sample)
+        if isinstance(self._pairing, Windows) and self._pairing.doubt is not None:
+            return Trouble(Ending.MISCOUNTED, self._pairing.doubt)
+        return None
 
     def take(self, event: frames.Event) -> Trouble | None:
         """What the node said, and what is wrong with that."""
         match event:
             case frames.Motion():
                 self._pairing.motion(event)
+                self._motion = event
             case frames.Place():
                 return self._take_place(event)
             case frames.Emergency() if event.code:
@@ -154,25 +190,43 @@ class RunningLane:
         )
 
     def _take_place(self, event: frames.Place) -> Trouble | None:
+        if isinstance(self._pairing, Windows):  # the sample is certain at the next SYNC, trouble is not to wait for it
+            self._pairing.place(event)
+            motion = self._motion
+            if motion is None:
+                return None
+            return self._watch(motion.statusword, motion.velocity, motion.torque, event.position)
         sample = self._pairing.place(event)
         if self._pairing.ahead > 0 and self.ladder.rung is Rung.RUN:
             return Trouble(Ending.MISCOUNTED, f"its sample counter is {self._pairing.ahead} ahead of SYNC")
-        return None if sample is None else self._judge(sample)
-
-    def _judge(self, sample: Sample) -> Trouble | None:
-        codec, velocity = self._lane.codec, float(self._lane.codec.velocity(sample.velocity))
-        self.silent = 0
+        if sample is None:
+            return None
         self.behind = self._syncs - 1 - sample.index
-        self.state = states.decode(sample.statusword)
+        self._keep(sample)
+        return self._watch(sample.statusword, sample.velocity, sample.torque, sample.position)
+
+    def _keep(self, sample: Sample) -> None:
+        self.silent = 0
+        velocity = float(self._lane.codec.velocity(sample.velocity))
         self._standing = self._standing + 1 if abs(velocity) <= self._lane.axis.standstill_velocity else 0
         self._number = sample.index - self._first
         if 0 <= self._number <= self.last:
             self._fresh.append(sample)
+
+    def _watch(self, statusword: int, velocity: int, torque: int, position: int) -> Trouble | None:
+        codec = self._lane.codec
+        self.state = states.decode(statusword)
         if self.ladder.rung is not Rung.RUN:
             return None
         if self.state is not State.OPERATION_ENABLED:
             return Trouble(Ending.LEFT_STATE, f"is '{self.state.value}'")
         violation = self._lane.envelope.violation(
-            float(codec.position(sample.position)), velocity, float(codec.effort(sample.torque))
+            float(codec.position(position)), float(codec.velocity(velocity)), float(codec.effort(torque))
         )
         return None if violation is None else Trouble(Ending.LEFT_ENVELOPE, violation)
+
+
+def _set_points(lane: Lane, last: int, period: float) -> SetPoints:
+    if lane.start is None:
+        return Velocities(lane.codec, lane.command, last, period)
+    return Positions(lane.codec, lane.command, last, period, lane.start, lane.mode_bits)

@@ -8,6 +8,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
+from drivers.canopen.device_map import VIRTUAL_AXIS, DeviceMap, load_device_map
 from drivers.cia402.profile import AxisProfile, Frozen, StopOptions, existing_file, parse, require_different
 from drivers.errors import BadProfile
 
@@ -55,21 +56,26 @@ class CanopenAxis(AxisProfile):
     """One axis and its node."""
 
     node: int = Field(ge=1, le=126)
+    increments: float | None = Field(
+        default=None, gt=0
+    )  # of the position, a motor revolution; where the map asks for it
+    torque_constant: float | None = Field(default=None, gt=0)  # N m/A, where the effort is told as a current
 
 
-class CanopenProfile(Frozen):
-    """A whole machine: one bus, its axes."""
+class _Content(Frozen):
+    """A profile as it is written."""
 
     adapter: Literal["canopen"]
     bus: BusProfile
     eds: Path
+    device: Path | None = None  # the device map; the virtual drive's where none is named
     emergency_stop_codes: tuple[int, ...] = ()  # 603Fh values that mean safe torque off
     stop_options: StopOptions = StopOptions()
     maker_settings: tuple[MakerSetting, ...] = ()
     axes: tuple[CanopenAxis, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
-    def _consistent(self) -> "CanopenProfile":
+    def _consistent(self) -> "_Content":
         nodes = [axis.node for axis in self.axes]
         require_different(self.axes, "nodes", nodes)
         if self.bus.host_node in nodes:
@@ -77,20 +83,56 @@ class CanopenProfile(Frozen):
         return self
 
 
+class CanopenProfile(_Content):
+    """A whole machine: one bus, its axes, and what type of drive they are."""
+
+    device_map: DeviceMap = VIRTUAL_AXIS
+
+
 def parse_profile(profile: Mapping[str, object], base: Path) -> CanopenProfile:
-    """A checked profile whose `eds` is an existing file, relative to `base` where it is not absolute."""
-    parsed = parse(CanopenProfile, profile)
+    """A checked profile with its device map; `eds` is an existing file, relative to `base` where it is not absolute."""
+    parsed = parse(_Content, profile)
     eds = existing_file("eds", base / parsed.eds)
     _check_eds(parsed, eds)
-    return parsed.model_copy(update={"eds": eds})
+    device_map = (
+        VIRTUAL_AXIS if parsed.device is None else load_device_map(existing_file("device", base / parsed.device))
+    )
+    _check_map(parsed, device_map)
+    return parse(CanopenProfile, dict(parsed) | {"eds": eds, "device_map": device_map})
 
 
-def _check_eds(profile: CanopenProfile, eds: Path) -> None:
-    """BadProfile unless the EDS is for the devices of the profile (CiA 306, section DeviceInfo)."""
+def _check_map(profile: _Content, device_map: DeviceMap) -> None:
+    """BadProfile unless the map is for the devices of the profile, and these tell what the map leaves to them."""
+    units = device_map.units
+    for axis in profile.axes:
+        found = (device_map.vendor, device_map.product)
+        given = (axis.identity.vendor, axis.identity.product)
+        for name, of_map, of_axis in zip(("vendor", "product"), found, given, strict=True):
+            if profile.device is not None and of_map not in (None, of_axis):
+                raise BadProfile(
+                    f"device: {profile.device} is for {name} {of_map:08X}h; {axis.joint} is {of_axis:08X}h"
+                )
+        if units.increments == "profile" and axis.increments is None:
+            raise BadProfile(f"axes: {axis.joint}: increments: the device map leaves them to the profile")
+        if units.effort == "current" and axis.torque_constant is None:
+            raise BadProfile(f"axes: {axis.joint}: torque_constant: needed where the drive tells a current")
+        if units.side == "joint" and axis.gear_ratio < 0:
+            raise BadProfile(
+                f"axes: {axis.joint}: gear_ratio must be above 0 for a drive that counts on the joint side"
+            )
+
+
+def _check_eds(profile: _Content, eds: Path) -> None:
+    """BadProfile unless the EDS is for the devices of the profile (CiA 306, section DeviceInfo).
+
+    Some makers leave vendor and product out there; the drives themselves say them at connect.
+    """
     parser = ConfigParser(interpolation=None, strict=False)
     try:
         parser.read(eds, encoding="utf-8")
         device = parser["DeviceInfo"]
+        if not device.keys() & {"vendornumber", "productnumber"}:
+            return
         found = (int(device["VendorNumber"], 0), int(device["ProductNumber"], 0))
     except (ConfigError, KeyError, ValueError) as error:
         raise BadProfile(f"eds: {eds} has no usable section DeviceInfo: {error}") from None

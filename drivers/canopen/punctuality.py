@@ -34,6 +34,11 @@ class Punctuality:
         return late - passed * self._period
 
     @property
+    def patient(self) -> bool:
+        """Whether a further deadline may pass unmet."""
+        return self._missed < self._allowed
+
+    @property
     def verdict(self) -> str | None:
         """Why the host is too late, None while it is not."""
         if self._worst > self._limit:

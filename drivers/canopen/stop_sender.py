@@ -32,6 +32,7 @@ class CanopenStopSender:
         if bus.interface not in ("socketcand", "socketcan"):
             raise NotReady(f"bus {bus.interface} {bus.channel}: this interface has one owner, which is the service")
         self._bus = bus
+        self._wires = profile.device_map.wires
         self._joints = {axis.node: axis.joint for axis in profile.axes}
         self._heard: dict[int, float] = {}
         self._off = False  # the controller's bus-off was told and no node was heard since
@@ -81,7 +82,8 @@ class CanopenStopSender:
         return self._socket
 
     def _send(self, *, deaf: bool) -> None:
-        packed = [self._packed(*frame) for frame in frames.stop(self._joints, self._joints if deaf else ())]
+        deaf_ones = self._joints if deaf else ()
+        packed = [self._packed(*frame) for frame in frames.stop(self._joints, deaf_ones, wires=self._wires)]
         with self._sending:
             bus = self._open()
             try:
@@ -118,7 +120,10 @@ class CanopenStopSender:
             self._off = self._off or bool(identifier & frames.ERROR_BUS_OFF)
             return
         node = identifier & 0x7F
-        if identifier & ~0x7F in (frames.HEARTBEAT, frames.TPDO1, frames.SDO_RESPONSE) and node in self._joints:
+        if (
+            identifier & ~0x7F in (frames.HEARTBEAT, frames.tpdo_id(self._wires.state), frames.SDO_RESPONSE)
+            and node in self._joints
+        ):
             self._heard[node] = time.monotonic()
             self._off = False
 

@@ -2,15 +2,13 @@
 
 Own frames do not come here: python-can and socketcand gateways do not give them back. A stop is no stranger's word,
 whoever says it, and above all not that of the stop process, which says nothing else (`frames.stop`): quick stop by
-RPDO1, the SYNC after it, NMT stop.
+RPDO, the SYNC after it, NMT stop.
 """
 
 from collections.abc import Iterable
 
 from drivers.canopen import frames
-from drivers.cia402.states import QUICK_STOP
 
-_QUICK_STOP = frames.rpdo1(QUICK_STOP, 0)
 _EVERY_NODE = 0  # in an NMT command
 _SAID = {
     frames.RPDO1: "RPDO1 to",
@@ -24,9 +22,10 @@ _SAID = {
 class Strangers:
     """Hears every data frame with 11 bits of identifier, in the order of the bus."""
 
-    def __init__(self, nodes: Iterable[int], host_node: int) -> None:
-        """`nodes`: ours; `host_node`: under which we speak ourselves."""
+    def __init__(self, nodes: Iterable[int], host_node: int, wires: frames.Wires = frames.VIRTUAL_WIRES) -> None:
+        """`nodes`: ours; `host_node`: under which we speak ourselves; `wires` say by which RPDO they are stopped."""
         self._nodes, self._host_node = frozenset(nodes), host_node
+        self._quick_stops = frozenset(wires.stop_frame(node) for node in self._nodes)
         self._stopping = False  # a quick stop came and its SYNC has not
 
     def word(self, identifier: int, data: bytes) -> str:
@@ -45,7 +44,7 @@ class Strangers:
             return f"heartbeat of node {node}, which is ours"
         if node not in self._nodes or function not in _SAID:
             return ""
-        if function == frames.RPDO1 and data == _QUICK_STOP:
+        if (identifier, bytes(data)) in self._quick_stops:
             self._stopping = True
             return ""
         return f"{_SAID[function]} node {node}"

@@ -5,11 +5,14 @@ q = theta / u + q0,  qd = theta' / u,  effort = u * motor torque.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.canopen.device_map import SPEEDS, Units
+from drivers.canopen.profile import CanopenAxis
 from drivers.errors import LimitExceeded, WrongConfiguration
 
 Array = NDArray[np.float64]
@@ -25,8 +28,11 @@ class Codec:
     gear_ratio: float
     position_offset: float  # rad (m)
     rated_torque: float  # N m of the motor, 6076h
-    increments: float  # per motor revolution, 608Fh
+    increments: float  # per motor revolution, 608Fh; of a drive that counts on the joint side a fraction of them
     velocity_unit: float  # motor rev/s per raw unit, 60A9h
+    acceleration_unit: float | None = None  # motor rev/s^2 per raw unit; None: velocity units per s
+    max_speed_unit: float | None = None  # motor rev/s per raw unit of 6080h; None: velocity units
+    rated_effort: float | None = None  # N m of the motor at 1000 per mille of the channel; None: rated torque
 
     def position(self, raw: Array | float) -> Array:
         """6064h -> rad (m)."""
@@ -37,8 +43,9 @@ class Codec:
         return np.asarray(raw) * (self.velocity_unit * math.tau / self.gear_ratio)
 
     def effort(self, raw: Array | float) -> Array:
-        """6077h, per mille of rated torque -> N m (N)."""
-        return np.asarray(raw) * (1e-3 * self.rated_torque * self.gear_ratio)
+        """6077h, per mille of rated torque (6078h: of rated current) -> N m (N)."""
+        rated = self.rated_torque if self.rated_effort is None else self.rated_effort
+        return np.asarray(raw) * (1e-3 * rated * self.gear_ratio)
 
     def motor_position(self, revolutions: Array | float) -> Array:
         """Motor revolutions -> rad (m)."""
@@ -65,8 +72,20 @@ class Codec:
         return _int32(velocity * self.gear_ratio / math.tau / self.velocity_unit, "velocity")
 
     def raw_speed(self, speed: float) -> int:
-        """Magnitude of a speed, or of an acceleration in 60A9h units per s."""
+        """Magnitude of a speed."""
         return abs(self.raw_velocity(speed))
+
+    def raw_acceleration(self, acceleration: float) -> int:
+        """rad/s^2 (m/s^2) -> drive units, at least 1."""
+        if self.acceleration_unit is None:
+            return self.raw_speed(acceleration)
+        return max(1, abs(_int32(acceleration * self.gear_ratio / math.tau / self.acceleration_unit, "acceleration")))
+
+    def raw_max_speed(self, speed: float) -> int:
+        """Magnitude of a speed in the unit of 6080h."""
+        if self.max_speed_unit is None:
+            return self.raw_speed(speed)
+        return math.ceil(abs(speed * self.gear_ratio / math.tau / self.max_speed_unit))
 
     def raw_effort_limit(self, effort: float) -> int:
         """N m (N) -> per mille of rated torque, rounded down, at most what 16 bits hold."""
@@ -81,6 +100,43 @@ class Codec:
     def rev_per_min(self, velocity: float) -> float:
         """rad/s (m/s) -> motor rev/min."""
         return velocity * self.gear_ratio * 60 / math.tau
+
+
+def codec(axis: CanopenAxis, units: Units, rated_torque: float, read: Callable[[str], float]) -> Codec:
+    """By the drive's unit objects, the map and the profile; `read` gives an object of the map. `rated_torque` N m.
+
+    WrongConfiguration for units that are not understood.
+    """
+    turn = axis.gear_ratio if units.side == "joint" else 1.0  # motor revolutions in one of the counted side
+    if units.increments == "608Fh":
+        increments = read("increments") / max(1.0, read("motor_revolutions")) / turn
+    elif units.increments == "profile":
+        increments = axis.increments or math.nan  # never: the profile is checked for it
+    else:
+        increments = units.increments / turn
+
+    def speed(unit: str) -> float | None:
+        """Motor rev/s in one raw unit; None: as the velocity."""
+        if unit == "60A9h":
+            return velocity_unit(int(read("velocity_unit")), increments * turn) * turn
+        if unit == "increments/s":
+            return 1 / increments
+        known = SPEEDS.get(unit)
+        return None if known is None else known * turn
+
+    rated = None
+    if units.effort == "current":
+        rated = read("rated_current") * 1e-3 * (axis.torque_constant or math.nan)  # never: see above
+    return Codec(
+        gear_ratio=axis.gear_ratio,
+        position_offset=axis.position_offset,
+        rated_torque=rated_torque,
+        increments=increments,
+        velocity_unit=speed(units.velocity) or 0.0,
+        acceleration_unit=speed(units.acceleration),
+        max_speed_unit=speed(units.max_speed),
+        rated_effort=rated,
+    )
 
 
 def velocity_unit(code: int, increments: float) -> float:

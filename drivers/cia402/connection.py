@@ -111,4 +111,5 @@ def capabilities(
         simultaneous_axes=len(everyone) if streams else 1,
         torque_injection=all(abilities.injects for abilities in each),
         hears_other_hosts=hears_other_hosts,
+        set_points=each[0].set_point if streams else "none",
     )

@@ -18,11 +18,12 @@ class Abilities:
 
     measures: bool  # a measuring function
     injects: bool  # torque noise
-    streams: bool  # cyclic synchronous velocity
+    streams: bool  # set-points every cycle
     velocity_limit: bool
     effort_limit: bool
     position_limits: bool
     host_watchdog: bool
+    set_point: str = "none"  # what takes the set-points of a streamed sweep
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +49,8 @@ class Mode(IntEnum):
     """Modes of operation, 6060h."""
 
     PROFILE_POSITION = 1
+    INTERPOLATED_POSITION = 7
+    CYCLIC_POSITION = 8
     CYCLIC_VELOCITY = 9
 
 

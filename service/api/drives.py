@@ -58,6 +58,7 @@ class CapabilitiesView(BaseModel):
     set_point_timing: str
     simultaneous_axes: int
     hears_other_hosts: bool
+    set_points: str
 
 
 class DrivesView(BaseModel):

@@ -20,7 +20,7 @@ from simulator.scenario import ScenarioError
 _PROFILE = 0x2000  # first index that is not of the communication profile
 _DUMMIES = 0x20  # indices below are data types: they fill RPDOs, and are no objects
 _STORING = {0x1010: 0x65766173, 0x1011: 0x64616F6C}  # "save", "load"
-_VELOCITIES = (0x607F, 0x6080, 0x6099, 0x60FF)
+_VELOCITIES = (0x607F, 0x6080, 0x6081, 0x6099, 0x60FF)
 
 
 class ForeignDictionary:
@@ -44,7 +44,7 @@ class ForeignDictionary:
             (0x1018, 1): vendor,
             (0x1018, 2): self._told((0x1018, 2)) or information.product_number or 0,
             (0x1018, 3): self._told((0x1018, 3)) or information.revision_number or 0,
-            (0x1018, 4): self._told((0x1018, 4)) or 0x5D000000 + node,
+            (0x1018, 4): (self._told((0x1018, 4)) or 0x5D000000) + node,  # the file is of one device, and here are more
             (0x1008, 0): information.product_name or self.maker.name,
         }
         self.restore()

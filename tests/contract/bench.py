@@ -13,6 +13,7 @@ import uuid
 from collections.abc import AsyncGenerator, Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, asynccontextmanager, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any, cast
@@ -25,6 +26,8 @@ from drivers.registry import load_profile, open_drive
 from simulator.machine import Machine
 from simulator.scenario import load_scenario
 from simulator.virtual_drive import VirtualDrive
+from tests.contract import makers
+from tests.foreign_bench import bench as foreign_bench
 
 ROOT = Path(__file__).parents[2]
 DRIVES = ROOT / "config" / "drives"
@@ -148,6 +151,13 @@ def in_one_process(bench: Bench, eds: Path = EDS) -> Iterator[Virtual]:
         virtual.close()
 
 
+@contextmanager
+def _foreign(bench: Bench, dictionary: str, bus: str = "virtual") -> Iterator[Virtual]:
+    """Drives of another maker's dictionary; skipped where that is in ../shared and the folder is absent."""
+    with foreign_bench(dictionary, bus=bus, scenario=SCENARIO, speed_factor=SPEED_FACTOR) as foreign:
+        yield Virtual(bench, makers.profile(dictionary, foreign, DRIVES), foreign.control_port)
+
+
 def _over_modbus_tcp(bench: Bench) -> AbstractContextManager[Virtual]:
     options = ("--fieldbus", "modbus-tcp", "--registers", str(REGISTERS / "virtual-high-first.yaml"), "--port", "0")
     name = "virtual-max100-modbus-tcp"
@@ -162,7 +172,9 @@ def _over_modbus_rtu(bench: Bench) -> AbstractContextManager[Virtual]:
 
 
 BOTH, DRIVE_SIDE = frozenset(SweepMode), frozenset({SweepMode.DRIVE_SIDE})
+STREAMED = BOTH - DRIVE_SIDE
 ORDERS = frozenset({"fault", "emergency_stop", "silence", "limit", "glitch", "saturate", "reboot", "swap", "identity"})
+FOREIGN_ORDERS = ORDERS | {"emcy", "drop_tpdos", "bus_off"}
 CAN_ORDERS = ORDERS | {"emcy", "drop_tpdos", "duplicate_tpdos", "delay_tpdos", "freeze_counter", "bus_off"}
 LASTING: dict[str, dict[str, object]] = {  # what takes an order back
     "silence": {"on": False},
@@ -174,12 +186,22 @@ LASTING: dict[str, dict[str, object]] = {  # what takes an order back
     "delay_tpdos": {"count": 0, "cycles": 0},
 }
 
+
+def _other_maker(dictionary: str, bus: str = "virtual") -> Bench:
+    machine = partial(_foreign, dictionary=dictionary, bus=bus)
+    return Bench("canopen-402", STREAMED, FOREIGN_ORDERS, machine, own_process=False, exclusive=True)
+
+
 BENCHES: dict[str, Bench] = {
     "canopen-socketcand": Bench("canopen", BOTH, CAN_ORDERS, _over_socketcand, injects=True, exclusive=True),
     "canopen-virtual": Bench(
         "canopen", BOTH, CAN_ORDERS, in_one_process, injects=True, own_process=False, exclusive=True
     ),
     "canopen-vcan": Bench("canopen", BOTH, CAN_ORDERS, _over_vcan, injects=True, exclusive=True, vcan=True),
+    "plain-virtual": _other_maker("plain"),
+    "plain-socketcand": _other_maker("plain", "socketcand"),
+    "epos4-virtual": _other_maker("epos4"),  # these two read ../shared
+    "gold-virtual": _other_maker("gold"),
     "modbus-tcp": Bench("modbus", DRIVE_SIDE, ORDERS, _over_modbus_tcp),
     "modbus-rtu": Bench("modbus", DRIVE_SIDE, ORDERS, _over_modbus_rtu, exclusive=True),
 }

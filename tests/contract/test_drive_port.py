@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncGenerator
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -65,12 +66,13 @@ async def test_identity_is_told_and_checked(port: DrivePort, virtual: Virtual) -
     assert len({identity.serial for identity in identities}) == len(identities)
     assert all(len(identity.dictionary_sha256) == 64 for identity in identities)
     await port.close()
+    (product,) = (axis["identity"]["product"] for axis in cast(Any, virtual.profile["axes"]) if axis["joint"] == OTHER)
     virtual.order("identity", joint=OTHER, product=0x9999)
     try:
         with pytest.raises(WrongIdentity, match=rf"{OTHER} \(\w+ 3\): product is 00009999h"):
             await port.connect()
     finally:
-        virtual.order("identity", joint=OTHER, product=0x0402)
+        virtual.order("identity", joint=OTHER, product=product)
 
 
 async def test_commands_before_connect_are_refused(virtual: Virtual) -> None:

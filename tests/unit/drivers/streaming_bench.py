@@ -36,10 +36,15 @@ class Drive:
     position: int = 0
     counter: int = COUNTER
     offset: int = 0  # added to the position told
+    counts: bool = True  # TPDO2 tells the sample counter, else the velocity once more
     mangle: Callable[[int, list[Frame]], list[Frame]] = lambda _, answer: answer
     obeyed: list[tuple[int, int]] = field(default_factory=list)  # controlword and target of every SYNC that had one
     _syncs: int = 0
     _pending: tuple[int, int] | None = None
+
+    @property
+    def _second(self) -> int:
+        return self.counter if self.counts else self.velocity & 0xFFFFFFFF
 
     def set_point(self, data: bytes) -> None:
         self._pending = struct.unpack("<Hi", data)
@@ -50,7 +55,7 @@ class Drive:
         self.position += self.velocity
         answer = [
             (frames.TPDO1 + self.node, struct.pack("<Hih", self.statusword, self.velocity, self.velocity % 1000)),
-            (frames.TPDO2 + self.node, struct.pack("<iI", self.position + self.offset, self.counter)),
+            (frames.TPDO2 + self.node, struct.pack("<iI", self.position + self.offset, self._second)),
         ]
         if self._pending is not None:
             controlword, target = self._pending
@@ -111,6 +116,7 @@ class Bench:
     bus: Bus
     settings: BusProfile
     cabinet: Cabinet
+    wires: frames.Wires
 
     def lane(self, node: int, **changes: object) -> Lane:
         """Revolutions are radians here: raw velocity is 10^-3 rev/s, raw position 10^-6 rev."""
@@ -144,7 +150,9 @@ class Bench:
         }
         command = SweepCommand(**(fields | changes))  # pyright: ignore[reportArgumentType]
         envelope = Envelope(command.velocity_limit, command.effort_limit, command.position_window, "rad", "N m")
-        return Lane(axis, codec, command, envelope, COUNTER)
+        drive = self.cabinet.drives.get(node)
+        counter = COUNTER if drive is None or drive.counts else None
+        return Lane(axis, codec, command, envelope, counter, wires=self.wires)
 
     def start(self, *lanes: Lane, stop: threading.Event | None = None) -> HostSweep:
         chosen = lanes or tuple(self.lane(node) for node in self.cabinet.drives)
@@ -160,10 +168,11 @@ async def bench(
     patient = {"host_timeout": 60.0, "drive_timeout": 60.0, "missed_cycles": 10**6, "silence": 0.4}
     profile = BusProfile(interface=interface, channel=channel, **(patient | settings))  # pyright: ignore[reportArgumentType]
     cabinet = Cabinet(interface, channel, drives)
-    bus = Bus(profile, tuple(drive.node for drive in drives))
+    wires = frames.Wires(counted=all(drive.counts for drive in drives))
+    bus = Bus(profile, tuple(drive.node for drive in drives), wires)
     cabinet.start()
     try:
-        yield Bench(bus, profile, cabinet)
+        yield Bench(bus, profile, cabinet, wires)
     finally:
         cabinet.close()
         bus.close()

@@ -75,3 +75,12 @@ def test_a_bus_hears_them_once_it_was_alone(what: str) -> None:
             assert what in bus.watch.reason
         finally:
             bus.close()
+
+
+def test_a_stop_by_an_rpdo_of_its_own_is_no_stranger_either() -> None:
+    """Where positions are streamed, quick stop has an RPDO with the controlword alone."""
+    wires = frames.Wires(set_point=2, stop=1, counted=False)
+    strangers = Strangers((3,), 127, wires)
+    for identifier, data in frames.stop((3,), (3,), wires=wires):
+        assert strangers.word(identifier, data) == ""
+    assert "RPDO1 to node 3" in Strangers((3,), 127).word(*wires.stop_frame(3))

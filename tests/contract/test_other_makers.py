@@ -1,0 +1,137 @@
+"""Drives of other makers swept and stopped: J against that of the virtual drive's own sweep, same plant, same poses.
+
+The makers' dictionaries are read from ../shared; without that folder their tests are skipped.
+"""
+
+import asyncio
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from drivers.errors import SweepInterrupted
+from drivers.ports import AxisState, DrivePort, SampleBlock, Sine, SweepCommand, SweepMode
+from drivers.registry import open_drive
+from service.robot import Robot
+from tests.benchmarks.sweeps import LINES, MOVING, PERIOD, PERIODS, POSE, SHARE, Run, command, compare, move, robot, run
+from tests.contract.bench import AXIS, BENCHES, DRIVES, SYNC_PERIOD, closing, column, consume, in_one_process
+from tests.contract.makers import profile
+from tests.foreign_bench import bench
+
+TRAVEL = 0.3  # rad: a line must be 20 steps of a Powerball's position
+WAYS = {
+    "plain": "cyclic_velocity (60FFh)",
+    "epos4": "cyclic_velocity (60FFh)",
+    "gold": "cyclic_velocity (60FFh)",
+    "simpliq": "interpolated_position (60C1h)",
+    "powerball": "interpolated_position (60C1h)",
+}
+
+
+def wide(robot: Robot, joint: str, mode: SweepMode, rate: float) -> SweepCommand:
+    """A sweep that turns further and faster than those of the benchmarks."""
+    axis, start = robot.axis(joint), POSE[joint]
+    step = 2 * np.pi / (axis.cogging_orders[0] * axis.gear_ratio * PERIOD * PERIODS)  # keeps cogging off the lines
+    offset = float(next(n for n in range(int(TRAVEL / MOVING / step), 0, -1) if n % PERIODS) * step)
+    return replace(
+        command(robot, joint, start, True, mode, rate),
+        offset_velocity=offset,
+        sines=tuple(Sine(f, SHARE * offset, phase) for f, phase in zip(LINES[joint], (0.0, -np.pi / 2), strict=True)),
+        velocity_limit=0.2,
+        position_window=(start - 0.45, start + 0.45),
+    )
+
+
+async def swept(port: DrivePort, robot: Robot, mode: SweepMode, rate: float) -> list[Run]:
+    """One sweep of each axis."""
+    runs: list[Run] = []
+    for joint in LINES:
+        await move(port, POSE)
+        runs.append(await run(port, robot, [wide(robot, joint, mode, rate)], POSE))
+    return runs
+
+
+@pytest.fixture(scope="module")
+def own() -> Sequence[Run]:
+    """The virtual drive's own sweeps, two of each axis."""
+
+    async def measure() -> list[Run]:
+        with in_one_process(BENCHES["canopen-virtual"]) as virtual:
+            async with closing(virtual.open()) as port:
+                await port.connect()
+                return [each for _ in range(2) for each in await swept(port, robot(), SweepMode.DRIVE_SIDE, 250.0)]
+
+    return asyncio.run(measure())
+
+
+@pytest.mark.parametrize("dictionary", ["plain", "epos4", "gold", "powerball"])
+async def test_a_streamed_sweep_gives_the_inertia_of_the_virtual_drives_own(
+    dictionary: str, own: Sequence[Run]
+) -> None:
+    period = 0.008 if "velocity" in WAYS[dictionary] else 0.004  # s; positions make stairs, which bias J at 8 ms
+    with bench(dictionary) as foreign:
+        content = profile(dictionary, foreign, DRIVES, patient=True, sync_period=period)
+        async with closing(open_drive(content, DRIVES)) as port:
+            await port.connect()
+            assert port.capabilities.set_points == WAYS[dictionary]
+            assert port.capabilities.sweep_modes == {SweepMode.HOST_STREAMED}
+            streamed = await swept(port, robot(), SweepMode.HOST_STREAMED, 1 / period)
+    for joint in LINES:
+        assert all(each.indices[joint].gapless for each in streamed if joint in each.indices)
+        found = compare(robot(), [*own, *streamed], joint)
+        bias = found.streamed / found.drive_side - 1
+        print(
+            f"{dictionary} {joint}: {100 * bias:+.3f} %, std of the difference "
+            f"{100 * found.difference_std / found.drive_side:.3f} %, of one streamed sweep "
+            f"{100 * found.std / found.drive_side:.3f} %, z {found.z:+.1f}"
+        )
+        assert abs(bias) <= 2 * found.std / found.drive_side  # within the interval that one sweep states
+        assert abs(bias) <= 3e-3 + 2 * found.difference_std / found.drive_side  # no more bias than 0.3 % and noise
+
+
+@pytest.mark.parametrize("by", ["stop", "halt"])
+@pytest.mark.parametrize("dictionary", ["plain", "epos4", "simpliq", "powerball"])
+async def test_a_stop_in_a_sweep_ends_where_the_axis_is(dictionary: str, by: str) -> None:
+    """Also where positions are streamed, far from position 0."""
+    with bench(dictionary) as foreign:
+        async with closing(open_drive(profile(dictionary, foreign, DRIVES), DRIVES)) as port:
+            await port.connect()
+            await port.enable(AXIS)
+            await port.move_to(AXIS, 0.8, 0.5)
+            running = port.run_sweep(
+                replace(wide(robot(), AXIS, SweepMode.HOST_STREAMED, 125.0), position_window=(0.5, 1.2))
+            )
+            for _ in range(8):
+                await anext(running)
+            before = foreign.truth(AXIS)["position"]
+            if by == "halt":
+                port.halt()
+            else:
+                await port.stop()
+            with pytest.raises(SweepInterrupted):
+                async for _ in running:
+                    pass
+            after = foreign.truth(AXIS)
+            assert not after["energised"]
+            assert abs(after["position"] - before) < 0.05
+
+
+async def test_cyclic_position_where_the_map_prefers_it(tmp_path: Path) -> None:
+    content = yaml.safe_load((DRIVES / "../devices/maxon-epos4.yaml").read_text()) | {"excitation": ["cyclic_position"]}
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(content))
+    with bench("epos4") as foreign:
+        own = profile("epos4", foreign, DRIVES) | {"device": str(tmp_path / "map.yaml")}
+        async with closing(open_drive(own, DRIVES)) as port:
+            await port.connect()
+            assert port.capabilities.set_points == "cyclic_position (607Ah)"
+            await port.enable(AXIS)
+            blocks: list[SampleBlock] = []
+            command = replace(wide(robot(), AXIS, SweepMode.HOST_STREAMED, 125.0), periods=1)
+            await consume(port, command, blocks.append)
+            assert column(blocks, "index").tolist() == list(range(round(command.duration / SYNC_PERIOD) + 1))
+            travelled = column(blocks, "position")[-1] - column(blocks, "position")[0]
+            assert travelled == pytest.approx(column(blocks, "velocity_setpoint").sum() * SYNC_PERIOD, rel=1e-2)
+            assert (await port.status())[AXIS].state is AxisState.ENABLED
