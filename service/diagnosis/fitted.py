@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.equations import Equations, Term, covariance, solve, with_base
+from service.diagnosis.equations import Equations, Term, with_base
 from service.diagnosis.parameters import by_name, of_load
 from service.diagnosis.patch import Inexpressible, Patch
+from service.diagnosis.solving import covariance, solve
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.equations import Equations, Term, given_rest, reshaped, solve, symmetric
+from service.diagnosis.equations import Equations, Term, reshaped
 from service.diagnosis.grams import ORDER, Group, pairing
+from service.diagnosis.solving import given_rest, solve, symmetric
 
 Array = NDArray[np.float64]
 

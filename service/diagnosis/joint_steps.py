@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.equations import Equations, Term, remodelled, reshaped, solve, symmetric, with_base
+from service.diagnosis.equations import Equations, Term, remodelled, reshaped, with_base
 from service.diagnosis.gap import over_floor
 from service.diagnosis.search import LITTLE, LONGEST, Beside, Explanation, derivatives, from_vector, to_vector
+from service.diagnosis.solving import solve, symmetric
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.equations import Equations, Term, covariance, solve
+from service.diagnosis.equations import Equations, Term
+from service.diagnosis.solving import covariance, solve
 
 Array = NDArray[np.float64]
 

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.equations import Equations, solve
+from service.diagnosis.equations import Equations
 from service.diagnosis.fitted import Point, expressible
 from service.diagnosis.gap import rows_of
 from service.diagnosis.links import gravity_of_fit
 from service.diagnosis.scenario import axis_entry
 from service.diagnosis.signals import laid_out
+from service.diagnosis.solving import solve
 from service.diagnosis.twin import Run, torques, ways
 from service.recording import Sweep
 

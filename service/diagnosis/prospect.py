@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.design import DesignedSweep
-from service.diagnosis.equations import Equations, Term, equations, solve
+from service.diagnosis.equations import Equations, Term, equations
 from service.diagnosis.signals import Tracks, tracks
+from service.diagnosis.solving import solve
 from service.identification.excitation import Excitation, velocity_setpoint
 from service.recording import Recording, Sweep
 

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Shape, ShapeParameter
-from service.diagnosis.equations import Equations, Term, solve, symmetric
+from service.diagnosis.equations import Equations, Term
 from service.diagnosis.grams import Gathered
+from service.diagnosis.solving import solve, symmetric
 
 Array = NDArray[np.float64]
 

@@ -20,12 +20,13 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.equations import Equations, Term, given_rest, remodelled, solve, with_base
+from service.diagnosis.equations import Equations, Term, remodelled, with_base
 from service.diagnosis.gap import over_floor
 from service.diagnosis.grams import ORDER, Group, pairing
 from service.diagnosis.joint_steps import NEAR_FLOOR, bends, together
 from service.diagnosis.parameters import by_name, of_load
 from service.diagnosis.search import Beside, Explanation
+from service.diagnosis.solving import given_rest, solve
 
 Array = NDArray[np.float64]
 

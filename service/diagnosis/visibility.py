@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 
 from service.diagnosis.design import BLOCKS, DesignedSweep, full_design, measured_blocks
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.equations import Equations, Term, solve
+from service.diagnosis.equations import Equations, Term
 from service.diagnosis.grams import Gathered
 from service.diagnosis.prospect import Prospect, prospect
+from service.diagnosis.solving import solve
 from service.errors import BadInput
 from service.recording import Sweep
 

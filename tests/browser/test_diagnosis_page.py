@@ -129,7 +129,7 @@ def test_what_is_known_in_part_the_check_of_the_data_and_where_it_started_are_sh
     """A real document, of which an effect is known in part only; so that no machine must be found that does it."""
     finding = {
         "severity": "warning",
-        "code": "coarse",
+        "code": "coarse_steps",
         "sentence": "Torque has steps of 4 N m.",
         "action": "Record finer.",
     }

@@ -337,10 +337,10 @@ async def test_abort_stops_the_sweep_and_skips_the_rest(bench: Bench) -> None:
 async def test_an_abort_in_the_moment_in_which_a_sweep_begins_leaves_none_running(bench: Bench) -> None:
     begin, begins, go = bench.store.begin_sweep, threading.Event(), threading.Event()
 
-    def slow(campaign_id, number, move):
+    def slow(*arguments):
         begins.set()
         go.wait(TIMEOUT)
-        return begin(campaign_id, number, move)
+        return begin(*arguments)
 
     bench.store.begin_sweep = slow
     await bench.runner.start(bench.campaign.id)
