@@ -6,7 +6,7 @@ READY := .venv/.ready
 
 unexport PYTHONDONTWRITEBYTECODE  # else every process that a test starts compiles the same modules again
 
-.PHONY: demo test test-vcan test-compose check format lock openapi clean
+.PHONY: demo test test-vcan test-drives test-compose check format lock openapi clean
 
 demo: $(READY)  ## measure, identify and report a virtual robot
 	$(BIN)/sweepid demo --out demo-out
@@ -16,6 +16,9 @@ test: check  ## all checks, then all tests
 
 test-vcan: $(READY)  ## what needs a real SocketCAN vcan0; in a guest (user-mode-linux) where the kernel has no CAN
 	VCAN_TIMEOUT=900 tests/vcan/run $(BIN)/python -m pytest --vcan --color=no tests/vcan tests/contract
+
+test-drives: $(READY)  ## the contract suite on every drive and bus, those alike to others included
+	$(BIN)/python -m pytest --every-drive tests/contract
 
 test-compose: $(READY)  ## start docker-compose.yml for real and measure in it; with an engine of its own where none runs
 	tests/compose/run sh -c 'docker-compose build && $(BIN)/python -m pytest --color=no tests/compose'

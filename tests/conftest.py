@@ -30,6 +30,9 @@ PATIENCE = 2.0  # s that a thread or task may take to end after its test
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--every-drive", action="store_true", help="the contract suite on every bench, see `make test-drives`"
+    )
     parser.addoption("--vcan", action="store_true", help="test what needs the kernel's vcan0, instead of what does not")
 
 

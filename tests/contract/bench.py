@@ -90,6 +90,7 @@ class Bench:
     own_process: bool = True  # which can die
     exclusive: bool = False  # one host at a time
     vcan: bool = False  # needs a kernel with CAN: runs with --vcan, and then no other does
+    alike: bool = False  # differs from another bench in bus or dictionary alone: runs with --every-drive
 
 
 def rate(mode: SweepMode) -> float:
@@ -187,9 +188,9 @@ LASTING: dict[str, dict[str, object]] = {  # what takes an order back
 }
 
 
-def _other_maker(dictionary: str, bus: str = "virtual") -> Bench:
+def _other_maker(dictionary: str, bus: str = "virtual", *, alike: bool = False) -> Bench:
     machine = partial(_foreign, dictionary=dictionary, bus=bus)
-    return Bench("canopen-402", STREAMED, FOREIGN_ORDERS, machine, own_process=False, exclusive=True)
+    return Bench("canopen-402", STREAMED, FOREIGN_ORDERS, machine, own_process=False, exclusive=True, alike=alike)
 
 
 BENCHES: dict[str, Bench] = {
@@ -199,9 +200,9 @@ BENCHES: dict[str, Bench] = {
     ),
     "canopen-vcan": Bench("canopen", BOTH, CAN_ORDERS, _over_vcan, injects=True, exclusive=True, vcan=True),
     "plain-virtual": _other_maker("plain"),
-    "plain-socketcand": _other_maker("plain", "socketcand"),
+    "plain-socketcand": _other_maker("plain", "socketcand", alike=True),
     "epos4-virtual": _other_maker("epos4"),  # these two read ../shared
-    "gold-virtual": _other_maker("gold"),
+    "gold-virtual": _other_maker("gold", alike=True),
     "modbus-tcp": Bench("modbus", DRIVE_SIDE, ORDERS, _over_modbus_tcp),
     "modbus-rtu": Bench("modbus", DRIVE_SIDE, ORDERS, _over_modbus_rtu, exclusive=True),
 }

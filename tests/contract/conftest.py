@@ -25,10 +25,11 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    items[:] = [item for item in items if _exists(item, config.getoption("vcan"))]
+    vcan, every = config.getoption("vcan"), config.getoption("every_drive")
+    items[:] = [item for item in items if _exists(item, vcan, every)]
 
 
-def _exists(item: pytest.Item, vcan: bool) -> bool:
+def _exists(item: pytest.Item, vcan: bool, every: bool) -> bool:
     given = item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
     name = given.get("virtual", given.get("mortal"))
     if name is None:
@@ -36,6 +37,7 @@ def _exists(item: pytest.Item, vcan: bool) -> bool:
     bench, marks = BENCHES[name], {mark.name: mark.args for mark in reversed(list(item.iter_markers()))}
     return (
         bench.vcan is vcan
+        and (every or not bench.alike)
         and (bench.own_process or "mortal" not in given)
         and ("mode" not in given or (given["mode"] in bench.modes) is ("missing" not in marks))
         and marks.get("adapter", (bench.adapter,)) == (bench.adapter,)
