@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 INERTIAL_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 _LEAST_RATIO, _LARGEST_RATIO = 1e-6, 1e9
-Gravity = Annotated[float, Field(ge=-1e3, le=1e3)]
+Gravity = Annotated[float, Field(ge=-1e5, le=1e5)]
 
 
 class Axis(BaseModel):

@@ -132,6 +132,9 @@ class CanopenDevice:
     def check_alive(self) -> None:
         self._bus.check(self.profile.node)
 
+    def look_for_restart(self) -> None:
+        """A node that restarts says so by itself (boot-up)."""
+
     def announced_error(self) -> int | None:
         announced = self._bus.emergency(self.profile.node)
         if announced is not None:

@@ -112,10 +112,7 @@ class Axis:
         MotionForbidden if it lost its energy by none of these, and nobody here took it.
         """
         self.device.check_alive()
-        fault = self.latch_fault(state)
-        if fault is not None:
-            kind = EmergencyStop if fault.emergency_stop else DriveFault
-            raise kind(f"{self.place}: {fault.text}")
+        self._check_fault(state)
         self._check_kept(state)
 
     def check_standing(self) -> None:
@@ -256,11 +253,19 @@ class Axis:
         self._watch.check()
         self.device.control(controlword)
 
+    def _check_fault(self, state: State) -> None:
+        fault = self.latch_fault(state)
+        if fault is not None:
+            kind = EmergencyStop if fault.emergency_stop else DriveFault
+            raise kind(f"{self.place}: {fault.text}")
+
     def _check_kept(self, state: State) -> None:
         """MotionForbidden where the energy that was given here is gone. A stop from beside has time to say so."""
         deadline = time.monotonic() + STOP_WORD
         while self.energy is Energy.ON and state is not State.OPERATION_ENABLED:
             if time.monotonic() > deadline:
+                self.device.look_for_restart()
+                self._check_fault(state)
                 self._watch.seen(f"{self.place} is '{state.value}', and nobody here took its energy")
                 self._watch.check()
             time.sleep(POLL)

@@ -113,6 +113,10 @@ class Device(Protocol):
         """CommunicationLost if the drive was not heard for longer than the profile allows."""
         ...
 
+    def look_for_restart(self) -> None:
+        """Asks for it where nothing tells it by itself: `announced_error` then says so. CommunicationLost."""
+        ...
+
     def announced_error(self) -> int | None:
         """Code of a trouble that the drive told by itself (EMCY, restart) and has not withdrawn; None if none."""
         ...

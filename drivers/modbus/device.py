@@ -163,7 +163,7 @@ class ModbusDevice:
         found = self._check_identity()
         if found[3] != self._serial:
             raise WrongIdentity(f"{self.place}: serial is {found[3]:08X}h, at connect it was {self._serial:08X}h")
-        self._look_for_restart()
+        self.look_for_restart()
         if self._restarted:
             raise DriveFault(f"{self.place}: {self.error_text(UNTOLD)}")
         self._settle_session()
@@ -221,7 +221,7 @@ class ModbusDevice:
         """WrongConfiguration for a state that this adapter does not know."""
         number = self._unit.integer("measuring_state")
         if number == MeasuringState.IDLE:  # what a drive says that knows of no sweep
-            self._look_for_restart()
+            self.look_for_restart()
         try:
             return MeasuringState(number)
         except ValueError:
@@ -275,9 +275,9 @@ class ModbusDevice:
         if self._looks % 2:
             self._faulty = states.decode(self.statusword()) in (State.FAULT, State.FAULT_REACTION)
         else:
-            self._look_for_restart()
+            self.look_for_restart()
 
-    def _look_for_restart(self) -> None:
+    def look_for_restart(self) -> None:
         if self._restarted or "watchdog" not in self._map.signals:
             return
         if self._unit.value("watchdog") != self._watchdog:

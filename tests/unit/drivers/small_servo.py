@@ -97,6 +97,9 @@ class Servo:
 
     def check_alive(self) -> None: ...
 
+    def look_for_restart(self) -> None:
+        pass
+
     def announced_error(self) -> int | None:
         return self.announced
 

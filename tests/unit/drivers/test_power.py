@@ -64,6 +64,9 @@ class Whim:
 
     def check_alive(self) -> None: ...
 
+    def look_for_restart(self) -> None:
+        pass
+
     def announced_error(self) -> int | None:
         return None
 

@@ -119,7 +119,7 @@ def test_a_trace_with_a_gap_is_not_written(tmp_path: Path) -> None:
         ("mapping.yaml", {}, "samples are .parquet or .csv"),
         ("torn.mat", {}, "torn.mat: cannot be read"),
         ("text.mat", {}, "variable 'TORQUE' is no column of numbers"),
-        ("trace.mat", {"robots": "x"}, "robots: Extra inputs are not permitted"),
+        ("trace.mat", {"robots": "x"}, "robots: unknown key; did you mean robot?"),
         ("trace.mat", {"robot": "robot.yaml"}, "robot.yaml: cannot be read"),
         ("trace.mat", {"robot": {"name": "table"}}, "robot.axis.joint: Field required"),
         ("trace.mat", {"sweeps": []}, "sweeps: Tuple should have at least 1 item"),
