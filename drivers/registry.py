@@ -5,10 +5,9 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import cast
 
-import yaml
-
 from drivers.errors import BadProfile
 from drivers.ports import DrivePort
+from drivers.yaml_file import read_mapping
 
 GROUP = "sweepid.drives"
 
@@ -18,14 +17,9 @@ Factory = Callable[[Mapping[str, object], Path], DrivePort]
 def load_profile(path: Path) -> dict[str, object]:
     """A drive profile from a YAML file; BadProfile names the file and the reason."""
     try:
-        content: object = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadProfile(f"{path}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise BadProfile(f"{path}: not YAML: {error}") from None
-    if not isinstance(content, dict):
-        raise BadProfile(f"{path}: must be a mapping with the key 'adapter'")
-    return cast("dict[str, object]", content)
+        return dict(read_mapping(path, "adapter"))
+    except BadProfile as error:
+        raise BadProfile(f"{path}: {error}") from None
 
 
 def open_drive(profile: Mapping[str, object], base: Path) -> DrivePort:

@@ -8,9 +8,8 @@ import struct
 from collections.abc import Mapping
 from enum import Enum
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal
 
-import yaml
 from pydantic import Field, model_validator
 
 from drivers.canopen import objects
@@ -19,6 +18,7 @@ from drivers.canopen.objects import Entry
 from drivers.cia402.device import Mode
 from drivers.cia402.profile import Frozen, parse
 from drivers.errors import BadProfile
+from drivers.yaml_file import read_mapping
 
 TYPES = {"i8": "b", "u8": "B", "i16": "h", "u16": "H", "i32": "i", "u32": "I"}
 WireType = Literal["i8", "u8", "i16", "u16", "i32", "u32"]
@@ -240,15 +240,7 @@ VIRTUAL_AXIS = DeviceMap(
 def load_device_map(path: Path) -> DeviceMap:
     """BadProfile names the file, the place and the reason."""
     try:
-        content: object = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadProfile(f"device: {path}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise BadProfile(f"device: {path}: not YAML: {error}") from None
-    if not isinstance(content, Mapping):
-        raise BadProfile(f"device: {path}: must be a mapping with the key 'description'")
-    try:
-        return parse(DeviceMap, cast("Mapping[str, object]", content))
+        return parse(DeviceMap, read_mapping(path, "description"))
     except BadProfile as error:
         raise BadProfile(f"device: {path}: {error}") from None
 

@@ -6,12 +6,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Literal, cast
 
-import yaml
 from pydantic import Field, model_validator
 
 from drivers.cia402.profile import Frozen, parse
 from drivers.errors import BadProfile
 from drivers.modbus.codec import Format, WireType, WordOrder
+from drivers.yaml_file import read_mapping
 
 MAX_WRITE = 123  # registers a request, Modbus application protocol V1.1b3, 6.12
 
@@ -232,13 +232,7 @@ def spans(signals: Iterable[Signal], most: int) -> list[list[Signal]]:
 def load_registers(path: Path) -> RegisterMap:
     """BadProfile names the file, the place and the reason."""
     try:
-        content: object = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadProfile(f"registers: {path}: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise BadProfile(f"registers: {path}: not YAML: {error}") from None
-    try:
-        return parse_registers(content)
+        return parse_registers(read_mapping(path, "signals"))
     except BadProfile as error:
         raise BadProfile(f"registers: {path}: {error}") from None
 

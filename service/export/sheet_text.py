@@ -79,16 +79,11 @@ def _position(low: float, high: float, kind: str | None) -> str:
 
 def _sinumerik(sheet: Document) -> str:
     """Values of the axis machine data that torque feed-forward takes."""
-    rows = [
-        (axis["joint"], f"{axis['motor']:.5g}", f"{axis['motor_std']:.2g}", _span(axis))
-        for axis in sheet["axes"]
-        if not axis["left_out"]
-    ]
     return "\n\n".join(
         [
             "Machine data of the axis `MD32650 $MA_AX_INERTIA`, inertia for torque feed-forward, kg m², on the "
             "motor's side:",
-            _table(("axis", "MD32650", "± std", "lowest ... highest"), rows),
+            _inertias(sheet, "MD32650"),
             "It acts with torque feed-forward alone: `MD32620 $MA_FFW_MODE` 2 or 4, `FFWON`. Its balancing (the "
             "equivalent time constants MD32800, MD32810) is left out: it belongs to the current and speed control, not "
             "to the inertia. Compare the unit in your control's list of machine data before you type.",
@@ -98,22 +93,27 @@ def _sinumerik(sheet: Document) -> str:
 
 
 def _beckhoff(sheet: Document) -> str:
-    rows = [
-        (axis["joint"], f"{axis['motor']:.5g}", f"{axis['motor_std']:.2g}", _span(axis))
-        for axis in sheet["axes"]
-        if not axis["left_out"]
-    ]
     return "\n\n".join(
         [
             "Total inertia at the motor, kg m². For an AX5000 it is the J_tot of which, with the motor's torque "
             "constant and the amplifier's peak current, `S-0-0348` (acceleration feed-forward gain) is calculated:",
-            _table(("axis", "J_tot", "± std", "lowest ... highest"), rows),
+            _inertias(sheet, "J_tot"),
             "The gain itself is left out, because the motor's torque constant is not in the robot file; so is the "
             "object of the load inertia, whose number differs between drives: it takes J_tot less the motor's own "
             "inertia.",
             *_left_out(sheet),
         ]
     )
+
+
+def _inertias(sheet: Document, name: str) -> str:
+    """On the motor's side, of every axis that has one."""
+    rows = [
+        (axis["joint"], f"{axis['motor']:.5g}", f"{axis['motor_std']:.2g}", _span(axis))
+        for axis in sheet["axes"]
+        if not axis["left_out"]
+    ]
+    return _table(("axis", name, "± std", "lowest ... highest"), rows)
 
 
 def _kuka(payload: Document) -> str:
