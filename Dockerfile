@@ -27,4 +27,6 @@ WORKDIR /app
 COPY config config
 USER sweepid
 ENV PATH=/opt/sweepid/bin:${PATH} SWEEPID_DATA_DIR=/data
+# `serve` listens on loopback; `serve --host 0.0.0.0` wants SWEEPID_LOGIN=true, or SWEEPID_TRUSTED_NETWORK=true where the
+# port is published to this computer alone (docs/how-to/let-others-in.md)
 ENTRYPOINT ["sweepid"]

@@ -6,7 +6,9 @@ READY := .venv/.ready
 
 unexport PYTHONDONTWRITEBYTECODE  # else every process that a test starts compiles the same modules again
 
-.PHONY: demo test test-vcan test-drives test-compose check format lock openapi clean
+FUZZ ?=  # more words for the fuzzing, as: make fuzz FUZZ='--seed 7 --cpu 60 --parser trace'
+
+.PHONY: demo test test-vcan test-drives test-compose fuzz check format lock openapi clean
 
 demo: $(READY)  ## measure, identify and report a virtual robot
 	$(BIN)/sweepid demo --out demo-out
@@ -15,13 +17,16 @@ test: check  ## all checks, then all tests
 	$(BIN)/python -m pytest -n 2 --dist loadscope --durations 25  # one waits for machines, one mostly reckons
 
 test-vcan: $(READY)  ## what needs a real SocketCAN vcan0; in a guest (user-mode-linux) where the kernel has no CAN
-	VCAN_TIMEOUT=900 tests/vcan/run $(BIN)/python -m pytest --vcan --color=no tests/vcan tests/contract
+	VCAN_TIMEOUT=1800 tests/vcan/run $(BIN)/python -m pytest --vcan --color=no tests/vcan tests/contract
 
 test-drives: $(READY)  ## the contract suite on every drive and bus, those alike to others included
 	$(BIN)/python -m pytest --every-drive tests/contract
 
 test-compose: $(READY)  ## start docker-compose.yml for real and measure in it; with an engine of its own where none runs
 	tests/compose/run sh -c 'docker-compose build && $(BIN)/python -m pytest --color=no tests/compose'
+
+fuzz: $(READY)  ## what no program wrote, given to every parser of files from outside; 600 s of CPU, fails on a finding
+	$(BIN)/python -m tests.fuzz $(FUZZ)
 
 check: $(READY)  ## format, lint, types, import arrows
 	$(BIN)/ruff format --check .

@@ -4,7 +4,7 @@ A `DrivePort` is one machine: all the axes that one connection reaches. An adapt
 (group ``sweepid.drives``) as ``factory(profile: Mapping[str, object], base: Path) -> DrivePort``, files named in the
 profile being relative to `base`; `drivers.registry` loads it.
 
-Rules that every adapter keeps (tests/contract):
+Rules that every adapter keeps (`drivers.contract` tests them):
 
 - Nothing energises an axis but `enable`. A fault is cleared by `acknowledge` alone, and that never energises.
 - Leaving `run_sweep` or `run_noise` early, for whatever reason (error, ``aclose``, cancellation), stops the axis.

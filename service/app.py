@@ -7,25 +7,16 @@ from importlib.metadata import version
 from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
-from service.api import (
-    bundles,
-    campaigns,
-    diagnoses,
-    drives,
-    estimates,
-    events,
-    health,
-    live,
-    metrics,
-    model_revisions,
-    models,
-    plans,
-    robots,
-    stop,
-    sweeps,
-)
+from service.api import events, health, metrics, robots
+from service.api.campaign import bundles, campaigns, plans, sweeps
+from service.api.declared import Application
 from service.api.gate import BUNDLE_LIMIT, ROBOT_LIMIT, Gate
+from service.api.machine import drives, live, stop
+from service.api.people import audit
+from service.api.people.access import Access
+from service.api.people.audited import Audited
 from service.api.problem import Problem, install_problem_handlers
+from service.api.results import diagnoses, estimates, model_revisions, models, reports
 from service.hmi.pages import add_pages
 from service.lab import Lab, open_lab
 from service.settings import Settings
@@ -38,6 +29,7 @@ _ROUTERS = (
     campaigns.router,
     sweeps.router,
     estimates.router,
+    reports.router,
     models.router,
     diagnoses.router,
     model_revisions.router,
@@ -46,6 +38,7 @@ _ROUTERS = (
     live.router,
     drives.router,
     stop.router,
+    audit.router,
     health.router,
 )
 
@@ -55,7 +48,7 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
 
     `stop_process` runs already, and belongs to who started it.
     """
-    app = FastAPI(
+    app = Application(
         title="sweepid",
         version=version("sweepid"),
         summary="Measures the inertia of a robot's axes through its own drives",
@@ -76,7 +69,9 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
     add_pages(app, None if stop_process is None else stop_process.port)
     install_problem_handlers(app)
     limits = {f"{PREFIX}{bundles.BUNDLES}": BUNDLE_LIMIT, f"{PREFIX}{robots.router.prefix}": ROBOT_LIMIT}
+    app.add_middleware(Access, login=settings.login)  # the last one that is added meets a request first
     app.add_middleware(Gate, hosts=hosts, stop_path=f"{PREFIX}{stop.router.prefix}", limits=limits)
+    app.add_middleware(Audited)
     return app
 
 

@@ -1,6 +1,7 @@
 """A small client of the service's REST API, for the command line and the demo. Blocking; one connection pool."""
 
 import json
+import os
 import time
 import uuid
 from collections.abc import Generator, Iterator, Sequence
@@ -44,10 +45,17 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
     Commands carry an idempotency key of their own. Documents are returned as the API gives them.
     """
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, key: str | None = None) -> None:
+        """`key`: who asks, where the service wants to know; None: that of the environment, SWEEPID_KEY."""
+        key = os.environ.get("SWEEPID_KEY", "").strip() if key is None else key
         self._url = url
         self._stop_url = ""  # of the stop process, once it is known
-        self._http = httpx.Client(base_url=f"{url.rstrip('/')}/api/v1", timeout=_TIMEOUT, trust_env=False)
+        self._http = httpx.Client(
+            base_url=f"{url.rstrip('/')}/api/v1",
+            timeout=_TIMEOUT,
+            trust_env=False,
+            headers={"Authorization": f"Bearer {key}"} if key else None,
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -64,6 +72,10 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
     def robots(self) -> list[Json]:
         """All robots, without their URDF."""
         return self._all("/robots")
+
+    def robot(self, robot_id: int) -> Json:
+        """One robot, with its URDF."""
+        return self._get(f"/robots/{robot_id}")
 
     def add_plan(self, request: Json, *, elsewhere: bool = False) -> Json:
         """`elsewhere`: for another machine than the service's."""
@@ -108,6 +120,10 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
     def estimate(self, campaign_id: int) -> Json:
         """The latest revision."""
         return self._get(f"/campaigns/{campaign_id}/estimates/latest")
+
+    def campaign_report(self, campaign_id: int) -> str:
+        """One HTML page."""
+        return self._text(f"/campaigns/{campaign_id}/report")
 
     # -- diagnoses
     def add_diagnosis(
@@ -154,9 +170,7 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
 
     def diagnosis_report(self, diagnosis_id: int) -> str:
         """One HTML page."""
-        response = self._send("GET", f"/diagnoses/{diagnosis_id}/report.html", timeout=_LONG_TIMEOUT)
-        _check(response)
-        return response.text
+        return self._text(f"/diagnoses/{diagnosis_id}/report.html")
 
     def accept_model(self, diagnosis_id: int, accepted_by: str, axes: Sequence[str] | None = None) -> Json:
         """Take the named effects into the robot's model."""
@@ -171,9 +185,7 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
 
     def model_scenario(self, model_id: int) -> str:
         """YAML of the scenario that a virtual machine runs on."""
-        response = self._send("GET", f"/models/{model_id}/scenario.yaml")
-        _check(response)
-        return response.text
+        return self._text(f"/models/{model_id}/scenario.yaml")
 
     # -- the machine
     def ready(self) -> Json:
@@ -183,8 +195,16 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
             _check(response)
         return cast("Json", response.json())
 
+    def version(self) -> str:
+        """Of the service."""
+        return str(self._get("/openapi.json")["info"]["version"])
+
     def drives(self) -> Json:
         return self._get("/drives")
+
+    def connect(self) -> Json:
+        """Connect the drives, or again after a loss; every axis is without energy afterwards."""
+        return self._post("/drives/connect", timeout=_LONG_TIMEOUT)
 
     def acknowledge(self, joint: str) -> Json:
         return self._post(f"/drives/{joint}/acknowledge")
@@ -279,6 +299,12 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         response = self._send("GET", path)
         _check(response)
         return cast("Json", response.json())
+
+    def _text(self, path: str) -> str:
+        """What is no JSON."""
+        response = self._send("GET", path, timeout=_LONG_TIMEOUT)
+        _check(response)
+        return response.text
 
     def _all(self, path: str) -> list[Json]:
         items: list[Json] = []

@@ -16,6 +16,8 @@ Model = TypeVar("Model", bound=BaseModel)
 LARGEST_YAML = 2**20  # bytes
 LARGEST_TEXT = 2**26  # bytes
 _MOST_TOLD = 12  # files
+# PyYAML's own for a value that is not of its tag (`2001-13-45`, `!!bool x`, 5000 digits), beside YAMLError
+_NO_VALUE = (ValueError, LookupError, AttributeError)
 MOST_ALIASES = 20  # aliases of aliases grow with a power of their number
 
 
@@ -42,6 +44,12 @@ def read_yaml(path: Path, kind: type[Model]) -> Model:
         raise BadInput(str(path), f"not YAML: {' '.join(str(error).split())}") from None
     except RecursionError:
         raise BadInput(str(path), "not YAML of any use: nested too deeply") from None
+    except _NO_VALUE as error:
+        raise BadInput(str(path), f"not YAML: a value is not of its type: {error}") from None
+    if isinstance(content, dict):
+        for key in cast("dict[object, object]", content):
+            if not isinstance(key, str):  # settings take keys as keywords
+                raise BadInput(str(path), f"key {key!r} is no text")
     try:
         return kind.model_validate(content)
     except ValidationError as error:

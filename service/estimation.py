@@ -3,18 +3,18 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from service.collision import reachable
+from service.geometry.collision import reachable
 from service.identification import Estimate, Spectrum, as_document, identify, spectrum
-from service.identification.analysis_document import analyses_document
-from service.identification.combination import combine, inertias_of
-from service.identification.combination_document import combination_document
-from service.identification.free_motion import FreeMotion
-from service.identification.ideal_frequency import AxisAnalysis
-from service.identification.initial_analysis import analyse
-from service.identification.known_effects import KnownEffects
-from service.identification.noise_response import NoiseSpectrum, has_reference, noise_spectrum
-from service.identification.nominal_priors import TorqueGain
-from service.identification.trajectory_record import AxisTrack, axis_track, runs_at_once, trajectories
+from service.identification.axis.ideal_frequency import AxisAnalysis
+from service.identification.axis.known_effects import KnownEffects
+from service.identification.axis.nominal_priors import TorqueGain
+from service.identification.estimates.analysis_document import analyses_document
+from service.identification.estimates.combination import combine, inertias_of
+from service.identification.estimates.combination_document import combination_document
+from service.identification.estimates.initial_analysis import analyse
+from service.identification.motion.free_motion import FreeMotion
+from service.identification.motion.trajectory_record import AxisTrack, axis_track, runs_at_once, trajectories
+from service.identification.spectra.noise_response import NoiseSpectrum, has_reference, noise_spectrum
 from service.recording import Sweep
 from service.robot import Robot
 

@@ -6,39 +6,48 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import structlog
 
 from drivers.errors import DriveError
 from drivers.registry import load_profile, open_drive
-from service.campaigns.acceptance import accept_model
-from service.campaigns.checking import Checking
-from service.campaigns.course import course_of, planned_sweeps
-from service.campaigns.diagnosing import Diagnosing
-from service.campaigns.experiments import Experiments
-from service.campaigns.fit import DriveAxis, drive_axes
-from service.campaigns.jobs import Jobs
 from service.campaigns.live import EventFeed, LiveHub
-from service.campaigns.machine import Machine
-from service.campaigns.recovery import recover
-from service.campaigns.runner import Runner
-from service.campaigns.station import Station
-from service.campaigns.stop_beside import listening, watching
 from service.configuration import read_robot
+from service.diagnosis.effects import CATALOGUE
+from service.diagnosis_loop.acceptance import accept_model
+from service.diagnosis_loop.diagnosing import Diagnosing
+from service.diagnosis_loop.experiments import Experiments
 from service.errors import Conflict
+from service.execution.machine import Machine
+from service.execution.recovery import recover
+from service.execution.runner import Runner
+from service.execution.second_stop import listening, watching
+from service.execution.sweep_executor import SweepExecutor
+from service.jobs.checking import Checking
+from service.jobs.jobs import Jobs
+from service.jobs.reporting import Reporting
+from service.people.keys import masked
+from service.planning.compiled_plan import compile_plan, planned_sweeps
+from service.safety.robot_and_machine import DriveAxis, drive_axes
 from service.settings import Settings
 from service.stop_process.handle import StopProcess
-from service.store.bundle import read_bundle, write_bundle
 from service.store.checks import CheckStore
-from service.store.data_folder import claim_folder
 from service.store.database import open_database
-from service.store.diagnoses import DiagnosisStore
+from service.store.diagnosis.diagnoses import DiagnosisStore
+from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import ModelDocument
 from service.store.documents import CampaignDocument
-from service.store.exchange import campaign_bundle, import_campaign
+from service.store.files.apart import LIMITS, Limits, read_apart
+from service.store.files.bundle import write_bundle
+from service.store.files.data_folder import claim_folder
+from service.store.files.exchange import campaign_bundle, import_campaign
+from service.store.files.intake import SavedBundle, take_in
+from service.store.files.recordings import RecordingFiles
 from service.store.guards import MachineLease, StopLatch
-from service.store.model_revisions import ModelStore
-from service.store.recordings import RecordingFiles
+from service.store.people.audit import AuditStore
+from service.store.people.keys import KeyStore
+from service.store.people.writer import AuditWriter
 from service.store.requests import IdempotencyKeys
 from service.store.store import Store
 from service.worker import Worker, open_worker
@@ -68,6 +77,8 @@ class Lab:
     checks: CheckStore
     checking: Checking
     stop_process: StopProcess | None
+    audit: AuditWriter
+    api_keys: KeyStore
     lost: str
     """Why nothing may be stored, because the database is not the one of the data folder; empty if it is."""
 
@@ -94,11 +105,16 @@ class Lab:
         plan = await asyncio.to_thread(self.store.plan, plan_id)
         return await asyncio.to_thread(self.store.add_campaign, plan_id, planned_sweeps(plan))
 
-    async def import_bundle(self, folder: Path) -> CampaignDocument:
-        """A campaign of the sweeps of a bundle, which are then identified. BadInput: nothing is stored."""
+    async def import_bundle(self, source: Path, limits: Limits = LIMITS) -> CampaignDocument:
+        """A campaign of the sweeps of a bundle (folder or zip), which are then identified. BadInput: nothing is stored.
+
+        It is read by another process: within `limits`, and no sample of it comes here.
+        """
         self._check_database()
-        bundle = await asyncio.to_thread(read_bundle, folder)
-        campaign = await asyncio.to_thread(import_campaign, self.store, self.files, bundle)
+        with TemporaryDirectory(prefix="import-", dir=self.files.transfer()) as name:
+            work = Path(name)
+            saved = SavedBundle.model_validate(await read_apart(take_in, (source, work), "bundle", limits))
+            campaign = await asyncio.to_thread(self._add_imported, work, saved)
         for sweep in await asyncio.to_thread(self.store.sweeps, campaign.id):
             self.jobs.submit(sweep)
         return campaign
@@ -107,6 +123,15 @@ class Lab:
         """Write the completely recorded sweeps of a campaign as a bundle. Conflict if there are none."""
         bundle = await asyncio.to_thread(campaign_bundle, self.store, self.files, campaign_id)
         await asyncio.to_thread(write_bundle, folder, bundle.robot, bundle.sweeps)
+
+    def _add_imported(self, work: Path, saved: SavedBundle) -> CampaignDocument:
+        self.files.take_over(work, saved.folder)
+        return import_campaign(self.store, self.files, saved)
+
+    async def campaign_report(self, campaign_id: int) -> str:
+        """One HTML file, drawn by the worker; Conflict while nothing is identified."""
+        reporting = Reporting(self.store, self.diagnoses, self.checks, self.files)
+        return await self.worker.run(await asyncio.to_thread(reporting.job, campaign_id))
 
     def _check_database(self) -> None:
         if self.lost:
@@ -119,17 +144,21 @@ class Lab:
 
 @asynccontextmanager
 async def open_lab(settings: Settings, stop_process: StopProcess | None = None) -> AsyncGenerator[Lab]:
-    """Open everything; MachineTaken when another service owns the machine, BadInput or BadProfile for a bad file.
+    """Open everything; MachineTaken when another service owns the machine, BadInput or BadProfile for a bad file
+    or an installed effect that cannot be used.
 
     A machine that does not answer is no error here: the service starts, `machine.trouble` tells it, and connecting
     is tried again on command. After a restart nothing moves (`recovery.recover`); connecting disables every axis.
     """
     async with AsyncExitStack() as stack:
+        if brought := CATALOGUE.brought:
+            _log.info("effects_of_other_packages", packages=brought)
         profile = load_profile(settings.drive)
         port = open_drive(profile, settings.drive.parent)
         axes = drive_axes(profile, port.joints)
         settings.data_dir.mkdir(parents=True, exist_ok=True)
         database = stack.enter_context(open_database(settings.url))
+        audit = stack.enter_context(AuditWriter(AuditStore(database)))
         store, files, keys = Store(database), RecordingFiles(settings.data_dir), IdempotencyKeys(database)
 
         lost = await asyncio.to_thread(claim_folder, settings.data_dir, database)
@@ -146,7 +175,7 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
         stack.push_async_callback(_end, keeper)
         await stack.enter_async_context(watching(machine))
         if stop_process is not None:
-            await stack.enter_async_context(listening(stop_process, machine))
+            await stack.enter_async_context(listening(stop_process, machine, partial(_tell_stop, audit)))
 
         if not lost:
             await asyncio.to_thread(files.clear_transfer)
@@ -162,9 +191,9 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
         diagnoses, models = DiagnosisStore(database), ModelStore(database)
         jobs = Jobs(store, files, worker, models)
         stack.push_async_callback(jobs.close)
-        station = Station(store, files, machine, hub)
-        stack.callback(station.close)
-        runner = Runner(store, machine, station, jobs, partial(course_of, store, settings, axes))
+        executor = SweepExecutor(store, files, machine, hub)
+        stack.callback(executor.close)
+        runner = Runner(store, machine, executor, jobs, partial(compile_plan, store, settings, axes))
         stack.push_async_callback(runner.close)
 
         diagnosing = Diagnosing(store, diagnoses, models, files, worker)
@@ -192,7 +221,8 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
             _log.warning("machine_not_connected", reason=str(error))
         yield Lab(
             *(settings, axes, store, files, keys, machine, runner, jobs, worker, hub, feed),
-            *(diagnoses, models, diagnosing, experiments, checks, checking, stop_process, lost),
+            *(diagnoses, models, diagnosing, experiments, checks, checking, stop_process, audit),
+            *(KeyStore(database), lost),
         )
 
 
@@ -200,6 +230,11 @@ def tell_error(task: asyncio.Task[None]) -> None:
     """Log how a task that nobody waits for broke off."""
     if not task.cancelled() and (error := task.exception()) is not None:
         _log.error("task_broke_off", task=task.get_name(), exc_info=error)
+
+
+def _tell_stop(audit: AuditWriter, by: str, why: str) -> None:
+    """A stop by the port of the stop process, which asks nobody who he is: `by` is what he says."""
+    audit.put({"event": "stop", "actor": "anybody", "by": masked(by), "why": masked(why)})
 
 
 async def _end(task: asyncio.Task[None]) -> None:

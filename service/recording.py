@@ -39,7 +39,7 @@ class SweepSpec(BaseModel):
     excitation: Literal["multisine", "noise", "trajectory", "standstill"] = "multisine"
     sines: tuple[Sine, ...] = ()
     period: float | None = Field(default=None, gt=0)
-    periods: int | None = Field(default=None, ge=1)
+    periods: int | None = Field(default=None, ge=1, le=10**9)  # a file may say anything, and a float must hold it
     measure_from: float = Field(default=0.0, ge=0)
     sample_rate: float = Field(gt=0)
     started_at: float = 0.0

@@ -1,5 +1,6 @@
 """Settings of the service: ``config/service.yaml``, overridden by the environment (``SWEEPID_DATA_DIR`` ...)."""
 
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -7,6 +8,7 @@ from pydantic import Field, StringConstraints, ValidationError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from service.configuration import bad_field, read_yaml
+from service.errors import BadInput
 
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
@@ -25,6 +27,8 @@ class Settings(BaseSettings):
     cells_dir: Path = Path("config/cells")
     host: str = "127.0.0.1"
     allowed_hosts: tuple[HostName, ...] = ()  # names it answers to besides this computer's own; see `answers_to`
+    login: bool = False  # who is it? False: whoever reaches the service is "local" with all rights
+    trusted_network: bool = False  # without login, beyond this computer: something else lets only trusted ones in
     port: int = Field(default=8642, ge=0, le=65535)  # 0: any free port
     stop_port: int | None = Field(default=None, ge=0, le=65535)  # of the stop process; None: one above `port`
     dask_scheduler: str | None = None  # e.g. tcp://host:8786; None: one worker process of our own
@@ -45,6 +49,17 @@ class Settings(BaseSettings):
         if self.host not in _LOOPBACK and not self.allowed_hosts:
             return ()
         return (*_LOOPBACK, self.host, *self.allowed_hosts)
+
+    def check_reach(self) -> None:
+        """BadInput where others could reach a service that asks nobody who he is."""
+        if self.login or self.trusted_network or _is_loopback(self.host):
+            return
+        raise BadInput(
+            "host",
+            f"{self.host!r} is not this computer alone, and without `login: true` whoever reaches it may move the "
+            "machine; set `login: true` (SWEEPID_LOGIN=true) and add keys with `sweepid people add-key`, or, where "
+            "something else lets only trusted ones in, `trusted_network: true` (SWEEPID_TRUSTED_NETWORK=true)",
+        )
 
     @property
     def stop_listens_at(self) -> int:
@@ -69,6 +84,15 @@ class Settings(BaseSettings):
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """The environment stands above the file, which `load_settings` hands in."""
         return env_settings, init_settings
+
+
+def _is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:  # a name may lead anywhere
+        return False
 
 
 def load_settings(path: Path | None = None) -> Settings:

@@ -126,7 +126,7 @@ def _look_over(text: str, place: str) -> None:
     def doctype(*_: object) -> None:
         raise BadInput(place, "declares a DOCTYPE; entities are not expanded")
 
-    parser = expat.ParserCreate()
+    parser = expat.ParserCreate(namespace_separator="}")  # as ElementTree does: a prefix must be bound
     parser.StartDoctypeDeclHandler = doctype
     parser.StartElementHandler = begin
     parser.EndElementHandler = end

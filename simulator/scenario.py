@@ -8,8 +8,9 @@ trains with springs and friction, ripple, and what the measurement adds. SI on t
 from pathlib import Path
 from typing import Annotated, cast
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from simulator.yaml_file import parse_yaml, read_text
 
 CYCLE = 0.001
 """Cycle of the drive's set-points and samples, s."""
@@ -291,19 +292,20 @@ def load_scenario(path: Path) -> Scenario:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return read_text(path)
     except FileNotFoundError as error:
         there = ", ".join(sorted(one.name for one in path.parent.glob(f"*{path.suffix}"))) or "nothing"
         raise ScenarioError(f"{path}: cannot be read: {error.strerror}; {path.parent} has {there}") from None
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise ScenarioError(f"{path}: cannot be read: {error}") from None
 
 
 def _mapping(path: Path) -> dict[str, object]:
+    text = _text(path)
     try:
-        data = yaml.safe_load(_text(path))
-    except yaml.YAMLError as error:
-        raise ScenarioError(f"{path}: not YAML: {error}") from None
+        data = parse_yaml(text)
+    except ValueError as error:
+        raise ScenarioError(f"{path}: {error}") from None
     if not isinstance(data, dict):
         raise ScenarioError(f"{path}: not a mapping")
     return cast(dict[str, object], data)

@@ -37,5 +37,5 @@ def _read_poses(path: Path) -> list[list[float]]:
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
         return [[float(position) for position in pose] for pose in data]
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, OverflowError, RecursionError) as error:
         raise ScenarioError(f"{path}: not a list of poses: {error}") from None

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from service.campaigns.plan import PlannedSweep
-from service.identification.excitation import Excitation
-from service.identification.sweep_path import way
+from service.identification.design.excitation import Excitation
+from service.identification.design.sweep_path import way
+from service.planning.plan import PlannedSweep
 from service.robot import Robot
 from simulator import Scenario, SweepRun, run_sweeps
 

@@ -15,6 +15,9 @@ from typing import Any
 import pytest
 from xdist.scheduler import LoadScopeScheduling
 
+# before NumPy is imported, as the product does: with another number of threads a sum may end in another last digit
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 ROOT = Path(__file__).resolve().parents[1]
 MACHINES = {"browser", "contract", "system"}  # folders of tests that mostly wait for a machine
 BESIDE = {
@@ -24,7 +27,9 @@ BESIDE = {
     "tests/unit/drivers/test_host_sweep_ends.py",
 }
 RECKONING = 10  # nicer than a test that waits for a machine
+REAL_TIME = -15  # machine, service and host of a test come before all else on the computer, as a drive's own processor
 NICENESS = 0 if sys.platform == "win32" else os.getpriority(os.PRIO_PROCESS, 0)
+SESSION = Path("/proc/self/autogroup")  # Linux shares the processors out by session first, then by niceness within
 ROOMS = ("service", "drivers", "simulator")
 PATIENCE = 2.0  # s that a thread or task may take to end after its test
 
@@ -66,15 +71,30 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Apart:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Beside machines that keep to real time, tests that reckon give way. Only root may take that back."""
-    if hasattr(item.config, "workerinput") and sys.platform != "win32":
-        reckons = not group_of(item.nodeid).startswith("machines")
-        with suppress(PermissionError):
-            os.setpriority(os.PRIO_PROCESS, 0, NICENESS + RECKONING * reckons)
+    """What keeps to real time comes first, where that is permitted (to root); tests that reckon give way to it."""
+    if sys.platform == "win32":
+        return
+    keeps_time = group_of(item.nodeid).startswith("machines")
+    beside_others = hasattr(item.config, "workerinput")
+    with suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, NICENESS + (REAL_TIME if keeps_time else RECKONING * beside_others))
+
+
+def session_comes_first(niceness: int) -> None:
+    """The same for all of this terminal session against others on the computer, where there is such a thing."""
+    with suppress(OSError):
+        SESSION.write_text(str(niceness))
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    if not hasattr(session.config, "workerinput"):
+        session_comes_first(REAL_TIME)
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """With --vcan a skipped test is a failed run: what the kernel lacks must not look green."""
+    if not hasattr(session.config, "workerinput"):
+        session_comes_first(0)
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if session.config.getoption("vcan") and reporter is not None and reporter.stats.get("skipped"):
         session.exitstatus = pytest.ExitCode.TESTS_FAILED

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import yaml
 
-from service.cell import Cell
 from service.configuration import read_text
+from service.geometry.cell import Cell
 from service.maker_urdf import Told, cell_text, check_urdf, side_file_text
 from service.maker_urdf.packages import Packages
 from service.robot import Robot, RobotDescription, build_robot

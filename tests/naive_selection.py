@@ -1,10 +1,12 @@
-"""Greedy selection the slow way: the definition of `service.identification.pose_selection` written down, a fresh SVD
-of the stacked matrix for every candidate of every step. For tests and benchmarks to compare with."""
+"""Greedy selection the slow way: the definition of `service.identification.design.pose_selection` written down.
+
+A fresh SVD of the stacked matrix for every candidate of every step. For tests and benchmarks to compare with.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.pose_selection import RIDGE, SINGULAR, TIE
+from service.identification.design.pose_selection import RIDGE, SINGULAR, TIE
 
 Array = NDArray[np.float64]
 

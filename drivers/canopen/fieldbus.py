@@ -39,7 +39,11 @@ from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTimin
 logger = logging.getLogger(__name__)
 
 LISTENING = 3  # heartbeats
-STEPS_OF_A_SINE = 20  # of the drive's unit in an amplitude: rounding then moves a line by less than one in a thousand
+# of the drive's velocity unit in an amplitude: rounding then moves a line by one in a thousand at most
+STEPS_OF_A_SINE = 20
+# of its position unit, where positions are sent: what rounding adds to them the axis does and the drive measures, so
+# it is noise of the motion and no error of the estimate; with fewer, stairs are most of what is sent
+STEPS_OF_A_POSITION = 5
 
 
 class CanopenFieldbus:
@@ -194,10 +198,10 @@ def _check_resolution(device: CanopenDevice, command: SweepCommand) -> None:
                 f"{STEPS_OF_A_SINE} steps of the drive's velocity unit of {speed:.3g} {unit}/s"
             )
         amplitude = sine.amplitude / (2 * math.pi * sine.frequency)
-        if device.way is not Way.CYCLIC_VELOCITY and 0 < amplitude < STEPS_OF_A_SINE * place:
+        if device.way is not Way.CYCLIC_VELOCITY and 0 < amplitude < STEPS_OF_A_POSITION * place:
             raise LimitExceeded(
                 f"{device.place}: a sine of {amplitude:.3g} {unit} at {sine.frequency:g} Hz has fewer than "
-                f"{STEPS_OF_A_SINE} steps of the drive's position unit of {place:.3g} {unit}"
+                f"{STEPS_OF_A_POSITION} steps of the drive's position unit of {place:.3g} {unit}"
             )
 
 

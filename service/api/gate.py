@@ -2,7 +2,7 @@
 
 A web page that an operator has open in the same browser must not be able to move a machine: a request that a
 page of another origin sends is refused, and so is one for a host name that is not ours (DNS rebinding).
-Stopping is never refused. The service has no users; who reaches its port may use it.
+Stopping is never refused. Who it is that asks is the next question: `service.api.people.access`.
 """
 
 from collections.abc import Mapping, Sequence

@@ -56,10 +56,16 @@ class IdempotentRoute(APIRoute):
         return handle_once
 
 
+def head_of(request: Request) -> bytes:
+    """What a request's fingerprint (SHA-256) takes before the body."""
+    return b"\0".join([request.method.encode(), request.url.path.encode(), b""])
+
+
 async def _once(keys: IdempotencyKeys, key: str, request: Request, handle: Handler) -> Response:
-    body = await request.body()
-    fingerprint = hashlib.sha256(b"\0".join([request.method.encode(), request.url.path.encode(), body])).hexdigest()
-    stored = await run_in_threadpool(keys.claim, key, fingerprint)
+    read = getattr(request.state, "fingerprint", None)  # of a body that is in a file already
+    if read is None:
+        read = hashlib.sha256(head_of(request) + await request.body())
+    stored = await run_in_threadpool(keys.claim, key, read.hexdigest())
     if stored is not None:
         kept = json.loads(stored.body)
         return Response(kept["content"], stored.status, kept["headers"] | {"Idempotency-Replayed": "true"})

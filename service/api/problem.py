@@ -8,6 +8,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
+from typing import cast
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -15,9 +16,11 @@ from fastapi.responses import Response
 from pydantic import BaseModel
 from pydantic_core import ErrorDetails
 from starlette.exceptions import HTTPException
+from starlette.routing import Match
 
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady
 from service.errors import BadInput, Conflict, EnvelopeViolation, NotFound, SweepidError
+from service.store.people.writer import NotAudited
 from service.store.requests import KeyReused
 from service.store.store import StaleVersion
 
@@ -35,8 +38,10 @@ _STATUS: tuple[tuple[type[Exception], HTTPStatus], ...] = (
     (ConnectionFailed, HTTPStatus.SERVICE_UNAVAILABLE),
     (CommunicationLost, HTTPStatus.SERVICE_UNAVAILABLE),
     (NotReady, HTTPStatus.SERVICE_UNAVAILABLE),
+    (NotAudited, HTTPStatus.SERVICE_UNAVAILABLE),
     (DriveError, HTTPStatus.BAD_GATEWAY),
 )
+_METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
 _LIMITS = ("gt", "ge", "lt", "le", "min_length", "max_length", "expected", "multiple_of")
 _LONGEST_VALUE = 200
 _LONGEST_TEXT = 2000
@@ -119,7 +124,17 @@ def _on_http_error(request: Request, error: Exception) -> Response:
         raise error
     status = HTTPStatus(error.status_code)
     name = status.name.lower().replace("_", "-")
-    return problem_response(request, status, name, error.detail, (), error.headers)
+    headers = error.headers
+    if status is HTTPStatus.METHOD_NOT_ALLOWED:
+        headers = {"Allow": ", ".join(_methods_of(request))}
+    return problem_response(request, status, name, error.detail, (), headers)
+
+
+def _methods_of(request: Request) -> list[str]:
+    """All that the path has: the error knows those of one route, and each of ours has one method."""
+    routes = cast("FastAPI", request.app).routes
+    scopes = {method: {**request.scope, "method": method} for method in _METHODS}
+    return [name for name, scope in scopes.items() if any(r.matches(scope)[0] is Match.FULL for r in routes)]
 
 
 def _on_unknown_error(request: Request, error: Exception) -> Response:

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn
 from rich.table import Table
 
-from service.cli.identify import print_estimate
+from service.cli.recordings.identify import print_estimate
 from service.client import Json
 from service.demo.hidden import Found, plain
 from service.demo.run import Outcome, run_demo

@@ -41,6 +41,8 @@ def read_document(path: Path) -> dict[str, Any]:
         document: object = json.loads(read_text(path))
     except ValueError as error:
         raise BadInput(str(path), f"cannot be read as JSON: {error}") from None
+    except RecursionError:
+        raise BadInput(str(path), "cannot be read as JSON: nested too deeply") from None
     if not isinstance(document, dict):
         raise BadInput(str(path), "is not a JSON object")
     return cast("dict[str, Any]", document)

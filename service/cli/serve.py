@@ -20,6 +20,7 @@ from drivers.errors import DriveError
 from service.app import create_app, end_motion, end_streams, halt
 from service.cli.logs import HeldBack, configure_logs
 from service.errors import SweepidError
+from service.people.permissions import LOCAL
 from service.settings import Settings, load_settings
 from service.stop_process.handle import StopProcess
 
@@ -41,11 +42,14 @@ def serve(
     options = {"host": host, "port": port, "data_dir": data_dir, "drive": drive}
     given = {name: value for name, value in options.items() if value is not None}
     settings = load_settings(config).model_copy(update=given)
+    settings.check_reach()
     configure_logs(settings.log_level)
     logs = HeldBack()
     sys.setswitchinterval(_SWITCH_INTERVAL)
     if not settings.answers_to:
         _log.warning("answers_to_any_host_name", host=settings.host, setting="allowed_hosts")
+    if not settings.login:
+        _log.warning("no_login", actor=LOCAL, rights="all", host=settings.host, setting="login")
     # uvicorn raises the signal that ended it once more when all is closed; that is then a clean end
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _end)

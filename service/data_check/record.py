@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from service.identification.regressor import inertia_rows
-from service.identification.trajectory_record import runs_at_once
+from service.identification.model.regressor import inertia_rows
+from service.identification.motion.trajectory_record import runs_at_once
 from service.recording import Array, Sweep, SweepSpec
 from service.robot import Axis, Robot
 

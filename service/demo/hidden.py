@@ -9,13 +9,13 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.cell import Cell
 from service.client import Json, ServiceClient
 from service.demo.cell import VirtualCell, virtual_cell
 from service.demo.operator import Operator
 from service.demo.processes import command, environment
 from service.demo.screen import Screen
 from service.errors import SweepidError
+from service.geometry.cell import Cell
 from service.robot import Robot
 
 SCENARIO = Path("config/scenarios/max100-as-modelled.yaml")

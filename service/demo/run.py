@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from service.campaigns.plan import PlanRequest, workspace_grid
-from service.cell import read_cell
 from service.client import Json
 from service.configuration import read_robot
 from service.demo.cell import PROFILE, virtual_cell
@@ -19,10 +17,10 @@ from service.demo.operator import Operator
 from service.demo.screen import Screen
 from service.demo.truth import compare
 from service.errors import BadInput
-from service.recording import Sweep
-from service.report import Content, axes_of, render
-from service.report.content import revision
-from service.store.bundle import Bundle, read_bundle
+from service.geometry.cell import read_cell
+from service.planning.plan import PlanRequest, workspace_grid
+from service.report import Content, axes_of, content_of, render
+from service.store.files.bundle import Bundle, read_bundle
 
 SCENARIO = Path("config/scenarios/max100-full.yaml")
 ROBOT = Path("config/robots/max100-class.yaml")
@@ -105,23 +103,14 @@ def _clear(out: Path) -> None:
 
 
 def _content(bundle: Bundle, revisions: list[Json], workspace: np.ndarray, seed: int) -> Content:
-    estimate: Json = revisions[-1]["document"]
-    names = [entry["name"] for entry in estimate["base_parameters"]]
-    return Content(
-        title=f"Inertias of the robot {bundle.robot.name}",
-        subtitle=f"Demo on a virtual machine (scenario {SCENARIO.stem}, seed {seed}), measured over CANopen through "
+    sweeps = {sweep.spec.id: sweep for sweep in bundle.sweeps}
+    return content_of(
+        bundle.robot,
+        revisions[-1]["document"],
+        [sweep.spec for sweep in bundle.sweeps],
+        lambda spec: sweeps[spec.id],
+        f"Demo on a virtual machine (scenario {SCENARIO.stem}, seed {seed}), measured over CANopen through "
         "the service: elastic drive trains, friction on motor and load side, cogging and noise.",
-        robot=bundle.robot,
-        estimate=estimate,
-        specs=tuple(sweep.spec for sweep in bundle.sweeps),
         workspace=workspace,
-        revisions=tuple(revision(entry["document"], names, entry["revision"]) for entry in revisions),
-        example=_example(bundle),
+        revisions=[(entry["revision"], entry["document"]) for entry in revisions],
     )
-
-
-def _example(bundle: Bundle) -> Sweep:
-    """A sweep of the first axis with the most lines."""
-    first = bundle.sweeps[0].spec.axis
-    own = [sweep for sweep in bundle.sweeps if sweep.spec.axis == first]
-    return max(own, key=lambda sweep: len(sweep.spec.sines))

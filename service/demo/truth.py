@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from service.demo.processes import command, environment
 from service.errors import SweepidError
-from service.identification.base_parameters import base_parameters
-from service.identification.regressor import lock
+from service.identification.model.base_parameters import base_parameters
+from service.identification.model.regressor import lock
 from service.report import Axis, Content, Row
 
 Array = NDArray[np.float64]

@@ -6,8 +6,8 @@ a model revision of that. Pure functions of the samples: no clock, no files, no 
 
 from service.diagnosis.diagnose import AxisDiagnosis, diagnose_axis
 from service.diagnosis.document import as_document, axis_document, compose
-from service.diagnosis.revision import model_document
-from service.diagnosis.signals import is_evidence
+from service.diagnosis.model.revision import model_document
+from service.diagnosis.rows.signals import is_evidence
 from service.diagnosis.start import started_from
 
 __all__ = [

@@ -13,29 +13,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.data_check import Finding, check, untrustworthy
-from service.diagnosis.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.equations import Equations, Term, applies, equations, grouped, held_back
-from service.diagnosis.example import Example, example
+from service.diagnosis.effects.patch import Patch
 from service.diagnosis.experiments import TEST_MASS, NextExperiment, next_experiment
-from service.diagnosis.gap import Gap, gap, noise, residual
-from service.diagnosis.locate import Cell, cells, lines, sentences
-from service.diagnosis.parameters import Parameter
-from service.diagnosis.patch import Patch
-from service.diagnosis.periods import in_periods
-from service.diagnosis.repeatability import unrepeated
-from service.diagnosis.rigid_model import RigidParameter, rigid_model
-from service.diagnosis.ripple_search import ripples, with_ripples
-from service.diagnosis.search import Beside
-from service.diagnosis.select import Selection, allowed_by_physics, select, settled, with_groups
-from service.diagnosis.show import Fit, Fitted, Shown, show
-from service.diagnosis.signals import SHORTEST, sticking_within, tracks
+from service.diagnosis.fit.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
+from service.diagnosis.fit.equations import Equations, Term, applies, equations, grouped, held_back
+from service.diagnosis.fit.gap import Gap, gap, noise, residual
+from service.diagnosis.fit.parameters import Parameter
+from service.diagnosis.fit.search import Beside
+from service.diagnosis.fit.select import Selection, allowed_by_physics, select, settled, with_groups
+from service.diagnosis.localisation.example import Example, example
+from service.diagnosis.localisation.locate import Cell, cells, lines, sentences
+from service.diagnosis.localisation.repeatability import unrepeated
+from service.diagnosis.localisation.ripple_search import ripples, with_ripples
+from service.diagnosis.model.rigid_model import RigidParameter, rigid_model
+from service.diagnosis.model.show import Fit, Fitted, Shown, show
+from service.diagnosis.rows.periods import in_periods
+from service.diagnosis.rows.signals import SHORTEST, sticking_within, tracks
+from service.diagnosis.sensitivity.visibility import untestable
 from service.diagnosis.start import source_of
 from service.diagnosis.verdict import Verdict, at_floor, judge, of_one_record, share, tie_sets, without
-from service.diagnosis.visibility import untestable
 from service.errors import BadInput
-from service.identification.free_motion import at_once
-from service.identification.nominal_priors import TorqueGain
+from service.identification.axis.nominal_priors import TorqueGain
+from service.identification.motion.free_motion import at_once
 from service.recording import Sweep
 from service.robot import Robot
 

@@ -8,8 +8,8 @@ from typing import Any
 from service.diagnosis.diagnose import AxisDiagnosis, NamedEffect
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.experiments import NextExperiment
-from service.diagnosis.parameters import Parameter
-from service.diagnosis.revision import model_of
+from service.diagnosis.fit.parameters import Parameter
+from service.diagnosis.model.revision import model_of
 from service.diagnosis.summary import summary
 from service.robot import Robot
 

@@ -12,7 +12,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.design import (
+from service.diagnosis.fit.equations import Term
+from service.diagnosis.fit.select import RIVAL, TOLERANCE, Selection
+from service.diagnosis.sensitivity.design import (
     BLOCKS,
     REVISITED,
     DesignedSweep,
@@ -24,9 +26,7 @@ from service.diagnosis.design import (
     other_poses,
     warm_up,
 )
-from service.diagnosis.equations import Term
-from service.diagnosis.prospect import Prospect, prospect
-from service.diagnosis.select import RIVAL, TOLERANCE, Selection
+from service.diagnosis.sensitivity.predicted_sweeps import Prospect, prospect
 from service.diagnosis.summary import in_words
 from service.diagnosis.verdict import Verdict
 from service.errors import BadInput

@@ -24,9 +24,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from service.errors import BadInput
 from service.export import identified_model
 from service.export.urdf import as_urdf
-from service.identification.base_parameters import base_parameters
-from service.identification.nominal_priors import link_spread
-from service.identification.regressor import fold, lock
+from service.identification.axis.nominal_priors import link_spread
+from service.identification.model.base_parameters import base_parameters
+from service.identification.model.regressor import fold, lock
 from service.robot import Knowledge, Robot, build_robot
 
 Array = NDArray[np.float64]
@@ -87,6 +87,9 @@ def started_from(robot: Robot, estimate: Mapping[str, Any], source: str, place: 
 def _base(estimate: Mapping[str, Any], place: str) -> _Base:
     """Estimates that were stored by an earlier version have none: nothing was locked, parameters are independent."""
     try:
-        return _Base.model_validate(estimate.get("base", {}))
+        found = _Base.model_validate(estimate.get("base", {}))
     except ValidationError as error:
         raise BadInput(f"{place} base", str(error.errors(include_url=False)[0]["msg"])) from None
+    if len({len(row) for row in found.covariance}) > 1:
+        raise BadInput(f"{place} base.covariance", "has rows of different lengths")
+    return found

@@ -7,14 +7,14 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.design import is_partial
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.equations import COLOURED, Equations, Term
-from service.diagnosis.gap import noise_floor
-from service.diagnosis.search import Beside, Explanation
-from service.diagnosis.select import CERTAIN, RIVAL, TOLERANCE, Selection, allowed_by_physics
-from service.diagnosis.solving import solve
-from service.diagnosis.visibility import grid, left, shows_beside, visible_part
+from service.diagnosis.fit.equations import COLOURED, Equations, Term
+from service.diagnosis.fit.gap import noise_floor
+from service.diagnosis.fit.search import Beside, Explanation
+from service.diagnosis.fit.select import CERTAIN, RIVAL, TOLERANCE, Selection, allowed_by_physics
+from service.diagnosis.fit.solving import solve
+from service.diagnosis.sensitivity.design import is_partial
+from service.diagnosis.sensitivity.visibility import grid, left, shows_beside, visible_part
 
 Array = NDArray[np.float64]
 

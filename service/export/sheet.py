@@ -11,7 +11,6 @@ parameters show. It comes from `sweepid payload`.
 
 import hashlib
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
@@ -22,13 +21,13 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from service.configuration import bad_field
 from service.errors import BadInput
-from service.identification.physical_consistency import is_physical
+from service.identification.model.certainty import UNSURE, share_of_value
+from service.identification.model.physical_consistency import is_physical
 from service.robot import Robot
 
 Array = NDArray[np.float64]
 Document = dict[str, Any]
 
-UNSURE = 0.25  # of the value: with a larger standard deviation it is not for use
 FORMAT = "sweepid-sheet"
 
 
@@ -137,11 +136,7 @@ def _axis(robot: Robot, joint: str, axis: _Axis) -> AxisSheet:
     ratio = robot.axes[index].gear_ratio
     identified = np.array([sweep.identified for sweep in axis.inertia])
     value, cad = float(np.median(identified)), float(np.median([sweep.reference for sweep in axis.inertia]))
-    if axis.confidence_percent is not None:
-        share = axis.confidence_percent / 100
-    else:
-        share = float(np.median([sweep.std / abs(sweep.value) for sweep in axis.inertia]))
-    share = math.hypot(share, axis.torque_gain.std / axis.torque_gain.value)
+    share = share_of_value(axis.model_dump())
     std = share * abs(value)
     left_out = ""
     if not identified.min() > 0:
@@ -174,7 +169,7 @@ def _check_physical(estimate: Mapping[str, Any], place: str) -> None:
         links = {link: np.array(list(values.values()), dtype=float) for link, values in standard["links"].items()}
         bad = [link for link, values in links.items() if not bool(is_physical(values))]
         bad += [name for name, value in standard["motor_inertias"].items() if not value >= 0]
-    except (KeyError, TypeError, AttributeError, ValueError, IndexError):
+    except (KeyError, TypeError, AttributeError, ValueError, IndexError, OverflowError):
         raise BadInput(f"{place} standard_parameters", "cannot be read") from None
     if bad:
         raise BadInput(f"{place} standard_parameters", f"no body can have those of {', '.join(bad)}")

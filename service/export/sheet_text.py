@@ -4,9 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
-from service.errors import BadInput
+from service.export.load import Load, read_load
 from service.export.mjcf import quaternion
 
 Document = Mapping[str, Any]
@@ -19,6 +17,7 @@ _NO_LOAD = (
 
 def as_markdown(sheet: Document, payload: Document | None = None) -> str:
     """The page. `payload`: of `sweepid payload --json`; BadInput where it lacks a number that a control needs."""
+    load = None if payload is None else read_load(payload)
     parts = [
         f"# Dynamics of {sheet['robot']} for its control",
         f"Source: {sheet['source']}. Fingerprint: `{sheet['fingerprint']}`. All standard deviations include that of "
@@ -48,9 +47,9 @@ def as_markdown(sheet: Document, payload: Document | None = None) -> str:
         "## Beckhoff",
         _beckhoff(sheet),
         "## KUKA",
-        _NO_LOAD if payload is None else _kuka(payload),
+        _NO_LOAD if load is None else _kuka(load),
         "## ABB",
-        _NO_LOAD if payload is None else _abb(payload),
+        _NO_LOAD if load is None else _abb(load),
         "## ros2_control and MoveIt",
         "Both read the URDF: `sweepid export-model` writes `model.urdf` with these parameters, and the motors' "
         "inertia, for which URDF has no place, into `robot.yaml`.",
@@ -116,21 +115,19 @@ def _inertias(sheet: Document, name: str) -> str:
     return _table(("axis", name, "± std", "lowest ... highest"), rows)
 
 
-def _kuka(payload: Document) -> str:
-    mass, centre, moments, rotation = _body(payload)
-    a, b, c = _zyx(rotation)
+def _kuka(load: Load) -> str:
+    a, b, c = _zyx(load.axes)
     return "\n\n".join(
         [
-            f"Load data, about the frame of {payload['frame']} (turn them into the FLANGE frame where that is "
-            "another):",
+            f"Load data, about the frame of {load.frame} (turn them into the FLANGE frame where that is another):",
             _table(
                 ("M kg", "X Y Z mm", "A B C deg", "JX JY JZ kg m²"),
                 [
                     (
-                        f"{mass:.4g} ± {payload['mass']['std_total']:.2g}",
-                        ", ".join(f"{1e3 * value:.4g}" for value in centre),
+                        f"{load.mass:.4g} ± {load.mass_std:.2g}",
+                        ", ".join(f"{1e3 * value:.4g}" for value in load.centre),
                         ", ".join(f"{value:.4g}" for value in (a, b, c)),
-                        ", ".join(f"{value:.4g}" for value in moments),
+                        ", ".join(f"{value:.4g}" for value in load.moments),
                     )
                 ],
             ),
@@ -140,38 +137,18 @@ def _kuka(payload: Document) -> str:
     )
 
 
-def _abb(payload: Document) -> str:
-    mass, centre, moments, rotation = _body(payload)
-    cog = ",".join(f"{1e3 * value:.4g}" for value in centre)
-    aom = ",".join(f"{value:.6f}" for value in quaternion(rotation))
-    inertia = ",".join(f"{value:.4g}" for value in moments)
+def _abb(load: Load) -> str:
+    cog = ",".join(f"{1e3 * value:.4g}" for value in load.centre)
+    aom = ",".join(f"{value:.6f}" for value in quaternion(load.axes))
+    inertia = ",".join(f"{value:.4g}" for value in load.moments)
     return "\n\n".join(
         [
-            f"`loaddata`, about the frame of {payload['frame']} (turn it into the tool frame, for `tooldata` into that "
+            f"`loaddata`, about the frame of {load.frame} (turn it into the tool frame, for `tooldata` into that "
             "of the wrist, where that is another):",
-            f"```\nPERS loaddata measured := [{mass:.4g},[{cog}],[{aom}],{inertia}];\n```",
-            f"Mass ± {payload['mass']['std_total']:.2g} kg (one standard deviation).",
+            f"```\nPERS loaddata measured := [{load.mass:.4g},[{cog}],[{aom}],{inertia}];\n```",
+            f"Mass ± {load.mass_std:.2g} kg (one standard deviation).",
         ]
     )
-
-
-def _body(payload: Document) -> tuple[float, list[float], list[float], Any]:
-    """Mass, centre, principal moments, and their axes as the columns of a rotation; of a body that can exist."""
-    open_ = [name for name, part in _figures(payload).items() if part["value"] is None]
-    if open_:
-        raise BadInput("--payload", f"does not know {', '.join(open_)}: its motions did not excite them")
-    near = payload["physical"]["nearest"]
-    xx, xy, xz, yy, yz, zz = (near["inertia"][name] for name in near["inertia"])
-    moments, axes = np.linalg.eigh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
-    if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1
-    if not moments[0] > 0 or moments[2] > moments[0] + moments[1] + 1e-9:
-        raise BadInput("--payload", "no body has these moments of inertia")
-    return float(near["mass"]), list(near["center"]), moments.tolist(), axes
-
-
-def _figures(payload: Document) -> dict[str, Any]:
-    return {"mass": payload["mass"], **payload["center"], **payload["inertia"]}
 
 
 def _zyx(rotation: Any) -> tuple[float, float, float]:

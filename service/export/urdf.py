@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from service.export.links import PlacedLink, placed_links
 from service.export.model import Body, IdentifiedModel, body
-from service.identification.physical_consistency import nearest_physical
+from service.identification.model.physical_consistency import nearest_physical
 from service.urdf import read_inertial, transform_inertial
 
 Array = NDArray[np.float64]

@@ -5,8 +5,8 @@ into an estimate, `as_document` makes JSON-able data of it. All are deterministi
 (`Spectrum.to_document`).
 """
 
-from service.identification.document import as_document
-from service.identification.estimate import Estimate, identify
-from service.identification.frequency_response import Spectrum, spectrum
+from service.identification.estimates.document import as_document
+from service.identification.estimates.estimate import Estimate, identify
+from service.identification.spectra.frequency_response import Spectrum, spectrum
 
 __all__ = ["Estimate", "Spectrum", "as_document", "identify", "spectrum"]

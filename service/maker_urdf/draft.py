@@ -8,8 +8,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from service.cell import Cell
-from service.collision import CollisionChecker
+from service.geometry.cell import Cell
+from service.geometry.collision import CollisionChecker
 from service.maker_urdf.check import Told
 from service.maker_urdf.finding import Finding
 from service.robot import Axis, Robot, RobotDescription, build_robot

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from service.errors import BadInput
-from service.hull import LARGEST, collision_meshes, read_hull, write_hull
+from service.geometry.hull import LARGEST, collision_meshes, read_hull, write_hull
 from service.maker_urdf.meshes import mesh_points
 from service.maker_urdf.packages import Packages
 from service.urdf import read_origin

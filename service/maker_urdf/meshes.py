@@ -26,7 +26,7 @@ def mesh_points(content: bytes, name: str, place: str) -> Array:
     here = f"{place} mesh {name}"
     try:
         points = {".stl": _stl, ".obj": _obj, ".dae": collada_points}[kind](content, here)
-    except (ValueError, IndexError) as error:
+    except (ValueError, LookupError) as error:  # the latter also for an XML encoding that is none of text
         raise BadInput(here, f"cannot be read: {error}") from None
     if not len(points):
         raise BadInput(here, "has no points")

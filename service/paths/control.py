@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from service.configuration import read_yaml
 from service.errors import BadInput
 from service.robot import Robot
-from service.trace_mapping import CncAxis, Columns, Csv
+from service.traces.mapping import CncAxis, Columns, Csv
 
 
 class Trace(BaseModel):

@@ -11,14 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.campaigns.envelope import Envelope
-from service.campaigns.plan import PlanDocument, PlannedSweep
-from service.cell import Cell
 from service.errors import BadInput, EnvelopeViolation
-from service.identification.excitation import Excitation, velocity_setpoint
-from service.identification.sweep_path import way
+from service.geometry.cell import Cell
+from service.identification.design.excitation import Excitation, velocity_setpoint
+from service.identification.design.sweep_path import way
 from service.paths.control import Control
+from service.planning.plan import PlanDocument, PlannedSweep
 from service.robot import Robot
+from service.safety.envelope import Envelope
+from service.store.files.bundle import check_specs
 
 Array = NDArray[np.float64]
 
@@ -68,6 +69,7 @@ def path_sweeps(plan: PlanDocument, robot: Robot, cell: Cell, control: Control) 
         raise BadInput(
             "plan", f"is for robot {plan.robot} in cell {plan.request.cell}, not for {robot.name} in {cell.name}"
         )
+    check_specs(robot, [sweep.spec for sweep in plan.sweeps], "plan")
     envelope = Envelope(robot, cell)
     here = list(cell.home_pose(robot.joints))
     for number, planned in enumerate(plan.sweeps, start=1):

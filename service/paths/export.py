@@ -12,14 +12,14 @@ from uuid import uuid4
 import yaml
 from pydantic import BaseModel
 
-from service.campaigns.plan import PlanDocument
-from service.cell import Cell
 from service.errors import BadInput
+from service.geometry.cell import Cell
 from service.paths.control import Control
 from service.paths.course import PathSweep, path_sweeps
 from service.paths.part_program import part_program
+from service.planning.plan import PlanDocument
 from service.robot import Robot
-from service.trace_mapping import Mapping, Motion, TraceSweep
+from service.traces.mapping import Mapping, Motion, TraceSweep
 
 
 def export_paths(folder: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: Control) -> int:

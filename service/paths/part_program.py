@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 
 from service.errors import BadInput
-from service.identification.sweep_path import peak_jerk
+from service.identification.design.sweep_path import peak_jerk
 from service.paths.course import PathSweep
 
 DECIMALS = 7

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.regressor import axis_rows, lock
+from service.identification.model.regressor import axis_rows, lock
 from service.recording import Sweep, SweepSpec
 from service.robot import INERTIAL_NAMES, Robot
 

@@ -69,7 +69,8 @@ def _axis(page: Page, joint: str, axis: Document) -> None:
     page.add(f'<div class="card {escape(axis["verdict"])}"><p class="verdict">{escape(axis["summary"])}</p></div>')
     told = {finding["sentence"] for finding in axis.get("data", ())}
     if told:
-        _data(page, axis["data"])
+        page.add("<h3>Check of the data</h3>")
+        findings(page, axis["data"])
     _gap(page, axis)
     if "map" in figures:
         page.add(
@@ -89,7 +90,7 @@ def _axis(page: Page, joint: str, axis: Document) -> None:
     sweep, block = axis["example"]["sweep"], axis["example"]["block"]
     page.add(
         "<h3>Example</h3>",
-        f"<p>Sweep {escape(sweep)}{escape(f' ({_plain(block)})') if block else ''}, the sweep with the "
+        f"<p>Sweep {escape(sweep)}{escape(f' ({plain(block)})') if block else ''}, the sweep with the "
         "largest gap before. Above the effort, below what the model leaves of it.</p>",
     )
     page.figure(figures["example"])
@@ -129,7 +130,7 @@ def _known(page: Page, axis: Document) -> None:
     rows = [
         [
             drawn.effect_words(effect["effect"]),
-            _plain(name),
+            plain(name),
             *_value(value),
             _model(changed.get((effect["effect"], name))),
         ]
@@ -167,17 +168,16 @@ def _effects(page: Page, axis: Document, figures: Mapping[str, Figure]) -> None:
 
 def _parameter_rows(effects: Sequence[Document]) -> list[list[str]]:
     return [
-        [drawn.effect_words(effect["effect"]), _plain(name), *_value(value)]
+        [drawn.effect_words(effect["effect"]), plain(name), *_value(value)]
         for effect in effects
         for name, value in effect["parameters"].items()
     ]
 
 
-def _data(page: Page, findings: Sequence[Document]) -> None:
-    """Where one is wrong, no physics was named."""
-    ordered = sorted(findings, key=lambda one: one["severity"] != "wrong")
+def findings(page: Page, found: Sequence[Document]) -> None:
+    """Of a check of the data. Where one is wrong, no physics was named."""
+    ordered = sorted(found, key=lambda one: one["severity"] != "wrong")
     page.add(
-        "<h3>Check of the data</h3>",
         *(
             f"<p><b>{escape(one['severity'])}:</b> {escape(one['sentence'])} {escape(one['action'])}</p>"
             for one in ordered
@@ -224,7 +224,7 @@ def _open_questions(page: Page, joint: str, axis: Document) -> None:
         page.add("<h3>What these sweeps cannot show</h3>", "<p>Whether or not there is one of these:</p>")
         shown_by = axis.get("visible_in", {})
         rows = [
-            [drawn.effect_words(effect), ", ".join(_plain(block) for block in shown_by.get(effect, ()))]
+            [drawn.effect_words(effect), ", ".join(plain(block) for block in shown_by.get(effect, ()))]
             for effect in axis["untestable"]
         ]
         page.table(["effect", "it shows in"], rows)
@@ -241,5 +241,6 @@ def _duration(seconds: float) -> str:
     return f"{minutes} min {rest} s" if minutes else f"{rest} s"
 
 
-def _plain(name: str) -> str:
+def plain(name: str) -> str:
+    """An effect, a block or a parameter in words."""
     return name.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")

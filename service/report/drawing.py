@@ -11,6 +11,7 @@ Figure = dict[str, Any]
 
 MEASURED, IDENTIFIED, REFERENCE, PAPER = "#c2410c", "#1d4ed8", "#94a3b8", "#7c3aed"
 AXIS_COLOURS = ("#1d4ed8", "#0f766e", "#b45309", "#7c3aed", "#be123c", "#475569")
+AXIS_SYMBOLS = ("circle", "square", "triangle-up", "diamond", "star", "hexagon2")
 GRID = "#e2e8f0"
 DECADES = {"type": "log", "dtick": 1, "exponentformat": "power"}
 
@@ -58,6 +59,11 @@ def scale(title: str, zeroline: bool = False) -> Figure:
         "tickcolor": "#94a3b8",
         "automargin": True,
     }
+
+
+def symbols(count: int) -> list[str]:
+    """A marker for each axis of the robot: colour alone tells nothing on grey paper, or to who does not see it."""
+    return [AXIS_SYMBOLS[k % len(AXIS_SYMBOLS)] for k in range(count)]
 
 
 def colours(count: int) -> list[str]:

@@ -21,6 +21,7 @@ from service.report.drawing import (
     points,
     rounded,
     scale,
+    symbols,
 )
 from service.robot import Robot
 
@@ -74,12 +75,13 @@ def surface(robot: Robot, axis: Axis) -> Figure:
         ],
         {
             "height": 560,
+            "meta": {"width": 960},  # px; on less, the names of the axes are cut
             "margin": {"l": 0, "r": 0, "t": 10, "b": 0},
             "scene": {
                 "xaxis": {"title": {"text": f"{names[first]} in deg"}},
                 "yaxis": {"title": {"text": f"{names[second]} in deg"}},
                 "zaxis": {"title": {"text": "J in kg m²"}},
-                "camera": {"eye": {"x": -1.15, "y": -1.45, "z": 0.62}, "center": {"x": 0, "y": 0, "z": -0.16}},
+                "camera": {"eye": {"x": -1.15, "y": -1.45, "z": 0.62}, "center": {"x": 0, "y": 0, "z": -0.24}},
                 "aspectratio": {"x": 1.2, "y": 1.2, "z": 0.8},
             },
         },
@@ -112,6 +114,18 @@ def deviation_map(robot: Robot, axis: Axis) -> Figure:
                 "hoverongaps": False,
                 "colorbar": {"title": {"text": "%"}, "thickness": 12},
                 "hovertemplate": "%{x:.0f}°, %{y:.0f}°: %{z:+.1f} %<extra></extra>",
+            },
+            {
+                "type": "contour",
+                "x": degrees(x),
+                "y": degrees(y),
+                "z": rounded(z),
+                "contours": {"coloring": "none", "showlabels": True, "labelfont": {"size": 11, "color": "#0f172a"}},
+                "line": {"color": "#475569", "width": 0.8},
+                "ncontours": 8,
+                "showlegend": False,
+                "showscale": False,
+                "hoverinfo": "skip",
             },
             {
                 "type": "scatter",
@@ -156,7 +170,7 @@ def curve(robot: Robot, axis: Axis) -> Figure:
 def residuals(axes: Sequence[Axis]) -> Figure:
     """Measured against identified model, percent, sweep by sweep with two standard deviations."""
     traces: list[Figure] = []
-    for axis, colour in zip(axes, colours(len(axes)), strict=True):
+    for axis, colour, symbol in zip(axes, colours(len(axes)), symbols(len(axes)), strict=True):
         percent = 100 / axis.identified
         traces.append(
             points(
@@ -165,6 +179,7 @@ def residuals(axes: Sequence[Axis]) -> Figure:
                 (axis.measured - axis.identified) * percent,
                 colour,
                 error=2 * axis.std * percent,
+                symbol=symbol,
             )
         )
     return figure(
@@ -181,9 +196,13 @@ def paper_residuals(axes: Sequence[Axis]) -> Figure:
     """The paper's formula against the identified model, percent, over the inertia."""
     traces = [
         points(
-            axis.joint, rounded(axis.measured), 100 * (axis.paper / axis.identified - 1), colour, symbol="x-thin-open"
+            axis.joint,
+            rounded(axis.measured),
+            100 * (axis.paper / axis.identified - 1),
+            colour,
+            symbol=f"{symbol}-open",
         )
-        for axis, colour in zip(axes, colours(len(axes)), strict=True)
+        for axis, colour, symbol in zip(axes, colours(len(axes)), symbols(len(axes)), strict=True)
     ]
     return figure(
         traces,

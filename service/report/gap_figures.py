@@ -39,6 +39,7 @@ def gap_map(axis: Axis) -> Figure | None:
         "height": sum(heights) + 70,
         "margin": {"l": 10, "r": 10, "t": 40, "b": 30},
         "barmode": "overlay",
+        "meta": {"width": 960},  # px; names of bins beside three panels want it
         "annotations": [],
         "shapes": [],
     }
@@ -141,11 +142,11 @@ def gap_by_pose(axis: Axis) -> Figure:
             "name": name,
             "x": labels,
             "y": rounded(np.array([_number(pose[key]) for pose in poses])),
-            "marker": {"color": colour},
+            "marker": {"color": colour, "pattern": {"shape": pattern}},
             "customdata": [pose["sweeps"] for pose in poses],
             "hovertemplate": f"%{{y:.3g}} {unit(axis)} {name}, %{{customdata}} sweeps<extra></extra>",
         }
-        for name, key, colour in (("before", "before_rms", BEFORE), ("after", "after_rms", AFTER))
+        for name, key, colour, pattern in (("before", "before_rms", BEFORE, ""), ("after", "after_rms", AFTER, "/"))
         if name == "before" or explained(axis)
     ]
     floor = {
@@ -213,7 +214,7 @@ def evidence(axis: Axis) -> Figure | None:
                 "x": [round(place, 4) for place in places],
                 "y": names,
                 "marker": {"color": colours},
-                "text": ["chosen", *(f"{round(value):,}" for value in behind[1:])],
+                "text": ["chosen", *(_behind(axis, rival) for rival in rivals)],
                 "textposition": "outside",
                 "cliponaxis": False,
                 "hoverinfo": "skip",
@@ -305,6 +306,11 @@ def pose_labels(poses: Sequence[Sequence[float]]) -> list[str]:
 
 def _colour(axis: Axis, rival: Axis) -> str:
     return TIE if rival["effect"] in axis["candidates"] else "#94a3b8"
+
+
+def _behind(axis: Axis, rival: Axis) -> str:
+    """In words too: colour alone tells nothing on grey paper."""
+    return f"{round(rival['behind']):,}{', not ruled out' if rival['effect'] in axis['candidates'] else ''}"
 
 
 def _signed_power(value: float) -> float:

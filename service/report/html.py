@@ -30,18 +30,68 @@ table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nu
 th, td { padding: 7px 12px; text-align: right; border-bottom: 1px solid #e2e8f0; white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; white-space: normal; }
 thead th { color: #475569; font-weight: 600; border-bottom: 2px solid #cbd5e1; }
-tbody tr:last-child td { border-bottom: 0; }
+tbody tr:last-child :is(td, th) { border-bottom: 0; }
+table.told th { color: #475569; font-weight: 600; width: 11em; vertical-align: top; }
+table.told td { text-align: left; white-space: normal; overflow-wrap: anywhere; }
 td.name { font-size: 14px; max-width: 560px; overflow-wrap: anywhere; }
 .note { color: #64748b; font-size: 14px; }
-@media print { body { background: white; } .card, .facts div { break-inside: avoid; } }
+.printed { display: none; }
+@page {
+  size: A4;
+  margin: 15mm 15mm 18mm;
+  @bottom-right { content: counter(page) " / " counter(pages); font: 9pt sans-serif; }
+}
+@media print {
+  body { background: white; font-size: 10pt; }
+  main { max-width: none; padding: 0; }
+  h1 { font-size: 18pt; }
+  h2 { font-size: 13pt; margin-top: 20px; }
+  h3 { font-size: 11pt; }
+  h2, h3, p:has(+ .card) { break-after: avoid; }
+  p { max-width: none; orphans: 3; widows: 3; }
+  .card, .facts div { break-inside: avoid; border-color: #94a3b8; }
+  .card { padding: 8px 10px; margin: 8px 0; }
+  .card:has(.js-plotly-plot) { padding: 0; border: 0; overflow: hidden; }
+  .facts { grid-template-columns: repeat(5, 1fr); gap: 6px; margin: 10px 0; }
+  .facts div { padding: 6px 8px; }
+  .facts b { font-size: 14pt; }
+  .facts span, .note, td.name, table.told { font-size: 9pt; }
+  .scroll { overflow: visible; }
+  .scroll:has(tr:nth-child(12)) { break-inside: auto; }
+  thead { display: table-header-group; }
+  tr { break-inside: avoid; }
+  th, td { padding: 3px 6px; white-space: normal; overflow-wrap: break-word; }
+  .printed { display: block; width: 100%; }
+  .printed + div { display: none; }
+}
 """
 
-# no mode bar: it lies over the legend; a double click shows the whole figure again
+# No mode bar: it lies over the legend; a double click shows the whole figure again.
+# Paper is narrower than a window (PAPER: what A4 leaves between the margins, px). A figure that names its least width
+# (`meta.width`) would be cut, and one in space, which the graphics card draws, prints empty: those have a picture
+# to print. `data-drawn` tells who prints by himself that all is there.
 _SCRIPT = """
 const figures = JSON.parse(document.getElementById("figures").textContent);
-for (const [id, figure] of Object.entries(figures)) {
-  Plotly.newPlot(id, figure.data, figure.layout, { displayModeBar: false, responsive: true });
+const PAPER = 680;
+const flat = ([, { layout }]) => !layout.meta;
+async function draw([id, figure]) {
+  await Plotly.newPlot(id, figure.data, figure.layout, { displayModeBar: false, responsive: true });
+  if (flat([id, figure])) return;
+  const picture = new Image();
+  picture.className = "printed";
+  picture.alt = "";
+  const { scene, meta, height } = figure.layout;
+  const format = scene ? "png" : "svg";
+  picture.src = await Plotly.toImage(id, { format, width: meta.width, height, scale: scene ? 2 : 1 });
+  await picture.decode();
+  document.getElementById(id).before(picture);
 }
+const widths = (width) => {
+  for (const [id] of Object.entries(figures).filter(flat)) Plotly.relayout(id, { width, autosize: !width });
+};
+addEventListener("beforeprint", () => widths(PAPER));
+addEventListener("afterprint", () => widths(undefined));
+Promise.all(Object.entries(figures).map(draw)).then(() => { document.documentElement.dataset.drawn = ""; });
 """
 
 
@@ -68,6 +118,11 @@ class Page:
         """Large values with their names beneath."""
         cells = "".join(f"<div><b>{escape(value)}</b><span>{escape(name)}</span></div>" for value, name in facts)
         self._body.append(f'<div class="facts">{cells}</div>')
+
+    def facts_table(self, facts: Iterable[tuple[str, str]]) -> None:
+        """Names and what is told of them, which may be long."""
+        rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(told)}</td></tr>" for name, told in facts)
+        self._body.append(f'<div class="card"><table class="told"><tbody>{rows}</tbody></table></div>')
 
     def table(self, head: Iterable[str], rows: Iterable[Sequence[str]], first: str = "") -> None:
         """Plain text in rows; `first`: CSS class of the first column."""

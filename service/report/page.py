@@ -5,7 +5,8 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
-from service.identification.analysis_document import analyses_from
+from service.identification.estimates.analysis_document import analyses_from
+from service.identification.model.certainty import UNSURE, not_for_use
 from service.report import figures, initial_analysis
 from service.report.content import Axis, Content, Document, axes_of
 from service.report.diagnosis import diagnosis_section
@@ -16,18 +17,23 @@ from service.robot import Robot
 def render(content: Content) -> str:
     """The whole report; deterministic for equal content. About 5 MB, nearly all of it plotly.js."""
     page = Page()
-    axes = axes_of(content)
     page.add(f"<h1>{escape(content.title)}</h1>", f'<p class="lead">{escape(content.subtitle)}</p>')
+    estimate_sections(page, content)
+    if content.diagnosis is not None:
+        diagnosis_section(page, content.diagnosis)
+    return page.html(content.title)
+
+
+def estimate_sections(page: Page, content: Content) -> None:
+    """All that an estimate tells, from the facts to the base parameters."""
+    axes = axes_of(content)
     _facts(page, content, axes)
-    _initial_analysis(page, content.robot, content.estimate.get("analysis", {}))
+    analysis_section(page, content.robot, content.estimate.get("analysis", {}))
     _inertias(page, content, axes)
     _accuracy(page, content, axes)
     _convergence(page, content)
     _example(page, content)
     _parameters(page, content)
-    if content.diagnosis is not None:
-        diagnosis_section(page, content.diagnosis)
-    return page.html(content.title)
 
 
 def render_analysis(robot: Robot, analysis: Document) -> str:
@@ -35,11 +41,12 @@ def render_analysis(robot: Robot, analysis: Document) -> str:
     title = f"Initial analysis of the robot {robot.name}"
     page = Page()
     page.add(f"<h1>{escape(title)}</h1>")
-    _initial_analysis(page, robot, analysis)
+    analysis_section(page, robot, analysis)
     return page.html(title)
 
 
-def _initial_analysis(page: Page, robot: Robot, analysis: Document) -> None:
+def analysis_section(page: Page, robot: Robot, analysis: Document) -> None:
+    """Of "analysis" of an estimate's document; nothing where it is empty."""
     analyses = analyses_from(analysis)
     if not analyses:
         return
@@ -158,10 +165,16 @@ def _parameters(page: Page, content: Content) -> None:
             entry.get("symbolic", entry["name"]),
             f"{entry['value']:.5g}",
             "–" if entry["std"] is None else f"{entry['std']:.2g}",
+            not_for_use(entry),
         ]
         for entry in content.estimate["base_parameters"]
     ]
-    page.table(["parameter", "value", "± std"], rows, "name")
+    page.table(["parameter", "value", "± std", "not for use"], rows, "name")
+    if any(row[-1] for row in rows):
+        page.add(
+            f"<p>Not for use: a value whose standard deviation is more than {100 * UNSURE:.0f} % of it, or that the "
+            "data tell no better than the CAD model does, which then stands here.</p>"
+        )
     symbols: dict[str, Any] = content.estimate.get("symbols", {})  # stored before there were words: none
     for symbol, of in symbols.items():
         page.add(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import BadInput
-from service.identification.speed_loop import LoopFit, fit_closed_loop, fit_torque_response
+from service.identification.spectra.speed_loop import LoopFit, fit_closed_loop, fit_torque_response
 from service.sinumerik.measurement import Measurement
 from service.sinumerik.signals import GAIN, PARAMETERS, Quantity
 from service.sinumerik.tuning import Tuning

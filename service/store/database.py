@@ -11,7 +11,8 @@ from sqlalchemy import Connection, Engine, create_engine, event, make_url
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import ConnectionPoolEntry
 
-_BUSY_TIMEOUT = 30.0  # s to wait for another writer
+BUSY_TIMEOUT = 30.0  # s to wait for another writer
+MIGRATIONS = Path(__file__).parent / "migrations"
 
 
 class Database:
@@ -50,7 +51,7 @@ def open_database(url: str) -> Generator[Database]:
     sqlite = parsed.get_backend_name() == "sqlite"
     if sqlite and parsed.database:
         Path(parsed.database).parent.mkdir(parents=True, exist_ok=True)
-    engine = create_engine(parsed, connect_args={"timeout": _BUSY_TIMEOUT} if sqlite else {})
+    engine = create_engine(parsed, connect_args={"timeout": BUSY_TIMEOUT} if sqlite else {})
     if sqlite:
         event.listen(engine, "connect", _configure_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
@@ -70,7 +71,7 @@ def migrate(engine: Engine) -> None:
 def alembic_config(connection: Connection) -> Config:
     """Alembic's configuration for the migrations in this package, on an open connection."""
     config = Config()
-    config.set_main_option("script_location", str(Path(__file__).parent / "migrations").replace("%", "%%"))
+    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
     config.set_main_option("path_separator", "os")
     config.attributes["connection"] = connection
     return config
@@ -78,7 +79,7 @@ def alembic_config(connection: Connection) -> Config:
 
 def _configure_sqlite(connection: sqlite3.Connection, _: ConnectionPoolEntry) -> None:
     connection.isolation_level = None  # we say BEGIN ourselves: see _begin_sqlite
-    connection.execute(f"PRAGMA busy_timeout = {int(_BUSY_TIMEOUT * 1000)}")
+    connection.execute(f"PRAGMA busy_timeout = {int(BUSY_TIMEOUT * 1000)}")
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("PRAGMA synchronous = FULL")
     connection.execute("PRAGMA foreign_keys = ON")

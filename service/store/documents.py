@@ -3,6 +3,8 @@
 The states stand here because rows hold them; which state may follow which is the table in `service.campaigns.session`.
 """
 
+import hashlib
+import json
 from collections.abc import Mapping
 from datetime import datetime
 from enum import Enum
@@ -76,6 +78,10 @@ class RobotDocument(_Document):
 
     def build(self) -> Robot:
         return build_robot(self.description, self.urdf_text, f"robot {self.id}")
+
+    @property
+    def sha256(self) -> str:
+        return robot_sha256(self.description, self.urdf_text)
 
 
 class PlanRecord(_Document):
@@ -184,3 +190,9 @@ class SpectrumRecord(_Document):
 
     path: str
     sha256: str
+
+
+def robot_sha256(description: RobotDescription, urdf_text: str) -> str:
+    """Of description and URDF: the same content has the same one."""
+    content = json.dumps([description.model_dump(mode="json"), urdf_text], sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()

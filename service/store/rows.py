@@ -17,6 +17,7 @@ from service.store.documents import (
     EventKind,
     NewSweep,
     PlanRecord,
+    RecordingDocument,
     RobotDocument,
     SweepDocument,
     SweepState,
@@ -128,6 +129,18 @@ def sweep_document(row: t.SweepRow) -> SweepDocument:
         state=row.state,
         cause=row.cause,
         attempt=row.attempt,
+    )
+
+
+def recording_document(row: t.RecordingRow, campaign_id: int, number: int) -> RecordingDocument:
+    return RecordingDocument(
+        campaign_id=campaign_id,
+        number=number,
+        attempt=row.attempt,
+        state=row.state,
+        path=row.path,
+        sha256=row.sha256,
+        samples=row.samples,
     )
 
 

@@ -5,8 +5,6 @@ Raises `NotFound` for what is not there, `Conflict` (from a move) for what does 
 A page of a list is what has an id (number, revision) above `after`, in that order, at most `limit`.
 """
 
-import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 
@@ -34,6 +32,7 @@ from service.store.documents import (
     SpectrumRecord,
     SweepDocument,
     SweepState,
+    robot_sha256,
 )
 
 CampaignMove = Callable[[CampaignState], CampaignState]
@@ -55,8 +54,7 @@ class Store:
     def add_robot(self, robot: Robot) -> RobotDocument:
         """The same content gives the same row."""
         description = robot.description.model_dump(mode="json")
-        content = json.dumps([description, robot.urdf_text], sort_keys=True)
-        sha256 = hashlib.sha256(content.encode()).hexdigest()
+        sha256 = robot_sha256(robot.description, robot.urdf_text)
         with self._database.write() as session:
             row = session.scalar(select(t.RobotRow).where(t.RobotRow.sha256 == sha256))
             if row is None:
@@ -135,15 +133,19 @@ class Store:
             )
             if row is None:
                 raise NotFound(f"campaign {campaign_id} sweep {number} has no recording")
-            return RecordingDocument(
-                campaign_id=campaign_id,
-                number=number,
-                attempt=row.attempt,
-                state=row.state,
-                path=row.path,
-                sha256=row.sha256,
-                samples=row.samples,
-            )
+            return rows.recording_document(row, campaign_id, number)
+
+    def recordings(self, campaign_id: int) -> dict[int, RecordingDocument]:
+        """Of every sweep that has one, by number: that of its latest attempt."""
+        query = (
+            select(t.RecordingRow, t.SweepRow.number)
+            .join(t.SweepRow, t.SweepRow.id == t.RecordingRow.sweep_id)
+            .where(t.SweepRow.campaign_id == campaign_id)
+            .order_by(t.SweepRow.number, t.RecordingRow.attempt)
+        )
+        with self._database.read() as session:
+            found = session.execute(query).all()
+            return {number: rows.recording_document(row, campaign_id, number) for row, number in found}
 
     def spectra(self, campaign_id: int) -> tuple[SpectrumRecord, ...]:
         """Of the identified sweeps, by number."""
@@ -199,6 +201,16 @@ class Store:
         query = rows.estimates_of(campaign_id).where(t.EstimateRow.revision > after).order_by(t.EstimateRow.revision)
         with self._database.read() as session:
             return tuple(rows.estimate_document(*found) for found in session.execute(query.limit(limit)))
+
+    def base_parameters(self, campaign_id: int, revisions: Sequence[int]) -> dict[int, JsonValue]:
+        """ "base_parameters" of these revisions; the rest of their documents, which is large, is not read."""
+        query = (
+            select(t.EstimateRow.revision, t.EstimateRow.document["base_parameters"])
+            .where(t.EstimateRow.campaign_id == campaign_id, t.EstimateRow.revision.in_(revisions))
+            .order_by(t.EstimateRow.revision)
+        )
+        with self._database.read() as session:
+            return dict(session.execute(query).all())
 
     # campaigns and sweeps: write
 

@@ -253,3 +253,25 @@ class StopRow(Base):
     at: Mapped[datetime] = mapped_column(default=now)
     reset_by: Mapped[str | None]
     reset_at: Mapped[datetime | None]
+
+
+class ApiKeyRow(Base):
+    """A name is given once, so that the audit tells who it was."""
+
+    __tablename__ = "api_key"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(String(100), unique=True)
+    role: Mapped[str] = mapped_column(String(16))
+    sha256: Mapped[str] = mapped_column(String(64), unique=True)
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    expires_at: Mapped[datetime]
+    revoked_at: Mapped[datetime | None]
+
+
+class AuditRow(Base):
+    """Append-only, a trigger refuses the rest. `entry` is canonical JSON; `sha256` is in `service.people.chain`."""
+
+    __tablename__ = "audit"
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    entry: Mapped[str]
+    sha256: Mapped[str] = mapped_column(String(64))

@@ -5,6 +5,7 @@ from contextlib import asynccontextmanager
 
 from service.worker.jobs import CheckJob, DiagnosisJob, Job, RecordedSweep, Result, Work
 from service.worker.process import WorkerProcess
+from service.worker.report_job import ReportJob
 from service.worker.worker import JobFailed, Worker, WorkerLost, work
 
 __all__ = [
@@ -13,6 +14,7 @@ __all__ = [
     "Job",
     "JobFailed",
     "RecordedSweep",
+    "ReportJob",
     "Result",
     "Work",
     "Worker",

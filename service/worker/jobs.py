@@ -14,16 +14,16 @@ from pydantic import JsonValue
 
 from service.data_check import check, findings_document
 from service.diagnosis import axis_document, diagnose_axis, started_from
-from service.diagnosis.calibration import Weighed
-from service.diagnosis.parameters import Parameter
+from service.diagnosis.fit.calibration import Weighed
+from service.diagnosis.fit.parameters import Parameter
 from service.estimation import estimate_document, spectrum_from, sweep_spectrum
-from service.identification.analysis_document import analyses_from
-from service.identification.known_effects import known_effects
-from service.identification.torque_gain import KnownMass
+from service.identification.axis.known_effects import known_effects
+from service.identification.estimates.analysis_document import analyses_from
+from service.identification.estimates.torque_gain import KnownMass
 from service.recording import Sweep, SweepSpec
 from service.robot import RobotDescription, build_robot
-from service.store.columns import read_columns
-from service.store.spectra import SpectrumFile, read_spectrum
+from service.store.files.columns import read_columns
+from service.store.files.spectra import SpectrumFile, read_spectrum
 
 Answer = TypeVar("Answer", covariant=True)
 

@@ -14,7 +14,7 @@ import signal
 import threading
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing.connection import Connection
@@ -24,7 +24,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 import structlog
 
 from service.worker.jobs import Answer, Work
-from service.worker.worker import JobFailed, Worker, work
+from service.worker.worker import JobFailed, Worker, give_way, work
 
 _log = structlog.get_logger(__name__)
 
@@ -63,6 +63,9 @@ class _Process:
         process = context.Process(target=_serve, args=(theirs,), name="worker", daemon=True)
         with _environment(_ONE_THREAD):
             process.start()
+        if process.pid is not None:
+            with suppress(ProcessLookupError):  # it ended at once: who hears its pipe is told
+                give_way(process.pid)  # from its first import on, which alone takes seconds of a processor
         theirs.close()
         return cls(process, ours)
 

@@ -52,8 +52,13 @@ class Worker(ABC):
                 await asyncio.sleep(_AGAIN)
 
 
-def work(job: Work[Answer]) -> Answer:
-    """Do a job. Runs in the worker process, which gives way to the one that streams set-points."""
+def give_way(process: int = 0) -> None:
+    """A worker (by process id, 0: this one) gives way to the process that streams set-points."""
     if sys.platform != "win32":
-        os.setpriority(os.PRIO_PROCESS, 0, _NICE)
+        os.setpriority(os.PRIO_PROCESS, process, _NICE)
+
+
+def work(job: Work[Answer]) -> Answer:
+    """Do a job. Runs in the worker process."""
+    give_way()
     return job()

@@ -8,12 +8,12 @@ import struct
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal, cast
+from typing import Annotated, Literal
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from simulator.modbus.signals import ARRAYS, CONSTANT, ELEMENTS, PAGE_RECORD, SIGNALS
+from simulator.yaml_file import parse_yaml, read_text
 
 WordOrder = Literal["high_first", "low_first"]
 WireType = Literal["u16", "i16", "u32", "i32", "f32"]
@@ -143,11 +143,9 @@ class RegisterMap(_Data):
 def load_register_map(path: Path) -> RegisterMap:
     """Read a map. Raises RegisterMapError."""
     try:
-        content = cast(object, yaml.safe_load(path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError) as error:
+        content = parse_yaml(read_text(path))
+    except (OSError, ValueError) as error:
         raise RegisterMapError(f"{path}: cannot be read: {error}") from None
-    except yaml.YAMLError as error:
-        raise RegisterMapError(f"{path}: not YAML: {error}") from None
     try:
         return RegisterMap.model_validate(content)
     except ValidationError as error:

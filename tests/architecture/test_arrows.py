@@ -28,14 +28,19 @@ def test_all_arrows_hold(root: Path) -> None:
         ("simulator/__init__.py", "import drivers.errors", "rooms", "simulator -> drivers.errors"),
         ("drivers/errors.py", "import service.errors", "rooms", "drivers.errors -> service.errors"),
         ("service/store/__init__.py", "import simulator", "rooms", "service.store -> simulator"),
-        ("service/diagnosis/proof.py", "import simulator", "rooms", "service.diagnosis.proof -> simulator"),
+        (
+            "service/diagnosis/model/held_out.py",
+            "import simulator",
+            "rooms",
+            "service.diagnosis.model.held_out -> simulator",
+        ),
         ("service/campaigns/__init__.py", "import drivers.registry", "rooms", "service.campaigns -> drivers.registry"),
         ("service/errors.py", "import service.store", "floors", "service.errors -> service.store"),
         (
-            "service/identification/regressor.py",
+            "service/identification/model/regressor.py",
             "import time",
             "mathematics",
-            "service.identification.regressor -> time",
+            "service.identification.model.regressor -> time",
         ),
         ("service/data_check/check.py", "import time", "mathematics", "service.data_check.check -> time"),
         (
@@ -46,6 +51,7 @@ def test_all_arrows_hold(root: Path) -> None:
         ),
         ("service/urdf.py", "import pathlib", "mathematics", "service.urdf -> pathlib"),
         ("service/campaigns/session.py", "import scipy", "motion", "service.campaigns.session -> scipy"),
+        ("drivers/registry.py", "import drivers.contract", "contract", "drivers.registry -> drivers.contract"),
         ("service/hmi/__init__.py", "import service.store", "page", "service.hmi -> service.store"),
     ],
 )

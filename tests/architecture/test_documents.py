@@ -15,7 +15,7 @@ import pytest
 
 from service.cli import build
 from service.configuration import read_robot, read_yaml
-from service.trace_import import Mapping
+from service.traces.trace_import import Mapping
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])

@@ -13,8 +13,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from service.campaigns.plan import PlanRequest, build_plan
 from service.errors import BadInput
+from service.planning.plan import PlanRequest, build_plan
 from tests.makers_robots import MAKERS, Maker, completed
 
 RESULT = Path(__file__).parent / "results" / "makers_planning.json"

@@ -15,13 +15,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from service.cell import read_cell
-from service.collision import CollisionChecker
+from service.geometry.cell import read_cell
+from service.geometry.collision import CollisionChecker
 from service.identification import Estimate, identify
-from service.identification.base_parameters import base_parameters, joint_ranges
-from service.identification.document import rmse_percent
-from service.identification.pose_selection import select_poses
-from service.identification.regressor import lock
+from service.identification.design.pose_selection import select_poses
+from service.identification.estimates.document import rmse_percent
+from service.identification.model.base_parameters import base_parameters, joint_ranges
+from service.identification.model.regressor import lock
 from service.robot import Robot
 from simulator import Scenario, true_inertia
 from tests.numeric.campaign import AXES, CONFIG, SimulatedCampaign, max100, measure_at, scenario_named

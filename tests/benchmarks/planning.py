@@ -19,16 +19,16 @@ from typing import Any
 
 import numpy as np
 
-from service.campaigns.candidates import grid, has_room
-from service.campaigns.envelope import Envelope
-from service.campaigns.observation import observe
-from service.campaigns.plan import PlanRequest, build_plan
-from service.campaigns.travel import order_poses
-from service.cell import Cell, read_cell
 from service.configuration import read_robot
-from service.identification.base_parameters import base_parameters, joint_ranges
-from service.identification.pose_selection import Criterion, choices, select_poses
+from service.geometry.cell import Cell, read_cell
+from service.identification.design.pose_selection import Criterion, choices, select_poses
+from service.identification.model.base_parameters import base_parameters, joint_ranges
+from service.planning.candidates import grid, has_room
+from service.planning.observability import observe
+from service.planning.plan import PlanRequest, build_plan
 from service.robot import Robot
+from service.safety.envelope import Envelope
+from service.safety.travel import order_poses
 from tests.naive_selection import naive_condition
 
 ROOT = Path(__file__).parents[2]

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from service.identification import identify
-from service.identification.base_parameters import base_parameters
-from service.identification.combination import Combination, combine, inertias_of
-from service.identification.estimate import Estimate
-from service.identification.exciting_trajectory import Shape
-from service.identification.whole_base import dynamic_base
+from service.identification.design.exciting_trajectory import Shape
+from service.identification.estimates.combination import Combination, combine, inertias_of
+from service.identification.estimates.estimate import Estimate
+from service.identification.model.base_parameters import base_parameters
+from service.identification.model.whole_base import dynamic_base
 from service.robot import Robot
 from simulator import Scenario, load_scenario, true_inertia
 from tests.numeric.campaign import CONFIG, max100

@@ -10,9 +10,9 @@ from playwright.sync_api import Page, Route, expect
 
 from service.client import ServiceClient
 from service.configuration import read_robot
-from service.diagnosis.design import DesignedSweep, full_design, paper_design
+from service.diagnosis.sensitivity.design import DesignedSweep, full_design, paper_design
 from service.recording import Recording, Sweep
-from service.store.bundle import write_bundle
+from service.store.files.bundle import write_bundle
 from simulator import Scenario, SweepRun, load_scenario, run_sweeps
 from tests.browser.browsing import WITHOUT_BROWSER, browsing
 from tests.system.rest_bench import ROBOT, Service, VirtualMachine, serving, until, virtual_machine

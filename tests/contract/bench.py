@@ -1,27 +1,24 @@
 """A real virtual machine on a real bus for every adapter; the suite itself knows only `DrivePort` and this bench."""
 
-import asyncio
 import json
+import math
 import os
 import signal
 import socket
 import subprocess
 import sys
 import threading
-import time
 import uuid
-from collections.abc import AsyncGenerator, Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, asynccontextmanager, contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
-from drivers.ports import DrivePort, NoiseCommand, SampleBlock, Sine, SweepCommand, SweepMode
+from drivers import contract
+from drivers.ports import DrivePort, NoiseCommand, SweepCommand, SweepMode
 from drivers.registry import load_profile, open_drive
 from simulator.machine import Machine
 from simulator.scenario import load_scenario
@@ -78,24 +75,25 @@ class Virtual:
         return open_drive(self.profile, DRIVES)
 
 
-@dataclass(frozen=True)
-class Bench:
+@dataclass(frozen=True, kw_only=True)
+class Bench(contract.Bench):
     """An adapter on a bus, and what there is to test with it."""
 
+    axis: str = AXIS
+    other: str | None = OTHER
+    position_limits: tuple[float, float] = (-2.96, 2.96)
+    velocity_limit: float = 1.0
+    effort: float = 5000.0
+    slow_effort: tuple[float, float] = (50.0, 400.0)  # Coulomb and viscous friction of axis 1
+    least_effort: float = 100.0
+    sync_period: float = SYNC_PERIOD
+    amplitude: float = 0.0025  # at 4 Hz more than 5 steps of the coarsest position, a Powerball's
+
     adapter: str
-    modes: frozenset[SweepMode]
-    orders: frozenset[str]  # of the control port, as far as this fieldbus can have the fault
     machine: Callable[["Bench"], AbstractContextManager[Virtual]]
-    injects: bool = False  # torque noise
     own_process: bool = True  # which can die
-    exclusive: bool = False  # one host at a time
     vcan: bool = False  # needs a kernel with CAN: runs with --vcan, and then no other does
     alike: bool = False  # differs from another bench in bus or dictionary alone: runs with --every-drive
-
-
-def rate(mode: SweepMode) -> float:
-    """Samples a second of a sweep."""
-    return 1 / SYNC_PERIOD if mode is SweepMode.HOST_STREAMED else 250.0
 
 
 def _profile(name: str, section: str, **changes: object) -> dict[str, object]:
@@ -188,95 +186,53 @@ LASTING: dict[str, dict[str, object]] = {  # what takes an order back
 }
 
 
-def _other_maker(dictionary: str, bus: str = "virtual", *, alike: bool = False) -> Bench:
-    machine = partial(_foreign, dictionary=dictionary, bus=bus)
-    return Bench("canopen-402", STREAMED, FOREIGN_ORDERS, machine, own_process=False, exclusive=True, alike=alike)
+def _canopen(machine: Callable[[Bench], AbstractContextManager[Virtual]], **more: Any) -> Bench:
+    return Bench(
+        adapter="canopen",
+        modes=BOTH,
+        orders=CAN_ORDERS,
+        machine=machine,
+        injects=True,
+        exclusive=True,
+        load_encoder=True,
+        **more,
+    )
 
+
+def _modbus(machine: Callable[[Bench], AbstractContextManager[Virtual]], **more: Any) -> Bench:
+    return Bench(adapter="modbus", modes=DRIVE_SIDE, orders=ORDERS, machine=machine, load_encoder=True, **more)
+
+
+def _other_maker(dictionary: str, bus: str = "virtual", **more: Any) -> Bench:
+    return Bench(
+        adapter="canopen-402", modes=STREAMED, orders=FOREIGN_ORDERS, exclusive=True, own_process=False,
+        machine=partial(_foreign, dictionary=dictionary, bus=bus), **more,
+    )  # fmt: skip
+
+
+STEPS = 5.01  # of the position unit in an amplitude, with what a conversion rounds
 
 BENCHES: dict[str, Bench] = {
-    "canopen-socketcand": Bench("canopen", BOTH, CAN_ORDERS, _over_socketcand, injects=True, exclusive=True),
-    "canopen-virtual": Bench(
-        "canopen", BOTH, CAN_ORDERS, in_one_process, injects=True, own_process=False, exclusive=True
-    ),
-    "canopen-vcan": Bench("canopen", BOTH, CAN_ORDERS, _over_vcan, injects=True, exclusive=True, vcan=True),
+    "canopen-socketcand": _canopen(_over_socketcand),
+    "canopen-virtual": _canopen(in_one_process, own_process=False),
+    "canopen-vcan": _canopen(_over_vcan, vcan=True),
     "plain-virtual": _other_maker("plain"),
     "plain-socketcand": _other_maker("plain", "socketcand", alike=True),
     "epos4-virtual": _other_maker("epos4"),  # these two read ../shared
     "gold-virtual": _other_maker("gold", alike=True),
-    "modbus-tcp": Bench("modbus", DRIVE_SIDE, ORDERS, _over_modbus_tcp),
-    "modbus-rtu": Bench("modbus", DRIVE_SIDE, ORDERS, _over_modbus_rtu, exclusive=True),
+    "simpliq-virtual": _other_maker("simpliq", least_sine=STEPS * math.tau / (8192 * 171), alike=True),  # axis 1's gear
+    "powerball-virtual": _other_maker("powerball", least_sine=STEPS * math.radians(1e-3), alike=True),
+    "modbus-tcp": _modbus(_over_modbus_tcp),
+    "modbus-rtu": _modbus(_over_modbus_rtu, exclusive=True),
 }
+ANY = BENCHES["canopen-virtual"]  # the axis and its sweeps are those of every bench
 
 
 async def sweep(port: DrivePort, mode: SweepMode, periods: int = 2, **changes: object) -> SweepCommand:
     """A short sweep of `AXIS` from where it stands, with a window around that."""
-    start = (await port.status())[AXIS].position
-    fields: dict[str, object] = {
-        "joint": AXIS,
-        "mode": mode,
-        "offset_velocity": 0.0105,
-        "sines": (Sine(2.0, 0.002, 0.3), Sine(4.0, 0.002, 1.1)),
-        "period": 0.5,
-        "periods": periods,
-        "ramp": 0.2,
-        "settle": 0.2,
-        "sample_rate": rate(mode),
-        "velocity_limit": 0.05,
-        "effort_limit": 5000.0,
-        "position_window": (start - 0.5, start + 0.5),
-    }
-    return SweepCommand(**(fields | changes))  # pyright: ignore[reportArgumentType]
+    return await ANY.sweep(port, mode, periods, **changes)
 
 
 async def noise(port: DrivePort, periods: int = 4, **changes: object) -> NoiseCommand:
     """A short noise run of `AXIS` from where it stands, 2 % of rated torque from 2 to 40 Hz."""
-    start = (await port.status())[AXIS].position
-    fields: dict[str, object] = {
-        "joint": AXIS,
-        "offset_velocity": 0.0105,
-        "effort": 60.0,
-        "lowest": 2.0,
-        "highest": 40.0,
-        "period": 0.5,
-        "periods": periods,
-        "seed": 7,
-        "softening": 0.5,
-        "ramp": 0.2,
-        "settle": 0.2,
-        "sample_rate": 250.0,
-        "velocity_limit": 0.1,
-        "effort_limit": 5000.0,
-        "position_window": (start - 0.5, start + 0.5),
-    }
-    return NoiseCommand(**(fields | changes))  # pyright: ignore[reportArgumentType]
-
-
-async def consume(
-    port: DrivePort, command: SweepCommand | NoiseCommand, each: Callable[[SampleBlock], object] = lambda _: None
-) -> None:
-    """Run a sweep or noise to its end, calling `each` with every block."""
-    run = port.run_noise(command) if isinstance(command, NoiseCommand) else port.run_sweep(command)
-    async for block in run:
-        each(block)
-
-
-@asynccontextmanager
-async def closing(port: DrivePort) -> AsyncGenerator[DrivePort]:
-    """Closed in any case: an open one is the trouble of every test after it."""
-    try:
-        yield port
-    finally:
-        await port.close()
-
-
-async def eventually(condition: Callable[[], bool], within: float = 20.0) -> None:
-    """Wait for a condition, s."""
-    deadline = time.monotonic() + within
-    while not condition():
-        assert time.monotonic() < deadline, "condition never came true"
-        await asyncio.sleep(0.01)
-
-
-def column(blocks: list[SampleBlock], name: str) -> NDArray[np.float64]:
-    """One column of all blocks."""
-    return np.concatenate([getattr(block, name) for block in blocks])
+    return await ANY.noise(port, periods, **changes)

@@ -1,27 +1,21 @@
 """The fixtures of the contract suite: every adapter on every bus. What a bench lacks is no test of it, and no skip.
 
-A test that asks for `mode` runs once for every sweep mode. Marks say what a test needs of its bench:
-
-- ``adapter(name)``: this adapter
-- ``has(mode)``: this sweep mode; ``missing``: not the mode of `mode`
-- ``injects(yes)``: a drive that makes torque noise, or one that does not
-- ``orders(name, ...)``: these orders of the control port
-- ``exclusive(yes)``: a bus or line that takes one host at a time, or one that takes several
+Of marks there is one, ``adapter(name)``: a test of this adapter alone. All else is said by `drivers.contract.needs`.
 """
 
-import asyncio
-import threading
 from collections.abc import AsyncIterator, Iterator
+from typing import cast
 
 import pytest
 
+from drivers.contract import lacking
+from drivers.contract.suite import connected_port
 from drivers.ports import DrivePort, SweepMode
 from tests.contract.bench import BENCHES, Virtual
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    for marker in ("adapter(name)", "has(mode)", "missing", "injects(yes)", "orders(*names)", "exclusive(yes)"):
-        config.addinivalue_line("markers", f"{marker}: see tests/contract/conftest.py")
+    config.addinivalue_line("markers", "adapter(name): see tests/contract/conftest.py")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -34,17 +28,13 @@ def _exists(item: pytest.Item, vcan: bool, every: bool) -> bool:
     name = given.get("virtual", given.get("mortal"))
     if name is None:
         return not vcan or "vcan" in item.path.parts
-    bench, marks = BENCHES[name], {mark.name: mark.args for mark in reversed(list(item.iter_markers()))}
+    bench, adapter = BENCHES[name], item.get_closest_marker("adapter")
     return (
         bench.vcan is vcan
         and (every or not bench.alike)
         and (bench.own_process or "mortal" not in given)
-        and ("mode" not in given or (given["mode"] in bench.modes) is ("missing" not in marks))
-        and marks.get("adapter", (bench.adapter,)) == (bench.adapter,)
-        and bench.modes.issuperset(marks.get("has", ()))
-        and bench.orders.issuperset(marks.get("orders", ()))
-        and marks.get("injects", (bench.injects,)) == (bench.injects,)
-        and marks.get("exclusive", (bench.exclusive,)) == (bench.exclusive,)
+        and (adapter is None or adapter.args == (bench.adapter,))
+        and not lacking(cast("pytest.Function", item).function, bench, given.get("mode"))
     )
 
 
@@ -72,14 +62,5 @@ def mortal(request: pytest.FixtureRequest) -> Iterator[Virtual]:
 @pytest.fixture
 async def port(virtual: Virtual) -> AsyncIterator[DrivePort]:
     """Connected, every fault acknowledged; closed afterwards with the machine's disturbances taken back."""
-    connected = virtual.open()
-    await connected.connect()
-    for joint in connected.joints:
-        await connected.acknowledge(joint)
-    yield connected
-    virtual.recover()
-    await connected.close()
-    assert virtual.energised() == []
-    left = {thread.name for thread in threading.enumerate() if thread.name.startswith("can-")}
-    assert not left
-    assert len(asyncio.all_tasks()) == 1
+    async for connected in connected_port(virtual):
+        yield connected

@@ -18,10 +18,11 @@ from drivers.canopen.measuring import ABORT, COMMAND
 from drivers.canopen.objects import Entry
 from drivers.canopen.speed_control import GAIN
 from drivers.cia402.machine import Cia402Machine
+from drivers.contract.bench import closing, consume, eventually
 from drivers.errors import MotionForbidden, WrongConfiguration, WrongIdentity
 from drivers.ports import AxisState, DrivePort, SweepMode
 from drivers.registry import open_drive
-from tests.contract.bench import AXIS, DRIVES, SYNC_PERIOD, Virtual, closing, consume, eventually, noise, sweep
+from tests.contract.bench import AXIS, DRIVES, SYNC_PERIOD, Virtual, noise, sweep
 
 pytestmark = pytest.mark.adapter("canopen")
 
@@ -105,7 +106,7 @@ async def test_drives_that_do_not_fit_the_profile(
 
 async def test_connect_disables_what_a_dead_host_left_enabled(port: DrivePort, virtual: Virtual) -> None:
     await port.enable(AXIS)
-    link_of(port).heart.cancel()  # nobody misses it yet
+    await link_of(port).close()  # nobody misses it yet; a living one would ask its axes beside the second host
     async with closing(virtual.open()) as second:
         await second.connect()
         assert virtual.energised() == []

@@ -11,10 +11,12 @@ from typing import cast
 
 import pytest
 
+from drivers.contract.bench import closing, consume
+from drivers.contract.needs import needs
 from drivers.errors import CommunicationLost
 from drivers.ports import AxisState, SweepMode
 from drivers.registry import open_drive
-from tests.contract.bench import AXIS, DRIVES, ROOT, Virtual, closing, consume, sweep
+from tests.contract.bench import AXIS, DRIVES, ROOT, Virtual, sweep
 
 HOST = """
 import asyncio, json, sys
@@ -59,7 +61,7 @@ def test_axes_stand_after_the_host_was_killed(mortal: Virtual, mode: SweepMode) 
     assert mortal.truth()["velocity"] == pytest.approx(0.0, abs=1e-3)
 
 
-@pytest.mark.injects(True)
+@needs(injects=True)
 def test_the_drive_restores_its_speed_control_after_the_host_was_killed_in_a_noise_run(mortal: Virtual) -> None:
     command = [sys.executable, "-c", HOST, json.dumps(mortal.profile), str(DRIVES), "noise"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as host:
@@ -74,7 +76,7 @@ def test_the_drive_restores_its_speed_control_after_the_host_was_killed_in_a_noi
     assert after["softened"] is False
 
 
-@pytest.mark.injects(True)
+@needs(injects=True)
 def test_connect_restores_the_speed_control_that_a_killed_host_left_soft(
     mortal: Virtual, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -132,7 +134,7 @@ async def test_a_machine_that_dies_is_lost_communication(mortal: Virtual, mode: 
     assert len(asyncio.all_tasks()) == 1
 
 
-@pytest.mark.has(SweepMode.HOST_STREAMED)
+@needs(modes={SweepMode.HOST_STREAMED})
 def test_a_busy_moment_of_the_machine_or_the_host_ends_no_streamed_sweep(mortal: Virtual) -> None:
     """Both share a computer, and neither it nor its owner says when it is busy.
 

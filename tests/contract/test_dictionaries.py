@@ -9,10 +9,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from drivers.contract.bench import column, consume
 from drivers.errors import BadProfile, DriveFault, EnvelopeLeft, LimitExceeded, NotReady, WrongIdentity
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
 from drivers.registry import open_drive
-from tests.contract.bench import AXIS, BENCHES, DRIVES, EDS, Virtual, column, consume, in_one_process, noise, sweep
+from tests.contract.bench import AXIS, BENCHES, DRIVES, EDS, Virtual, in_one_process, noise, sweep
 
 FULL, BARE, RPM = EDS, EDS.with_stem("virtual-axis-no-limits"), EDS.with_stem("virtual-axis-rpm")
 

@@ -1,4 +1,4 @@
-"""Torque noise: what every `DrivePort` that injects it must do, and what the others answer."""
+"""Torque noise: what every `DrivePort` that injects it must do; its numbers are those of the virtual machine's axis."""
 
 import asyncio
 from contextlib import suppress
@@ -7,32 +7,20 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from drivers.errors import DriveFault, EnvelopeLeft, LimitExceeded, NotReady, SweepInterrupted, SweepRejected
+from drivers.contract.bench import closing, column, consume, eventually
+from drivers.contract.needs import needs
+from drivers.errors import DriveFault, EnvelopeLeft, LimitExceeded, SweepInterrupted, SweepRejected
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
-from tests.contract.bench import AXIS, Virtual, closing, column, consume, eventually, noise, sweep
+from tests.contract.bench import AXIS, Virtual, noise, sweep
 
 # interrupted on its way: 80 s of a slow turn, 4 s of a machine at 20 times real time
 LONG: dict[str, object] = {"periods": 160, "offset_velocity": 0.005}
 
-injecting = pytest.mark.injects(True)
+injecting = needs(injects=True)
 
 
 def excitation(blocks: list[SampleBlock]) -> np.ndarray:
     return np.concatenate([block.excitation_effort for block in blocks if block.excitation_effort is not None])
-
-
-async def test_the_ability_is_told(port: DrivePort, virtual: Virtual) -> None:
-    assert port.capabilities.torque_injection is virtual.bench.injects
-
-
-@pytest.mark.injects(False)
-async def test_noise_is_refused_before_moving_where_there_is_none(port: DrivePort, virtual: Virtual) -> None:
-    await port.enable(AXIS)
-    before = virtual.truth()["position"]
-    with pytest.raises(NotReady, match="torque noise is not supported by this drive"):
-        await consume(port, await noise(port))
-    assert virtual.truth()["position"] == pytest.approx(before, abs=1e-4)
-    assert (await port.status())[AXIS].state is AxisState.ENABLED
 
 
 @injecting

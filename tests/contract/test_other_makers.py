@@ -12,16 +12,18 @@ import numpy as np
 import pytest
 import yaml
 
-from drivers.errors import SweepInterrupted
+from drivers.contract.bench import closing, column, consume
+from drivers.errors import LimitExceeded, SweepInterrupted
 from drivers.ports import AxisState, DrivePort, SampleBlock, Sine, SweepCommand, SweepMode
 from drivers.registry import open_drive
 from service.robot import Robot
 from tests.benchmarks.sweeps import LINES, MOVING, PERIOD, PERIODS, POSE, SHARE, Run, command, compare, move, robot, run
-from tests.contract.bench import AXIS, BENCHES, DRIVES, SYNC_PERIOD, closing, column, consume, in_one_process
+from tests.contract.bench import AXIS, BENCHES, DRIVES, SYNC_PERIOD, in_one_process
 from tests.contract.makers import profile
 from tests.foreign_bench import bench
 
-TRAVEL = 0.3  # rad: a line must be 20 steps of a Powerball's position
+TRAVEL = 0.3  # rad: a line is then more than 20 steps of a Powerball's position
+STEP = float(np.radians(1e-3))  # rad, of a Powerball's position
 WAYS = {
     "plain": "cyclic_velocity (60FFh)",
     "epos4": "cyclic_velocity (60FFh)",
@@ -90,6 +92,38 @@ async def test_a_streamed_sweep_gives_the_inertia_of_the_virtual_drives_own(
         )
         assert abs(bias) <= 2 * found.std / found.drive_side  # within the interval that one sweep states
         assert abs(bias) <= 3e-3 + 2 * found.difference_std / found.drive_side  # no more bias than 0.3 % and noise
+
+
+def small(robot: Robot, joint: str, steps: float) -> SweepCommand:
+    """A streamed sweep as a usual plan has it, each line of so many steps of a Powerball's position."""
+    usual = command(robot, joint, POSE[joint], True, SweepMode.HOST_STREAMED, 250.0)
+    lines = [replace(sine, amplitude=2 * np.pi * sine.frequency * steps * STEP) for sine in usual.sines]
+    return replace(usual, sines=tuple(lines))
+
+
+async def test_lines_of_five_steps_of_position_still_give_the_inertia(own: Sequence[Run]) -> None:
+    """What rounding adds is motion; a line of fewer steps is refused before anything moves."""
+    with bench("powerball") as foreign:
+        content = profile("powerball", foreign, DRIVES, patient=True, sync_period=0.004)
+        async with closing(open_drive(content, DRIVES)) as port:
+            await port.connect()
+            await move(port, POSE)
+            told = (
+                r"a sine of 8\.55e-05 rad at 3 Hz has fewer than 5 steps of the drive's position unit of 1\.75e-05 rad"
+            )
+            with pytest.raises(LimitExceeded, match=told):
+                await run(port, robot(), [small(robot(), "joint_3", 4.9)], POSE)
+            assert foreign.truth("joint_3")["position"] == pytest.approx(POSE["joint_3"], abs=1e-4)
+            streamed: list[Run] = []
+            for joint in ("joint_1", "joint_3"):
+                await move(port, POSE)
+                streamed.append(await run(port, robot(), [small(robot(), joint, 5.001)], POSE))
+    for joint in ("joint_1", "joint_3"):
+        found = compare(robot(), [*own, *streamed], joint)
+        bias, std = found.streamed / found.drive_side - 1, found.std / found.drive_side
+        print(f"{joint}, lines of 5 steps: {100 * bias:+.3f} %, std of the sweep {100 * std:.3f} %, z {found.z:+.1f}")
+        assert abs(bias) <= 4 * std  # what it states holds; one sweep in 10,000 lies further out
+        assert std < 0.03  # which is one
 
 
 @pytest.mark.parametrize("by", ["stop", "halt"])

@@ -8,8 +8,8 @@ import numpy as np
 import yaml
 
 from service.identification import Spectrum, spectrum
-from service.identification.excitation import design_sweep
-from service.identification.regressor import inertia_rows, lock
+from service.identification.design.excitation import design_sweep
+from service.identification.model.regressor import inertia_rows, lock
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot, RobotDescription, build_robot
 from simulator import Scenario, SweepRun, load_scenario, run_sweeps, true_inertia

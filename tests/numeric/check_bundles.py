@@ -12,7 +12,7 @@ import numpy as np
 
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot, build_robot
-from service.store.bundle import Bundle
+from service.store.files.bundle import Bundle
 from tests.numeric.blind.cases import Case, Design, Kind, scene
 from tests.numeric.blind.effects import CATALOGUE, OUTSIDE, PAIRS
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from service.recording import Array, Sweep
 from service.robot import Robot, build_robot
-from service.store.bundle import Bundle
+from service.store.files.bundle import Bundle
 from tests.numeric.check_bundles import Sound, changed
 
 Random = np.random.Generator

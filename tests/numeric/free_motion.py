@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.signal import lfilter
 
-from service.identification.physical_consistency import pseudo_inertia
+from service.identification.model.physical_consistency import pseudo_inertia
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Axis, Prior, Robot, RobotDescription, build_robot
 from tests.random_chain import random_urdf

@@ -4,11 +4,11 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from service.identification.ideal_frequency import AxisAnalysis
-from service.identification.initial_analysis import analyse
-from service.identification.noise_excitation import design_noise
-from service.identification.noise_response import NoiseSpectrum, noise_spectrum
-from service.identification.regressor import inertia_rows
+from service.identification.axis.ideal_frequency import AxisAnalysis
+from service.identification.design.noise_excitation import design_noise
+from service.identification.estimates.initial_analysis import analyse
+from service.identification.model.regressor import inertia_rows
+from service.identification.spectra.noise_response import NoiseSpectrum, noise_spectrum
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot
 from simulator import DriveTrain, NoiseRun, Scenario, load_scenario, run_sweeps, true_inertia
@@ -40,7 +40,7 @@ class SimulatedAnalysis:
 
     @property
     def true_train(self) -> np.ndarray:
-        """In the order of `service.identification.axis_inertia.DriveTrain`."""
+        """In the order of `service.identification.spectra.axis_inertia.DriveTrain`."""
         train, gear = self.train, self.robot.axis(self.joint).gear_ratio
         motor, load, spring = train.motor_friction.viscous, train.load_friction.viscous, train.spring
         return np.array(

@@ -4,17 +4,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.cell import read_cell
-from service.collision import CollisionChecker
+from service.geometry.cell import read_cell
+from service.geometry.collision import CollisionChecker
 from service.identification import Spectrum, spectrum
-from service.identification.base_parameters import joint_ranges
-from service.identification.combination import Combination
-from service.identification.excitation import design_sweep
-from service.identification.exciting_trajectory import Shape, Trajectory, TrajectoryLimits, design_trajectory
-from service.identification.frequency_response import window
-from service.identification.regressor import inertia_rows
-from service.identification.trajectory_record import TrajectoryRecord, axis_track, trajectory
-from service.identification.whole_base import dynamic_base
+from service.identification.design.excitation import design_sweep
+from service.identification.design.exciting_trajectory import Shape, Trajectory, TrajectoryLimits, design_trajectory
+from service.identification.estimates.combination import Combination
+from service.identification.model.base_parameters import joint_ranges
+from service.identification.model.regressor import inertia_rows
+from service.identification.model.whole_base import dynamic_base
+from service.identification.motion.trajectory_record import TrajectoryRecord, axis_track, trajectory
+from service.identification.spectra.frequency_response import window
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot
 from service.urdf import read_chain

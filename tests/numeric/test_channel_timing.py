@@ -10,9 +10,9 @@ from drivers.ports import ChannelTiming
 from service.channels import align
 from service.errors import BadInput
 from service.identification import identify, spectrum
-from service.identification.channel_timing import ChannelLags, channel_lags
-from service.identification.excitation import LINES, design_sweep
-from service.identification.regressor import inertia_rows, lock
+from service.identification.axis.channel_timing import ChannelLags, channel_lags
+from service.identification.design.excitation import LINES, design_sweep
+from service.identification.model.regressor import inertia_rows, lock
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot
 from simulator import Scenario, SweepRun, load_scenario, run_sweeps, true_inertia

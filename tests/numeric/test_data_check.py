@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from service.data_check import check, untrustworthy
-from service.store.bundle import read_bundle
-from service.trace_import import import_trace
+from service.store.files.bundle import read_bundle
+from service.traces.trace_import import import_trace
 from tests.numeric.check_bundles import Sound, sound
 from tests.numeric.check_faults import FAULTS
 from tests.numeric.check_score import of_sound

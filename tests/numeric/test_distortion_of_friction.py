@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from service.identification import identify, spectrum
-from service.identification.distortion import Distortion
-from service.identification.excitation import Excitation, design_sweep, realisations
+from service.identification.axis.distortion import Distortion
+from service.identification.design.excitation import Excitation, design_sweep, realisations
 from service.recording import Recording, Sweep, SweepSpec
 from simulator import Scenario, SweepRun, run_sweeps
 from simulator.scenario import Stribeck

@@ -3,8 +3,8 @@
 import numpy as np
 import pinocchio as pin
 
-from service.identification.base_parameters import base_parameters
-from service.identification.regressor import inertia_rows
+from service.identification.model.base_parameters import base_parameters
+from service.identification.model.regressor import inertia_rows
 from service.urdf import Chain, read_chain
 from tests.random_chain import random_urdf
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.cli.diagnose import diagnose_bundle
-from service.cli.identify import identify_bundle
+from service.cli.recordings.diagnose import diagnose_bundle
+from service.cli.recordings.identify import identify_bundle
 from service.diagnosis import model_document
-from service.identification.known_effects import known_effects
-from service.store.bundle import read_bundle
+from service.identification.axis.known_effects import known_effects
+from service.store.files.bundle import read_bundle
 
 MEDIAN, MOST = 0.003, 0.01  # of J: error of a single sweep, median and 95th percentile
 SCATTER = 1.3  # standard deviations, RMS

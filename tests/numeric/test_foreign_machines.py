@@ -7,7 +7,7 @@ import pytest
 
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.effects import CATALOGUE
-from service.store.bundle import read_bundle
+from service.store.files.bundle import read_bundle
 
 AT_FLOOR = 1.5  # times the noise floor: most that may be left where all is named
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.cli.identify import identify_bundle
+from service.cli.recordings.identify import identify_bundle
 from service.errors import BadInput
-from service.identification.combination import AxisInertias, Combination, Source, combine
-from service.identification.free_motion import free_motions
-from service.identification.inverse_dynamics import Motion
+from service.identification.estimates.combination import AxisInertias, Combination, Source, combine
+from service.identification.model.inverse_dynamics import Motion
+from service.identification.motion.free_motion import free_motions
 from service.recording import Sweep
-from service.store.bundle import Bundle, read_bundle, write_bundle
+from service.store.files.bundle import Bundle, read_bundle, write_bundle
 from tests.numeric.free_motion import Truth, draw, log, program, wander
 
 ROBOTS = range(100, 124)  # not those on which the method was worked out

@@ -8,8 +8,8 @@ import pinocchio as pin
 import pytest
 
 from service.identification import Estimate, identify
-from service.identification.axis_inertia import DriveTrain, impedance
-from service.identification.regressor import axis_rows
+from service.identification.model.regressor import axis_rows
+from service.identification.spectra.axis_inertia import DriveTrain, impedance
 from simulator import true_inertia
 from tests.numeric.campaign import AXES, SimulatedCampaign, max100, measure
 

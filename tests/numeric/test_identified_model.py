@@ -7,7 +7,7 @@ import pytest
 
 from service.export import IdentifiedModel, identified_model, model_files
 from service.identification import Estimate, as_document, identify
-from service.identification.physical_consistency import is_physical
+from service.identification.model.physical_consistency import is_physical
 from tests.numeric.campaign import AXES, measure
 
 POSES = 40

@@ -11,13 +11,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from service.campaigns.plan import PlanDocument, PlanRequest, build_plan
-from service.cell import Cell
-from service.hull import collision_meshes
+from service.geometry.cell import Cell
+from service.geometry.hull import collision_meshes
 from service.identification import Estimate, identify, spectrum
-from service.identification.regressor import inertia_rows
+from service.identification.model.regressor import inertia_rows
 from service.maker_urdf.meshes import mesh_points
 from service.maker_urdf.packages import Packages
+from service.planning.plan import PlanDocument, PlanRequest, build_plan
 from service.recording import Recording, Sweep
 from service.robot import Robot
 from simulator import (

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.cli.payload import payload_of
+from service.cli.recordings.payload import payload_of
 from service.errors import BadInput
-from service.identification.payload import Payload, body_of, payload
-from service.identification.torque_gain import KnownMass
+from service.identification.estimates.torque_gain import KnownMass
+from service.identification.payloads.payload import Payload, body_of, payload
 from service.recording import Sweep
-from service.store.bundle import Bundle, read_bundle, write_bundle
+from service.store.files.bundle import Bundle, read_bundle, write_bundle
 from simulator import LinkDeviation
 from simulator.scenario import AddedBody
 from tests.command import sweepid

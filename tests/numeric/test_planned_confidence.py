@@ -6,11 +6,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from service.campaigns.plan import PlanDocument, PlanRequest, build_plan, workspace_grid
-from service.cell import read_cell
 from service.estimation import estimate_document
+from service.geometry.cell import read_cell
 from service.identification import identify, spectrum
-from service.identification.pose_selection import Criterion
+from service.identification.design.pose_selection import Criterion
+from service.planning.plan import PlanDocument, PlanRequest, build_plan, workspace_grid
 from service.recording import Recording, Sweep
 from simulator import SweepRun, load_scenario, run_sweeps, true_inertia
 from tests.numeric.campaign import AXES, CONFIG, max100, measure_at, scenario_named

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.cli.identify import identify_bundle
+from service.cli.recordings.identify import identify_bundle
 from service.identification import identify
-from service.identification.combination import Combination, combine, inertias_of
-from service.identification.exciting_trajectory import Shape
+from service.identification.design.exciting_trajectory import Shape
+from service.identification.estimates.combination import Combination, combine, inertias_of
 from service.recording import Sweep
 from service.robot import Robot
-from service.store.bundle import read_bundle, write_bundle
+from service.store.files.bundle import read_bundle, write_bundle
 from simulator import Scenario, load_scenario, true_inertia
 from tests.numeric.campaign import CONFIG, max100
 from tests.numeric.six_axes import (

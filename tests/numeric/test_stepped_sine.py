@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from service.campaigns.analysis_documents import AnalysisPlan, AnalysisRequest
-from service.campaigns.analysis_plan import build_analysis_plan
-from service.cell import read_cell
+from service.geometry.cell import read_cell
 from service.identification import spectrum
-from service.identification.initial_analysis import analyse
+from service.identification.estimates.initial_analysis import analyse
+from service.planning.analysis.documents import AnalysisPlan, AnalysisRequest
+from service.planning.analysis.plan import build_analysis_plan
 from service.recording import Recording, Sweep
 from simulator import SweepRun, load_scenario, run_sweeps, true_inertia
 from tests.numeric.campaign import CONFIG, max100

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from service.store.bundle import write_bundle
+from service.store.files.bundle import write_bundle
 from tests.numeric.campaign import AXES, measure
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from service.errors import BadInput
 from service.identification import Spectrum, as_document, identify, spectrum
-from service.identification.torque_gain import KnownMass, torque_gains
+from service.identification.estimates.torque_gain import KnownMass, torque_gains
 from simulator import LinkDeviation
 from simulator.scenario import AddedBody
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure_at, scenario_named

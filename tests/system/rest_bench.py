@@ -23,6 +23,8 @@ ROBOT = CONFIG / "robots" / "max100-class.yaml"
 SCENARIO = CONFIG / "scenarios" / "max100-full.yaml"
 SWEEPID = str(Path(sys.executable).with_name("sweepid"))
 PATIENCE = 60.0  # s for anything on a busy computer
+PATIENT_LEASE = 30.0  # s, where no service is killed: a disk that others use may take long over a renewal
+SYNC_PERIOD = 0.008  # s: half the rate of the default, which a computer that does other work cannot always keep
 
 
 class Fieldbus(Enum):
@@ -40,7 +42,7 @@ class VirtualMachine:
         self.power_on()
         if fieldbus is Fieldbus.CANOPEN:
             content = yaml.safe_load((CONFIG / "drives" / "virtual-max100.yaml").read_text("utf-8"))
-            content["bus"]["port"] = self._port
+            content["bus"] |= {"port": self._port, "sync_period": SYNC_PERIOD}
             content["eds"] = str(CONFIG / "eds" / "virtual-axis.eds")
         else:
             content = yaml.safe_load((CONFIG / "drives" / "virtual-max100-modbus-tcp.yaml").read_text("utf-8"))
@@ -49,8 +51,13 @@ class VirtualMachine:
         self.profile = folder / "profile.yaml"
         self.profile.write_text(yaml.safe_dump(content), "utf-8")
 
-    def power_on(self) -> None:
-        """Start the drives, on the port they had before if they ran already; returns when they answer."""
+    def power_on(self, scenario: Path | None = None) -> None:
+        """Start the drives, on the port they had before if they ran already; returns when they answer.
+
+        `scenario`: what the machine is from now on.
+        """
+        if scenario is not None:
+            self._command[self._command.index("--scenario") + 1] = str(scenario)
         command = [*self._command, "--port", str(self._port)]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
         ready = json.loads(self._process.stdout.readline() if self._process.stdout else b"")
@@ -82,7 +89,8 @@ class VirtualMachine:
 class Service:
     """`sweepid serve` on a data directory; may be killed and started again."""
 
-    def __init__(self, folder: Path, profile: Path) -> None:
+    def __init__(self, folder: Path, profile: Path, lease_time: float = 6.0) -> None:
+        """`lease_time`: s that a busy disk may take; also what a service that follows on a killed one waits for."""
         self.data = folder / "data"
         self._log = folder / "service.log"
         self._settings = folder / "service.yaml"
@@ -92,6 +100,7 @@ class Service:
             "robots_dir": str(CONFIG / "robots"),
             "cells_dir": str(CONFIG / "cells"),
             "virtual_machine": True,
+            "lease_time": lease_time,
         }
         self._settings.write_text(yaml.safe_dump(settings), "utf-8")
         self._process: subprocess.Popen[bytes] | None = None
@@ -162,8 +171,8 @@ def virtual_machine(
 
 
 @contextmanager
-def serving(folder: Path, profile: Path) -> Iterator[Service]:
-    service = Service(folder, profile)
+def serving(folder: Path, profile: Path, lease_time: float = 6.0) -> Iterator[Service]:
+    service = Service(folder, profile, lease_time)
     service.start()
     try:
         yield service

@@ -12,17 +12,17 @@ import pytest
 import yaml
 
 from drivers.ports import AxisState
-from service.campaigns.plan import PlanRequest, build_plan
-from service.campaigns.trajectory_documents import TrajectoryRequest
-from service.campaigns.trajectory_plan import build_trajectory_plan
-from service.cell import read_cell
-from service.cli.identify import identify_bundle
+from service.cli.recordings.identify import identify_bundle
 from service.estimation import estimate_document
+from service.geometry.cell import read_cell
 from service.identification import spectrum
 from service.lab import Lab, open_lab
+from service.planning.plan import PlanRequest, build_plan
+from service.planning.trajectories.documents import TrajectoryRequest
+from service.planning.trajectories.plan import build_trajectory_plan
 from service.settings import Settings
-from service.store.bundle import read_bundle
 from service.store.documents import CampaignDocument, CampaignState, EventKind, RecordingState, SweepState
+from service.store.files.bundle import read_bundle
 from service.store.guards import MachineTaken
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -52,7 +52,7 @@ def profile(tmp_path: Path, scenario: str, speed_factor: float) -> Iterator[Path
         assert process.stdout is not None
         port = json.loads(process.stdout.readline())["port"]
         content = yaml.safe_load((ROOT / "config/drives/virtual-max100.yaml").read_text())
-        content["bus"]["port"] = port
+        content["bus"] |= {"port": port, "sync_period": 0.008}  # a busy computer keeps up with it
         content["eds"] = str(ROOT / "config/eds/virtual-axis.eds")
         path = tmp_path / "drive.yaml"
         path.write_text(yaml.safe_dump(content))

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from service.store.bundle import read_bundle
+from service.store.files.bundle import read_bundle
 from tests.system.test_rest_campaign import INTERRUPTIBLE
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="interrupts by POSIX signals")

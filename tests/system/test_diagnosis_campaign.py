@@ -10,7 +10,7 @@ import yaml
 from service.client import ServiceClient
 from service.diagnosis import diagnose_axis
 from service.diagnosis.verdict import Verdict
-from service.store.bundle import read_bundle
+from service.store.files.bundle import read_bundle
 from tests.command import sweepid
 from tests.system.rest_bench import CONFIG, Service, VirtualMachine, add_plan, serving, virtual_machine
 

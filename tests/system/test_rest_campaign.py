@@ -13,7 +13,7 @@ import pytest
 from service.client import ServiceClient
 from service.estimation import estimate_document
 from service.identification import spectrum
-from service.store.bundle import read_bundle
+from service.store.files.bundle import read_bundle
 from tests.system.rest_bench import (
     ROBOT,
     Service,
@@ -90,6 +90,13 @@ def test_a_worker_that_is_killed_in_the_middle_changes_nothing(
     latest = client.estimate(campaign)
     assert latest["revision"] == 6
 
+    written = run("report", str(campaign), str(tmp_path / "report.html"), url=service.url)
+    assert (written.returncode, written.stderr) == (0, "")
+    drives = client.drives()["axes"]
+    page = (tmp_path / "report.html").read_text("utf-8").partition("<main>")[2].partition("</main>")[0]
+    for drive in drives:
+        row = [drive["joint"], drive["identity"]["address"], str(drive["identity"]["serial"])]
+        assert all(f">{cell}</td>" in page for cell in row), row
     exported = run("export", str(campaign), str(tmp_path / "bundle"), url=service.url)
     assert (exported.returncode, exported.stderr) == (0, "")
     bundle = read_bundle(tmp_path / "bundle")

@@ -5,10 +5,11 @@ from collections.abc import Iterator
 
 import pytest
 
+from drivers.contract.bench import column, consume, eventually
 from drivers.errors import CommunicationLost
 from drivers.ports import SweepMode
 from tests.benchmarks.streamed_run import stream, summary
-from tests.contract.bench import AXIS, BENCHES, Virtual, column, consume, eventually, sweep
+from tests.contract.bench import AXIS, BENCHES, Virtual, sweep
 
 
 @pytest.fixture

@@ -1,25 +1,18 @@
-"""The catalogue of effects; the order is that of explanation, simple things first."""
+"""The catalogue of effects; the order is that of explanation, simple things first, those of other packages last."""
 
-from service.diagnosis.effects import (
+from service.diagnosis.effects.catalogue import Catalogue
+from service.diagnosis.effects.drive_train import backlash, cogging_torque, joint_elasticity, transmission_error
+from service.diagnosis.effects.friction import (
     asymmetric_friction,
-    backlash,
-    cogging_torque,
     coulomb_friction,
-    effort_offset,
     friction_temperature_drift,
-    gravity_error,
-    hose_spring,
-    joint_elasticity,
     load_dependent_friction,
-    measurement_delay,
     nonlinear_viscous_friction,
-    payload,
     presliding_hysteresis,
     stribeck_friction,
-    torque_constant_error,
-    transmission_error,
 )
-from service.diagnosis.effects.effect import Effect
+from service.diagnosis.effects.load import gravity_error, hose_spring, payload
+from service.diagnosis.effects.measurement import effort_offset, measurement_delay, torque_constant_error
 
 _MODULES = (
     coulomb_friction,
@@ -41,5 +34,5 @@ _MODULES = (
     payload,
 )
 
-CATALOGUE: dict[str, Effect] = {module.EFFECT.name: module.EFFECT for module in _MODULES}
+CATALOGUE = Catalogue(module.EFFECT for module in _MODULES)
 """All effects by name (DESIGN.md, "Effect names")."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.patch import Patch
-from service.diagnosis.signals import Tracks
+from service.diagnosis.effects.patch import Patch
+from service.diagnosis.rows.signals import Tracks
 
 Array = NDArray[np.float64]
 Shape = tuple[float, ...]

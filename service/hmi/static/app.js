@@ -1,6 +1,6 @@
 // The operator's page: campaigns and their estimates.
 
-import { all, call, events, get, Refused } from "./api.js";
+import { address, all, call, events, get, Refused } from "./api.js";
 import { showAxes, watchAxes } from "./axes.js";
 import { showCommands, watchCommands } from "./commands.js";
 import { byId, choices, complain, duration, element, number, row, tell } from "./elements.js";
@@ -118,6 +118,7 @@ async function showEstimate(id) {
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
     byId("estimate-text").textContent = "none yet";
+    byId("report").hidden = true;
     byId("parameters").replaceChildren();
     choices(byId("axis"), []);
     shownRevision = "";
@@ -128,6 +129,8 @@ async function showEstimate(id) {
   if (revision === shownRevision) return;
   shownRevision = revision;
   const found = estimate.document;
+  byId("report").href = address(`/campaigns/${id}/report`);
+  byId("report").hidden = false;
   byId("estimate-text").textContent =
     `revision ${estimate.revision}, after sweep ${estimate.number}; condition number ${number(found.condition_number)}`;
   byId("parameters").replaceChildren(...found.base_parameters.map((parameter) => row([

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from service.diagnosis.design import DesignedSweep, full_design, paper_design
+from service.diagnosis.sensitivity.design import DesignedSweep, full_design, paper_design
 from service.recording import Sweep
 from service.robot import Robot
 from simulator.scenario import AddedBody

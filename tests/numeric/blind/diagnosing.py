@@ -3,10 +3,10 @@
 import time
 from typing import Any
 
-from service.diagnosis.calibration import Weighed
 from service.diagnosis.diagnose import diagnose_axis
 from service.diagnosis.document import axis_document
 from service.diagnosis.experiments import TEST_MASS
+from service.diagnosis.fit.calibration import Weighed
 from simulator.scenario import AddedBody
 from tests.numeric.blind.cases import Evidence
 from tests.numeric.blind.machine import known_mass

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.design import DesignedSweep
-from service.identification.torque_gain import KnownMass
+from service.diagnosis.sensitivity.design import DesignedSweep
+from service.identification.estimates.torque_gain import KnownMass
 from service.recording import Recording, Sweep
 from service.robot import Robot
 from simulator import DrivenAxis, DriveTrain, Gravity, LinkDeviation, Scenario, SpeedControl, SweepRun, run_sweeps

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from service.recording import Recording, Sweep
 from service.robot import Robot
-from service.store.bundle import write_bundle
+from service.store.files.bundle import write_bundle
 from tests.numeric.second_plant.bodies import Rigid
 from tests.numeric.second_plant.build import Scene, Wanted, build
 from tests.numeric.second_plant.effects import CATALOGUE

@@ -28,10 +28,10 @@ from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import track
 
-from service.cli.identify import identify_bundle
+from service.cli.recordings.identify import identify_bundle
 from service.diagnosis.diagnose import diagnose_axis
 from service.diagnosis.document import axis_document
-from service.store.bundle import Bundle
+from service.store.files.bundle import Bundle
 from tests.numeric.second_plant.cases import Case, Kind, cases, make
 from tests.numeric.second_plant.kept import load, save
 from tests.numeric.second_plant.page import page, result

@@ -9,7 +9,7 @@ import pytest
 
 from service.recording import Sweep
 from service.robot import Robot
-from service.store.bundle import read_bundle
+from service.store.files.bundle import read_bundle
 from tests.numeric.second_plant.build import Wanted, build
 from tests.numeric.second_plant.cases import Case, Kind, Truth, case, cases, make, write
 from tests.numeric.second_plant.effects import CATALOGUE
@@ -48,7 +48,7 @@ def test_the_plant_shares_nothing_that_computes() -> None:
 @pytest.mark.parametrize(
     "line",
     ["import simulator", "from simulator.rigid_body import RigidBody", "from service.diagnosis import effects",
-     "from service import diagnosis", "def f():\n    import service.identification.regressor"],
+     "from service import diagnosis", "def f():\n    import service.identification.model.regressor"],
 )  # fmt: skip
 def test_a_planted_import_is_seen(line: str) -> None:
     path = HERE / "friction.py"

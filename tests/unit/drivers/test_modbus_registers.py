@@ -99,7 +99,17 @@ def test_every_rule() -> None:
 
 
 def test_files_are_named(tmp_path: Path) -> None:
-    for content, message in ((b"\xff\xfe", "not YAML"), (b"a: [", "not YAML"), (b"- 1", "must be a mapping")):
+    bad = {
+        b"\xff\xfe": "not YAML",
+        b"a: [": "not YAML",
+        b"a: 2001-13-45": "not YAML",
+        b"a: !!int ''": "not YAML",
+        b"a: !!timestamp x": "not YAML",
+        b"a: " + b"[" * 3000: "not YAML of any use: nested too deeply",
+        b" " * 2**20 + b"a": "is larger than",
+        b"- 1": "must be a mapping",
+    }
+    for content, message in bad.items():
         (tmp_path / "map.yaml").write_bytes(content)
         with pytest.raises(BadProfile, match=rf"map\.yaml: {message}"):
             load_registers(tmp_path / "map.yaml")

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.cell import Box, Cell, read_cell
-from service.collision import CollisionChecker, reachable
 from service.configuration import read_robot
 from service.errors import BadInput
+from service.geometry.cell import Box, Cell, read_cell
+from service.geometry.collision import CollisionChecker, reachable
 from service.robot import Robot, build_robot
 from tests.unit.service.campaigns.small_arm import small_arm
 

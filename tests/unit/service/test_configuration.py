@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from service.cell import Cell
 from service.configuration import LARGEST_YAML, MOST_ALIASES, read_text, read_yaml
 from service.errors import BadInput
+from service.geometry.cell import Cell
+from service.settings import load_settings
 
 
 def test_aliases_of_aliases_are_refused(tmp_path: Path) -> None:
@@ -18,6 +19,21 @@ def test_aliases_of_aliases_are_refused(tmp_path: Path) -> None:
     assert path.stat().st_size < 600
     with pytest.raises(BadInput, match=f"more than {MOST_ALIASES} aliases"):
         read_yaml(path, Cell)
+
+
+@pytest.mark.parametrize("value", ["2001-13-45", "!!int ''", "!!bool x", "!!timestamp x", "9" * 5000])
+def test_values_that_are_not_of_their_type_are_refused(value: str, tmp_path: Path) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text(f"name: {value}", "utf-8")
+    with pytest.raises(BadInput, match="not YAML: a value is not of its type"):
+        read_yaml(path, Cell)
+
+
+def test_keys_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "service.yaml"
+    path.write_text("1: 2", "utf-8")
+    with pytest.raises(BadInput, match="key 1 is no text"):
+        load_settings(path)
 
 
 def test_a_few_aliases_are_fine(tmp_path: Path) -> None:

@@ -38,6 +38,19 @@ def test_a_bad_file_is_refused_with_field_and_value(tmp_path: Path, text: str, r
     assert str(file) in str(refused.value)
 
 
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.8.8.8", "::1", "localhost"])
+def test_this_computer_alone_needs_no_login(host: str) -> None:
+    Settings(host=host).check_reach()
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "", "192.168.4.7", "cell7", "127.0.0.1.example"])
+def test_beyond_this_computer_somebody_asks_who_it_is(host: str) -> None:
+    with pytest.raises(BadInput, match=r"(?s)^host: .*login: true.*trusted_network: true"):
+        Settings(host=host).check_reach()
+    Settings(host=host, login=True).check_reach()
+    Settings(host=host, trusted_network=True).check_reach()
+
+
 def test_a_file_that_was_named_must_be_there(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="cannot be read"):
         load_settings(tmp_path / "none.yaml")

@@ -13,8 +13,8 @@ from scipy.io import savemat
 from service.errors import BadInput
 from service.identification import identify, spectrum
 from service.recording import Recording, Sweep
-from service.store.bundle import read_bundle, write_bundle
-from service.trace_import import differentiate, import_trace
+from service.store.files.bundle import read_bundle, write_bundle
+from service.traces.trace_import import differentiate, import_trace
 
 POSITION = {"effort": {"source": "TORQUE"}, "position": {"source": "ENC"}}
 

@@ -10,7 +10,7 @@ import yaml
 from service.configuration import read_yaml
 from service.errors import BadInput
 from service.robot import Axis
-from service.trace_mapping import CncAxis, Column, Mapping, Unit
+from service.traces.mapping import CncAxis, Column, Mapping, Unit
 
 GEAR = Axis(joint="j", gear_ratio=-171.0, rated_effort=3000.0)
 AXIS = CncAxis(name="A2", direction=-1, zero=90.0)

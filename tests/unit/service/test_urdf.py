@@ -84,6 +84,7 @@ def test_a_body_carried_there_and_back_is_the_same() -> None:
     ("text", "reason"),
     [
         ("<robot", "not XML"),
+        ("<robot><a:link/></robot>", "not XML: unbound prefix"),
         ("<robot/>", "needs one base link, has 0"),
         (robot(), "needs one base link, has 2"),
         (robot(links="a"), "has no moving joint"),

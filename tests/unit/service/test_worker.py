@@ -12,10 +12,10 @@ from pathlib import Path
 import psutil
 import pytest
 
-from service.campaigns.envelope import Envelope
-from service.cell import Cell
 from service.configuration import read_robot
+from service.geometry.cell import Cell
 from service.robot import Robot
+from service.safety.envelope import Envelope
 from service.worker import Job, JobFailed, Worker, WorkerLost, open_worker, work
 from tests.unit.service.campaigns.conftest import ROOT, open_bench, until
 
@@ -63,6 +63,12 @@ async def test_a_worker_killed_in_mid_job_changes_nothing(job: Job, worker: Work
     (after,) = await worker.processes()
     assert after != before
     assert result == expected
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no niceness")
+async def test_a_worker_gives_way_before_it_has_a_job(worker: Worker) -> None:
+    (process,) = await worker.processes()
+    assert os.getpriority(os.PRIO_PROCESS, process) == 10
 
 
 async def test_the_worker_gives_what_the_mathematics_gives(job: Job, worker: Worker) -> None:

@@ -50,6 +50,9 @@ def test_motors_are_five_percent_off(scenario: Callable[[str], Scenario]) -> Non
         ("spring: {stiffness: 4.2e5, damping: 300.0}", "spring: null", "every axis has a spring or none"),
         ("max100-class.yaml", "nowhere.yaml", "nowhere.yaml: cannot be read"),
         ("name: max100-full", "name: [", "not YAML"),
+        ("name: max100-full", "name: 2001-13-45", "not YAML"),
+        ("name: max100-full", f"name: {'[' * 3000}", "nested too deeply"),
+        ("robot: ../robots/max100-class.yaml", "robot: /dev/zero", "is larger than"),
     ],
 )
 def test_bad_scenarios_are_refused(edited: Callable[[str, str], Path], old: str, new: str, named: str) -> None:

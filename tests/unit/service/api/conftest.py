@@ -14,13 +14,13 @@ import pytest
 from service.configuration import read_robot
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Robot
-from service.store.bundle import write_bundle
+from service.store.files.bundle import write_bundle
 
 CONFIG = Path(__file__).parents[4] / "config"
 
 
 @contextmanager
-def serving(folder: Path, profile: Path) -> Iterator[str]:
+def serving(folder: Path, profile: Path, **settings_too: object) -> Iterator[str]:
     """`sweepid serve` as a process with its data in `folder`; yields its address. It must end cleanly when told to."""
     settings = folder / "service.yaml"
     settings.write_text(
@@ -30,6 +30,7 @@ def serving(folder: Path, profile: Path) -> Iterator[str]:
                 "drive": str(profile),
                 "robots_dir": str(CONFIG / "robots"),
                 "cells_dir": str(CONFIG / "cells"),
+                **settings_too,
             }
         ),
         encoding="utf-8",

@@ -59,3 +59,7 @@ def test_the_cell_of_docker_compose_answers_to_names(root: Path) -> None:
     assert "0.0.0.0" in service["command"]
     default = '["localhost"]'
     assert service["environment"]["SWEEPID_ALLOWED_HOSTS"] == f"${{SWEEPID_ALLOWED_HOSTS:-{default}}}"
+    # nobody is asked who he is: the port is published on this computer alone, or by a login
+    published = yaml.safe_load((root / "docker-compose.yml").read_text())["services"]["machine"]["ports"]
+    assert all(port.startswith("127.0.0.1:") for port in published)
+    assert service["environment"]["SWEEPID_TRUSTED_NETWORK"] == "true"

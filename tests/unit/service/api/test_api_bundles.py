@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from service.client import ServiceClient
-from service.store.bundle import read_bundle
+from service.store.files.bundle import read_bundle
 
 ZIP = {"Content-Type": "application/zip"}
 

@@ -10,12 +10,12 @@ import pytest
 import yaml
 
 from service.client import ServiceClient, ServiceProblem
-from service.diagnosis.design import full_design
-from service.diagnosis.prospect import expected
+from service.diagnosis.sensitivity.design import full_design
+from service.diagnosis.sensitivity.predicted_sweeps import expected
 from service.errors import BadInput
 from service.recording import Sweep
 from service.robot import Robot
-from service.store.bundle import write_bundle
+from service.store.files.bundle import write_bundle
 from tests.unit.service.api.test_api_bundles import packed
 
 POSES = ((0.0, -0.6, 0.4, 0.0, 0.0, 0.0), (0.5, 0.4, -0.7, 0.0, 0.0, 0.0), (-0.5, 0.0, 0.0, 0.0, 0.0, 0.0))

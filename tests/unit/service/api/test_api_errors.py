@@ -92,6 +92,22 @@ def test_what_does_not_exist_is_404_by_name(http: httpx.Client) -> None:
     problem(http.delete("/robots"), 405)
 
 
+@pytest.mark.parametrize(
+    ("path", "methods"),
+    [
+        ("/robots", "GET, POST"),
+        ("/robots/1", "GET"),
+        ("/stop", "GET, POST"),
+        ("/stop/reset", "POST"),
+        ("/drives/joint_1/acknowledge", "POST"),
+    ],
+)
+def test_a_method_that_a_path_has_not_is_told_those_that_it_has(http: httpx.Client, path: str, methods: str) -> None:
+    answer = http.delete(path)
+    problem(answer, 405)
+    assert answer.headers["allow"] == methods
+
+
 def test_a_command_without_a_machine_says_why(http: httpx.Client) -> None:
     assert "could not be opened" in str(problem(http.post("/drives/connect"), 503)["detail"])
     assert "not connected" in str(problem(http.post("/drives/joint_1/acknowledge"), 409)["detail"])

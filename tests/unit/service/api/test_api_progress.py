@@ -5,9 +5,9 @@ import math
 import pytest
 
 from drivers.ports import SweepMode
-from service.api.progress import CHECK_MOVE, PlannedTime, planned_times, progress, steps
-from service.campaigns.check_move import CheckMove
-from service.campaigns.under_way import Travel, UnderWay, travels
+from service.api.campaign.progress import CHECK_MOVE, PlannedTime, planned_times, progress, steps
+from service.execution.check_move import CheckMove
+from service.execution.under_way import Travel, UnderWay, travels
 from service.recording import Sine, SweepSpec
 from service.store.documents import CampaignState, SweepDocument, SweepState
 

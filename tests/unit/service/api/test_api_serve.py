@@ -7,7 +7,7 @@ from pathlib import Path
 
 import httpx
 
-from service.store.recordings import RecordingFiles
+from service.store.files.recordings import RecordingFiles
 from tests.unit.service.api.conftest import serving
 
 
@@ -30,6 +30,16 @@ def test_a_bad_profile_is_bad_input(tmp_path: Path) -> None:
     refused = serve(settings)
     assert (refused.returncode, refused.stdout) == (2, "")
     assert "no-such-profile.yaml" in refused.stderr.splitlines()[-1]
+
+
+def test_others_are_not_let_in_without_a_login(tmp_path: Path, profile: Path) -> None:
+    settings = tmp_path / "service.yaml"
+    text = json.dumps({"data_dir": str(tmp_path / "data"), "drive": str(profile), "host": "0.0.0.0"})
+    settings.write_text(text, "utf-8")
+    refused = serve(settings)
+    assert (refused.returncode, refused.stdout, len(refused.stderr.splitlines())) == (2, "", 1)
+    assert refused.stderr.startswith("sweepid: host: '0.0.0.0' is not this computer alone")
+    assert not (tmp_path / "data").exists()
 
 
 def test_a_database_that_is_none_is_told_in_one_line(tmp_path: Path, profile: Path) -> None:

@@ -9,23 +9,23 @@ from pathlib import Path
 import pytest
 
 from drivers.ports import Sine, SweepCommand, SweepMode
-from service.campaigns.course import Course
-from service.campaigns.envelope import Envelope
-from service.campaigns.jobs import Jobs
 from service.campaigns.live import LiveHub
-from service.campaigns.machine import Machine
-from service.campaigns.runner import Runner
-from service.campaigns.station import Station
-from service.cell import Cell
 from service.configuration import read_robot
+from service.execution.machine import Machine
+from service.execution.runner import Runner
+from service.execution.sweep_executor import SweepExecutor
+from service.geometry.cell import Cell
+from service.jobs.jobs import Jobs
+from service.planning.compiled_plan import CompiledPlan
 from service.recording import Sine as SpecSine
 from service.recording import SweepSpec
 from service.robot import Robot
+from service.safety.envelope import Envelope
 from service.store.database import Database, open_database
+from service.store.diagnosis.model_revisions import ModelStore
 from service.store.documents import CampaignDocument, NewSweep, SpectrumRecord, SweepDocument
+from service.store.files.recordings import RecordingFiles
 from service.store.guards import StopLatch
-from service.store.model_revisions import ModelStore
-from service.store.recordings import RecordingFiles
 from service.store.store import Store
 from service.worker import Worker
 from service.worker.dask_workers import DaskWorkers
@@ -111,14 +111,14 @@ async def open_bench(
         models = ModelStore(database)
         jobs = Taken(store, files, models) if worker is None else Jobs(store, files, worker, models)
         stack.push_async_callback(jobs.close)
-        station = Station(store, files, machine, hub)
-        stack.callback(station.close)
+        executor = SweepExecutor(store, files, machine, hub)
+        stack.callback(executor.close)
 
-        def course_of(campaign: CampaignDocument) -> Course:
+        def compile_plan(campaign: CampaignDocument) -> CompiledPlan:
             commands = {sweep.number: command(sweep) for sweep in store.sweeps(campaign.id)}
-            return Course(robot.joints, commands, envelope, move_velocity=0.1, pose_tolerance=2e-3)
+            return CompiledPlan(robot.joints, commands, envelope, move_velocity=0.1, pose_tolerance=2e-3)
 
-        runner = Runner(store, machine, station, jobs, course_of)
+        runner = Runner(store, machine, executor, jobs, compile_plan)
         stack.push_async_callback(runner.close)
         campaigns = store.campaigns()
         if not campaigns:

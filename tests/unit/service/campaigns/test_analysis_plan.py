@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from drivers.ports import NoiseCommand, SweepCommand
-from service.campaigns.analysis_documents import AnalysisPlan, AnalysisRequest
-from service.campaigns.analysis_plan import build_analysis_plan
-from service.campaigns.envelope import Envelope
-from service.campaigns.noise_motion import noise_effort, noise_velocity, noise_way
-from service.campaigns.plan import PlanRequest, build_plan
-from service.cell import Cell, read_cell
 from service.errors import BadInput, EnvelopeViolation
-from service.identification.ideal_frequency import AxisAnalysis, Figure, Ideal, PoseAnalysis
-from service.identification.noise_response import Response
-from service.identification.regressor import inertia_rows
+from service.geometry.cell import Cell, read_cell
+from service.identification.axis.ideal_frequency import AxisAnalysis, Figure, Ideal, PoseAnalysis
+from service.identification.model.regressor import inertia_rows
+from service.identification.spectra.noise_response import Response
+from service.planning.analysis.documents import AnalysisPlan, AnalysisRequest
+from service.planning.analysis.plan import build_analysis_plan
+from service.planning.plan import PlanRequest, build_plan
 from service.robot import Robot
+from service.safety.envelope import Envelope
+from service.safety.noise_motion import noise_effort, noise_velocity, noise_way
 from tests.unit.service.campaigns.small_arm import small_arm
 
 REQUEST = {"kind": "analysis", "robot_id": 1, "axes": ("joint_1", "joint_3"), "varied": ("joint_2", "joint_3")}

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from service.campaigns.plan import PlanDocument, PlanRequest, build_plan
-from service.cell import Cell, read_cell
 from service.configuration import read_robot
 from service.errors import BadInput
-from service.identification.pose_selection import SLACK, Criterion
+from service.geometry.cell import Cell, read_cell
+from service.identification.design.pose_selection import SLACK, Criterion
+from service.planning.plan import PlanDocument, PlanRequest, build_plan
 from tests.unit.service.campaigns.small_arm import small_arm
 
 CONFIG = Path(__file__).parents[4] / "config"

@@ -7,8 +7,8 @@ import pytest
 
 from drivers.errors import CommunicationLost, DriveFault, SweepInterrupted
 from drivers.ports import AxisState, AxisStatus
-from service.campaigns.check_move import CheckMove, CheckMoveFailed
 from service.errors import EnvelopeViolation
+from service.execution.check_move import CheckMove, CheckMoveFailed
 from service.store.documents import CampaignState, EventKind, SweepState
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
 
@@ -194,7 +194,7 @@ async def test_a_check_move_outside_of_the_envelope_moves_nothing(bench: Bench) 
     def refuse(joint, pose, target, velocity):
         raise EnvelopeViolation("no room")
 
-    envelope = bench.runner._course_of(bench.campaign).envelope
+    envelope = bench.runner._compile(bench.campaign).envelope
     check_move = envelope.check_move
     envelope.check_move = refuse
     try:

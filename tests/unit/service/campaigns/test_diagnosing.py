@@ -14,23 +14,23 @@ import numpy as np
 import psutil
 import pytest
 
-from service.campaigns.acceptance import accept_model
-from service.campaigns.diagnosing import Diagnosing
-from service.campaigns.evidence import campaigns_of, recorded_sweeps
 from service.campaigns.session import SweepEvent, sweep_move
-from service.campaigns.starting import Start
 from service.diagnosis import axis_document, diagnose_axis
-from service.diagnosis.design import full_design
-from service.diagnosis.prospect import expected
+from service.diagnosis.sensitivity.design import full_design
+from service.diagnosis.sensitivity.predicted_sweeps import expected
+from service.diagnosis_loop.acceptance import accept_model
+from service.diagnosis_loop.diagnosing import Diagnosing
+from service.diagnosis_loop.evidence import campaigns_of, recorded_sweeps
+from service.diagnosis_loop.starting import Start
 from service.errors import BadInput, Conflict, SweepidError
 from service.estimation import estimate_document, sweep_spectrum
-from service.identification.regressor import gravity_terms, inertia_rows
-from service.identification.torque_gain import KnownMass
+from service.identification.estimates.torque_gain import KnownMass
+from service.identification.model.regressor import gravity_terms, inertia_rows
 from service.recording import Sweep
 from service.robot import Robot
-from service.store.bundle import Bundle
 from service.store.database import open_database
-from service.store.diagnoses import DiagnosisStore
+from service.store.diagnosis.diagnoses import DiagnosisStore
+from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import (
     BoltedMass,
     DiagnosisDocument,
@@ -40,9 +40,10 @@ from service.store.diagnosis_documents import (
     Weighing,
 )
 from service.store.documents import CampaignState, NewSweep, SpectrumRecord
-from service.store.exchange import campaign_bundle, import_campaign
-from service.store.model_revisions import ModelStore
-from service.store.recordings import RecordingFiles
+from service.store.files.bundle import Bundle
+from service.store.files.exchange import campaign_bundle, import_campaign
+from service.store.files.intake import save_bundle
+from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
 from service.worker import DiagnosisJob, JobFailed, Work, Worker, open_worker
 from service.worker.dask_workers import DaskWorkers
@@ -83,7 +84,7 @@ def measured(
         gravity = pulls[0] * np.cos(away) + pulls[1] * np.sin(away)
         record.effort[:] = inertia * np.gradient(record.velocity, record.time) + friction + gravity + noise
         sweeps.append(sweep)
-    return import_campaign(store, files, Bundle(robot, tuple(sweeps))).id
+    return import_campaign(store, files, save_bundle(files, Bundle(robot, tuple(sweeps)))).id
 
 
 class InProcess(DaskWorkers):
@@ -247,7 +248,7 @@ def dead(store: Store, files: RecordingFiles, robot: Robot) -> int:
     sweeps = [expected(one, one.spec.pose[1]) for one in designed]
     for sweep in sweeps:
         sweep.recording.effort[:] = 0.0
-    return import_campaign(store, files, Bundle(robot, tuple(sweeps))).id
+    return import_campaign(store, files, save_bundle(files, Bundle(robot, tuple(sweeps)))).id
 
 
 async def test_a_campaign_with_a_test_mass_is_no_evidence_of_the_bare_robot(tmp_path: Path, robot: Robot) -> None:

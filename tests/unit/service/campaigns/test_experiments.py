@@ -8,17 +8,17 @@ from pathlib import Path
 import pytest
 from pydantic import JsonValue
 
-from service.campaigns.diagnosing import Diagnosing
-from service.campaigns.envelope import Envelope
-from service.campaigns.experiments import ROUNDS, Experiments
 from service.campaigns.live import EventFeed
+from service.diagnosis_loop.diagnosing import Diagnosing
+from service.diagnosis_loop.experiments import ROUNDS, Experiments
 from service.errors import BadInput, Conflict
 from service.robot import Robot
+from service.safety.envelope import Envelope
 from service.settings import Settings
-from service.store.diagnoses import DiagnosisStore
+from service.store.diagnosis.diagnoses import DiagnosisStore
+from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, NewDiagnosis
 from service.store.documents import CampaignState, NewSweep
-from service.store.model_revisions import ModelStore
 from service.worker.dask_workers import DaskWorkers
 from tests.unit.service.campaigns.conftest import Bench, open_bench, spec, until
 

@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from drivers.registry import load_profile
-from service.campaigns.course import course_of, planned_sweeps
-from service.campaigns.fit import COMPARED, DriveAxis, differences, drive_axes
-from service.campaigns.plan import PlanRequest, build_plan
-from service.cell import read_cell
 from service.configuration import read_robot
 from service.errors import Conflict
+from service.geometry.cell import read_cell
+from service.planning.compiled_plan import compile_plan, planned_sweeps
+from service.planning.plan import PlanRequest, build_plan
 from service.robot import Robot, build_robot
+from service.safety.robot_and_machine import COMPARED, DriveAxis, differences, drive_axes
 from service.settings import Settings
 from service.store.database import open_database
 from service.store.documents import CampaignDocument
@@ -117,11 +117,11 @@ def planned(tmp_path: Path, robot: Robot) -> Iterator[tuple[Store, Settings, Cam
 
 
 def test_a_campaign_for_another_machine_has_no_course(planned: tuple[Store, Settings, CampaignDocument]) -> None:
-    """`course_of` is asked at every start and resume."""
+    """`compile_plan` is asked at every start and resume."""
     store, settings, campaign = planned
     with pytest.raises(Conflict) as refusal:
-        course_of(store, settings, axes_of(PROFILES[0]), campaign)
+        compile_plan(store, settings, axes_of(PROFILES[0]), campaign)
     said = str(refusal.value)
     assert said.startswith(f"campaign {campaign.id} is for another machine: joint_6 gear ratio: robot max100-class")
     assert f"has 60, drive profile {PROFILES[0]} has 101" in said
-    assert "joint_1" in course_of(store, settings, axes_of(PROFILES[0])[:3], campaign).joints
+    assert "joint_1" in compile_plan(store, settings, axes_of(PROFILES[0])[:3], campaign).joints

@@ -11,19 +11,19 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from service.campaigns.envelope import Envelope
-from service.campaigns.recovery import recover
 from service.estimation import estimate_document
+from service.execution.recovery import recover
 from service.identification import spectrum
-from service.identification.known_effects import known_effects
+from service.identification.axis.known_effects import known_effects
 from service.robot import Robot
+from service.safety.envelope import Envelope
 from service.store import tables as t
-from service.store.diagnoses import DiagnosisStore
+from service.store.diagnosis.diagnoses import DiagnosisStore
+from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import NewDiagnosis
 from service.store.documents import CampaignState, SweepState
-from service.store.exchange import campaign_bundle
-from service.store.model_revisions import ModelStore
-from service.store.spectra import read_spectrum
+from service.store.files.exchange import campaign_bundle
+from service.store.files.spectra import read_spectrum
 from service.worker import Result, Work, open_worker
 from tests.unit.service.campaigns.conftest import POSES, Bench, open_bench, until
 from tests.unit.service.identification.known import model
@@ -114,7 +114,7 @@ async def test_a_job_waits_while_the_database_is_locked(
     tmp_path: Path, robot: Robot, envelope: Envelope, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For longer than a transaction waits for its turn. Who asks is told, and nothing is done twice."""
-    monkeypatch.setattr("service.store.database._BUSY_TIMEOUT", 0.05)
+    monkeypatch.setattr("service.store.database.BUSY_TIMEOUT", 0.05)
     async with open_bench(tmp_path, robot, envelope) as bench:
         await bench.runner.start(bench.campaign.id)
         await bench.runner.finished()

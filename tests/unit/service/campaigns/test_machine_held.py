@@ -8,8 +8,8 @@ import pytest
 from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError, OperationalError
 
-from service.campaigns import station
 from service.errors import Conflict, NotFound
+from service.execution import sweep_executor
 from service.store.documents import CampaignState, SweepState
 from service.store.guards import MachineLease, StopLatch
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
@@ -23,8 +23,8 @@ class BetweenMotions:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.reached, self.go = threading.Event(), threading.Event()
-        self._finish = station.finish
-        monkeypatch.setattr(station, "finish", self._slow)
+        self._finish = sweep_executor.finish
+        monkeypatch.setattr(sweep_executor, "finish", self._slow)
 
     def _slow(self, *args, **kwargs):
         self.reached.set()

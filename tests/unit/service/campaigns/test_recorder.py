@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from drivers.ports import ChannelTiming, SampleBlock, Sine, SweepCommand, SweepMode
-from service.campaigns.plausibility import ImplausibleChannels
-from service.campaigns.recorder import Recorder, SamplesMissing, UnreadableStream, finish, read_stream, salvage
+from service.execution.plausibility import ImplausibleChannels
+from service.execution.recorder import Recorder, SamplesMissing, UnreadableStream, finish, read_stream, salvage
 from service.recording import SweepSpec
-from service.store.columns import read_columns
 from service.store.documents import RecordingState
-from service.store.recordings import RecordingFiles, Run
+from service.store.files.columns import read_columns
+from service.store.files.recordings import RecordingFiles, Run
 
 ROOT = Path(__file__).parents[4]
 RUN = Run(campaign_id=1, number=3, attempt=1)
@@ -199,8 +199,8 @@ WRITER = """
 import sys
 from pathlib import Path
 from tests.unit.service.campaigns.test_recorder import COMMAND, block
-from service.campaigns.plausibility import ImplausibleChannels
-from service.campaigns.recorder import Recorder
+from service.execution.plausibility import ImplausibleChannels
+from service.execution.recorder import Recorder
 recorder = Recorder(Path(sys.argv[1]), COMMAND)
 for n in range(10**6):
     recorder.write(block(50 * n, 50 * n + 50))

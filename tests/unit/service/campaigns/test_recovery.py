@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from service.campaigns.envelope import Envelope
-from service.campaigns.recorder import Recorder
-from service.campaigns.recovery import recover
 from service.campaigns.session import SweepEvent, sweep_move
+from service.execution.recorder import Recorder
+from service.execution.recovery import recover
 from service.robot import Robot
+from service.safety.envelope import Envelope
 from service.store.database import open_database
 from service.store.documents import CampaignState, RecordingState, SweepState
-from service.store.recordings import RecordingFiles, Run
+from service.store.files.recordings import RecordingFiles, Run
 from service.store.store import Store
 from tests.unit.service.campaigns.conftest import POSES, ROOT, command, open_bench
 from tests.unit.service.campaigns.test_recorder import block
@@ -24,9 +24,9 @@ from tests.unit.service.campaigns.test_recorder import block
 SERVICE = """
 import asyncio, json, resource, sys
 from pathlib import Path
-from service.cell import Cell
-from service.campaigns.envelope import Envelope
-from service.campaigns.recorder import read_stream
+from service.geometry.cell import Cell
+from service.safety.envelope import Envelope
+from service.execution.recorder import read_stream
 from service.configuration import read_robot
 from tests.unit.service.campaigns import conftest
 

@@ -13,10 +13,10 @@ from sqlalchemy.exc import SQLAlchemyError
 from structlog.testing import capture_logs
 
 from drivers.errors import DriveFault
-from service.campaigns import runner as runner_module
 from service.errors import Conflict
-from service.store.columns import read_columns
+from service.execution import runner as runner_module
 from service.store.documents import CampaignState, RecordingState, SweepState
+from service.store.files.columns import read_columns
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, Taken, until
 
 OVER_CURRENT = "DriveFault: joint_1: over-current"
@@ -159,7 +159,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
         disk.go.wait(TIMEOUT)
         sync(file)
 
-    monkeypatch.setattr("service.campaigns.recorder.os.fsync", stall)
+    monkeypatch.setattr("service.execution.recorder.os.fsync", stall)
     yield disk
     disk.go.set()
 
@@ -220,7 +220,7 @@ async def test_a_disk_that_refuses_late_fails_the_sweep_at_standstill(
             raise OSError(28, "No space left on device")
         sync(file)
 
-    monkeypatch.setattr("service.campaigns.recorder.os.fsync", refuse)
+    monkeypatch.setattr("service.execution.recorder.os.fsync", refuse)
     await bench.runner.start(1)
     await ran_out(bench)
     assert bench.drive.trace[-1] == "stop"

@@ -10,8 +10,8 @@ import pytest
 from drivers.errors import CommunicationLost, DriveFault
 from service.campaigns.session import SweepEvent, sweep_move
 from service.errors import Conflict
-from service.store.columns import read_columns
 from service.store.documents import CampaignState, RecordingState, SweepDocument, SweepState
+from service.store.files.columns import read_columns
 from service.store.store import StaleVersion
 from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench, Taken, until
 
@@ -80,9 +80,9 @@ async def test_one_axis_has_energy_at_a_time_and_only_to_move(bench: Bench) -> N
 
 def wants_confidence(bench: Bench, reached: list[float | None]) -> None:
     """The plan wants 1 %; the estimates, which come at once, have `reached` so many percent after each sweep."""
-    course_of = bench.runner._course_of
-    bench.runner._course_of = lambda campaign: dataclasses.replace(
-        course_of(campaign), confidence=1.0, base_parameters=1
+    compile_plan = bench.runner._compile
+    bench.runner._compile = lambda campaign: dataclasses.replace(
+        compile_plan(campaign), confidence=1.0, base_parameters=1
     )
 
     def identify(sweep: SweepDocument) -> None:
@@ -161,14 +161,14 @@ async def test_a_lost_sample_fails_the_sweep(bench: Bench) -> None:
 
 async def test_samples_outside_of_the_envelope_stop_the_machine_and_are_kept(bench: Bench) -> None:
     bench.drive.position["joint_1"] = 0.0015  # still within the tolerance of the pose
-    course_of = bench.runner._course_of
+    compile_plan = bench.runner._compile
 
     def narrow(campaign):
-        course = course_of(campaign)
-        commands = {n: dataclasses.replace(c, effort_limit=1200.0) for n, c in course.commands.items()}
-        return dataclasses.replace(course, commands=commands)
+        compiled = compile_plan(campaign)
+        commands = {n: dataclasses.replace(c, effort_limit=1200.0) for n, c in compiled.commands.items()}
+        return dataclasses.replace(compiled, commands=commands)
 
-    bench.runner._course_of = narrow
+    bench.runner._compile = narrow
     samples = bench.drive._samples
 
     def jolt(command):
@@ -187,14 +187,14 @@ async def test_samples_outside_of_the_envelope_stop_the_machine_and_are_kept(ben
 
 
 async def test_a_command_outside_of_the_envelope_moves_nothing(bench: Bench) -> None:
-    course_of = bench.runner._course_of
+    compile_plan = bench.runner._compile
 
     def fast(campaign):
-        course = course_of(campaign)
-        commands = {n: dataclasses.replace(c, velocity_limit=9.0) for n, c in course.commands.items()}
-        return dataclasses.replace(course, commands=commands)
+        compiled = compile_plan(campaign)
+        commands = {n: dataclasses.replace(c, velocity_limit=9.0) for n, c in compiled.commands.items()}
+        return dataclasses.replace(compiled, commands=commands)
 
-    bench.runner._course_of = fast
+    bench.runner._compile = fast
     await bench.runner.start(bench.campaign.id)
     await run_out(bench)
     assert bench.drive.trace == ["close", "connect", "stop"]

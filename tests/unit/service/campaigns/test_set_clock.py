@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from service.campaigns.envelope import Envelope
 from service.robot import Robot
+from service.safety.envelope import Envelope
 from service.store import tables as t
 from service.store.documents import CampaignState
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, open_bench, until

@@ -10,18 +10,18 @@ from sqlalchemy import text
 
 from drivers.errors import DriveFault
 from drivers.ports import Sine, SweepCommand, SweepMode
-from service.campaigns.course import Course
-from service.campaigns.envelope import Envelope
-from service.campaigns.runner import Runner
 from service.campaigns.session import SweepEvent, sweep_move
-from service.campaigns.station import Station
-from service.campaigns.trajectory_documents import TrajectoryPlan, TrajectoryRequest
-from service.campaigns.trajectory_motion import commanded_motion, path_of
-from service.campaigns.trajectory_plan import build_trajectory_plan
-from service.cell import Box, Cell
 from service.errors import BadInput, EnvelopeViolation
+from service.execution.runner import Runner
+from service.execution.sweep_executor import SweepExecutor
+from service.geometry.cell import Box, Cell
+from service.planning.compiled_plan import CompiledPlan
+from service.planning.trajectories.documents import TrajectoryPlan, TrajectoryRequest
+from service.planning.trajectories.plan import build_trajectory_plan
 from service.recording import SweepSpec
 from service.robot import Robot
+from service.safety.envelope import Envelope
+from service.safety.trajectory_motion import commanded_motion, path_of
 from service.store.documents import CampaignDocument, CampaignState, NewSweep, RecordingState, SweepState
 from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench, Taken
 from tests.unit.service.campaigns.formula_drive import FormulaDrive
@@ -172,12 +172,12 @@ async def campaign(bench: Bench, envelope_of_max100: Envelope) -> AsyncIterator[
     campaign = bench.store.add_campaign(plan.id, [NewSweep(spec=spec, mode=SweepMode.HOST_STREAMED) for spec in specs])
     commands = {number: command(joint) for number, joint in enumerate(JOINTS, 1)}
     joints = tuple(f"joint_{number}" for number in range(1, 7))
-    course = Course(joints, commands, envelope_of_max100, 0.1, 2e-3, trajectories=((1, 2),))
-    station = Station(bench.store, bench.files, bench.machine, bench.hub)
-    runner = Runner(bench.store, bench.machine, station, bench.jobs, lambda _: course)
+    compiled = CompiledPlan(joints, commands, envelope_of_max100, 0.1, 2e-3, trajectories=((1, 2),))
+    executor = SweepExecutor(bench.store, bench.files, bench.machine, bench.hub)
+    runner = Runner(bench.store, bench.machine, executor, bench.jobs, lambda _: compiled)
     yield runner, campaign
     await runner.close()
-    station.close()
+    executor.close()
 
 
 @pytest.fixture

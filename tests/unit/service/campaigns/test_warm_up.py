@@ -4,10 +4,10 @@ import pytest
 from pydantic import ValidationError
 
 from drivers.ports import SweepMode
-from service.campaigns.itinerary import least_duration
-from service.campaigns.plan import PlanDocument, PlanRequest, build_plan
-from service.cell import Cell
-from service.identification.excitation import Excitation
+from service.geometry.cell import Cell
+from service.identification.design.excitation import Excitation
+from service.planning.itinerary import least_duration
+from service.planning.plan import PlanDocument, PlanRequest, build_plan
 from service.recording import WARM_UP
 from tests.unit.service.campaigns.small_arm import small_arm
 

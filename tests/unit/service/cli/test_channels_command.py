@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from service.cli.channels import as_document, profile_lines
-from service.identification.axis_inertia import DriveTrain
-from service.identification.channel_timing import ChannelLags, Lag
-from service.store.bundle import write_bundle
+from service.cli.recordings.channels import as_document, profile_lines
+from service.identification.axis.channel_timing import ChannelLags, Lag
+from service.identification.spectra.axis_inertia import DriveTrain
+from service.store.files.bundle import write_bundle
 from tests.command import sweepid
 from tests.numeric.campaign import max100
 from tests.numeric.test_channel_timing import CALIBRATION, lagging, swept

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from service.recording import Sweep
-from service.store.bundle import write_bundle
+from service.store.files.bundle import write_bundle
 from tests.command import sweepid
 from tests.unit.service.data_check.conftest import lift_sweep, pair
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from service.cell import read_cell
 from service.errors import BadInput
+from service.geometry.cell import read_cell
 from tests.command import sweepid
 
 SWEEPID = str(Path(sys.executable).with_name("sweepid"))

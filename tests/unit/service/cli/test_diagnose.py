@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.diagnosis.design import full_design
-from service.diagnosis.prospect import expected
-from service.diagnosis.responses import in_frequency
+from service.diagnosis.rows.responses import in_frequency
+from service.diagnosis.sensitivity.design import full_design
+from service.diagnosis.sensitivity.predicted_sweeps import expected
 from service.recording import Sweep
-from service.store.bundle import write_bundle
+from service.store.files.bundle import write_bundle
 from simulator import load_scenario
 from tests.command import sweepid
 from tests.numeric.campaign import max100

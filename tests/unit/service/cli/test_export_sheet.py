@@ -85,6 +85,20 @@ def payload() -> dict:
     }
 
 
+def test_a_load_is_read_by_name_whatever_the_order(made: tuple[dict, str]) -> None:
+    """`sweepid payload` writes xx, xy, yy, xz, yz, zz."""
+    turned = payload()
+    near = turned["physical"]["nearest"]
+    near["inertia"] = {name: near["inertia"][name] for name in ("Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")}
+    assert as_markdown(made[0], turned) == as_markdown(made[0], payload())
+
+
+@pytest.mark.parametrize("given", [{}, {"mass": None}, {"mass": {"value": 1, "std_total": 1}, "frame": "f"}])
+def test_what_is_no_load_is_refused(made: tuple[dict, str], given: dict) -> None:
+    with pytest.raises(BadInput, match="--payload"):
+        as_markdown(made[0], given)
+
+
 def test_a_load_that_is_known_in_part_is_refused(made: tuple[dict, str]) -> None:
     known = payload()
     known["inertia"]["Izz"]["value"] = None

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from service.cli.identify import print_estimate
-from service.identification.analysis_document import analyses_document
+from service.cli.recordings.identify import print_estimate
+from service.identification.estimates.analysis_document import analyses_document
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Axis, RobotDescription, build_robot
-from service.store.bundle import write_bundle
+from service.store.files.bundle import write_bundle
 from tests.command import sweepid
 from tests.unit.service.identification.known import model
 from tests.unit.service.identification.test_ideal_frequency import STIFF, analysis

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 import yaml
 
-from service.cell import read_cell
-from service.collision import CollisionChecker
 from service.configuration import read_robot
 from service.errors import BadInput
+from service.geometry.cell import read_cell
+from service.geometry.collision import CollisionChecker
 from tests.command import sweepid
 from tests.makers_robots import MAKERS, Maker, share, told_of
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.cli.gains_file import read_gains
-from service.cli.torque_gain import torque_gain
+from service.cli.recordings.gains_file import read_gains
+from service.cli.recordings.torque_gain import torque_gain
 from service.errors import BadInput
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Axis, RobotDescription, build_robot
-from service.store.bundle import write_bundle
+from service.store.files.bundle import write_bundle
 from tests.command import sweepid
 from tests.unit.service.cli.test_identify import URDF
 

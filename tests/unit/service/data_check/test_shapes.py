@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.cli.diagnose import diagnose_bundle
-from service.cli.identify import identify_bundle
+from service.cli.recordings.diagnose import diagnose_bundle
+from service.cli.recordings.identify import identify_bundle
 from service.data_check import check, findings_document
 from service.errors import BadInput
 from service.recording import Recording, Sweep
 from service.robot import Robot
-from service.store.bundle import Bundle, read_bundle, write_bundle
-from service.store.columns import write_columns
+from service.store.files.bundle import Bundle, read_bundle, write_bundle
+from service.store.files.columns import write_columns
 from tests.unit.service.data_check.conftest import OFFSET, RATED, lift_sweep, pair
 
 USES: dict[str, Callable[[Bundle], object]] = {

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from service.diagnosis.design import DesignedSweep
-from service.diagnosis.equations import Equations, Term, equations, grouped
-from service.diagnosis.prospect import expected
-from service.diagnosis.rigid import load_rows, nominal_load
-from service.diagnosis.signals import Tracks, tracks
-from service.identification.torque_gain import KnownMass
+from service.diagnosis.fit.equations import Equations, Term, equations, grouped
+from service.diagnosis.rows.rigid import load_rows, nominal_load
+from service.diagnosis.rows.signals import Tracks, tracks
+from service.diagnosis.sensitivity.design import DesignedSweep
+from service.diagnosis.sensitivity.predicted_sweeps import expected
+from service.identification.estimates.torque_gain import KnownMass
 from service.recording import Sweep
 from service.robot import Robot
 from tests.numeric.campaign import max100

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from service.diagnosis import axis_document, diagnose_axis
-from service.diagnosis.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
-from service.diagnosis.design import DesignedSweep, full_design
-from service.diagnosis.parameters import Parameter
-from service.diagnosis.prospect import expected
-from service.diagnosis.rigid import load_rows, nominal_load
-from service.diagnosis.signals import tracks
+from service.diagnosis.fit.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
+from service.diagnosis.fit.parameters import Parameter
+from service.diagnosis.rows.rigid import load_rows, nominal_load
+from service.diagnosis.rows.signals import tracks
+from service.diagnosis.sensitivity.design import DesignedSweep, full_design
+from service.diagnosis.sensitivity.predicted_sweeps import expected
 from service.errors import BadInput
-from service.identification.torque_gain import KnownMass
+from service.identification.estimates.torque_gain import KnownMass
 from service.recording import Sweep
 from service.robot import Robot
 from tests.unit.service.diagnosis.following import known_to

@@ -5,13 +5,13 @@ from itertools import product
 import numpy as np
 import pytest
 
-from service.diagnosis.design import full_design
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.effects.backlash import missing
+from service.diagnosis.effects.drive_train.backlash import missing
 from service.diagnosis.effects.effect import Model
-from service.diagnosis.effects.friction_temperature_drift import warmth
-from service.diagnosis.prospect import expected
-from service.diagnosis.signals import Tracks, bristle, tracks
+from service.diagnosis.effects.friction.friction_temperature_drift import warmth
+from service.diagnosis.rows.signals import Tracks, bristle, tracks
+from service.diagnosis.sensitivity.design import full_design
+from service.diagnosis.sensitivity.predicted_sweeps import expected
 from tests.numeric.campaign import max100
 
 NAMES = [

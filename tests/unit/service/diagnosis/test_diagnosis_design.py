@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from service.diagnosis.design import (
+from service.diagnosis.sensitivity.design import (
     BLOCKS,
     FAST,
     ROOM,
@@ -15,7 +15,7 @@ from service.diagnosis.design import (
     other_poses,
     paper_design,
 )
-from service.identification.excitation import Excitation, velocity_setpoint
+from service.identification.design.excitation import Excitation, velocity_setpoint
 from tests.numeric.campaign import max100
 
 POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.0, -0.5, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])

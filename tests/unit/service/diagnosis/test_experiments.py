@@ -5,13 +5,13 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import pytest
 
-from service.diagnosis.design import BLOCKS, full_design, machine_time, paper_design
-from service.diagnosis.equations import Term
 from service.diagnosis.experiments import BOLTING, NextExperiment, next_experiment
-from service.diagnosis.select import select
-from service.diagnosis.signals import Tracks
+from service.diagnosis.fit.equations import Term
+from service.diagnosis.fit.select import select
+from service.diagnosis.rows.signals import Tracks
+from service.diagnosis.sensitivity.design import BLOCKS, full_design, machine_time, paper_design
 from service.diagnosis.verdict import Verdict, tie_set
-from service.identification.torque_gain import KnownMass
+from service.identification.estimates.torque_gain import KnownMass
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, carrying, equations_of, following, heavier
 

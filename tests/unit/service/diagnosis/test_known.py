@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from service.diagnosis import axis_document, diagnose_axis
-from service.diagnosis.design import full_design
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.equations import Term
-from service.diagnosis.parameters import Parameter
+from service.diagnosis.fit.equations import Term
+from service.diagnosis.fit.parameters import Parameter
+from service.diagnosis.sensitivity.design import full_design
 from service.recording import Sweep
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, following

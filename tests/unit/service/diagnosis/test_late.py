@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from service.diagnosis.design import full_design
 from service.diagnosis.diagnose import diagnose_axis
-from service.diagnosis.equations import Term
+from service.diagnosis.fit.equations import Term
+from service.diagnosis.sensitivity.design import full_design
 from service.diagnosis.verdict import Verdict
 from service.recording import Sweep
 from tests.unit.service.diagnosis.following import following, known_to

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.diagnosis.design import full_design
 from service.diagnosis.diagnose import diagnose_axis
-from service.diagnosis.equations import Term, nominal_right
-from service.diagnosis.locate import Cell, lines, sentences
-from service.diagnosis.signals import tracks
+from service.diagnosis.fit.equations import Term, nominal_right
+from service.diagnosis.localisation.locate import Cell, lines, sentences
+from service.diagnosis.rows.signals import tracks
+from service.diagnosis.sensitivity.design import full_design
 from service.recording import Sweep
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, following

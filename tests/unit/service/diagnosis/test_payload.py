@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from service.diagnosis.design import full_design
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.rigid import load_rows, nominal_load
-from service.diagnosis.signals import tracks
-from service.identification.torque_gain import KnownMass
+from service.diagnosis.rows.rigid import load_rows, nominal_load
+from service.diagnosis.rows.signals import tracks
+from service.diagnosis.sensitivity.design import full_design
+from service.identification.estimates.torque_gain import KnownMass
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, carrying, following
 

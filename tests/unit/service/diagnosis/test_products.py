@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from service.diagnosis.grams import PLAIN, Group, Piece, between_periods, noise_model, pairing
-from service.diagnosis.periods import in_periods
-from service.diagnosis.responses import bins, in_frequency
-from service.diagnosis.signals import lowpass, row_samples
+from service.diagnosis.fit.cross_products import PLAIN, Group, Piece, between_periods, noise_model, pairing
+from service.diagnosis.rows.periods import in_periods
+from service.diagnosis.rows.responses import bins, in_frequency
+from service.diagnosis.rows.signals import lowpass, row_samples
 from service.recording import Recording, Sweep, SweepSpec
 
 RATE = 250.0

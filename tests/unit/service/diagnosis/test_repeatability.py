@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from service.diagnosis.design import full_design
-from service.diagnosis.equations import Equations
-from service.diagnosis.repeatability import Unrepeated, unrepeated
+from service.diagnosis.fit.equations import Equations
+from service.diagnosis.localisation.repeatability import Unrepeated, unrepeated
+from service.diagnosis.sensitivity.design import full_design
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, equations_of, following
 

@@ -7,14 +7,14 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from service.cli.diagnose import write_scenario
+from service.cli.recordings.diagnose import write_scenario
 from service.diagnosis import model_document
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.links import gravity, gravity_of_fit
-from service.diagnosis.patch import Patch
-from service.diagnosis.rigid import load_rows, nominal_load, nominal_parameters
-from service.diagnosis.scenario import axis_entry
-from service.diagnosis.twin import Run, torques, ways
+from service.diagnosis.effects.patch import Patch
+from service.diagnosis.model.link_deviations import gravity, gravity_of_fit
+from service.diagnosis.model.scenario import axis_entry
+from service.diagnosis.model.twin import Run, torques, ways
+from service.diagnosis.rows.rigid import load_rows, nominal_load, nominal_parameters
 from simulator import Motion, load_scenario, replay
 from simulator.moving_axis import moving_axis
 from simulator.rigid_body import RigidBody

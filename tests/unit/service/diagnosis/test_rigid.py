@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.diagnosis.rigid import Rigid, nominal_load, parameter_spread, rigid
+from service.diagnosis.rows.rigid import Rigid, nominal_load, parameter_spread, rigid
 from service.robot import Axis, Prior, Robot, RobotDescription
 
 MASS, ARM, MOTOR, G = 3.0, 2.0, 0.5, 9.81

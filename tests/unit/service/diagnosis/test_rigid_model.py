@@ -3,12 +3,12 @@
 import numpy as np
 
 from service.diagnosis import axis_document, diagnose_axis
-from service.diagnosis.design import full_design
-from service.diagnosis.equations import grouped, held_back
-from service.diagnosis.rigid import load_rows, nominal_parameters
-from service.diagnosis.signals import tracks
-from service.identification.base_parameters import joint_ranges, reduce_columns
-from service.identification.regressor import parameter_names
+from service.diagnosis.fit.equations import grouped, held_back
+from service.diagnosis.rows.rigid import load_rows, nominal_parameters
+from service.diagnosis.rows.signals import tracks
+from service.diagnosis.sensitivity.design import full_design
+from service.identification.model.base_parameters import joint_ranges, reduce_columns
+from service.identification.model.regressor import parameter_names
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, following, heavier
 

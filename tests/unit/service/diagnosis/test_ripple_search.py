@@ -6,10 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from service.diagnosis.design import full_design
-from service.diagnosis.equations import Equations
-from service.diagnosis.ripple_search import ripples, with_ripples
-from service.diagnosis.signals import row_samples
+from service.diagnosis.fit.equations import Equations
+from service.diagnosis.localisation.ripple_search import ripples, with_ripples
+from service.diagnosis.rows.signals import row_samples
+from service.diagnosis.sensitivity.design import full_design
 from service.robot import Robot
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, equations_of, following

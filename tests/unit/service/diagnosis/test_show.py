@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.diagnosis.design import full_design
-from service.diagnosis.equations import Equations, Term, equations, grouped
-from service.diagnosis.gap import Gap, gap
-from service.diagnosis.show import Shown, show
-from service.diagnosis.signals import tracks
+from service.diagnosis.fit.equations import Equations, Term, equations, grouped
+from service.diagnosis.fit.gap import Gap, gap
+from service.diagnosis.model.show import Shown, show
+from service.diagnosis.rows.signals import tracks
+from service.diagnosis.sensitivity.design import full_design
 from service.recording import Recording, Sweep
 from simulator import DriveTrain, Measurement, Scenario, run_sweeps
 from tests.numeric.campaign import max100, scenario_named

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from service.diagnosis import axis_document, diagnose_axis, started_from
-from service.diagnosis.design import full_design
-from service.diagnosis.rigid import load_rows, nominal_parameters, parameter_spread
-from service.diagnosis.signals import Tracks
+from service.diagnosis.rows.rigid import load_rows, nominal_parameters, parameter_spread
+from service.diagnosis.rows.signals import Tracks
+from service.diagnosis.sensitivity.design import full_design
 from service.errors import BadInput
 from service.estimation import estimate_document, sweep_spectrum
 from service.robot import INERTIAL_NAMES, Robot

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from service.diagnosis import axis_document, diagnose_axis
-from service.diagnosis.design import full_design
-from service.diagnosis.equations import Term, grouped
-from service.diagnosis.signals import tracks
+from service.diagnosis.fit.equations import Term, grouped
+from service.diagnosis.rows.signals import tracks
+from service.diagnosis.sensitivity.design import full_design
 from service.errors import BadInput
 from service.recording import Sweep
 from tests.numeric.campaign import max100

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from service.diagnosis.design import DesignedSweep, full_design
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Model
-from service.diagnosis.links import gravity
-from service.diagnosis.patch import Inexpressible, Patch
-from service.diagnosis.rigid import nominal_load
-from service.diagnosis.scenario import AxisEntry, axis_entry
-from service.diagnosis.signals import Tracks, laid_out, tracks
-from service.diagnosis.twin import Run, torques, ways
+from service.diagnosis.effects.patch import Inexpressible, Patch
+from service.diagnosis.model.link_deviations import gravity
+from service.diagnosis.model.scenario import AxisEntry, axis_entry
+from service.diagnosis.model.twin import Run, torques, ways
+from service.diagnosis.rows.rigid import nominal_load
+from service.diagnosis.rows.signals import Tracks, laid_out, tracks
+from service.diagnosis.sensitivity.design import DesignedSweep, full_design
 from service.recording import Recording, Sweep
 from service.robot import Robot
 from simulator import Measurement, SweepRun, run_sweeps

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from service.diagnosis.effects.nonlinear_viscous_friction import law
-from service.diagnosis.responses import bins, in_frequency
+from service.diagnosis.effects.friction.nonlinear_viscous_friction import law
+from service.diagnosis.rows.responses import bins, in_frequency
 
 RATE = 250.0
 

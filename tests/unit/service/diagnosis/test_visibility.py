@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from service.diagnosis.design import BLOCKS, full_design, paper_design
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.equations import applies
-from service.diagnosis.visibility import untestable
+from service.diagnosis.fit.equations import applies
+from service.diagnosis.sensitivity.design import BLOCKS, full_design, paper_design
+from service.diagnosis.sensitivity.visibility import untestable
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, equations_of, following, known_to
 

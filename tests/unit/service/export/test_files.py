@@ -13,7 +13,7 @@ from service.configuration import read_robot
 from service.errors import BadInput
 from service.export import identified_model, model_files, write_model
 from service.export.mjcf import quaternion
-from service.identification.physical_consistency import is_physical
+from service.identification.model.physical_consistency import is_physical
 from service.robot import INERTIAL_NAMES, Axis, Robot, RobotDescription, build_robot, rotation_about
 from service.urdf import read_chain, read_inertial
 from tests.unit.service.export.conftest import estimate_of

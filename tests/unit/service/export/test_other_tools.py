@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from service.export import IdentifiedModel, identified_model, model_files, write_model
-from service.identification.regressor import axis_rows
+from service.identification.model.regressor import axis_rows
 from service.robot import Robot
 from tests.unit.service.export.conftest import estimate_of
 

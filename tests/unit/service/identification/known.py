@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from service.identification.known_effects import KnownEffects, known_effects
+from service.identification.axis.known_effects import KnownEffects, known_effects
 
 Told = dict[str, tuple[float, float]]  # parameter: value, std
 

@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from service.errors import BadInput
-from service.identification.combination import (
+from service.identification.design.exciting_trajectory import Shape, TrajectoryLimits, design_trajectory, steady_motion
+from service.identification.estimates.combination import (
     AxisInertias,
     Combination,
     Source,
     combine,
 )
-from service.identification.exciting_trajectory import Shape, TrajectoryLimits, design_trajectory, steady_motion
-from service.identification.inverse_dynamics import Motion, dynamics_rows
-from service.identification.parameter_prior import nominal_parameters
-from service.identification.regressor import axis_rows
-from service.identification.trajectory_record import AxisTrack, TrajectoryRecord
-from service.identification.whole_base import dynamic_base
+from service.identification.model.inverse_dynamics import Motion, dynamics_rows
+from service.identification.model.parameter_prior import nominal_parameters
+from service.identification.model.regressor import axis_rows
+from service.identification.model.whole_base import dynamic_base
+from service.identification.motion.trajectory_record import AxisTrack, TrajectoryRecord
 from service.recording import SweepSpec
 from service.robot import Robot
 from tests.random_chain import random_arm

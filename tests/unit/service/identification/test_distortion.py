@@ -15,11 +15,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.identification.axis_estimate import AxisEstimate
-from service.identification.document import as_document
-from service.identification.estimate import identify
-from service.identification.excitation import CREST, Excitation, design_sweep, realisations, velocity_setpoint
-from service.identification.frequency_response import Spectrum, spectrum
+from service.identification.axis.axis_estimate import AxisEstimate
+from service.identification.design.excitation import CREST, Excitation, design_sweep, realisations, velocity_setpoint
+from service.identification.estimates.document import as_document
+from service.identification.estimates.estimate import identify
+from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot
 

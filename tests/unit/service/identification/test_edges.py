@@ -6,9 +6,9 @@ import pytest
 from service.errors import BadInput
 from service.estimation import estimate_document
 from service.identification import Spectrum, identify, spectrum
-from service.identification.axis_inertia import DriveTrain
-from service.identification.base_parameters import joint_ranges
-from service.identification.time_domain import fit_record
+from service.identification.model.base_parameters import joint_ranges
+from service.identification.spectra.axis_inertia import DriveTrain
+from service.identification.spectra.time_domain import fit_record
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Axis, Robot, RobotDescription, build_robot
 from service.urdf import read_chain

@@ -8,8 +8,8 @@ import pytest
 
 from service.errors import BadInput
 from service.identification import Spectrum, as_document, identify, spectrum
-from service.identification.excitation import design_sweep, velocity_setpoint
-from service.identification.regressor import gravity_terms, inertia_rows
+from service.identification.design.excitation import design_sweep, velocity_setpoint
+from service.identification.model.regressor import gravity_terms, inertia_rows
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot
 

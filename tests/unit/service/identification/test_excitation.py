@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import BadInput
-from service.identification.excitation import LINES, design_sweep, velocity_setpoint
+from service.identification.design.excitation import LINES, design_sweep, velocity_setpoint
 from service.robot import Axis, Robot, RobotDescription, build_robot
 from tests.unit.service.identification.conftest import URDF
 

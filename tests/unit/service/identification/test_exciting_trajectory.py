@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from service.errors import BadInput
-from service.identification.excitation import velocity_setpoint
-from service.identification.exciting_trajectory import (
+from service.identification.design.excitation import velocity_setpoint
+from service.identification.design.exciting_trajectory import (
     Shape,
     Trajectory,
     TrajectoryLimits,
@@ -13,7 +13,7 @@ from service.identification.exciting_trajectory import (
     nominal_effort,
     steady_motion,
 )
-from service.identification.whole_base import dynamic_base
+from service.identification.model.whole_base import dynamic_base
 from service.robot import Robot
 from tests.random_chain import random_arm
 

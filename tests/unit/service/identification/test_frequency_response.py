@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from service.errors import BadInput
-from service.identification.frequency_response import Spectrum, spectrum
-from service.identification.time_domain import fit_record
+from service.identification.spectra.frequency_response import Spectrum, spectrum
+from service.identification.spectra.time_domain import fit_record
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Robot
 

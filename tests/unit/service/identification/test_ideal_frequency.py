@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from service.errors import BadInput
-from service.identification.analysis_document import analyses_document, analyses_from
-from service.identification.axis_inertia import DriveTrain, impedance
-from service.identification.ideal_frequency import AxisAnalysis, analyse_axis, nearest_line
-from service.identification.joint_fit import PosePrior, SharedPrior
-from service.identification.noise_response import Response
+from service.identification.axis.ideal_frequency import AxisAnalysis, analyse_axis, nearest_line
+from service.identification.axis.joint_fit import PosePrior, SharedPrior
+from service.identification.estimates.analysis_document import analyses_document, analyses_from
+from service.identification.spectra.axis_inertia import DriveTrain, impedance
+from service.identification.spectra.noise_response import Response
 
 TRAIN = DriveTrain(58.0, 300.0, 150.0, 1 / 7.4e5, 1.2e-3)
 LOADS = (140.0, 200.0, 330.0, 600.0)

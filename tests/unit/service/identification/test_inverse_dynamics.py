@@ -4,8 +4,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from service.identification.inverse_dynamics import Motion, dynamics_names, dynamics_rows, link_rows
-from service.identification.regressor import axis_rows
+from service.identification.model.inverse_dynamics import Motion, dynamics_names, dynamics_rows, link_rows
+from service.identification.model.regressor import axis_rows
 from service.urdf import read_chain
 from tests.random_chain import random_urdf
 

@@ -7,11 +7,11 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lsim
 
-from service.identification.axis_inertia import DriveTrain
-from service.identification.excitation import design_sweep, velocity_setpoint
-from service.identification.frequency_response import Spectrum, spectrum
-from service.identification.joint_fit import PosePrior, SharedPrior, complete_prior, fit_axis
-from service.identification.sweep_model import SHARED, direct_terms, effort_residual
+from service.identification.axis.joint_fit import PosePrior, SharedPrior, complete_prior, fit_axis
+from service.identification.axis.sweep_model import SHARED, direct_terms, effort_residual
+from service.identification.design.excitation import design_sweep, velocity_setpoint
+from service.identification.spectra.axis_inertia import DriveTrain
+from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot
 

@@ -1,10 +1,12 @@
 """Known effects are read from a model's document, and what cannot be used is told."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from service.errors import BadInput
-from service.identification.known_effects import known_effects
+from service.identification.axis.known_effects import known_effects
 from tests.unit.service.identification.known import known, model
 
 FRICTION = {"coulomb": (90.0, 2.0), "extra": (40.0, 3.0), "velocity": (0.006, 0.0005), "exponent": (2.0, 0.1)}
@@ -49,6 +51,23 @@ def test_an_effect_that_says_nothing_is_left_out(effects: dict[str, dict[str, tu
     assert axis.effects[0].unusable.startswith(why)
 
 
+def with_covariance(told: list[Any]) -> dict[str, Any]:
+    document = model(lift={"a": {"b": (1.0, 1.0)}})
+    document["axes"]["lift"]["effects"][0]["covariance"] = told
+    return document
+
+
+def test_an_effect_without_parameters_is_read() -> None:
+    assert known(lift={"a": {}}).of("lift").effects[0].covariance.shape == (0, 0)
+
+
+def test_a_variance_without_a_root_gives_no_correlations() -> None:
+    document = with_covariance([[5e-324, 1.0], [1.0, 5e-324]])
+    document["axes"]["lift"]["effects"][0]["parameters"]["c"] = {"value": 1.0, "std": 2.0}
+    effect = known_effects(document, ("lift",), {}).of("lift").effects[0]
+    np.testing.assert_array_equal(effect.covariance, np.diag([1.0, 4.0]))
+
+
 @pytest.mark.parametrize(
     ("document", "message"),
     [
@@ -58,7 +77,10 @@ def test_an_effect_that_says_nothing_is_left_out(effects: dict[str, dict[str, tu
         ({"axes": {"lift": {"effects": {}}}}, r"lift\.effects: is not a list"),
         ({"axes": {"lift": {"effects": [{}]}}}, r'lift\.effects: has an entry without "effect"'),
         (model(lift={"a": {"b": (float("nan"), 1.0)}}), r"effects\.a\.b\.value: nan is not a finite number"),
+        (model(lift={"a": {"b": (10**400, 1.0)}}), r"effects\.a\.b\.value: 10+ is not a finite number"),
         (model(lift={"a": {"b": (1.0, -1.0)}}), r"effects\.a\.b\.std: -1\.0 is below 0"),
+        (with_covariance([[1.0], [1.0, 2.0]]), r"effects\.a\.covariance: is no matrix of numbers"),
+        (with_covariance([["x"]]), r"effects\.a\.covariance: is no matrix of numbers"),
     ],
 )
 def test_what_cannot_be_read_is_named(document: dict[str, object], message: str) -> None:

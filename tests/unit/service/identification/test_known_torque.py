@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from service.identification.frequency_response import Spectrum, spectrum
-from service.identification.known_effects import KnownAxis
-from service.identification.known_torque import Corrected, Load, corrected, motion_of
+from service.identification.axis.known_effects import KnownAxis
+from service.identification.axis.known_torque import Corrected, Load, corrected, motion_of
+from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Robot
 from tests.unit.service.identification.known import Told, known

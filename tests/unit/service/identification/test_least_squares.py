@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from service.identification.least_squares import Information, LeftOut
+from service.identification.model.least_squares import Information, LeftOut
 
 
 def _problem(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

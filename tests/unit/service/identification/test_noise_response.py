@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from service.errors import BadInput
-from service.identification.axis_inertia import DriveTrain, impedance
-from service.identification.noise_response import NoiseSpectrum, noise_response, noise_spectrum
+from service.identification.spectra.axis_inertia import DriveTrain, impedance
+from service.identification.spectra.noise_response import NoiseSpectrum, noise_response, noise_spectrum
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot
 

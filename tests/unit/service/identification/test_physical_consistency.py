@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.identification.base_parameters import base_parameters
-from service.identification.physical_consistency import Physical, is_physical, nearest_physical, pseudo_inertia
+from service.identification.model.base_parameters import base_parameters
+from service.identification.model.physical_consistency import Physical, is_physical, nearest_physical, pseudo_inertia
 from service.urdf import Chain, read_chain
 from tests.random_chain import random_urdf
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.errors import BadInput
-from service.identification.pose_selection import RIDGE, SLACK, Criterion, _Greedy, choices, select_poses
+from service.identification.design.pose_selection import RIDGE, SLACK, Criterion, _Greedy, choices, select_poses
 from tests.naive_selection import naive_condition
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.identification.predicted_confidence import (
+from service.identification.design.predicted_confidence import (
     EFFORT_NOISE,
     NOISE_RATE,
     SOFTEST,

@@ -4,8 +4,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from service.identification.base_parameters import base_parameters, condition_number
-from service.identification.regressor import (
+from service.identification.model.base_parameters import base_parameters, condition_number
+from service.identification.model.regressor import (
     axis_rows,
     fold,
     gravity_rows,

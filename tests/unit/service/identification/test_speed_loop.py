@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from service.errors import BadInput
-from service.identification.speed_loop import fit_closed_loop, fit_torque_response
+from service.identification.spectra.speed_loop import fit_closed_loop, fit_torque_response
 
 OVER_GAIN, FRICTION, DELAY = 3.6e-3, 0.025, 0.7e-3  # J/K in s, mu/K, s
 FREQUENCY = np.arange(1, 256) * 8000 / 2047

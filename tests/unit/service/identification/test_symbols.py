@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.identification.base_parameters import BaseParameters, base_parameters, combination_of
-from service.identification.expressions import Search, Term, products
-from service.identification.regressor import lock, parameter_names
-from service.identification.symbols import Dimension, dimensions, symbolic_names, with_dimensions
+from service.identification.model.base_parameters import BaseParameters, base_parameters, combination_of
+from service.identification.model.expressions import Search, Term, products
+from service.identification.model.regressor import lock, parameter_names
+from service.identification.model.symbols import Dimension, dimensions, symbolic_names, with_dimensions
 from service.urdf import Chain, read_chain
 from tests.random_chain import random_urdf
 

@@ -9,10 +9,10 @@ from scipy.signal import lfilter
 
 from service.errors import BadInput
 from service.identification import identify, spectrum
-from service.identification.time_domain import FreeFit, fit_record
+from service.identification.spectra.time_domain import FreeFit, fit_record
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Axis, Robot, RobotDescription, build_robot
-from service.trace_import import import_trace
+from service.traces.trace_import import import_trace
 
 INERTIA, VISCOUS, DRY = 1.5e-3, 4e-4, 0.25  # of a servo motor on its bench: kg m^2, N m s/rad, N m
 RATE, DURATION, TOP = 1000.0, 6.0, 200.0  # Hz, s, rad/s

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from service.errors import BadInput
-from service.identification.axis_inertia import DriveTrain
-from service.identification.trajectory_record import (
+from service.identification.motion.trajectory_record import (
     AxisTrack,
     TrajectoryRecord,
     axis_track,
@@ -17,6 +16,7 @@ from service.identification.trajectory_record import (
     trajectory,
     with_loads,
 )
+from service.identification.spectra.axis_inertia import DriveTrain
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Robot
 from tests.random_chain import random_arm

@@ -5,7 +5,7 @@ import pytest
 
 from service.estimation import estimate_document
 from service.identification import Spectrum, identify, spectrum
-from service.identification.least_squares import Information
+from service.identification.model.least_squares import Information
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot, build_robot
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from service.errors import BadInput
-from service.hull import read_hull, write_hull
+from service.geometry.hull import read_hull, write_hull
 from service.maker_urdf.hulls import FINEST, MOST_VERTICES, convex_hull, solid
 from service.maker_urdf.inertials import DENSITY, complete_inertials, look_at_inertials
 from service.urdf import read_chain

@@ -63,6 +63,7 @@ def test_the_scene_of_a_dae_places_scales_and_turns() -> None:
         (b"v 1 2 x\n", "a.obj", "could not convert"),
         (b"v 1 2 nan\n", "a.obj", "not finite"),
         (b"<COLLADA>", "a.dae", "not XML"),
+        (b'<?xml version="1.0" encoding="hex"?><COLLADA/>', "a.dae", "cannot be read"),
         (b"<COLLADA/>", "a.dae", "has no visual scene"),
         (dae("<matrix>1 2 3</matrix>"), "a.dae", "cannot be read"),
         (dae("", used="0 1 9"), "a.dae", "cannot be read"),

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from service.campaigns.plan import PlanDocument, PlanRequest, build_plan
-from service.cell import Cell, read_cell
 from service.configuration import read_robot
+from service.geometry.cell import Cell, read_cell
 from service.paths.control import Control, read_control
+from service.planning.plan import PlanDocument, PlanRequest, build_plan
 from service.robot import Robot
 
 ROOT = Path(__file__).parents[4]

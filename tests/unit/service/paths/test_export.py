@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 import yaml
 
-from service.campaigns.plan import PlanDocument
-from service.cell import Cell
 from service.configuration import read_robot, read_yaml
 from service.errors import BadInput
+from service.geometry.cell import Cell
 from service.paths.control import Control, read_control
 from service.paths.export import export_paths
+from service.planning.plan import PlanDocument
 from service.robot import Robot
-from service.trace_mapping import Mapping
+from service.traces.mapping import Mapping
 from tests.unit.service.paths.conftest import CELL, CONTROL, ROBOT, ROOT
 
 
@@ -90,6 +90,14 @@ def test_what_leaves_the_envelope_is_not_written(
         export_paths(tmp_path / "paths", changed(plan, 1, **changes), robot, cell, control)
     assert reason in str(refusal.value)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_pose_of_another_robot_is_refused(
+    tmp_path: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: Control
+) -> None:
+    short = plan.sweeps[1].spec.model_copy(update={"pose": (0.0,)})
+    with pytest.raises(BadInput, match="plan sweep 0002: pose has 1 numbers, robot max100-class has 6 axes"):
+        export_paths(tmp_path / "paths", changed(plan, 1, spec=short), robot, cell, control)
 
 
 def test_a_plan_of_another_robot_or_cell_is_refused(

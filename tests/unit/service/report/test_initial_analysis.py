@@ -6,8 +6,8 @@ import re
 import numpy as np
 import pytest
 
-from service.identification.analysis_document import analyses_document
-from service.identification.ideal_frequency import AxisAnalysis
+from service.identification.axis.ideal_frequency import AxisAnalysis
+from service.identification.estimates.analysis_document import analyses_document
 from service.report import render_analysis
 from service.report.initial_analysis import amplitude_responses, ideal_frequencies, table
 from tests.unit.service.campaigns.small_arm import small_arm

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from service.configuration import read_robot
-from service.identification.regressor import axis_rows, lock
+from service.identification.model.regressor import axis_rows, lock
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.report import Content, Row, axes_of, render
 from service.report.content import revision

@@ -16,8 +16,8 @@ from pydantic import ValidationError
 from service.errors import BadInput
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Axis, Robot, RobotDescription, build_robot
-from service.store.bundle import Bundle, read_bundle, write_bundle
-from service.store.columns import write_columns
+from service.store.files.bundle import Bundle, read_bundle, write_bundle
+from service.store.files.columns import write_columns
 
 Edit = Callable[[dict[str, Any]], object]
 
@@ -285,7 +285,7 @@ def test_any_mutation_is_read_or_refused(folder: Path, data: st.DataObject) -> N
 
 
 def test_the_sweeps_of_a_bundle_are_counted_together(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.store.bundle.MOST_NUMBERS", 2 * 250 * 5 - 1)
+    monkeypatch.setattr("service.store.files.bundle.MOST_NUMBERS", 2 * 250 * 5 - 1)
     with pytest.raises(BadInput, match=r"bundle\.json: its sweeps hold more than 2499 numbers together"):
         read_bundle(folder)
 

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 
 from service.errors import BadInput
 from service.recording import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Recording
-from service.store.columns import LARGEST_CSV, MOST_NUMBERS, read_columns, write_columns
+from service.store.files.columns import LARGEST_CSV, MOST_NUMBERS, read_columns, write_columns
 
 PLAIN = "time,effort,velocity,position\n0,1,2,3\n0.5,1,2,3\n"
 

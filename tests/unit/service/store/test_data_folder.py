@@ -8,10 +8,10 @@ import pytest
 from service.errors import BadInput
 from service.recording import Recording, SweepSpec
 from service.robot import Robot
-from service.store.data_folder import FILE, ForeignFolder, claim_folder
 from service.store.database import open_database
 from service.store.documents import NewRecording, NewSweep, RecordingState
-from service.store.recordings import RecordingFiles, Run
+from service.store.files.data_folder import FILE, ForeignFolder, claim_folder
+from service.store.files.recordings import RecordingFiles, Run
 from service.store.store import Store
 
 TIME = np.arange(100) / 100.0

@@ -11,10 +11,10 @@ from service.errors import Conflict, NotFound
 from service.recording import SweepSpec
 from service.robot import Robot
 from service.store.database import Database, alembic_config, open_database
-from service.store.diagnoses import DiagnosisStore
+from service.store.diagnosis.diagnoses import DiagnosisStore
+from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, DiagnosisState, NewDiagnosis
 from service.store.documents import CampaignState, EventKind, NewRecording, NewSweep, RecordingState
-from service.store.model_revisions import ModelStore
 from service.store.store import Store
 
 MASS = BoltedMass(mass=20.0, center=(0.1, 0.0, 0.0))

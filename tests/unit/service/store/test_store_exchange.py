@@ -8,10 +8,11 @@ import pytest
 from service.errors import BadInput, Conflict
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot
-from service.store.bundle import Bundle
 from service.store.documents import CampaignState, NewSweep, SweepState
-from service.store.exchange import campaign_bundle, import_campaign
-from service.store.recordings import RecordingFiles
+from service.store.files.bundle import Bundle
+from service.store.files.exchange import campaign_bundle, import_campaign
+from service.store.files.intake import save_bundle
+from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
 
 
@@ -31,7 +32,7 @@ def bundle(robot: Robot, specs: tuple[SweepSpec, ...]) -> Bundle:
 
 
 def test_what_goes_in_comes_out(store: Store, files: RecordingFiles, bundle: Bundle) -> None:
-    campaign = import_campaign(store, files, bundle)
+    campaign = import_campaign(store, files, save_bundle(files, bundle))
     assert (campaign.state, campaign.plan_id) == (CampaignState.MEASURED, None)
     assert campaign.sweeps == {SweepState.RECORDED: 3}
     out = campaign_bundle(store, files, campaign.id)
@@ -46,13 +47,13 @@ def test_an_import_that_fails_leaves_nothing(
 ) -> None:
     short = Sweep(bundle.sweeps[2].spec, Recording(*np.zeros((4, 1))))
     with pytest.raises(BadInput, match="1 samples"):
-        import_campaign(store, files, Bundle(bundle.robot, (*bundle.sweeps[:2], short)))
+        import_campaign(store, files, save_bundle(files, Bundle(bundle.robot, (*bundle.sweeps[:2], short))))
     assert store.campaigns() == ()
     assert list((tmp_path / "recordings").iterdir()) == []
 
 
 def test_a_changed_or_missing_file_is_refused(store: Store, files: RecordingFiles, bundle: Bundle) -> None:
-    campaign = import_campaign(store, files, bundle)
+    campaign = import_campaign(store, files, save_bundle(files, bundle))
     document = store.recording(campaign.id, 1)
     path = files.path(document)
     content = path.read_bytes()

@@ -108,7 +108,9 @@ def test_a_bad_map_is_told_with_its_place(tmp_path: Path, change: Change, reason
     assert str(caught.value).startswith(str(path))
 
 
-@pytest.mark.parametrize(("text", "reason"), [(None, "cannot be read"), ("a: [", "not YAML"), ("- 1", "map: ")])
+@pytest.mark.parametrize(
+    ("text", "reason"), [(None, "cannot be read"), ("a: [", "not YAML"), ("a: !!bool x", "not YAML"), ("- 1", "map: ")]
+)
 def test_what_is_no_map(tmp_path: Path, text: str | None, reason: str) -> None:
     path = tmp_path / "map.yaml"
     if text is not None:

@@ -1,0 +1,143 @@
+"""Has a repair changed the robot? Two campaigns of one plan, before and after it, axis by axis.
+
+    python before_and_after.py max100-class --axes joint_2,joint_3 --varied joint_3 --by "your name"
+    python before_and_after.py max100-class --before 7 --by "your name"
+    python before_and_after.py max100-class --before 7 --after 9 --by "your name"
+
+The first measures before the repair, the second the same plan after it, the third moves nothing. For each axis: its
+inertia over the poses that both campaigns measured, before and after, with the difference, its standard deviation and
+significance. Exit codes: 0 no axis changed (or: before is measured), 1 an axis changed by more than 4 standard
+deviations, or failed, 2 bad input, 3 stopped, 4 an axis between 2 and 4.
+"""
+
+import sys
+
+import numpy as np
+from inertias import inertias
+from moves import STILL
+from numpy.typing import NDArray
+from runbook import Exit, Runbook, judged, optional_list, parser_of, run, worst
+
+from service.client import Json
+from service.errors import BadInput
+from service.robot import Robot
+
+
+def main() -> int:
+    parser = parser_of(__doc__)
+    parser.add_argument("robot", help="name of a robot that the service knows")
+    parser.add_argument("--before", type=int, help="campaign before the repair; left out: measure it")
+    parser.add_argument("--after", type=int, help="campaign after the repair; left out: measure it")
+    parser.add_argument("--axes", type=optional_list, default=[], help="before: joints to measure, comma separated")
+    parser.add_argument("--varied", type=optional_list, default=[], help="before: joints that make the poses")
+    parser.add_argument("--cell", default="workshop")
+    parser.add_argument("--step", type=float, default=5.0, help="before: deg (cm) between the positions of the grid")
+    parser.add_argument("--poses", type=int, default=8, help="before: how many")
+    return run("before_and_after", parser, before_and_after)
+
+
+def before_and_after(book: Runbook) -> Exit:
+    given, client = book.given, book.client
+    if given.before is None:
+        return first(book)
+    before = completed(book, given.before)
+    robot = book.identify_machine(client.robot(before["robot_id"]))
+    if given.after is None:
+        if before["plan_id"] is None:
+            raise BadInput("before", f"campaign {before['id']} was imported: there is no plan to measure again")
+        after = book.measured(robot, client.plan(before["plan_id"]))
+        if after is None:
+            return Exit.DONE
+        if after["state"] != "completed":
+            return book.not_completed(after)
+    else:
+        after = completed(book, given.after)
+        if given.dry_run:
+            book.step("compare", "moves nothing")
+            return Exit.DONE
+    return compared(book, robot, before, after)
+
+
+def first(book: Runbook) -> Exit:
+    """Measure the campaign before the repair."""
+    given = book.given
+    if given.after is not None or not given.axes or not given.varied:
+        raise BadInput("before", "name a campaign, or --axes and --varied to measure one")
+    document = book.robot_named(given.robot)
+    robot = book.identify_machine(document)
+    request = {"robot_id": document["id"], "cell": given.cell, "axes": given.axes, "varied": given.varied}
+    campaign = book.measured(robot, book.client.add_plan(request | {"step": given.step, "poses": given.poses}))
+    if campaign is None:
+        return Exit.DONE
+    if campaign["state"] != "completed":
+        return book.not_completed(campaign)
+    book.step("after the repair", f"before_and_after.py {given.robot} --before {campaign['id']}")
+    return Exit.DONE
+
+
+def completed(book: Runbook, number: int) -> Json:
+    campaign = book.client.campaign(number)
+    names = {robot["id"]: robot["name"] for robot in book.client.robots()}
+    if names[campaign["robot_id"]] != book.given.robot:
+        raise BadInput("robot", f"campaign {number} is of {names[campaign['robot_id']]}, not of {book.given.robot}")
+    if campaign["state"] != "completed":
+        raise BadInput("campaign", f"campaign {number} is {campaign['state']}, not completed")
+    return campaign
+
+
+def compared(book: Runbook, robot: Robot, before: Json, after: Json) -> Exit:
+    """Tell each axis' inertia, the mean over the common poses, and the verdict."""
+    if before["robot_id"] != after["robot_id"]:
+        raise BadInput("after", f"campaign {after['id']} is of another revision of the robot than {before['id']}")
+    estimates = [book.client.estimate(campaign["id"])["document"] for campaign in (before, after)]
+    poses = common([book.client.sweeps(campaign["id"]) for campaign in (before, after)])
+    if not len(poses):
+        raise BadInput("after", f"campaigns {before['id']} and {after['id']} have no pose in common: measure one plan")
+    axes = [joint for joint in estimates[0]["axes"] if joint in estimates[1]["axes"]]
+    codes: list[Exit] = []
+    words: list[str] = []
+    for joint in axes:
+        means, variances = np.array(
+            [
+                (values.mean(), covariance.mean())  # of the mean over the poses
+                for campaign, estimate in zip((before, after), estimates, strict=True)
+                for values, covariance in [inertias(robot, estimate, joint, poses, f"campaign {campaign['id']}")]
+            ]
+        ).T.tolist()
+        difference, std = means[1] - means[0], float(np.sqrt(sum(variances)))
+        significance, percent = difference / std, 100 * difference / means[0]
+        codes.append(judged(significance))
+        changed = {Exit.DONE: "unchanged", Exit.AMBER: "perhaps changed"}.get(codes[-1], "changed")
+        words.append(f"{joint} {changed} ({percent:+.2f} %, {significance:+.1f} standard deviations)")
+        book.step(
+            joint,
+            f"{means[0]:.4g} before, {means[1]:.4g} after: {difference:+.3g} +- {std:.2g} kg m2 (kg) over {len(poses)} "
+            f"poses, {significance:+.1f} standard deviations",
+            axis=joint,
+            before=means[0],
+            after=means[1],
+            difference=difference,
+            std=std,
+            significance=significance,
+            poses=len(poses),
+        )
+    if not axes:
+        raise BadInput("after", "the campaigns have no axis in common")
+    book.step("verdict", f"From campaign {before['id']} to {after['id']}: {', '.join(words)}.")
+    return worst(codes)
+
+
+def common(sweeps: list[list[Json]]) -> NDArray[np.float64]:
+    """The poses (m, n) that were identified in both lists."""
+    first, second = (
+        np.unique([sweep["spec"]["pose"] for sweep in each if sweep["state"] == "identified"], axis=0)
+        for each in sweeps
+    )
+    if not len(first) or not len(second):
+        return first[:0]
+    apart = np.abs(first[:, None] - second[None]).max(axis=2).min(axis=1)
+    return first[apart < STILL]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,108 @@
+"""Is the machine as it was? One sweep of each axis in one or two poses against the robot's stored estimate.
+
+    python daily_check.py max100-class --by "your name"
+
+For each axis: green up to 2 standard deviations, amber up to 4, red beyond, those of the estimate and of the sweep
+both counted. Exit codes: 0 all green, 1 an axis red or the check failed, 2 bad input, 3 stopped, 4 an axis amber.
+"""
+
+import sys
+
+import numpy as np
+from inertias import inertias
+from runbook import Exit, Runbook, judged, optional_list, parser_of, request_of, run, worst
+
+from service.client import Json, ServiceProblem
+from service.errors import BadInput
+from service.robot import Robot
+
+LEAST_POSES = 3  # of each axis; a campaign with fewer is a check itself and no reference
+COLOUR = {Exit.DONE: "green", Exit.AMBER: "amber", Exit.FAILED: "red"}
+
+
+def main() -> int:
+    parser = parser_of(__doc__)
+    parser.add_argument("robot", help="name of a robot that the service knows")
+    parser.add_argument("--axes", type=optional_list, default=[], help="comma separated; default: all of the estimate")
+    parser.add_argument("--poses", type=int, choices=(1, 2), default=1)
+    parser.add_argument("--campaign", type=int, help="whose estimate is the reference; default: the newest that can be")
+    return run("daily_check", parser, check)
+
+
+def check(book: Runbook) -> Exit:
+    reference, estimate = stored(book)
+    plan = book.client.plan(reference["plan_id"])
+    robot = book.identify_machine(book.client.robot(reference["robot_id"]))
+    axes = book.given.axes or list(estimate["axes"])
+    book.step("reference", f"campaign {reference['id']} of {reference['created_at'][:10]}", campaign=reference["id"])
+    once = {"axes": axes, "poses": book.given.poses, "realisations": 1, "warm_up": 0.0}
+    campaign = book.measured(robot, book.client.add_plan(request_of(plan) | once))
+    if campaign is None:
+        return Exit.DONE
+    if campaign["state"] != "completed":
+        return book.not_completed(campaign)
+    return worst([compared(book, robot, estimate, campaign, joint) for joint in axes])
+
+
+def stored(book: Runbook) -> tuple[Json, Json]:
+    """The campaign of reference, and its latest estimate's document."""
+    given, client = book.given, book.client
+    ids = {robot["id"] for robot in client.robots() if robot["name"] == given.robot}
+    if not ids:
+        raise BadInput("robot", f"{given.url} knows no robot {given.robot}")
+    wanted = None if given.campaign is None else client.campaign(given.campaign)
+    for campaign in [wanted] if wanted else reversed(client.campaigns()):
+        if campaign["state"] != "completed" or campaign["robot_id"] not in ids or campaign["plan_id"] is None:
+            continue
+        try:
+            estimate = client.estimate(campaign["id"])["document"]
+        except ServiceProblem:
+            continue  # it measured, but nothing was identified
+        if suffices(estimate, given.axes) and "kind" not in client.plan(campaign["plan_id"])["document"]["request"]:
+            return campaign, estimate
+    which = f"campaign {given.campaign}" if wanted else "no completed campaign of the robot"
+    raise BadInput(
+        "campaign", f"{which} has every axis in {LEAST_POSES} poses and tells its inertia: measure one first"
+    )
+
+
+def suffices(estimate: Json, wanted: list[str]) -> bool:
+    axes = [estimate["axes"].get(joint) for joint in wanted or estimate["axes"]]
+    return bool(axes) and all(
+        axis is not None and axis["confidence_percent"] is not None and len(axis["inertia"]) >= LEAST_POSES
+        for axis in axes
+    )
+
+
+def compared(book: Runbook, robot: Robot, estimate: Json, campaign: Json, joint: str) -> Exit:
+    """Tell the axis' sweeps against the estimate; the worst counts."""
+    poses = {sweep["spec"]["id"]: sweep["spec"]["pose"] for sweep in book.client.sweeps(campaign["id"])}
+    found = book.client.estimate(campaign["id"])["document"]["axes"].get(joint)
+    if found is None:
+        book.step(joint, "red: its sweep shows no inertia", colour="red")
+        return Exit.FAILED
+    codes: list[Exit] = []
+    for sweep in found["inertia"]:
+        (expected,), ((variance,),) = inertias(
+            robot, estimate, joint, np.array([poses[sweep["sweep"]]]), "the stored estimate"
+        )
+        std = float(np.hypot(np.sqrt(variance), sweep["std"]))
+        deviation, significance = 100 * (sweep["value"] / expected - 1), (sweep["value"] - expected) / std
+        codes.append(judged(significance))
+        colour = COLOUR[codes[-1]]
+        book.step(
+            joint,
+            f"{colour}: {deviation:+.2f} % from the estimate, {significance:+.1f} standard deviations "
+            f"({sweep['value']:.4g}, expected {expected:.4g} kg m2)",
+            axis=joint,
+            colour=colour,
+            deviation_percent=deviation,
+            significance=significance,
+            measured={"value": sweep["value"], "std": sweep["std"]},
+            estimate={"value": float(expected), "std": float(np.sqrt(variance))},
+        )
+    return worst(codes)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

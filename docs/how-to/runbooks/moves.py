@@ -1,0 +1,79 @@
+"""What a plan moves, axis by axis, from the API's documents of plan and robot."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.robot import Robot, RobotDescription, build_robot, link_frames
+
+Array = NDArray[np.float64]
+Json = Mapping[str, Any]
+
+STILL = 2e-3  # rad (m): less is no move
+
+
+@dataclass(frozen=True)
+class Move:
+    """How far an axis moves at most: rad (m), with the arm's end in mm (None: a linear axis), and s of its sweeps."""
+
+    joint: str
+    lowest: float
+    highest: float
+    unit: str  # shown: deg or mm
+    arm_mm: float | None
+    seconds: float
+
+    def range_shown(self) -> tuple[float, float]:
+        """In `unit`."""
+        if self.unit == "deg":
+            return float(np.degrees(self.lowest)), float(np.degrees(self.highest))
+        return 1e3 * self.lowest, 1e3 * self.highest
+
+    def document(self) -> dict[str, Any]:
+        low, high = self.range_shown()
+        return asdict(self) | {f"lowest_{self.unit}": low, f"highest_{self.unit}": high}
+
+
+def robot_of(document: Json) -> Robot:
+    """The robot of the service's document."""
+    return build_robot(RobotDescription.model_validate(document["description"]), document["urdf_text"])
+
+
+def moves(robot: Robot, sweeps: Sequence[Json], stands: Mapping[str, float | None]) -> list[Move]:
+    """Of sweeps of a plan's document, from where the joints stand (None: not known). Axes that stay are left out.
+
+    The range of a sweep is its position window, which it never leaves.
+    """
+    places: dict[str, list[float]] = {joint: [] for joint in robot.joints}
+    seconds = dict.fromkeys(robot.joints, 0.0)
+    for sweep in sweeps:
+        axis = sweep["spec"]["axis"]
+        seconds[axis] += sweep["duration"]
+        places[axis] += sweep["position_window"]
+        for leg in sweep["legs"]:
+            places[leg["joint"]].append(leg["target"])
+        for joint, position in zip(robot.joints, sweep["spec"]["pose"], strict=True):
+            places[joint].append(position)
+    for joint, position in stands.items():
+        if position is not None and joint in places:
+            places[joint].append(position)
+    arms = _arms(robot, np.array([sweep["spec"]["pose"] for sweep in sweeps]))
+    found: list[Move] = []
+    for joint, kind, arm in zip(robot.joints, (one.kind for one in robot.chain.joints), arms, strict=True):
+        lowest, highest = min(places[joint], default=0.0), max(places[joint], default=0.0)
+        if highest - lowest < STILL:
+            continue
+        linear = kind == "prismatic"
+        way = None if linear else 1e3 * arm * (highest - lowest)
+        found.append(Move(joint, lowest, highest, "mm" if linear else "deg", way, seconds[joint]))
+    return found
+
+
+def _arms(robot: Robot, poses: Array) -> Array:
+    """The largest distance (n,) of the last joint's origin from each joint's axis over poses (m, n), m."""
+    rotations, origins = link_frames(robot.chain, poses)
+    axes = np.stack([rotations[:, k] @ joint.axis for k, joint in enumerate(robot.chain.joints)], axis=1)
+    return np.linalg.norm(np.cross(axes, origins[:, -1:] - origins), axis=-1).max(axis=0)

@@ -1,0 +1,58 @@
+"""Measure until the wanted confidence is reached, and tell in the morning what ended it.
+
+    python overnight.py max100-class --axes joint_2,joint_3 --varied joint_3 --confidence 0.3 --by "your name"
+
+After a stop or a fault it ends; it never resumes a campaign by itself. Exit codes: 0 confidence reached, 1 paused by a
+fault, 2 bad input, 3 stopped by a person, 4 the sweeps were used up before the confidence was reached.
+"""
+
+import sys
+
+from runbook import Exit, Runbook, optional_list, parser_of, run
+
+from service.client import Json
+
+
+def main() -> int:
+    parser = parser_of(__doc__)
+    parser.add_argument("robot", help="name of a robot that the service knows")
+    parser.add_argument("--axes", type=optional_list, required=True, help="joints to measure, comma separated")
+    parser.add_argument("--varied", type=optional_list, required=True, help="joints that make the poses")
+    parser.add_argument("--confidence", type=float, required=True, help="largest std of J over the workspace, percent")
+    parser.add_argument("--cell", default="workshop")
+    parser.add_argument("--step", type=float, default=5.0, help="deg (cm) between the positions of the grid")
+    return run("overnight", parser, overnight)
+
+
+def overnight(book: Runbook) -> Exit:
+    given, client = book.given, book.client
+    document = book.robot_named(given.robot)
+    robot = book.identify_machine(document)
+    request = {"robot_id": document["id"], "cell": given.cell, "axes": given.axes, "varied": given.varied}
+    plan = client.add_plan(request | {"step": given.step, "confidence": given.confidence})
+    campaign = book.measured(robot, plan)
+    if campaign is None:
+        return Exit.DONE
+    if campaign["state"] != "completed":
+        code = book.not_completed(campaign)
+        book.step("ended by", "a person" if code is Exit.STOPPED else "a fault", cause=campaign["cause"])
+        return code
+    return confidence(book, campaign)
+
+
+def confidence(book: Runbook, campaign: Json) -> Exit:
+    """Of a campaign that is completed: was the confidence reached, or were the sweeps used up?"""
+    axes = book.client.estimate(campaign["id"])["document"]["axes"]
+    reached = {joint: axes[joint]["confidence_percent"] if joint in axes else None for joint in book.given.axes}
+    for joint, percent in reached.items():
+        book.step(joint, "J is left open" if percent is None else f"J known to {percent:.3g} %", percent=percent)
+    wanted = book.given.confidence
+    if all(percent is not None and percent <= wanted for percent in reached.values()):
+        book.step("ended by", f"confidence of {wanted:g} % reached", cause=campaign["cause"])
+        return Exit.DONE
+    book.step("ended by", f"sweeps used up, {wanted:g} % not reached", cause=campaign["cause"])
+    return Exit.AMBER
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,255 @@
+"""What the runbooks share: arguments, a line and an entry of the protocol a step, a campaign under watch, the stop.
+
+The protocol is a JSON file that is whole after every step, so that it tells also of a run that was interrupted. What
+ends a run while the machine may move (Ctrl-C, SIGTERM, a lost terminal, a failure of this program or of the network)
+stops the machine before anything else is done.
+"""
+
+import json
+import os
+import platform
+import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from enum import IntEnum
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from moves import Move, moves, robot_of
+
+from service.cli.told import Told
+from service.client import Json, ServiceClient
+from service.errors import BadInput, SweepidError
+from service.robot import Robot
+
+OVER = ("completed", "paused", "aborted")
+TOLD = ("recorded", "failed", "interrupted")  # states of a sweep that are a step
+BY_REQUEST = "paused by request"  # the service's cause of a pause that a person asked for
+HOST_WATCH = "host watch"  # stops the machine where no person did
+AMBER, RED = 2.0, 4.0  # standard deviations
+
+
+class Exit(IntEnum):
+    """What the shell is told."""
+
+    DONE = 0
+    FAILED = 1
+    BAD_INPUT = 2
+    STOPPED = 3
+    AMBER = 4
+
+
+OUTCOME = {Exit.DONE: "done", Exit.FAILED: "red or failed", Exit.STOPPED: "stopped by a person", Exit.AMBER: "amber"}
+
+
+def judged(significance: float) -> Exit:
+    """Of a deviation in standard deviations: done (green) up to 2, amber up to 4, failed (red) beyond."""
+    size = abs(significance)
+    return Exit.DONE if size <= AMBER else Exit.AMBER if size <= RED else Exit.FAILED
+
+
+def worst(codes: Sequence[Exit]) -> Exit:
+    """Red before amber before green."""
+    return next((code for code in (Exit.FAILED, Exit.AMBER) if code in codes), Exit.DONE)
+
+
+def parser_of(text: str) -> ArgumentParser:
+    """The arguments that every runbook has."""
+    parser = ArgumentParser(description=text.partition("\n")[0])
+    parser.add_argument("--by", required=True, help="who stands at the machine")
+    parser.add_argument("--url", default=os.environ.get("SWEEPID_URL", "http://127.0.0.1:8642"))
+    parser.add_argument("--protocol", type=Path, help="file to write; default: name and time, here")
+    parser.add_argument("--dry-run", action="store_true", help="say what would move, and move nothing")
+    parser.add_argument("--yes", action="store_true", help="no questions: virtual machines and tests alone")
+    return parser
+
+
+class Runbook:
+    """One run: its steps, its protocol and the campaign that it watches."""
+
+    def __init__(self, name: str, given: Namespace, client: ServiceClient) -> None:
+        self.name, self.given, self.client = name, given, client
+        self.moving = False  # while the machine may move by what this run asked for
+        begun = datetime.now(UTC)
+        self._file: Path = given.protocol or Path(f"{name}-{begun:%Y%m%dT%H%M%SZ}.json")
+        self.protocol: Json = {
+            "runbook": name,
+            "by": given.by,
+            "begun": begun.isoformat(),
+            "ended": None,
+            "service": given.url,
+            "dry_run": given.dry_run,
+            "robot": None,
+            "versions": {"sweepid": version("sweepid"), "python": platform.python_version()},
+            "steps": [],
+            "result": "under way",
+            "exit_code": None,
+        }
+
+    def step(self, what: str, result: str, left: float | None = None, **details: object) -> None:
+        """One line on the screen and one entry in the protocol; `left`: s that the campaign still takes."""
+        time_left = "" if left is None else f", {minutes(left)} left"
+        print(f"{what}: {result}{time_left}", flush=True)
+        entry = {"at": datetime.now(UTC).isoformat(), "step": what, "result": result, "left_s": left}
+        self.protocol["steps"].append(entry | details)
+        self.write()
+
+    def write(self) -> None:
+        """The protocol, whole or as it was."""
+        fresh = self._file.with_name(f"{self._file.name}.part")
+        try:
+            fresh.write_text(json.dumps(self.protocol, indent=1) + "\n", "utf-8")
+            fresh.replace(self._file)
+        except OSError as error:
+            raise BadInput(str(self._file), f"the protocol cannot be written: {error.strerror}") from None
+
+    def identify_machine(self, robot: Json) -> Robot:
+        """Into the protocol: robot, service and drives. The robot of the service's document."""
+        self.protocol["robot"] = {"id": robot["id"], "name": robot["name"]}
+        drives = {axis["joint"]: axis["identity"] for axis in self.client.drives()["axes"]}
+        self.protocol["versions"] |= {"service": self.client.version(), "drives": drives}
+        return robot_of(robot)
+
+    def robot_named(self, name: str) -> Json:
+        """The newest robot of a name."""
+        found = [robot for robot in self.client.robots() if robot["name"] == name]
+        if not found:
+            raise BadInput("robot", f"{self.given.url} knows no robot {name}")
+        return self.client.robot(found[-1]["id"])
+
+    def agreed(self, question: str, word: str) -> bool:
+        """Did the person type `word`? Nobody at the keyboard is a no."""
+        if self.given.yes:
+            return True
+        try:
+            return input(f'{question} Type "{word}": ').strip() == word
+        except EOFError:
+            return False
+
+    def tell_moves(self, robot: Robot, sweeps: Sequence[Json], indent: str = "") -> None:
+        """What sweeps of a plan would move, axis by axis, from where the axes stand now."""
+        stands = {axis["joint"]: axis["position"] for axis in self.client.drives()["axes"]}
+        for move in moves(robot, sweeps, stands):
+            self.step(f"{indent}{move.joint}", told(move), motion=move.document())
+
+    def measured(self, robot: Robot, plan: Json) -> Json | None:
+        """Tell a plan and, unless it is a dry run or the person says no, run it; the campaign as it ended."""
+        document = plan["document"]
+        self.step(
+            f"plan {plan['id']}",
+            f"{len(document['sweeps'])} sweeps, {minutes(document['duration'])}; first each axis goes half a degree "
+            "there and back",
+            plan=plan["id"],
+            duration_s=document["duration"],
+        )
+        for dropped in document["dropped"]:
+            self.step("left out", dropped["reason"])
+        self.tell_moves(robot, document["sweeps"])
+        if self.given.dry_run:
+            return None
+        if not self.agreed("Is the cell clear, may the machine move?", "yes"):
+            raise KeyboardInterrupt
+        campaign = int(self.client.add_campaign(plan["id"])["id"])
+        return self.watched(campaign, lambda: self.client.start(campaign))
+
+    def watched(self, campaign_id: int, begin: Callable[[], object]) -> Json:
+        """Begin or resume a campaign and tell its sweeps as they end; the campaign once it is over or holds."""
+        before = {sweep["number"]: sweep["attempt"] for sweep in self.client.sweeps(campaign_id)}
+        self.protocol["campaign"] = campaign_id
+        self.moving = True
+        begin()
+        self.step(f"campaign {campaign_id}", "started", self.client.campaign(campaign_id)["progress"]["remaining"])
+        for event in self.client.events(campaign_id):
+            data = event["data"]
+            campaign = self.client.campaign(campaign_id)
+            if event["kind"] == "sweep" and data["state"] in TOLD and data["attempt"] > before[data["number"]]:
+                what = f"sweep {data['number']} of {len(before)}, {data['axis']}"
+                result = f"{data['state']}{': ' if data['cause'] else ''}{data['cause']}"
+                self.step(what, result, campaign["progress"]["remaining"], sweep=data)
+            if campaign["state"] in OVER:
+                break
+        self.moving = False
+        self.step(f"campaign {campaign_id}", ending(campaign), state=campaign["state"], cause=campaign["cause"])
+        return campaign
+
+    def not_completed(self, campaign: Json) -> Exit:
+        """Of a campaign that holds or was given up: did a person stop it, or did something go wrong?"""
+        stops = self.client.stops()
+        for stop in stops:
+            self.step(f"stop {stop['id']}", f"latched by {stop['by']}: {stop['why']}", stop=stop)
+        person = campaign["state"] == "aborted" or campaign["cause"] == BY_REQUEST
+        return Exit.STOPPED if person or any(stop["by"] != HOST_WATCH for stop in stops) else Exit.FAILED
+
+
+def minutes(seconds: float) -> str:
+    return "{}:{:02d}".format(*divmod(max(0, round(seconds)), 60))
+
+
+def ending(campaign: Json) -> str:
+    return f"{campaign['state']}{': ' if campaign['cause'] else ''}{campaign['cause']}"
+
+
+def told(move: Move) -> str:
+    """An axis' way in words: range in deg or mm, the arm's end in mm, how long."""
+    low, high = move.range_shown()
+    arm = "" if move.arm_mm is None else f" (the arm's end by up to {move.arm_mm:.0f} mm)"
+    time = (
+        f"{move.seconds:.0f} s of sweeps with the ways to them" if move.seconds else "on the way to other axes' poses"
+    )
+    return f"{low:.1f} to {high:.1f} {move.unit}{arm}, {time}"
+
+
+def run(name: str, parser: ArgumentParser, work: Callable[[Runbook], Exit]) -> int:
+    """One runbook from its arguments to its exit code."""
+    given = parser.parse_args()
+    with ServiceClient(given.url) as client, Told() as signals:
+        book = Runbook(name, given, client)
+        code, result = Exit.FAILED, "failed"
+        try:
+            book.write()
+            code = work(book)
+            result = OUTCOME[code]
+        except BaseException as error:
+            told_by = signals.by
+            signals.by = told_by or type(error).__name__  # a signal that comes now waits: the stop goes out first
+            stop = stopped(book, signals.by) if book.moving else ""
+            if isinstance(error, KeyboardInterrupt):
+                code, result = Exit.STOPPED, f"stopped: {told_by or 'nobody said yes'}"
+            elif isinstance(error, SweepidError):
+                code = Exit.BAD_INPUT if isinstance(error, BadInput) and not stop else Exit.FAILED
+                result = str(error)
+            else:
+                result = f"{type(error).__name__}: {error}"
+            result += stop
+            if not isinstance(error, KeyboardInterrupt | SweepidError):
+                raise
+        finally:
+            book.protocol |= {"ended": datetime.now(UTC).isoformat(), "result": result, "exit_code": int(code)}
+            try:
+                book.write()
+            except BadInput as error:
+                result = result if str(error) in result else f"{result}; {error}"
+            print(f"{name}: {result}", file=sys.stderr if code else sys.stdout, flush=True)
+    return int(code)
+
+
+def stopped(book: Runbook, why: str) -> str:
+    """Stop the machine; what a person is told of it."""
+    try:
+        book.client.stop(book.name, why)
+    except SweepidError as error:
+        return f"; THE STOP IS NOT CONFIRMED: {error}; look at the machine"
+    return "; machine stopped, then: after_a_stop.py"
+
+
+def optional_list(text: str) -> list[str]:
+    """Names, comma separated."""
+    return [name for name in text.split(",") if name]
+
+
+def request_of(plan: Json) -> dict[str, Any]:
+    """What a stored plan was asked for, without its budget."""
+    request = plan["document"]["request"]
+    return {name: value for name, value in request.items() if name not in ("poses", "duration", "confidence")}

@@ -1,0 +1,1 @@
+"""Plans, campaigns, their sweeps and bundles."""

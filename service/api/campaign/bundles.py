@@ -1,0 +1,63 @@
+"""Bundles in and out, as a zip of the folder that BUNDLE format `sweepid-bundle/1` describes."""
+
+import asyncio
+import shutil
+import tempfile
+import zipfile
+from pathlib import Path as FilePath
+from typing import Any
+
+from fastapi import APIRouter, Request, Response
+from fastapi.responses import FileResponse
+from starlette.background import BackgroundTask
+from starlette.concurrency import run_in_threadpool
+
+from service.api.campaign.campaigns import CampaignView, view
+from service.api.dependencies import Id, LabOf, set_etag
+from service.api.spooled import SpooledRoute
+
+router = APIRouter(tags=["bundles"], route_class=SpooledRoute)
+
+BUNDLES = "/bundles"
+_ZIP = "application/zip"
+_BODY: dict[str, Any] = {
+    "requestBody": {"required": True, "content": {_ZIP: {"schema": {"type": "string", "format": "binary"}}}}
+}
+
+
+@router.post(BUNDLES, status_code=201, openapi_extra=_BODY)
+async def import_bundle(request: Request, response: Response, lab: LabOf) -> CampaignView:
+    """A campaign of measured sweeps, which are then identified. What cannot be read is refused as a whole."""
+    campaign = await lab.import_bundle(request.state.body)
+    set_etag(response, campaign.version)
+    response.headers["Location"] = str(request.url_for("get_campaign", campaign_id=campaign.id))
+    return await run_in_threadpool(view, lab, campaign)
+
+
+@router.get(
+    "/campaigns/{campaign_id}/bundle",
+    response_class=FileResponse,
+    responses={200: {"content": {_ZIP: {"schema": {"type": "string", "format": "binary"}}}}},
+)
+async def export_bundle(campaign_id: Id, lab: LabOf) -> FileResponse:
+    """The completely recorded sweeps of a campaign."""
+    folder = FilePath(await run_in_threadpool(tempfile.mkdtemp, prefix="export-", dir=lab.files.transfer()))
+    try:
+        await lab.export_bundle(campaign_id, folder / "bundle")
+        packed = await run_in_threadpool(_pack, folder / "bundle", folder / "bundle.zip")
+    except BaseException:
+        await asyncio.shield(run_in_threadpool(shutil.rmtree, folder))
+        raise
+    return FileResponse(
+        packed,
+        media_type=_ZIP,
+        filename=f"campaign-{campaign_id}.zip",
+        background=BackgroundTask(shutil.rmtree, folder),
+    )
+
+
+def _pack(folder: FilePath, target: FilePath) -> FilePath:
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_STORED) as archive:  # Parquet is compressed already
+        for path in sorted(folder.rglob("*")):
+            archive.write(path, path.relative_to(folder))
+    return target

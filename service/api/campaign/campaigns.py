@@ -1,0 +1,163 @@
+"""Campaigns: the ordered sweeps of one session at the machine, and the commands of the person who runs them.
+
+Commands take `If-Match` with the campaign's ETag: 412 when the campaign has changed since the client read it.
+"""
+
+from typing import Literal
+
+from fastapi import APIRouter, Request, Response
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.concurrency import run_in_threadpool
+
+from service.api.campaign.progress import Progress, StepView, planned_times, progress, steps
+from service.api.dependencies import After, Id, IfMatch, LabOf, Limit, Page, set_etag
+from service.api.idempotent import IdempotentRoute
+from service.execution.check_move import CheckMove
+from service.lab import Lab
+from service.store.documents import LARGEST_ID, CampaignDocument
+
+router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=IdempotentRoute)
+
+
+class NewCampaign(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    plan_id: int = Field(ge=1, le=LARGEST_ID)
+
+
+class Resume(BaseModel):
+    """`repeat`: failed and interrupted sweeps are measured once more."""
+
+    model_config = ConfigDict(extra="forbid")
+    repeat: bool = False
+
+
+class Abort(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    why: str = Field(default="aborted by request", min_length=1, max_length=500)
+
+
+class Finding(BaseModel):
+    """`severity` wrong: no physics of the `axis` (null: of the whole robot) can be trusted; warning: read it.
+
+    `value` and `limit` are of one unit, which the sentence names; null where there is no number.
+    """
+
+    code: str
+    severity: Literal["wrong", "warning"]
+    axis: str | None
+    sweeps: tuple[str, ...]
+    value: float | None
+    limit: float | None
+    sentence: str
+    action: str
+
+
+class CheckedAxis(BaseModel):
+    """An axis that was swept, and the codes of what was found about it."""
+
+    sweeps: int
+    trustworthy: bool
+    codes: tuple[str, ...]
+
+
+class DataCheck(BaseModel):
+    """Do recordings, set-points and robot file fit together?"""
+
+    findings: tuple[Finding, ...]
+    axes: dict[str, CheckedAxis]
+
+
+class CheckMoveView(BaseModel):
+    """An axis goes `way` rad (m) and back: the right one, the right way? Only a person sees that from outside."""
+
+    axis: str
+    way: float
+    unit: str
+
+
+class CampaignView(CampaignDocument):
+    """A campaign with its progress, what moves now (`motion`, with what follows in this sweep) and what was found.
+
+    `check_move`: the one that it makes at this moment.
+    `data_check` as `sweepid check --json` gives it; null until the campaign is over and was checked.
+    """
+
+    progress: Progress
+    motion: tuple[StepView, ...]
+    check_move: CheckMoveView | None
+    data_check: DataCheck | None
+
+
+@router.post("", status_code=201)
+async def add_campaign(new: NewCampaign, request: Request, response: Response, lab: LabOf) -> CampaignView:
+    """A campaign of a stored plan. Nothing moves until it is started."""
+    campaign = await lab.add_campaign(new.plan_id)
+    response.headers["Location"] = str(request.url_for("get_campaign", campaign_id=campaign.id))
+    return await _answer(lab, campaign, response)
+
+
+@router.get("")
+def list_campaigns(lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[CampaignDocument]:
+    campaigns = lab.store.campaigns(after, limit)
+    return Page(items=campaigns, next=campaigns[-1].id if len(campaigns) == limit else None)
+
+
+@router.get("/{campaign_id}")
+async def get_campaign(campaign_id: Id, response: Response, lab: LabOf) -> CampaignView:
+    return await _answer(lab, await run_in_threadpool(lab.store.campaign, campaign_id), response)
+
+
+@router.post("/{campaign_id}/start")
+async def start_campaign(campaign_id: Id, response: Response, lab: LabOf, version: IfMatch) -> CampaignView:
+    """Begin to move and measure."""
+    return await _answer(lab, await lab.runner.start(campaign_id, version), response)
+
+
+@router.post("/{campaign_id}/pause")
+async def pause_campaign(campaign_id: Id, response: Response, lab: LabOf, version: IfMatch) -> CampaignView:
+    """Hold after the present sweep."""
+    return await _answer(lab, await lab.runner.pause(campaign_id, version), response)
+
+
+@router.post("/{campaign_id}/resume")
+async def resume_campaign(
+    campaign_id: Id, response: Response, lab: LabOf, version: IfMatch, resume: Resume | None = None
+) -> CampaignView:
+    """Go on with the next planned sweep."""
+    repeat = resume is not None and resume.repeat
+    return await _answer(lab, await lab.runner.resume(campaign_id, version, repeat), response)
+
+
+@router.post("/{campaign_id}/abort")
+async def abort_campaign(
+    campaign_id: Id, response: Response, lab: LabOf, version: IfMatch, abort: Abort | None = None
+) -> CampaignView:
+    """Stop the present sweep now and give the campaign up. What was recorded stays."""
+    why = (abort or Abort()).why
+    return await _answer(lab, await lab.runner.abort(campaign_id, why, version), response)
+
+
+def view(lab: Lab, campaign: CampaignDocument) -> CampaignView:
+    """The campaign with its progress; reads the store."""
+    checked = lab.checks.document(campaign.id)
+    times = () if campaign.plan_id is None else planned_times(lab.store.plan(campaign.plan_id).document)
+    owns = lab.runner.running == campaign.id
+    under_way, check_move = (lab.runner.under_way, lab.runner.check_move) if owns else (None, None)
+    return CampaignView(
+        **campaign.model_dump(),
+        progress=progress(campaign.state, lab.store.sweeps(campaign.id), times, under_way),
+        motion=steps(under_way, check_move),
+        check_move=_check_move(check_move),
+        data_check=None if checked is None else DataCheck.model_validate(checked),
+    )
+
+
+def _check_move(move: CheckMove | None) -> CheckMoveView | None:
+    if move is None:
+        return None
+    return CheckMoveView(axis=move.joint, way=move.way, unit=move.units[move.joint])
+
+
+async def _answer(lab: Lab, campaign: CampaignDocument, response: Response) -> CampaignView:
+    set_etag(response, campaign.version)
+    return await run_in_threadpool(view, lab, campaign)

@@ -1,0 +1,1 @@
+"""Drives, the stop and live samples."""

@@ -1,0 +1,143 @@
+"""The machine's drives: what they are, how they stand, and what a person may do about it without moving anything."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from fastapi import APIRouter
+from pydantic import BaseModel
+
+from drivers.ports import AxisIdentity, AxisState, AxisStatus, Capabilities, SweepMode
+from service.api.dependencies import LabOf
+from service.api.idempotent import IdempotentRoute
+from service.api.problem import Problem
+from service.errors import NotFound
+from service.execution.machine import Machine
+
+router = APIRouter(prefix="/drives", tags=["drives"], route_class=IdempotentRoute)
+_NO_ANSWER: dict[int | str, dict[str, Any]] = {503: {"model": Problem, "description": "the drives do not answer"}}
+
+
+class FaultView(BaseModel):
+    """A pending fault; `code` is the CiA 402 error code (603Fh) or the maker's."""
+
+    code: int
+    text: str
+    emergency_stop: bool
+
+
+class IdentityView(BaseModel):
+    """What the device says of itself (CiA 301 object 1018h)."""
+
+    address: str
+    vendor: int
+    product: int
+    revision: int
+    serial: int
+    dictionary_sha256: str
+
+
+class AxisView(BaseModel):
+    """One axis: position rad (m), velocity rad/s (m/s), effort N m (N); null where there is no word from the drive."""
+
+    joint: str
+    state: AxisState
+    position: float | None
+    velocity: float | None
+    effort: float | None
+    fault: FaultView | None
+    identity: IdentityView | None
+
+
+class CapabilitiesView(BaseModel):
+    """What the drives can do; a limit that is not in the drive is watched by the service alone."""
+
+    sweep_modes: tuple[SweepMode, ...]
+    load_encoder: bool
+    velocity_limit_in_drive: bool
+    effort_limit_in_drive: bool
+    position_limits_in_drive: bool
+    host_watchdog_in_drive: bool
+    set_point_timing: str
+    simultaneous_axes: int
+    hears_other_hosts: bool
+    set_points: str
+
+
+class DrivesView(BaseModel):
+    """The machine; `trouble` says why it is not connected, `capabilities` are known while it is.
+
+    `held` says why nothing may move although it is connected: stops, the host watch, the lease.
+    """
+
+    connected: bool
+    trouble: str
+    held: str
+    capabilities: CapabilitiesView | None
+    axes: tuple[AxisView, ...]
+
+
+@router.get("")
+async def get_drives(lab: LabOf) -> DrivesView:
+    """State, position, faults and identity of every axis."""
+    machine = lab.machine
+    status: Mapping[str, AxisStatus] = await machine.recent_status() if machine.connected else {}
+    identities = {identity.joint: identity for identity in machine.identities}
+    return DrivesView(
+        connected=machine.connected,
+        trouble=machine.trouble,
+        held=machine.forbidden,
+        capabilities=_capabilities(machine.capabilities) if machine.connected else None,
+        axes=tuple(_axis(joint, status.get(joint), identities.get(joint)) for joint in machine.joints),
+    )
+
+
+@router.post("/connect", responses=_NO_ANSWER)
+async def connect(lab: LabOf) -> DrivesView:
+    """Connect, or connect again after a loss. Every axis is disabled afterwards."""
+    await lab.machine.connect()
+    return await get_drives(lab)
+
+
+@router.post("/{joint}/acknowledge", responses=_NO_ANSWER)
+async def acknowledge(joint: str, lab: LabOf) -> AxisView:
+    """Clear the fault of one axis after a person looked. The axis stays without energy."""
+    machine = lab.machine
+    _check_joint(machine, joint)
+    await machine.acknowledge(joint)
+    status = await machine.status()
+    identity = next((identity for identity in machine.identities if identity.joint == joint), None)
+    return _axis(joint, status.get(joint), identity)
+
+
+def _check_joint(machine: Machine, joint: str) -> None:
+    if joint not in machine.joints:
+        raise NotFound(f"drive {joint}: the machine has {', '.join(machine.joints)}")
+
+
+def _capabilities(can: Capabilities) -> CapabilitiesView:
+    modes = sorted(can.sweep_modes, key=lambda mode: mode.value)
+    return CapabilitiesView.model_validate(asdict(can) | {"sweep_modes": modes})
+
+
+def _axis(joint: str, status: AxisStatus | None, identity: AxisIdentity | None) -> AxisView:
+    known = None if identity is None else IdentityView.model_validate(identity, from_attributes=True)
+    if status is None:
+        return AxisView(
+            joint=joint,
+            state=AxisState.UNKNOWN,
+            position=None,
+            velocity=None,
+            effort=None,
+            fault=None,
+            identity=known,
+        )
+    return AxisView(
+        joint=joint,
+        state=status.state,
+        position=status.position,
+        velocity=status.velocity,
+        effort=status.effort,
+        fault=None if status.fault is None else FaultView.model_validate(status.fault, from_attributes=True),
+        identity=known,
+    )

@@ -1,0 +1,92 @@
+"""Who is it, and may he? Asked of each request after the gate, before anything of it is read.
+
+With `login: false` everybody is `local` with all rights. A stop is asked nothing and waits for nothing. A change whose
+beginning cannot be written to the audit is refused.
+"""
+
+from http import HTTPStatus
+
+from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import Headers
+from starlette.requests import Request
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from service.api.people.trail import Trail, put, trail_of, written
+from service.api.problem import problem_response
+from service.lab import Lab
+from service.people.keys import bearer
+from service.people.permissions import LOCAL, PERMISSIONS, STOP, Permissions, Role
+from service.store.people.writer import NotAudited
+from service.store.tables import now
+
+_CHALLENGE = {"WWW-Authenticate": 'Bearer realm="sweepid"'}
+_ANYBODY = "anybody"
+_POLICY = 1008  # close code of WebSockets: policy violation
+
+
+class _Refused(Exception):
+    def __init__(self, status: HTTPStatus, name: str, detail: str) -> None:
+        super().__init__(detail)
+        self.status, self.name, self.detail = status, name, detail
+
+
+class Access:
+    """ASGI middleware, inside of `Audited`."""
+
+    def __init__(self, app: ASGIApp, login: bool) -> None:
+        self._app = app
+        self._login = login
+        self._permissions = Permissions()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        trail = trail_of(scope)
+        trail.route = self._permissions.entry(trail.method, scope["path"])
+        trail.stop = trail.route == STOP
+        try:
+            if not self._login:
+                trail.actor, trail.role = LOCAL, Role.ADMIN
+            elif trail.route is not None and PERMISSIONS[trail.route] is None:
+                trail.actor = _ANYBODY
+            else:
+                await self._identify(scope, trail)
+            if trail.changes and not trail.stop:
+                trail.request = await _begin(scope, trail)
+        except _Refused as refused:
+            await _answer(refused, scope, receive, send)
+            return
+        await self._app(scope, receive, send)
+
+    async def _identify(self, scope: Scope, trail: Trail) -> None:
+        needed = self._permissions.needed(trail.method, scope["path"])
+        given = bearer(Headers(scope=scope).get("authorization", ""))
+        lab: Lab = scope["app"].state.lab
+        found = await run_in_threadpool(lab.api_keys.find, given) if given else None
+        if found is None:
+            detail = "this key is none of the service's" if given else "no key: send Authorization: Bearer KEY"
+            raise _Refused(HTTPStatus.UNAUTHORIZED, "unauthorized", detail)
+        trail.actor, trail.role = found.name, found.role
+        if trouble := found.trouble(now()):
+            raise _Refused(HTTPStatus.UNAUTHORIZED, "unauthorized", trouble)
+        if needed is not None and found.role < needed:
+            detail = f"{trail.method} {scope['path']} needs {needed.word}; {found.name} is {found.role.word}"
+            raise _Refused(HTTPStatus.FORBIDDEN, "forbidden", detail)
+
+
+async def _begin(scope: Scope, trail: Trail) -> int:
+    try:
+        return await written(put(scope, trail.entry("request")))
+    except NotAudited as error:
+        detail = f"nothing was done, because {error}"
+        raise _Refused(HTTPStatus.SERVICE_UNAVAILABLE, "not-audited", detail) from None
+
+
+async def _answer(refused: _Refused, scope: Scope, receive: Receive, send: Send) -> None:
+    if scope["type"] == "websocket":
+        await send({"type": "websocket.close", "code": _POLICY, "reason": refused.detail[:120]})
+        return
+    challenge = _CHALLENGE if refused.status is HTTPStatus.UNAUTHORIZED else None
+    answer = problem_response(Request(scope), refused.status, refused.name, refused.detail, headers=challenge)
+    await answer(scope, receive, send)

@@ -1,0 +1,18 @@
+"""The audit, for admins: who asked for what, from where, and what came of it."""
+
+from fastapi import APIRouter
+
+from service.api.dependencies import After, LabOf, Limit, Page
+from service.store.people.audit import AuditDocument
+
+router = APIRouter(prefix="/audit", tags=["people"])
+
+_PATIENCE = 5.0  # s for what waits to be written
+
+
+@router.get("")
+def list_audit(lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[AuditDocument]:
+    """Entries, oldest first. A change has two: `request` before it is done, `outcome` with its status afterwards."""
+    lab.audit.settle(_PATIENCE)
+    found = lab.audit.store.documents(after, limit)
+    return Page(items=found, next=found[-1].number if len(found) == limit else None)

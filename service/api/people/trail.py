@@ -1,0 +1,80 @@
+"""What is known of a request for the audit, and how its entries come there."""
+
+import asyncio
+from concurrent.futures import Future
+from dataclasses import dataclass
+
+from pydantic import JsonValue
+from starlette.types import Scope
+
+from service.lab import Lab
+from service.people.keys import masked
+from service.people.permissions import SOCKET, Role, Route
+from service.store.people.writer import NotAudited
+
+_TRAIL = "sweepid.trail"  # in the scope
+_PATIENCE = 10.0  # s until an entry that is not on disk counts as none
+_LONGEST = 500  # characters
+_READING = ("GET", "HEAD", "OPTIONS", SOCKET)
+
+
+@dataclass
+class Trail:
+    """One request. `route`: its entry in the table of permissions; `request`: number of the entry from before it."""
+
+    method: str
+    path: str
+    address: str
+    actor: str = "unknown"
+    role: Role | None = None
+    route: Route | None = None
+    stop: bool = False
+    request: int | None = None
+
+    @property
+    def changes(self) -> bool:
+        return self.method not in _READING
+
+    def entry(self, event: str, **told: JsonValue) -> dict[str, JsonValue]:
+        return {
+            "event": event,
+            "actor": self.actor,
+            "role": None if self.role is None else self.role.word,
+            "address": self.address,
+            "method": self.method,
+            "route": None if self.route is None else self.route[1],
+            "path": masked(self.path)[:_LONGEST],
+            **told,
+        }
+
+    def outcome(self, status: int, why: str) -> dict[str, JsonValue]:
+        return self.entry("outcome", status=status, why=masked(why)[:_LONGEST], request=self.request)
+
+
+def begin_trail(scope: Scope) -> Trail:
+    client = scope.get("client")
+    method = str(scope.get("method", SOCKET))[:20]
+    scope[_TRAIL] = trail = Trail(method, scope["path"], "unknown" if client is None else str(client[0]))
+    return trail
+
+
+def trail_of(scope: Scope) -> Trail:
+    return scope[_TRAIL]
+
+
+def put(scope: Scope, entry: dict[str, JsonValue]) -> "Future[int]":
+    """Waits for nothing."""
+    lab: Lab | None = getattr(scope["app"].state, "lab", None)
+    if lab is not None:
+        return lab.audit.put(entry)
+    future: Future[int] = Future()
+    future.set_exception(NotAudited("the application runs outside its lifespan: there is no audit"))
+    return future
+
+
+async def written(future: "Future[int]") -> int:
+    """The entry's number once it is on disk. NotAudited."""
+    try:
+        return await asyncio.wait_for(asyncio.wrap_future(future), _PATIENCE)
+    except TimeoutError:
+        raise NotAudited(f"the audit was not written within {_PATIENCE:g} s") from None

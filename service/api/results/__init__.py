@@ -1,0 +1,1 @@
+"""Estimates, diagnoses, model revisions and model files."""

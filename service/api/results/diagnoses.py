@@ -1,0 +1,161 @@
+"""Diagnoses: where a robot's model and its measurement disagree, what is missing, and what to measure next.
+
+Asking for one moves nothing: it is computed from campaigns that are over. An experiment moves the machine; it begins
+with a person's approval and is a campaign like any other from then on (pause, abort, stop).
+"""
+
+from typing import Annotated, Any, cast
+
+from fastapi import APIRouter, Request, Response
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from starlette.concurrency import run_in_threadpool
+
+from service.api.campaign.campaigns import CampaignView, view
+from service.api.dependencies import After, Id, LabOf, Limit, Page, set_etag
+from service.api.idempotent import IdempotentRoute
+from service.diagnosis_loop.starting import Start
+from service.errors import Conflict
+from service.planning.diagnosis.documents import CELL_NAME
+from service.report.diagnosis import diagnosis_figures, diagnosis_page
+from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, DiagnosisEntry, ModelDocument
+from service.store.documents import LARGEST_ID, PlanRecord
+
+router = APIRouter(prefix="/diagnoses", tags=["diagnoses"], route_class=IdempotentRoute)
+
+Number = Annotated[int, Field(ge=1, le=LARGEST_ID)]
+Name = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=100)]
+CellName = Annotated[str, Field(pattern=CELL_NAME)]
+
+
+class _Body(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class WantedDiagnosis(_Body):
+    """All complete sweeps of `campaigns`, which are of one robot and over; `axes` null: all that moved.
+
+    `model`: number of an accepted model to start from, null: the nominal one. `start`: the rigid model is that of the
+    robot's latest estimate that was not made of these campaigns, or CAD's; `estimate` of the answer tells which.
+    `unattended`: proposed experiments are run without approval, which only a service whose settings call its machine
+    virtual does.
+    """
+
+    campaigns: tuple[Number, ...] = Field(min_length=1, max_length=100)
+    axes: tuple[str, ...] | None = Field(default=None, min_length=1)
+    model: Number | None = None
+    start: Start = Start.ESTIMATE
+    unattended: bool = False
+
+
+class PlanOfExperiment(_Body):
+    """`cell` null: the one in which the newest evidence was planned."""
+
+    axis: str
+    cell: CellName | None = None
+
+
+class Approval(PlanOfExperiment):
+    """Who looked at the machine, and the mass that is bolted on where the experiment wants one."""
+
+    approved_by: Name
+    test_mass: BoltedMass | None = None
+
+
+class Acceptance(_Body):
+    """`axes` null: all whose effect is named and proven."""
+
+    accepted_by: Name
+    axes: tuple[str, ...] | None = Field(default=None, min_length=1)
+
+
+class Figures(BaseModel):
+    """Plotly figures by joint and name, as in the report."""
+
+    axes: dict[str, dict[str, dict[str, Any]]]
+
+
+@router.post("", status_code=202)
+async def add_diagnosis(wanted: WantedDiagnosis, request: Request, response: Response, lab: LabOf) -> DiagnosisDocument:
+    """Diagnose. Takes seconds an axis; an event tells when it is done."""
+    if wanted.unattended and not lab.settings.virtual_machine:
+        raise Conflict(
+            "unattended experiments are for virtual machines alone; the settings do not call this one virtual"
+        )
+    diagnosis = await lab.diagnosing.request(
+        wanted.campaigns, wanted.axes, wanted.model, wanted.unattended, wanted.start
+    )
+    response.headers["Location"] = str(request.url_for("get_diagnosis", diagnosis_id=diagnosis.id))
+    return diagnosis
+
+
+@router.get("")
+def list_diagnoses(lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[DiagnosisEntry]:
+    """Without their documents."""
+    diagnoses = lab.diagnoses.diagnoses(after, limit)
+    return Page(items=diagnoses, next=diagnoses[-1].id if len(diagnoses) == limit else None)
+
+
+@router.get("/{diagnosis_id}")
+def get_diagnosis(diagnosis_id: Id, lab: LabOf) -> DiagnosisDocument:
+    return lab.diagnoses.diagnosis(diagnosis_id)
+
+
+@router.get("/{diagnosis_id}/figures")
+def get_diagnosis_figures(diagnosis_id: Id, lab: LabOf) -> Figures:
+    """409 until the diagnosis is done."""
+    return Figures(axes=diagnosis_figures(_document(lab.diagnoses.diagnosis(diagnosis_id))))
+
+
+@router.get(
+    "/{diagnosis_id}/report.html",
+    response_class=Response,
+    responses={200: {"content": {"text/html": {"schema": {"type": "string"}}}}},
+)
+def get_diagnosis_report(diagnosis_id: Id, lab: LabOf) -> Response:
+    """One file that needs no network. 409 until the diagnosis is done."""
+    diagnosis = lab.diagnoses.diagnosis(diagnosis_id)
+    document = _document(diagnosis)
+    robot = lab.store.robot(diagnosis.robot_id)
+    campaigns = ", ".join(str(number) for number in diagnosis.campaigns)
+    page = diagnosis_page(document, f"Diagnosis {diagnosis_id} of {robot.name}", f"Campaigns {campaigns}")
+    return Response(page, media_type="text/html")
+
+
+@router.post("/{diagnosis_id}/plan", status_code=201)
+def plan_experiment(
+    diagnosis_id: Id, wanted: PlanOfExperiment, request: Request, response: Response, lab: LabOf
+) -> PlanRecord:
+    """Store the plan of an axis's next experiment, to be read. Nothing moves."""
+    plan = lab.experiments.plan(diagnosis_id, wanted.axis, wanted.cell)
+    record = lab.store.add_plan(plan.request.robot_id, plan.model_dump(mode="json"))
+    response.headers["Location"] = str(request.url_for("get_plan", plan_id=record.id))
+    return record
+
+
+@router.post("/{diagnosis_id}/experiment", status_code=201)
+async def approve_experiment(
+    diagnosis_id: Id, approval: Approval, request: Request, response: Response, lab: LabOf
+) -> CampaignView:
+    """Plan an axis's next experiment and begin to move and measure. When it is completed, the diagnosis goes on."""
+    campaign = await lab.experiments.approve(
+        diagnosis_id, approval.axis, approval.approved_by, approval.test_mass, approval.cell
+    )
+    response.headers["Location"] = str(request.url_for("get_campaign", campaign_id=campaign.id))
+    set_etag(response, campaign.version)
+    return await run_in_threadpool(view, lab, campaign)
+
+
+@router.post("/{diagnosis_id}/model", status_code=201)
+def accept_model(
+    diagnosis_id: Id, acceptance: Acceptance, request: Request, response: Response, lab: LabOf
+) -> ModelDocument:
+    """Take named effects into the robot's model. 409 for an axis without a name, or whose effects were rolled back."""
+    model = lab.accept_model(diagnosis_id, acceptance.axes, acceptance.accepted_by)
+    response.headers["Location"] = str(request.url_for("get_model_revision", model_id=model.id))
+    return model
+
+
+def _document(diagnosis: DiagnosisDocument) -> dict[str, Any]:
+    if diagnosis.document is None:
+        raise Conflict(f"diagnosis {diagnosis.id} is {diagnosis.state.value}, there is nothing to show yet")
+    return cast("dict[str, Any]", diagnosis.document)

@@ -1,0 +1,37 @@
+"""The identified robot of a campaign as a file for other tools, from its newest estimate."""
+
+from enum import StrEnum
+
+from fastapi import APIRouter, Response
+
+from service.api.dependencies import Id, LabOf
+from service.export import identified_model, model_files
+
+router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["estimates"])
+
+
+class ModelFile(StrEnum):
+    """By the file's ending: URDF, MJCF (MuJoCo), or all parameters as YAML."""
+
+    URDF = "urdf"
+    MJCF = "xml"
+    YAML = "yaml"
+
+
+_CONTENT = {"application/xml": {"schema": {"type": "string"}}, "application/yaml": {"schema": {"type": "object"}}}
+_TYPES = {ModelFile.URDF: "application/xml", ModelFile.MJCF: "application/xml", ModelFile.YAML: "application/yaml"}
+
+
+@router.get(
+    "/model.{ending}",
+    response_class=Response,
+    responses={200: {"content": _CONTENT}},
+)
+def get_model(campaign_id: Id, ending: ModelFile, lab: LabOf) -> Response:
+    """404 until the first sweep is identified; 422 while none of them shows inertia."""
+    robot = lab.store.robot(lab.store.campaign(campaign_id).robot_id).build()
+    estimate = lab.store.estimate(campaign_id)
+    model = identified_model(robot, estimate.document, f"estimate {estimate.revision} of campaign {campaign_id}")
+    name = f"model.{ending.value}"
+    disposition = {"Content-Disposition": f'attachment; filename="campaign-{campaign_id}-{name}"'}
+    return Response(model_files(model)[name], media_type=_TYPES[ending], headers=disposition)

@@ -1,0 +1,86 @@
+"""A backup of a data folder, beside a service that measures or without one.
+
+The database is copied first, at one moment. The files that it names are then all there and change no more: a file is on
+the disk before its row is committed, and none is overwritten or removed afterwards.
+"""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from service.backup.building import building, copy_file
+from service.backup.manifest import DATA, FILE, Manifest, StoredFile, inside
+from service.errors import BadInput
+from service.store.files.data_folder import FILE as OWNER
+from service.store.files.data_folder import read_owner
+from service.store.files.placing import sync
+from service.store.files.recordings import RecordingFiles, file_sha256
+from service.store.snapshot import Contents, contents, copy_database, look
+
+DATABASE = "sweepid.sqlite"
+
+
+def make_backup(database: Path, data_dir: Path, target: Path) -> Manifest:
+    """Copy `database` and all files of `data_dir` that it names to `target`, a folder that does not exist yet.
+
+    BadInput, and nothing is left, where `target` is there or lies in the data folder, or the data folder is damaged or
+    another database's; NotCopied for the disk's errors.
+    """
+    target, data_dir = target.resolve(), data_dir.resolve()
+    if target.exists():
+        raise BadInput(str(target), "is there already; nothing is overwritten")
+    if target.is_relative_to(data_dir):
+        raise BadInput(str(target), f"lies in the data folder {data_dir}: a backup belongs on another disk")
+    files = RecordingFiles(data_dir)
+    with building(target) as partial:
+        under_way = files.streams()
+        copied = partial / DATA / DATABASE
+        copied.parent.mkdir()
+        copy_database(database, copied)
+        under_way |= files.streams()
+        sync(copied)
+        found = look(copied, contents)
+        stored = {DATABASE: StoredFile(size=copied.stat().st_size, sha256=file_sha256(copied))}
+        stored |= _copy_owner(data_dir, copied.parent, found)
+        for path, sha256 in found.files.items():
+            if sha256 is not None or (data_dir / path).exists():
+                stored[path] = _copy_named(data_dir, copied.parent, path, sha256)
+        streams = (path.relative_to(data_dir) for path in under_way.values())
+        manifest = Manifest(
+            made_at=datetime.now(UTC),
+            schema_version=found.schema,
+            database=found.identity,
+            files=stored,
+            streams_left_out=tuple(
+                sorted(path.as_posix() for path in streams if str(path.with_suffix(".parquet")) not in found.files)
+            ),
+        )
+        (partial / FILE).write_text(manifest.model_dump_json(indent=2) + "\n", encoding="utf-8")
+        sync(partial / FILE)
+    return manifest
+
+
+def check_owner(data_dir: Path, found: Contents) -> bool:
+    """Whether the data folder says that it is of this database; BadInput if it is another's, False if nobody's."""
+    owner = read_owner(data_dir)
+    if owner is not None and owner.id != found.identity:
+        raise BadInput(str(data_dir / OWNER), f"the data folder is of database {owner.id}, not of {found.identity}")
+    return owner is not None
+
+
+def _copy_owner(data_dir: Path, target: Path, found: Contents) -> dict[str, StoredFile]:
+    return {OWNER: copy_file(data_dir / OWNER, target / OWNER)} if check_owner(data_dir, found) else {}
+
+
+def _copy_named(data_dir: Path, target: Path, path: str, sha256: str | None) -> StoredFile:
+    """Copy one; BadInput if it is not what its row says."""
+    try:
+        inside(path)
+        stored = copy_file(data_dir / path, target / path)
+    except ValueError as error:
+        raise BadInput("database", f"names a file outside of the data folder: {error}") from None
+    except FileNotFoundError:
+        raise BadInput(str(data_dir / path), "is missing; `sweepid doctor` tells all that is wrong") from None
+    if sha256 not in (None, stored.sha256):
+        reason = f"was changed, SHA-256 is not {sha256}; `sweepid doctor` tells all that is wrong"
+        raise BadInput(str(data_dir / path), reason)
+    return stored

@@ -1,0 +1,96 @@
+"""`sweepid measure PLAN`: run a plan through the service and watch it."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+from service.cli.address import DEFAULT_URL, Url
+from service.cli.told import Told
+from service.client import Json, ServiceClient
+from service.errors import BadInput, SweepidError
+
+
+class NotCompleted(SweepidError):
+    """The campaign holds or was given up before all its sweeps were identified; the message says why."""
+
+
+def measure(
+    plan: Annotated[str, typer.Argument(help="Number of a plan, or the file that `sweepid plan --out` wrote.")],
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Run a plan: move, measure, identify. Prints the number of the campaign.
+
+    Ctrl-C, SIGTERM and a terminal that goes away stop the machine.
+    """
+    with ServiceClient(url) as client:
+        campaign_id = int(client.add_campaign(plan_number(plan))["id"])
+        with Told() as told:
+            try:
+                client.start(campaign_id)
+                watch(client, campaign_id)
+            except BaseException:  # also what a terminal that is gone made of it
+                if not told.by:
+                    raise
+                raise _stopped(client, campaign_id, told.by, url) from None
+    sys.stdout.write(f"{campaign_id}\n")
+
+
+def _stopped(client: ServiceClient, campaign_id: int, why: str, url: str) -> NotCompleted:
+    """Stop the machine; what a person is told of it."""
+    then = f"release the stop and resume or abort the campaign at {url}"
+    try:
+        client.stop("sweepid measure", why)
+    except SweepidError as error:
+        return NotCompleted(f"campaign {campaign_id}: THE STOP IS NOT CONFIRMED: {error}; look at the machine, {then}")
+    return NotCompleted(f"campaign {campaign_id}: machine stopped; {then}")
+
+
+def plan_number(plan: str) -> int:
+    """The number of a plan given as such or as the file of a plan."""
+    if plan.isascii() and plan.isdigit():
+        return int(plan)
+    try:
+        content: Any = json.loads(Path(plan).read_text(encoding="utf-8"))
+        return int(content["id"])
+    except OSError as error:
+        raise BadInput(plan, f"neither the number of a plan nor a readable file: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+        raise BadInput(plan, "is not a plan that `sweepid plan --out` wrote") from None
+
+
+def watch(client: ServiceClient, campaign_id: int) -> None:
+    """Show the campaign's progress on the terminal until it is completed; NotCompleted if it will not be."""
+    columns = (
+        TextColumn("campaign {task.fields[campaign]}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.description}"),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        bar = bars.add_task("", campaign=campaign_id, total=None)
+        # all events from the first on, so none is missed between starting and listening
+        for event in client.events(campaign_id):
+            if event["kind"] == "estimate":
+                continue
+            campaign = client.campaign(campaign_id)
+            progress = campaign["progress"]
+            bars.update(bar, total=progress["total"], completed=progress["done"], description=_doing(campaign))
+            if campaign["state"] == "completed":
+                return
+            if campaign["state"] in ("paused", "aborted"):
+                raise NotCompleted(f"campaign {campaign_id} {campaign['state']}: {campaign['cause'] or 'by command'}")
+
+
+def _doing(campaign: Json) -> str:
+    """Remaining time and sweep; which axis moves at this moment changes faster than its events."""
+    progress = campaign["progress"]
+    current, remaining = progress["current"], progress["remaining"]
+    if current is None:
+        return "identifying" if campaign["state"] == "measured" else campaign["state"]
+    left = "" if remaining is None else f"{int(remaining // 60)}:{int(remaining % 60):02d} left, "
+    return f"{left}sweep {current['number']} of {current['spec']['axis']}, with the way to its pose"

@@ -1,0 +1,142 @@
+"""`sweepid plan ROBOT`: let the service choose poses and sweeps."""
+
+import json
+import math
+import sys
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.address import DEFAULT_URL, Url
+from service.cli.waiting import waiting
+from service.client import Json, ServiceClient
+from service.configuration import read_robot
+from service.errors import BadInput
+from service.identification.design.pose_selection import Criterion
+
+
+class Modes(Enum):
+    """Who generates the motion."""
+
+    DRIVE_SIDE = "drive_side"
+    HOST_STREAMED = "host_streamed"
+    ONE_HOST_STREAMED = "one_host_streamed"
+
+
+def plan(
+    robot: Annotated[Path, typer.Argument(help="Side file of the robot, e.g. config/robots/max100-class.yaml.")],
+    axes: Annotated[str, typer.Option(help="Joints to measure, separated by commas.")],
+    varied: Annotated[str, typer.Option(help="Joints whose positions make the grid of poses, separated by commas.")],
+    poses: Annotated[int | None, typer.Option(min=1, help="Budget: how many poses to choose (usually 24).")] = None,
+    duration: Annotated[float | None, typer.Option(help="Budget: s for the whole campaign.")] = None,
+    confidence: Annotated[
+        float | None, typer.Option(help="Budget: until J is known to so many percent everywhere in the workspace.")
+    ] = None,
+    criterion: Annotated[
+        Criterion | None, typer.Option(help="What makes a pose the best next one (usually d_optimal).")
+    ] = None,
+    realisations: Annotated[
+        int | None, typer.Option(min=1, help="Sweeps of an axis in a pose, of random phases each (usually 1).")
+    ] = None,
+    step: Annotated[float | None, typer.Option(help="deg (cm) between grid positions.")] = None,
+    cell: Annotated[str | None, typer.Option(help="Name of the cell around the robot.")] = None,
+    modes: Annotated[Modes | None, typer.Option(help="Who generates the motion; the last: one sweep an axis.")] = None,
+    lines: Annotated[str | None, typer.Option(help="Frequencies of the sines, whole Hz, separated by commas.")] = None,
+    sample_rate: Annotated[float | None, typer.Option(help="Hz.")] = None,
+    warm_up: Annotated[float | None, typer.Option(help="s of sweeps before the first that counts.")] = None,
+    initial_analysis: Annotated[
+        bool, typer.Option("--initial-analysis", help="Noise runs that tell drive trains and ideal frequencies.")
+    ] = False,
+    diagnosis: Annotated[
+        bool, typer.Option("--diagnosis", help="All kinds of sweeps in a few poses, for a diagnosis.")
+    ] = False,
+    blocks: Annotated[
+        str | None, typer.Option(help="Of a diagnosis: the kinds of sweeps, separated by commas (usually all).")
+    ] = None,
+    repeats: Annotated[
+        int | None, typer.Option(min=1, help="Of a diagnosis or initial analysis, in each pose.")
+    ] = None,
+    analysis: Annotated[int | None, typer.Option(help="Campaign whose initial analysis the sweeps stand on.")] = None,
+    elsewhere: Annotated[
+        bool,
+        typer.Option(
+            "--elsewhere", help="For another machine than the service's: nothing is compared with its drives."
+        ),
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="Write the plan to this file as well.")] = None,
+    url: Url = DEFAULT_URL,
+) -> None:
+    """Plan a campaign. Nothing moves. Prints the number of the plan, and on stderr what the plan promises."""
+    numbers = {"--step": step, "--sample-rate": sample_rate, "--duration": duration, "--confidence": confidence}
+    numbers["--warm-up"] = warm_up
+    for name, number in numbers.items():
+        if number is not None and not math.isfinite(number):
+            raise BadInput(name, f"{number} is not a finite number")
+    if initial_analysis and diagnosis:
+        raise BadInput("--diagnosis", "is another plan than --initial-analysis: name one")
+    known = read_robot(robot)
+    options: Json = {
+        "poses": poses,
+        "duration": duration,
+        "confidence": confidence,
+        "criterion": None if criterion is None else criterion.value,
+        "realisations": realisations,
+        "step": step,
+        "cell": cell,
+        "modes": None if modes is None else modes.value,
+        "lines": None if lines is None else _frequencies(lines),
+        "sample_rate": sample_rate,
+        "warm_up": warm_up,
+        "kind": "analysis" if initial_analysis else "diagnosis" if diagnosis else None,
+        "blocks": None if blocks is None else _names(blocks),
+        "repeats": repeats,
+        "analysis": analysis,
+    }
+    request: Json = {name: value for name, value in options.items() if value is not None}
+    request |= {"axes": _names(axes), "varied": _names(varied)}
+    with ServiceClient(url) as client:
+        stored = client.add_robot(known.description.model_dump(mode="json"), known.urdf_text)
+        with waiting("planning: poses, sweeps and free ways are sought"):
+            planned = client.add_plan(request | {"robot_id": stored["id"]}, elsewhere=elsewhere)
+    _tell(planned["document"])
+    if out is not None:
+        _write(out, planned)
+    sys.stdout.write(f"{planned['id']}\n")
+
+
+def _tell(document: Json) -> None:
+    """What a person wants to know of a plan before it is run."""
+    for dropped in document["dropped"]:
+        sys.stderr.write(f"pose {dropped['pose']} left out: {dropped['reason']}\n")
+    if document["request"].get("kind") in ("analysis", "diagnosis"):
+        sys.stderr.write(f"{len(document['sweeps'])} runs, {document['duration'] / 60:.0f} min\n")
+        return
+    confidence, spare = document["confidence"], document["spare"]
+    known = "will not be known" if confidence[-1] is None else f"should be known to {confidence[-1]:.2g} % or better"
+    sys.stderr.write(
+        f"{len(confidence)} poses, {len(document['sweeps'])} sweeps, {document['duration'] / 60:.0f} min; "
+        f"J {known} everywhere in the workspace\n"
+    )
+    if spare:
+        numbers = ", ".join(str(pose["number"]) for pose in spare)
+        sys.stderr.write(f"poses that add nothing to this, in the order of choice: {numbers}\n")
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _frequencies(text: str) -> list[float]:
+    try:
+        return [float(name) for name in _names(text)]
+    except ValueError:
+        raise BadInput("--lines", f"{text} is not a list of numbers") from None
+
+
+def _write(path: Path, document: Json) -> None:
+    try:
+        path.write_text(json.dumps(document, indent=2) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise BadInput(str(path), f"cannot be written: {error.strerror}") from None

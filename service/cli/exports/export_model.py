@@ -1,0 +1,27 @@
+"""`sweepid export-model SOURCE DIR`: the identified robot as URDF, MJCF and YAML."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.exports.estimates import SideFile, Source, read_estimate
+from service.export import identified_model, write_model
+
+
+def export_model(
+    source: Source,
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to write; must be empty or not exist.")],
+    robot: SideFile = None,
+) -> None:
+    """Write the identified robot as model.urdf, model.xml (MJCF), model.yaml and robot.yaml (side file)."""
+    known, document, _ = read_estimate(source, robot)
+    model = identified_model(known, document, str(source))
+    write_model(folder, model)
+    if model.deviation_in_std:
+        typer.echo(
+            f"no robot can have exactly these base parameters; the one written is {model.deviation_in_std:.2g} "
+            "standard deviations away",
+            err=True,
+        )
+    typer.echo(str(folder))

@@ -1,0 +1,28 @@
+"""`sweepid export-sheet SOURCE`: what to type into the control."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.cli.documents import JsonTo, put_json, read_document
+from service.cli.exports.estimates import SideFile, Source, read_estimate
+from service.export.sheet import sheet
+from service.export.sheet_text import as_markdown
+
+
+def export_sheet(
+    source: Source,
+    robot: SideFile = None,
+    payload: Annotated[
+        Path | None, typer.Option(help="Load for KUKA and ABB: JSON file of `sweepid payload`.", metavar="FILE")
+    ] = None,
+    json_to: JsonTo = None,
+) -> None:
+    """Tell the identified inertias as the values that controls take, with uncertainty and the place to type them."""
+    known, document, bundle = read_estimate(source, robot)
+    poses = None if bundle is None else {sweep.spec.id: sweep.spec.pose for sweep in bundle.sweeps}
+    made = sheet(known, document, str(source), poses)
+    text = as_markdown(made, read_document(payload) if payload else None)
+    if not put_json(made, json_to):
+        typer.echo(text)

@@ -1,0 +1,72 @@
+"""`sweepid channels BUNDLE`: delay and smoothing of the channels, from calibration sweeps, for the drive profile."""
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import track
+
+from service.cli.documents import JsonTo, put_json
+from service.errors import BadInput
+from service.identification.axis.channel_timing import ChannelLags, Lag, channel_lags
+from service.store.files.bundle import Bundle, read_bundle
+
+
+def channels(
+    bundle: Annotated[Path, typer.Argument(help="Directory of the bundle.", show_default=False)],
+    axis: Annotated[str | None, typer.Option(help="Use the sweeps of this joint only.")] = None,
+    json_to: JsonTo = None,
+) -> None:
+    """Measure how far effort and velocity lag behind position. Prints the lines for the drive profile."""
+    found = measure_channels(read_bundle(bundle), axis, str(bundle))
+    if put_json({"axes": {joint: as_document(lags) for joint, lags in found.items()}}, json_to):
+        return
+    for joint, lags in found.items():
+        typer.echo(profile_lines(joint, lags))
+
+
+def measure_channels(bundle: Bundle, axis: str | None, place: str) -> dict[str, ChannelLags]:
+    """By joint, of all axes that were swept or of one; BadInput where there is none."""
+    if axis is not None:
+        bundle.robot.index(axis)
+    swept = {sweep.spec.axis for sweep in bundle.sweeps if sweep.spec.periodic}
+    joints = [joint for joint in bundle.robot.joints if joint in swept and axis in (None, joint)]
+    if not joints:
+        raise BadInput(place, "has no sweep with sines" if axis is None else f"has no sweep with sines of joint {axis}")
+    console = Console(stderr=True)
+    return {
+        joint: channel_lags(bundle.robot, joint, bundle.sweeps)
+        for joint in track(joints, "Axes", console=console, transient=True, disable=not console.is_terminal)
+    }
+
+
+def profile_lines(joint: str, lags: ChannelLags) -> str:
+    """YAML of the key `channels` of an axis in the drive profile, with what is known of the numbers as comments."""
+    found = f"free resonance {lags.resonance:.3g} Hz" if math.isfinite(lags.resonance) else "no free resonance found"
+    lines = [f"# {joint}: {found}", "channels:"]
+    for name, lag in (("effort", lags.effort), ("velocity", lags.velocity)):
+        apart = "" if lag.apart else ", delay and smoothing together: they cannot be told apart"
+        lines.append(f"  {name}_delay: {lag.delay:.7f} # s, +- {lag.delay_std:.2g}{apart}")
+        smoothing = f" # s, +- {lag.smoothing_std:.2g}" if lag.apart else ""
+        lines.append(f"  {name}_smoothing: {lag.smoothing:.7f}{smoothing}")
+    return "\n".join(lines)
+
+
+def as_document(lags: ChannelLags) -> dict[str, Any]:
+    """JSON of one axis; s, and Hz for the resonance (null where none was found)."""
+    return {
+        "effort": _lag(lags.effort),
+        "velocity": _lag(lags.velocity),
+        "free_resonance": lags.resonance if math.isfinite(lags.resonance) else None,
+    }
+
+
+def _lag(lag: Lag) -> dict[str, Any]:
+    return {
+        "delay": {"value": lag.delay, "std": lag.delay_std},
+        "smoothing": {"value": lag.smoothing, "std": lag.smoothing_std},
+        "total": {"value": lag.total, "std": lag.total_std},
+        "apart": lag.apart,
+    }

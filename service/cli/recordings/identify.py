@@ -1,0 +1,216 @@
+"""`sweepid identify BUNDLE`: the paper's Table 1, the base parameters and their quality from recorded sweeps."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from service.cli.documents import JsonTo, put_json, read_document, write_file
+from service.cli.recordings.combination import print_combination
+from service.cli.recordings.gains_file import read_gains
+from service.cli.waiting import waiting
+from service.errors import BadInput
+from service.estimation import SweepSpectrum, estimate_document, sweep_spectrum
+from service.identification.axis.ideal_frequency import Figure
+from service.identification.axis.known_effects import KnownEffects, known_effects
+from service.identification.axis.nominal_priors import TorqueGain
+from service.identification.estimates.analysis_document import analyses_from
+from service.identification.motion.free_motion import at_once, free_motions
+from service.identification.motion.trajectory_record import runs_at_once
+from service.identification.spectra.noise_response import has_reference
+from service.recording import Sweep
+from service.report import content_of, render, render_analysis, used_sweeps
+from service.robot import Robot
+from service.store.files.bundle import Bundle, read_bundle
+
+_ROWS = (
+    ("reference - measurement", "reference_measured"),
+    ("identified - measurement", "identified_measured"),
+    ("reference - identified (workspace)", "reference_identified"),
+)
+
+
+def identify(
+    bundle: Annotated[Path, typer.Argument(help="Directory of the bundle.", show_default=False)],
+    axis: Annotated[str | None, typer.Option(help="Use the sweeps of this joint only.")] = None,
+    json_to: JsonTo = None,
+    gains: Annotated[Path | None, typer.Option("--torque-gain", help="JSON file of `sweepid torque-gain`.")] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="Known effects: JSON file of `sweepid diagnose --model`.", metavar="FILE")
+    ] = None,
+    report: Annotated[Path | None, typer.Option(help="Write what was found, with figures, to this HTML file.")] = None,
+) -> None:
+    """Identify a robot from the sweeps of a bundle."""
+    measured = read_bundle(bundle)
+    document = identify_bundle(
+        measured,
+        axis,
+        str(bundle),
+        read_gains(gains) if gains else None,
+        read_effects(model, measured.robot) if model else None,
+    )
+    if report is not None:
+        write_file(report, _report(measured, document, str(bundle)))
+    if put_json(document, json_to):
+        return
+    print_estimate(document, Console())
+
+
+def identify_bundle(
+    bundle: Bundle,
+    axis: str | None,
+    place: str,
+    gains: Mapping[str, TorqueGain] | None = None,
+    known: KnownEffects | None = None,
+) -> dict[str, Any]:
+    """The estimate as in DESIGN.md, of all sweeps or of those of one joint; BadInput if that leaves none."""
+    if axis is not None:
+        bundle.robot.index(axis)
+    together = {spec.id for group in at_once([sweep.spec for sweep in bundle.sweeps]) for spec in group}
+    motions = free_motions(bundle.robot, bundle.sweeps) if axis is None else ()
+    sweeps = [
+        sweep for sweep in bundle.sweeps if sweep.spec.id not in together and _of_axis(sweep, axis) and _tells(sweep)
+    ]
+    if not sweeps and not motions:
+        of_joint = "" if axis is None else f" of joint {axis}"
+        raise BadInput(place, f"has no sweep{of_joint} with sines, a trajectory or injected torque noise")
+    console = Console(stderr=True)
+    spectra: list[SweepSpectrum] = [
+        sweep_spectrum(bundle.robot, sweep)
+        for sweep in track(sweeps, "Sweeps", console=console, transient=True, disable=not console.is_terminal)
+    ]
+    with waiting("estimating"):
+        return estimate_document(bundle.robot, spectra, gains=gains, known=known, motions=motions)
+
+
+def _report(bundle: Bundle, document: dict[str, Any], place: str) -> str:
+    """HTML. BadInput if there is nothing to report."""
+    if not document["axes"]:
+        if not document["analysis"]:
+            raise BadInput(
+                place, "has neither sweeps that show the inertia of one axis nor an initial analysis to report"
+            )
+        return render_analysis(bundle.robot, document["analysis"])
+    sweeps = {sweep.spec.id: sweep for sweep in bundle.sweeps}
+    specs = used_sweeps(document, [sweep.spec for sweep in bundle.sweeps])
+    subtitle = f"Identified from {len(specs)} sweeps of the bundle {place}."
+    return render(content_of(bundle.robot, document, specs, lambda spec: sweeps[spec.id], subtitle))
+
+
+def read_effects(path: Path, robot: Robot) -> KnownEffects:
+    """What `sweepid diagnose --model` wrote; BadInput names the file."""
+    document = read_document(path)
+    try:
+        return known_effects(document, robot.joints, {"file": path.name})
+    except BadInput as error:
+        raise BadInput(f"{path}: {error.place}", error.reason) from None
+
+
+def _of_axis(sweep: Sweep, axis: str | None) -> bool:
+    """A trajectory of several axes is of none of them alone."""
+    return axis is None or (sweep.spec.axis == axis and not runs_at_once(sweep.spec))
+
+
+def _tells(sweep: Sweep) -> bool:
+    """Of inertia or of the drive train."""
+    return sweep.spec.shows_inertia or sweep.spec.stepped or has_reference(sweep)
+
+
+def print_estimate(document: dict[str, Any], console: Console) -> None:
+    """Initial analysis, Table 1 of the paper for this robot, and the base parameters with standard deviation."""
+    if document["analysis"]:
+        _print_analysis(document["analysis"], console)
+    combination = document.get("combination")  # estimates that were stored by an earlier version have none
+    if combination is not None:
+        print_combination(combination, console)
+    axes: dict[str, Any] = document["axes"]
+    if not axes:
+        return
+    table = Table(title="RMSE of the axis inertias in percent")
+    table.add_column("")
+    for joint in axes:
+        table.add_column(joint, justify="right")
+    for label, key in _ROWS:
+        table.add_row(label, *(_percent(axis["rmse_percent"][key]) for axis in axes.values()))
+    table.add_row("sweeps", *(str(len(axis["inertia"])) for axis in axes.values()), style="dim")
+    console.print(table)
+
+    table = Table(title="Base parameters, SI, about the joints' axes")
+    table.add_column("parameter", overflow="fold")
+    table.add_column("value", justify="right")
+    table.add_column("std", justify="right")
+    for parameter in document["base_parameters"]:
+        table.add_row(parameter["symbolic"], f"{parameter['value']:.5g}", _number(parameter["std"]))
+    console.print(table)
+    for parameter in document["base_parameters"]:
+        if "reason" in parameter:
+            console.print(f"Not identified: {parameter['symbolic']}: {parameter['reason']}", highlight=False)
+    for symbol, of in document["symbols"].items():
+        console.print(f"  {symbol} = {of['value']:.5g} {of['unit']}, {of['meaning']}", style="dim", highlight=False)
+    _print_free_records(axes, console)
+    for suspect in document["suspect"]:
+        console.print(f"Suspect: sweep {suspect['sweep']} of {suspect['axis']}, {suspect['why']}")
+    for effect in document.get("effects", []):  # estimates that were stored by an earlier version have none
+        used = "Taken into account" if effect["used"] else "Left out"
+        console.print(f"{used}: {effect['effect']} of {effect['axis']}, {effect['how']}")
+    console.print(f"Condition number of the observation matrix: {_number(document['condition_number'])}")
+
+
+def _print_analysis(analysis: dict[str, Any], console: Console) -> None:
+    """Pose by pose: where the load swings, where friction rules, and which frequency lies between them."""
+    table = Table(title="Initial analysis; in brackets by asymptotes")
+    for name in ("axis", "pose in rad", "J", "locked rotor, Hz", "friction below, Hz", "ideal, Hz", "sweep, Hz"):
+        table.add_column(name, justify="left" if name in ("axis", "pose in rad") else "right")
+    for joint, axis in analyses_from(analysis).items():
+        for pose in axis.poses:
+            fit, read = pose.fit, pose.asymptotes
+            locked_rotor, ideal = _both(fit.locked_rotor, read.locked_rotor), _both(fit.frequency, read.frequency)
+            if pose.at_least is not None:  # the asymptotes then end at a resonance that is none
+                locked_rotor, ideal = (f"above {bound:.4g}" for bound in pose.at_least)
+            table.add_row(
+                joint,
+                ", ".join(f"{position:.2f}" for position in pose.pose),
+                _with_std(fit.inertia),
+                locked_rotor,
+                _both(fit.corner, read.corner),
+                ideal,
+                f"{fit.sweep_frequency:g}",
+            )
+    console.print(table)
+
+
+def _both(fit: Figure, read: Figure) -> str:
+    return f"{_with_std(fit)} ({read.value:.4g})"
+
+
+def _with_std(figure: Figure) -> str:
+    return f"{figure.value:.4g} ± {figure.std:.4g}"
+
+
+def _print_free_records(axes: dict[str, Any], console: Console) -> None:
+    """What else was found in records without lines, which are fitted one by one."""
+    records = [(joint, sweep) for joint, axis in axes.items() for sweep in axis["inertia"] if "terms" in sweep]
+    if not records:
+        return
+    table = Table(title="Records without lines, SI")
+    for name in ("axis", "sweep", "term"):
+        table.add_column(name)
+    for name in ("value", "std"):
+        table.add_column(name, justify="right")
+    for joint, sweep in records:
+        terms = {"inertia": {"value": sweep["value"], "std": sweep["std"]}, **sweep["terms"]}
+        for name, term in terms.items():
+            table.add_row(joint, sweep["sweep"], name, f"{term['value']:.5g}", _number(term["std"]))
+    console.print(table)
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+def _number(value: float | None) -> str:
+    return "undetermined" if value is None else f"{value:.3g}"

@@ -1,0 +1,114 @@
+"""`sweepid torque-gain BEFORE AFTER`: the torque constants from a known mass, for `sweepid identify --torque-gain`."""
+
+import math
+from pathlib import Path
+from typing import Annotated, cast
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from service.cli.documents import JsonTo, put_json
+from service.errors import BadInput
+from service.identification import spectrum
+from service.identification.axis.nominal_priors import TorqueGain
+from service.identification.estimates.torque_gain import Calibration, KnownMass, torque_gains
+from service.robot import Robot
+from service.store.files.bundle import Bundle, read_bundle
+
+SENSIBLE = (0.5, 2.0)  # gains of a drive whose motor is the one that it was told of
+SHOWN = 3.0  # standard deviations that the added inertia must be above nothing
+SMALLEST = 1.0  # m; also a lone axis without a length may carry a mass so far out
+
+
+def torque_gain(
+    before: Annotated[Path, typer.Argument(help="Bundle measured without the mass.", show_default=False)],
+    after: Annotated[Path, typer.Argument(help="Bundle of the same poses with the mass.", show_default=False)],
+    mass: Annotated[float, typer.Option(help="kg", show_default=False)],
+    center: Annotated[
+        str, typer.Option(help="x,y,z of its centre of mass in the last joint's frame, m", show_default=False)
+    ],
+    inertia: Annotated[str, typer.Option(help="Ixx,Ixy,Iyy,Ixz,Iyz,Izz about that centre, kg m^2")] = "0,0,0,0,0,0",
+    json_to: JsonTo = None,
+) -> None:
+    """Calibrate the torque constant of every axis with a known mass on the last link."""
+    place, shape = _numbers("--center", center, 3), _numbers("--inertia", inertia, 6)
+    body = KnownMass(
+        mass, cast(tuple[float, float, float], place), cast(tuple[float, float, float, float, float, float], shape)
+    )
+    found = calibrate(read_bundle(before), read_bundle(after), body, str(after))
+    axes = {
+        joint: {
+            "gain": {"value": one.gain.gain, "std": one.gain.std},
+            "poses": one.poses,
+            "added_inertia": one.added,
+        }
+        for joint, one in found.items()
+    }
+    if put_json({"axes": axes}, json_to):
+        return
+    _print(found)
+
+
+def calibrate(before: Bundle, after: Bundle, mass: KnownMass, place: str) -> dict[str, Calibration]:
+    """By joint; BadInput where the bundles are not of one robot or share no pose, or cannot be without and with it."""
+    if (before.robot.description, before.robot.urdf_text) != (after.robot.description, after.robot.urdf_text):
+        raise BadInput(place, f"was not measured on the same robot {before.robot.name} as the bundle before")
+    _check_place(before.robot, mass)
+    spectra = [
+        [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps if sweep.spec.periodic] for bundle in (before, after)
+    ]
+    found = torque_gains(before.robot, spectra[0], spectra[1], mass)
+    for joint, one in found.items():
+        _check_shown(joint, one.gain)
+    return found
+
+
+def _check_place(robot: Robot, mass: KnownMass) -> None:
+    """The mass hangs no farther from the last joint than the robot is long."""
+    joints = robot.chain.joints
+    offsets = sum(math.hypot(*joint.translation) for joint in joints)
+    travels = sum(abs(joint.upper - joint.lower) for joint in joints if joint.kind == "prismatic")
+    longest, away = max(SMALLEST, offsets + travels), math.hypot(*mass.center)
+    if away > longest:
+        raise BadInput(
+            "--center",
+            f"is {away:.3g} m from the last joint, limit {longest:.3g} m, the length of the robot's links: "
+            "are these meters?",
+        )
+
+
+def _check_shown(joint: str, gain: TorqueGain) -> None:
+    """A mass that was on, and is what it is said to be, shows, and about as heavy as it is."""
+    if not gain.gain > SHOWN * gain.std:
+        raise BadInput(
+            joint,
+            "the second campaign shows no added inertia beyond its uncertainty "
+            f"(gain {gain.gain:.3f}, standard deviation {gain.std:.3f}): was the mass on? kg and m?",
+        )
+    if not SENSIBLE[0] <= gain.gain <= SENSIBLE[1]:
+        raise BadInput(
+            joint,
+            f"the second campaign shows {gain.gain:.3f} times the inertia that the mass adds, and a gain lies within "
+            f"{SENSIBLE[0]} to {SENSIBLE[1]}: was the mass on, the right one? kg and m?",
+        )
+
+
+def _numbers(option: str, text: str, count: int) -> tuple[float, ...]:
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count or not all(abs(number) < float("inf") for number in numbers):
+        raise BadInput(option, f"{text!r} is not {count} numbers with commas between")
+    return numbers
+
+
+def _print(found: dict[str, Calibration]) -> None:
+    table = Table(title="Torque as the drive tells it over true torque")
+    table.add_column("axis")
+    for name in ("gain", "std", "poses", "added inertia, kg m^2"):
+        table.add_column(name, justify="right")
+    for joint, one in found.items():
+        table.add_row(joint, f"{one.gain.gain:.4f}", f"{one.gain.std:.4f}", str(one.poses), f"{one.added:.4g}")
+    Console().print(table)

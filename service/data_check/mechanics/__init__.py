@@ -1,0 +1,1 @@
+"""Findings about samples against the robot file, one file a finding."""

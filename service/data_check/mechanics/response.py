@@ -1,0 +1,103 @@
+r"""What effort does at the lines: the apparent inertia of each record, beside what CAD says.
+
+Z = Effort/Velocity at each commanded line over whole periods; a rigid axis has  Z = i w J + mu. Elasticity makes
+Im Z / w grow towards the locked-rotor frequency and negative beyond, gravity lowers it as 1/w^2; so inertia is read at
+the lowest line, and only where that is low. What lies on the bins between the lines is noise; the ripple of known
+orders is taken out before, as it may lie on a line.
+Records without lines are fitted as the identification does (`time_domain`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.data_check.mechanics.motion import Commanded
+from service.data_check.record import AxisRecords, Record
+from service.errors import BadInput
+from service.identification.spectra.frequency_response import Complex, ripple_orders, spectrum
+from service.identification.spectra.time_domain import fit_record
+from service.recording import Array
+
+LOWEST = 4.5  # Hz: at locked-rotor frequencies of 5 Hz and above a line below still shows mass, not spring
+ABOVE = 3.0  # Hz above the last line: where noise is still read
+
+
+@dataclass(frozen=True)
+class Response:
+    """Of one record: apparent inertia, resistance (apparent viscous friction) and their errors, SI on the joint side.
+
+    `frequency`, `impedance`, `error` (l,) at its lines, empty without lines.
+    """
+
+    record: Record
+    inertia: float
+    inertia_error: float
+    resistance: float
+    resistance_error: float
+    frequency: Array
+    impedance: Complex
+    error: Array
+
+
+def responses(axis: AxisRecords, followed: dict[str, Commanded]) -> tuple[Response, ...]:
+    """Of all records that tell inertia; velocity is taken in the unit and the sign that was commanded."""
+    found: list[Response] = []
+    for record in axis.those(lambda record: record.alone and record.spec.shows_inertia):
+        one = _at_lines(axis, record, followed.get(record.id)) if record.spec.periodic else _free(axis, record)
+        if one is not None:
+            found.append(one)
+    return tuple(found)
+
+
+def _at_lines(axis: AxisRecords, record: Record, followed: Commanded | None) -> Response | None:
+    spec, count = record.spec, record.count
+    step = record.rate / count
+    frequency = np.sort([sine.frequency for sine in spec.sines])
+    lines = np.round(frequency / step).astype(int)
+    if frequency[0] > LOWEST or np.any(np.abs(frequency / step - lines) > 0.01) or lines[-1] >= count // 2:
+        return None
+    transform: Complex = np.fft.rfft(_without_ripple(axis, record, frequency)) / count
+    velocity = np.fft.rfft(record.velocity)[lines] / count
+    if followed is not None and followed.gain:
+        velocity = velocity / followed.gain
+    if not np.all(np.abs(velocity) > 0):
+        return None
+    bins = np.arange(1, min(int(lines[-1]) + round(ABOVE / step), count // 2))
+    between = bins[~np.isin(bins, lines)]
+    noise = float(np.sqrt(np.mean(np.abs(transform[between]) ** 2))) if between.size else 0.0
+    impedance, error = transform[lines] / velocity, noise / np.abs(velocity)
+    omega = 2 * np.pi * frequency
+    return Response(
+        record,
+        float(impedance[0].imag / omega[0]),
+        float(error[0] / omega[0]),
+        float(impedance[0].real),
+        float(error[0]),
+        frequency,
+        impedance,
+        error,
+    )
+
+
+def _without_ripple(axis: AxisRecords, record: Record, frequency: Array) -> Array:
+    """Effort (n,) without its line and without the ripple of known orders, as far as both differ from the lines."""
+    count = record.count
+    ramp = np.linspace(-0.5, 0.5, count)
+    angles = [2 * np.pi * line * np.arange(count) / record.rate for line in frequency]
+    turned = axis.axis.gear_ratio * (record.position - record.position[0])
+    ripples = [order * turned for order in ripple_orders(axis.axis)]
+    lines = np.array([wave(angle) for angle in angles for wave in (np.cos, np.sin)])
+    others = np.array([np.ones(count), ramp, *(wave(angle) for angle in ripples for wave in (np.cos, np.sin))])
+    columns = np.concatenate([others, lines]).T
+    solution = np.asarray(np.linalg.lstsq(columns, record.effort, rcond=1e-6)[0], dtype=float)
+    return record.effort - solution[: len(others)] @ others
+
+
+def _free(axis: AxisRecords, record: Record) -> Response | None:
+    try:
+        fit = fit_record(spectrum(axis.robot, record.sweep))
+    except BadInput:  # too short, or its motion does not show inertia
+        return None
+    empty = np.zeros(0)
+    resistance, error = fit.terms["viscous_friction"]
+    return Response(record, fit.inertia, fit.inertia_std, resistance, error, empty, empty.astype(complex), empty)

@@ -1,0 +1,1 @@
+"""Findings about the samples themselves, one file a finding."""

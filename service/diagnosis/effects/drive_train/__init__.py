@@ -1,0 +1,1 @@
+"""Effects between motor and load, one file each."""

@@ -1,0 +1,150 @@
+"""A drive train that twists: the load does not follow the motor at once."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.effects.effect import Effect, Model, Shape, ShapeParameter, named
+from service.diagnosis.effects.patch import Patch, positive
+from service.diagnosis.rows.responses import Complex, bins, through
+from service.diagnosis.rows.signals import Tracks
+
+Array = NDArray[np.float64]
+
+SHARES = 3.0  # standard deviations of the prior, by which the motor's inertia may differ from its data sheet
+LEAST_LOAD = 0.1  # of the axis' inertia
+LEAST_MOTOR = 0.02  # of the axis' inertia: of a motor that the robot file does not know
+MOST_HARDENING = 20.0  # part of its stiffness that the spring gains at the twist of the rated effort
+RATIO = (0.8, 1.25)  # of what the two masses say
+
+
+@dataclass(frozen=True)
+class _TwoMasses:
+    """Z, the load's impedance with gravity as its spring, and what of a torque at the load reaches the motor:
+
+        Ts (1 + c Z / (1 + h s)) = J a + b v + gravity,    Z = J s^2 + b s + k_g
+
+    `twist` (n, t) is that of the measured torque: what is not linear must not hang on a prediction, which would have to
+    have every resonance right.
+    """
+
+    impedance: Complex  # (n, bins)
+    follows: Complex
+    load_inertia: Array  # (n, 1)
+    viscous: float
+    linear_twist: Array
+    twist: Array
+
+
+def _two_masses(tracks: Tracks, model: Model, shape: Shape) -> _TwoMasses:
+    compliance, damping, on_load, hardening, motor = shape
+    s = 2j * np.pi * bins(tracks.velocity.shape[1], tracks.rate)[None]
+    load_inertia = np.maximum(model.inertia - motor, LEAST_LOAD * model.inertia)[:, None]
+    viscous = on_load * model.viscous
+    spring = np.asarray(1 / (1 + s * damping), dtype=np.complex128)
+    impedance = s * s * load_inertia + s * viscous + model.slope[:, None]
+    on_motor = motor * tracks.acceleration + (model.viscous - viscous) * tracks.velocity
+    torque = through(tracks.effort - on_motor, tracks.rate, spring)
+    linear = twist = compliance * torque
+    if hardening > 0:
+        rated = tracks.robot.axis(tracks.joint).rated_effort
+        stiffer = torque - rated * softened(torque / rated, hardening)
+        torque = torque + damping * through(
+            stiffer, tracks.rate, s * spring
+        )  # its damping takes part in a smaller twist
+        twist = compliance * rated * softened(torque / rated, hardening)
+    return _TwoMasses(impedance, 1 / (1 + compliance * spring * impedance), load_inertia, viscous, linear, twist)
+
+
+def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
+    two = _two_masses(tracks, model, shape)
+    away = tracks.away - two.twist
+    weight = model.gravity
+    if not tracks.prismatic:
+        weight = model.torque[:, None] * np.cos(away) + model.slope[:, None] * np.sin(away)
+        weight = weight + model.slope[:, None] * two.twist  # that spring is in the impedance
+    shaken = two.load_inertia * tracks.accelerated(two.follows - 1) - model.gravity - two.viscous * tracks.velocity
+    shaken += through(two.viscous * tracks.velocity + weight, tracks.rate, two.follows)
+    if shape[3] > 0:
+        shaken += through(two.linear_twist - two.twist, tracks.rate, two.impedance * two.follows)
+    return [shaken]
+
+
+def _parts(tracks: Tracks, model: Model, shape: Shape) -> Array:
+    two = _two_masses(tracks, model, shape)
+    s = 2j * np.pi * bins(tracks.velocity.shape[1], tracks.rate)[None]
+    shaken = tracks.accelerated(two.follows) - through(two.twist, tracks.rate, s * s * two.follows)
+    if tracks.prismatic:
+        return np.stack([shaken, *tracks.parts[1:]])
+    away = tracks.away - two.twist
+    pulled = [through(part, tracks.rate, two.follows) for part in (np.cos(away), np.sin(away))]
+    return np.stack([shaken, *pulled])
+
+
+def softened(torque: Array, hardening: float) -> Array:
+    """Twist u of a spring u + e u^3 = torque, in units of the rated effort and of the linear twist at it."""
+    scale = np.sqrt(3 * hardening)
+    return np.asarray(2 / scale * np.sinh(np.arcsinh(1.5 * scale * torque) / 3), dtype=np.float64)
+
+
+def _motors(tracks: Tracks, model: Model) -> tuple[float, float, float]:
+    """Reflected inertia of the motor, kg m^2 (kg): as on its data sheet, and the limits that its prior allows."""
+    axis = tracks.robot.axis(tracks.joint)
+    sheet = axis.reflected_motor_inertia
+    if not sheet:
+        return model.motor_inertia, LEAST_MOTOR * float(model.inertia.min()), float(model.inertia.min()) / 2
+    reach = SHARES * tracks.robot.prior.motor_inertia
+    return sheet, sheet * max(1 - reach, 0.1), sheet * (1 + reach)
+
+
+def _shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
+    heaviest = float(model.load_inertia.max())
+    locked = np.array([60.0, 40.0, 28.0, 22.0, 18.0, 15.0, 12.5, 10.5, 9.0, 7.5, 6.0, 5.0, 4.0, 3.2])
+    grid = 1 / (heaviest * (2 * np.pi * locked) ** 2)
+    motor, lightest, largest = _motors(tracks, model)
+    return (
+        ShapeParameter("compliance", "rad/(N m)", tuple(grid.tolist()), grid[0] / 4, grid[-1] * 2),
+        ShapeParameter("damping_time", "s", (5e-4, 2e-3), 1e-5, 1e-2),
+        ShapeParameter("load_friction_share", "", (0.5,), 0.0, 1.0),
+        ShapeParameter("hardening", "", (0.0,), 0.0, MOST_HARDENING),
+        ShapeParameter("motor_inertia", "kg m^2", (motor,), lightest, largest),
+    )
+
+
+def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
+    stiffness = 1 / positive(parameters, "compliance")
+    axis = tracks.robot.axis(tracks.joint)
+    heavier = parameters["motor_inertia"] / axis.gear_ratio**2 - (axis.motor_inertia or 0.0)
+    on_load = parameters["load_friction_share"] * model.viscous
+    friction = {"viscous": -on_load, "backward_viscous": -on_load}
+    spring = {"stiffness": stiffness, "damping": stiffness * parameters["damping_time"]}
+    if parameters["hardening"]:
+        spring["hardening"] = parameters["hardening"] * stiffness**3 / axis.rated_effort**2
+    return {
+        "train": {
+            "spring": spring,
+            "motor_inertia": heavier if axis.motor_inertia else 0.0,
+            "motor_friction": friction,
+            "load_friction": {"viscous": on_load},
+        }
+    }
+
+
+EFFECT = Effect(
+    name="joint_elasticity",
+    physics="tau = Jm a + J_l a_l, the load behind a spring 1/c with damping h/c; x + e x^3 / (c T0)^2 = c Ts",
+    source="Spong, J. Dyn. Sys. Meas. Control 109 (1987); the two-mass form of `axis_inertia`; e: hardening, "
+    "T0: rated effort",
+    sentence="The gear twists: the load lags behind the motor and swings.",
+    visible_in=("wide",),
+    entry="spring",
+    coefficients=named(("ratio", "")),
+    columns=_columns,
+    parts=_parts,
+    of_model=True,
+    scenario=_scenario,
+    shape=_shape,
+    possible=lambda parameters, tracks, model: RATIO[0] <= parameters["ratio"] <= RATIO[1],
+)

@@ -1,0 +1,1 @@
+"""Effects of what the axis carries, one file each."""

@@ -1,0 +1,45 @@
+"""A mass at the tip that the model does not know."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.effects.effect import Effect, Readout
+from service.diagnosis.rows.rigid import load_rows
+from service.diagnosis.rows.signals import Tracks
+
+Array = NDArray[np.float64]
+
+FARTHEST = 1.0  # m from the last joint's origin to the centre of mass, one sigma
+MOST = 0.3  # of the mass of the robot's links, one sigma
+CERTAIN = 3.0  # standard deviations of a mass below 0 that is none
+
+
+def _readout(tracks: Tracks, change: Array, covariance: Array) -> Readout:
+    """Mass and first moments of what hangs on the last link: the likeliest that change the load so."""
+    robot, index = tracks.robot, tracks.robot.index(tracks.joint)
+    last = robot.chain.inertial.size
+    mass = MOST * float(np.abs(robot.chain.inertial[:, 0]).sum())
+    sigma = mass * np.repeat([1.0, FARTHEST, FARTHEST**2], (1, 3, 6))
+    weight = np.repeat(tracks.sizes, len(tracks.poses))
+    rows = weight[:, None] * load_rows(robot, index, tracks.poses)[:, last - 10 : last] * sigma
+    noise = covariance * np.outer(weight, weight)
+    noise += np.eye(len(noise)) * (1e-4 * float(np.abs(weight * change.ravel()).max())) ** 2
+    gain = rows.T @ np.linalg.inv(rows @ rows.T + noise)
+    values = sigma * (gain @ (weight * change.ravel()))
+    spread = np.sqrt(np.maximum(np.diag(np.eye(10) - gain @ rows), 0.0)) * sigma
+    names = (("mass", "kg"), ("moment_x", "kg m"), ("moment_y", "kg m"), ("moment_z", "kg m"))
+    return {name: (float(values[k]), float(spread[k]), unit) for k, (name, unit) in enumerate(names)}
+
+
+EFFECT = Effect(
+    name="payload",
+    physics="tau = Y(q, a) [m, m c, I] of a body on the last link: gravity and inertia",
+    source="Khalil, Gautier and Lemoine, ICRA 2007, Identification of the payload inertial parameters",
+    sentence="The robot carries a mass that the model does not know.",
+    visible_in=("forward_slow", "backward_slow"),
+    entry="links.added",
+    readout=_readout,
+    by_test_mass=True,
+    by_load=True,
+    possible=lambda parameters, tracks, model: parameters["mass"] > 0,
+)

@@ -1,0 +1,45 @@
+"""Torque and motion of one sample that do not belong to one instant."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.effects.effect import Effect, Model, Shape, ShapeParameter, named
+from service.diagnosis.effects.patch import Patch
+from service.diagnosis.rows.responses import bins, through
+from service.diagnosis.rows.signals import Tracks
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+
+def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
+    """Per second of delay, so that the coefficient is the delay itself."""
+    delay = shape[0]
+    s: Complex = np.multiply(2j * np.pi, bins(tracks.velocity.shape[1], tracks.rate)[None], dtype=np.complex128)
+    late = np.divide(np.exp(-s * delay) - 1, delay, dtype=np.complex128)
+    of_motion = model.inertia[:, None] * tracks.accelerated(late)
+    return [of_motion + through(model.viscous * tracks.velocity + model.gravity, tracks.rate, late)]
+
+
+def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
+    """A torque that comes early is a speed that comes late; the position, which matters little, counts as exact."""
+    delay = parameters["delay"]
+    return {"measurement": {"effort_delay": delay} if delay >= 0 else {"velocity_delay": -delay}}
+
+
+EFFECT = Effect(
+    name="measurement_delay",
+    physics="tau(t - T) - tau(t) = -T tau' + ...",
+    source="Pintelon and Schoukens, System Identification (2012), sec. 13.6: delay between channels",
+    sentence="Torque and motion are not of the same instant: one channel comes late.",
+    visible_in=("wide",),
+    entry="measurement.effort_delay, velocity_delay",
+    coefficients=named(("delay", "s")),
+    columns=_columns,
+    of_model=True,
+    late=True,
+    scenario=_scenario,
+    shape=lambda tracks, model: (ShapeParameter("expansion_point", "s", (-4e-3, -1e-3, 1e-3, 4e-3), -2e-2, 2e-2),),
+)

@@ -1,0 +1,1 @@
+"""Equations of the candidates, their search and selection."""

@@ -1,0 +1,117 @@
+r"""A known mass bolted on tells the torque gain, and so a wrong torque constant from an unknown payload.
+
+The same slow sweeps before and after differ by the mass alone. A drive that tells g times the true effort tells in each
+sweep, on average over its samples,
+
+    effort_after - effort_before = g (M(q) + D a) + change of the friction,
+
+M the mass' gravity torque and D its inertia, both known. The motions' own differences are taken at nominal values. The
+friction may have drifted in between, and a part of it may grow with the weight: both get a column, held by a prior. The
+latter looks like a gain wherever the axis turns one way only, so that the gain is known well from both directions
+alone. Of an axis that carries no weight D tells the gain (`torque_gains`).
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.fit.equations import nominal_right
+from service.diagnosis.rows.rigid import load_rows
+from service.diagnosis.rows.signals import Tracks, tracks
+from service.errors import BadInput
+from service.identification import spectrum
+from service.identification.axis.nominal_priors import TorqueGain
+from service.identification.estimates.torque_gain import KnownMass, torque_gains
+from service.recording import Sweep, SweepSpec
+from service.robot import Robot
+
+Array = NDArray[np.float64]
+Visit = tuple[int, tuple[int, ...]]
+
+CERTAIN = 3.0  # standard deviations of a gain that is not one
+DECIDED = 0.006  # standard deviation of a gain, above which a mass decides nothing
+KNOWN = 0.003  # of the mass' torque: how well mass, place and the axis' angle under it are known
+PULLS = 0.01  # of the rated effort: less weight tells nothing
+FRICTION = 0.005  # of it: what friction may change while a mass is bolted on
+BY_LOAD = 0.1  # of the torque through the gear: friction that grows with it
+LEAST = 0.0003  # of it: scatter of a sweep's mean
+SAME = 1e-3  # rad (m) between positions of one pose
+SPEED = 1e-5  # rad/s (m/s) between speeds
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """Slow sweeps repeated with a known mass on the last link, in poses and at speeds that were measured without."""
+
+    mass: KnownMass
+    sweeps: tuple[Sweep, ...]
+
+
+def weighed_gain(robot: Robot, joint: str, bare: Sequence[Sweep], weighed: Weighed) -> TorqueGain:
+    """Effort as told over true effort; BadInput where no sweep of the axis was run both without and with the mass."""
+    if not weighed.mass.mass > 0:
+        raise BadInput("mass", f"{weighed.mass.mass} kg is not above 0")
+    turning = [[s for s in part if s.spec.axis == joint and s.spec.offset_velocity] for part in (bare, weighed.sweeps)]
+    visits = sorted({_visit(s.spec) for s in turning[0]} & {_visit(s.spec) for s in turning[1]})
+    if not visits:
+        raise BadInput(joint, "has no sweep that was run both without and with the test mass")
+    common = [[s for s in part if _visit(s.spec) in visits] for part in turning]
+    light, heavy = (tracks(robot, joint, part) for part in common)
+    pull, rated = _added(heavy, weighed.mass), robot.axis(joint).rated_effort
+    if np.abs(pull).max() < PULLS * rated:
+        spectra = [[spectrum(robot, s) for s in part if s.spec.periodic] for part in common]
+        return torque_gains(robot, spectra[0], spectra[1], weighed.mass)[joint].gain
+    more = _means(heavy, nominal_right(heavy), visits) - _means(light, nominal_right(light), visits)
+    grown = _means(heavy, heavy.direction * (np.abs(heavy.gravity + pull) - np.abs(heavy.gravity)), visits)
+    columns = [_means(heavy, pull, visits), _means(heavy, heavy.direction, visits), grown]
+    return _solved(np.stack(columns, axis=-1), more, LEAST * rated, np.array([np.inf, FRICTION * rated, BY_LOAD]))
+
+
+def is_wrong(gain: TorqueGain) -> bool:
+    """Whether a gain differs from one by more than chance."""
+    return abs(gain.gain - 1) > CERTAIN * gain.std
+
+
+def is_decided(gain: TorqueGain) -> bool:
+    """Whether a gain tells a wrong torque constant from a right one."""
+    return is_wrong(gain) or gain.std < DECIDED
+
+
+def corrected(sweeps: Iterable[Sweep], gain: TorqueGain) -> list[Sweep]:
+    """The sweeps with the effort that a right torque constant would have told."""
+    return [replace(s, recording=replace(s.recording, effort=s.recording.effort / gain.gain)) for s in sweeps]
+
+
+def _visit(spec: SweepSpec) -> Visit:
+    """Speed and pose."""
+    return round(spec.offset_velocity / SPEED), tuple(round(position / SAME) for position in spec.pose)
+
+
+def _added(motion: Tracks, mass: KnownMass) -> Array:
+    """Torque of the mass along the motion, (n, t)."""
+    robot, index = motion.robot, motion.robot.index(motion.joint)
+    last = robot.chain.inertial.size
+    rows = load_rows(robot, index, motion.poses)[:, last - len(mass.parameters) : last]
+    return motion.along((rows @ mass.parameters).reshape(3, -1))
+
+
+def _means(motion: Tracks, signal: Array, visits: Sequence[Visit]) -> Array:
+    """Mean of a signal (n, t) over the rows that count in the sweeps of each visit, (visits,)."""
+    means = [float(row[good].mean()) for row, good in zip(motion.rows(signal), motion.usable, strict=True)]
+    where = [_visit(spec) for spec in motion.specs]
+    of_visit = ([mean for mean, at in zip(means, where, strict=True) if at == visit] for visit in visits)
+    return np.array([sum(some) / len(some) for some in of_visit])
+
+
+def _solved(columns: Array, right: Array, scatter: float, prior: Array) -> TorqueGain:
+    """The first coefficient, all held at zero by their `prior` (k,); the scatter grows to what the fit leaves."""
+    held = np.diag(prior**-2.0)
+    values = np.zeros(len(prior))
+    for _ in range(2):
+        values = np.linalg.solve(columns.T @ columns / scatter**2 + held, columns.T @ right / scatter**2)
+        left = right - columns @ values
+        scatter = max(scatter, float(np.sqrt(left @ left / max(len(right) - 1, 1))))
+    spread = float(np.linalg.inv(columns.T @ columns / scatter**2 + held)[0, 0])
+    return TorqueGain(float(values[0]), float(np.sqrt(spread + (KNOWN * values[0]) ** 2)))

@@ -1,0 +1,365 @@
+r"""The equations of one axis: what the rigid model leaves of the effort, as a sum of columns.
+
+    effort - nominal = Q z + db v + effects + noise
+
+`nominal` is the torque of CAD and data sheet along the motion; Q z is by how much the load (inertia and gravity of all
+poses, `rigid`) differs from it and db the viscous friction, both held by the robot's prior, which enters as
+pseudo-data. Only what these cannot take within the prior is evidence.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.effects import CATALOGUE
+from service.diagnosis.effects.effect import Model, Shape
+from service.diagnosis.fit.cross_products import (
+    ORDER,
+    Gathered,
+    Group,
+    Pairing,
+    Piece,
+    Whitening,
+    between_periods,
+    noise_model,
+    pairing,
+)
+from service.diagnosis.fit.solving import solve, symmetric
+from service.diagnosis.rows.responses import Complex, bins, through
+from service.diagnosis.rows.rigid import Rigid, nominal_load, rigid
+from service.diagnosis.rows.signals import EVERY, Tracks, white_covariance
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SAME = 1e-3  # a model that moved by less is the same
+SAME_TIME = 2e-6  # s
+UNKNOWN_MOTOR = 0.1  # of the axis' inertia: a motor that the robot file does not know
+LEAST_INERTIA = 0.05  # of CAD's
+ENOUGH_POSES = 4  # of which one may be held back
+COLOURED = 3.0  # times the RMS of the sensor's noise were it white: flicker and drift make about twice
+REPEATED = 0.2  # of the velocity, RMS, by which a repeat may differ
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect of the model with its shape parameters."""
+
+    effect: str
+    shape: Shape = ()
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Filtered, whitened rows of base columns and right side, and how to add columns to them.
+
+    The base columns (n, rows, b) are those of the load (`rigid.basis`) and the velocity, which stands last.
+    """
+
+    tracks: Tracks
+    groups: tuple[Group, ...]
+    pairs: Pairing
+    whitening: Whitening
+    rigid: Rigid
+    model: Model
+    coefficients: Array  # (b,) of the base, from which the model is
+    load: Array  # (3, m), that of the model
+    parts: Array  # (3, n, t): what the load is multiplied by, see `reshaped`
+    base: Array  # (n, rows, b)
+    right: Array  # (n, rows)
+    viscous_precision: float
+    sensor_noise: float  # RMS in the band of the rows, N m (N)
+    period_noise: float | None  # the same from period to period, where no sweep is repeated and their periods show it
+    late: float = 0.0  # s, by which the columns of effects come late, with the whole torque
+    kept: dict[Term, Gathered] = field(init=False, repr=False, compare=False, default_factory=dict[Term, Gathered])
+
+    @property
+    def folds(self) -> int:
+        """How many poses."""
+        return len(self.pairs.blocks)
+
+    @property
+    def width_of_base(self) -> int:
+        """b."""
+        return self.base.shape[-1]
+
+    def precision(self, terms: Sequence[Term]) -> Array:
+        """(b, b): the prior of the base columns' coefficients, without what some terms free."""
+        result = np.zeros((self.width_of_base, self.width_of_base))
+        result[:-1, :-1] = self.rigid.precision_without([term.effect for term in terms])
+        result[-1, -1] = self.viscous_precision
+        return result
+
+    def freedom(self, terms: Sequence[Term]) -> int:
+        """Parameters of terms that are no columns: shapes, and directions of the load that are freed."""
+        return sum(len(term.shape) + self.rigid.freedom(term.effect) for term in terms)
+
+    def base_signals(self) -> list[Array]:
+        """Of the base columns, (n, t) each."""
+        return [*(self.tracks.summed(load, self.parts) for load in self.rigid.basis), self.tracks.velocity]
+
+    def target(self) -> Array:
+        """What base and effects are to make, (n, t): the effort less that of CAD and data sheet; see `reshaped`."""
+        return nominal_right(self.tracks) + self.tracks.summed(
+            self.load - self.rigid.nominal, self.parts - self.tracks.parts
+        )
+
+    def columns(self, term: Term) -> Sequence[Array]:
+        """Signals of an effect, (n, t) each."""
+        return self._as_measured(term.effect, CATALOGUE[term.effect].columns(self.tracks, self.model, term.shape))
+
+    def _as_measured(self, name: str, columns: Sequence[Array]) -> Sequence[Array]:
+        """Columns of an effect behind the delay that the model has."""
+        if not self.late or CATALOGUE[name].late:
+            return columns
+        rate = self.tracks.rate
+        s = 2j * np.pi * bins(self.tracks.velocity.shape[1], rate)[None]
+        delayed: Complex = np.exp(-s * self.late)
+        return [through(column, rate, delayed) for column in columns]
+
+    def rows(self, term: Term) -> Array:
+        """The same filtered and whitened, (n, rows, k)."""
+        return self._whitened(self.columns(term))
+
+    def _whitened(self, columns: Sequence[Array]) -> Array:
+        if not columns:
+            return self.base[..., :0]
+        rows = self.tracks.whitened(np.concatenate(columns), self.whitening.taps)
+        return np.moveaxis(rows.reshape(len(columns), -1, rows.shape[1]), 0, -1)
+
+    def _gathered(self, columns: Sequence[Array]) -> Gathered:
+        return self.pairs.gathered(self._whitened(columns))
+
+    def gathered(self, term: Term, *, keep: bool = True) -> Gathered:
+        """Of these the rows that count; once found, kept."""
+        if term in self.kept:
+            return self.kept[term]
+        found = self._gathered(self.columns(term))
+        if keep:
+            self.kept[term] = found
+        return found
+
+    def scanned(self, name: str, shapes: Sequence[Shape], *, keep: bool = True) -> list[Gathered]:
+        """The same of many shapes of an effect."""
+        terms = [Term(name, shape) for shape in shapes]
+        new = [term for term in terms if term not in self.kept]
+        scan = CATALOGUE[name].scan
+        if scan is None or not new:
+            return [self.gathered(term, keep=keep) for term in terms]
+        columns = scan(self.tracks, self.model, [term.shape for term in new])
+        found = {term: self._gathered(self._as_measured(name, own)) for term, own in zip(new, columns, strict=True)}
+        if keep:
+            self.kept.update(found)
+        return [found.get(term) or self.kept[term] for term in terms]
+
+    def column(self, term: Term, number: int) -> Gathered:
+        """One of an effect's columns, gathered."""
+        return tuple(fold[number : number + 1] for fold in self.gathered(term))
+
+    def width(self, term: Term) -> int:
+        """How many columns an effect has."""
+        return len(self.gathered(term)[0])
+
+    @cached_property
+    def ends(self) -> tuple[Gathered, Gathered]:
+        """The base columns and the right side, gathered."""
+        return self.pairs.gathered(self.base), self.pairs.gathered(self.right[..., None])
+
+    def together(self, terms: Sequence[Term], *more: Gathered) -> Gathered:
+        """Gathered [base, terms, more, right side]."""
+        base, right = self.ends
+        parts = [base, *(self.gathered(term) for term in terms), *more, right]
+        return tuple(np.concatenate(fold) for fold in zip(*parts, strict=True))
+
+    def system_with(self, terms: Sequence[Term], *more: Gathered) -> Array:
+        """(folds, k, k) products of [base, terms, more, right side]."""
+        columns = self.together(terms, *more)
+        return symmetric(self.pairs.crossed(columns, columns))
+
+    def system_against(self, right: Gathered, terms: Sequence[Term]) -> Array:
+        """(k, k) products of [base, terms, right], with a right side of its own, summed over folds."""
+        parts = [self.ends[0], *(self.gathered(term) for term in terms), right]
+        columns = tuple(np.concatenate(fold) for fold in zip(*parts, strict=True))
+        return symmetric(self.pairs.crossed(columns, columns)).sum(axis=0)
+
+    def system_of(self, columns: Array) -> Array:
+        """(folds, k, k) products of whitened columns (n, rows, k), the right side last."""
+        return symmetric(self.pairs.products(columns))
+
+    def system(self, columns: Array | None = None) -> Array:
+        """(folds, k, k) products of [base, columns, right side]."""
+        parts = [self.base, *([] if columns is None else [columns]), self.right[..., None]]
+        return self.system_of(np.concatenate(parts, axis=-1))
+
+
+def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | None = None) -> Equations:
+    """The base model's equations, whitened by what the repeats show unless told how."""
+    axis, prior = tracks.robot.axis(tracks.joint), tracks.robot.prior
+    model = rigid(tracks.robot, tracks.joint, tracks.poses, tracks.sizes)
+    viscous = axis.viscous_friction or 0.0
+    remaining = tracks.rows(nominal_right(tracks))
+    rows = np.stack([tracks.rows(signal) for signal in (*map(tracks.along, model.basis), tracks.velocity)], axis=-1)
+    alone = white_covariance(tracks.effort, tracks.inside, tracks.rate, ORDER)
+    left = _refitted(tracks, rows, remaining)
+    periods = None if any(len(group.pieces) > 1 for group in groups) else _between_periods(tracks, left, alone)
+    if whitening is None:
+        whitening = noise_model(left, tracks.usable, groups, alone if periods is None else periods)
+    given = Equations(
+        tracks=tracks,
+        groups=tuple(groups),
+        pairs=pairing(tracks.usable, groups, ORDER, 1 + max(group.fold for group in groups)),
+        whitening=whitening,
+        rigid=model,
+        model=_model(
+            tracks,
+            model.nominal,
+            axis.reflected_motor_inertia or UNKNOWN_MOTOR * float(model.nominal[0].mean()),
+            viscous,
+        ),
+        coefficients=np.zeros(len(model.basis) + 1),
+        load=model.nominal,
+        parts=tracks.parts,
+        base=np.stack([whitening(rows[..., k]) for k in range(rows.shape[-1])], axis=-1),
+        right=whitening(remaining),
+        viscous_precision=(prior.viscous_friction * viscous) ** -2.0 if viscous else 0.0,
+        sensor_noise=float(np.sqrt(alone[0])),
+        period_noise=None if periods is None else float(np.sqrt(periods[0])),
+    )
+    return remodelled(given, ())
+
+
+def nominal_right(tracks: Tracks) -> Array:
+    """What CAD and data sheet leave of the effort, (n, t)."""
+    viscous = tracks.robot.axis(tracks.joint).viscous_friction or 0.0
+    return (
+        tracks.effort - tracks.along(nominal_load(tracks.robot, tracks.joint, tracks.poses)) - viscous * tracks.velocity
+    )
+
+
+def _refitted(tracks: Tracks, rows: Array, right: Array) -> Array:
+    """What the best rigid model leaves of rows (n, rows): noise alike at all frequencies, no prior."""
+    matrix, target = rows[tracks.usable], right[tracks.usable]
+    return right - rows @ np.linalg.lstsq(matrix, target, rcond=None)[0]
+
+
+def _between_periods(tracks: Tracks, left: Array, alone: Array) -> Array | None:
+    """Autocovariance of the noise by what periods of each sweep leave of one another, no more than a sensor with noise
+    `alone` makes: beyond, the machine moves otherwise in the next one. None without periods.
+    """
+    lengths = {spec.period for spec in tracks.specs}
+    period = lengths.pop() if len(lengths) == 1 else None
+    if period is None:
+        return None
+    found = between_periods(left, tracks.usable, round(period * tracks.rate / EVERY))
+    if found is None:
+        return None
+    return found * min(1.0, COLOURED**2 * alone[0] / found[0])
+
+
+def _model(tracks: Tracks, load: Array, motor_inertia: float, viscous: float) -> Model:
+    """What columns are made of, for a load (3, m)."""
+    inertia, torque, slope = load[:, tracks.spot]
+    return Model(
+        inertia, motor_inertia, viscous, tracks.along(np.stack([0 * load[0], load[1], load[2]])), torque, slope
+    )
+
+
+def grouped(tracks: Tracks) -> tuple[Group, ...]:
+    """Repeats put together: same pose, block and measured motion; a pose is a fold."""
+    motion, width = tracks.rows(tracks.velocity), tracks.usable.shape[1]
+    collected: list[tuple[int, str, list[int]]] = []
+    for number, spec in enumerate(tracks.specs):
+        spot = int(tracks.spot[number])
+        for other, block, numbers in collected:
+            if (other, block) == (spot, spec.block) and _same_motion(motion, tracks.usable, numbers[0], number):
+                numbers.append(number)
+                break
+        else:
+            collected.append((spot, spec.block, [number]))
+    return tuple(Group(tuple(Piece(k, 0, width) for k in numbers), spot) for spot, _, numbers in collected)
+
+
+def held_back(tracks: Tracks, groups: Sequence[Group]) -> int | None:
+    """The pose, by its number, that is to take no part in the naming: the one of middling weight; None of too few."""
+    folds = sorted({group.fold for group in groups})
+    if len(folds) < ENOUGH_POSES:
+        return None
+    weight = {fold: float(tracks.gravity[tracks.spot == fold].mean()) for fold in folds}
+    return sorted(folds, key=lambda fold: weight[fold])[len(folds) // 2]
+
+
+def applies(given: Equations, name: str) -> bool:
+    """Whether an axis can have an effect at all."""
+    effect = CATALOGUE[name]
+    return name in given.rigid.freed if effect.by_load else effect.applies(given.tracks)
+
+
+def _same_motion(motion: Array, usable: Mask, one: int, other: int) -> bool:
+    """Whether two sweeps moved alike where both count: names alone may be missing, or wrong."""
+    both = usable[one] & usable[other]
+    first, second = motion[one][both], motion[other][both]
+    return bool(both.any() and np.sum((first - second) ** 2) < REPEATED**2 * np.sum(first**2))
+
+
+def remodelled(given: Equations, terms: Sequence[Term]) -> Equations:
+    """With the load and the friction that a fit with these terms finds, of which some columns are made."""
+    values = solve(given.system_with(terms).sum(axis=0), given.precision(terms))[0]
+    return reshaped(_delayed(with_base(given, values[: given.width_of_base]), terms, values), terms)
+
+
+def _delayed(given: Equations, terms: Sequence[Term], values: Array) -> Equations:
+    """With the columns of all effects as late as a delay among these terms, with coefficients (k,), says."""
+    late, first = 0.0, given.width_of_base
+    for term in terms:
+        late += float(values[first]) if CATALOGUE[term.effect].late else 0.0
+        first += given.width(term)
+    if abs(late - given.late) < SAME_TIME:
+        return given
+    moved = replace(given, late=late)
+    moved.kept.update({term: rows for term, rows in given.kept.items() if CATALOGUE[term.effect].late})
+    return moved
+
+
+def reshaped(given: Equations, terms: Sequence[Term]) -> Equations:
+    """With base columns as these terms make them.
+
+    Behind a spring, a load that differs by dz makes another torque than on a stiff gear. Columns E of that, and the
+    target beside them, stand for a step of Gauss and Newton from the model's load z0:
+
+        effort - nominal + (E - Q) z0 = E z + effects(z0),      the same as  Q z + effects(z0)  at z = z0
+    """
+    bent = [(CATALOGUE[term.effect].parts, term.shape) for term in terms]
+    found = [make(given.tracks, given.model, shape) for make, shape in bent if make is not None]
+    parts = found[0] if found else given.tracks.parts
+    if parts is given.parts:
+        return given
+    moved = replace(given, parts=parts)
+    whitened = [
+        given.tracks.whitened(signal, given.whitening.taps) for signal in (*moved.base_signals(), moved.target())
+    ]
+    moved = replace(moved, base=np.stack(whitened[:-1], axis=-1), right=whitened[-1])
+    moved.kept.update(given.kept)
+    return moved
+
+
+def with_base(given: Equations, values: Array) -> Equations:
+    """With the load and friction of base coefficients (b,)."""
+    tracks = given.tracks
+    viscous = (tracks.robot.axis(tracks.joint).viscous_friction or 0.0) + float(values[-1])
+    load = given.rigid.load(values[:-1])
+    load[0] = np.maximum(load[0], LEAST_INERTIA * given.rigid.nominal[0])
+    model = _model(tracks, load, given.model.motor_inertia, max(viscous, 0.0))
+    if _alike(model, given.model, tracks.robot.axis(tracks.joint).rated_effort):
+        return given
+    moved = replace(given, model=model, load=load, coefficients=values)
+    moved.kept.update({term: rows for term, rows in given.kept.items() if not CATALOGUE[term.effect].of_model})
+    return moved
+
+
+def _alike(one: Model, other: Model, rated: float) -> bool:
+    inertia = np.allclose(one.inertia, other.inertia, rtol=SAME, atol=0.0)
+    torque = np.allclose(one.torque, other.torque, rtol=0.0, atol=SAME * rated)
+    return bool(inertia and torque and np.isclose(one.viscous, other.viscous, rtol=SAME, atol=0.0))

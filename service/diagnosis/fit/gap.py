@@ -1,0 +1,180 @@
+"""How far model and measurement are apart, in N m (N), on sweeps that took no part in the fit.
+
+Poses are left out one after the other; where there is one pose, its repeats are. The coefficients of the effects come
+from the others; the rigid model, before and after, is fitted to all, as nothing else tells the inertia of a pose left
+out.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.fit.cross_products import ORDER, Group, pairing
+from service.diagnosis.fit.equations import Equations, Term, reshaped
+from service.diagnosis.fit.solving import given_rest, solve, symmetric
+
+Array = NDArray[np.float64]
+
+ALIKE = 4  # neighbouring rows share a filter: so many are one independent value
+CERTAIN = 3.0  # standard deviations of a gain that is not chance
+HELD = 1e12  # of a column's product: what holds a coefficient at zero
+RIDGE = 1e-6  # of a column's product: what the others do not tell is drawn to zero
+
+
+@dataclass(frozen=True, slots=True)
+class PoseGap:
+    """The same of one pose (all joints)."""
+
+    pose: tuple[float, ...]
+    before_rms: float
+    after_rms: float
+    noise_floor_rms: float | None
+    sweeps: int
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """RMS of what is left, N m (N): rigid model, with effects, repeats against one another (None: nothing is repeated).
+
+    `held_out_sweeps`: of how many, none of which took part in naming or fit; 0: it is that of all sweeps, each judged
+    by a fit of the others as far as there were `others`.
+    """
+
+    before_rms: float
+    after_rms: float
+    noise_floor_rms: float | None
+    effort_rms: float
+    held_out_sweeps: int
+    others: bool
+    by_pose: tuple[PoseGap, ...]
+
+
+def gap(given: Equations, before: Array, after: Array, unseen: Sequence[int]) -> Gap:
+    """Of what sweeps leave (n, rows) before and after; `unseen`: those that took no part in the naming."""
+    tracks = given.tracks
+    every = np.arange(len(tracks.specs))
+    judged = np.array(unseen, dtype=int) if unseen else every
+    counted = np.zeros_like(tracks.usable)
+    counted[judged] = tracks.usable[judged]
+    poses: list[PoseGap] = []
+    for spot, pose in enumerate(tracks.poses):
+        here = every[tracks.spot == spot]
+        usable = tracks.usable[here]
+        if usable.any():
+            sizes = (_rms(before[here][usable]), _rms(after[here][usable]), noise_floor(given, after, here))
+            poses.append(PoseGap(tuple(pose.tolist()), *sizes, len(here)))
+    return Gap(
+        before_rms=_rms(before[counted]),
+        after_rms=_rms(after[counted]),
+        noise_floor_rms=noise_floor(given, after, judged.tolist()),
+        effort_rms=_rms(tracks.rows(tracks.effort)[tracks.usable]),
+        held_out_sweeps=len(unseen),
+        others=left_out(given),
+        by_pose=tuple(poses),
+    )
+
+
+def improves(given: Equations, before: Array, after: Array) -> bool:
+    """Whether less is left after, beyond what the noise of the same rows could make of it."""
+    usable = given.tracks.usable
+    old, new = before[usable], after[usable]
+    chance = 2 * noise(given, after) * _rms(old - new) * np.sqrt(ALIKE / len(old))
+    return float(np.mean(old**2) - np.mean(new**2)) > CERTAIN * chance
+
+
+def by_prior(given: Equations, before: Sequence[Term], after: Sequence[Term]) -> bool:
+    """Whether what speaks for terms more is mostly the prior: a load that could take their place, if CAD let it."""
+    costs: list[float] = []
+    priors: list[float] = []
+    for terms in (before, after):
+        precision = given.precision(terms)
+        values, cost, _ = solve(given.system_with(terms).sum(axis=0), precision)
+        base = values[: len(precision)]
+        costs.append(cost)
+        priors.append(float(base @ precision @ base))
+    return priors[0] - priors[1] > (costs[0] - costs[1]) / 2 > 0
+
+
+def residual(given: Equations, terms: Sequence[Term], *, by_repeat: bool = False, as_cad: bool = False) -> Array:
+    """What each sweep leaves of its effort (n, rows), N m (N), filtered alike: the effects' coefficients are those of
+    the other sweeps, the rigid model is fitted to all. `as_cad`: the load is CAD's.
+    """
+    given = reshaped(given, terms)
+    tracks, b = given.tracks, given.width_of_base
+    whitened = np.concatenate([given.base, *(given.rows(t) for t in terms), given.right[..., None]], axis=-1)
+    precision, total = given.precision(terms), given.system_of(whitened).sum(axis=0)
+    if as_cad:
+        precision[range(b - 1), range(b - 1)] += HELD * np.abs(np.diag(total)[: b - 1])
+    ridge = np.zeros(len(total) - 1)
+    ridge[b:] = RIDGE * np.abs(np.diag(total)[b:-1])
+    columns = np.stack(rows_of(given, terms), axis=-1)
+    result = tracks.rows(given.target())
+    for train, test in splits(given.groups, by_repeat=by_repeat):
+        products = pairing(tracks.usable, train, ORDER, given.folds).products(whitened)
+        fitted = symmetric(products).sum(axis=0)
+        fitted[range(len(ridge)), range(len(ridge))] += ridge
+        effects = solve(fitted, precision)[0][b:]
+        values = np.append(given_rest(total, precision, effects), effects)
+        for piece in (piece for group in test for piece in group.pieces):
+            at = slice(piece.first, piece.first + piece.rows)
+            result[piece.sweep, at] -= columns[piece.sweep, at] @ values
+    return result
+
+
+def rows_of(given: Equations, terms: Sequence[Term]) -> list[Array]:
+    """Base columns and those of terms (n, rows), filtered but not whitened, N m for coefficients of one unit."""
+    signals = [*given.base_signals(), *(column for term in terms for column in given.columns(term))]
+    return [given.tracks.rows(signal) for signal in signals]
+
+
+def over_floor(given: Equations, terms: Sequence[Term]) -> float:
+    """RMS of what a fit to all grouped sweeps leaves of them, over the noise floor; infinite where none repeats."""
+    values = solve(given.system_with(terms).sum(axis=0), given.precision(terms))[0]
+    left = given.tracks.rows(given.target()) - np.stack(rows_of(given, terms), axis=-1) @ values
+    grouped = sorted({piece.sweep for group in given.groups for piece in group.pieces})
+    floor = noise_floor(given, left, grouped)
+    return np.inf if not floor else _rms(left[grouped][given.tracks.usable[grouped]]) / floor
+
+
+def splits(groups: Sequence[Group], *, by_repeat: bool = False) -> Iterator[tuple[list[Group], list[Group]]]:
+    """What is fitted and what is left out: pose by pose, or repeat by repeat where there is one pose."""
+    folds = sorted({group.fold for group in groups})
+    if len(folds) > 1 and not by_repeat:
+        for fold in folds:
+            yield [g for g in groups if g.fold != fold], [g for g in groups if g.fold == fold]
+        return
+    for repeat in range(max(len(group.pieces) for group in groups)):
+        train = [replace(g, pieces=g.pieces[:repeat] + g.pieces[repeat + 1 :]) for g in groups]
+        test = [replace(g, pieces=g.pieces[repeat : repeat + 1]) for g in groups if repeat < len(g.pieces)]
+        yield [g for g in train if g.pieces] or list(groups), test
+
+
+def left_out(given: Equations) -> bool:
+    """Whether sweeps can take no part in the fit that judges them: not where one pose was measured without repeats."""
+    return given.folds > 1 or any(len(group.pieces) > 1 for group in given.groups)
+
+
+def noise(given: Equations, left: Array) -> float:
+    """RMS that chance makes of what is left, N m (N): the noise floor; where nothing is repeated, all of it."""
+    floor = noise_floor(given, left, range(len(left)))
+    return _rms(left[given.tracks.usable]) if floor is None else floor
+
+
+def noise_floor(given: Equations, left: Array, sweeps: Iterable[int]) -> float | None:
+    """RMS of what repeats of some sweeps leave of their mean, N m (N); None where none is repeated."""
+    squares, rows, own = 0.0, 0.0, np.array(list(sweeps))
+    for group in given.groups:
+        if group.pieces[0].sweep not in own:
+            continue
+        parts = np.stack([left[p.sweep, p.first : p.first + p.rows] for p in group.pieces])
+        good = np.stack([given.tracks.usable[p.sweep, p.first : p.first + p.rows] for p in group.pieces]).all(axis=0)
+        if len(parts) > 1:
+            squares += float(np.sum((parts - parts.mean(axis=0))[:, good] ** 2))
+            rows += float((len(parts) - 1) * good.sum())
+    return float(np.sqrt(squares / rows)) if rows else None
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

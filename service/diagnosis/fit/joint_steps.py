@@ -1,0 +1,104 @@
+"""Steps of Gauss and Newton for an effect and the load together: behind a spring, either decides what the other is.
+
+Fitted in turn, a spring, the inertia behind it and the motor's before it would creep along the valley of what they have
+in common.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.effects import CATALOGUE
+from service.diagnosis.fit.equations import Equations, Term, remodelled, reshaped, with_base
+from service.diagnosis.fit.gap import over_floor
+from service.diagnosis.fit.search import LITTLE, LONGEST, Beside, Explanation, derivatives, from_vector, to_vector
+from service.diagnosis.fit.solving import solve, symmetric
+
+Array = NDArray[np.float64]
+
+STEPS = 15
+DAMPING = (0.0, 0.03, 0.3, 3.0, 30.0)  # of a derivative's own product
+ELSEWHERE = (0.5, 2.0, 0.25, 4.0)
+NEAR_FLOOR = 1.3  # times the noise floor
+
+
+def bends(terms: Sequence[Term]) -> list[int]:
+    """Which of some terms change what the load does."""
+    return [k for k, term in enumerate(terms) if CATALOGUE[term.effect].parts is not None]
+
+
+def together(given: Equations, start: Explanation) -> tuple[Equations, Explanation]:
+    """Load and shape of the term that changes what the load does, moved together to the least cost.
+
+    A load taken for too light hides how stiff its spring is, so that there may be several valleys: unless what is left
+    is the noise, the steps begin anew from springs of other stiffness (the shape's first entry).
+    """
+    best = _from(given, start)
+    for factor in ELSEWHERE:
+        if over_floor(best[0], best[1].terms) < NEAR_FLOOR:
+            break
+        term = start.terms[(number := bends(start.terms)[0])]
+        plain = [entry.grid[0] for entry in CATALOGUE[term.effect].shape(given.tracks, given.model)]
+        other = replace(term, shape=(factor * term.shape[0], *plain[1:]))
+        terms = (*start.terms[:number], other, *start.terms[number + 1 :])
+        best = min(best, _from(given, Beside(given, terms).alone()), key=lambda found: found[1].cost)
+    return best
+
+
+def _from(given: Equations, start: Explanation) -> tuple[Equations, Explanation]:
+    number = bends(start.terms)[0]
+    given = remodelled(given, start.terms)
+    best = Beside(given, start.terms).alone()
+    for _ in range(STEPS):
+        further = _step(given, best, number)
+        if further is None:
+            break
+        gain = best.cost - further[1].cost
+        given, best = further
+        if gain < LITTLE:
+            break
+    return given, best
+
+
+def _step(given: Equations, best: Explanation, number: int) -> tuple[Equations, Explanation] | None:
+    """One step, shorter and shorter (Levenberg and Marquardt) until it gains; None if it does not."""
+    term = best.terms[number]
+    shapes = CATALOGUE[term.effect].shape(given.tracks, given.model)
+    at = to_vector(shapes, term.shape)
+    low, high = (to_vector(shapes, [getattr(entry, end) for entry in shapes]) for end in ("low", "high"))
+    values = solve(given.system_with(best.terms).sum(axis=0), given.precision(best.terms))[0]
+    first = given.width_of_base + sum(given.width(other) for other in best.terms[:number])
+    bent = derivatives(given, term, shapes, values[first : first + given.width(term)])
+    columns = given.together(best.terms[:number] + best.terms[number + 1 :], given.gathered(term, keep=False), bent)
+    system = symmetric(given.pairs.crossed(columns, columns)).sum(axis=0)
+    for damping in DAMPING:
+        found, step = _solved(system, given.precision(best.terms), damping, at, low, high)
+        moved = replace(term, shape=from_vector(shapes, at + step))
+        terms = (*best.terms[:number], moved, *best.terms[number + 1 :])
+        tried = reshaped(with_base(given, found[: given.width_of_base]), terms)
+        explanation = Beside(tried, terms).alone()
+        if explanation.cost < best.cost:
+            return tried, explanation
+    return None
+
+
+def _solved(system: Array, precision: Array, damping: float, at: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Coefficients of all columns but the last ones, and how far the shape's vector `at` moves within its limits; what
+    is at a limit and would go beyond it stays there while the rest is solved for.
+    """
+    count, k = len(system) - 1, len(at)
+    free = np.ones(k, dtype=bool)
+    while True:
+        kept = np.append(np.append(np.ones(count - k, dtype=bool), free), True)
+        reduced = system[np.ix_(kept, kept)].copy()
+        own = np.arange(count - k, len(reduced) - 1)
+        reduced[own, own] *= 1 + damping
+        found = solve(reduced, precision)[0]
+        step = np.zeros(k)
+        step[free] = np.clip(found[count - k :], -LONGEST, LONGEST)
+        beyond = free & (((at <= low) & (step < 0)) | ((at >= high) & (step > 0)))
+        if not beyond.any():
+            return found[: count - k], step
+        free &= ~beyond

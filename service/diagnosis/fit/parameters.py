@@ -1,0 +1,116 @@
+"""What a fit says of the parameters of its effects, with standard deviations that do not promise too much.
+
+Shapes are linearised about their best values. Where columns and physics differ, coefficients are less certain than
+noise makes them: a share of what is left counts as having moved them too, and if leaving out one pose after the other
+moves a coefficient further (the jackknife), that movement is its standard deviation.
+
+An effect that frees directions D of the load (z = prior + D c) is as large as what they are beyond the prior P,
+
+    c = (D' P D)^-1 D' P z,      cov c = (D' P D)^-1 + G cov z G',   G = (D' P D)^-1 D' P
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.effects import CATALOGUE
+from service.diagnosis.fit.equations import Equations, Term
+from service.diagnosis.fit.solving import covariance, solve
+
+Array = NDArray[np.float64]
+
+NUDGE = 1e-3  # of a shape parameter, for its derivative
+ROUGH = 3e-2  # the same where costs are rough
+ABSORBED = 0.01  # part of what is left that may also have moved a parameter
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A value with one sigma, and its unit."""
+
+    value: float
+    std: float
+    unit: str
+
+
+def parameters(given: Equations, terms: Sequence[Term]) -> list[tuple[dict[str, Parameter], Array]]:
+    """Coefficients and shapes of each term by name, and their correlation (k, k) in that order."""
+    columns, precision = [given.rows(term) for term in terms], given.precision(terms)
+    system = given.system(np.concatenate(columns, axis=-1))
+    values = solve(system.sum(axis=0), precision)[0]
+    bends: list[Array] = []
+    start = given.width_of_base
+    for term, rows in zip(terms, columns, strict=True):
+        own = values[start : start + rows.shape[-1]]
+        bends.extend(slopes(given, term, rows @ own, own))
+        start += rows.shape[-1]
+    extended = np.concatenate([*columns, *(slope[..., None] for slope in bends)], axis=-1)
+    full = given.system(extended)
+    whole = full.sum(axis=0)
+    spreads = covariance(whole, precision)
+    spread = np.sqrt(np.maximum(np.diag(spreads), 0.0))
+    scatter = np.zeros_like(spread)
+    if len(full) > 2:
+        without = [solve(whole - own, precision)[0] for own in full]
+        scatter = np.std(without, axis=0) * np.sqrt(len(full) - 1)
+    left = max(solve(whole, precision)[1] - float(given.pairs.alone.sum()), 0.0)
+    std = np.maximum(spread * np.sqrt(1 + ABSORBED * left), scatter)
+    result: list[tuple[dict[str, Parameter], Array]] = []
+    linear = given.width_of_base
+    shape = linear + sum(rows.shape[-1] for rows in columns)
+    for term in terms:
+        found: dict[str, Parameter] = {}
+        first, bent = linear, shape
+        for name, unit in CATALOGUE[term.effect].coefficients(given.tracks):
+            found[name] = Parameter(float(values[linear]), float(std[linear]), unit)
+            linear += 1
+        for entry, value in zip(CATALOGUE[term.effect].shape(given.tracks, given.model), term.shape, strict=True):
+            widest = (entry.high - entry.low) / np.sqrt(12)
+            sigma = min(np.hypot(std[shape], entry.richer * value), widest)
+            found[entry.name] = Parameter(value, float(sigma), entry.unit)
+            shape += 1
+        own = [*range(first, linear), *range(bent, shape)]
+        scale = np.maximum(spread[own], 1e-300)
+        load = of_load(given, terms, values, term.effect)
+        correlation = np.eye(len(found) + len(load))
+        correlation[: len(own), : len(own)] = spreads[np.ix_(own, own)] / np.outer(scale, scale)
+        result.append((found | load, correlation))
+    return result
+
+
+def of_load(given: Equations, terms: Sequence[Term], values: Array, effect: str) -> dict[str, Parameter]:
+    """Parameters of an effect that is a wrong load, for the coefficients (k,) of base and terms; none of any other."""
+    readout = CATALOGUE[effect].readout
+    if readout is None or effect not in given.rigid.freed:
+        return {}
+    load, directions, prior = values[: given.width_of_base - 1], given.rigid.freed[effect], given.rigid.precision
+    held = directions.T @ prior
+    inner = np.linalg.pinv(held @ directions, rcond=1e-12, hermitian=True)
+    gain = inner @ held
+    count = given.width_of_base - 1
+    measured = covariance(given.system_with(terms).sum(axis=0), given.precision(terms))[:count, :count]
+    change = directions @ gain @ load
+    spread = directions @ (inner + gain @ measured @ gain.T) @ directions.T
+    basis = given.rigid.basis.reshape(count, -1)
+    told = readout(given.tracks, (change @ basis).reshape(3, -1), basis.T @ spread @ basis)
+    return {name: Parameter(*entry) for name, entry in told.items()}
+
+
+def by_name(given: Equations, term: Term, values: Array) -> dict[str, float]:
+    """Coefficients and shape of a term."""
+    effect = CATALOGUE[term.effect]
+    names = [name for name, _ in effect.coefficients(given.tracks)]
+    names += [shape.name for shape in effect.shape(given.tracks, given.model)]
+    return dict(zip(names, [*values.tolist(), *term.shape], strict=True))
+
+
+def slopes(given: Equations, term: Term, at: Array, coefficients: Array) -> list[Array]:
+    """Derivative of a term's torque by each of its shape parameters, whitened rows (n, rows)."""
+    result: list[Array] = []
+    for k, value in enumerate(term.shape):
+        step = (NUDGE if CATALOGUE[term.effect].scan is None else ROUGH) * (abs(value) or 1.0)
+        moved = Term(term.effect, (*term.shape[:k], value + step, *term.shape[k + 1 :]))
+        result.append((given.rows(moved) @ coefficients - at) / step)
+    return result

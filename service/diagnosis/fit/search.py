@@ -1,0 +1,158 @@
+"""What sets of effects cost: shapes scanned over their grids and refined, everything else multiplied once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.effects import CATALOGUE
+from service.diagnosis.effects.effect import Shape, ShapeParameter
+from service.diagnosis.fit.cross_products import Gathered
+from service.diagnosis.fit.equations import Equations, Term
+from service.diagnosis.fit.solving import solve, symmetric
+
+Array = NDArray[np.float64]
+
+STEPS = 4  # of one refinement
+HALVINGS = 3  # of a step that gains nothing
+LONGEST = 0.7  # step of a shape's logarithm
+NUDGE = 1e-3  # of it, for derivatives
+WIDTHS = (1.0, 0.3)  # of a grid's step, for rough costs
+POINTS = 7  # within it, either side
+REACH = 0.4  # where the grid has one point
+LITTLE = 0.5  # gain of a step after which none is worth while
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A set of effects with shapes: its cost, the same by Schwarz's criterion, how many parameters it has."""
+
+    terms: tuple[Term, ...]
+    cost: float
+    criterion: float
+    parameters: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(term.effect for term in self.terms)
+
+
+class Beside:
+    """The rigid model and some terms; `explanation` puts one term more beside them."""
+
+    def __init__(self, given: Equations, terms: Sequence[Term]) -> None:
+        self._given, self._terms = given, tuple(terms)
+        self._fixed = given.together(terms)
+        self._products = given.pairs.crossed(self._fixed, self._fixed)
+
+    def alone(self) -> Explanation:
+        """Without any more."""
+        return self._judged(self._terms, self._products)
+
+    def explanation(self, term: Term) -> Explanation:
+        """With one term more."""
+        return self._judged((*self._terms, term), self._with(self._given.gathered(term, keep=False)))
+
+    def best(self, name: str) -> Explanation:
+        """An effect at the best shape of its grid."""
+        shapes = CATALOGUE[name].shape(self._given.tracks, self._given.model)
+        found = self._at(name, list(product(*(shape.grid for shape in shapes))), keep=True)
+        return min(found, key=lambda one: one.cost)
+
+    def _at(self, name: str, shapes: Sequence[Shape], *, keep: bool) -> list[Explanation]:
+        return [
+            self._judged((*self._terms, Term(name, shape)), self._with(columns))
+            for shape, columns in zip(shapes, self._given.scanned(name, shapes, keep=keep), strict=True)
+        ]
+
+    def refined(self, start: Explanation) -> Explanation:
+        """The last term's shape moved to the least cost."""
+        effect = CATALOGUE[start.terms[-1].effect]
+        shapes = effect.shape(self._given.tracks, self._given.model)
+        if not shapes:
+            return start
+        return self._stepped(start, shapes) if effect.scan is None else self._rescanned(start, shapes)
+
+    def _rescanned(self, start: Explanation, shapes: Sequence[ShapeParameter]) -> Explanation:
+        """One parameter after the other over the middles of narrower and narrower grids: for costs that are rough."""
+        best = start
+        for width in WIDTHS:
+            for k, shape in enumerate(shapes):
+                at = to_vector(shapes, best.terms[-1].shape)
+                grid = to_vector([shape] * len(shape.grid), shape.grid)
+                reach = width * (float(np.ptp(grid)) / (len(grid) - 1) if len(grid) > 1 else REACH)
+                moved = at + np.linspace(-reach, reach, POINTS)[:, None] * np.eye(len(at))[k]
+                name = best.terms[-1].effect
+                found = self._at(name, [from_vector(shapes, vector) for vector in moved], keep=False)
+                best = min([best, *found], key=lambda one: one.cost)
+        return best
+
+    def _stepped(self, start: Explanation, shapes: Sequence[ShapeParameter]) -> Explanation:
+        """By Gauss and Newton, each step shortened until it gains."""
+        best, name = start, start.terms[-1].effect
+        for _ in range(STEPS):
+            at = to_vector(shapes, best.terms[-1].shape)
+            step = self._step(best.terms[-1], shapes, at)
+            for _ in range(HALVINGS):
+                tried = self.explanation(Term(name, from_vector(shapes, at + step)))
+                if tried.cost < best.cost:
+                    break
+                step = step / 3
+            else:
+                return best
+            gain, best = best.cost - tried.cost, tried
+            if gain < LITTLE:
+                return best
+        return best
+
+    def _step(self, term: Term, shapes: Sequence[ShapeParameter], at: Array) -> Array:
+        """Of the shape's vector `at`, from derivatives beside the columns themselves."""
+        own, terms = self._given.gathered(term, keep=False), (*self._terms, term)
+        values = self._values(self._with(own), terms)[-len(own[0]) :]
+        bent = derivatives(self._given, term, shapes, values)
+        extended = tuple(np.concatenate(fold) for fold in zip(own, bent, strict=True))
+        return np.clip(self._values(self._with(extended), terms)[-len(at) :], -LONGEST, LONGEST)
+
+    def _with(self, columns: Gathered) -> Array:
+        """Products with columns put before the right side, which stays last."""
+        across = self._given.pairs.crossed(columns, self._fixed)
+        within = self._given.pairs.crossed(columns, columns)
+        old, new = self._products, across.transpose(0, 2, 1)
+        top = np.concatenate([old[:, :-1, :-1], new[:, :-1], old[:, :-1, -1:]], axis=2)
+        middle = np.concatenate([across[:, :, :-1], within, across[:, :, -1:]], axis=2)
+        bottom = np.concatenate([old[:, -1:, :-1], new[:, -1:], old[:, -1:, -1:]], axis=2)
+        return np.concatenate([top, middle, bottom], axis=1)
+
+    def _values(self, products: Array, terms: Sequence[Term]) -> Array:
+        return solve(symmetric(products).sum(axis=0), self._given.precision(terms))[0]
+
+    def _judged(self, terms: tuple[Term, ...], products: Array) -> Explanation:
+        _, cost, rank = solve(symmetric(products).sum(axis=0), self._given.precision(terms))
+        cost -= float(self._given.pairs.alone.sum())
+        parameters = rank + self._given.freedom(terms)
+        return Explanation(terms, cost, cost + parameters * float(np.log(self._given.pairs.rows)), parameters)
+
+
+def derivatives(given: Equations, term: Term, shapes: Sequence[ShapeParameter], values: Array) -> Gathered:
+    """Of a term's columns with coefficients `values`, by each entry of its shape's vector."""
+    own, at = given.gathered(term, keep=False), to_vector(shapes, term.shape)
+    limits = to_vector(shapes, [shape.high for shape in shapes])
+    parts: list[Gathered] = []
+    for nudge in np.diag(np.where(at + NUDGE < limits, NUDGE, -NUDGE)):
+        there = given.gathered(Term(term.effect, from_vector(shapes, at + nudge)), keep=False)
+        parts.append(tuple(values[None] @ (b - a) / nudge.sum() for a, b in zip(own, there, strict=True)))
+    return tuple(np.concatenate(fold) for fold in zip(*parts, strict=True))
+
+
+def to_vector(shapes: Sequence[ShapeParameter], shape: Sequence[float]) -> Array:
+    """Logarithms of what is positive, and parts of the range of what is not: steps of the order of one."""
+    return np.array([np.log(x) if s.low > 0 else x / (s.high - s.low) for s, x in zip(shapes, shape, strict=True)])
+
+
+def from_vector(shapes: Sequence[ShapeParameter], vector: Array) -> Shape:
+    return tuple(
+        float(np.clip(np.exp(x) if s.low > 0 else x * (s.high - s.low), s.low, s.high))
+        for s, x in zip(shapes, vector.tolist(), strict=True)
+    )

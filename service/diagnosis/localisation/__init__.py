@@ -1,0 +1,1 @@
+"""Where in the motion model and measurement differ."""

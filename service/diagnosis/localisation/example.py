@@ -1,0 +1,38 @@
+"""One held-out sweep to look at: what was measured, and what the model says of it before and after."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.fit.equations import Equations
+from service.diagnosis.rows.signals import row_samples
+
+Array = NDArray[np.float64]
+
+MOST = 500  # points
+
+
+@dataclass(frozen=True)
+class Example:
+    """Torques (n,) N m (N) over time (n,) s, filtered alike."""
+
+    sweep: str
+    block: str
+    time: Array
+    measured: Array
+    before: Array
+    after: Array
+
+
+def example(given: Equations, before: Array, after: Array) -> Example:
+    """The sweep of which most was left (n, rows) before."""
+    tracks = given.tracks
+    most = int(np.argmax(np.sum(np.where(tracks.usable, before, 0.0) ** 2, axis=1)))
+    recorded = row_samples(tracks.effort.shape[1], tracks.rate)
+    recorded = np.flatnonzero(tracks.inside[most][recorded])
+    at = recorded[:: -(-len(recorded) // MOST)]
+    measured = tracks.rows(tracks.effort[most : most + 1])[0, at]
+    time = tracks.time[most, row_samples(tracks.effort.shape[1], tracks.rate)[at]]
+    spec = tracks.specs[most]
+    return Example(spec.id, spec.block, time, measured, measured - before[most, at], measured - after[most, at])

@@ -1,0 +1,68 @@
+"""What does not repeat: a floor far above the noise of the sensor itself is no noise.
+
+Repeats give the noise floor, so whatever moves an axis otherwise each time (a vibration of the floor, friction that
+sticks and slips, a brake that drags now and then) raises the floor and hides in it. The sensor's own noise shows in the
+top band of the record, where no machine moves.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.fit.equations import Equations
+from service.diagnosis.rows.signals import EVERY
+
+Array = NDArray[np.float64]
+
+FAR = 4.0  # times the sensor's noise in the same band: coloured sensor noise makes about twice
+LINE = 0.5  # of the power of what does not repeat, at one frequency
+
+
+@dataclass(frozen=True, slots=True)
+class Unrepeated:
+    """RMS, N m (N), of what repeats leave of one another, and of the sensor's own noise in the same band; the
+    frequency, Hz, at which most of it is, None if at no single one.
+    """
+
+    rms: float
+    sensor_rms: float
+    frequency: float | None
+
+    @property
+    def is_physical(self) -> bool:
+        return self.rms > FAR * self.sensor_rms
+
+    def sentence(self, joint: str, unit: str) -> str:
+        where = "" if self.frequency is None else f", most of it at {self.frequency:.2g} Hz"
+        return (
+            f"{joint}: {self.rms:.3g} {unit} RMS does not repeat{where}; the sensor's own noise is "
+            f"{self.sensor_rms:.3g} {unit}. What moves the axis differently each time cannot be named from repeats."
+        )
+
+
+def unrepeated(given: Equations, left: Array) -> Unrepeated | None:
+    """Of what a model leaves (n, rows), N m (N); None where nothing is repeated."""
+    usable, parts = given.tracks.usable, list[Array]()
+    for group in given.groups:
+        count = len(group.pieces)
+        if count > 1:
+            rows = np.stack([left[p.sweep, p.first : p.first + p.rows] for p in group.pieces])
+            good = np.stack([usable[p.sweep, p.first : p.first + p.rows] for p in group.pieces]).all(axis=0)
+            parts.extend(np.where(good, (rows - rows.mean(axis=0)) * np.sqrt(count / (count - 1)), 0.0))
+    counted = sum(int(np.count_nonzero(part)) for part in parts)
+    if not counted:
+        return None
+    power = np.mean([np.abs(np.fft.rfft(part)) ** 2 for part in parts], axis=0)
+    highest = int(np.argmax(power))
+    near = power[max(0, highest - 1) : highest + 2].sum() / power.sum()
+    frequency = _between(power, highest) * given.tracks.rate / EVERY / usable.shape[1]
+    rms = float(np.sqrt(sum(float(part @ part) for part in parts) / counted))
+    return Unrepeated(rms, given.sensor_noise, frequency if near > LINE else None)
+
+
+def _between(power: Array, highest: int) -> float:
+    """Where between two bins a line is: what a wave leaves in either falls with its distance from it."""
+    beside = {k: float(np.sqrt(power[k])) for k in (highest - 1, highest + 1) if 0 <= k < len(power)}
+    other = max(beside, key=lambda k: beside[k])
+    return highest + (other - highest) * beside[other] / (beside[other] + float(np.sqrt(power[highest])))

@@ -1,0 +1,182 @@
+r"""Ripples that the robot file does not know: at which orders of the motor's angle does what is left repeat?
+
+A ripple of order o is a line in the motor's angle theta, whatever the speed. Of each sweep
+
+    a(o) = 2 / N  sum  left(t) exp(-i o theta(t)),     power(o) = mean over pairs of repeats  Re a_1 conj(a_2) / 2
+
+so noise, which does not repeat, drops out. A peak of the power that stands far above the rest is an order; the phases
+of all sweeps together (theta is absolute) tell it to a fraction of one turn over the whole range of the axis, fine
+enough to see a wrong gear ratio in it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.data_check import Finding
+from service.diagnosis.fit.equations import Equations
+from service.diagnosis.rows.signals import BAND, row_samples
+from service.robot import Axis, Robot
+
+Array = NDArray[np.float64]
+
+HIGHEST = 100.0  # order
+STEP = 0.25  # of the order that one sweep resolves
+PEAK = 0.3  # of what is left, power: a ripple worth a name
+ABOVE = 8.0  # times the median over the orders
+MOST = 4  # orders
+SLOWEST = 0.5  # Hz: a slower ripple is no ripple in a sweep of seconds
+TRANSMISSION = 5.0  # below this order it is the gear that turns unevenly, above it the motor's magnets
+NEAR_WHOLE = 0.02  # of an order of 20: orders are whole numbers
+SAME = 0.02  # part by which an order of the robot file may be off and still be meant
+RATIO = 5e-4  # of the gear ratio: a difference that is told
+FINE = 0.05  # of the order that all sweeps together resolve
+
+
+@dataclass(frozen=True, slots=True)
+class Ripple:
+    """A line in the motor's angle: periods a motor turn by the robot file's gear ratio, RMS, N m (N)."""
+
+    order: float
+    rms: float
+
+
+def ripples(given: Equations, left: Array) -> tuple[Ripple, ...]:
+    """The lines in what a model leaves (n, rows), strongest first."""
+    tracks = given.tracks
+    ratio = abs(tracks.robot.axis(tracks.joint).gear_ratio)
+    angle = ratio * tracks.position[:, row_samples(tracks.effort.shape[1], tracks.rate)]
+    pairs = [(g.pieces[0].sweep, g.pieces[1].sweep) for g in given.groups if len(g.pieces) > 1]
+    pairs = pairs or [(g.pieces[0].sweep, g.pieces[0].sweep) for g in given.groups]
+    turning = [pair for pair in pairs if abs(tracks.specs[pair[0]].offset_velocity) > 0]
+    if not turning:
+        return ()
+    travel = float(np.median([np.ptp(angle[k][tracks.usable[k]]) for k, _ in turning if tracks.usable[k].any()]))
+    orders = _orders(given, turning, ratio, travel)
+    if not len(orders):
+        return ()
+    rest, found = left.copy(), list[Ripple]()
+    whole = _power(rest, tracks.usable, turning)
+    for _ in range(MOST):
+        power = _spectrum(rest, angle, tracks.usable, turning, orders)
+        best = int(np.argmax(power))
+        if power[best] < PEAK * whole / 2 or power[best] < ABOVE * float(np.median(np.abs(power))):
+            break
+        order = _refined(rest, angle, tracks.usable, turning, float(orders[best]), travel)
+        found.append(Ripple(order, float(np.sqrt(power[best]))))
+        rest = _without(rest, angle, tracks.usable, order)
+        whole = max(_power(rest, tracks.usable, turning), 1e-30)
+    return tuple(found)
+
+
+def with_ripples(robot: Robot, joint: str, found: Sequence[Ripple]) -> tuple[Robot, tuple[Finding, ...]]:
+    """The robot with its orders completed, or its gear ratio corrected, and what was changed; the same robot where the
+    file knows all of it.
+    """
+    axis, said = robot.axis(joint), list[Finding]()
+    known = (*axis.cogging_orders, *axis.transmission_orders)
+    near = [
+        (ripple.order / order, order) for ripple in found for order in known if abs(ripple.order / order - 1) < SAME
+    ]
+    ratio, orders = axis.gear_ratio, {"transmission": axis.transmission_orders, "cogging": axis.cogging_orders}
+    scale = 1.0
+    if near and abs(near[0][0] - 1) > RATIO:
+        scale, order = near[0]
+        ratio = axis.gear_ratio * scale
+        said.append(
+            Finding(
+                "gear_ratio", "warning", joint, (), ratio, axis.gear_ratio,
+                f"{joint}: the ripple of order {order:g} repeats {scale:.5f} times as often as the robot file's gear "
+                f"ratio {axis.gear_ratio:g} says; {ratio:.6g} fits.",
+                "Check the gear ratio in the robot file and in the drive.",
+            )
+        )  # fmt: skip
+    for ripple in found:
+        order = ripple.order / scale
+        if any(abs(order / other - 1) < SAME for other in known):
+            continue
+        order = float(round(order)) if abs(order - round(order)) < NEAR_WHOLE * max(1.0, order / 20) else order
+        kind = "transmission" if order < TRANSMISSION else "cogging"
+        orders[kind] = (*orders[kind], order)
+        said.append(
+            Finding(
+                "ripple_order", "warning", joint, (), order, None,
+                f"{joint}: the torque ripples {order:g} times a motor turn, which the robot file does not know.",
+                f"Add it to {kind}_orders of the robot file.",
+            )
+        )  # fmt: skip
+    if not said:
+        return robot, ()
+    change = {"gear_ratio": ratio, **{f"{kind}_orders": value for kind, value in orders.items()}}
+    return _changed(robot, joint, axis.model_copy(update=change)), tuple(said)
+
+
+def _changed(robot: Robot, joint: str, axis: Axis) -> Robot:
+    axes = tuple(axis if one.joint == joint else one for one in robot.axes)
+    return replace(robot, description=robot.description.model_copy(update={"axes": axes}))
+
+
+def _orders(given: Equations, turning: Sequence[tuple[int, int]], ratio: float, travel: float) -> Array:
+    """Orders that the slowest sweeps show in the band, as finely as one sweep resolves them."""
+    speed = min(abs(given.tracks.specs[k].offset_velocity) for k, _ in turning) * ratio / (2 * np.pi)
+    step = STEP * 2 * np.pi / travel
+    lowest, highest = max(SLOWEST / speed, 4 * step), min(2 * BAND / speed, HIGHEST)
+    return np.arange(lowest, highest, step) if highest > lowest else np.empty(0)
+
+
+def _amplitudes(
+    left: Array, angle: Array, usable: NDArray[np.bool_], sweep: int, orders: Array
+) -> NDArray[np.complex128]:
+    good = usable[sweep]
+    wave = np.exp(-1j * np.outer(orders, angle[sweep][good]))
+    return np.asarray(2 * (wave @ left[sweep][good]) / max(int(good.sum()), 1), dtype=np.complex128)
+
+
+def _spectrum(
+    left: Array, angle: Array, usable: NDArray[np.bool_], turning: Sequence[tuple[int, int]], orders: Array
+) -> Array:
+    total = np.zeros(len(orders))
+    for one, other in turning:
+        first = _amplitudes(left, angle, usable, one, orders)
+        second = first if other == one else _amplitudes(left, angle, usable, other, orders)
+        total += (first * second.conj()).real / 2
+    return total / len(turning)
+
+
+def _power(left: Array, usable: NDArray[np.bool_], turning: Sequence[tuple[int, int]]) -> float:
+    """Of what repeats, N^2 m^2."""
+    powers: list[float] = []
+    for one, other in turning:
+        product: Array = np.multiply(left[one], left[other], dtype=np.float64)
+        powers.append(float(np.mean(product[usable[one] & usable[other]])))
+    return max(float(np.nanmean(powers)), 0.0)
+
+
+def _refined(
+    left: Array,
+    angle: Array,
+    usable: NDArray[np.bool_],
+    turning: Sequence[tuple[int, int]],
+    order: float,
+    travel: float,
+) -> float:
+    """The order at which one amplitude and phase fit all sweeps best."""
+    sweeps = sorted({k for pair in turning for k in pair})
+    reach = 2 * np.pi / travel
+    everywhere = float(np.ptp(np.concatenate([angle[k][usable[k]] for k in sweeps])))
+    tried = np.arange(order - reach / 2, order + reach / 2, FINE * 2 * np.pi / everywhere)
+    total = sum(_amplitudes(left, angle, usable, k, tried) for k in sweeps)
+    return float(tried[int(np.argmax(np.abs(total)))])
+
+
+def _without(left: Array, angle: Array, usable: NDArray[np.bool_], order: float) -> Array:
+    """The same with the line taken out of each sweep."""
+    result = left.copy()
+    for k in range(len(left)):
+        good = usable[k]
+        if good.any():
+            columns = np.stack([np.sin(order * angle[k]), np.cos(order * angle[k])], axis=-1)
+            result[k] -= columns @ np.linalg.lstsq(columns[good], left[k][good], rcond=None)[0]
+    return result

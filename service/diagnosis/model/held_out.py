@@ -1,0 +1,51 @@
+"""What the simulator leaves: the fitted model written into a scenario and led along the recorded motion.
+
+The columns of the catalogue are simpler than the simulator's physics, so this shows whether the model that is handed on
+moves as the columns say. Load and viscous friction are fitted once more, as the simulator's gear may share them
+otherwise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.fit.equations import Equations
+from service.diagnosis.fit.fitted import Point, expressible
+from service.diagnosis.fit.gap import rows_of
+from service.diagnosis.fit.solving import solve
+from service.diagnosis.model.link_deviations import gravity_of_fit
+from service.diagnosis.model.scenario import axis_entry
+from service.diagnosis.model.twin import Run, torques, ways
+from service.diagnosis.rows.signals import laid_out
+from service.recording import Sweep
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What the twin leaves (n, rows), N m, and what its limits changed, in words."""
+
+    residual: Array
+    held: tuple[str, ...]
+
+
+def simulated(given: Equations, sweeps: Sequence[Sweep], point: Point) -> Simulated:
+    """The twin of a model; Inexpressible where no scenario can hold it."""
+    tracks = given.tracks
+    load: Array = point.load[:, tracks.spot]
+    inertia, torque, slope = (np.asarray(part, dtype=np.float64) for part in load)
+    entry = axis_entry(tracks.robot, tracks.joint, float(np.mean(inertia)), point.viscous, expressible(point))
+    pull = gravity_of_fit(tracks.poses[tracks.spot], tracks.robot.index(tracks.joint), torque, slope)
+    if tracks.prismatic:
+        pull = np.stack([torque, np.zeros_like(torque)], axis=-1)
+    pulls: list[list[float]] = (pull / entry.scale).tolist()
+    runs = [Run(k, entry, float(inertia[k]), (cosine, sine)) for k, (cosine, sine) in enumerate(pulls)]
+    own = [sweep for sweep in sweeps if sweep.spec.axis == tracks.joint and sweep.spec.moves]
+    needed = torques(tracks.robot, tracks.joint, ways(own), runs)
+    left = tracks.rows(tracks.effort - laid_out(tracks, needed))
+    system = given.system_of(np.concatenate([given.base, given.whitening(left)[..., None]], axis=-1)).sum(axis=0)
+    values = solve(system, given.precision(point.terms))[0]
+    return Simulated(left - np.stack(rows_of(given, ()), axis=-1) @ values, entry.held)

@@ -1,0 +1,140 @@
+"""What a model revision holds: the effects of each axis, the rigid fit beside them, and the scenario of the twin.
+
+All of it comes from axis documents (`document.axis_document`), so that it can be made wherever those are stored.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from service.diagnosis.effects.patch import Inexpressible, merged
+from service.diagnosis.model.link_deviations import deviations, gravity, gravity_of_fit, inertia_factors, joined
+from service.diagnosis.model.scenario import AxisEntry, axis_entry, stiffened
+from service.robot import Robot
+
+Documents = Mapping[str, Mapping[str, Any]]
+
+ROBOT_FILE = "robot.yaml"
+BAND = 8.0  # Hz, of a speed control that is as good a guess as any: a diagnosis does not see it
+RESET = 0.1  # s
+PEAK = 3.0  # times the rated effort
+
+
+def model_document(
+    robot: Robot,
+    document: Mapping[str, Any],
+    joints: Sequence[str] | None = None,
+    parent: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """{"axes": {joint: {"effects", "fit"}}, "scenario"} of a diagnosis' document for `joints` (None: those named); the
+    other axes stay as the parent, the model before, has them.
+    """
+    named = [joint for joint, axis in document["axes"].items() if axis["verdict"] == "named"]
+    axes = dict(parent["axes"]) if parent else {}
+    axes |= {joint: _axis(document["axes"][joint]) for joint in (named if joints is None else joints)}
+    return {"axes": axes, **_scenario(robot, axes)}
+
+
+def model_of(robot: Robot, documents: Documents) -> dict[str, Any]:
+    """The "model" of a diagnosis: what its axes are known to have and what was named, and the scenario of all axes."""
+    axes = {joint: _axis(axis) for joint, axis in documents.items()}
+    effects = {joint: axis["effects"] for joint, axis in axes.items() if documents[joint]["verdict"] == "named"}
+    return {"robot": robot.name, "effects": effects, **_scenario(robot, axes)}
+
+
+def _axis(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Effects and fit of an axis; what is ambiguous is not in its model."""
+    effects = list(document["known"])
+    if document["verdict"] == "named":
+        effects += document["effects"]
+    return {"effects": effects, "fit": document["fit"]}
+
+
+def _scenario(robot: Robot, axes: Documents) -> dict[str, Any]:
+    """The scenario, and notes on what it cannot hold."""
+    notes: list[str] = []
+    entries: dict[str, AxisEntry] = {}
+    for joint, axis in axes.items():
+        try:
+            entries[joint] = _entry(robot, joint, axis)
+        except Inexpressible as reason:
+            notes.append(f"{joint}: {reason}; the axis is rigid here")
+            entries[joint] = _entry(robot, joint, {**axis, "effects": []})
+        notes += [f"{joint}: {held}" for held in entries[joint].held]
+        notes += [f"{joint}: no scenario holds {e['effect']}" for e in axis["effects"] if e["scenario"] is None]
+    if any("spring" in entry.train for entry in entries.values()):
+        entries = {
+            joint: stiffened(entry, _inertia(axes[joint]), robot.axis(joint).gear_ratio)
+            for joint, entry in entries.items()
+        }
+    measurement: dict[str, float] = {}
+    for name in ("effort_delay", "velocity_delay"):
+        delays = [entry.measurement[name] for entry in entries.values() if name in entry.measurement]
+        if delays:
+            measurement[name] = float(np.mean(delays))
+        if len(delays) > 1:
+            notes.append(f"{name} is the mean of {', '.join(f'{delay:.3g} s' for delay in delays)}")
+    scenario = {
+        "name": f"{robot.name}-model",
+        "robot": ROBOT_FILE,
+        "links": _links(robot, axes, entries),
+        "axes": {
+            joint: {
+                "train": entry.train,
+                "control": {
+                    "gain": 2 * np.pi * BAND * _inertia(axes[joint]),
+                    "reset_time": RESET,
+                    "effort_limit": PEAK * robot.axis(joint).rated_effort,
+                },
+                "load_encoder": False,
+            }
+            for joint, entry in entries.items()
+        },
+        "measurement": measurement,
+    }
+    return {"scenario": scenario, "notes": notes}
+
+
+def _entry(robot: Robot, joint: str, axis: Mapping[str, Any]) -> AxisEntry:
+    patches = [effect["scenario"] for effect in axis["effects"] if effect["scenario"] is not None]
+    viscous, true = axis["fit"]["viscous_friction"]["value"], axis["fit"]["torques"] == "true"
+    return axis_entry(robot, joint, _inertia(axis), viscous, patches, true=true)
+
+
+def _pull(robot: Robot, fit: Mapping[str, Any], links: Mapping[str, Any], index: int, poses: Any, scale: float) -> Any:
+    """True gravity (m, 2) as fitted; documents before that was told hold it in their links."""
+    if "gravity" not in fit:
+        return gravity(robot, links, index, poses)
+    torque, slope = (np.array([pose[part] for pose in fit["gravity"]]) for part in ("torque", "slope"))
+    return gravity_of_fit(poses, index, torque, slope) / scale
+
+
+def _inertia(axis: Mapping[str, Any]) -> float:
+    """Typical inertia, kg m^2."""
+    return float(np.mean([pose["value"] for pose in axis["fit"]["inertia"]]))
+
+
+def _links(robot: Robot, axes: Documents, entries: Mapping[str, AxisEntry]) -> dict[str, Any]:
+    """Links that give every axis its gravity and, as far as rigid links can, its inertias."""
+    gravities: list[tuple[int, Any, Any]] = []
+    inertias: list[tuple[int, Any, Any]] = []
+    added: dict[str, Any] = {}
+    for joint, entry in entries.items():
+        index, poses = robot.index(joint), np.array([pose["pose"] for pose in axes[joint]["fit"]["inertia"]])
+        shifted = {link: {key: x for key, x in part.items() if key != "added"} for link, part in entry.links.items()}
+        gravities.append(
+            (
+                index,
+                poses,
+                _pull(robot, axes[joint]["fit"], shifted, index, poses, entry.scale) - gravity(robot, {}, index, poses),
+            )
+        )
+        measured = np.array([pose["value"] for pose in axes[joint]["fit"]["inertia"]]) / entry.scale
+        motor = entry.train["motor_inertia"] * robot.axis(joint).gear_ratio ** 2
+        inertias.append((index, poses, np.maximum(measured - motor, 0.02 * measured)))
+        # a load is the same one on whichever axis it was found
+        added = {link: {"added": part["added"]} for link, part in entry.links.items() if "added" in part} | added
+    links = merged(deviations(robot, joined(robot, gravities)), added)
+    factors = inertia_factors(robot, links, inertias)
+    return merged(links, {link: {"inertia": factor} for link, factor in factors.items() if factor != 1.0})

@@ -1,0 +1,54 @@
+"""The rigid model as it was found, in base parameters: what CAD says of each, what these sweeps say, how well."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.fit.equations import Equations
+from service.diagnosis.model.show import Fit
+from service.diagnosis.rows.rigid import SLACK, load_rows, nominal_parameters, parameter_spread
+from service.identification.model.base_parameters import joint_ranges, reduce_columns
+from service.identification.model.regressor import parameter_names
+
+Array = NDArray[np.float64]
+
+VISCOUS = "viscous_friction"
+SAMPLES = 60  # poses that stand for the workspace
+
+
+@dataclass(frozen=True, slots=True)
+class RigidParameter:
+    """A combination of inertial parameters of links, kg, kg m or kg m^2, or viscous friction, N m s/rad (N s/m)."""
+
+    name: str
+    nominal: float | None
+    value: float
+    std: float
+
+
+def rigid_model(given: Equations, fit: Fit) -> tuple[RigidParameter, ...]:
+    """Base parameters (Gautier 1991) of inertia and gravity about the axis over the workspace, then viscous friction.
+    What the measured poses do not tell stays CAD's, as uncertain as the prior says.
+    """
+    tracks = given.tracks
+    robot, joint, poses = tracks.robot, tracks.joint, tracks.poses
+    index = robot.index(joint)
+    lower, upper = joint_ranges(robot.chain)
+    anywhere = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, len(lower)))
+    base = reduce_columns(load_rows(robot, index, anywhere), parameter_names(robot.chain))
+    nominal = base.combination @ nominal_parameters(robot)
+    spread = base.combination @ parameter_spread(robot, index, poses)
+    prior = spread @ spread.T
+    weight = np.repeat(tracks.sizes, len(poses))
+    rows = weight[:, None] * load_rows(robot, index, poses)[:, list(base.columns)]
+    noise = fit.covariance * np.outer(weight, weight)
+    noise += np.eye(len(noise)) * (SLACK * robot.axis(joint).rated_effort) ** 2
+    gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + noise)
+    values = nominal + gain @ (weight * fit.load.ravel() - rows @ nominal)
+    std = np.sqrt(np.maximum(np.diag(prior - gain @ rows @ prior), 0.0))
+    result = [
+        RigidParameter(*entry)
+        for entry in zip(base.names, nominal.tolist(), values.tolist(), std.tolist(), strict=True)
+    ]
+    return (*result, RigidParameter(VISCOUS, robot.axis(tracks.joint).viscous_friction, fit.viscous, fit.viscous_std))

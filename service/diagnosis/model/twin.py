@@ -1,0 +1,82 @@
+"""The twin: the simulator led along recorded motor motion. Here alone the service meets it; what crosses is data."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from service.diagnosis.effects.patch import Inexpressible, Patch
+from service.diagnosis.model.scenario import AxisEntry
+from service.recording import Sweep
+from service.robot import Robot
+from simulator import DriveTrain, Gravity, Measurement, Motion, MovingAxis, Turn, replay, warmth
+
+Array = NDArray[np.float64]
+Part = TypeVar("Part", DriveTrain, Measurement)
+
+LEAST_LOAD = 0.02  # of the axis' inertia: a load lighter than that is none
+
+
+@dataclass(frozen=True)
+class Run:
+    """Sweep number `sweep` with an axis of a total inertia, kg m^2 as recorded, and gravity [cosine, sine], N m."""
+
+    sweep: int
+    entry: AxisEntry
+    inertia: float
+    gravity: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Way:
+    """Along which a sweep leads the motor, and when."""
+
+    motion: Motion
+    turn: Turn
+
+
+def ways(sweeps: Sequence[Sweep]) -> list[Way]:
+    """As recorded."""
+    return [
+        Way(
+            Motion(sweep.recording.time, sweep.recording.position, sweep.recording.velocity),
+            Turn(sweep.spec.started_at, 1 / sweep.spec.sample_rate, sweep.recording.velocity),
+        )
+        for sweep in sweeps
+    ]
+
+
+def torques(robot: Robot, joint: str, ways: Sequence[Way], runs: Sequence[Run]) -> list[Array]:
+    """What each run would record, N m (N), at the samples of its sweep; all in one pass.
+
+    How warm the gear is when a sweep begins, the sweeps before it say, by `started_at`. Inexpressible if no scenario
+    can hold an entry, or the simulator cannot follow it (a spring much too stiff for its load).
+    """
+    ratio = robot.axis(joint).gear_ratio
+    trains = {id(run.entry): _held(DriveTrain, run.entry.train) for run in runs}
+    measurements = {id(run.entry): _held(Measurement, run.entry.measurement) for run in runs}
+    warm = {key: warmth(train, [way.turn for way in ways]) for key, train in trains.items()}
+    axes: list[MovingAxis] = []
+    for run in runs:
+        train, inertia = trains[id(run.entry)], run.inertia / run.entry.scale
+        load = max(inertia - train.motor_inertia * ratio**2, LEAST_LOAD * inertia)
+        # the whole is what was measured, however heavy the motor is said to be
+        exact = train.model_copy(update={"motor_inertia": (inertia - load) / ratio**2})
+        axes.append(MovingAxis(exact, ratio, load, Gravity(*run.gravity), float(warm[id(run.entry)][run.sweep])))
+    led, recorded = [ways[run.sweep].motion for run in runs], [measurements[id(run.entry)] for run in runs]
+    try:
+        with np.errstate(over="raise", invalid="raise"):
+            return replay(axes, led, recorded)
+    except FloatingPointError:
+        raise Inexpressible("the simulated load does not stay with its motor") from None
+
+
+def _held(part: type[Part], entry: Patch) -> Part:
+    try:
+        return part.model_validate(entry)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise Inexpressible(f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}") from None

@@ -1,0 +1,72 @@
+"""A record that repeats within itself: one sweep cut into its periods, which are then repeats of one another."""
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.rows.signals import is_evidence
+from service.errors import BadInput
+from service.recording import Recording, Sweep
+
+Array = NDArray[np.float64]
+
+ALIKE = 0.98  # correlation of the velocity with itself a period later
+SHORTEST = 1.0  # s
+
+
+def in_periods(joint: str, sweeps: Sequence[Sweep]) -> list[Sweep]:
+    """The sweeps of an axis that are evidence; one that stands alone and repeats its motion is cut into periods.
+
+    BadInput if it is shorter than its period, or if no sweep has any velocity, or any effort.
+    """
+    own = [sweep for sweep in sweeps if sweep.spec.axis == joint and is_evidence(sweep.spec)]
+    for column in ("velocity", "effort"):
+        if own and not any(np.any(getattr(sweep.recording, column)) for sweep in own):
+            raise BadInput(joint, f"{column} is 0 in every sample of its sweeps")
+    if len(own) != 1 or own[0].spec.excitation != "trajectory":
+        return own
+    samples = _period(own[0])
+    if samples == 0:
+        return own
+    count = len(own[0].recording.time) // samples
+    if count == 0:
+        spec, length = own[0].spec, len(own[0].recording.time) / own[0].spec.sample_rate
+        raise BadInput(
+            f"sweep {spec.id}", f"its period of {spec.period:g} s is longer than its {length:.2f} s of samples"
+        )
+    return [_cut(own[0], samples, number) for number in range(count)]
+
+
+def _period(sweep: Sweep) -> int:
+    """Samples of a period: the spec's, else the shift by which the velocity is most like itself; 0: none."""
+    if sweep.spec.period is not None:
+        return round(sweep.spec.period * sweep.spec.sample_rate)
+    velocity = sweep.recording.velocity
+    count = len(velocity)
+    size = 1 << int(np.ceil(np.log2(2 * count)))
+    transform = np.fft.rfft(velocity, size)
+    products = np.fft.irfft(np.abs(transform) ** 2, size)[:count]
+    energy = np.concatenate([[0.0], np.cumsum(velocity**2)])
+    shifts = np.arange(count)
+    norm = np.sqrt(energy[count - shifts] * (energy[count] - energy[shifts]))
+    alike = products / np.maximum(norm, 1e-300)
+    first, last = round(SHORTEST * sweep.spec.sample_rate), count // 2
+    if last <= first:
+        return 0
+    best = first + int(np.argmax(alike[first:last]))
+    return best if alike[best] > ALIKE else 0
+
+
+def _cut(sweep: Sweep, samples: int, number: int) -> Sweep:
+    at = slice(number * samples, (number + 1) * samples)
+    columns = {
+        field.name: None if (values := getattr(sweep.recording, field.name)) is None else values[at]
+        for field in fields(Recording)
+    }
+    recording = replace(sweep.recording, **columns)
+    spec = sweep.spec.model_copy(
+        update={"repeat": number, "started_at": sweep.spec.started_at + number * samples / sweep.spec.sample_rate}
+    )
+    return Sweep(spec, replace(recording, time=recording.time - recording.time[0]))

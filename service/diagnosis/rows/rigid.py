@@ -1,0 +1,195 @@
+r"""The rigid model of one axis: what its links do to it in the poses measured, and how far CAD may be off.
+
+In pose p, turned by d from it, the axis needs
+
+    tau = J_p a + T_p cos d + S_p sin d          (revolute; prismatic: J_p a + T_p)
+
+The *load* y = (J_p, T_p, S_p) of all poses is linear in the links' inertial parameters, y = L phi, and so is what CAD
+may be off by. Its directions are reduced to a few columns that change the torque (the base parameters of these poses),
+with coefficients z and
+
+    y = y_nominal + Q z,      z ~ N(0, C)         C from the robot's prior, as pseudo-data
+
+An effect that is a wrong load itself (gravity, payload, torque gain) adds no column of its own: it *frees* the
+directions which it moves, so that the prior holds them no more. What it gains is what they are beyond the prior.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.model.regressor import axis_rows, gravity_rows
+from service.robot import Knowledge, Robot
+
+Array = NDArray[np.float64]
+
+TILT = 1e-3  # rad, by which the base may be out of level, one sigma
+SLACK = 1e-5  # of the rated effort, one sigma: links are not quite rigid, CAD's lengths not quite exact
+TELLING = 1e-3  # of the largest singular value of what an effect frees: smaller directions hardly change the torque
+UNKNOWN_MOTOR = 0.5  # of the axis' inertia: a motor that the robot file does not know
+LEAST_MOMENT = 0.05  # m times the mass: a centre of mass on the joint's origin may be off by the prior of it
+PAYLOAD = (1.0, 0.3, 0.1)  # kg, kg m, kg m^2: relative sizes of mass, first moment and inertia of what may hang on
+
+
+@dataclass(frozen=True)
+class Rigid:
+    """Loads (3, m) of m poses: [inertia; torque at the pose; its slope]. `basis` (k, 3, m) are the columns of Q, each
+    about 1 N m of torque, RMS; `precision` (k, k) is the prior's; `freed` holds, for each effect that is a wrong load,
+    the directions (k, r) it frees.
+    """
+
+    nominal: Array
+    basis: Array
+    precision: Array
+    freed: Mapping[str, Array]
+
+    def load(self, coefficients: Array) -> Array:
+        """(3, m) for coefficients (k,)."""
+        return self.nominal + np.tensordot(coefficients, self.basis, axes=1)
+
+    def precision_without(self, effects: Sequence[str]) -> Array:
+        """(k, k): the prior that is left when effects free their directions."""
+        free = [self.freed[name] for name in effects if name in self.freed]
+        if not free:
+            return self.precision
+        directions = np.concatenate(free, axis=1)
+        held = self.precision @ directions
+        inner = directions.T @ held
+        return self.precision - held @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ held.T
+
+    def freedom(self, effect: str) -> int:
+        """How many directions an effect frees."""
+        return self.freed[effect].shape[1] if effect in self.freed else 0
+
+
+def rigid(robot: Robot, joint: str, poses: Array, sizes: Array) -> Rigid:
+    """Of an axis in `poses` (m, n). `sizes` (3,): RMS of acceleration, cos d and sin d, which weigh the directions."""
+    index, rated = robot.index(joint), robot.axis(joint).rated_effort
+    rows = load_rows(robot, index, poses)
+    weight = np.repeat(sizes, len(poses))[:, None] / np.sqrt(len(poses))
+    nominal = nominal_load(robot, joint, poses)
+    gravity_alone = np.repeat([0.0, 1.0, 1.0], len(poses))[:, None]
+    prior = np.column_stack([rows @ parameter_spread(robot, index, poses), TILT * _tilts(robot, index, poses)])
+    moved = {
+        "gravity_error": gravity_alone
+        * np.column_stack(
+            [rows @ _moments(robot), _tilts(robot, index, poses), rated * _by_own_angle(poses[:, index])]
+        ),
+        "payload": rows @ _payload(robot),
+        "torque_constant_error": nominal.reshape(-1, 1),
+    }
+    spans = {name: weight * columns * _unit(weight * columns, rated) for name, columns in moved.items()}
+    vectors, values, _ = np.linalg.svd(np.column_stack([weight * prior, *spans.values()]), full_matrices=False)
+    kept = values > SLACK * rated
+    turn = vectors[:, kept]  # (3 m, k)
+    inverse = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0)
+    covariance = turn.T @ (weight * prior)
+    precision = _inverse(covariance @ covariance.T, (SLACK * rated) ** 2)
+    return Rigid(
+        nominal=nominal,
+        basis=(inverse * turn).T.reshape(-1, 3, len(poses)),
+        precision=precision,
+        freed={name: directions for name, columns in spans.items() if (directions := _telling(turn.T @ columns)).size},
+    )
+
+
+def load_rows(robot: Robot, index: int, poses: Array) -> Array:
+    """L (3 m, 11 n): inertias, gravity torques and their slopes in m poses, linear in the parameters of all links."""
+    gravity = gravity_rows(robot.chain, robot.gravity, index, poses)
+    motors = np.zeros((len(gravity), len(robot.joints)))
+    torques, slopes = (np.hstack([gravity[:, part], motors]) for part in (0, 1))
+    return np.vstack([axis_rows(robot.chain, index, poses), torques, slopes])
+
+
+def nominal_load(robot: Robot, joint: str, poses: Array) -> Array:
+    """(3, m) of CAD and data sheet."""
+    return (load_rows(robot, robot.index(joint), poses) @ nominal_parameters(robot)).reshape(3, -1)
+
+
+def nominal_parameters(robot: Robot) -> Array:
+    """(11 n,): CAD's links, then the data sheets' reflected motor inertias."""
+    motors = [axis.reflected_motor_inertia or 0.0 for axis in robot.axes]
+    return np.concatenate([robot.chain.inertial.ravel(), motors])
+
+
+def parameter_spread(robot: Robot, index: int, poses: Array) -> Array:
+    """(11 n, 11 n): a root of the parameters' covariance. CAD's is diagonal, masses and first moments by the prior of
+    gravity, inertias and motors by their own; what an estimate knows makes it smaller.
+    """
+    prior, inertial = robot.prior, robot.chain.inertial
+    mass = np.abs(inertial[:, :1])
+    moment = np.maximum(np.linalg.norm(inertial[:, 1:4], axis=1, keepdims=True), LEAST_MOMENT * mass)
+    inertia = np.abs(inertial[:, [4, 6, 9]]).max(axis=1, keepdims=True)
+    sigma = np.hstack(
+        [prior.gravity * mass, prior.gravity * np.repeat(moment, 3, 1), prior.inertia * np.repeat(inertia, 6, 1)]
+    )
+    typical = float(np.max(axis_rows(robot.chain, index, poses)[:, : inertial.size] @ inertial.ravel()))
+    motors = [
+        UNKNOWN_MOTOR * typical if u is None else prior.motor_inertia * u
+        for u in (axis.reflected_motor_inertia for axis in robot.axes)
+    ]
+    return _informed(np.concatenate([sigma.ravel(), motors]), robot.knowledge)
+
+
+def _informed(sigma: Array, knowledge: Knowledge | None) -> Array:
+    """The root of the covariance that is left of independent sigmas (p,) when combinations are known."""
+    if knowledge is None:
+        return np.diag(sigma)
+    rows = knowledge.combination * sigma
+    size = np.linalg.norm(rows, axis=1)
+    told = size > 0
+    rows = rows[told] / size[told, None]
+    noise = knowledge.covariance[np.ix_(told, told)] / np.outer(size[told], size[told])
+    inverse = np.asarray(np.linalg.pinv(rows @ rows.T + noise, hermitian=True), dtype=np.float64)
+    left = np.eye(len(sigma)) - rows.T @ inverse @ rows
+    values, vectors = np.linalg.eigh((left + left.T) / 2)
+    return sigma[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def _moments(robot: Robot) -> Array:
+    """(11 n, 4 n): masses and first moments of the links, each of CAD's size."""
+    inertial = robot.chain.inertial
+    size = np.abs(inertial[:, :1]), np.linalg.norm(inertial[:, 1:4], axis=1, keepdims=True)
+    sizes = np.hstack([size[0], np.repeat(np.maximum(size[1], LEAST_MOMENT * size[0]), 3, axis=1)])
+    every = np.eye(11 * len(inertial))[:, : inertial.size].reshape(-1, len(inertial), 10)[..., :4]
+    return (every * sizes).reshape(len(every), -1)
+
+
+def _payload(robot: Robot) -> Array:
+    """(11 n, 10): all parameters of what the last joint carries."""
+    last = robot.chain.inertial.size
+    return np.eye(11 * len(robot.joints))[:, last - 10 : last] * np.repeat(PAYLOAD, (1, 3, 6))
+
+
+def _tilts(robot: Robot, index: int, poses: Array) -> Array:
+    """(3 m, 3): load by gravity that is turned by 1 rad about each axis of the base."""
+    parameters, result = robot.chain.inertial.ravel(), list[Array]()
+    for about in np.eye(3):
+        rows = gravity_rows(robot.chain, np.cross(about, robot.gravity), index, poses) @ parameters
+        result.append(np.concatenate([np.zeros(len(rows)), rows[:, 0], rows[:, 1]]))
+    return np.stack(result, axis=-1)
+
+
+def _by_own_angle(angle: Array) -> Array:
+    """(3 m, 2): A cos q + B sin q with the axis' own angle (m,), whatever the other joints do."""
+    none, cosine, sine = np.zeros_like(angle), np.cos(angle), np.sin(angle)
+    return np.stack([np.concatenate([none, cosine, -sine]), np.concatenate([none, sine, cosine])], axis=-1)
+
+
+def _unit(columns: Array, size: float) -> float:
+    """Factor that makes the longest column as long as `size`."""
+    longest = float(np.linalg.norm(columns, axis=0).max(initial=0.0))
+    return size / longest if longest > 0 else 0.0
+
+
+def _telling(columns: Array) -> Array:
+    """Orthonormal directions (k, r) of columns, without those that hardly change the torque."""
+    vectors, values, _ = np.linalg.svd(columns, full_matrices=False)
+    return vectors[:, (values > TELLING * values.max(initial=0.0)) & (values > 0)]
+
+
+def _inverse(covariance: Array, slack: float) -> Array:
+    values, vectors = np.linalg.eigh(covariance)
+    return (vectors / (np.maximum(values, 0.0) + slack)) @ vectors.T

@@ -1,0 +1,348 @@
+r"""All sweeps of one axis as arrays (sweeps, samples), and the one filter that every signal passes.
+
+The filter is a Gaussian of `BAND`: symmetric, so nothing is shifted; every column of the model and the effort pass it
+alike, so whatever linear relation holds between them before holds after. Samples are first averaged down to about
+`RATE`. The acceleration is the derivative of the velocity taken in the frequency domain, where a difference quotient
+would look like a delay or a spring.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from service.diagnosis.rows.responses import Complex, back, derivative_spectrum, in_frequency
+from service.errors import BadInput
+from service.identification.model.regressor import gravity_rows
+from service.identification.motion.trajectory_record import runs_at_once
+from service.recording import Sweep, SweepSpec
+from service.robot import Robot
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+RATE = 250.0  # Hz, of the columns
+BAND = 20.0  # Hz, of the Gaussian
+BLOCK = 32  # rows that are filtered at once
+EVERY = 2  # one row of the equations a so many samples
+TOP = 0.36  # of the rate: above, there is nothing but noise
+REACH = 4.0  # standard deviations of the Gaussian that count
+STUCK = 0.03  # of the slowest sweep's peak speed: below it friction may take any value
+REVERSES = 0.3  # of the peak speed the other way
+SETTLED = 3e-4  # rad (m) from the begin, until which dry friction is as an earlier motion left it
+SETTLED_PART = 0.05  # of the travel at most
+STUCK_TIME = 0.016  # s below that make a standstill; a mere crossing is shorter
+COARSE = 400.0  # Hz: within a sample of a slower recording friction may turn round unseen by its positions
+PARTS = 8  # of such a sample
+SHORT = 2e-6  # rad (m): a way so short that friction sticks
+SHORTEST = 2.5e-8  # rad (m): the same in a slow recording, which a sample goes far beyond
+STICKING = 3.0  # times the encoder's noise, which must not turn friction round
+ONE_POSE = 1e-3  # rad (m) by which the joints of one pose may differ
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """n sweeps of one axis, t samples at `rate`, padded with standstill; SI on the joint side.
+
+    `inside` says which samples were recorded, `usable` (n, rows) which rows of the equations count: recorded, and the
+    axis not stuck by friction. `spot` (n,) numbers the poses, `poses` (m, all joints) are they. `gravity` is the torque
+    that CAD predicts along the motion. `direction` (n, t) is that of dry friction: the sign of the velocity, which
+    turns round within the way `sticking`, rad (m), as short as the encoder allows.
+    """
+
+    robot: Robot
+    joint: str
+    specs: tuple[SweepSpec, ...]
+    rate: float
+    spot: NDArray[np.int_]
+    poses: Array
+    time: Array
+    effort: Array
+    velocity: Array
+    position: Array
+    acceleration: Array
+    gravity: Array
+    inside: Mask
+    usable: Mask
+    direction: Array
+    sticking: float
+    temperature: Array | None
+
+    @property
+    def prismatic(self) -> bool:
+        return self.robot.chain.joints[self.robot.index(self.joint)].kind == "prismatic"
+
+    @cached_property
+    def away(self) -> Array:
+        """(n, t): position from that of the pose, rad (m)."""
+        return self.position - self.poses[self.spot, self.robot.index(self.joint)][:, None]
+
+    @cached_property
+    def _turned(self) -> tuple[Array, Array]:
+        """Cosine and sine of it; 1 and 0 for a prismatic axis, whose gravity force is the same everywhere."""
+        if self.prismatic:
+            return np.ones_like(self.position), np.zeros_like(self.position)
+        return np.cos(self.away), np.sin(self.away)
+
+    @cached_property
+    def parts(self) -> Array:
+        """(3, n, t): what inertia, torque and slope of a load are multiplied by along the motion."""
+        return np.stack([self.acceleration, *self._turned])
+
+    def along(self, load: Array) -> Array:
+        """Torque (n, t) of a load (3, m), [inertia; torque; its slope] in each pose, along the motion."""
+        return self.summed(load, self.parts)
+
+    def summed(self, load: Array, parts: Array) -> Array:
+        """The same where it is multiplied by other signals (3, n, t)."""
+        return np.einsum("kn,knt->nt", load[:, self.spot], parts)
+
+    @cached_property
+    def sizes(self) -> Array:
+        """(3,): RMS of what inertia, torque and slope are multiplied by."""
+        return np.sqrt(np.mean(np.square(self.parts[:, self.inside]), axis=1))
+
+    @cached_property
+    def turning(self) -> float:
+        """Way, rad (m), that an axis goes within `STUCK_TIME` of a reversal: friction that turns in it sticks."""
+        low, high = self.velocity.min(axis=1), self.velocity.max(axis=1)
+        reverses = np.minimum(-low, high) > REVERSES * np.maximum(-low, high)
+        if not reverses.any():
+            return 0.0
+        moved = self.acceleration[reverses][self.inside[reverses]]
+        return float(np.sqrt(np.mean(moved**2)) * STUCK_TIME**2 / 2)
+
+    @property
+    def clock(self) -> Array:
+        """(n, t): s since the campaign began."""
+        return self.time + np.array([spec.started_at for spec in self.specs])[:, None]
+
+    @property
+    def speed(self) -> float:
+        """Peak speed of the slowest sweep that moves, rad/s (m/s)."""
+        return slowest(self.velocity)
+
+    def faded(self, rate: Array) -> Array:
+        """What averaging samples down to `rate` leaves of a wave whose phase moves by so many rad/s, (n, t)."""
+        block = round(self.specs[0].sample_rate / self.rate)
+        half = rate / (2 * self.specs[0].sample_rate)
+        small = np.abs(np.sin(half)) < 1e-6
+        return np.where(small, 1.0, np.sin(block * half) / (block * np.where(small, 1.0, np.sin(half))))
+
+    @cached_property
+    def _spectrum(self) -> Complex:
+        return derivative_spectrum(self.velocity, self.rate)
+
+    def accelerated(self, response: Complex) -> Array:
+        """The acceleration (n, t) behind a response (n or 1, bins) of `bins(t, rate)`."""
+        return back(self.velocity.shape[1], self._spectrum, response)
+
+    def rows(self, signal: Array) -> Array:
+        """A signal (n, t) through the filter: (n, rows)."""
+        return lowpass(signal, self.rate)
+
+    def whitened(self, signal: Array, taps: Array) -> Array:
+        """The same, then weights over so many rows, oldest first; the first rows, which have no past, are 0."""
+        kernel = _kernel(self.rate)
+        spread = np.zeros((len(taps) - 1) * EVERY + 1)
+        spread[::EVERY] = taps
+        result = _filtered(signal, np.convolve(spread, kernel))
+        return np.pad(result, ((0, 0), (len(taps) - 1, 0)))
+
+
+def lowpass(signal: Array, rate: float) -> Array:
+    """The Gaussian, one row each `EVERY` samples; only whole kernels, so no edge is invented: (n, rows)."""
+    return _filtered(signal, _kernel(rate))
+
+
+def _filtered(signal: Array, taps: Array) -> Array:
+    """Sums of `taps` times the samples from 0, `EVERY`, ... on; `BLOCK` at once as a product with a band matrix."""
+    n, samples = signal.shape
+    count = (samples - len(taps)) // EVERY + 1
+    blocks = -(-count // BLOCK)
+    width = (BLOCK - 1) * EVERY + len(taps)
+    padded = np.zeros((n, BLOCK * EVERY * blocks + width))
+    padded[:, :samples] = signal
+    band = np.zeros((width, BLOCK))
+    for k in range(BLOCK):
+        band[k * EVERY : k * EVERY + len(taps), k] = taps
+    windows = sliding_window_view(padded, width, axis=1)[:, : BLOCK * EVERY * blocks : BLOCK * EVERY]
+    return (windows.reshape(-1, width) @ band).reshape(n, -1)[:, :count]
+
+
+def white_covariance(signal: Array, inside: Mask, rate: float, lags: int) -> Array:
+    """Autocovariance (lags + 1,) of filtered rows if a signal's noise (n, t) is as white as in its top band."""
+    powers: list[float] = []
+    for row, good in zip(signal, inside, strict=True):
+        part = np.diff(row[good], 2)  # flattens drifts, so that no edge leaks into the top band; 16 at the top
+        transform = np.abs(np.fft.rfft(part)) ** 2 / len(part)
+        frequency = np.fft.rfftfreq(len(part))
+        top = frequency > TOP
+        powers.append(float(np.median(transform[top] / (2 * np.sin(np.pi * frequency[top])) ** 4)) / np.log(2))
+    kernel = _kernel(rate)
+    every = np.pad(kernel, (0, lags * EVERY))
+    return float(np.median(powers)) * np.array([kernel @ every[k * EVERY :][: len(kernel)] for k in range(lags + 1)])
+
+
+def row_samples(samples: int, rate: float) -> NDArray[np.int_]:
+    """At which samples the rows lie."""
+    reach = len(_kernel(rate)) // 2
+    return np.arange(reach, samples - reach, EVERY)
+
+
+def slowest(velocity: Array) -> float:
+    """Peak of the slowest row that moves, rad/s (m/s)."""
+    peaks = np.abs(velocity).max(axis=1)
+    return float(peaks[peaks > 0.05 * peaks.max()].min())
+
+
+def is_evidence(spec: SweepSpec) -> bool:
+    """Whether a diagnosis can use a sweep: its axis follows a motion, and no other axis moves beside it."""
+    return spec.moves and not runs_at_once(spec)
+
+
+def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
+    """The sweeps of `joint` that are evidence; BadInput if there is none."""
+    index = robot.index(joint)
+    own = [s for s in sweeps if s.spec.axis == joint and is_evidence(s.spec)]
+    if not own:
+        raise BadInput(joint, "has no sweep that moves")
+    rates = {s.spec.sample_rate for s in own}
+    if len(rates) > 1:
+        raise BadInput(joint, f"sweeps have several sample rates: {sorted(rates)} Hz")
+    block = max(1, round(rates.pop() / RATE))
+    rate = own[0].spec.sample_rate / block
+    lengths = [len(s.recording.time) // block for s in own]
+    if min(lengths) < 4 * len(_kernel(rate)):
+        raise BadInput(f"sweep {own[int(np.argmin(lengths))].spec.id}", f"{min(lengths) / rate:.2f} s are too short")
+    most = max(lengths)
+
+    def stacked(column: str) -> Array:
+        parts = [_averaged(getattr(s.recording, column), block) for s in own]
+        return np.stack([np.pad(part, (0, most - len(part)), mode="edge") for part in parts])
+
+    inside = np.arange(most)[None] < np.array(lengths)[:, None]
+    velocity = stacked("velocity") * inside
+    position = stacked("position")
+    poses, spot = _poses(own)
+    coarse = own[0].spec.sample_rate < COARSE
+    sticking = max(SHORTEST if coarse else SHORT, STICKING * _jitter(own))
+    found = Tracks(
+        robot=robot,
+        joint=joint,
+        specs=tuple(s.spec for s in own),
+        rate=rate,
+        spot=spot,
+        poses=poses,
+        time=np.broadcast_to(np.arange(most) / rate, velocity.shape),
+        effort=stacked("effort"),
+        velocity=velocity,
+        position=position,
+        acceleration=in_frequency(velocity, rate),
+        gravity=np.zeros_like(position),
+        inside=inside,
+        usable=_usable(velocity, position, inside, rate),
+        direction=_directions(own, sticking, block, most),
+        sticking=sticking,
+        temperature=stacked("temperature") if all(s.recording.temperature is not None for s in own) else None,
+    )
+    terms = gravity_rows(robot.chain, robot.gravity, index, poses) @ robot.chain.inertial.ravel()
+    return replace(found, gravity=found.along(np.vstack([np.zeros(len(poses)), terms.T])))
+
+
+def bristle(position: Array, way: float) -> Array:
+    """Dahl's state (n, t) between -1 and 1: dz/dx = (1 - z sign(v)) / way, exact for each step of positions (n, t)."""
+    steps = np.diff(position, axis=1, prepend=position[:, :1])
+    keep, sign = np.exp(-np.abs(steps) / way), np.sign(steps)
+    gained = sign * (1 - keep)
+    state = np.zeros_like(steps)
+    now = np.zeros(len(steps))
+    for n in range(1, steps.shape[1]):
+        now = gained[:, n] + now * keep[:, n]
+        state[:, n] = now
+    return state
+
+
+def _directions(sweeps: Sequence[Sweep], way: float, block: int, most: int) -> Array:
+    """Of dry friction (n, t), at the recordings' rate: a reversal may fall between two samples of the tracks."""
+    length = max(len(sweep.recording.position) for sweep in sweeps)
+    stacked = np.stack(
+        [np.pad(s.recording.position, (0, length - len(s.recording.position)), mode="edge") for s in sweeps]
+    )
+    rate, parts = sweeps[0].spec.sample_rate, 1
+    if rate < COARSE:
+        speeds = [s.recording.velocity for s in sweeps]
+        stacked = _between(np.stack([np.pad(v, (0, length - len(v))) for v in speeds]), rate)
+        parts = PARTS
+    state = bristle(stacked, way)[:, ::parts][:, : length // block * block]
+    return state.reshape(len(state), -1, block).mean(axis=-1)[:, :most]
+
+
+def _between(velocity: Array, rate: float) -> Array:
+    """Ways (n, PARTS t) at parts of each sample, the speed taken to go straight from one sample to the next."""
+    share = np.arange(PARTS) / PARTS
+    start, change = velocity[:, :-1, None], np.diff(velocity, axis=1)[..., None]
+    speed = np.concatenate([(start + share * change).reshape(len(velocity), -1), velocity[:, -1:]], axis=1)
+    steps = (speed[:, 1:] + speed[:, :-1]) / (2 * PARTS * rate)
+    return np.concatenate([np.zeros((len(velocity), 1)), np.cumsum(steps, axis=1)], axis=1)
+
+
+def sticking_within(tracks: Tracks, sweeps: Sequence[Sweep], way: float) -> Tracks:
+    """The same with dry friction that turns round within another way; `sweeps` are those of the tracks."""
+    block = round(tracks.specs[0].sample_rate / tracks.rate)
+    return replace(tracks, direction=_directions(sweeps, way, block, tracks.effort.shape[1]), sticking=way)
+
+
+def _jitter(sweeps: Sequence[Sweep]) -> float:
+    """Standard deviation of the encoder's noise, rad (m), from eighth differences, which show no motion below 20 Hz,
+    not even at 250 samples a second; those of white noise are sqrt(16 over 8) as large as it.
+    """
+    return float(np.median([np.std(np.diff(sweep.recording.position, 8)) for sweep in sweeps])) / np.sqrt(12870)
+
+
+def _poses(sweeps: Sequence[Sweep]) -> tuple[Array, NDArray[np.int_]]:
+    """The poses (m, all joints) and of each sweep the number of its pose (n,)."""
+    told = np.array([sweep.spec.pose for sweep in sweeps])
+    _, first, spot = np.unique(np.round(told / ONE_POSE), axis=0, return_index=True, return_inverse=True)
+    return told[first], spot.reshape(-1)
+
+
+def laid_out(tracks: Tracks, signals: Sequence[Array]) -> Array:
+    """Signals at the samples of each sweep's recording as those of the tracks, (n, t)."""
+    block, most = round(tracks.specs[0].sample_rate / tracks.rate), tracks.effort.shape[1]
+    parts = [_averaged(signal, block) for signal in signals]
+    return np.stack([np.pad(part, (0, most - len(part)), mode="edge") for part in parts])
+
+
+def _usable(velocity: Array, position: Array, inside: Mask, rate: float) -> Mask:
+    """Rows (n, rows) whose kernel lies inside of the record and touches no standstill, nor the first way from one."""
+    away = np.maximum.accumulate(np.abs(position - position[:, :1]), axis=1)
+    early = away < np.minimum(SETTLED, SETTLED_PART * away[:, -1:])
+    stuck = _long(np.abs(velocity) < STUCK * slowest(velocity), round(STUCK_TIME * rate))
+    spoilt = (stuck | early | ~inside).astype(float)
+    return lowpass(spoilt, rate) < 1e-9
+
+
+def _long(flags: Mask, least: int) -> Mask:
+    """Only those runs of True along the rows that last `least` samples."""
+    result = np.zeros_like(flags)
+    for row, out in zip(flags, result, strict=True):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
+        for start, end in edges.reshape(-1, 2).tolist():
+            out[start:end] = end - start >= least
+    return result
+
+
+def _averaged(signal: Array, block: int) -> Array:
+    count = len(signal) // block
+    return signal[: count * block].reshape(count, block).mean(axis=1)
+
+
+def _kernel(rate: float) -> Array:
+    width = rate / (2 * np.pi * BAND)
+    reach = int(np.ceil(REACH * width))
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
+    return kernel / kernel.sum()

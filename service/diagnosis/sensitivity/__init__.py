@@ -1,0 +1,1 @@
+"""Which sweep would show which effect."""

@@ -1,0 +1,110 @@
+"""What an effect would show in the sweeps there are: beside other effects, and at all."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.effects import CATALOGUE
+from service.diagnosis.fit.cross_products import Gathered
+from service.diagnosis.fit.equations import Equations, Term
+from service.diagnosis.fit.solving import solve
+from service.diagnosis.sensitivity.design import BLOCKS, DesignedSweep, full_design, measured_blocks
+from service.diagnosis.sensitivity.predicted_sweeps import Prospect, prospect
+from service.errors import BadInput
+from service.recording import Sweep
+
+Array = NDArray[np.float64]
+
+TESTABLE = 25.0  # chi-squared that an effect of `TYPICAL` size should make
+TYPICAL = 0.01  # of the rated effort
+
+
+def grid(given: Equations, name: str) -> list[tuple[float, ...]]:
+    """A few shapes of an effect: each parameter at the middle of its grid but the first, which runs over it."""
+    shapes = CATALOGUE[name].shape(given.tracks, given.model)
+    if not shapes:
+        return [()]
+    middle = [shape.grid[len(shape.grid) // 2] for shape in shapes[1:]]
+    return [(first, *middle) for first in shapes[0].grid[:: max(1, len(shapes[0].grid) // 3)]]
+
+
+def left(given: Equations, terms: Sequence[Term], column: Gathered) -> tuple[float, float]:
+    """Part and power of a gathered column that rigid model and terms do not imitate."""
+    raw = float(np.sum(given.pairs.crossed(column, column)))
+    power = solve(given.system_against(column, terms), given.precision(terms))[1]
+    return (power / raw if raw > 0 else 0.0), power
+
+
+def visible_part(given: Equations, terms: Sequence[Term], name: str) -> float:
+    """Of the power of an effect's essential column, what rigid model and terms do not imitate, at its best shape."""
+    effect, most = CATALOGUE[name], 0.0
+    for shape in grid(given, name):
+        most = max(most, left(given, terms, given.column(Term(name, shape), effect.essential))[0])
+    return most
+
+
+def shows_beside(given: Equations, terms: Sequence[Term], term: Term) -> bool:
+    """Whether an effect of `TYPICAL` size and this shape would show in some column what the terms cannot."""
+    size = TYPICAL * given.tracks.robot.axis(given.tracks.joint).rated_effort
+    for number, column in enumerate(given.columns(term)):
+        peak = float(np.abs(column).max())
+        if peak > 0 and left(given, terms, given.column(term, number))[1] * (size / peak) ** 2 > TESTABLE:
+            return True
+    return False
+
+
+def untestable(given: Equations, names: Sequence[str], sweeps: Sequence[Sweep]) -> dict[str, tuple[str, ...]]:
+    """Effects that these sweeps would not show, and by which of the blocks not yet run they would.
+
+    An effect is taken as large as makes `TYPICAL` of the rated effort in the sweeps of a full design.
+    """
+    ahead = _missing(given, sweeps)
+    result: dict[str, tuple[str, ...]] = {}
+    for name in names:
+        if CATALOGUE[name].by_load:
+            continue
+        shown = [_shown(given, ahead, Term(name, shape)) for shape in grid(given, name)]
+        if max(here for here, _ in shown) < TESTABLE:
+            blocks = {block for _, there in shown for block, square in there.items() if square >= TESTABLE}
+            result[name] = tuple(block for block in BLOCKS if block in blocks)
+    return result
+
+
+def _missing(given: Equations, sweeps: Sequence[Sweep]) -> Prospect | None:
+    """The blocks not yet run in one of the poses."""
+    motion = given.tracks
+    blocks = [block for block in BLOCKS if block not in measured_blocks(motion.specs)]
+    if not blocks:
+        return None
+    try:
+        return prospect(given, sweeps, once(given, blocks, motion.poses[:1]))
+    except BadInput:
+        return None  # there is no room for them
+
+
+def once(given: Equations, blocks: Sequence[str], poses: Array) -> tuple[DesignedSweep, ...]:
+    """Blocks run once in poses, after all that was measured."""
+    motion = given.tracks
+    return full_design(
+        motion.robot, motion.joint, poses, repeats=1, sample_rate=motion.specs[0].sample_rate, blocks=blocks,
+        started_at=max(spec.started_at for spec in motion.specs) + 30.0, revisit=False,
+    )  # fmt: skip
+
+
+def _shown(given: Equations, ahead: Prospect | None, term: Term) -> tuple[float, dict[str, float]]:
+    """Chi-squared of an effect's essential column in the sweeps there are, and in each block not yet run."""
+    essential = CATALOGUE[term.effect].essential
+    size = TYPICAL * given.tracks.robot.axis(given.tracks.joint).rated_effort
+    here = given.columns(term)[essential]
+    column = here if ahead is None else ahead.given.columns(term)[essential]
+    peak = float(np.abs(column).max())
+    if peak == 0:
+        return 0.0, {}
+    blocks: dict[str, float] = {}
+    if ahead is not None:
+        rows = given.whitening(ahead.tracks.rows(column))[ahead.measured :] * size / peak
+        for number, spec in enumerate(ahead.tracks.specs[ahead.measured :]):
+            square = ahead.beyond_rigid(rows, [number])
+            blocks[spec.block] = max(square, blocks.get(spec.block, 0.0))
+    return left(given, (), given.column(term, essential))[1] * (size / peak) ** 2, blocks

@@ -1,0 +1,1 @@
+"""Diagnosis, approved experiment, next diagnosis, accepted model revision."""

@@ -1,0 +1,80 @@
+"""A person takes what a diagnosis named into the robot's model."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
+
+from service.diagnosis import model_document
+from service.errors import BadInput, Conflict
+from service.store.diagnosis.diagnoses import DiagnosisStore
+from service.store.diagnosis.model_revisions import ModelStore
+from service.store.diagnosis_documents import DiagnosisDocument, ModelDocument
+from service.store.store import Store
+
+
+def accept_model(
+    store: Store,
+    diagnoses: DiagnosisStore,
+    models: ModelStore,
+    diagnosis_id: int,
+    axes: Sequence[str] | None,
+    accepted_by: str,
+) -> ModelDocument:
+    """The next revision of the robot's model, with the effects of `axes` (None: of all that have something to accept);
+    the other axes stay as the newest revision has them.
+
+    Conflict where nothing is named and no known effect has changed, everything was rolled back, the diagnosis became a
+    model before, or the newest revision knows more of these axes than the diagnosis did; BadInput for a joint that it
+    is not about.
+    """
+    diagnosis = diagnoses.diagnosis(diagnosis_id)
+    joints = _acceptable(diagnosis, axes)
+    newest = models.newest(diagnosis.robot_id)
+    if newest is not None and newest.diagnosis_id != diagnosis_id:
+        began = None if diagnosis.model is None else models.model(diagnosis.model)
+        for joint in joints:
+            if _axes(newest).get(joint) != _axes(began).get(joint):
+                raise Conflict(
+                    f"{joint}: model {newest.id} was accepted since, and diagnosis {diagnosis_id} does not start from "
+                    "it; diagnose again from there"
+                )
+    robot = store.robot(diagnosis.robot_id).build()
+    document = model_document(robot, cast("dict[str, Any]", diagnosis.document), joints, {"axes": _axes(newest)})
+    return models.add(diagnosis_id, accepted_by, document, None if newest is None else newest.id)
+
+
+def _axes(model: ModelDocument | None) -> dict[str, Any]:
+    return {} if model is None else cast("dict[str, Any]", model.document["axes"])
+
+
+def _acceptable(diagnosis: DiagnosisDocument, axes: Sequence[str] | None) -> tuple[str, ...]:
+    """The joints whose effects are taken over."""
+    if diagnosis.document is None:
+        raise Conflict(f"diagnosis {diagnosis.id} is {diagnosis.state.value}: there is nothing to accept")
+    found = cast("dict[str, Any]", diagnosis.document)["axes"]
+    refusals = {
+        joint: _refusal(found[joint]) if joint in found else f"has no result, {diagnosis.cause}"
+        for joint in diagnosis.axes
+    }
+    if axes is None:
+        named = tuple(joint for joint, refusal in refusals.items() if not refusal)
+        if not named:
+            raise Conflict("; ".join(f"{joint}: {refusal}" for joint, refusal in refusals.items()))
+        return named
+    for joint in axes:
+        if joint not in refusals:
+            raise BadInput(
+                "axes", f"{joint} is not an axis of diagnosis {diagnosis.id}, {', '.join(diagnosis.axes)} are"
+            )
+        if refusals[joint]:
+            raise Conflict(f"{joint}: {refusals[joint]}")
+    return tuple(joint for joint in diagnosis.axes if joint in axes)
+
+
+def _refusal(axis: Mapping[str, Any]) -> str:
+    """Why an axis has nothing to accept, or ""."""
+    rolled_back = axis["rolled_back"]
+    if not [effect for effect in axis["effects"] if effect["effect"] not in rolled_back] and rolled_back:
+        return f"{', '.join(rolled_back)} did not make held-out sweeps better, and was rolled back"
+    if axis["verdict"] != "named" and not (axis["verdict"] == "none" and axis.get("changes")):
+        return f"the verdict is {axis['verdict']}, not named"
+    return ""

@@ -1,0 +1,235 @@
+"""The loop of a diagnosis: the experiment it proposes, a person's approval, and the diagnosis that goes on with it.
+
+Nothing moves without approval. Only on a machine that the settings call virtual may a diagnosis approve its own
+experiments (`unattended`), `ROUNDS` times an axis at most, never with a test mass, and not after a restart.
+"""
+
+import asyncio
+from typing import Any, cast
+
+import structlog
+
+from drivers.errors import DriveError
+from service.campaigns.live import EventFeed
+from service.diagnosis.experiments import TEST_MASS
+from service.diagnosis.sensitivity.design import DesignedSweep
+from service.diagnosis.verdict import Verdict
+from service.diagnosis_loop.diagnosing import Diagnosing
+from service.errors import BadInput, Conflict, SweepidError
+from service.execution.runner import Runner
+from service.geometry.cell import read_cell
+from service.planning.diagnosis.documents import ExperimentPlan, ExperimentRequest
+from service.planning.diagnosis.plan import build_experiment_plan
+from service.recording import SweepSpec
+from service.settings import Settings
+from service.store.diagnosis.diagnoses import DiagnosisStore, check_free
+from service.store.diagnosis_documents import (
+    BoltedMass,
+    DiagnosisDocument,
+    DiagnosisEntry,
+    DiagnosisState,
+    NewDiagnosis,
+    Weighing,
+)
+from service.store.documents import CampaignDocument, CampaignState, EventDocument, EventKind, NewSweep
+from service.store.store import Store
+
+_log = structlog.get_logger(__name__)
+
+ROUNDS = 4  # unattended experiments of one axis
+NOBODY = "unattended"  # approves what nobody needs to
+
+_UNDECIDED = (Verdict.AMBIGUOUS.value, Verdict.UNKNOWN.value, Verdict.UNTESTABLE.value)
+
+
+class Experiments:
+    """From a proposed experiment to the diagnosis that continues with it."""
+
+    def __init__(
+        self, settings: Settings, store: Store, diagnoses: DiagnosisStore, runner: Runner, diagnosing: Diagnosing
+    ) -> None:
+        self._settings, self._store, self._diagnoses = settings, store, diagnoses
+        self._runner, self._diagnosing = runner, diagnosing
+        self._approving = asyncio.Lock()
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def plan(
+        self, diagnosis_id: int, axis: str, cell: str | None, test_mass: BoltedMass | None = None
+    ) -> ExperimentPlan:
+        """The plan of an axis's next experiment (blocking). Conflict if it has none; BadInput if it cannot be run here.
+
+        `cell`: None takes the one in which the newest evidence was planned. `test_mass`: its weight takes effort.
+        """
+        diagnosis = self._diagnoses.diagnosis(diagnosis_id)
+        experiment = proposed(diagnosis, axis)
+        designed = [
+            DesignedSweep(SweepSpec.model_validate(sweep["spec"]), sweep["ramp"], sweep["settle"])
+            for sweep in experiment["sweeps"]
+        ]
+        name = cell or self._cell(diagnosis)
+        request = ExperimentRequest(robot_id=diagnosis.robot_id, cell=name, test_mass=test_mass)
+        robot = self._store.robot(diagnosis.robot_id).build()
+        return build_experiment_plan(robot, request, designed, read_cell(self._settings.cells_dir / f"{name}.yaml"))
+
+    async def approve(
+        self, diagnosis_id: int, axis: str, approved_by: str, test_mass: BoltedMass | None, cell: str | None
+    ) -> CampaignDocument:
+        """Plan the next experiment of an axis, and start its campaign. The diagnosis goes on when that is completed.
+
+        Conflict or DriveError where the machine is not free, `test_mass` is missing or not wanted (BadInput), or the
+        diagnosis is not done or has its experiment already: nothing is stored, nothing moves.
+        """
+        async with self._approving:
+            diagnosis = await asyncio.to_thread(self._diagnoses.diagnosis, diagnosis_id)
+            check_free(diagnosis, await asyncio.to_thread(self._diagnoses.experiment_state, diagnosis_id))
+            weighing = proposed(diagnosis, axis)["kind"] == TEST_MASS
+            if weighing and test_mass is None:
+                raise BadInput("test_mass", "the experiment is one with a test mass: say which is bolted on")
+            if test_mass is not None and not weighing:
+                raise BadInput("test_mass", "the experiment is one without: take the mass off")
+            await self._runner.check_free()
+            plan = await asyncio.to_thread(self.plan, diagnosis_id, axis, cell, test_mass)
+            campaign = await asyncio.to_thread(
+                self._diagnoses.approve,
+                diagnosis_id,
+                axis,
+                approved_by,
+                test_mass,
+                plan.model_dump(mode="json"),
+                [NewSweep(spec=sweep.spec, mode=sweep.mode) for sweep in plan.sweeps],
+            )
+        try:
+            return await self._runner.start(campaign.id)
+        except (SweepidError, DriveError) as error:
+            await self._runner.abort(campaign.id, f"could not be started: {error}")
+            raise
+
+    async def recover(self) -> None:
+        """After a restart: nothing moves by itself, and what was measured in the meantime is diagnosed."""
+        await asyncio.to_thread(self._diagnoses.attend, "the service was restarted: nothing moves unattended any more")
+        for diagnosis in await asyncio.to_thread(self._diagnoses.to_go_on):
+            await self._go_on(diagnosis)
+
+    async def follow(self, feed: EventFeed, after: int) -> None:
+        """Take part in what happens from event `after` on, until the feed is closed."""
+        async for event in feed.follow(after):
+            if event.kind in (EventKind.CAMPAIGN, EventKind.DIAGNOSIS):
+                task = asyncio.create_task(self._heard(event), name=f"event {event.id}")
+                self._tasks.add(task)
+                task.add_done_callback(self._done)
+
+    async def close(self) -> None:
+        """What was heard and not done is found again by the next process."""
+        tasks = list(self._tasks)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _heard(self, event: EventDocument) -> None:
+        if event.kind is EventKind.CAMPAIGN and event.data["state"] == CampaignState.COMPLETED.value:
+            for diagnosis in await asyncio.to_thread(self._diagnoses.to_go_on, event.campaign_id):
+                await self._go_on(diagnosis)
+        elif event.kind is EventKind.CAMPAIGN and event.data["state"] == CampaignState.ABORTED.value:
+            await self._aborted(cast(int, event.campaign_id))
+        elif event.kind is EventKind.DIAGNOSIS and event.data["state"] == DiagnosisState.DONE.value:
+            diagnosis = await asyncio.to_thread(self._diagnoses.diagnosis, cast(int, event.data["diagnosis"]))
+            if diagnosis.unattended and diagnosis.experiment is None:
+                await self._alone(diagnosis)
+
+    async def _aborted(self, campaign_id: int) -> None:
+        """Somebody ended an experiment that nobody had approved: from here on a person decides."""
+        diagnosis = await asyncio.to_thread(self._diagnoses.of_experiment, campaign_id)
+        if diagnosis is not None and diagnosis.unattended:
+            cause = f"campaign {campaign_id} was aborted"
+            await asyncio.to_thread(self._diagnoses.attend, cause, diagnosis.id)
+
+    async def _go_on(self, parent: DiagnosisEntry) -> None:
+        """Diagnose with the experiment's sweeps; what the other axes came to stays."""
+        experiment = parent.experiment
+        if experiment is None:
+            return
+        weighed, campaigns = parent.weighed, parent.campaigns
+        if experiment.test_mass is None:
+            campaigns = (*campaigns, experiment.campaign_id)
+        else:
+            weighed = Weighing(campaign_id=experiment.campaign_id, mass=experiment.test_mass)
+        new = NewDiagnosis(
+            robot_id=parent.robot_id,
+            campaigns=campaigns,
+            axes=parent.axes,
+            model=parent.model,
+            estimate=parent.estimate,
+            weighed=weighed,
+            parent=parent.id,
+            unattended=parent.unattended,
+        )
+        others = [joint for joint in parent.axes if joint != experiment.axis]
+        diagnosis = await asyncio.to_thread(self._diagnoses.go_on, new, others)
+        if diagnosis is not None:
+            _log.info("diagnosis_goes_on", diagnosis=diagnosis.id, parent=parent.id)
+            self._diagnosing.submit(diagnosis)
+
+    async def _alone(self, diagnosis: DiagnosisDocument) -> None:
+        """The next experiment without anybody's approval, or the end of the loop and why."""
+        axis, cause = await asyncio.to_thread(self._next_axis, diagnosis)
+        if axis is not None:
+            try:
+                await self.approve(diagnosis.id, axis, NOBODY, None, None)
+                return
+            except (SweepidError, DriveError) as error:
+                cause = f"{axis}: {error}"
+        await asyncio.to_thread(self._diagnoses.attend, cause, diagnosis.id)
+
+    def _next_axis(self, diagnosis: DiagnosisDocument) -> tuple[str | None, str]:
+        """The first undecided axis that may have an experiment; why there is none, or "" where nothing is open."""
+        causes: list[str] = []
+        for axis in diagnosis.axes:
+            try:
+                experiment = proposed(diagnosis, axis)
+            except Conflict:
+                continue
+            if diagnosis.verdicts[axis] not in _UNDECIDED:
+                continue  # more could be tested, but nothing is left to explain
+            if experiment["kind"] == TEST_MASS:
+                causes.append(f"{axis}: a test mass needs a person")
+            elif self._rounds(diagnosis, axis) >= ROUNDS:
+                causes.append(f"{axis}: {ROUNDS} experiments did not decide it")
+            else:
+                return axis, ""
+        return None, "; ".join(causes)
+
+    def _rounds(self, diagnosis: DiagnosisEntry, axis: str) -> int:
+        """Experiments of the axis that led to this diagnosis."""
+        count, parent = 0, diagnosis.parent
+        while parent is not None:
+            before = self._diagnoses.diagnosis(parent)
+            count += before.experiment is not None and before.experiment.axis == axis
+            parent = before.parent
+        return count
+
+    def _cell(self, diagnosis: DiagnosisEntry) -> str:
+        for number in reversed(diagnosis.campaigns):
+            plan_id = self._store.campaign(number).plan_id
+            if plan_id is not None:
+                request = cast("dict[str, Any]", self._store.plan(plan_id).document["request"])
+                return str(request["cell"])
+        raise BadInput("cell", "none of the campaigns was planned here: name the cell that the machine stands in")
+
+    def _done(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            # what it was about is still in the store: the next start finds it
+            _log.error("loop_broke_off", task=task.get_name(), error=repr(error))
+
+
+def proposed(diagnosis: DiagnosisDocument, axis: str) -> dict[str, Any]:
+    """`next_experiment` of an axis; Conflict if the diagnosis is not done or proposes none, BadInput if unknown."""
+    if axis not in diagnosis.axes:
+        raise BadInput("axis", f"{axis} is not an axis of diagnosis {diagnosis.id}, {', '.join(diagnosis.axes)} are")
+    if diagnosis.document is None:
+        raise Conflict(f"diagnosis {diagnosis.id} is {diagnosis.state.value}, and proposes nothing yet")
+    found = cast("dict[str, Any]", diagnosis.document)["axes"]
+    experiment = found[axis]["next_experiment"] if axis in found else None
+    if experiment is None:
+        raise Conflict(f"diagnosis {diagnosis.id} proposes no experiment for {axis}")
+    return experiment

@@ -1,0 +1,1 @@
+"""Moves the machine through a plan and records what its drives measure."""

@@ -1,0 +1,272 @@
+"""The operator's commands, and the task that runs one campaign's sweeps. No motion is ever retried by itself."""
+
+import asyncio
+import time
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
+from types import MappingProxyType
+
+import structlog
+from sqlalchemy.exc import SQLAlchemyError
+
+from drivers.errors import DriveError
+from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
+from service.errors import Conflict, NotFound, SweepidError
+from service.execution.check_move import CheckMove
+from service.execution.machine import Machine
+from service.execution.stop_criterion import confidence_reached
+from service.execution.sweep_executor import SweepExecutor, cause_of
+from service.execution.under_way import UnderWay
+from service.jobs.jobs import Jobs
+from service.planning.compiled_plan import CompiledPlan
+from service.store.documents import CampaignDocument, CampaignState, SweepState
+from service.store.store import StaleVersion, Store, SweepMove
+
+_log = structlog.get_logger(__name__)
+
+_RETRY = 2.0  # s between attempts to store the end of a campaign
+_IN_PARTS = "the trajectories left were measured in part, and can only be repeated as a whole"
+
+
+class Runner:
+    """The commands of an operator. Each returns the campaign as it is afterwards; Conflict if it does not fit."""
+
+    def __init__(
+        self,
+        store: Store,
+        machine: Machine,
+        executor: SweepExecutor,
+        jobs: Jobs,
+        compile_plan: Callable[[CampaignDocument], CompiledPlan],
+    ) -> None:
+        """`compile_plan` reads the plan of a campaign (blocking; BadInput or Conflict if it cannot be run here)."""
+        self._store, self._machine, self._executor, self._jobs = store, machine, executor, jobs
+        self._compile = compile_plan
+        self._commands = asyncio.Lock()  # one command at a time; `Machine.stop` does not wait for it
+        self._task: asyncio.Task[None] | None = None
+        self._running: int | None = None
+        self._origins: dict[int, float] = {}  # starts of campaigns on the monotonic clock, s
+        self._untold = ""  # why the last campaign broke off, until the store has it; nothing moves while it has not
+
+    @property
+    def running(self) -> int | None:
+        """The campaign that owns the machine, or None."""
+        return self._running
+
+    @property
+    def untold(self) -> str:
+        """What the store has not taken yet of the end of a campaign; empty if nothing."""
+        return f"the end of a campaign is not stored yet: {self._untold}" if self._untold else ""
+
+    @property
+    def check_move(self) -> CheckMove | None:
+        """The check move under way, or None."""
+        return self._executor.check_move
+
+    @property
+    def under_way(self) -> UnderWay | None:
+        """What the campaign that owns the machine moves now and next, or None."""
+        return self._executor.under_way
+
+    async def start(self, campaign_id: int, if_version: int | None = None) -> CampaignDocument:
+        """planned -> running. Conflict while another campaign runs, the machine is stopped or does not answer."""
+        return await self._launch(campaign_id, CampaignEvent.START, if_version, repeat=False)
+
+    async def pause(self, campaign_id: int, if_version: int | None = None) -> CampaignDocument:
+        """running -> pausing; paused when the present sweep is over."""
+        async with self._commands:
+            await self._tell()
+            return await asyncio.to_thread(
+                self._store.move_campaign, campaign_id, campaign_move(CampaignEvent.PAUSE), "", if_version
+            )
+
+    async def resume(self, campaign_id: int, if_version: int | None = None, repeat: bool = False) -> CampaignDocument:
+        """paused -> running with the next planned sweep; `repeat` first puts failed and interrupted sweeps back.
+
+        Takes back a pause that was asked for (pausing -> running), too.
+        """
+        if self._running == campaign_id:
+            async with self._commands:
+                return await asyncio.to_thread(self._store.move_campaign, campaign_id, _take_back_pause, "", if_version)
+        return await self._launch(campaign_id, CampaignEvent.RESUME, if_version, repeat)
+
+    async def abort(self, campaign_id: int, why: str, if_version: int | None = None) -> CampaignDocument:
+        """Stop the present sweep now and give the campaign up; sweeps not run become skipped."""
+        async with self._commands:
+            campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
+            if if_version is not None and campaign.version != if_version:
+                raise StaleVersion(f"campaign {campaign_id} is at version {campaign.version}, not {if_version}")
+            campaign_move(CampaignEvent.ABORT)(campaign.state)
+            if self._running == campaign_id:
+                await self._end_task(f"aborted: {why}")
+            await self._tell()
+            return await asyncio.to_thread(
+                self._store.move_campaign,
+                campaign_id,
+                campaign_move(CampaignEvent.ABORT),
+                why,
+                None,
+                {SweepState.PLANNED: sweep_move(SweepEvent.SKIP)},
+            )
+
+    async def close(self) -> None:
+        """The service ends: stop the machine, leave the campaign paused."""
+        async with self._commands:
+            await self._end_task("the service ended")
+
+    async def finished(self) -> None:
+        """Until no campaign runs."""
+        while self._task is not None and not self._task.done():
+            await asyncio.wait([self._task])
+
+    async def check_free(self) -> None:
+        """Conflict or DriveError where a campaign could not be started now; connects drives that are not."""
+        async with self._commands:
+            await self._check_idle()
+            await self._check_machine()
+
+    async def _check_idle(self) -> None:
+        if self._running is not None:
+            raise Conflict(f"campaign {self._running} is running")
+        await self._tell()
+
+    async def _check_machine(self) -> None:
+        await self._machine.reach()
+        self._machine.check_may_move()
+
+    async def _launch(
+        self, campaign_id: int, event: CampaignEvent, if_version: int | None, repeat: bool
+    ) -> CampaignDocument:
+        async with self._commands:
+            await self._check_idle()
+            campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
+            campaign_move(event)(campaign.state)
+            await self._check_machine()
+            compiled = await asyncio.to_thread(self._compile, campaign)
+            again = sweep_move(SweepEvent.REPEAT)
+            campaign = await asyncio.to_thread(
+                self._store.move_campaign,
+                campaign_id,
+                campaign_move(event),
+                "",
+                if_version,
+                {SweepState.FAILED: again, SweepState.INTERRUPTED: again} if repeat else {},
+            )
+            self._running = campaign_id
+            self._task = asyncio.create_task(self._run(campaign, compiled), name=f"campaign {campaign_id}")
+            self._task.add_done_callback(self._ended)
+            return campaign
+
+    async def _end_task(self, why: str) -> None:
+        if self._task is not None and not self._task.done():
+            self._task.cancel(why)
+            await asyncio.wait([self._task])
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        self._running = None
+        if not task.cancelled() and (error := task.exception()) is not None:
+            _log.error("campaign_broke_off", task=task.get_name(), exc_info=error)
+
+    async def _run(self, campaign: CampaignDocument, compiled: CompiledPlan) -> None:
+        """The task: sweep after sweep until none is left, enough is known, a pause is due, or something goes wrong."""
+        checked: set[str] = set()  # joints that made their check move since this start or resume
+        try:
+            with self._machine.used_by(f"campaign {campaign.id}"):
+                origin = await asyncio.to_thread(self._origin, campaign, compiled)
+                while await self._next_is_due(campaign.id):
+                    sweeps = await asyncio.to_thread(self._store.sweeps, campaign.id)
+                    due = compiled.due(sweeps)
+                    known = await asyncio.to_thread(self._confidence_reached, campaign.id, compiled)
+                    if not due or known:
+                        in_parts = any(sweep.state is SweepState.PLANNED for sweep in sweeps)
+                        skip = {SweepState.PLANNED: sweep_move(SweepEvent.SKIP)}
+                        cause = known or (_IN_PARTS if in_parts else "")
+                        await self._move(campaign.id, CampaignEvent.MEASURED, cause, skip)
+                        await self._jobs.settle(campaign.id)
+                        return
+                    await self._executor.run(due, compiled, origin, checked, self._jobs.submit)
+        except BaseException as error:
+            # the executor has brought the machine to standstill before it let the error out
+            self._untold = cause_of(self._machine, error)
+            await self._tell_patiently(wait=not isinstance(error, asyncio.CancelledError))
+            if not isinstance(error, DriveError | SweepidError | OSError | SQLAlchemyError):
+                raise
+
+    def _origin(self, campaign: CampaignDocument, compiled: CompiledPlan) -> float:
+        """The start of a campaign on the monotonic clock, s. Reads the store.
+
+        After a restart only the wall clock knows, and it may have been set meanwhile: nothing begins before what was
+        measured has ended.
+        """
+        if campaign.id not in self._origins:
+            now = datetime.now(UTC)
+            ends = [
+                sweep.spec.started_at + compiled.commands[sweep.number].duration
+                for sweep in self._store.sweeps(campaign.id)
+                if sweep.state in (SweepState.RECORDED, SweepState.IDENTIFIED)
+            ]
+            passed = max(0.0, (now - (campaign.started_at or now)).total_seconds(), *ends)
+            self._origins[campaign.id] = time.monotonic() - passed
+        return self._origins[campaign.id]
+
+    async def _tell_patiently(self, *, wait: bool) -> None:
+        """Store the end of a campaign that broke off, again and again while the database refuses it.
+
+        Without `wait` (somebody waits for this task), or if cancelled: the next command tells it, or the next start.
+        """
+        refusals = 0
+        while True:
+            try:
+                await asyncio.shield(self._tell())
+                return
+            except SQLAlchemyError as refused:
+                refusals += 1
+                if refusals == 1:
+                    _log.error("end_not_stored", cause=self._untold, reason=str(refused))
+            if not wait:
+                return
+            await asyncio.sleep(_RETRY)
+
+    async def _tell(self) -> None:
+        """Store the end of a campaign that broke off, if that is still to be done; SQLAlchemyError if refused."""
+        if self._untold:
+            await self._executor.end_runs(self._untold)
+            self._untold = ""
+
+    async def _next_is_due(self, campaign_id: int) -> bool:
+        campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
+        if campaign.state is CampaignState.PAUSING:
+            try:
+                await self._move(campaign_id, CampaignEvent.HELD, "paused by request")
+            except Conflict:  # the pause was taken back in this moment
+                return await self._next_is_due(campaign_id)
+            return False
+        return campaign.state is CampaignState.RUNNING
+
+    def _confidence_reached(self, campaign_id: int, compiled: CompiledPlan) -> str:
+        """Why the latest estimate makes the sweeps that are left unnecessary, or ""."""
+        if compiled.confidence is None:
+            return ""
+        try:
+            estimate = self._store.estimate(campaign_id)
+        except NotFound:
+            return ""
+        joints = {command.joint for command in compiled.commands.values()}
+        return confidence_reached(estimate.document, joints, compiled.base_parameters, compiled.confidence)
+
+    async def _move(
+        self,
+        campaign_id: int,
+        event: CampaignEvent,
+        cause: str = "",
+        sweeps: Mapping[SweepState, SweepMove] = MappingProxyType({}),
+    ) -> None:
+        await asyncio.to_thread(self._store.move_campaign, campaign_id, campaign_move(event), cause, None, sweeps)
+        _log.info("campaign", campaign=campaign_id, happened=event.value, cause=cause)
+
+
+def _take_back_pause(state: CampaignState) -> CampaignState:
+    """pausing -> running while the task still runs. One that has paused needs a new task, or nothing would run it."""
+    if state is CampaignState.PAUSED:
+        raise Conflict("the campaign has paused in this moment; resume it once more")
+    return campaign_move(CampaignEvent.RESUME)(state)

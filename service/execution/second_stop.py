@@ -1,0 +1,80 @@
+"""Stops from beside the event loop: the machine is held at once, they are confirmed and latched when the loop has time.
+
+They come by the stop process, or from the drives' side: the host was suspended, another host is there, an axis gained
+or lost its energy by nobody here.
+"""
+
+import asyncio
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+
+import structlog
+from sqlalchemy.exc import SQLAlchemyError
+
+from drivers.errors import DriveError
+from service.execution.machine import Hold, Machine
+from service.stop_process.handle import StopProcess
+
+_log = structlog.get_logger(__name__)
+
+WATCH = "host watch"  # who stops, where it is no person
+
+
+@asynccontextmanager
+async def listening(process: StopProcess, machine: Machine, told: Callable[[str, str], None]) -> AsyncGenerator[None]:
+    """To the stop process, while the block runs, and for the stops that came before it.
+
+    `told` is given by and why of each once the machine is held; it waits for nothing.
+    """
+    async with _holding(machine) as hold:
+
+        def word(by: str, why: str, press: str) -> None:
+            hold(by, why, press)
+            process.taken_over()
+            told(by, why)
+
+        process.attach(word)
+        try:
+            yield
+        finally:
+            process.attach(None)
+
+
+@asynccontextmanager
+async def watching(machine: Machine) -> AsyncGenerator[None]:
+    """To what the drives' side finds, while the block runs."""
+    async with _holding(machine) as hold:
+        machine.port.watch(lambda why: hold(WATCH, f"{why}; a person must look, release this stop and resume", ""))
+        try:
+            yield
+        finally:
+            machine.port.watch(None)
+
+
+@asynccontextmanager
+async def _holding(machine: Machine) -> AsyncGenerator[Callable[[str, str, str], None]]:
+    """What holds the machine, given by, why and press; from any thread."""
+    loop, confirming = asyncio.get_running_loop(), set[asyncio.Task[None]]()
+
+    def follow(hold: Hold) -> None:
+        task = asyncio.create_task(_confirm(machine, hold), name="confirm a stop")
+        confirming.add(task)
+        task.add_done_callback(confirming.discard)
+
+    def hold_at_once(by: str, why: str, press: str) -> None:
+        loop.call_soon_threadsafe(follow, machine.seize(by, why, press))
+
+    try:
+        yield hold_at_once
+    finally:
+        await asyncio.sleep(0)  # what was called soon
+        if confirming:
+            await asyncio.wait(tuple(confirming))
+
+
+async def _confirm(machine: Machine, hold: Hold) -> None:
+    """What goes wrong is told where the stop was asked for by the service's own way; here it is logged."""
+    try:
+        await machine.confirm(hold)
+    except (DriveError, SQLAlchemyError) as error:
+        _log.error("stop_not_confirmed", by=hold.document.by, reason=str(error))

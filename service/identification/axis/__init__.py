@@ -1,0 +1,1 @@
+"""One axis: inertia, friction, elasticity and known effects from its sweeps."""

@@ -1,0 +1,279 @@
+r"""The inertias of one axis from its spectra: periodic sweeps jointly (`joint_fit`), free records one by one.
+
+A torque constant that is wrong by 5 % scales every J by 5 % and no sweep shows it: `std` is conditional on the gain,
+`std_total` includes what is known of it. A gain that a test mass calibrated (`torque_gain`) is taken out of the effort
+first.
+
+Effects that the robot is known to have are taken out first (`known_torque`), or enter the priors of spring and hose.
+What they are uncertain by is part of every standard deviation. Friction that grows with the load needs the load, so
+that fit is made again with the inertias that it found.
+
+A free record is fitted as a rigid axis. Where the drive train is known from elsewhere (sweeps with lines, an initial
+analysis), its impedance Z tells by how much that is wrong: the rigid fit sees the mean of Re Z/s over the
+acceleration's power. The difference goes into the standard deviation, and the sweep says so.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.axis.distortion import Distortion, distortion_of
+from service.identification.axis.ideal_frequency import AxisAnalysis
+from service.identification.axis.joint_fit import JointFit, PosePrior, SharedPrior, fit_axis
+from service.identification.axis.known_effects import LOAD, KnownAxis
+from service.identification.axis.known_torque import Corrected, Load, corrected
+from service.identification.axis.nominal_priors import (
+    NOISE_GUESS,
+    TorqueGain,
+    pose_prior,
+    shared_prior,
+    with_known_hose,
+    with_known_spring,
+)
+from service.identification.axis.suspects import Suspect
+from service.identification.model.regressor import axis_rows, gravity_terms
+from service.identification.spectra.axis_inertia import DriveTrain, impedance, paper_inertia
+from service.identification.spectra.frequency_response import Spectrum
+from service.identification.spectra.time_domain import fit_record
+from service.robot import Robot
+from service.urdf import Chain
+
+Array = NDArray[np.float64]
+
+DISTORTION_ROUNDS = 2  # fits with the distortion that the fit before showed
+LOAD_ROUNDS = 3  # fits of an axis whose friction grows with its load
+MATERIAL = 0.5  # of a record's standard deviation: from here on an error of its model is worth a warning
+
+
+@dataclass(frozen=True)
+class SweepInertia:
+    """One sweep's result, SI on the joint side. `response` rows: frequency Hz, Z complex, std of its parts."""
+
+    sweep: str
+    value: float
+    std: float
+    std_total: float
+    bound: float | None  # Cramer-Rao bound of std with all but this inertia known; None without lines
+    reference: float  # of the nominal model in that pose
+    paper_value: float | None  # equation (8) at the ideal sweep frequency; None without lines
+    viscous_friction: float
+    response: tuple[tuple[float, complex, float], ...]
+    terms: dict[str, tuple[float, float]]  # of a free record: the other terms' value and std
+    warning: str | None = None
+    noise: tuple[float, ...] | None = None  # of `response`: what of its std is noise, the rest distortion
+
+
+@dataclass(frozen=True)
+class AxisEstimate:
+    """Result of one axis: its sweeps, covariance (n, n) of their inertias, and the joint fit of the periodic ones."""
+
+    joint: str
+    sweeps: tuple[SweepInertia, ...]
+    covariance: Array
+    fit: JointFit | None
+    gain: TorqueGain
+    suspects: tuple[Suspect, ...]
+    distortion: Distortion | None  # where the axis has several realisations of its sweeps
+    direct_encoder: bool  # every sweep with lines tells the motion of the load itself
+
+    @property
+    def values(self) -> Array:
+        """(n,) inertias."""
+        return np.array([sweep.value for sweep in self.sweeps])
+
+    def with_covariance(self, covariance: Array) -> "AxisEstimate":
+        """The same inertias with another covariance (n, n)."""
+        sweeps = tuple(
+            replace(sweep, std=float(std), std_total=_total(sweep.value, float(std), self.gain))
+            for sweep, std in zip(self.sweeps, np.sqrt(np.diag(covariance)), strict=True)
+        )
+        return replace(self, sweeps=sweeps, covariance=covariance)
+
+
+def identify_axis(
+    robot: Robot,
+    number: int,
+    chain: Chain,
+    unlocked: tuple[int, ...],
+    nominal: Array,
+    spectra: Sequence[Spectrum],
+    analysis: AxisAnalysis | None,
+    gain: TorqueGain,
+    known: KnownAxis,
+) -> AxisEstimate:
+    """Axis `number` of the robot; `chain` holds its joints `unlocked`, `nominal` (11 n,) the parameters of that chain.
+
+    What the initial analysis found of the drive train takes the place of the data sheet. `known`: what it has beside
+    its rigid body.
+    """
+    own = unlocked.index(number)
+    poses = np.array([spectrum.spec.pose for spectrum in spectra])[:, list(unlocked)]
+    reference = axis_rows(chain, own, poses) @ nominal
+    gravity = gravity_terms(chain, nominal, robot.gravity, own, poses)
+    periodic = [k for k, spectrum in enumerate(spectra) if spectrum.spec.periodic]
+    sweeps: dict[int, SweepInertia] = {}
+    covariance = np.zeros((len(spectra), len(spectra)))
+    fit, distortion = None, None
+    suspects: list[Suspect] = []
+    if periodic:
+        told = [spectra[k] for k in periodic]
+        poses_known = [pose_prior(robot, number, reference[k], gravity[k]) for k in periodic]
+        fit, parts, distortion = _fit(robot, number, told, reference, poses_known, analysis, gain, known)
+        fit = replace(fit, covariance=fit.covariance + np.diag([part.doubt**2 for part in parts]))
+        covariance[np.ix_(periodic, periodic)] = fit.covariance
+        for row, k in enumerate(periodic):
+            sweeps[k] = _from_joint_fit(parts[row].spectrum, float(reference[k]), fit, row, gain, distortion)
+            if fit.weight[row] < 1:
+                why = f"its effort is left unexplained {np.sqrt(fit.chi_squared[row]):.1f} times as much as the others'"
+                suspects.append(Suspect(spectra[k].spec.id, robot.joints[number], why, float(fit.weight[row])))
+    train = fit.train if fit is not None else analysis.train if analysis is not None else None
+    for k, spectrum in enumerate(spectra):
+        if not spectrum.spec.periodic:
+            true = replace(spectrum, effort=spectrum.effort / gain.gain)
+            sweeps[k] = _from_record(true, float(reference[k]), gain, train)
+            covariance[k, k] = sweeps[k].std ** 2
+    return AxisEstimate(
+        joint=robot.joints[number],
+        sweeps=tuple(sweeps[k] for k in sorted(sweeps)),
+        covariance=covariance,
+        fit=fit,
+        gain=gain,
+        suspects=tuple(suspects),
+        distortion=distortion,
+        direct_encoder=bool(periodic) and all(spectra[k].load_velocity is not None for k in periodic),
+    )
+
+
+def _fit(
+    robot: Robot,
+    number: int,
+    told: Sequence[Spectrum],
+    reference: Array,
+    priors: Sequence[PosePrior],
+    analysis: AxisAnalysis | None,
+    gain: TorqueGain,
+    known: KnownAxis,
+) -> tuple[JointFit, list[Corrected], Distortion | None]:
+    """The joint fit of the sweeps with lines, the sweeps without gain and known effects, and their distortion."""
+    loads = [Load(float(prior.mean[0]), float(prior.mean[2]), float(prior.mean[1])) for prior in priors]
+    rounds = LOAD_ROUNDS if known.get(LOAD) else 1
+    while True:
+        parts = [corrected(one, known, gain.gain, load) for one, load in zip(told, loads, strict=True)]
+        spectra = [part.spectrum for part in parts]
+        train = shared_prior(robot, number, reference, spectra) if analysis is None else _analysed(analysis, gain)
+        uncertain = [part.uncertain for part in parts]
+        given = (
+            with_known_spring(train, known, gain.gain),
+            [with_known_hose(prior, known, gain.gain) for prior in priors],
+            NOISE_GUESS * robot.axes[number].rated_effort,
+            uncertain,
+        )
+        fit = fit_axis(spectra, *given)
+        rounds -= 1
+        if not rounds:
+            distortion = distortion_of(spectra, uncertain, fit)
+            for _ in range(DISTORTION_ROUNDS if distortion else 0):
+                spread = None if distortion is None else [distortion.spread(one) for one in spectra]
+                fit = fit_axis(spectra, *given, spread)
+                distortion = distortion_of(spectra, uncertain, fit, distortion)
+            return fit, parts, distortion
+        loads = [
+            replace(load, inertia=float(found), train=fit.train)
+            for load, found in zip(loads, fit.load_inertia, strict=True)
+        ]
+
+
+def _analysed(analysis: AxisAnalysis, gain: TorqueGain) -> SharedPrior:
+    """The analysis saw effort as the drive tells it: inertia and friction are `gain` times too large in it."""
+    scale = np.array([1, 1, 1, gain.gain**2, gain.gain]) / gain.gain
+    return SharedPrior(scale * analysis.mean, np.outer(scale, scale) * analysis.covariance)
+
+
+def _total(value: float, std: float, gain: TorqueGain) -> float:
+    return float(np.hypot(std, gain.std / gain.gain * value))
+
+
+def _from_joint_fit(
+    spectrum: Spectrum, reference: float, fit: JointFit, row: int, gain: TorqueGain, distortion: Distortion | None
+) -> SweepInertia:
+    value, std = float(fit.inertia[row]), float(np.sqrt(fit.covariance[row, row]))
+    spread = np.ones(len(spectrum.frequency)) if distortion is None else distortion.spread(spectrum)
+    response = _lines(spectrum, float(fit.noise[row]) * spread)
+    stds = np.array([std for _, _, std in response])
+    return SweepInertia(
+        sweep=spectrum.spec.id,
+        value=value,
+        std=std,
+        std_total=_total(value, std, gain),
+        bound=float(fit.bound[row]),
+        reference=reference,
+        paper_value=_paper_value(response, fit, row),
+        viscous_friction=fit.train.motor_friction + fit.train.load_friction,
+        response=response,
+        terms={},
+        noise=None if distortion is None else tuple((stds / spread[spectrum.line]).tolist()),
+    )
+
+
+def _paper_value(response: tuple[tuple[float, complex, float], ...], fit: JointFit, row: int) -> float:
+    """Equation (8) at the line nearest to the paper's ideal frequency (section 4.2).
+
+    That is the geometric mean of the locked-rotor frequency and the corner mu/(2 pi J) below which friction rules.
+    """
+    friction = max(fit.train.motor_friction + fit.train.load_friction, 0.0)
+    corner = friction / (2 * np.pi * abs(float(fit.inertia[row])))  # effort of the wrong sign makes J negative
+    resonance = fit.train.locked_rotor_frequency(float(fit.load_inertia[row]))
+    ideal = np.sqrt(corner * resonance)
+    frequency, z, _ = min(response, key=lambda line: abs(line[0] - ideal))
+    return paper_inertia(frequency, z)
+
+
+def _from_record(spectrum: Spectrum, reference: float, gain: TorqueGain, train: DriveTrain | None) -> SweepInertia:
+    fit = fit_record(spectrum)
+    excess = 0.0 if train is None else _elastic_excess(spectrum, train, fit.inertia)
+    std = float(np.hypot(fit.inertia_std, excess))
+    errors = {
+        "fitted as a rigid axis; its spring": excess,
+        "its friction is fitted as linear in speed; what is not so": fit.by_drag,
+    }
+    warnings = [
+        f"{what} is good for an error of {100 * error / fit.inertia:.1f} %"
+        for what, error in errors.items()
+        if error > MATERIAL * fit.inertia_std
+    ]
+    return SweepInertia(
+        sweep=spectrum.spec.id,
+        value=fit.inertia,
+        std=std,
+        std_total=_total(fit.inertia, std, gain),
+        warning="; ".join(warnings) or None,
+        bound=None,
+        reference=reference,
+        paper_value=None,
+        viscous_friction=fit.terms["viscous_friction"][0],
+        response=(),
+        terms=fit.terms,
+    )
+
+
+def _elastic_excess(spectrum: Spectrum, train: DriveTrain, inertia: float) -> float:
+    """By how much the rigid fit of a free record misjudges an elastic axis of about `inertia`, kg m^2 (kg)."""
+    moving = spectrum.frequency > 0
+    z = impedance(spectrum.frequency[moving], train, inertia - train.motor_inertia, 0.0)
+    power = np.abs(spectrum.named("acceleration")[0][moving]) ** 2
+    return abs(float(np.sum(power * (z.total / z.s).real) / np.sum(power)) - inertia)
+
+
+def _lines(spectrum: Spectrum, noise: Array) -> tuple[tuple[float, complex, float], ...]:
+    return tuple(
+        (float(frequency), complex(effort / velocity), float(std / abs(velocity)))
+        for frequency, effort, velocity, std in zip(
+            spectrum.frequency[spectrum.line],
+            spectrum.effort[spectrum.line],
+            spectrum.velocity[spectrum.line],
+            noise[spectrum.line],
+            strict=True,
+        )
+    )

@@ -1,0 +1,360 @@
+r"""Initial analysis of an axis (paper, sections 4.1 and 4.2): drive train, locked rotor, ideal sweep frequency.
+
+Given is the frequency response of the axis in several poses (`noise_response`). Two ways lead from it to the first
+locked-rotor frequency f_l, where the motor stands and the load swings, and to the corner f_c below which friction
+rules:
+
+Fit. The two-mass impedance (`axis_inertia`) to all poses at once, every line weighted by its variance: Jm, mu_m, mu_l,
+c, h are shared, J_l and k_g belong to the pose; data sheet and nominal model stand by as priors. Gauss-Newton by SciPy,
+the weights taken once more at the fitted Z, for near f_l the measured one is a quotient by nearly nothing. Then
+
+    f_l = 1 / (2 pi sqrt(c J_l)),    f_c = (mu_m + mu_l) / (2 pi (Jm + J_l))
+
+with standard deviations from the covariance of the fit, which grows by chi^2 per degree of freedom where that is
+above 1.
+
+Asymptotes, as in the paper's Fig. 1b, each pose by itself: |Z|/omega, an apparent inertia, is level at J up to the
+resonance f_l, its maximum (parabola through three lines of its logarithm); friction is the line mu/omega, mu being the
+part of Z in phase on the level part and below, and f_c where the two meet, the 3 dB point.
+
+The ideal frequency is sqrt(f_l f_c), rounded to 2, 3, 4 or 5 Hz. Of a train so stiff that f_l lies above the last line
+nothing was seen of f_l itself: then the last line is its lower bound, and that of the ideal frequency follows.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from service.errors import BadInput
+from service.identification.axis.joint_fit import SHARED, STARTS, PosePrior, SharedPrior, scaled_inverse
+from service.identification.design.excitation import LINE_MARGIN, LINES
+from service.identification.spectra.axis_inertia import DriveTrain, impedance
+from service.identification.spectra.noise_response import Response
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+ROUNDS = 3  # of fitting and weighing
+LEVEL = (0.15, 0.45)  # of f_l: lines that the level asymptote is read from
+SAME_CLASS = 1.25  # spread of J up to which all poses make one class
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A value and its standard deviation."""
+
+    value: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True)
+class Ideal:
+    """One way's answer for one pose; kg m^2 (kg), N m s/rad (N s/m), Hz."""
+
+    inertia: Figure
+    friction: Figure
+    locked_rotor: Figure
+    corner: Figure
+    frequency: Figure  # sqrt(locked_rotor corner)
+
+    @property
+    def sweep_frequency(self) -> float:
+        """The nearest of the paper's sweep frequencies, Hz."""
+        return nearest_line(self.frequency.value)
+
+
+@dataclass(frozen=True, slots=True)
+class PoseAnalysis:
+    """One pose: all joint positions, rad (m); what was measured there and what both ways make of it."""
+
+    pose: tuple[float, ...]
+    response: Response
+    load_inertia: float
+    fit: Ideal
+    asymptotes: Ideal
+
+    @property
+    def at_least(self) -> tuple[float, float] | None:
+        """Lower bounds of f_l and of the ideal frequency, Hz, where the fit puts f_l above the last line; else None."""
+        last = float(self.response.frequency[-1])
+        return None if self.fit.locked_rotor.value <= last else (last, float(np.sqrt(last * self.fit.corner.value)))
+
+
+@dataclass(frozen=True, slots=True)
+class PoseClass:
+    """Poses of like inertia: J up to `up_to` (inf: the last class), their lowest f_l and their ideal frequency."""
+
+    name: str
+    up_to: float
+    locked_rotor: float
+    sweep_frequency: float
+
+
+@dataclass(frozen=True)
+class AxisAnalysis:
+    """What the initial analysis tells of one axis.
+
+    `mean` (5,) and `covariance` (5, 5) of the drive train in the order of `DriveTrain.as_array`, the data sheet's prior
+    included: this is the prior of the joint fit. `chi_squared` per degree of freedom of the fit.
+    """
+
+    joint: str
+    mean: Array
+    covariance: Array
+    chi_squared: float
+    poses: tuple[PoseAnalysis, ...]
+
+    @property
+    def train(self) -> DriveTrain:
+        return _train(self.mean)
+
+    @property
+    def classes(self) -> tuple[PoseClass, ...]:
+        """Light and heavy poses, parted at the geometric mean of the extremes; one class where they hardly differ."""
+        fits = sorted((pose.fit for pose in self.poses), key=lambda fit: fit.inertia.value)
+        low, high = fits[0].inertia.value, fits[-1].inertia.value
+        if high <= SAME_CLASS * low:
+            return (_class("all", np.inf, fits),)
+        border = float(np.sqrt(low * high))
+        light = [fit for fit in fits if fit.inertia.value <= border]
+        return _class("light", border, light), _class("heavy", np.inf, fits[len(light) :])
+
+    def locked_rotor(self, load_inertia: float) -> float:
+        """Expected first locked-rotor frequency at a load inertia, Hz; inf for a stiff train."""
+        return self.train.locked_rotor_frequency(load_inertia)
+
+    def lines(self, load_inertia: float) -> tuple[float, ...]:
+        """Sweep frequencies at a load inertia, Hz: the ideal one of its class, and those that the resonance allows."""
+        inertia = load_inertia + self.train.motor_inertia
+        ideal = next(each for each in self.classes if inertia <= each.up_to).sweep_frequency
+        highest = LINE_MARGIN * self.locked_rotor(load_inertia)
+        return tuple(line for line in LINES if line <= highest or line == ideal)
+
+
+def _class(name: str, up_to: float, fits: "Sequence[Ideal]") -> PoseClass:
+    ideal = float(np.exp(np.mean([np.log(max(fit.frequency.value, LINES[0])) for fit in fits])))
+    return PoseClass(name, up_to, min(fit.locked_rotor.value for fit in fits), nearest_line(ideal))
+
+
+def nearest_line(frequency: float) -> float:
+    """Rounded to 2, 3, 4 or 5 Hz; 5 Hz for the infinite one of a stiff train."""
+    return min(LINES, key=lambda line: abs(line - min(frequency, LINES[-1])))
+
+
+def analyse_axis(
+    joint: str,
+    poses: Sequence[tuple[float, ...]],
+    responses: Sequence[Response],
+    shared_prior: SharedPrior,
+    pose_priors: Sequence[PosePrior],
+) -> AxisAnalysis:
+    """The analysis of one axis from its responses in n poses; `shared_prior`: the data sheet's drive train.
+
+    BadInput where the responses have fewer numbers than there are to find.
+    """
+    problem = _Problem(tuple(responses), shared_prior, tuple(pose_priors))
+    if problem.count <= problem.size:
+        raise BadInput(joint, f"{problem.count} numbers of its frequency responses for {problem.size} unknown ones")
+    values, chi_squared, covariance = _fit(problem)
+    asymptotes = [_asymptotes(response) for response in responses]
+    return AxisAnalysis(
+        joint=joint,
+        mean=values[:SHARED],
+        covariance=covariance[:SHARED, :SHARED],
+        chi_squared=chi_squared,
+        poses=tuple(
+            PoseAnalysis(
+                pose=tuple(pose),
+                response=response,
+                load_inertia=float(values[SHARED + 2 * k]),
+                fit=_ideal(values, covariance, SHARED + 2 * k),
+                asymptotes=read,
+            )
+            for k, (pose, response, read) in enumerate(zip(poses, responses, asymptotes, strict=True))
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Unknown: the shared (5,), then J_l and k_g of each pose; in units of their priors' standard deviations."""
+
+    responses: tuple[Response, ...]
+    shared_prior: SharedPrior
+    pose_priors: tuple[PosePrior, ...]
+
+    @property
+    def size(self) -> int:
+        return SHARED + 2 * len(self.responses)
+
+    @property
+    def count(self) -> int:
+        return sum(2 * len(response.frequency) for response in self.responses)
+
+    @property
+    def mean(self) -> Array:
+        return np.concatenate([self.shared_prior.mean, *(prior.mean[:2] for prior in self.pose_priors)])
+
+    @property
+    def root(self) -> Array:
+        """R (size, size) with R R^T the prior covariance."""
+        root = np.zeros((self.size, self.size))
+        scale = self.shared_prior.sigma
+        correlation = self.shared_prior.covariance / np.outer(scale, scale)
+        root[:SHARED, :SHARED] = scale[:, None] * np.linalg.cholesky(correlation)
+        spread = np.concatenate([prior.sigma[:2] for prior in self.pose_priors])
+        root[SHARED:, SHARED:] = np.diag(spread)
+        return root
+
+    def starts(self) -> list[Array]:
+        """The prior with several compliances: that of the highest peaks, and some to be safe."""
+        loads = np.array([prior.mean[0] for prior in self.pose_priors])
+        peaks = np.array([_peak(response) for response in self.responses])
+        found = float(np.median(1 / (loads * (2 * np.pi * peaks) ** 2)))
+        tried = [0.0 if np.isinf(f) else float(1 / (np.median(loads) * (2 * np.pi * f) ** 2)) for f in STARTS]
+        starts: list[Array] = []
+        for compliance in (found, *tried):
+            start = self.mean
+            start[3] = compliance
+            starts.append(start)
+        return starts
+
+
+def _fit(problem: _Problem) -> tuple[Array, float, Array]:
+    """Values, chi^2 per degree of freedom, and covariance."""
+    mean, root = problem.mean, problem.root
+    inverse_root = np.linalg.inv(root)
+    weights = [1 / np.sqrt(response.variance(response.impedance) / 2) for response in problem.responses]
+
+    def residual(x: Array) -> Array:
+        return np.concatenate([_misfit(problem, mean + root @ x, weights)[0], x])
+
+    def jacobian(x: Array) -> Array:
+        return np.vstack([_misfit(problem, mean + root @ x, weights)[1] @ root, np.eye(len(x))])
+
+    def solve(start: Array) -> "tuple[float, Array]":
+        found = optimize.least_squares(residual, start, jac=jacobian, method="lm", max_nfev=100)
+        return float(found.cost), np.asarray(found.x, dtype=float)
+
+    _, x = min((solve(inverse_root @ (start - mean)) for start in problem.starts()), key=lambda each: each[0])
+    for _ in range(ROUNDS):
+        values = mean + root @ x
+        weights[:] = [
+            1 / np.sqrt(response.variance(_model(response.frequency, values, SHARED + 2 * k)) / 2)
+            for k, response in enumerate(problem.responses)
+        ]
+        _, x = solve(x)
+    misfit, _ = _misfit(problem, mean + root @ x, weights)
+    chi_squared = float(misfit @ misfit) / (problem.count - problem.size)
+    rows = jacobian(x)
+    covariance = root @ scaled_inverse(rows.T @ rows) @ root.T
+    return mean + root @ x, chi_squared, max(chi_squared, 1.0) * covariance
+
+
+def _model(frequency: Array, values: Array, own: int) -> Complex:
+    return impedance(frequency, _train(values), float(values[own]), float(values[own + 1])).total
+
+
+def _misfit(problem: _Problem, values: Array, weights: Sequence[Array]) -> tuple[Array, Array]:
+    """Weighted real and imaginary parts (count,) of model less measured Z, and their derivatives (count, size)."""
+    train = _train(values)
+    h, c = train.damping_time, train.compliance
+    rows: list[Array] = []
+    derivatives: list[Array] = []
+    for k, (response, weight) in enumerate(zip(problem.responses, weights, strict=True)):
+        own = SHARED + 2 * k
+        z = impedance(response.frequency, train, float(values[own]), float(values[own + 1]))
+        one, s = np.ones_like(z.s), z.s
+        by_load, by_spring = z.by_load(one, 0 * one), z.by_spring(one, 0 * one)
+        slope = np.zeros((len(s), problem.size), dtype=np.complex128)
+        slope[:, 0], slope[:, 1], slope[:, 2] = s, 1.0, by_load
+        slope[:, 3], slope[:, 4] = by_spring * s / (1 + s * h), -by_spring * c * (s / (1 + s * h)) ** 2
+        slope[:, own], slope[:, own + 1] = by_load * s, by_load / s
+        error = (z.total - response.impedance) * weight
+        slope *= weight[:, None]
+        rows += [error.real, error.imag]
+        derivatives += [slope.real, slope.imag]
+    return np.concatenate(rows), np.vstack(derivatives)
+
+
+def _train(values: Array) -> DriveTrain:
+    motor_inertia, motor_friction, load_friction, compliance, damping_time = (float(v) for v in values[:SHARED])
+    return DriveTrain(motor_inertia, motor_friction, load_friction, compliance, damping_time)
+
+
+def _ideal(values: Array, covariance: Array, own: int) -> Ideal:
+    """The pose whose J_l is number `own`; standard deviations to first order."""
+    train, load = _train(values), float(values[own])
+    inertia, friction = train.motor_inertia + load, max(train.motor_friction + train.load_friction, 0.0)
+    locked_rotor, corner = train.locked_rotor_frequency(load), friction / (2 * np.pi * inertia)
+    by_inertia, by_friction, by_resonance = np.zeros((3, len(values)))
+    by_inertia[[0, own]] = 1.0
+    by_friction[[1, 2]] = 1.0
+    if np.isfinite(locked_rotor):
+        by_resonance[3], by_resonance[own] = -1 / (2 * train.compliance), -1 / (2 * load)  # of log f_l
+    by_corner = by_friction / max(friction, 1e-300) - by_inertia / inertia  # of log f_c
+    rows = np.array([by_inertia, by_friction, by_resonance, by_corner, (by_resonance + by_corner) / 2])
+    std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", rows, covariance, rows), 0.0))
+    frequency = float(np.sqrt(locked_rotor * corner))
+    return Ideal(
+        Figure(inertia, float(std[0])),
+        Figure(friction, float(std[1])),
+        _relative(locked_rotor, float(std[2])),
+        _relative(corner, float(std[3])),
+        _relative(frequency, float(std[4])),
+    )
+
+
+def _relative(value: float, std: float) -> Figure:
+    """A value with the standard deviation of its logarithm; of an infinite one nothing is known."""
+    return Figure(value, std * value if np.isfinite(value) else np.inf)
+
+
+def _peak(response: Response) -> float:
+    """Where |Z|/omega has its highest maximum within the band, Hz: parabola through three lines in log-log."""
+    x, y = np.log(response.frequency), np.log(np.abs(response.impedance) / response.frequency)
+    inner = [k for k in range(1, len(x) - 1) if y[k] >= max(y[k - 1], y[k + 1])]
+    if not inner:
+        return float(response.frequency[int(np.argmax(y))])
+    top = max(inner, key=lambda k: float(y[k]))
+    (a, b), (u, v) = x[top - 1 : top + 2 : 2] - x[top], y[top - 1 : top + 2 : 2] - y[top]
+    curve = (u / a - v / b) / (a - b)
+    slope = u / a - curve * a
+    return float(np.exp(x[top] - slope / (2 * curve) if curve < 0 else x[top]))
+
+
+def _asymptotes(response: Response) -> Ideal:
+    frequency, z = response.frequency, response.impedance
+    variance = response.variance(z)
+    omega = 2 * np.pi * frequency
+    resonance = _peak(response)
+    near = int(np.argmin(np.abs(frequency - resonance)))
+    spacing = float(np.mean([b - a for a, b in pairwise(frequency[max(0, near - 1) : near + 2])]))
+    level = (frequency >= LEVEL[0] * resonance) & (frequency <= LEVEL[1] * resonance)
+    if not level.any():
+        level = np.arange(len(frequency)) == 0
+    inertia = _weighted(np.abs(z[level]) / omega[level], variance[level] / omega[level] ** 2)
+    below = frequency <= max(LEVEL[1] * resonance, frequency[0])
+    friction = _weighted(z.real[below], variance[below] / 2)
+    friction = Figure(max(friction.value, 0.0), friction.std)
+    corner = friction.value / (2 * np.pi * inertia.value)
+    corner_std = float(np.hypot(friction.std / (2 * np.pi * inertia.value), corner * inertia.std / inertia.value))
+    ideal = float(np.sqrt(resonance * corner))
+    resonance_std = spacing / np.sqrt(12)  # anywhere between two lines
+    spread = np.hypot(corner_std / max(corner, 1e-300), resonance_std / resonance) / 2
+    return Ideal(
+        inertia,
+        friction,
+        Figure(resonance, float(resonance_std)),
+        Figure(corner, corner_std),
+        Figure(ideal, float(ideal * spread)),
+    )
+
+
+def _weighted(values: Array, variance: Array) -> Figure:
+    weight = 1 / np.maximum(variance, 1e-300)
+    return Figure(float(values @ weight / weight.sum()), float(1 / np.sqrt(weight.sum())))

@@ -1,0 +1,379 @@
+r"""All sweeps of one axis fitted at once: the drive train is shared, the load inertia belongs to the pose.
+
+The equations are those of `sweep_model`. Gauss-Newton with Levenberg's damping on the real and imaginary parts, every
+prior of the data sheet a row more. The own parameters are eliminated sweep by sweep (Schur complement), so the cost
+grows linearly with the number of sweeps. The noise variance is pooled over the sweeps of one sample rate, from
+residuals with the degrees of freedom used up removed.
+
+Known effects were taken out before (`known_torque`); what they are uncertain by are further shared parameters, 0 +- 1.
+
+A sweep whose residual is larger than chance allows (a torque spike, a collision, a loose cable) would spoil the drive
+train and the noise of all: it gets the variance that its own residual shows, the likeliest under a Gaussian error of
+its own (`weight` = pooled over own variance). Chance: chi-squared at `CHANCE` over the number of sweeps.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+from scipy.stats import chi2
+
+from service.identification.axis.load_motion import spring
+from service.identification.axis.sweep_model import SHARED, Stack, direct_terms, stack_residual, stacks
+from service.identification.spectra.axis_inertia import DriveTrain
+from service.identification.spectra.frequency_response import Complex, Spectrum
+
+Array = NDArray[np.float64]
+
+FREE = 10.0  # times the largest effort bin: one sigma of what nothing is known of
+ITERATIONS = 60
+ROUNDS = 4  # of fitting and estimating the noise
+STARTS = (np.inf, 25.0, 16.0, 11.0, 8.0, 6.0)  # Hz, locked-rotor frequencies tried as start
+STARTERS = 24  # sweeps, or a few more, that are enough to choose between the starts
+FEW = 4.0  # degrees of freedom left, below which residuals do not show the noise: the guess stands
+NOISE_FLOOR = 1e-7  # of the largest effort at a line: rounding, where a simulation has no noise
+CHANCE = 0.01  # that any sweep of an axis is suspected although all are sound
+MATERIAL = 1e-3  # of the largest effort bin: a residual below does not matter, whatever the others'
+
+
+@dataclass(frozen=True)
+class SharedPrior:
+    """Mean (5,) and covariance (5, 5) of the drive train, in the order of `DriveTrain.as_array`."""
+
+    mean: Array
+    covariance: Array
+
+    @property
+    def sigma(self) -> Array:
+        """One sigma (5,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+@dataclass(frozen=True)
+class PosePrior:
+    """What the nominal model says of one sweep's pose: mean and one sigma of [J_l, k_g, G0]."""
+
+    mean: Array
+    sigma: Array
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """Result for n sweeps of one axis, in the order given.
+
+    `inertia` (n,) = Jm + J_l, `covariance` (n, n) of it, of which `own_variance` (n,) is each sweep's own part and the
+    rest comes with the shared drive train; `bound` (n,) the Cramer-Rao bound of its standard deviation if all but J_l
+    were known; `gravity` (n, 2) the fitted k_g and G0; `noise` (n,) the standard deviation of real and imaginary part
+    of an effort bin; `chi_squared` (n,) each sweep's share of it, per degree of freedom, with the noise pooled;
+    `weight` (n,) below 1 where a sweep's own residual is used instead; `freedom` degrees of freedom in all; `moved`
+    (u,) by how many of its standard deviations each independent part of the known effects had to move.
+    """
+
+    train: DriveTrain
+    train_std: Array
+    load_inertia: Array
+    gravity: Array
+    inertia: Array
+    covariance: Array
+    own_variance: Array
+    bound: Array
+    noise: Array
+    chi_squared: Array
+    weight: Array
+    freedom: float
+    moved: Array
+    shared: Array  # (5 + u,) and
+    own: tuple[Array, ...]  # of each sweep (p,): all parameters, for `sweep_model`
+
+
+@dataclass(frozen=True)
+class _Priors:
+    mean: Array  # (5 + u,)
+    precision: Array  # (5 + u, 5 + u)
+    own_mean: tuple[Array, ...]  # a stack (n, p) each
+    own_precision: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class _Point:
+    shared: Array  # (5 + u,)
+    own: tuple[Array, ...]  # a stack (n, p) each
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """Normal equations of n sweeps, bordered: own blocks, couplings, shared block and the gradient of each."""
+
+    own: Array  # (n, p, p)
+    coupling: Array  # (n, p, 5 + u)
+    shared: Array  # (5 + u, 5 + u)
+    own_gradient: Array  # (n, p)
+    shared_gradient: Array  # (5 + u,)
+
+
+@dataclass(frozen=True)
+class _Noise:
+    sigma: Array  # (n,) of all sweeps, as used
+    chi_squared: Array
+    weight: Array
+    freedom: float
+
+
+def fit_axis(
+    spectra: Sequence[Spectrum],
+    shared_prior: SharedPrior,
+    pose_priors: Sequence[PosePrior],
+    noise_guess: float,
+    uncertain: Sequence[Complex] | None = None,
+    spread: Sequence[Array] | None = None,
+) -> JointFit:
+    """Fit all periodic sweeps of one axis; `noise_guess` is the effort noise of one sample, N m (N).
+
+    `uncertain` (u, b) of each sweep: what the effects taken out of its effort are uncertain by. `spread` (b,) of each:
+    how many times the noise each bin's standard deviation is, where a nonlinearity distorts it (`distortion`).
+    """
+    known = list(uncertain or [np.zeros((0, len(one.frequency)), dtype=np.complex128) for one in spectra])
+    poses = [complete_prior(*pair) for pair in zip(spectra, pose_priors, strict=True)]
+    sigma = np.array([noise_guess / np.sqrt(2 * spectrum.samples) for spectrum in spectra])
+    some = slice(None, None, max(1, len(spectra) // STARTERS))
+    wide = list(spread or [np.ones(len(one.frequency)) for one in spectra])
+    shared = _first_train(stacks(spectra[some], known[some], wide[some]), shared_prior, poses[some], sigma[some])
+    parts = stacks(spectra, known, wide)
+    priors = _priors(parts, shared_prior, poses)
+    point = _Point(shared, priors.own_mean)
+    rate = np.array([spectrum.spec.sample_rate for spectrum in spectra])
+    noise = _Noise(sigma, np.ones(len(spectra)), np.ones(len(spectra)), 0.0)
+    for _ in range(ROUNDS):
+        point, _ = _minimise(parts, priors, noise.sigma, point, ITERATIONS)
+        noise = _pooled_noise(parts, priors, noise.sigma, point, rate, noise_guess)
+    return _result(parts, priors, noise, point)
+
+
+def complete_prior(spectrum: Spectrum, prior: PosePrior) -> PosePrior:
+    """The prior with a wide one for the own parameters that no model knows: it only matters where bins are few."""
+    wide = FREE * float(np.abs(spectrum.effort).max())
+    slope = wide / (2 * np.pi * float(spectrum.frequency[-1]))
+    unknown = np.array([wide, slope, *(wide for _ in direct_terms(spectrum))])
+    return PosePrior(np.concatenate([prior.mean, np.zeros_like(unknown)]), np.concatenate([prior.sigma, unknown]))
+
+
+def _priors(parts: Sequence[Stack], shared: SharedPrior, poses: Sequence[PosePrior]) -> _Priors:
+    own = [[poses[place] for place in cast(list[int], stack.place.tolist())] for stack in parts]
+    unknown = parts[0].uncertain.shape[1]
+    return _Priors(
+        np.append(shared.mean, np.zeros(unknown)),
+        block_diag(scaled_inverse(shared.covariance), np.eye(unknown)),
+        tuple(np.stack([prior.mean for prior in priors]) for priors in own),
+        tuple(np.stack([prior.sigma**-2.0 for prior in priors]) for priors in own),
+    )
+
+
+def _first_train(parts: Sequence[Stack], shared: SharedPrior, poses: Sequence[PosePrior], sigma: Array) -> Array:
+    """The drive train (5,) of the best of several starts, to begin with."""
+    priors = _priors(parts, shared, poses)
+    starts = STARTS if any(stack.load_velocity is None for stack in parts) else STARTS[:1]
+    tries = [_minimise(parts, priors, sigma, _start(priors, frequency), 8) for frequency in starts]
+    return min(tries, key=lambda one: one[1])[0].shared
+
+
+def _start(priors: _Priors, locked_rotor: float) -> _Point:
+    """At the prior's own spring for inf, else at the spring of a locked-rotor frequency."""
+    shared = priors.mean.copy()
+    if np.isfinite(locked_rotor):
+        typical = float(np.median(np.concatenate([mean[:, 0] for mean in priors.own_mean])))
+        shared[3] = 1 / (typical * (2 * np.pi * locked_rotor) ** 2)
+    return _Point(shared, priors.own_mean)
+
+
+def _equations(
+    parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point
+) -> tuple[float, tuple[_Normal, ...]]:
+    """Cost at a point, in squared standard deviations, and the normal equations there."""
+    away = point.shared - priors.mean
+    cost = float(away @ priors.precision @ away)
+    normals: list[_Normal] = []
+    for stack, own, mean, precision in zip(parts, point.own, priors.own_mean, priors.own_precision, strict=True):
+        scale = 1 / (sigma[stack.place][:, None, None] * np.repeat(stack.spread, 2, axis=1)[:, None])
+        residual, by_shared, by_own = stack_residual(stack, point.shared, own)
+        r, a, b = (_real(part) * scale for part in (residual[:, None], by_shared, by_own))
+        pull = precision * (mean - own)
+        matrix = b @ b.transpose(0, 2, 1)
+        matrix[:, range(own.shape[1]), range(own.shape[1])] += precision
+        turned = a.transpose(0, 2, 1)
+        normals.append(
+            _Normal(
+                own=matrix,
+                coupling=b @ turned,
+                shared=(a @ turned).sum(axis=0),
+                own_gradient=(b @ r.transpose(0, 2, 1))[:, :, 0] + pull,
+                shared_gradient=(a @ r.transpose(0, 2, 1)).sum(axis=0)[:, 0],
+            )
+        )
+        cost += float(np.sum(r**2)) + float(np.sum(precision * (own - mean) ** 2))
+    return cost, tuple(normals)
+
+
+def _minimise(
+    parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point, iterations: int
+) -> tuple[_Point, float]:
+    """The point of least cost and that cost."""
+    damping = 1e-3
+    cost, normals = _equations(parts, priors, sigma, point)
+    for _ in range(iterations):
+        while True:
+            trial = _step(normals, priors, point, damping)
+            trial_cost, trial_normals = _equations(parts, priors, sigma, trial)
+            if trial_cost <= cost or damping > 1e8:
+                break
+            damping *= 10
+        if trial_cost > cost:
+            break
+        gained, point, cost, normals = cost - trial_cost, trial, trial_cost, trial_normals
+        damping = max(damping / 10, 1e-12)
+        if gained < 1e-9 * (1 + cost):
+            break
+    return point, cost
+
+
+def _step(normals: Sequence[_Normal], priors: _Priors, point: _Point, damping: float) -> _Point:
+    matrix = priors.precision.copy()
+    gradient = priors.precision @ (priors.mean - point.shared)
+    eliminated: list[tuple[Array, Array]] = []
+    for normal in normals:
+        size = range(normal.own.shape[1])
+        own = normal.own.copy()
+        own[:, size, size] *= 1 + damping
+        solved = _solve(own, np.concatenate([normal.coupling, normal.own_gradient[:, :, None]], axis=2))
+        gain, step = solved[:, :, :-1], solved[:, :, -1]
+        matrix += normal.shared - np.einsum("npi,npj->ij", normal.coupling, gain)
+        gradient += normal.shared_gradient - np.einsum("npi,np->i", gain, normal.own_gradient)
+        eliminated.append((step, gain))
+    shared_step = scaled_inverse(matrix + damping * np.diag(np.diag(matrix))) @ gradient
+    own = tuple(values + step - gain @ shared_step for values, (step, gain) in zip(point.own, eliminated, strict=True))
+    return _Point(point.shared + shared_step, own)
+
+
+def _pooled_noise(
+    parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point, rate: Array, guess: float
+) -> _Noise:
+    """The noise that the residuals at a point show; `sigma` (n,) is what was taken for it so far."""
+    count = len(rate)
+    squares, freedom, samples, largest = np.zeros((4, count))
+    normals = _equations(parts, priors, sigma, point)[1]
+    for stack, own, normal, precision in zip(parts, point.own, normals, priors.own_precision, strict=True):
+        residual = stack_residual(stack, point.shared, own)[0] / stack.spread
+        squares[stack.place] = np.sum(np.abs(residual) ** 2, axis=1) * stack.samples
+        # a parameter costs a degree of freedom as far as the data told it and not its prior; all share the train's
+        by_prior = np.sum(precision * np.diagonal(scaled_inverse(normal.own), axis1=1, axis2=2), axis=1)
+        freedom[stack.place] = 2 * residual.shape[1] - (stack.parameters - by_prior) - SHARED / count
+        samples[stack.place], largest[stack.place] = stack.samples, stack.largest
+    variance, sound = np.empty(count), np.ones(count, dtype=bool)
+    for value in np.unique(rate):
+        same = rate == value
+        variance[same], sound[same] = _pool(
+            squares[same], freedom[same], samples[same] * (MATERIAL * largest[same]) ** 2, guess
+        )
+    sigma = np.maximum(np.sqrt(variance / samples), NOISE_FLOOR * largest)
+    ratio = squares / samples / sigma**2 / np.maximum(freedom, 1.0)
+    weight = np.where(sound, 1.0, 1 / np.maximum(ratio, 1.0))
+    return _Noise(sigma / np.sqrt(weight), ratio, weight, float(freedom[sound].sum()))
+
+
+def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tuple[float, NDArray[np.bool_]]:
+    """Variance of the sweeps (n,) of one sample rate, and which of them are sound: no worse than chance makes them."""
+    everyone = np.ones(len(squares), dtype=bool)
+    if freedom.sum() < FEW:
+        return guess**2 / 2, everyone
+    each = squares / np.maximum(freedom, 1.0)
+    worst = chi2.isf(CHANCE / len(squares), np.maximum(freedom, 1.0)) / np.maximum(freedom, 1.0)
+    variance = float(np.median(each))  # half of the sweeps may be spoiled
+    sound = everyone
+    for _ in range(10):
+        before, sound = sound, (each <= worst * variance) | (each <= immaterial)
+        variance = float(squares[sound].sum() / freedom[sound].sum())
+        if np.array_equal(before, sound):
+            break
+    return variance, sound
+
+
+def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Point) -> JointFit:
+    count = len(noise.sigma)
+    load, own_variance, bound = np.zeros((3, count))
+    gravity, by_shared = np.zeros((count, 2)), np.zeros((count, len(point.shared)))
+    matrix = priors.precision.copy()
+    normals = _equations(parts, priors, noise.sigma, point)[1]
+    for stack, own, normal, precision in zip(parts, point.own, normals, priors.own_precision, strict=True):
+        inverse = scaled_inverse(normal.own)
+        gain = inverse @ normal.coupling
+        matrix += normal.shared - np.einsum("npi,npj->ij", normal.coupling, gain)
+        by_shared[stack.place] = -gain[:, 0]  # d J_l / d shared
+        own_variance[stack.place] = inverse[:, 0, 0]
+        told = normal.own[:, 0, 0] - precision[:, 0]
+        bound[stack.place] = 1 / np.sqrt(np.maximum(told, 1e-12 * precision[:, 0]))
+        load[stack.place], gravity[stack.place] = own[:, 0], own[:, 1:3]
+    by_shared[:, 0] += 1  # J = Jm + J_l
+    shared_covariance = scaled_inverse(matrix)
+    shared, shared_std = point.shared[:SHARED].copy(), np.sqrt(np.diag(shared_covariance))[:SHARED]
+    if all(stack.load_velocity is not None for stack in parts):  # the inertias did not need the spring
+        shared[3:], shared_std[3:] = spring(parts, point.shared, point.own, float(shared_std[2]))
+    motor_inertia, motor_friction, load_friction, compliance, damping_time = (float(value) for value in shared)
+    return JointFit(
+        train=DriveTrain(motor_inertia, motor_friction, load_friction, compliance, damping_time),
+        train_std=shared_std,
+        load_inertia=load,
+        gravity=gravity,
+        inertia=load + motor_inertia,
+        covariance=by_shared @ shared_covariance @ by_shared.T + np.diag(own_variance),
+        own_variance=own_variance,
+        bound=bound,
+        noise=noise.sigma,
+        chi_squared=noise.chi_squared,
+        weight=noise.weight,
+        freedom=noise.freedom,
+        moved=point.shared[SHARED:],
+        shared=point.shared,
+        own=_by_sweep(parts, point),
+    )
+
+
+def _by_sweep(parts: Sequence[Stack], point: _Point) -> tuple[Array, ...]:
+    """The own parameters of each sweep, in the order given."""
+    found = {
+        place: values
+        for stack, own in zip(parts, point.own, strict=True)
+        for place, values in zip(cast(list[int], stack.place.tolist()), own, strict=True)
+    }
+    return tuple(found[place] for place in sorted(found))
+
+
+def _real(values: Complex) -> Array:
+    """(n, p, b) complex as (n, p, 2 b) real; the parts of a bin stand side by side."""
+    return np.ascontiguousarray(values).view(np.float64)
+
+
+def real_parts(values: Complex) -> Array:
+    return np.concatenate([values.real, values.imag])
+
+
+def _scale(matrix: Array) -> Array:
+    """Square roots of the diagonals of matrices (..., p, p): the units differ by ten decades."""
+    scale = np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
+    return np.where(scale > 0, scale, 1.0)
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    """Solutions (n, p, m) of positive definite systems (n, p, p), scaled to unit diagonals first."""
+    scale = _scale(matrix)[..., None]
+    return np.linalg.solve(matrix / scale / np.swapaxes(scale, -1, -2), right / scale) / scale
+
+
+def scaled_inverse(matrix: Array) -> Array:
+    """Inverses of positive definite matrices (..., p, p), scaled to unit diagonals first."""
+    scale = _scale(matrix)[..., None]
+    eigenvalues, vectors = np.linalg.eigh(matrix / scale / np.swapaxes(scale, -1, -2))
+    eigenvalues = np.maximum(eigenvalues, 1e-14 * eigenvalues[..., -1:])
+    turned = np.swapaxes(vectors, -1, -2)
+    return (vectors / eigenvalues[..., None, :]) @ turned / scale / np.swapaxes(scale, -1, -2)

@@ -1,0 +1,168 @@
+r"""What a robot is known to have beside its rigid body: effects that a diagnosis named and a person accepted.
+
+The document is a model revision's, or what `sweepid diagnose --model` writes: by joint the effects with their
+parameters (value, std, unit) and, where it is told, their covariance in the same order, and whether torques are as
+recorded or true. What is not a number is refused. Effects of other names, or without a parameter that is needed, take
+no part; the estimate's document tells them (`effects_document`).
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.errors import BadInput
+
+Array = NDArray[np.float64]
+
+DELAY = "measurement_delay"
+ELASTICITY = "joint_elasticity"
+HOSE = "hose_spring"
+GAIN = "torque_constant_error"
+LOAD = "load_dependent_friction"
+NEEDED = {  # parameters without which an effect says nothing
+    DELAY: ("delay",),
+    ELASTICITY: ("compliance", "damping_time"),
+    HOSE: ("stiffness",),
+    GAIN: ("gain_error",),
+    LOAD: ("coulomb", "load_dependence"),
+    "coulomb_friction": ("coulomb",),
+    "asymmetric_friction": ("coulomb", "coulomb_difference", "viscous_difference"),
+    "stribeck_friction": ("coulomb", "extra", "velocity", "exponent"),
+    "nonlinear_viscous_friction": ("coefficient", "exponent"),
+}
+POSITIVE = {ELASTICITY: ("compliance", "damping_time", "ratio"), "stribeck_friction": ("velocity",)}
+
+
+@dataclass(frozen=True)
+class KnownEffect:
+    """One effect of an axis: its parameters by name, their covariance (p, p) in that order, and their units."""
+
+    name: str
+    values: Mapping[str, float]
+    covariance: Array
+    units: Mapping[str, str]
+
+    @property
+    def std(self) -> dict[str, float]:
+        return dict(zip(self.values, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+    @property
+    def unusable(self) -> str:
+        """Why it says nothing of an effort, or ""."""
+        missing = [name for name in NEEDED.get(self.name, ()) if name not in self.values]
+        wrong = [name for name in POSITIVE.get(self.name, ()) if not self.values.get(name, 1.0) > 0]
+        if self.name == GAIN and not missing and not self.values["gain_error"] > -1:
+            wrong.append("1 + gain_error")
+        if missing:
+            return f"it has no parameter {', '.join(missing)}"
+        return f"its {', '.join(wrong)} is not above 0" if wrong else ""
+
+    def directions(self) -> list[dict[str, float]]:
+        """Independent changes of the parameters by one standard deviation: the columns of a root of the covariance."""
+        variance, vectors = np.linalg.eigh(self.covariance / np.outer(self._scale, self._scale))
+        root = self._scale[:, None] * vectors * np.sqrt(np.maximum(variance, 0.0))
+        return [dict(zip(self.values, column.tolist(), strict=True)) for column in root.T]
+
+    @property
+    def _scale(self) -> Array:
+        std = np.sqrt(np.diag(self.covariance))
+        return np.where(std > 0, std, 1.0)
+
+
+@dataclass(frozen=True)
+class KnownAxis:
+    """The effects of one axis. `true_torque`: parameters hold for true torques, else for those that the drive tells."""
+
+    effects: tuple[KnownEffect, ...] = ()
+    true_torque: bool = False
+
+    def get(self, name: str) -> KnownEffect | None:
+        """The effect of a name, if it is there and can be used."""
+        return next((effect for effect in self.effects if effect.name == name and not effect.unusable), None)
+
+
+@dataclass(frozen=True)
+class KnownEffects:
+    """All axes by joint, and where they come from: {"revision": 3, ...} or {"file": ...}; {} where nothing is known."""
+
+    axes: Mapping[str, KnownAxis] = field(default_factory=dict[str, KnownAxis])
+    source: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    def of(self, joint: str) -> KnownAxis:
+        return self.axes.get(joint, KnownAxis())
+
+
+def known_effects(document: Mapping[str, Any], joints: Sequence[str], source: Mapping[str, Any]) -> KnownEffects:
+    """From a model's document; BadInput names joint, effect and parameter of what cannot be read."""
+    axes = document.get("axes")
+    if not isinstance(axes, dict):
+        raise BadInput("model", 'has no "axes"; give what `sweepid diagnose --model` writes')
+    found: dict[str, KnownAxis] = {}
+    for joint, axis in cast("dict[str, Any]", axes).items():
+        if joint not in joints:
+            raise BadInput(f"model.axes.{joint}", f"is no joint of the robot, {', '.join(joints)} are")
+        place = f"model.axes.{joint}"
+        effects = _mapping(axis, place).get("effects", [])
+        if not isinstance(effects, list):
+            raise BadInput(f"{place}.effects", "is not a list")
+        fit = axis.get("fit")
+        true_torque = isinstance(fit, dict) and cast("dict[str, Any]", fit).get("torques") == "true"
+        known = tuple(_effect(one, f"{place}.effects") for one in cast("list[Any]", effects))
+        found[joint] = KnownAxis(known, true_torque)
+    return KnownEffects(found, source)
+
+
+def _effect(document: Any, place: str) -> KnownEffect:
+    effect = _mapping(document, place)
+    name = effect.get("effect")
+    if not isinstance(name, str):
+        raise BadInput(place, 'has an entry without "effect"')
+    place = f"{place}.{name}"
+    values: dict[str, float] = {}
+    std: list[float] = []
+    units: dict[str, str] = {}
+    for parameter, told in _mapping(effect.get("parameters"), f"{place}.parameters").items():
+        entry = _mapping(told, f"{place}.{parameter}")
+        values[parameter] = _number(entry.get("value"), f"{place}.{parameter}.value")
+        std.append(_number(entry.get("std"), f"{place}.{parameter}.std"))
+        units[parameter] = str(entry.get("unit", ""))
+        if std[-1] < 0:
+            raise BadInput(f"{place}.{parameter}.std", f"{std[-1]} is below 0")
+    return KnownEffect(name, values, _covariance(effect.get("covariance"), np.array(std), f"{place}.covariance"), units)
+
+
+def _covariance(told: Any, std: Array, place: str) -> Array:
+    """With the standard deviations as told, and the correlations of the covariance if it is one of these parameters."""
+    correlation = np.eye(len(std))
+    try:
+        given = np.array(told, dtype=float) if isinstance(told, list) and told else np.zeros((0, 0))
+    except (ValueError, TypeError, OverflowError):
+        raise BadInput(place, "is no matrix of numbers") from None
+    if given.size and given.shape == correlation.shape and np.all(np.isfinite(given)) and np.all(np.diag(given) > 0):
+        scale = np.sqrt(np.diag(given))
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+            correlation = given / np.outer(scale, scale)
+        # rounding of a singular one, or variances so small that their roots are none
+        if not np.all(np.isfinite(correlation)) or np.linalg.eigvalsh(correlation)[0] < 0:
+            correlation = np.eye(len(std))
+    return correlation * np.outer(std, std)
+
+
+def _mapping(value: Any, place: str) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise BadInput(place, "is not an object")
+    return cast("dict[str, Any]", value)
+
+
+def _number(value: Any, place: str) -> float:
+    try:
+        number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
+    except OverflowError:  # a whole number of more than 308 digits
+        number = math.inf
+    if not math.isfinite(number):
+        raise BadInput(place, f"{repr(value)[:40]} is not a finite number")
+    return number

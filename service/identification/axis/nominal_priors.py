@@ -1,0 +1,150 @@
+"""What is known before anything is measured: the data sheet's drive train, the nominal model, the torque constant.
+
+And what of them a diagnosis knows better: the spring, a hose, the torque constant (`known_effects`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.axis.joint_fit import PosePrior, SharedPrior
+from service.identification.axis.known_effects import ELASTICITY, GAIN, HOSE, KnownAxis
+from service.identification.spectra.frequency_response import Spectrum
+from service.robot import Robot
+from service.urdf import Chain
+
+Array = NDArray[np.float64]
+
+LIGHT = 0.01  # of the mean link's mass: what a link without mass in the model may have
+NOISE_GUESS = 0.002  # of the rated effort: start value only, the noise is then estimated
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueGain:
+    """Effort as the drive tells it over true effort, of one axis. A wrong torque constant scales every inertia."""
+
+    gain: float
+    std: float
+
+
+def uncalibrated(robot: Robot) -> TorqueGain:
+    """The gain of an axis that no test mass calibrated."""
+    return TorqueGain(1.0, robot.prior.effort_gain)
+
+
+def torque_gain(robot: Robot, known: KnownAxis) -> TorqueGain:
+    """The gain of an axis that no test mass calibrated: as its model knows it, else the prior."""
+    effect = known.get(GAIN)
+    if effect is None:
+        return uncalibrated(robot)
+    return TorqueGain(1 + effect.values["gain_error"], effect.std["gain_error"])
+
+
+def with_known_spring(prior: SharedPrior, known: KnownAxis, gain: float) -> SharedPrior:
+    """The drive train's prior with what a diagnosis says of the spring, two independent words on the same values.
+
+    The diagnosis' spring carries `ratio` times the load that the nominal motor inertia leaves: at the true load that is
+    a compliance of compliance / ratio. `gain`: effort as the drive tells it over true effort, see `known_torque`.
+    """
+    effect = known.get(ELASTICITY)
+    if effect is None:
+        return prior
+    scale = (1.0 if known.true_torque else gain) / effect.values.get("ratio", 1.0)
+    compliance, damping = scale * effect.values["compliance"], effect.values["damping_time"]
+    relative = [effect.std[name] / effect.values[name] for name in ("compliance", "ratio") if name in effect.values]
+    noise = np.diag([(compliance * float(np.hypot.reduce(relative))) ** 2, effect.std["damping_time"] ** 2])
+    seen = slice(3, 5)
+    blend = prior.covariance[:, seen] @ np.linalg.inv(prior.covariance[seen, seen] + noise)
+    return SharedPrior(
+        mean=prior.mean + blend @ (np.array([compliance, damping]) - prior.mean[seen]),
+        covariance=prior.covariance - blend @ prior.covariance[seen, :],
+    )
+
+
+def with_known_hose(prior: PosePrior, known: KnownAxis, gain: float) -> PosePrior:
+    """A hose pulls like gravity's stiffness: towards its rest position, wherever that is."""
+    effect = known.get(HOSE)
+    if effect is None:
+        return prior
+    stiffness = effect.values["stiffness"] / (1.0 if known.true_torque else gain)
+    return PosePrior(prior.mean + np.array([0.0, stiffness, 0.0]), prior.sigma)
+
+
+def _typical(robot: Robot, number: int, reference: Array, spectra: list[Spectrum]) -> float:
+    """The size of an axis' inertia: the model's; as measured if the rotor, which may outweigh all links, is unknown."""
+    if robot.axes[number].reflected_motor_inertia:
+        return float(np.median(reference))
+    first = [int(np.argmax(spectrum.line)) for spectrum in spectra]
+    response = [abs((s.effort[k] / s.velocity[k]).imag) / s.frequency[k] for s, k in zip(spectra, first, strict=True)]
+    return float(np.median(response)) / (2 * np.pi)
+
+
+def shared_prior(robot: Robot, number: int, reference: Array, spectra: list[Spectrum]) -> SharedPrior:
+    """The data sheet's drive train. What it does not know (null, or zero) gets a spread wide enough not to matter.
+
+    `reference` (m,): the model's inertias in the axis' poses.
+    """
+    axis, prior = robot.axes[number], robot.prior
+    typical = _typical(robot, number, reference, spectra)
+    motor = axis.reflected_motor_inertia
+    motor_mean, motor_sigma = (motor, prior.motor_inertia * motor) if motor else (0.5 * typical, 0.5 * typical)
+    friction = axis.viscous_friction
+    # a corner frequency of 1 Hz where nothing is known; half of it on either side of the spring
+    total, spread = (friction, prior.viscous_friction) if friction else (2 * np.pi * typical, 1.0)
+    half = total / 2
+    half_sigma = max(2 * spread, 1.0) * half
+    softest = 1 / (typical * (2 * np.pi * 3.0) ** 2)  # locked rotor at 3 Hz
+    return SharedPrior(
+        mean=np.array([motor_mean, half, half, 0.0, 1e-3]),
+        covariance=np.diag(np.square([motor_sigma, half_sigma, half_sigma, softest, 2e-3])),
+    )
+
+
+def pose_prior(robot: Robot, number: int, reference: float, gravity: Array) -> PosePrior:
+    """The model's axis inertia and `gravity` (2,) torque and stiffness in a pose, and how far they may be off."""
+    motor = robot.axes[number].reflected_motor_inertia or 0.0
+    load = max(reference - motor, 0.1 * reference)
+    # torque and stiffness are two components of one vector: either may be off by the error of its length
+    spread = robot.prior.gravity * float(np.hypot(*gravity)) + 1e-3 * robot.axes[number].rated_effort
+    return PosePrior(
+        mean=np.array([load, gravity[1], gravity[0]]),
+        sigma=np.array([2 * robot.prior.inertia * reference, spread, spread]),
+    )
+
+
+def link_spread(links: Array, inertia: float) -> Array:
+    """Standard deviations (10 n,) of the parameters of links (n, 10) whose inertia is known to `inertia`, relative.
+
+    By the size of a link, mass m and radius of gyration r: m, m r and m r^2 for mass, first and second moments.
+    """
+    mass = np.maximum(links[:, :1], max(LIGHT * float(links[:, 0].mean()), 1e-9))
+    length = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(-1, keepdims=True), 0) / 2 / mass) + 1e-3
+    size = np.hstack([mass, np.repeat(mass * length, 3, 1), np.repeat(mass * length**2, 6, 1)])
+    return inertia * size.ravel()
+
+
+def base_spread(
+    robot: Robot, chain: Chain, unlocked: tuple[int, ...], combination: Array, measured: "Measured"
+) -> Array:
+    """Standard deviations (r,) that the model leaves to the base parameters  beta = `combination` (r, 11 n) x.
+
+    Of a motor that no data sheet knows: the largest inertia measured. A model that is further from what was measured
+    than its prior says has a prior that much wider: it must not keep data from telling what they tell.
+    """
+    motors = [(robot.axes[number].reflected_motor_inertia or 0.0) * robot.prior.motor_inertia for number in unlocked]
+    largest = float(np.abs(measured.values).max())
+    spread = np.concatenate([link_spread(chain.inertial, robot.prior.inertia), [own or largest for own in motors]])
+    base = np.sqrt(combination**2 @ spread**2)
+    variance = measured.rows**2 @ base**2 + measured.variance
+    return base * max(1.0, float(np.sqrt(np.mean((measured.values - measured.model) ** 2 / variance))))
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Axis inertias (m,) with their variance, the model's, and their rows (m, r) in the base parameters."""
+
+    values: Array
+    variance: Array
+    model: Array
+    rows: Array

@@ -1,0 +1,172 @@
+r"""What every bin of every sweep of an axis should read: the equations of the joint fit, as arrays over sweeps.
+
+Bin by bin (see `frequency_response` and `axis_inertia` for the symbols), for sweep p,
+
+    DFT[effort] = Z Omega + F (G0 R0 + k_g R1 + t0 + s t1) + sum of ripple and dry friction + noise
+    R0 = DFT[cos d],   R1 = DFT[sin d] - Omega / s
+
+G0 and k_g are gravity's torque and stiffness at the start pose; Z already carries the linear, periodic part of k_g, R1
+what is left of it (the way along the offset leaks onto every line). t0, t1 are the swing-out of the load: over a window
+that does not start at rest a rational system leaves a polynomial over the same denominator (Pintelon and Schoukens
+2012, sec. 6.3).
+
+Where a direct encoder gives the motion Omega_l of the load itself, no spring is needed to tell it, and
+
+    DFT[effort] = s (Jm Omega + J_l Omega_l) + mu_m Omega + mu_l Omega_l + G0 R0 + k_g (R1 + Omega_l / s) + t0 + ...
+
+takes its place, linear in every parameter and right whatever the spring does; t0 is then what the difference of the
+speeds at both ends of the window leaves of the accelerations. Shared by all sweeps: Jm, mu_m, mu_l, c, h. Own to each:
+J_l, k_g, G0, t0, t1, and one factor for each ripple and for the sign of a velocity that reverses.
+
+What known effects are uncertain by (`known_torque`) adds x_1 U_1 + x_2 U_2 + ..., the x shared by all sweeps as well.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.spectra.axis_inertia import DriveTrain, impedance
+from service.identification.spectra.frequency_response import Complex, Spectrum
+
+Array = NDArray[np.float64]
+
+SHARED = 5  # parameters of DriveTrain; the amounts x follow
+OWN = 5  # J_l, k_g, G0, t0, t1; the factors of the direct terms follow
+
+
+@dataclass(frozen=True)
+class Stack:
+    """n sweeps with equally many bins b and direct terms r; `place` (n,) says which of the list they came from."""
+
+    place: NDArray[np.int_]
+    s: Complex  # (n, b), i omega
+    line: NDArray[np.bool_]  # (n, b)
+    effort: Complex  # (n, b)
+    velocity: Complex  # (n, b)
+    load_velocity: Complex | None  # (n, b), direct encoder
+    gravity_torque: Complex  # (n, b), R0
+    gravity_rest: Complex  # (n, b), R1
+    terms: Complex  # (n, r, b), what acts on the motor itself: ripple, dry friction
+    uncertain: Complex  # (n, u, b), U: what known effects are uncertain by
+    spread: Array  # (n, b), standard deviation of a bin over the noise
+    samples: Array  # (n,)
+
+    @property
+    def parameters(self) -> int:
+        """How many each sweep has of its own."""
+        return OWN + self.terms.shape[1]
+
+    @property
+    def frequency(self) -> Array:
+        """(n, b) Hz."""
+        return self.s.imag / (2 * np.pi)
+
+    @property
+    def largest(self) -> Array:
+        """(n,) largest effort bin."""
+        return np.abs(self.effort).max(axis=1)
+
+
+def stacks(
+    spectra: Sequence[Spectrum], uncertain: Sequence[Complex] | None = None, spread: Sequence[Array] | None = None
+) -> tuple[Stack, ...]:
+    """All spectra, those of equal shape together; of each `uncertain` (u, b), the same u for all, and `spread` (b,)."""
+    known = list(uncertain or [np.zeros((0, len(one.frequency)), dtype=np.complex128) for one in spectra])
+    wide = list(spread or [np.ones(len(one.frequency)) for one in spectra])
+    groups: dict[tuple[int, int, bool], list[int]] = {}
+    for place, one in enumerate(spectra):
+        key = (len(one.frequency), len(direct_terms(one)), one.load_velocity is not None)
+        groups.setdefault(key, []).append(place)
+    return tuple(
+        _stack(
+            [spectra[place] for place in places],
+            [known[place] for place in places],
+            [wide[place] for place in places],
+            places,
+        )
+        for places in groups.values()
+    )
+
+
+def direct_terms(spectrum: Spectrum) -> Complex:
+    """Regressors of what acts on the motor itself, (r, b)."""
+    return np.concatenate([spectrum.named("ripple"), spectrum.named("coulomb")])
+
+
+def _stack(
+    spectra: Sequence[Spectrum], uncertain: Sequence[Complex], spread: Sequence[Array], places: Sequence[int]
+) -> Stack:
+    s = np.stack([np.multiply(2j * np.pi, one.frequency, dtype=np.complex128) for one in spectra])
+    velocity = np.stack([one.velocity for one in spectra])
+    load = [one.load_velocity for one in spectra if one.load_velocity is not None]
+    gravity = [(one.named("gravity_torque"), one.named("gravity_stiffness")) for one in spectra]
+    nothing = np.zeros_like(s[0])
+    torque = np.stack([rows[0] if len(rows) else nothing for rows, _ in gravity])
+    rest = [rows[0] - v / w if len(rows) else nothing for (_, rows), v, w in zip(gravity, velocity, s, strict=True)]
+    return Stack(
+        place=np.array(places),
+        s=s,
+        line=np.stack([one.line for one in spectra]),
+        effort=np.stack([one.effort for one in spectra]),
+        velocity=velocity,
+        load_velocity=np.stack(load) if load else None,
+        gravity_torque=torque,
+        gravity_rest=np.stack(rest),
+        terms=np.stack([direct_terms(one) for one in spectra]),
+        uncertain=np.stack(uncertain),
+        spread=np.stack(spread),
+        samples=np.array([float(one.samples) for one in spectra]),
+    )
+
+
+def stack_residual(stack: Stack, shared: Array, own: Array) -> tuple[Complex, Complex, Complex]:
+    """Effort not explained (n, b); derivatives of what is by shared (n, 5 + u, b) and own (n, OWN + r, b) parameters.
+
+    `shared` (5 + u,) as in `DriveTrain.as_array` and the amounts x, `own` (n, OWN + r).
+    """
+    by_own = np.empty((len(own), stack.parameters, stack.s.shape[1]), dtype=np.complex128)
+    by_own[:, OWN:] = stack.terms
+    by_shared = np.zeros((len(own), len(shared), stack.s.shape[1]), dtype=np.complex128)
+    by_shared[:, SHARED:] = stack.uncertain
+    fill = _elastic if stack.load_velocity is None else _direct
+    model = fill(stack, shared[:SHARED], own, by_shared, by_own)
+    if stack.uncertain.shape[1]:
+        model += np.einsum("u,nub->nb", shared[SHARED:], stack.uncertain)
+    if stack.terms.shape[1]:
+        model += np.einsum("nr,nrb->nb", own[:, OWN:], stack.terms)
+    return stack.effort - model, by_shared, by_own
+
+
+def _elastic(stack: Stack, shared: Array, own: Array, by_shared: Complex, by_own: Complex) -> Complex:
+    motor_inertia, motor_friction, load_friction, compliance, damping_time = (float(value) for value in shared)
+    train = DriveTrain(motor_inertia, motor_friction, load_friction, compliance, damping_time)
+    load, stiffness, torque, swing, swing_rate = (own[:, k, None] for k in range(OWN))
+    z = impedance(stack.frequency, train, load, stiffness)
+    s, velocity, rest = stack.s, stack.velocity, stack.gravity_rest
+    on_load = torque * stack.gravity_torque + stiffness * rest + swing + s * swing_rate
+    by_load, by_spring = z.by_load(velocity, on_load), z.by_spring(velocity, on_load)
+    damped = 1 + s * damping_time
+    by_shared[:, 0], by_shared[:, 1], by_shared[:, 2] = s * velocity, velocity, by_load
+    by_shared[:, 3], by_shared[:, 4] = by_spring * s / damped, -by_spring * s**2 * compliance / damped**2
+    by_own[:, 0], by_own[:, 1] = s * by_load, by_load / s + z.through * rest
+    by_own[:, 2], by_own[:, 3], by_own[:, 4] = z.through * stack.gravity_torque, z.through, s * z.through
+    return z.total * velocity + z.through * on_load
+
+
+def _direct(stack: Stack, shared: Array, own: Array, by_shared: Complex, by_own: Complex) -> Complex:
+    s, load_velocity = stack.s, stack.load_velocity
+    if load_velocity is None:
+        raise ValueError("the stack has no motion of the load")
+    by_shared[:, 0], by_shared[:, 1], by_shared[:, 2] = s * stack.velocity, stack.velocity, load_velocity
+    by_own[:, 0], by_own[:, 1] = s * load_velocity, stack.gravity_rest + load_velocity / s
+    by_own[:, 2], by_own[:, 3], by_own[:, 4] = stack.gravity_torque, 1.0, 0.0
+    return np.einsum("k,nkb->nb", shared[:3], by_shared[:, :3]) + np.einsum("nk,nkb->nb", own[:, :4], by_own[:, :4])
+
+
+def effort_residual(spectrum: Spectrum, shared: Array, own: Array) -> tuple[Complex, Complex, Complex]:
+    """`stack_residual` of one sweep: (b,), (b, 5), (b, OWN + r); `own` (OWN + r,)."""
+    (stack,) = stacks([spectrum])
+    residual, by_shared, by_own = stack_residual(stack, shared, own[None])
+    return residual[0], by_shared[0].T, by_own[0].T

@@ -1,0 +1,1 @@
+"""What to excite, where, and how well it will tell."""

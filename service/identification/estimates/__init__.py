@@ -1,0 +1,1 @@
+"""All axes: the estimate, its combinations and its document."""

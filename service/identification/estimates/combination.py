@@ -1,0 +1,376 @@
+r"""Sweeps and trajectories together: one weighted least-squares problem in the base parameters of the whole dynamics.
+
+Rows of the sweeps: the axis inertias J with their covariance (`estimate`), J_k = M_kk(q) with the motor's share.
+Rows of the trajectories: harmonic by harmonic, for every moving axis,
+
+    DFT[effort] = sum_j x_j DFT[regressor_j] + ripple + reversals + noise                (`inverse_dynamics`)
+
+Every regressor is formed from the measured motion at full rate and then transformed, so cutting both sides at the
+band's end (`trajectory_record`) is one low-pass for all of them, and biases nothing. The links' rows take the load's
+motion, the drives' rows the motor's. Where no direct encoder is, the load is put where the compliance c of the joint
+fit of the axis' sweeps has it,  ql = qm - c (effort - Jm d2qm/dt2).
+
+Fitted along, and eliminated before anything else: cogging of the known orders, a cosine and a sine of the motor angle
+each; and friction while an axis reverses, when it sticks at any torque and motor and load turn one after the other: a
+step and a slope for every such stretch.
+
+Weights: the noise of an axis is the scatter of its effort between periods, enlarged until the residuals of the fit are
+no larger than it: what the model cannot explain counts as noise. Free motions, which have no period, bring equations in
+time instead of harmonics, and a covariance of their own (`free_motion_fit`). The nominal model is one measurement more,
+with the prior's standard deviations; dry friction is left open.
+
+A base parameter counts as *identified* when its standard deviation is below half of what the nominal model and its
+prior leave open; else the reason says so. Sweeps see neither gravity nor friction nor what only Coriolis and coupling
+show; trajectories see all of it, but at low frequency, where inertia has to be told from the rest.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from functools import reduce
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.errors import BadInput
+from service.identification.axis.nominal_priors import TorqueGain, uncalibrated
+from service.identification.estimates.estimate import Estimate
+from service.identification.model.base_parameters import BaseParameters
+from service.identification.model.inverse_dynamics import Motion, drive_rows, dynamics_rows, link_rows
+from service.identification.model.least_squares import Information, Solution
+from service.identification.model.parameter_prior import nominal_parameters, parameter_spread, prior_information
+from service.identification.model.regressor import axis_rows
+from service.identification.model.whole_base import dynamic_base
+from service.identification.motion import free_motion
+from service.identification.motion.fit import fit_free_motions
+from service.identification.motion.free_motion import FreeMotion
+from service.identification.motion.held_out import HeldOut, held_out
+from service.identification.motion.trajectory_record import TrajectoryRecord, calibrated, with_loads
+from service.identification.spectra.axis_inertia import DriveTrain
+from service.identification.spectra.frequency_response import Complex
+from service.robot import Robot
+
+Array = NDArray[np.float64]
+
+IDENTIFIED = 0.5  # of the prior's standard deviation that the data must leave at most
+SHOWN = 0.9  # of the prior's: from here nothing that was measured shows the parameter
+ALONE = 1.5  # times the standard deviation of both together: so near, one source suffices
+LINK_RATE = 200.0  # Hz, at which the links' rows are formed: products of a few harmonics
+DRIVE_RATE = 2000.0  # Hz, at which friction and ripple are formed: sign and cogging reach far above the band
+STILL = 0.01  # of the largest velocity: below, an axis is reversing
+NOISE_GUESS = 1e-4  # of the rated effort, of a harmonic: start value only
+ROUNDS = 3  # of weighting
+ROUNDING = 1e-12  # kg m^2 per unit of a parameter: below, a row does not hold it
+
+
+@dataclass(frozen=True)
+class AxisInertias:
+    """What the sweeps of one axis tell: inertias (m,) with covariance (m, m) at poses (m, n), kg m^2 (kg).
+
+    `train`: of their joint fit, None if there was none. `gain`: effort as the drive tells it over true effort, taken
+    out of the inertias already and of the trajectories' efforts here.
+    """
+
+    joint: str
+    poses: Array
+    values: Array
+    covariance: Array
+    train: DriveTrain | None
+    gain: float
+
+
+class Source(Enum):
+    """What determines a parameter."""
+
+    SWEEPS = "sweeps"
+    TRAJECTORIES = "trajectories"
+    EITHER = "either"  # each of them would do alone
+    BOTH = "both"  # only together
+    NONE = "none"
+
+
+@dataclass(frozen=True)
+class CombinedParameter:
+    """One base parameter. Standard deviations with all data and the model's prior, `std_total` with what the torque
+    constants may be off besides; with the prior and one source alone (inf: it does not show it); of the nominal model.
+    `reason` is empty for what is identified."""
+
+    name: str
+    value: float
+    std: float
+    std_total: float
+    std_sweeps: float
+    std_trajectories: float
+    std_prior: float
+    source: Source
+    reason: str
+
+    @property
+    def identified(self) -> bool:
+        return not self.reason
+
+    @property
+    def by_combination(self) -> bool:
+        """Identified, though neither source alone identifies it."""
+        return self.identified and min(self.std_sweeps, self.std_trajectories) > IDENTIFIED * self.std_prior
+
+
+@dataclass(frozen=True)
+class Combination:
+    """Result over the whole robot. `solution` is of the base parameters (r,).
+
+    `noise`: standard deviation of real and imaginary part of an effort harmonic by joint, model error included, N m
+    (N); `scatter` the same from the periods' scatter alone, None where only single periods were measured.
+    """
+
+    robot: Robot
+    base: BaseParameters
+    parameters: tuple[CombinedParameter, ...]
+    solution: Solution
+    noise: dict[str, float]
+    scatter: dict[str, float | None]
+    trajectories: tuple[tuple[str, ...], ...]  # ids of the sweeps of each
+    free: tuple[tuple[str, ...], ...]  # the same of free motions
+    free_axes: dict[str, HeldOut]  # by joint, how well free motions are predicted
+
+    def effort(self, load: Motion, motor: Motion | None = None) -> Array:
+        """Predicted efforts (m, n) along a motion, without ripple, N m (N)."""
+        rows = dynamics_rows(self.robot.chain, self.robot.gravity, load, motor)
+        return rows[..., list(self.base.columns)] @ self.solution.values
+
+    def inertia(self, joint: str, poses: Array) -> Array:
+        """Identified inertia (m,) of an axis at poses (m, n), kg m^2 (kg)."""
+        return _inertia_rows(self.robot, self.base, joint, poses) @ self.solution.values
+
+
+def inertias_of(estimate: Estimate) -> tuple[AxisInertias, ...]:
+    """The measured inertias of an estimate, by axis."""
+    ids = sorted(sweep.sweep for axis in estimate.axes for sweep in axis.sweeps)
+    pose_of = dict(zip(ids, estimate.poses, strict=True))
+    return tuple(
+        AxisInertias(
+            joint=axis.joint,
+            poses=np.array([pose_of[sweep.sweep] for sweep in axis.sweeps]),
+            values=np.array([sweep.value for sweep in axis.sweeps]),
+            covariance=axis.covariance,
+            train=None if axis.fit is None else axis.fit.train,
+            gain=axis.gain.gain,
+        )
+        for axis in estimate.axes
+    )
+
+
+def combine(
+    robot: Robot,
+    inertias: Sequence[AxisInertias],
+    records: Sequence[TrajectoryRecord],
+    motions: Sequence[FreeMotion] = (),
+    gains: Mapping[str, TorqueGain] | None = None,
+) -> Combination:
+    """Joint estimate of sweeps (there may be none), trajectories and free motions of the whole robot.
+
+    `gains`: what a test mass calibrated, by joint. BadInput where axes moved at once in neither.
+    """
+    if not records and not motions:
+        raise BadInput("combination", "there is no trajectory and no free motion of several axes")
+    base = dynamic_base(robot)
+    start, prior = base.combination @ nominal_parameters(robot), prior_information(robot, base)
+    trains = {axis.joint: axis.train for axis in inertias if axis.train is not None}
+    gain = {joint: one.gain for joint, one in (gains or {}).items()} | {axis.joint: axis.gain for axis in inertias}
+    records = [with_loads(calibrated(record, gain), trains) for record in records]
+    equations = [equation for record in records for equation in _equations(robot, base, record)]
+    sweeps = _sweep_information(robot, base, inertias)
+    others = _sum(sweeps, len(start)).plus(prior)
+    free = None
+    if motions:
+        motions = [free_motion.with_loads(free_motion.calibrated(motion, gain), trains) for motion in motions]
+        free = fit_free_motions(robot, base, motions, others, start)
+        others = others.plus(free.honest)
+    scatter = {joint: _scatter(records, joint) for joint in dict.fromkeys(each.joint for each in equations)}
+    noise = {joint: value or NOISE_GUESS * robot.axis(joint).rated_effort for joint, value in scatter.items()}
+    at_once = _motion_information(equations, noise, len(start))
+    for _ in range(ROUNDS):
+        values = _sum(at_once, len(start)).plus(others).solve(start).values
+        noise = {joint: max(scatter[joint] or 0.0, _misfit(equations, joint, values)) for joint in noise}
+        at_once = _motion_information(equations, noise, len(start))
+    alone, moved = _sum(sweeps, len(start)), _sum(at_once, len(start))
+    moved = moved if free is None else moved.plus(free.honest)
+    solution = alone.plus(moved).plus(prior).solve(start)
+    by_gain = np.zeros((len(start), len(robot.axes)))
+    for joint, own in [*sweeps.items(), *at_once.items()]:
+        by_gain[:, robot.index(joint)] += own.vector
+    by_gain += 0.0 if free is None else free.gain_vector
+    spread = [one.std / one.gain for one in ((gains or {}).get(joint) or uncalibrated(robot) for joint in robot.joints)]
+    total = np.sqrt(solution.std**2 + (solution.covariance @ by_gain) ** 2 @ np.square(spread))
+    left_open = prior.solve(start).std
+    std = _shown(solution.std, left_open)
+    stds = (
+        std,
+        np.where(np.isfinite(std), total, np.inf),
+        _shown(alone.plus(prior).solve(start).std, left_open),
+        _shown(moved.plus(prior).solve(start).std, left_open),
+        np.sqrt(base.combination**2 @ parameter_spread(robot) ** 2),
+    )
+    return Combination(
+        robot=robot,
+        base=base,
+        parameters=tuple(
+            _judged(name, float(value), *(float(std[k]) for std in stds))
+            for k, (name, value) in enumerate(zip(base.names, solution.values, strict=True))
+        ),
+        solution=solution,
+        noise=noise,
+        scatter=scatter,
+        trajectories=tuple(tuple(track.spec.id for track in record.tracks) for record in records),
+        free=tuple(motion.ids for motion in motions),
+        free_axes={}
+        if free is None
+        else held_out(robot, motions, free, alone.plus(_sum(at_once, len(start))).plus(prior), start),
+    )
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """Harmonics of one axis along one trajectory, real and imaginary parts, ripple and reversals eliminated."""
+
+    joint: str
+    rows: Array  # (m, r)
+    values: Array  # (m,)
+    freedom: int  # m less what was eliminated
+
+
+def _equations(robot: Robot, base: BaseParameters, record: TrajectoryRecord) -> list[_Equations]:
+    slow, fast = (round(rate * record.period) for rate in (LINK_RATE, DRIVE_RATE))
+    motor, load = (record.motion(robot, fast, load=of_load) for of_load in (False, True))
+    links = link_rows(robot.chain, robot.gravity, record.motion(robot, slow, load=True))
+    count = len(record.frequency)
+    equations: list[_Equations] = []
+    for track in record.tracks:
+        index = robot.index(track.joint)
+        drives = _harmonics(drive_rows(motor)[:, index], count)
+        rows = _real(np.hstack([_harmonics(links[:, index], count), drives])[:, list(base.columns)])
+        values = _real(track.effort[:, None])[:, 0]
+        ripple = _ripple(robot, index, motor.position[:, index])
+        reversals = _reversals(motor.velocity[:, index], load.velocity[:, index])
+        span = _span(_real(_harmonics(np.hstack([ripple, reversals]), count)))
+        equations.append(
+            _Equations(
+                joint=track.joint,
+                rows=rows - span @ (span.T @ rows),
+                values=values - span @ (span.T @ values),
+                freedom=len(values) - span.shape[1],
+            )
+        )
+    return equations
+
+
+def _span(columns: Array) -> Array:
+    """Orthonormal columns (m, k) that span `columns` (m, p)."""
+    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    return left[:, singular > 1e-9 * singular.max(initial=0.0)]
+
+
+def _harmonics(signals: Array, count: int) -> Complex:
+    """Harmonics 0 to count - 1 (count, p) of signals (n, p) over one period."""
+    transform: Complex = np.fft.rfft(signals, axis=0)
+    return transform[:count] / len(signals)
+
+
+def _real(harmonics: Complex) -> Array:
+    """(h + 1, p) -> (2 h + 1, p), every row with the same noise: the mean's is larger by the square root of two."""
+    return np.vstack([harmonics[:1].real / np.sqrt(2), harmonics[1:].real, harmonics[1:].imag])
+
+
+def _ripple(robot: Robot, index: int, position: Array) -> Array:
+    """(n, 2 orders): cosine and sine of the motor angle at every cogging order."""
+    axis = robot.axes[index]
+    angle = np.outer(position, np.array(axis.cogging_orders) * axis.gear_ratio)
+    return np.hstack([np.cos(angle), np.sin(angle)])
+
+
+def _reversals(*velocities: Array) -> Array:
+    """(n, 2 reversals): a step and a slope over every stretch in which motor or load is near to standstill."""
+    still = np.any([np.abs(velocity) < STILL * np.abs(velocity).max() for velocity in velocities], axis=0)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]])))
+    stretches = np.zeros((len(still), len(edges)))
+    for column in range(0, len(edges), 2):
+        first, last = edges[column : column + 2]
+        stretches[first:last, column] = 1.0
+        stretches[first:last, column + 1] = np.linspace(-1.0, 1.0, last - first)
+    return stretches
+
+
+def _motion_information(equations: Sequence[_Equations], noise: dict[str, float], size: int) -> dict[str, Information]:
+    """By joint."""
+    information = {joint: Information.empty(size) for joint in noise}
+    for each in equations:
+        covariance = noise[each.joint] ** 2 * np.eye(len(each.values))
+        information[each.joint] = information[each.joint].add(each.rows, each.values, covariance)
+    return information
+
+
+def _sweep_information(robot: Robot, base: BaseParameters, inertias: Sequence[AxisInertias]) -> dict[str, Information]:
+    """By joint."""
+    return {
+        axis.joint: Information.empty(len(base.columns)).add(
+            _inertia_rows(robot, base, axis.joint, axis.poses), axis.values, axis.covariance
+        )
+        for axis in inertias
+    }
+
+
+def _sum(parts: Mapping[str, Information], size: int) -> Information:
+    return reduce(Information.plus, parts.values(), Information.empty(size))
+
+
+def _inertia_rows(robot: Robot, base: BaseParameters, joint: str, poses: Array) -> Array:
+    """Rows (m, r) of the inertia about an axis: friction and offsets have no part in it."""
+    rows = axis_rows(robot.chain, robot.index(joint), poses)
+    rows[np.abs(rows) < ROUNDING] = 0.0  # or a column of rounding errors would count as seen
+    return np.hstack([rows, np.zeros((len(rows), 3 * len(robot.axes)))])[:, list(base.columns)]
+
+
+def _scatter(records: Sequence[TrajectoryRecord], joint: str) -> float | None:
+    """RMS of the noise of an axis' harmonics over the records that show it."""
+    noise = [t.noise for record in records for t in record.tracks if t.joint == joint and t.noise is not None]
+    return float(np.sqrt(np.mean(np.square(noise)))) if noise else None
+
+
+def _misfit(equations: Sequence[_Equations], joint: str, values: Array) -> float:
+    """RMS of what is left of an axis' harmonics, the parameters' degrees of freedom taken off evenly."""
+    own = [each for each in equations if each.joint == joint]
+    squares = sum(float(np.sum((each.values - each.rows @ values) ** 2)) for each in own)
+    freedom = sum(each.freedom for each in own)
+    whole = sum(each.freedom for each in equations)
+    return float(np.sqrt(squares / max(freedom * (1 - len(values) / whole), 1.0)))
+
+
+def _shown(std: Array, left_open: Array) -> Array:
+    """Standard deviations (r,), inf where the prior alone has nearly the same."""
+    return np.where(std < SHOWN * left_open, std, np.inf)
+
+
+def _judged(
+    name: str,
+    value: float,
+    std: float,
+    std_total: float,
+    std_sweeps: float,
+    std_trajectories: float,
+    std_prior: float,
+) -> CombinedParameter:
+    source, reason = _source(std, std_sweeps, std_trajectories), ""
+    if not np.isfinite(std):
+        source, reason = Source.NONE, "no sweep and no trajectory shows it"
+    elif std > IDENTIFIED * std_prior:
+        reason = f"too weakly excited: standard deviation {std:.3g}, the nominal model's is {std_prior:.3g}"
+    return CombinedParameter(name, value, std, std_total, std_sweeps, std_trajectories, std_prior, source, reason)
+
+
+def _source(std: float, std_sweeps: float, std_trajectories: float) -> Source:
+    sweeps, trajectories = std_sweeps <= ALONE * std, std_trajectories <= ALONE * std
+    if sweeps and trajectories:
+        return Source.EITHER
+    if sweeps:
+        return Source.SWEEPS
+    return Source.TRAJECTORIES if trajectories else Source.BOTH

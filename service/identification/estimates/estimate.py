@@ -1,0 +1,245 @@
+r"""From the spectra of a campaign to its estimate: axis inertias, base parameters, Table 1.
+
+The inertias J of each axis (`axis_estimate`) with their covariance C are the right-hand side of  J = W beta  over all
+axes (`least_squares`), W in the base parameters of the chain in which every joint that never moved is locked. Sweeps
+that do not fit the others are named and count less (`suspects`). What J = W beta leaves unexplained beyond chance on an
+axis (chi-squared at `CHANCE`) enlarges the covariance of that axis, so that no standard deviation promises more than
+the data keep. Whatever the order in which sweeps came in, the same set of spectra gives the same estimate: they are
+sorted by sweep id first.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate, pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, qmc
+
+from service.errors import BadInput
+from service.identification.axis.axis_estimate import AxisEstimate, identify_axis
+from service.identification.axis.ideal_frequency import AxisAnalysis
+from service.identification.axis.joint_fit import CHANCE, FEW
+from service.identification.axis.known_effects import KnownEffects
+from service.identification.axis.nominal_priors import Measured, TorqueGain, base_spread, torque_gain
+from service.identification.axis.suspects import Suspect, judge
+from service.identification.estimates.single_axis import check_moved_alone
+from service.identification.model.base_parameters import BaseParameters, base_parameters, condition_number, joint_ranges
+from service.identification.model.least_squares import Information, LeftOut, Solution
+from service.identification.model.regressor import axis_rows, lock
+from service.identification.spectra.frequency_response import Spectrum
+from service.robot import Robot
+from service.urdf import Chain
+
+Array = NDArray[np.float64]
+
+SAME_POSITION = 2e-3  # rad (m): a joint whose position differs by less over all sweeps was locked
+WORKSPACE = 2000  # poses that stand for the workspace where no collision-free grid is given
+FOLDS = 10  # parts into which the poses are divided; each is predicted from the others
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Inertias (n,) of an axis predicted from the sweeps of other poses.
+
+    `error` measured - predicted, `std` its standard deviation: inf where the other poses do not tell it.
+    """
+
+    error: Array
+    std: Array
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Everything a set of spectra tells of a robot."""
+
+    robot: Robot
+    chain: Chain  # unlocked joints only
+    unlocked: tuple[int, ...]  # their numbers in the robot
+    poses: Array  # (k, all joints) of the sweeps, by sweep id
+    axes: tuple[AxisEstimate, ...]
+    base: BaseParameters
+    nominal: Array  # (11 n,) parameters of the model
+    solution: Solution
+    spread: Array  # (r,) standard deviations that the model left open
+    condition_number: float
+    observation: dict[str, Array]  # rows (n, r) of each axis' sweeps in the base parameters
+    chi_squared: dict[str, tuple[float, float]]  # of J = W beta on each axis and its degrees of freedom
+    suspects: tuple[Suspect, ...]
+    held_out: dict[str, HeldOut]
+    known: KnownEffects
+
+    @cached_property
+    def workspace(self) -> Array:
+        """Quasi-random poses (m, all joints) over the limits of the unlocked joints; the locked ones stay locked."""
+        lower, upper = joint_ranges(self.chain)
+        poses = np.tile(self.poses.mean(axis=0), (WORKSPACE, 1))
+        poses[:, list(self.unlocked)] = qmc.scale(
+            qmc.Halton(len(lower), scramble=False).random(WORKSPACE), lower, upper
+        )
+        return poses
+
+    def identified(self, joint: str, poses: Array) -> Array:
+        """Identified inertia (m,) of an axis at poses (m, all joints), kg m^2 (kg)."""
+        return self._rows(joint, poses[:, list(self.unlocked)]) @ self.solution.values
+
+    def identified_std(self, joint: str, poses: Array) -> Array:
+        """Standard deviation (m,) of `identified`, conditional on the torque gain."""
+        rows = self._rows(joint, poses[:, list(self.unlocked)])
+        return np.sqrt(np.maximum(np.einsum("mi,ij,mj->m", rows, self.solution.covariance, rows), 0.0))
+
+    def reference(self, joint: str, poses: Array) -> Array:
+        """Inertia (m,) of the nominal model."""
+        return axis_rows(self.chain, self._own(joint), poses[:, list(self.unlocked)]) @ self.nominal
+
+    def model_at_sweeps(self, joint: str) -> Array:
+        """Identified inertia (n,) of an axis in the poses of its own sweeps."""
+        return self.observation[joint] @ self.solution.values
+
+    def _own(self, joint: str) -> int:
+        return self.unlocked.index(self.robot.index(joint))
+
+    def _rows(self, joint: str, poses: Array) -> Array:
+        return self.base.rows(self.chain, self._own(joint), poses)
+
+
+def _check_alive(spectrum: Spectrum) -> None:
+    """BadInput where a channel shows nothing at a commanded line: dead, or the axis stood."""
+    for name, values in (("effort", spectrum.effort), ("velocity", spectrum.velocity)):
+        silent = spectrum.line & (values == 0)
+        if silent.any():
+            raise BadInput(
+                f"sweep {spectrum.spec.id} {name}",
+                f"is 0 at the line of {spectrum.frequency[silent][0]:g} Hz: the channel is dead or the axis stood",
+            )
+
+
+def identify(
+    robot: Robot,
+    spectra: Sequence[Spectrum],
+    analyses: Mapping[str, AxisAnalysis] | None = None,
+    gains: Mapping[str, TorqueGain] | None = None,
+    known: KnownEffects | None = None,
+) -> Estimate:
+    """The estimate from these spectra; BadInput when none of them shows inertia (noise and standstill do not), or where
+    axes moved together.
+
+    `analyses` and `gains` by joint: initial analyses, and torque gains that a test mass calibrated. `known`: effects
+    that the robot's model has beside its rigid body.
+    """
+    known = known or KnownEffects()
+    spectra = sorted((s for s in spectra if s.spec.shows_inertia), key=lambda spectrum: spectrum.spec.id)
+    if not spectra:
+        raise BadInput("estimate", "there is no sweep to identify from")
+    check_moved_alone(spectra)
+    for spectrum in spectra:
+        _check_alive(spectrum)
+    poses = np.array([spectrum.spec.pose for spectrum in spectra])
+    moved = sorted({robot.index(spectrum.spec.axis) for spectrum in spectra})
+    chain, unlocked = moving_chain(robot, moved, poses)
+    nominal = nominal_parameters(robot, chain, unlocked)
+    base = base_parameters(chain, tuple(unlocked.index(number) for number in moved))
+
+    axes: list[AxisEstimate] = []
+    places: list[Array] = []
+    observation: dict[str, Array] = {}
+    for number in moved:
+        own = [spectrum for spectrum in spectra if robot.index(spectrum.spec.axis) == number]
+        joint = robot.joints[number]
+        effects = known.of(joint)
+        analysis, gain = (analyses or {}).get(joint), (gains or {}).get(joint) or torque_gain(robot, effects)
+        axes.append(identify_axis(robot, number, chain, unlocked, nominal, own, analysis, gain, effects))
+        places.append(np.array([s.spec.pose for s in own]))
+        observation[joint] = base.rows(chain, unlocked.index(number), places[-1][:, list(unlocked)])
+    judged = _judge(axes, observation, np.vstack(places))
+    information = Information.empty(len(base.columns))
+    for axis in judged.axes:
+        information = information.add(observation[axis.joint], axis.values, axis.covariance)
+    start, rows = base.combination @ nominal, np.vstack(list(observation.values()))
+    measured = Measured(
+        values=np.concatenate([axis.values for axis in judged.axes]),
+        variance=np.concatenate([np.diag(axis.covariance) for axis in judged.axes]),
+        model=rows @ start,
+        rows=rows,
+    )
+    spread = base_spread(robot, chain, unlocked, base.combination, measured)
+    return Estimate(
+        robot=robot,
+        chain=chain,
+        unlocked=unlocked,
+        poses=poses,
+        axes=judged.axes,
+        base=base,
+        nominal=nominal,
+        solution=information.solve(start, spread),
+        spread=spread,
+        condition_number=condition_number(rows),
+        observation=observation,
+        chi_squared=judged.chi_squared,
+        suspects=judged.suspects,
+        held_out=judged.held_out,
+        known=known,
+    )
+
+
+def moving_chain(robot: Robot, moved: Sequence[int], poses: Array) -> tuple[Chain, tuple[int, ...]]:
+    """The chain without the joints that never moved over `poses` (n, all joints), and the numbers of those left."""
+    fixed = {
+        number: float(poses[:, number].mean())
+        for number in range(len(robot.axes))
+        if number not in moved and np.ptp(poses[:, number]) < SAME_POSITION
+    }
+    return lock(robot.chain, fixed), tuple(number for number in range(len(robot.axes)) if number not in fixed)
+
+
+def nominal_parameters(robot: Robot, chain: Chain, unlocked: Sequence[int]) -> Array:
+    """The model's parameters (11 n,) of a chain of the robot's joints `unlocked`."""
+    motors = [robot.axes[number].reflected_motor_inertia or 0.0 for number in unlocked]
+    return np.concatenate([chain.inertial.ravel(), motors])
+
+
+@dataclass(frozen=True)
+class _Judged:
+    axes: tuple[AxisEstimate, ...]
+    chi_squared: dict[str, tuple[float, float]]
+    suspects: tuple[Suspect, ...]
+    held_out: dict[str, HeldOut]
+
+
+def _judge(axes: Sequence[AxisEstimate], observation: Mapping[str, Array], poses: Array) -> _Judged:
+    """Axes with the covariance that J = W beta leaves them; `poses` (n, all joints) of the axes' sweeps in turn."""
+    rows = np.vstack([observation[axis.joint] for axis in axes])
+    values = np.concatenate([axis.values for axis in axes])
+    judged = judge(rows, values, [axis.covariance for axis in axes])
+    edges = list(accumulate((len(axis.sweeps) for axis in axes), initial=0))
+    members = {axis.joint: np.arange(a, b) for axis, (a, b) in zip(axes, pairwise(edges), strict=True)}
+    found = [suspect for axis in axes for suspect in axis.suspects]
+    enlarged: list[AxisEstimate] = []
+    chi_squared: dict[str, tuple[float, float]] = {}
+    for axis in axes:
+        own = members[axis.joint]
+        squares, freedom = chi_squared[axis.joint] = judged.left_out.chi_squared(own)
+        unexplained = freedom >= FEW and squares > float(chi2.isf(CHANCE, freedom))
+        covariance = axis.covariance + np.diag(judged.extra[own])
+        enlarged.append(axis.with_covariance(covariance * (squares / freedom if unexplained else 1.0)))
+        for sweep, error, extra in zip(axis.sweeps, judged.errors[own], judged.extra[own], strict=True):
+            if extra > 0:
+                why = f"its inertia is {abs(error):.1f} standard deviations from what the other sweeps say of its pose"
+                found.append(Suspect(sweep.sweep, axis.joint, why, float(error**-2)))
+    left_out = LeftOut.of(rows, values, [axis.covariance for axis in enlarged])
+    error, std = _predicted(left_out, poses)
+    held_out = {joint: HeldOut(error[own], std[own]) for joint, own in members.items()}
+    return _Judged(tuple(enlarged), chi_squared, tuple(found), held_out)
+
+
+def _predicted(left_out: LeftOut, poses: Array) -> tuple[Array, Array]:
+    """Every sweep against the sweeps of the other poses, in up to `FOLDS` folds: errors and their std, (n,) each."""
+    places = np.unique(np.round(poses / SAME_POSITION), axis=0, return_inverse=True)[1].ravel()
+    error, std = np.zeros(len(poses)), np.full(len(poses), np.inf)
+    for fold in range(min(FOLDS, int(places.max()) + 1)):
+        members = np.flatnonzero(places % FOLDS == fold)
+        told = left_out.together(members)
+        if told is not None:
+            error[members], std[members] = told[0], np.sqrt(np.diag(told[1]))
+    return error, std

@@ -1,0 +1,1 @@
+"""The rigid robot: regressor, base parameters, physical consistency, least squares."""

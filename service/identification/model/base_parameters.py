@@ -1,0 +1,138 @@
+r"""Which combinations of inertial parameters the inertias about the axes can tell apart: the base parameters.
+
+With W (rows of all measured axes over the workspace, columns scaled to unit length) of rank r, r columns span the rest,
+
+    W = W_b [1  R1^-1 R2] P^T     so     W x = W_b beta,   beta = K x                    (Gautier 1991, QR)
+
+The independent columns are taken greedily in the order of the parameters, base to tip, so that a dependent parameter is
+regrouped into the ones before it, as the symbolic rules of Gautier and Khalil (1990) do. Rank: eigenvalues of the Gram
+matrix (fast, but squaring halves the digits), confirmed by the singular values of the columns chosen.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.errors import BadInput
+from service.identification.model.regressor import axis_rows, parameter_names
+from service.urdf import Chain
+
+Array = NDArray[np.float64]
+
+TOLERANCE = 1e-9  # of a unit column that its part outside the span of the chosen columns must exceed
+SAMPLES = 400  # random poses that stand for the workspace
+NEGLIGIBLE = 1e-8  # of the largest share in a base parameter, columns of unit length: rounding
+FEW_SAMPLES = 60  # enough where the rank is known
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """The base set of a chain for a choice of measured axes.
+
+    names (r,); `columns` (r,) of the parameter vector that are kept; `combination` (r, 11 n) with beta = K x.
+    """
+
+    names: tuple[str, ...]
+    columns: tuple[int, ...]
+    combination: Array
+
+    def rows(self, chain: Chain, joint: int, poses: Array) -> Array:
+        """Rows (m, r) of axis `joint` in the base parameters."""
+        return axis_rows(chain, joint, poses)[:, list(self.columns)]
+
+
+def base_parameters(chain: Chain, axes: tuple[int, ...], seed: int = 0) -> BaseParameters:
+    """The base parameters that the inertias about `axes` hold, over the chain's whole joint range."""
+    return reduce_columns(_sampled_rows(chain, axes, SAMPLES, seed), parameter_names(chain))
+
+
+def combination_of(chain: Chain, axes: tuple[int, ...], columns: tuple[int, ...]) -> Array | None:
+    """`BaseParameters.combination` for columns that are given; None where they are not a base of this chain."""
+    rows = _sampled_rows(chain, axes, FEW_SAMPLES, seed=1)
+    scale = _scale(rows)
+    combination = _combination(rows, scale, list(columns))
+    left = (rows - rows[:, list(columns)] @ combination) / scale
+    return combination if np.abs(left).max() < 1e3 * TOLERANCE else None
+
+
+def joint_ranges(chain: Chain) -> tuple[Array, Array]:
+    """Lower and upper ends (n,) of where the joints can be, rad (m); joints that turn further than once: one turn."""
+    ends = np.array([(joint.lower, joint.upper) for joint in chain.joints])
+    once = np.array([(-np.pi, np.pi) for _ in chain.joints])
+    turns = [joint.kind == "revolute" and joint.upper - joint.lower > 2 * np.pi for joint in chain.joints]
+    lower, upper = np.where(np.array(turns)[:, None], once, ends).T
+    return lower, upper
+
+
+def reduce_columns(rows: Array, names: tuple[str, ...]) -> BaseParameters:
+    """The base set of an observation matrix (m, p) whose columns bear `names`."""
+    scale = _scale(rows)
+    scaled = rows / scale
+    chosen = _independent(scaled)
+    singular = np.linalg.svd(scaled[:, chosen], compute_uv=False)
+    if singular[-1] < TOLERANCE:
+        raise BadInput("base parameters", f"the chosen columns are dependent to {singular[-1]:.1e}")
+    combination = _combination(rows, scale, chosen)
+    return BaseParameters(
+        tuple(_name(row, names, column) for row, column in zip(combination, chosen, strict=True)),
+        tuple(chosen),
+        combination,
+    )
+
+
+def condition_number(rows: Array) -> float:
+    """Condition number of an observation matrix (m, r) with columns scaled to unit length; inf if rank deficient."""
+    length = np.linalg.norm(rows, axis=0)
+    if len(rows) < rows.shape[1] or not length.all():
+        return float("inf")
+    singular = np.linalg.svd(rows / length, compute_uv=False)
+    return float(singular[0] / singular[-1]) if singular[-1] > TOLERANCE * singular[0] else float("inf")
+
+
+def _sampled_rows(chain: Chain, axes: tuple[int, ...], samples: int, seed: int) -> Array:
+    """Rows (m, 11 n) of all `axes` in random poses over the joints' ranges."""
+    lower, upper = joint_ranges(chain)
+    poses = np.random.default_rng(seed).uniform(lower, upper, (samples, len(lower)))
+    return np.vstack([axis_rows(chain, axis, poses) for axis in axes])
+
+
+def _scale(rows: Array) -> Array:
+    """Lengths (p,) of the columns; 1 for those that are zero."""
+    length = np.linalg.norm(rows, axis=0)
+    return np.where(length > TOLERANCE * length.max(initial=0.0), length, 1.0)
+
+
+def _combination(rows: Array, scale: Array, chosen: list[int]) -> Array:
+    """K (r, p) with ``rows = rows[:, chosen] @ K``."""
+    scaled = rows / scale
+    share = np.linalg.lstsq(scaled[:, chosen], scaled, rcond=None)[0]
+    share[np.abs(share) < NEGLIGIBLE * np.abs(share).max(axis=1, keepdims=True, initial=1.0)] = 0.0
+    return share * scale / scale[chosen][:, None]
+
+
+def _independent(scaled: Array) -> list[int]:
+    """Columns, first to last, that do not lie in the span of the ones chosen before (Gram-Schmidt, twice)."""
+    span = np.zeros((len(scaled), 0))
+    chosen: list[int] = []
+    for column in range(scaled.shape[1]):
+        rest = scaled[:, column]
+        for _ in range(2):
+            rest = rest - span @ (span.T @ rest)
+        length = np.linalg.norm(rest)
+        if length > 1e3 * TOLERANCE:
+            span = np.hstack([span, (rest / length)[:, None]])
+            chosen.append(column)
+    return chosen
+
+
+def _name(row: Array, names: tuple[str, ...], leader: int) -> str:
+    """``Izz(link_2) + Jm(joint_2) + 1.44 m(link_3)``: the kept parameter first, then what is regrouped into it."""
+    parts = [names[leader]]
+    for column in np.flatnonzero(row):
+        if column == leader:
+            continue
+        size = abs(row[column])
+        factor = "" if abs(size - 1) < 1e-6 else f"{size:.4g} "
+        parts.append(f"{'-' if row[column] < 0 else '+'} {factor}{names[column]}")
+    return " ".join(parts)

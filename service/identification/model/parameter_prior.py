@@ -1,0 +1,60 @@
+"""The nominal model of the whole dynamics, (14 n,) parameters as in `inverse_dynamics`, and how far it may be off."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.model.base_parameters import BaseParameters, joint_ranges
+from service.identification.model.least_squares import Information
+from service.identification.model.regressor import inertia_rows
+from service.robot import Robot
+
+Array = NDArray[np.float64]
+
+COULOMB_PRIOR, OFFSET_PRIOR = 0.1, 0.02  # of the rated effort: one sigma of what no data sheet tells
+OPEN = 10.0  # times these may dry friction be, as far as the fit is concerned
+
+
+def nominal_parameters(robot: Robot) -> Array:
+    """The model's (14 n,): links of CAD, motors and viscous friction of the data sheets; dry friction is in none."""
+    motors = [axis.reflected_motor_inertia or 0.0 for axis in robot.axes]
+    viscous = [axis.viscous_friction or 0.0 for axis in robot.axes]
+    return np.concatenate([robot.chain.inertial.ravel(), motors, viscous, np.zeros(2 * len(robot.axes))])
+
+
+def parameter_spread(robot: Robot) -> Array:
+    """Standard deviations (14 n,). Of a motor that no data sheet gives, the inertia of what it moves; of viscous
+    friction likewise the rated effort at the joint's highest speed.
+    """
+    links = robot.chain.inertial
+    mass = np.maximum(links[:, :1], 1e-9)
+    length = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(-1, keepdims=True), 0) / 2 / mass) + 1e-3
+    size = np.hstack([mass, np.repeat(mass * length, 3, 1), np.repeat(mass * length**2, 6, 1)]).ravel()
+    prior = robot.prior
+    rated = np.array([axis.rated_effort for axis in robot.axes])
+    motors = [
+        prior.motor_inertia * axis.reflected_motor_inertia if axis.reflected_motor_inertia else _moved(robot, k)
+        for k, axis in enumerate(robot.axes)
+    ]
+    speeds = [
+        joint.velocity if np.isfinite(joint.velocity) and joint.velocity > 0 else 1.0 for joint in robot.chain.joints
+    ]
+    viscous = [
+        prior.viscous_friction * axis.viscous_friction if axis.viscous_friction else axis.rated_effort / speed
+        for axis, speed in zip(robot.axes, speeds, strict=True)
+    ]
+    return np.concatenate([prior.inertia * size, motors, viscous, COULOMB_PRIOR * rated, OFFSET_PRIOR * rated])
+
+
+def prior_information(robot: Robot, base: BaseParameters) -> Information:
+    """The prior of the base parameters (r,) as one measurement of them; dry friction is left open."""
+    spread = parameter_spread(robot)
+    spread[12 * len(robot.axes) :] *= OPEN
+    covariance = (base.combination * spread**2) @ base.combination.T
+    start = base.combination @ nominal_parameters(robot)
+    return Information.empty(len(start)).add(np.eye(len(start)), start, covariance)
+
+
+def _moved(robot: Robot, index: int) -> float:
+    """Inertia of the links about an axis in the middle of all ranges, kg m^2 (kg)."""
+    pose = np.mean(joint_ranges(robot.chain), axis=0)
+    return float((inertia_rows(robot.chain, index, pose[None]) @ robot.chain.inertial.ravel())[0])

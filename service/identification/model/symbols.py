@@ -1,0 +1,179 @@
+r"""Base parameters in the words of the robot's geometry: ``Iyy(link_2) + Jm(joint_2) + m(link_3) l2^2``.
+
+The coefficients of a base parameter are polynomials in the distances between neighbouring joints, and in sine and
+cosine of the angles by which a link is twisted. Which polynomial is found, not derived: the combination K is computed
+for the robot and for a few robots whose distances and angles all differ from it, and a coefficient is given the
+simplest expression that equals it in every one of them. So two distances of the same length are not mixed up, and what
+is shown gives the numbers. A coefficient without such an expression (an axis askew in space) keeps its decimals.
+"""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.model.expressions import Expression, Search, Term, products, squared_sums, times
+from service.identification.model.regressor import parameter_names
+from service.robot import rotation_about
+from service.urdf import Chain, Joint
+
+Array = NDArray[np.float64]
+
+VARIANTS = 3  # robots of other dimensions that an expression must fit as well
+ONE = 1e-6  # a coefficient this near to 1 is 1
+NOTHING = 1e-9  # m: a distance shorter than this is none
+
+
+@dataclass(frozen=True)
+class Dimension:
+    """A distance or angle of the chain with a name, as it appears in the expressions."""
+
+    symbol: str
+    value: float
+    unit: str  # m or rad
+    meaning: str
+    joint: int  # whose place in the link before it is given
+    component: int  # of the translation, or of the axis about which the link is twisted
+
+
+def symbolic_names(
+    chain: Chain, columns: tuple[int, ...], combination: Array, combine: Callable[[Chain], Array | None]
+) -> tuple[tuple[str, ...], tuple[Dimension, ...]]:
+    """Names (r,) of the base parameters ``combination @ parameters`` and the dimensions that they speak of.
+
+    columns (r,): the parameter that leads each; `combine` gives K (r, 11 n) of the same base for a chain of other
+    dimensions, None where these columns are no base of it (then all coefficients stay decimals).
+    """
+    known = dimensions(chain)
+    rng = np.random.default_rng(0)
+    values = [np.array([dimension.value for dimension in known])]
+    found = [combination]
+    for _ in range(VARIANTS):
+        varied = values[0] * rng.uniform(0.7, 1.4, len(known))
+        other = combine(with_dimensions(chain, known, varied))
+        if other is None:
+            known, values, found = (), [np.zeros(0)], [combination]
+            break
+        values.append(varied)
+        found.append(other)
+    speaker = _Speaker(chain, known, np.array(values), np.array(found))
+    names = tuple(speaker.name(row, column) for row, column in enumerate(columns))
+    words = set(re.findall(r"\w+", " ".join(names)))
+    return names, tuple(dimension for dimension in known if dimension.symbol in words)
+
+
+def dimensions(chain: Chain) -> tuple[Dimension, ...]:
+    """Distances (l) from each joint to the next, in the frame of the link between, and angles (a) that twist a link."""
+    found: list[Dimension] = []
+    numbers = _numbers(chain)
+    for k in range(1, len(chain.joints)):
+        before, joint = chain.joints[k - 1], chain.joints[k]
+        way = f"from {before.name} to {joint.name}"
+        axes = [axis for axis in range(3) if abs(joint.translation[axis]) > NOTHING]
+        for axis in axes:
+            symbol = f"l{numbers[k - 1]}" + ("xyz"[axis] if len(axes) > 1 else "")
+            meaning = f"{way} along {'xyz'[axis]} of {before.link}"
+            found.append(Dimension(symbol, float(joint.translation[axis]), "m", meaning, k, axis))
+        twist = _twist(joint)
+        if twist is not None:
+            axis, angle = twist
+            meaning = f"twist {way} about {'xyz'[axis]} of {before.link}"
+            found.append(Dimension(f"a{numbers[k - 1]}", angle, "rad", meaning, k, axis))
+    return tuple(found)
+
+
+def with_dimensions(chain: Chain, known: tuple[Dimension, ...], values: Array) -> Chain:
+    """The chain with other values (d,) of its dimensions."""
+    joints = list(chain.joints)
+    for dimension, value in zip(known, values, strict=True):
+        joint = joints[dimension.joint]
+        if dimension.unit == "m":
+            translation = joint.translation.copy()
+            translation[dimension.component] = value
+            joints[dimension.joint] = replace(joint, translation=translation)
+        else:
+            rotation = rotation_about(np.eye(3)[dimension.component], np.asarray(value))
+            joints[dimension.joint] = replace(joint, rotation=rotation)
+    return replace(chain, joints=tuple(joints))
+
+
+class _Speaker:
+    """Finds words for coefficients: `values` (g, d) of the dimensions, `found` (g, r, 11 n) the combinations."""
+
+    def __init__(self, chain: Chain, known: tuple[Dimension, ...], values: Array, found: Array) -> None:
+        self._parameters = parameter_names(chain)
+        self._powers, self._links = _powers_of_length(chain), _links(chain)
+        self._known, self._values, self._found = known, values, found
+        self._searches: dict[tuple[int, int, int], Search] = {}
+
+    def name(self, row: int, leader: int) -> str:
+        """The base parameter: the leading one first, then what is regrouped into it."""
+        parts = [self._parameters[leader]]
+        for column in np.flatnonzero(self._found[0, row]):
+            if column != leader:
+                parts.append(self._part(self._found[:, row, column], leader, int(column)))
+        return " ".join(parts)
+
+    def _part(self, coefficient: Array, leader: int, column: int) -> str:
+        expression = self._search(leader, column).simplest(coefficient) or Expression(coefficient[0], "")
+        size = abs(expression.factor)
+        number = "" if abs(size - 1) < ONE else f"{size:.4g} "
+        words = expression.text and f" {expression.text}"
+        return f"{'-' if expression.factor < 0 else '+'} {number}{self._parameters[column]}{words}"
+
+    def _search(self, leader: int, column: int) -> Search:
+        """Of the terms that may stand before a parameter: products, of its unit, of the dimensions on the way to it."""
+        power = self._powers[leader] - self._powers[column]
+        first, last = sorted((self._links[leader], self._links[column]))
+        key = (first, last, power)
+        if key not in self._searches:
+            self._searches[key] = Search(self._terms([d.joint for d in self._known], first, last, power))
+        return self._searches[key]
+
+    def _terms(self, joints: list[int], first: int, last: int, power: int) -> list[Term]:
+        cases = len(self._values)
+        between = [k for k, joint in enumerate(joints) if first < joint <= last]
+        lengths = [Term(self._known[k].symbol, self._values[:, k]) for k in between if self._known[k].unit == "m"]
+        turns = [
+            Term(f"{name}({self._known[k].symbol})", turn(self._values[:, k]))
+            for k in between
+            if self._known[k].unit == "rad"
+            for name, turn in (("cos", np.cos), ("sin", np.sin))
+        ]
+        straight = products(lengths, power, cases) if power >= 0 else products([], 0, cases)
+        if power == 2:
+            straight += squared_sums(lengths)
+        turned = [turn for count in (0, 1, 2) for turn in products(turns, count, cases)]
+        return [times(length, turn) for turn in turned for length in straight]
+
+
+def _twist(joint: Joint) -> tuple[int, float] | None:
+    """Axis and angle of a joint that is turned about one axis by other than quarter turns."""
+    for axis in range(3):
+        if abs(joint.rotation[axis, axis] - 1) < 1e-9:
+            one, two = (axis + 1) % 3, (axis + 2) % 3
+            angle = float(np.arctan2(joint.rotation[two, one], joint.rotation[one, one]))
+            quarter = angle / (np.pi / 2)
+            return None if abs(quarter - round(quarter)) < 1e-9 else (axis, angle)
+    return None
+
+
+def _numbers(chain: Chain) -> list[str]:
+    """The numbers that the joints' names end with, where each has one of its own; else 1, 2, ... from the base."""
+    found = [re.search(r"\d+$", joint.name) for joint in chain.joints]
+    named = [match[0] for match in found if match is not None]
+    return named if len(set(named)) == len(found) else [str(k + 1) for k in range(len(found))]
+
+
+def _powers_of_length(chain: Chain) -> list[int]:
+    """(11 n,) of the parameters' units: m 0, first moments 1, moments of inertia 2; motors as their joint has it."""
+    motors = [0 if joint.kind == "prismatic" else 2 for joint in chain.joints]
+    return [0, 1, 1, 1, 2, 2, 2, 2, 2, 2] * len(chain.joints) + motors
+
+
+def _links(chain: Chain) -> list[int]:
+    """(11 n,) number of the link or joint that a parameter belongs to."""
+    count = len(chain.joints)
+    return [k for k in range(count) for _ in range(10)] + list(range(count))

@@ -1,0 +1,1 @@
+"""Free motion of all axes, in the time domain."""

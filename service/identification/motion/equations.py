@@ -1,0 +1,139 @@
+r"""The equations of a free motion: at every instant and for every axis that moves,
+
+    L[effort] = sum_j x_j L[regressor_j] + L[ripple] + noise                                 (`inverse_dynamics`)
+
+with one low-pass L for both sides (`low_pass`), which therefore biases nothing, thinned out as its cut-off allows.
+Regressors are formed from the smoothed motion at the full rate: links from the load's where a direct encoder tells it,
+drives from the motor's. An axis at rest says nothing: dry friction holds whatever the others' motion asks of it.
+Cogging of the known orders is eliminated by a cosine and a sine each (`least_squares` sees it no more).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.identification.model.base_parameters import BaseParameters
+from service.identification.model.inverse_dynamics import Motion, link_rows
+from service.identification.motion.free_motion import FreeMotion
+from service.identification.spectra.low_pass import low_pass, memory
+from service.robot import Robot
+
+Array = NDArray[np.float64]
+
+STILL = 0.01  # of the largest velocity: below, an axis counts as at rest
+AT_REST = 0.1  # share of the filter's weight on samples at rest from which an equation is left out
+MOVED = 1e-3  # rad (m) that an axis moves at least
+LINK_RATE = 200.0  # Hz, at which the links' rows are formed: products of a few smoothed motions
+CHUNK = 4000  # instants whose rows are formed at once: memory
+
+
+@dataclass(frozen=True)
+class AxisEquations:
+    """Rows (m, r) and values (m,) of one axis along one record, N m (N), every `step` seconds; `sound` (m,) those that
+    count. `ripple` (m, 2 orders): what may be added freely."""
+
+    joint: str
+    record: int
+    rows: Array
+    values: Array
+    ripple: Array
+    sound: NDArray[np.bool_]
+    time: Array  # (m,) s since the record's start
+
+
+def load_and_motor(robot: Robot, record: FreeMotion) -> tuple[Motion, Motion]:
+    """Smoothed motion (m, n) of all loads (of the motors where they are not measured) and of all motors."""
+    columns = [robot.index(joint) for joint in record.joints]
+    shape = (len(record.effort), len(robot.axes))
+    motor = np.zeros((3, *shape))
+    motor[0] = record.pose
+    motor[:, :, columns] = [_smooth(record, record.position, order) for order in range(3)]
+    load = motor.copy()
+    for joint, position in record.load_position.items():
+        load[:, :, robot.index(joint)] = [_smooth(record, position, order) for order in range(3)]
+    for joint, velocity in record.load_velocity.items():
+        load[1:, :, robot.index(joint)] = [_smooth(record, velocity, order) for order in range(2)]
+    return Motion(*load), Motion(*motor)
+
+
+def equations(robot: Robot, base: BaseParameters, record: FreeMotion, number: int) -> list[AxisEquations]:
+    """Of every axis that moves in record `number`."""
+    load, motor = load_and_motor(robot, record)
+    rate, band = record.rate, record.band
+    coarse = max(1, int(rate / LINK_RATE))
+    fine = max(1, int(rate / coarse / (2 * band)))
+    kept = slice(0, None, coarse * fine)
+    time = np.arange(len(load.position))[kept] / rate
+    inside = (time > memory(band)) & (time < time[-1] - memory(band))
+    columns = np.array(base.columns)
+    of_links = columns[columns < 10 * len(robot.axes)]
+    links = low_pass(links_along(robot, _part(load, slice(None, None, coarse)))[:, :, of_links], rate / coarse, band)[
+        ::fine
+    ]
+    effort = low_pass(record.effort, rate, band)[kept]
+    found: list[AxisEquations] = []
+    for k, joint in enumerate(record.joints):
+        index = robot.index(joint)
+        if np.ptp(motor.position[:, index]) < MOVED:
+            continue
+        drives = low_pass(drive_along(motor, index), rate, band)[kept]
+        rows = np.hstack([links[:, index], drives[:, columns[len(of_links) :] - 10 * len(robot.axes)]])
+        found.append(
+            AxisEquations(
+                joint=joint,
+                record=number,
+                rows=rows,
+                values=effort[:, k],
+                ripple=low_pass(_ripple(robot, index, motor.position[:, index]), rate, band)[kept],
+                sound=inside & ~_at_rest(motor.velocity[:, index], rate, band)[kept],
+                time=time,
+            )
+        )
+    return found
+
+
+def links_along(robot: Robot, load: Motion) -> Array:
+    """`link_rows` (m, n, 10 n) in pieces, for records of any length."""
+    starts = range(0, len(load.position), CHUNK)
+    parts = [link_rows(robot.chain, robot.gravity, _part(load, slice(k, k + CHUNK))) for k in starts]
+    return np.concatenate(parts)
+
+
+def drive_along(motor: Motion, index: int) -> Array:
+    """Rows (m, 4 n) of the drives' parameters in the effort of axis `index`; all but its own are zero."""
+    count = motor.velocity.shape[1]
+    velocity = motor.velocity[:, index]
+    own = (motor.acceleration[:, index], velocity, mean_sign(velocity), np.ones_like(velocity))
+    rows = np.zeros((len(velocity), 4 * count))
+    for part, signal in enumerate(own):
+        rows[:, part * count + index] = signal
+    return rows
+
+
+def mean_sign(velocity: Array) -> Array:
+    """Mean of sign(v) over the time between two samples, (m,): a reversal between them is neither early nor late."""
+    change = np.abs(np.gradient(velocity))
+    crossing = 2 * np.abs(velocity) < change
+    return np.where(crossing, 2 * velocity / np.where(crossing, change, 1.0), np.sign(velocity))
+
+
+def _part(motion: Motion, part: slice) -> Motion:
+    return Motion(motion.position[part], motion.velocity[part], motion.acceleration[part])
+
+
+def _smooth(record: FreeMotion, position: Array, order: int) -> Array:
+    return low_pass(position, record.rate, record.motion_cut, order)
+
+
+def _at_rest(velocity: Array, rate: float, band: float) -> NDArray[np.bool_]:
+    """Where the low-pass looks at samples at rest, (m,)."""
+    still = np.abs(velocity) < STILL * np.abs(velocity).max()
+    return low_pass(still.astype(float), rate, band) > AT_REST
+
+
+def _ripple(robot: Robot, index: int, position: Array) -> Array:
+    """(m, 2 orders): cosine and sine of the motor angle at every cogging order."""
+    axis = robot.axes[index]
+    angle = np.outer(position, np.array(axis.cogging_orders) * axis.gear_ratio)
+    return np.hstack([np.cos(angle), np.sin(angle)])

@@ -1,0 +1,153 @@
+r"""Free motion of several axes at once: a log of a robot program, a trajectory without period, another one's CSV file.
+
+In a bundle it is a set of sweeps with the excitation "trajectory" and no sines, one an axis, with the same start, pose,
+block and repeat. A set of one axis is no free motion of several: it stays a record of that axis alone.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.errors import BadInput
+from service.identification.spectra.axis_inertia import DriveTrain
+from service.identification.spectra.low_pass import low_pass
+from service.recording import Sweep, SweepSpec
+from service.robot import Robot
+
+Array = NDArray[np.float64]
+
+BAND = 10.0  # Hz, of the equations: below the springs of industrial robots
+MOTION = 3.0  # times the band: the motion is smoothed so far above it that nothing of the band is lost
+USABLE = 0.35  # of the sample rate, highest cut-off
+SAME_PATH, SAME_PLACE = 0.01, 1e-3  # by which paths of repeats differ at most: relative, and rad (m)
+FEW = 50  # samples
+
+
+@dataclass(frozen=True)
+class FreeMotion:
+    """One record. Arrays (m, k) of the k `joints` in it, SI on the joint side; all others stood at `pose` (n,).
+
+    `load_position`, `load_velocity`: of the direct encoders, a dict by joint. `ids` of the sweeps, (k,).
+    """
+
+    ids: tuple[str, ...]
+    joints: tuple[str, ...]
+    pose: tuple[float, ...]
+    block: str
+    rate: float  # Hz
+    effort: Array
+    position: Array
+    load_position: Mapping[str, Array]
+    load_velocity: Mapping[str, Array]
+
+    @property
+    def duration(self) -> float:
+        """s."""
+        return len(self.effort) / self.rate
+
+    @property
+    def motion_cut(self) -> float:
+        """Cut-off of the motion, Hz."""
+        return min(MOTION * BAND, USABLE * self.rate)
+
+    @property
+    def band(self) -> float:
+        """Cut-off of the equations, Hz."""
+        return self.motion_cut / MOTION
+
+    def same_motion(self, other: "FreeMotion", same_path: float = SAME_PATH) -> bool:
+        """Is it a repeat: same axes, block, length and path? `same_path`: RMS by which paths may differ, relative."""
+        if (self.joints, self.block, self.rate, len(self.effort)) != (
+            other.joints,
+            other.block,
+            other.rate,
+            len(other.effort),
+        ):
+            return False
+        apart = np.sqrt(np.mean((self.position - other.position) ** 2, axis=0))
+        return bool(np.all(apart <= same_path * np.std(self.position, axis=0) + SAME_PLACE))
+
+
+def at_once(specs: Sequence[SweepSpec]) -> tuple[tuple[SweepSpec, ...], ...]:
+    """Sets of sweeps that are free motions of several axes; BadInput where one axis is twice in such a set."""
+    groups: dict[tuple[object, ...], list[SweepSpec]] = {}
+    for spec in specs:
+        if spec.excitation == "trajectory" and not spec.periodic:
+            groups.setdefault((spec.started_at, spec.pose, spec.block, spec.repeat), []).append(spec)
+    found: list[tuple[SweepSpec, ...]] = []
+    for group in groups.values():
+        axes = {spec.axis for spec in group}
+        if len(axes) < 2:
+            continue
+        if len(axes) < len(group):
+            twice = next(spec for spec in group if sum(other.axis == spec.axis for other in group) > 1)
+            raise BadInput(
+                f"sweep {twice.id}",
+                f"another record of {twice.axis} starts with it at {twice.started_at} s, among others of other axes: "
+                "give each run of the robot its own started_at",
+            )
+        found.append(tuple(group))
+    return tuple(found)
+
+
+def free_motions(robot: Robot, sweeps: Sequence[Sweep]) -> tuple[FreeMotion, ...]:
+    """All free motions of several axes among the sweeps; BadInput where a set does not hold together."""
+    by_id = {sweep.spec.id: sweep for sweep in sweeps}
+    return tuple(
+        _record(robot, [by_id[spec.id] for spec in group]) for group in at_once([sweep.spec for sweep in sweeps])
+    )
+
+
+def calibrated(record: FreeMotion, gains: Mapping[str, float]) -> FreeMotion:
+    """With true efforts: those of the drives divided by their gains, 1 for an axis without."""
+    return replace(record, effort=record.effort / np.array([gains.get(joint, 1.0) for joint in record.joints]))
+
+
+def with_loads(record: FreeMotion, trains: Mapping[str, DriveTrain]) -> FreeMotion:
+    """With load positions also of axes without a direct encoder: ql = qm - c (effort - Jm d2qm/dt2), smoothed."""
+    loads = dict(record.load_position)
+    for k, joint in enumerate(record.joints):
+        train = trains.get(joint)
+        if train is None or joint in loads or joint in record.load_velocity:
+            continue
+        effort = low_pass(record.effort[:, k], record.rate, record.motion_cut)
+        acceleration = low_pass(record.position[:, k], record.rate, record.motion_cut, 2)
+        loads[joint] = record.position[:, k] - train.compliance * (effort - train.motor_inertia * acceleration)
+    return replace(record, load_position=loads)
+
+
+def _record(robot: Robot, sweeps: Sequence[Sweep]) -> FreeMotion:
+    sweeps = sorted(sweeps, key=lambda sweep: robot.index(sweep.spec.axis))
+    first = sweeps[0]
+    for sweep in sweeps:
+        spec = sweep.spec
+        for name, mine, others in (
+            ("sample_rate", spec.sample_rate, first.spec.sample_rate),
+            ("measure_from", spec.measure_from, first.spec.measure_from),
+            ("number of samples", len(sweep.recording.time), len(first.recording.time)),
+        ):
+            if mine != others:
+                raise BadInput(
+                    f"sweep {spec.id}",
+                    f"{name} {mine} differs from {others} of sweep {first.spec.id}, which ran with it",
+                )
+    start = int(np.searchsorted(first.recording.time, first.spec.measure_from - 0.5 / first.spec.sample_rate))
+    if len(first.recording.time) - start < FEW:
+        raise BadInput(f"sweep {first.spec.id}", f"fewer than {FEW} samples after measure_from")
+    loads = {s.spec.axis: s.recording.load_position for s in sweeps}
+    speeds = {s.spec.axis: s.recording.load_velocity for s in sweeps}
+    return FreeMotion(
+        ids=tuple(sweep.spec.id for sweep in sweeps),
+        joints=tuple(sweep.spec.axis for sweep in sweeps),
+        pose=first.spec.pose,
+        block=first.spec.block,
+        rate=first.spec.sample_rate,
+        effort=np.stack([sweep.recording.effort[start:] for sweep in sweeps], -1),
+        position=np.stack([sweep.recording.position[start:] for sweep in sweeps], -1),
+        load_position={joint: column[start:] for joint, column in loads.items() if column is not None},
+        load_velocity={
+            joint: column[start:] for joint, column in speeds.items() if column is not None and loads[joint] is None
+        },
+    )

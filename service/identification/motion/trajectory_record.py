@@ -1,0 +1,214 @@
+r"""What identification keeps of a trajectory: the harmonics of every axis up to `BAND`, and its noise.
+
+Over P whole periods of the fundamental 1/T every signal of the periodic motion lies on the multiples of 1/T; the bins
+between them hold noise alone. Position is the one measured motion: its derivatives are iw X and -w^2 X, exact for what
+lies below the band's end, so velocity and acceleration need no difference quotient and gravity no integration.
+
+X_h = 1/N sum_n x_n exp(-2 pi i h n P / N) as in `frequency_response`; X_0 is the mean.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.errors import BadInput
+from service.identification.model.inverse_dynamics import Motion
+from service.identification.spectra.axis_inertia import DriveTrain
+from service.identification.spectra.frequency_response import Complex, window
+from service.recording import Sweep, SweepSpec
+from service.robot import Robot
+
+Array = NDArray[np.float64]
+
+BAND = 10.0  # Hz, of the equations
+MOTION_BAND = 0.4  # of the sample rate: where an axis sticks before it reverses shows only far above `BAND`
+
+
+@dataclass(frozen=True)
+class AxisTrack:
+    """One axis: harmonics 0 to h of effort (h + 1,), more of the positions, and the noise of an effort harmonic.
+
+    `noise`: standard deviation of its real and of its imaginary part, N m (N), from the scatter between periods; None
+    with a single period. `load_position`: None without a direct encoder.
+    """
+
+    spec: SweepSpec
+    effort: Complex
+    position: Complex
+    load_position: Complex | None
+    noise: float | None
+
+    @property
+    def joint(self) -> str:
+        return self.spec.axis
+
+    def to_document(self) -> dict[str, Any]:
+        """As JSON-able data; floats survive exactly."""
+        return {
+            "spec": self.spec.model_dump(mode="json"),
+            "harmonics": _pairs(self.effort),
+            "position": _pairs(self.position),
+            "load_position": None if self.load_position is None else _pairs(self.load_position),
+            "noise": self.noise,
+        }
+
+    @classmethod
+    def from_document(cls, document: dict[str, Any]) -> "AxisTrack":
+        """The inverse of `to_document`."""
+        load = document["load_position"]
+        return cls(
+            spec=SweepSpec.model_validate(document["spec"]),
+            effort=_complex(document["harmonics"]),
+            position=_complex(document["position"]),
+            load_position=None if load is None else _complex(load),
+            noise=document["noise"],
+        )
+
+
+@dataclass(frozen=True)
+class TrajectoryRecord:
+    """One run of several axes at once; the joints without a track stood at `pose` (n,), rad (m)."""
+
+    pose: tuple[float, ...]
+    period: float  # s
+    periods: int
+    tracks: tuple[AxisTrack, ...]
+
+    @property
+    def frequency(self) -> Array:
+        """Of the effort's harmonics (h + 1,), Hz."""
+        return np.arange(len(self.tracks[0].effort)) / self.period
+
+    def motion(self, robot: Robot, samples: int, *, load: bool) -> Motion:
+        """Motion (samples, all joints) over one period, of the loads where they were measured or of the motors."""
+        position, velocity, acceleration = np.zeros((3, samples, len(robot.axes)))
+        position[:] = self.pose
+        for track in self.tracks:
+            index = robot.index(track.joint)
+            harmonics = track.load_position if load and track.load_position is not None else track.position
+            omega = 2j * np.pi * np.arange(len(harmonics)) / self.period
+            position[:, index] = in_time(harmonics, samples)
+            velocity[:, index] = in_time(omega * harmonics, samples)
+            acceleration[:, index] = in_time(omega**2 * harmonics, samples)
+        return Motion(position, velocity, acceleration)
+
+    def effort(self, samples: int) -> Array:
+        """Measured efforts (samples, tracks) over one period, below the band's end, N m (N)."""
+        return np.stack([in_time(track.effort, samples) for track in self.tracks], -1)
+
+
+def axis_track(sweep: Sweep) -> AxisTrack:
+    """What is kept of one axis' recording; BadInput where it does not hold the whole periods."""
+    spec, record = sweep.spec, sweep.recording
+    first, count = window(spec, record.time)
+    part, periods = slice(first, first + count), spec.periods or 1
+    of_motion = round(MOTION_BAND * spec.sample_rate * (spec.period or 0.0))
+    highest = min(round(BAND * (spec.period or 0.0)), of_motion)
+    effort: Complex = np.fft.rfft(record.effort[part])[: periods * (highest + 1)] / count
+    between = np.arange(len(effort)) % periods != 0
+    noise = float(np.sqrt(np.mean(np.abs(effort[between]) ** 2) / 2)) if periods > 1 else None
+
+    def harmonics(signal: Array, last: int) -> Complex:
+        transform: Complex = np.fft.rfft(signal[part])
+        return transform[: periods * last + 1 : periods] / count
+
+    return AxisTrack(
+        spec=spec,
+        effort=harmonics(record.effort, highest),
+        position=harmonics(record.position, of_motion),
+        load_position=None if record.load_position is None else harmonics(record.load_position, of_motion),
+        noise=noise,
+    )
+
+
+def runs_at_once(spec: SweepSpec) -> bool:
+    """Is it one axis of an exciting trajectory? Others with its block, pose and start may have moved with it."""
+    return spec.excitation == "trajectory" and spec.periodic
+
+
+def block_label(number: int, axes: int) -> str:
+    """The block of all sweeps of a trajectory; it says how many there are, so that none is taken for standing."""
+    return f"trajectory {number} of {axes} axes"
+
+
+def trajectories(robot: Robot, tracks: Sequence[AxisTrack]) -> tuple[TrajectoryRecord, ...]:
+    """Tracks put together by block, pose and start; BadInput where they do not belong together after all.
+
+    A trajectory of which axes are still missing by its `block_label` is left out.
+    """
+    groups: dict[tuple[object, ...], list[AxisTrack]] = {}
+    for track in tracks:
+        spec = track.spec
+        groups.setdefault((spec.block, spec.started_at, spec.pose, spec.repeat), []).append(track)
+    return tuple(
+        trajectory(robot, group) for group in groups.values() if len(group) >= axes_of_block(group[0].spec.block)
+    )
+
+
+def trajectory(robot: Robot, tracks: Sequence[AxisTrack]) -> TrajectoryRecord:
+    """One trajectory of axes that moved at once; BadInput where they do not belong together."""
+    first = tracks[0].spec
+    for track in tracks:
+        robot.index(track.joint)
+        for name in ("pose", "period", "periods", "measure_from", "sample_rate"):
+            mine, others = getattr(track.spec, name), getattr(first, name)
+            if mine != others:
+                raise BadInput(f"sweep {track.spec.id}", f"{name} {mine} differs from {others} of sweep {first.id}")
+    axes = [track.joint for track in tracks]
+    if len(set(axes)) < len(axes):
+        raise BadInput(f"sweep {first.id}", f"its trajectory has an axis twice: {', '.join(axes)}")
+    return TrajectoryRecord(first.pose, first.period or 0.0, first.periods or 0, tuple(tracks))
+
+
+def calibrated(record: TrajectoryRecord, gains: Mapping[str, float]) -> TrajectoryRecord:
+    """With true efforts: those of the drives divided by their gains, 1 for an axis without."""
+    tracks: list[AxisTrack] = []
+    for track in record.tracks:
+        gain = gains.get(track.joint, 1.0)
+        noise = None if track.noise is None else track.noise / gain
+        tracks.append(replace(track, effort=track.effort / gain, noise=noise))
+    return replace(record, tracks=tuple(tracks))
+
+
+def with_loads(record: TrajectoryRecord, trains: Mapping[str, DriveTrain]) -> TrajectoryRecord:
+    """With load positions also where there is no direct encoder: ql = qm - c (effort - Jm d2qm/dt2).
+
+    Friction of the motor, which does not reach the spring, is left out. `trains`: what a joint fit found of the drive
+    trains; an axis without counts as stiff.
+    """
+    omega = 2j * np.pi * record.frequency
+    tracks: list[AxisTrack] = []
+    for track in record.tracks:
+        train = trains.get(track.joint)
+        if track.load_position is None and train is not None:
+            motor = track.position[: len(omega)]
+            twist = train.compliance * (track.effort - train.motor_inertia * omega**2 * motor)
+            track = replace(track, load_position=motor - twist)
+        tracks.append(track)
+    return replace(record, tracks=tuple(tracks))
+
+
+def in_time(harmonics: Complex, samples: int) -> Array:
+    """A real signal (samples,) over one period from its harmonics, without those above half of the sample rate."""
+    spectrum = np.zeros(samples // 2 + 1, dtype=complex)
+    kept = harmonics[: samples // 2]
+    spectrum[: len(kept)] = kept
+    return np.fft.irfft(spectrum * samples, samples)
+
+
+def axes_of_block(block: str) -> int:
+    """How many axes the label of a trajectory names; 1 for any other label."""
+    found = re.fullmatch(r"trajectory \d+ of (\d+) axes", block)
+    return int(found[1]) if found else 1
+
+
+def _pairs(values: Complex) -> list[list[float]]:
+    return [[value.real, value.imag] for value in values.tolist()]
+
+
+def _complex(pairs: list[list[float]]) -> Complex:
+    return np.array([complex(re, im) for re, im in pairs], dtype=complex)

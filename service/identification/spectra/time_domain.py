@@ -1,0 +1,173 @@
+r"""Records without lines: least squares on the DFT of each regressor, one record at a time.
+
+    effort = J dv/dt + mu v + Fc sign(v) + offset + gravity        (rigid train)
+
+holds at every instant, hence bin by bin for the DFTs of all its terms (`frequency_response`). Bins from 0 to 20 Hz are
+a low-pass filter applied to every term alike, and the acceleration comes from integration by parts, so neither filter
+nor difference quotient biases J. Back in time the K + 1 bins are 2 K + 1 equations at equal distances over the record,
+with the same normal matrix (Parseval).
+
+Gravity of an axis that turns little is a constant to first order, and takes the offset's place. An axis that turns far
+tells both apart: then the constant stays, for a motor under way in one direction hides its dry friction in it.
+
+Standard deviations. White noise would give s^2 (A^T A)^-1. What a rigid train does not explain is neither white nor
+independent of the motion, so three estimates of theta's variance are made, and the largest counts:
+
+- white noise;
+- stretches: the record is divided into B = `PARTS` of equal length; with theta_b the fit without stretch b,
+  var theta = (B - 1)/B sum_b (theta_b - mean)^2 (delete-a-group jackknife, Shao and Wu 1989). It needs stretches longer
+  than the memory of what is left over, and no model of it. It has B - 1 degrees of freedom: the factor
+  t_0.975(B - 1)/1.96 keeps "two standard deviations" at 95 %;
+- bins: DFTs of stationary noise of any colour are independent from bin to bin, each with its own variance, for which
+  the bin's residual r stands:  sum_k |(A^T A)^-1 R_k^T (1 - H_k)^-1/2 r_k|^2,  H_k its leverage (HC2, MacKinnon and
+  White 1985). That holds for noise whose memory is as long as the record.
+
+An error of the model that is the same all over the record shows in none of them. The one that every drive has is
+friction that is not linear in speed. So the fit is made once more with a term v|v|; by how much that moves J, beyond
+what noise lets it move, is added to its variance. (The friction terms beside v|v| are other terms than those without.)
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from service.errors import BadInput
+from service.identification.spectra.frequency_response import Complex, Spectrum
+
+Array = NDArray[np.float64]
+
+OPEN = 1e-7  # smallest singular value of the unit columns: below, two terms are the same but for rounding
+TURNS_FAR = 0.01  # of its length that a constant must have outside of cos and sin of the way: swings above 0.25 rad
+PARTS = 10  # stretches of the record
+FEW_ROWS = 4  # equations that a stretch must have on the average
+LOST = 1e-6  # of the largest singular value: directions that a record without one stretch does not show
+ALONE = 1e-6  # of its equations that a bin must leave to the others, or they say nothing of it
+DRAG_OPEN = 1e-4  # smallest singular value of the unit columns with v|v|: below, the motion does not tell it apart
+
+
+@dataclass(frozen=True)
+class FreeFit:
+    """Result of one record; SI on the joint side. `residual_percent`: RMS of what is left over RMS of the effort.
+
+    `by_drag`: what of the standard deviation of J comes from friction that is not linear in speed.
+    """
+
+    inertia: float
+    inertia_std: float
+    terms: dict[str, tuple[float, float]]  # the other terms: value, std
+    residual_percent: float
+    by_drag: float
+
+
+def fit_record(spectrum: Spectrum) -> FreeFit:
+    """Fit one free record; every term that its motion excites takes part. BadInput if that leaves J open."""
+    columns = _columns(spectrum)
+    rows, values = _in_time(np.stack(list(columns.values()), -1)), _in_time(spectrum.effort[:, None])[:, 0]
+    scale = np.linalg.norm(rows, axis=0)
+    scaled = rows / np.where(scale > 0, scale, 1.0)
+    if len(values) <= len(scale) or np.linalg.svd(scaled, compute_uv=False)[-1] < OPEN:
+        raise BadInput(
+            f"sweep {spectrum.spec.id}",
+            f"its motion of {spectrum.samples} samples does not tell inertia from {', '.join(list(columns)[1:])}",
+        )
+    solution = np.asarray(np.linalg.lstsq(scaled, values, rcond=None)[0], dtype=float)
+    residual: Array = values - scaled @ solution
+    inverse = np.asarray(np.linalg.inv(scaled.T @ scaled), dtype=float)
+    variance, by_drag = _variance(scaled, residual, inverse), _by_drag(scaled, residual, spectrum, inverse[0])
+    variance[0] += by_drag
+    std = np.sqrt(variance) / scale
+    result = dict(zip(columns, zip((solution / scale).tolist(), std.tolist(), strict=True), strict=True))
+    inertia, inertia_std = result.pop("inertia")
+    return FreeFit(
+        inertia=inertia,
+        inertia_std=inertia_std,
+        terms=result,
+        residual_percent=100 * float(np.linalg.norm(residual) / np.linalg.norm(values)),
+        by_drag=float(np.sqrt(by_drag) / scale[0]),
+    )
+
+
+def _columns(spectrum: Spectrum) -> dict[str, Complex]:
+    """The DFTs (b,) of what the record's motion excites, by term."""
+    columns: dict[str, Complex] = {"inertia": spectrum.named("acceleration")[0], "viscous_friction": spectrum.velocity}
+    for name, term in (
+        ("coulomb", "coulomb_friction"),
+        ("offset", "effort_offset"),
+        ("gravity_torque", "gravity_torque"),
+        ("gravity_stiffness", "gravity_stiffness"),
+    ):
+        for row in spectrum.named(name):
+            columns[term] = row
+    if "gravity_torque" in columns:
+        constant = _in_time(columns["effort_offset"][:, None])[:, 0]
+        gravity = _in_time(np.stack([columns["gravity_torque"], columns["gravity_stiffness"]], -1))
+        beyond = constant - gravity @ np.linalg.lstsq(gravity, constant, rcond=None)[0]
+        if np.linalg.norm(beyond) < TURNS_FAR * np.linalg.norm(constant):
+            del columns["effort_offset"]
+    return columns
+
+
+def _in_time(bins: Complex) -> Array:
+    """Signals (2 K + 1, p) of their DFTs (K + 1, p): low-passed, at equal distances over the record."""
+    count = 2 * len(bins) - 1
+    return np.fft.irfft(bins, count, axis=0) * count
+
+
+def _variance(rows: Array, residual: Array, inverse: Array) -> Array:
+    """Variances (p,) by noise of a fit with rows (m, p) of unit length and its residual (m,); see the header."""
+    white = float(residual @ residual) / (len(residual) - rows.shape[1]) * np.diag(inverse)
+    return np.maximum.reduce([white, _between_stretches(rows, residual), _between_bins(rows, residual, inverse)])
+
+
+def _between_stretches(rows: Array, residual: Array) -> Array:
+    """Variances (p,) by the jackknife over stretches; 0 where the record is too short to be divided.
+
+    A fit without a stretch differs by the least-squares solution for what is left over outside of it. A direction that
+    only this stretch shows stays as it is.
+    """
+    if len(rows) < FEW_ROWS * PARTS:
+        return np.zeros_like(rows[0])
+    stretch = np.arange(len(rows)) * PARTS // len(rows)
+    without = np.array(
+        [np.linalg.lstsq(rows[stretch != b], residual[stretch != b], rcond=LOST)[0] for b in range(PARTS)]
+    )
+    factor = float(student.ppf(0.975, PARTS - 1) / norm.ppf(0.975))
+    return np.asarray(factor**2 * (PARTS - 1) * np.var(without, axis=0), dtype=float)
+
+
+def _between_bins(rows: Array, residual: Array, inverse: Array) -> Array:
+    """Variances (p,) from the residual of each bin, with `inverse` (p, p) of the normal matrix."""
+    left, bins = _bins(residual[:, None])[..., 0], _bins(rows)
+    moments, axes = np.linalg.eigh(np.eye(2) - bins @ inverse @ np.swapaxes(bins, -1, -2))
+    grown = np.where(moments > ALONE, 1 / np.sqrt(np.maximum(moments, ALONE)), 0.0)
+    grown = np.einsum("kij,kj,klj,kl->ki", axes, grown, axes, left)
+    influence: Array = np.einsum("kip,ki->kp", bins, grown) @ inverse
+    return np.asarray(np.sum(influence**2, axis=0), dtype=float)
+
+
+def _bins(signals: Array) -> Array:
+    """Real and imaginary part (K + 1, 2, p) of signals (2 K + 1, p); squares add up to those of the signals."""
+    transform: Complex = np.fft.rfft(signals, axis=0) / np.sqrt(len(signals))
+    parts = np.stack([transform.real, transform.imag], axis=1)
+    parts[1:] *= np.sqrt(2.0)
+    return parts
+
+
+def _by_drag(rows: Array, residual: Array, spectrum: Spectrum, inverse: Array) -> float:
+    """What friction with the square of the speed would add to the variance of the first parameter, the noise of telling
+    it taken off; `inverse` (p,) is the parameter's row of the inverse normal matrix."""
+    drag = spectrum.named("drag")
+    if not len(drag):  # of a spectrum that an earlier version stored
+        return 0.0
+    column = _in_time(drag.T)[:, 0]
+    along = float(inverse @ rows.T @ column)
+    beyond = column - rows @ np.linalg.lstsq(rows, column, rcond=None)[0]
+    power = float(beyond @ beyond)
+    if power < DRAG_OPEN**2 * float(column @ column):
+        return 0.0
+    moved = float(beyond @ residual) / power
+    by_bins = np.sum(_bins(beyond[:, None]) * _bins(residual[:, None]), axis=(1, 2))
+    return max(along**2 * (moved**2 - float(by_bins @ by_bins) / power**2), 0.0)

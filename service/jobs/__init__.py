@@ -1,0 +1,1 @@
+"""Work of the identification process, begun and begun again; the outbox of recorded sweeps."""

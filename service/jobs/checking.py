@@ -1,0 +1,78 @@
+"""The check of the data of every campaign that is over: one job a campaign, in the worker.
+
+The store is the outbox, as in `service.jobs.jobs`: what is over and not checked is found again after a restart.
+"""
+
+import asyncio
+import hashlib
+import json
+from functools import partial
+
+import structlog
+
+from service.campaigns.live import EventFeed
+from service.errors import BadInput
+from service.jobs.open_jobs import OpenJobs
+from service.store.checks import COMPLETE, OVER, CheckStore
+from service.store.documents import EventKind
+from service.store.files.recordings import RecordingFiles
+from service.store.store import Store
+from service.worker import CheckJob, JobFailed, RecordedSweep, Worker
+
+_log = structlog.get_logger(__name__)
+
+_ENDS = {state.value for state in OVER}
+
+
+class Checking:
+    """Hands campaigns to the worker and writes what it finds."""
+
+    def __init__(self, store: Store, checks: CheckStore, files: RecordingFiles, worker: Worker) -> None:
+        self._store, self._checks, self._files, self._worker = store, checks, files, worker
+        self._open = OpenJobs()
+
+    async def recover(self) -> None:
+        """Submit what the last process left open."""
+        for campaign_id in await asyncio.to_thread(self._checks.wanting):
+            self._submit(campaign_id)
+
+    async def follow(self, feed: EventFeed, after: int) -> None:
+        """Check what ends from event `after` on, until the feed is closed."""
+        async for event in feed.follow(after):
+            if event.kind is EventKind.CAMPAIGN and event.campaign_id is not None and event.data["state"] in _ENDS:
+                self._submit(event.campaign_id)
+
+    async def close(self) -> None:
+        """Leave open checks to the next process."""
+        await self._open.close()
+
+    @property
+    def troubles(self) -> tuple[str, ...]:
+        return self._open.troubles
+
+    def _submit(self, campaign_id: int) -> None:
+        self._open.begin(f"check of the data of campaign {campaign_id}", partial(self._do, campaign_id))
+
+    async def _do(self, campaign_id: int) -> None:
+        if campaign_id not in await asyncio.to_thread(self._checks.wanting, campaign_id):
+            return
+        try:
+            job = await asyncio.to_thread(self._job, campaign_id)
+            document = await self._worker.run_patiently(job)
+        except (JobFailed, BadInput) as error:  # a file that was changed; the identification says so, too
+            _log.error("check_failed", campaign=campaign_id, cause=str(error))
+            return
+        await asyncio.to_thread(self._checks.add, campaign_id, document)
+
+    def _job(self, campaign_id: int) -> CheckJob:
+        robot = self._store.robot(self._store.campaign(campaign_id).robot_id)
+        sweeps: list[RecordedSweep] = []
+        told: list[str] = []
+        for sweep in self._store.sweeps(campaign_id):
+            if sweep.state in COMPLETE:
+                recording = self._store.recording(campaign_id, sweep.number)
+                self._files.check(recording)
+                sweeps.append(RecordedSweep(sweep.spec, self._files.path(recording).absolute()))
+                told.append(recording.sha256)
+        digest = hashlib.sha256(json.dumps([campaign_id, told]).encode()).hexdigest()
+        return CheckJob(f"check-{digest}", robot.description, robot.urdf_text, tuple(sweeps))

@@ -1,0 +1,178 @@
+"""What the report of a campaign is made of, read from the store: large things once, and no samples but one sweep's."""
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from typing import Any, cast
+
+from pydantic import JsonValue
+
+from service.campaigns.linked_campaign import campaign_beside
+from service.errors import Conflict, NotFound
+from service.identification.motion.trajectory_record import runs_at_once
+from service.report import CampaignReport, Drive, example_of, used_sweeps
+from service.store.checks import CheckStore
+from service.store.diagnosis.diagnoses import DiagnosisStore
+from service.store.diagnosis_documents import DiagnosisDocument
+from service.store.documents import CampaignDocument, EstimateDocument, RecordingDocument, SweepDocument, SweepState
+from service.store.files.recordings import RecordingFiles
+from service.store.store import Store
+from service.worker import RecordedSweep, ReportJob
+
+CONVERGENCE = 100  # revisions whose parameters are drawn, at most
+
+
+@dataclass(frozen=True)
+class Reporting:
+    """Makes the jobs that draw reports. Methods block."""
+
+    store: Store
+    diagnoses: DiagnosisStore
+    checks: CheckStore
+    files: RecordingFiles
+
+    def job(self, campaign_id: int) -> ReportJob:
+        """The report of a campaign with its latest estimate; Conflict while it has none, or one that tells nothing."""
+        campaign = self.store.campaign(campaign_id)
+        estimate = self._estimate(campaign)
+        robot = self.store.robot(campaign.robot_id)
+        own = self.store.sweeps(campaign_id)
+        beside = campaign_beside(self.store, campaign)
+        others = () if beside is None else self.store.sweeps(beside.id)
+        alone = {sweep.spec.id: sweep for sweep in (*others, *own) if not runs_at_once(sweep.spec)}
+        document = cast("Mapping[str, Any]", estimate.document)
+        specs = used_sweeps(document, [sweep.spec for sweep in alone.values()])
+        diagnosis = self.diagnoses.newest_of(campaign_id)
+        experiment = self.diagnoses.of_experiment(campaign_id)
+        approved = None if experiment is None else experiment.experiment
+        mass = None if approved is None else approved.test_mass
+        identified = {sweep.number for sweep in own if sweep.state is SweepState.IDENTIFIED}
+        recordings = [one for number, one in self.store.recordings(campaign_id).items() if number in identified]
+        made = datetime.now(UTC)
+        report = CampaignReport(
+            title=f"Campaign {campaign_id}: the robot {robot.name}",
+            subtitle=f"Identified from {len(recordings)} sweeps; revision {estimate.revision} of the estimate.",
+            origin=(
+                ("robot", f"{robot.name}, number {robot.id} of this service"),
+                ("robot document", f"SHA-256 {robot.sha256}"),
+                ("model", _model(document)),
+                ("campaign", _campaign(campaign)),
+                ("ordered by", _ordered(campaign, None if approved is None else approved.approved_by)),
+                ("measured", _measured(campaign)),
+                ("estimate", f"revision {estimate.revision}, {_time(estimate.created_at)}"),
+                *_beside(beside),
+                ("newest diagnosis", _diagnosis(diagnosis)),
+                (
+                    "recordings",
+                    f"{len(recordings)}, SHA-256 {_listing(recordings)} of their list as sha256sum writes it",
+                ),
+                ("report", f"{_time(made)}, sweepid {version('sweepid')}"),
+            ),
+            drives=_drives(self.files.manifest(one) for one in recordings),
+            check=cast("Mapping[str, Any] | None", self.checks.document(campaign_id)),
+            diagnosis=None if diagnosis is None else (diagnosis.id, cast("Mapping[str, Any]", diagnosis.document)),
+            test_mass=None if mass is None else mass.mass,
+        )
+        return ReportJob(
+            key=f"report-{campaign_id}-{estimate.revision}-{made.isoformat()}",
+            robot=robot.description,
+            urdf_text=robot.urdf_text,
+            report=report,
+            estimate=estimate.document,
+            specs=specs,
+            example=self._recorded(alone[example_of(specs).id]) if specs else None,
+            revisions=tuple(
+                self.store.base_parameters(campaign_id, spread(estimate.revision)).items() if specs else ()
+            ),
+        )
+
+    def _estimate(self, campaign: CampaignDocument) -> EstimateDocument:
+        try:
+            estimate = self.store.estimate(campaign.id)
+        except NotFound:
+            raise Conflict(
+                f"campaign {campaign.id} ({campaign.state.value}) has no identified sweep yet, there is nothing to "
+                "report"
+            ) from None
+        if not any(estimate.document.get(key) for key in ("axes", "analysis", "combination")):
+            raise Conflict(
+                f"campaign {campaign.id} ({campaign.state.value}): none of its identified sweeps shows an inertia, "
+                "there is nothing to report"
+            )
+        return estimate
+
+    def _recorded(self, sweep: SweepDocument) -> RecordedSweep:
+        """BadInput if its file is not as it was written."""
+        recording = self.store.recording(sweep.campaign_id, sweep.number)
+        self.files.check(recording)
+        return RecordedSweep(sweep.spec, self.files.path(recording).absolute())
+
+
+def spread(last: int) -> Sequence[int]:
+    """Revisions 1 ... `last`, or so many of them as can be drawn; the last one is among them."""
+    if last <= CONVERGENCE:
+        return range(1, last + 1)
+    return sorted({1 + round(k * (last - 1) / (CONVERGENCE - 1)) for k in range(CONVERGENCE)})
+
+
+def _model(estimate: Mapping[str, Any]) -> str:
+    source = estimate.get("model")
+    if not source:
+        return "rigid body of the robot document; no accepted effects"
+    return f"revision {source['revision']} (number {source['id']}), its effects taken into account"
+
+
+def _campaign(campaign: CampaignDocument) -> str:
+    states = ", ".join(f"{count} {state.value}" for state, count in campaign.sweeps.items())
+    cause = f": {campaign.cause}" if campaign.cause else ""
+    plan = "imported" if campaign.plan_id is None else f"plan {campaign.plan_id}"
+    return f"number {campaign.id}, {plan}, {campaign.state.value}{cause}; sweeps: {states}"
+
+
+def _ordered(campaign: CampaignDocument, approved_by: str | None) -> str:
+    if approved_by is not None:
+        return f"{approved_by}, who approved it as the experiment of a diagnosis"
+    return "not recorded" if campaign.plan_id is not None else "not recorded (imported)"
+
+
+def _measured(campaign: CampaignDocument) -> str:
+    if campaign.plan_id is None:
+        return f"elsewhere; imported {_time(campaign.created_at)}"
+    return "not started" if campaign.started_at is None else f"from {_time(campaign.started_at)}"
+
+
+def _diagnosis(diagnosis: DiagnosisDocument | None) -> str:
+    if diagnosis is None:
+        return "none"
+    campaigns = ", ".join(str(number) for number in diagnosis.campaigns)
+    at = "" if diagnosis.finished_at is None else f", {_time(diagnosis.finished_at)}"
+    return f"number {diagnosis.id}, of campaign {campaigns}{at}"
+
+
+def _beside(beside: CampaignDocument | None) -> Iterable[tuple[str, str]]:
+    return () if beside is None else (("with the sweeps of", f"campaign {beside.id}"),)
+
+
+def _listing(recordings: Sequence[RecordingDocument]) -> str:
+    """What `sha256sum FILE ... | sha256sum` tells in the data folder, the files in the order of the sweeps."""
+    text = "".join(f"{one.sha256}  {one.path}\n" for one in recordings)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _drives(manifests: Iterable[Mapping[str, JsonValue]]) -> tuple[Drive, ...]:
+    """Every identity that a drive told, and while how many sweeps."""
+    told: Counter[tuple[Any, ...]] = Counter()
+    for manifest in manifests:
+        for drive in cast("list[dict[str, Any]]", manifest.get("drives", [])):
+            told[tuple(drive[name] for name in _IDENTITY)] += 1
+    return tuple(Drive(*identity, sweeps=count) for identity, count in told.items())
+
+
+_IDENTITY = ("joint", "address", "vendor", "product", "revision", "serial", "dictionary_sha256")
+
+
+def _time(at: datetime) -> str:
+    return f"{at:%Y-%m-%d %H:%M} UTC"

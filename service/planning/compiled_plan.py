@@ -1,0 +1,111 @@
+"""What a campaign's plan comes to at this machine: commands, and the envelope they are checked against."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+from service.errors import Conflict
+from service.geometry.cell import read_cell
+from service.planning.analysis.documents import AnalysisPlan
+from service.planning.diagnosis.documents import DiagnosisPlan, ExperimentPlan
+from service.planning.plan import PlanDocument
+from service.planning.trajectories.documents import TrajectoryPlan
+from service.robot import Robot
+from service.safety.envelope import Envelope
+from service.safety.noise_motion import Command
+from service.safety.robot_and_machine import DriveAxis, differences
+from service.settings import Settings
+from service.store.documents import CampaignDocument, NewSweep, PlanRecord, SweepDocument, SweepState
+from service.store.store import Store
+
+Plan = PlanDocument | AnalysisPlan | TrajectoryPlan | DiagnosisPlan | ExperimentPlan
+
+KINDS: Mapping[str, type[Plan]] = {
+    "analysis": AnalysisPlan,
+    "trajectory": TrajectoryPlan,
+    "diagnosis": DiagnosisPlan,
+    "experiment": ExperimentPlan,
+}
+
+
+@dataclass(frozen=True)
+class CompiledPlan:
+    """The commands of a campaign by sweep number."""
+
+    joints: tuple[str, ...]  # of the robot, base to tip: the order of poses
+    commands: Mapping[int, Command]
+    envelope: Envelope
+    move_velocity: float  # rad/s (m/s), between poses
+    pose_tolerance: float  # rad (m), actual against planned pose
+    trajectories: tuple[tuple[int, ...], ...] = ()  # numbers of the sweeps that run at once
+    confidence: float | None = None  # percent, at which the campaign may end (`enough`); None: all sweeps are wanted
+    base_parameters: int = 0  # that the plan is about
+
+    def due(self, sweeps: Sequence[SweepDocument]) -> list[SweepDocument]:
+        """The next planned sweep with the others of its trajectory; empty if none is left.
+
+        A trajectory of which one sweep has been measured is passed over: it can only be repeated as a whole.
+        """
+        planned = {sweep.number for sweep in sweeps if sweep.state is SweepState.PLANNED}
+        for sweep in sweeps:
+            numbers = next((numbers for numbers in self.trajectories if sweep.number in numbers), (sweep.number,))
+            if planned.issuperset(numbers):
+                return [each for each in sweeps if each.number in numbers]
+        return []
+
+
+def plan_of(record: PlanRecord) -> Plan:
+    """A stored plan of any kind."""
+    request = record.document.get("request")
+    kind = request.get("kind") if isinstance(request, dict) else None
+    return KINDS.get(str(kind), PlanDocument).model_validate(record.document)
+
+
+def planned_sweeps(plan: PlanRecord) -> tuple[NewSweep, ...]:
+    """The sweeps of a stored plan, in order."""
+    document = plan_of(plan)
+    return tuple(NewSweep(spec=sweep.spec, mode=sweep.mode) for sweep in document.sweeps)
+
+
+def other_machine(
+    robot: Robot, robot_id: int, settings: Settings, axes: Sequence[DriveAxis], moved: Collection[str]
+) -> str:
+    """Why the machine of these drive axes is not one on which joints of this robot can be `moved`; "" if it is."""
+    place = f"robot {robot.name} (number {robot_id})"
+    return differences(robot, place, axes, f"drive profile {settings.drive}", moved)
+
+
+def _moved(plan: Plan) -> set[str]:
+    """Joints that the plan's sweeps move, and the ways to them."""
+    return {name for sweep in plan.sweeps for name in (sweep.spec.axis, *(leg.joint for leg in sweep.legs))}
+
+
+def compile_plan(
+    store: Store, settings: Settings, axes: Sequence[DriveAxis], campaign: CampaignDocument
+) -> CompiledPlan:
+    """The compiled plan of a campaign; BadInput for a bad cell file.
+
+    Conflict for a campaign without plan, and for one that is for another robot than the machine of the `axes`.
+    """
+    if campaign.plan_id is None:
+        raise Conflict(f"campaign {campaign.id} was imported and cannot be run")
+    plan = plan_of(store.plan(campaign.plan_id))
+    robot = store.robot(campaign.robot_id).build()
+    other = other_machine(robot, campaign.robot_id, settings, axes, _moved(plan))
+    if other:
+        raise Conflict(f"campaign {campaign.id} is for another machine: {other}")
+    cell = read_cell(settings.cells_dir / f"{plan.request.cell}.yaml")
+    return CompiledPlan(
+        joints=robot.joints,
+        commands={number: sweep.command() for number, sweep in enumerate(plan.sweeps, 1)},
+        envelope=Envelope(
+            robot,
+            cell,
+            plan.limits if isinstance(plan, DiagnosisPlan | ExperimentPlan) else None,
+            plan.request.known_mass if isinstance(plan, ExperimentPlan) else None,
+        ),
+        move_velocity=plan.request.move_velocity,
+        pose_tolerance=settings.pose_tolerance,
+        trajectories=plan.at_once if isinstance(plan, TrajectoryPlan) else (),
+        confidence=plan.request.confidence if isinstance(plan, PlanDocument) else None,
+        base_parameters=len(plan.base_parameters) if isinstance(plan, PlanDocument) else 0,
+    )

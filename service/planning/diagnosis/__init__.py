@@ -1,0 +1,1 @@
+"""Plans of the experiments that a diagnosis asks for."""

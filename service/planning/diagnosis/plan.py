@@ -1,0 +1,161 @@
+"""Plans the campaign of a diagnosis: for each axis a few poses in which it hangs differently, all blocks in each.
+
+Poses are those of the grid in equal steps of the gravity torque about the axis (by the CAD model), from the lowest to
+the highest in which every block can be run: gravity, springs and friction under load then differ from pose to pose. An
+axis that carries no weight gets equal steps of its position instead. Of poses as good the one furthest from those
+chosen before is taken. What a pose is swept with is the `full_design` of the diagnosis.
+
+An experiment is planned alike from sweeps that are designed already: the next one that a diagnosis asks for.
+"""
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.sensitivity.design import DesignedSweep, full_design
+from service.errors import BadInput, EnvelopeViolation
+from service.geometry.cell import Cell
+from service.identification.model.regressor import gravity_terms
+from service.planning.candidates import grid, room
+from service.planning.diagnosis.documents import (
+    DiagnosisPlan,
+    DiagnosisRequest,
+    ExperimentPlan,
+    ExperimentRequest,
+    limits,
+)
+from service.planning.diagnosis.path import DesignedWay
+from service.planning.documents import DroppedPose
+from service.robot import Robot
+from service.safety.envelope import Envelope
+from service.safety.travel import order_poses
+
+Array = NDArray[np.float64]
+
+WEIGHT = 0.01  # of the rated effort: an axis whose gravity torque changes less over the poses carries no weight
+AS_GOOD = 0.05  # of the range, by which poses may miss the step wanted
+TRIES = 25  # poses tried for each one wanted
+
+
+def build_diagnosis_plan(robot: Robot, request: DiagnosisRequest, cell: Cell) -> DiagnosisPlan:
+    """The plan of a diagnosis' campaign; BadInput names the field that cannot be met."""
+    request.check(robot)
+    envelope = Envelope(robot, cell, limits(request.blocks))
+    home = np.array(cell.home_pose(robot.joints))
+    poses = grid(robot, request.as_sweeps(), envelope, home)
+    free = poses[envelope.checker.collision_free(poses)]
+    way = DesignedWay(robot, request, envelope, home)
+    refused: list[DroppedPose] = []
+    for joint in request.axes:
+        candidates = free[_has_room(envelope, free, robot.index(joint), request.blocks)]
+        if len(candidates) < request.poses:
+            raise BadInput(
+                "poses",
+                f"{request.poses} wanted, but of {len(poses)} poses of the grid only {len(candidates)} are free with "
+                f"room for every block of {joint} in cell {cell.name}",
+            )
+        chosen, left_out = _choose(robot, request, envelope, joint, candidates, home)
+        refused += left_out
+        in_order = chosen[order_poses(chosen, np.array(way.here))]
+        way.follow(_designed(robot, request, joint, in_order))
+    return DiagnosisPlan(
+        robot=robot.name,
+        request=request,
+        sweeps=tuple(way.sweeps),
+        dropped=(*refused, *way.dropped),
+        candidates=len(poses),
+        measurable=len(free),
+        duration=sum(sweep.duration for sweep in way.sweeps),
+    )
+
+
+def build_experiment_plan(
+    robot: Robot, request: ExperimentRequest, designed: Sequence[DesignedSweep], cell: Cell
+) -> ExperimentPlan:
+    """The plan of designed sweeps, in their order; BadInput if none of them can be run.
+
+    A block that leaves the envelope in a pose, or a pose that no way leads to, is left out with its reason.
+    """
+    if not designed:
+        raise BadInput("experiment", "has no sweeps")
+    for sweep in designed:
+        robot.index(sweep.spec.axis)
+    envelope = Envelope(robot, cell, limits(sweep.spec.block for sweep in designed), request.known_mass)
+    way = DesignedWay(robot, request, envelope, np.array(cell.home_pose(robot.joints)))
+    way.follow(designed)
+    if not way.sweeps:
+        raise BadInput("experiment", f"none of its sweeps can be run, the first because: {way.dropped[0].reason}")
+    return ExperimentPlan(
+        robot=robot.name,
+        request=request,
+        sweeps=tuple(way.sweeps),
+        dropped=tuple(way.dropped),
+        duration=sum(sweep.duration for sweep in way.sweeps),
+    )
+
+
+def spread(robot: Robot, index: int, candidates: Array) -> Array:
+    """In what poses (m, n) differ for an axis (m,): its gravity torque, N m; without weight its position, rad (m)."""
+    chain = robot.chain
+    gravity = gravity_terms(chain, chain.inertial.ravel(), robot.gravity, index, candidates)[:, 0]
+    carries = np.ptp(gravity) > WEIGHT * robot.axes[index].rated_effort
+    return gravity if carries else candidates[:, index]
+
+
+def _choose(
+    robot: Robot, request: DiagnosisRequest, envelope: Envelope, joint: str, candidates: Array, home: Array
+) -> tuple[Array, list[DroppedPose]]:
+    """Poses (k, n), at most as many as requested, in which every block can be run; and those tried in vain."""
+    value = spread(robot, robot.index(joint), candidates)
+    step = AS_GOOD * max(float(np.ptp(value)), 1e-9)
+    open_, chosen, refused = np.ones(len(candidates), dtype=bool), list[int](), list[DroppedPose]()
+    for wanted in np.linspace(float(value.min()), float(value.max()), request.poses).tolist():
+        away = _distance(candidates, candidates[chosen] if chosen else home[None])
+        misses = np.floor(np.abs(value - wanted) / step)
+        for pick in [int(k) for k in np.lexsort((-away, misses)) if open_[k]][:TRIES]:
+            open_[pick] = False
+            reason = _refusal(robot, request, envelope, joint, candidates[pick], home)
+            if not reason:
+                chosen.append(pick)
+                break
+            refused.append(DroppedPose(pose=tuple(candidates[pick].tolist()), reason=reason))
+    if not chosen:
+        raise BadInput("poses", f"no pose of {joint} can be measured, the first because: {refused[0].reason}")
+    return candidates[chosen], refused
+
+
+def _refusal(robot: Robot, request: DiagnosisRequest, envelope: Envelope, joint: str, pose: Array, home: Array) -> str:
+    """Why a pose cannot be measured, or ""."""
+    way = DesignedWay(robot, request, envelope, home)
+    try:
+        envelope.order_of_legs(tuple(home.tolist()), tuple(pose.tolist()))
+    except EnvelopeViolation as error:
+        return str(error)
+    way.follow(_designed(robot, request, joint, pose[None]))
+    return way.dropped[0].reason if way.dropped else ""
+
+
+def _designed(robot: Robot, request: DiagnosisRequest, joint: str, poses: Array) -> tuple[DesignedSweep, ...]:
+    return full_design(
+        robot,
+        joint,
+        poses,
+        repeats=request.repeats,
+        sample_rate=request.sample_rate,
+        blocks=request.blocks,
+    )
+
+
+def _has_room(envelope: Envelope, poses: Array, index: int, blocks: Iterable[str]) -> NDArray[np.bool_]:
+    """Poses from which the widest block fits, in every direction in which there is one."""
+    enough = np.ones(len(poses), dtype=bool)
+    for direction in {-1 if block.startswith("backward") else 1 for block in blocks}:
+        left = np.flatnonzero(enough)
+        enough[left] = room(envelope, poses[left], index, direction)
+    return enough
+
+
+def _distance(poses: Array, others: Array) -> Array:
+    """From each pose (m, n) to the nearest of others (k, n), all joints added up: (m,)."""
+    return np.abs(poses[:, None] - others[None]).sum(axis=-1).min(axis=-1)

@@ -1,0 +1,61 @@
+"""What the sweeps of a request show of the robot: rows in the base parameters, and the workspace they speak for."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from service.geometry.collision import reachable
+from service.identification.model.base_parameters import base_parameters, joint_ranges
+from service.identification.model.regressor import axis_rows, inertia_rows, lock
+from service.planning.documents import PlanRequest
+from service.robot import Robot
+
+Array = NDArray[np.float64]
+
+WORKSPACE = 2000  # poses that stand for the workspace
+
+
+@dataclass(frozen=True)
+class Observation:
+    """The chain as the identification will see it: joints that neither move nor vary are locked."""
+
+    robot: Robot
+    axes: tuple[int, ...]  # measured joints
+    free: tuple[int, ...]  # joints left
+    home: Array
+    names: tuple[str, ...]  # base parameters
+    columns: tuple[int, ...]
+
+    def rows(self, poses: Array) -> Array:
+        """Rows (m, axes, base parameters) at poses (m, n)."""
+        chain = lock(self.robot.chain, _locked(self.home, self.free))
+        own = [self.free.index(axis) for axis in self.axes]
+        return np.stack([axis_rows(chain, k, poses[:, self.free])[:, self.columns] for k in own], axis=1)
+
+    def inertia(self, poses: Array) -> Array:
+        """Inertia (m, axes) of the CAD model about the axes, kg m^2 (kg)."""
+        chain, parameters = self.robot.chain, self.robot.chain.inertial.ravel()
+        motors = [self.robot.axes[axis].reflected_motor_inertia or 0.0 for axis in self.axes]
+        return np.stack([inertia_rows(chain, axis, poses) @ parameters for axis in self.axes], axis=1) + motors
+
+    def workspace(self, stood: Array) -> Array:
+        """Poses (w, n) that stand for all that the robot can take, as in the estimate (`Estimate.workspace`)."""
+        lower, upper = joint_ranges(lock(self.robot.chain, _locked(self.home, self.free)))
+        poses = np.tile(self.home, (WORKSPACE, 1))
+        poses[:, self.free] = qmc.scale(qmc.Halton(len(lower), scramble=False).random(WORKSPACE), lower, upper)
+        return reachable(self.robot, stood, poses)
+
+
+def observe(robot: Robot, request: PlanRequest, home: Array) -> Observation:
+    """What the request's sweeps show; the joints that it neither measures nor varies stand at `home` (n,)."""
+    axes = tuple(robot.index(joint) for joint in request.axes)
+    free = tuple(sorted(robot.index(joint) for joint in {*request.axes, *request.varied}))
+    chain = lock(robot.chain, _locked(home, free))
+    base = base_parameters(chain, tuple(sorted(free.index(axis) for axis in axes)))
+    return Observation(robot, axes, free, home, base.names, base.columns)
+
+
+def _locked(home: Array, free: tuple[int, ...]) -> dict[int, float]:
+    return {k: float(position) for k, position in enumerate(home) if k not in free}

@@ -1,0 +1,1 @@
+"""Plans of trajectories of several axes."""

@@ -1,0 +1,145 @@
+"""Plans exciting trajectories: several axes at once on Fourier series within limits, their whole path free."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.ports import SweepMode
+from service.errors import BadInput, EnvelopeViolation
+from service.geometry.cell import Cell
+from service.identification.design.exciting_trajectory import Shape, Trajectory, TrajectoryLimits, design_trajectory
+from service.identification.model.base_parameters import joint_ranges
+from service.identification.model.whole_base import dynamic_base
+from service.identification.motion.trajectory_record import block_label
+from service.planning.documents import PlannedLeg, PlannedSweep
+from service.planning.itinerary import LEG_OVERHEAD
+from service.planning.trajectories.documents import TrajectoryPlan, TrajectoryRequest
+from service.recording import SweepSpec
+from service.robot import Robot
+from service.safety.envelope import Envelope
+
+Array = NDArray[np.float64]
+
+RAMP, SETTLE = 1.0, 1.0  # s
+EFFORT_SHARE = 0.9  # of the joints' limits that the predicted effort may take
+RESTARTS, STEPS = 20, 40  # shapes tried, and steps that make the best of them better
+
+
+def build_trajectory_plan(robot: Robot, request: TrajectoryRequest, cell: Cell) -> TrajectoryPlan:
+    """The plan of a request; BadInput names the field that cannot be met."""
+    for joint in request.axes:
+        if joint not in robot.joints:
+            raise BadInput("axes", f"unknown joint {joint}; robot {robot.name} has {', '.join(robot.joints)}")
+    if len(set(request.axes)) < len(request.axes):
+        raise BadInput("axes", f"names a joint twice: {', '.join(request.axes)}")
+    envelope = Envelope(robot, cell)
+    if request.velocity > envelope.limits.trajectory_velocity:
+        raise BadInput("velocity", f"{request.velocity} is above the limit {envelope.limits.trajectory_velocity}")
+    home = np.array(cell.home_pose(robot.joints))
+    limits = _limits(robot, request, envelope, home)
+    base = dynamic_base(robot, (limits.lower, limits.upper))
+    shape = Shape(request.period, request.harmonics, request.periods, RAMP, SETTLE)
+    here: list[float] = home.tolist()
+    sweeps: list[PlannedSweep] = []
+    condition: list[float] = []
+    for number in range(1, request.trajectories + 1):
+        run = design_trajectory(
+            robot,
+            base.columns,
+            limits,
+            shape,
+            envelope.checker.path_free,
+            seed=request.seed + number,
+            restarts=RESTARTS,
+            steps=STEPS,
+        )
+        if not np.isfinite(run.condition):
+            raise BadInput(
+                "harmonics",
+                f"{request.harmonics} do not tell the {len(base.columns)} base parameters of the axes apart",
+            )
+        clock = sum(sweep.duration for sweep in sweeps)
+        try:
+            sweeps += _sweeps(robot, request, envelope, run, here, number, len(sweeps), clock)
+        except EnvelopeViolation as error:
+            raise BadInput("seed", f"trajectory {number} of seed {request.seed} cannot be run: {error}") from None
+        condition.append(run.condition)
+        here = run.path(np.array([run.duration]))[0].tolist()
+    return TrajectoryPlan(
+        robot=robot.name,
+        request=request,
+        sweeps=tuple(sweeps),
+        condition=tuple(condition),
+        duration=sum(sweep.duration for sweep in sweeps),
+    )
+
+
+def _limits(robot: Robot, request: TrajectoryRequest, envelope: Envelope, home: Array) -> TrajectoryLimits:
+    """Room of the axes that move; the others have none."""
+    own = envelope.limits
+    lower, upper = joint_ranges(robot.chain)
+    for index, joint in enumerate(robot.joints):
+        if joint not in request.axes:
+            lower[index] = upper[index] = home[index]
+            continue
+        low, high = envelope.joint_range(index)
+        margin = own.trajectory_deviation + own.window_margin
+        lower[index], upper[index] = max(lower[index], low) + margin, min(upper[index], high) - margin
+    joints = robot.chain.joints
+    return TrajectoryLimits(
+        lower=lower,
+        upper=upper,
+        velocity=np.array([min(request.velocity, joint.velocity) for joint in joints]),
+        acceleration=np.full(len(joints), request.acceleration),
+        effort=EFFORT_SHARE * np.array([joint.effort for joint in joints]),
+    )
+
+
+def _sweeps(
+    robot: Robot,
+    request: TrajectoryRequest,
+    envelope: Envelope,
+    run: Trajectory,
+    here: list[float],
+    number: int,
+    before: int,
+    clock: float,
+) -> list[PlannedSweep]:
+    """The sweeps of one trajectory's axes; the way to its start stands with the first."""
+    start: list[float] = run.start.tolist()
+    legs = envelope.order_of_legs(here, start)
+    travelling = sum(abs(target - here[k]) for k, target in legs) / request.move_velocity
+    travelling += LEG_OVERHEAD * (len(legs) + 1)
+    path = run.path(np.linspace(0.0, run.duration, 1000))
+    margin = envelope.limits.trajectory_deviation
+    sweeps: list[PlannedSweep] = []
+    for joint in request.axes:
+        index, first = robot.index(joint), not sweeps
+        design = run.excitations[index]
+        sweeps.append(
+            PlannedSweep(
+                spec=SweepSpec(
+                    id=f"{before + len(sweeps) + 1:04d}",
+                    axis=joint,
+                    pose=tuple(start),
+                    offset_velocity=0.0,
+                    excitation="trajectory",
+                    sines=design.sines,
+                    period=design.period,
+                    periods=design.periods,
+                    measure_from=design.measure_from,
+                    sample_rate=request.sample_rate,
+                    started_at=clock + travelling,
+                    block=block_label(number, len(request.axes)),
+                ),
+                mode=SweepMode.HOST_STREAMED,
+                ramp=design.ramp,
+                settle=design.settle,
+                velocity_limit=min(envelope.limits.trajectory_velocity, robot.chain.joints[index].velocity),
+                effort_limit=envelope.effort_limit(index),
+                position_window=(float(path[:, index].min()) - margin, float(path[:, index].max()) + margin),
+                legs=tuple(PlannedLeg(joint=robot.joints[k], target=target) for k, target in legs) if first else (),
+                duration=travelling + run.duration if first else 0.0,
+            )
+        )
+    envelope.check_trajectory([sweep.command() for sweep in sweeps], start)
+    return sweeps

@@ -1,0 +1,72 @@
+"""What a report is made of, from an estimate and its sweeps: the same for the commands, the demo and the API."""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from itertools import product
+
+import numpy as np
+
+from service.geometry.collision import reachable
+from service.recording import Sweep, SweepSpec
+from service.report.content import SAME_POSITION, Array, Content, Document, revision
+from service.robot import Robot
+
+DRAWN = 2000  # poses that models are drawn over, at most
+FINEST = 25  # positions of one joint
+
+
+def content_of(
+    robot: Robot,
+    estimate: Document,
+    specs: Iterable[SweepSpec],
+    read: Callable[[SweepSpec], Sweep],
+    subtitle: str,
+    *,
+    workspace: Array | None = None,
+    revisions: Iterable[tuple[int, Document]] = (),
+) -> Content:
+    """The content of a report of an estimate that has the inertia of an axis.
+
+    `specs`: at least of the sweeps that the estimate used. `read` gives the samples of one of them, for the example.
+    `workspace` (m, n): free poses, where they are known; else a grid over what the sweeps covered. `revisions`: number
+    and document (its "base_parameters" are enough) of the estimates on the way.
+    """
+    used = used_sweeps(estimate, specs)
+    names = [entry["name"] for entry in estimate["base_parameters"]]
+    return Content(
+        title=f"Inertias of the robot {robot.name}",
+        subtitle=subtitle,
+        robot=robot,
+        estimate=estimate,
+        specs=used,
+        workspace=covered(robot, used) if workspace is None else workspace,
+        revisions=tuple(revision(document, names, number) for number, document in revisions),
+        example=read(example_of(used)),
+    )
+
+
+def used_sweeps(estimate: Document, specs: Iterable[SweepSpec]) -> tuple[SweepSpec, ...]:
+    """Those whose inertia stands in the estimate, in their order."""
+    used = {one["sweep"] for axis in estimate["axes"].values() for one in axis["inertia"]}
+    return tuple(spec for spec in specs if spec.id in used)
+
+
+def example_of(used: Sequence[SweepSpec]) -> SweepSpec:
+    """The sweep with the most lines, of the axis that was measured first."""
+    return max((spec for spec in used if spec.axis == used[0].axis), key=lambda spec: len(spec.sines))
+
+
+def covered(robot: Robot, used: Sequence[SweepSpec]) -> Array:
+    """Poses (m, n) in which the robot does not meet itself, on a grid over the range of the joints that varied.
+
+    Nothing is drawn beyond what was measured. Where no joint varied: the poses of the sweeps.
+    """
+    stood = np.unique([spec.pose for spec in used], axis=0)
+    varied = np.flatnonzero(np.ptp(stood, axis=0) > SAME_POSITION)
+    if not varied.size:
+        return stood
+    count = max(2, min(FINEST, math.floor(DRAWN ** (1 / varied.size))))
+    ranges = [np.linspace(float(stood[:, k].min()), float(stood[:, k].max()), count).tolist() for k in varied]
+    poses = np.tile(stood.mean(axis=0), (count**varied.size, 1))
+    poses[:, varied] = list(product(*ranges))
+    return reachable(robot, stood, poses)

@@ -1,0 +1,130 @@
+"""The report of a campaign: verdict, origin, what was identified, what the data's check and a diagnosis found."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+from service.report.content import Content, Document
+from service.report.diagnosis import diagnosis_section, findings
+from service.report.html import Page
+from service.report.page import analysis_section, estimate_sections
+from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict
+from service.robot import Robot
+
+_LOOK = {CONFIRMED: "none", OPEN: "ambiguous", CONTRADICTED: "unknown"}  # of the card; the word stands in it
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """What a drive said of itself while `sweeps` sweeps were recorded (CiA 301 object 1018h)."""
+
+    joint: str
+    address: str
+    vendor: int
+    product: int
+    revision: int
+    serial: int
+    dictionary_sha256: str
+    sweeps: int
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignReport:
+    """What a campaign's report has beside the estimate. `origin`: what, and what is known of it, in order.
+
+    `check` as `sweepid check --json` writes it. `diagnosis`: number and document of the newest one. `test_mass`: kg.
+    """
+
+    title: str
+    subtitle: str
+    origin: tuple[tuple[str, str], ...]
+    drives: tuple[Drive, ...]
+    check: Document | None
+    diagnosis: tuple[int, Document] | None
+    test_mass: float | None = None
+
+
+def render_campaign(report: CampaignReport, robot: Robot, estimate: Document, content: Content | None) -> str:
+    """One HTML file. `content`: None where the estimate has no inertia of an axis by itself."""
+    page = Page()
+    page.add(f"<h1>{escape(report.title)}</h1>", f'<p class="lead">{escape(report.subtitle)}</p>')
+    found = verdict(estimate, report.check, report.diagnosis, report.test_mass)
+    page.add(
+        f'<div class="card {_LOOK[found.standing]}"><p class="verdict"><b>{found.standing}.</b> '
+        f"{escape(found.sentence)}</p></div>"
+    )
+    _origin(page, report)
+    if content is not None:
+        estimate_sections(page, content)
+    else:
+        analysis_section(page, robot, estimate.get("analysis", {}))
+    if estimate.get("combination"):
+        _combination(page, estimate["combination"])
+    _suspects(page, estimate.get("suspect", ()))
+    _check(page, report.check)
+    if report.diagnosis is not None:
+        diagnosis_section(page, report.diagnosis[1])
+    return page.html(report.title)
+
+
+def _origin(page: Page, report: CampaignReport) -> None:
+    page.add("<h2>Origin</h2>")
+    page.facts_table(report.origin)
+    page.add("<h3>Drives</h3>")
+    if not report.drives:
+        page.add("<p>Not recorded: the sweeps were imported, or measured without a fieldbus.</p>")
+        return
+    page.add("<p>As they told of themselves when the sweeps were recorded; a drive that was changed has two lines.</p>")
+    page.table(
+        ["joint", "address", "vendor", "product", "revision", "serial number", "dictionary (SHA-256)", "sweeps"],
+        [
+            [
+                *(one.joint, one.address, f"{one.vendor:#x}", f"{one.product:#x}", f"{one.revision:#x}"),
+                str(one.serial) if one.serial else "not told",
+                one.dictionary_sha256[:12],
+                str(one.sweeps),
+            ]
+            for one in report.drives
+        ],
+    )
+
+
+def _combination(page: Page, combination: Document) -> None:
+    page.add(
+        "<h2>Sweeps and trajectories together</h2>",
+        "<p>The base parameters of the whole dynamics, SI, and what determines them.</p>",
+    )
+    page.table(
+        ["parameter", "value", "± std", "determined by", "not for use"],
+        [
+            [
+                one["name"],
+                f"{one['value']:.5g}",
+                "–" if one["std"] is None else f"{one['std']:.2g}",
+                one["reason"] or one["source"],
+                "" if one["identified"] else "not identified",
+            ]
+            for one in combination["base_parameters"]
+        ],
+        "name",
+    )
+
+
+def _suspects(page: Page, suspects: Sequence[Document]) -> None:
+    if not suspects:
+        return
+    page.add(
+        "<h2>Sweeps that do not fit the others</h2>", "<p>None is dropped; the worse one fits, the less it counts.</p>"
+    )
+    rows = [[one["sweep"], one["axis"], one["why"], f"{one['weight']:.2g}"] for one in suspects]
+    page.table(["sweep", "axis", "why", "weight"], rows)
+
+
+def _check(page: Page, check: Document | None) -> None:
+    page.add("<h2>Check of the data</h2>")
+    if check is None:
+        page.add("<p>Not made yet: it follows when the campaign is over.</p>")
+    elif not check["findings"]:
+        page.add("<p>Nothing found.</p>")
+    else:
+        findings(page, check["findings"])

@@ -1,0 +1,117 @@
+"""The verdict of a campaign's report in one sentence: what the estimate says, and what speaks against it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from service.identification.model.certainty import UNSURE, share_of_value
+from service.report.diagnosis import plain
+
+Document = Mapping[str, Any]
+
+CONFIRMED, OPEN, CONTRADICTED = "Confirmed", "Not confirmed", "Contradicted"
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """How the estimate stands (one of the three words above) and why; a sentence each."""
+
+    standing: str
+    sentence: str
+
+
+def verdict(
+    estimate: Document,
+    check: Document | None,
+    diagnosis: tuple[int, Document] | None,
+    test_mass: float | None = None,
+) -> Verdict:
+    """Of an estimate's document, the findings of the data's check, and number and document of the newest diagnosis."""
+    parts = (_estimate(estimate), _mass(test_mass), _check(check), _diagnosis(estimate, diagnosis))
+    standings = {standing for standing, _ in parts}
+    standing = next(one for one in (CONTRADICTED, OPEN, CONFIRMED) if one in standings)
+    return Verdict(standing, f"{'; '.join(told for _, told in parts if told)}.")
+
+
+def _estimate(estimate: Document) -> tuple[str, str]:
+    shares = {joint: share_of_value(axis) for joint, axis in estimate["axes"].items()}
+    if not shares:
+        return OPEN, "No inertia of an axis by itself was identified, only what is told below"
+    unsure = [joint for joint, share in shares.items() if not share <= UNSURE]
+    sure = [joint for joint in shares if joint not in unsure]
+    told: list[str] = []
+    if sure:
+        worst = max(sure, key=lambda joint: shares[joint])
+        told.append(
+            f"{_inertias(sure)} known to {100 * shares[worst]:.2g} % or better"
+            f"{f', {worst} the worst' if len(sure) > 1 else ''} (one standard deviation, that of the torque constants "
+            "included)"
+        )
+    if unsure:
+        told.append(f"{_inertias(unsure)} too uncertain to use")
+    suspects = estimate.get("suspect", ())
+    if suspects:
+        told.append(f"{_count(len(suspects), 'sweep does', 'sweeps do')} not fit the others")
+    text = ", but ".join(told)
+    return (OPEN if unsure or suspects else CONFIRMED), text[:1].upper() + text[1:]
+
+
+def _mass(test_mass: float | None) -> tuple[str, str]:
+    if test_mass is None:
+        return CONFIRMED, ""
+    return OPEN, f"a test mass of {test_mass:g} kg was mounted, so this is not the bare robot"
+
+
+def _check(check: Document | None) -> tuple[str, str]:
+    if check is None:
+        return OPEN, "the data were not checked yet"
+    wrong = [one for one in check["findings"] if one["severity"] == "wrong"]
+    if wrong:
+        codes = sorted({f"{one['code'].replace('_', ' ')} of {one['axis'] or 'the robot'}" for one in wrong})
+        return CONTRADICTED, f"but the check of the data says that they cannot be trusted ({', '.join(codes)})"
+    warnings = len(check["findings"])
+    return (
+        CONFIRMED,
+        f"the check of the data found {_count(warnings, 'warning', 'warnings') if warnings else 'nothing'}",
+    )
+
+
+def _diagnosis(estimate: Document, diagnosis: tuple[int, Document] | None) -> tuple[str, str]:
+    """An effect that the estimate took into account is none that it lacks."""
+    if diagnosis is None:
+        return OPEN, "no diagnosis was made of it"
+    number, document = diagnosis
+    taken = {(one["axis"], one["effect"]) for one in estimate.get("effects", ()) if one["used"]}
+    against: list[str] = []
+    untold: list[str] = []
+    for joint, axis in document["axes"].items():
+        if joint not in estimate["axes"]:
+            continue
+        effects = [one["effect"] for one in axis["effects"] if (joint, one["effect"]) not in taken]
+        if axis["verdict"] == "named" and effects:
+            against.append(f"the model of {joint} lacks {_list([plain(effect) for effect in effects])}")
+        elif axis["verdict"] == "ambiguous":
+            against.append(f"something is missing in {joint} that is not named yet")
+        elif axis["verdict"] == "unknown":
+            against.append(f"{joint} has a gap that no known effect explains")
+        elif axis["verdict"] == "untestable":
+            untold.append(joint)
+    if against:
+        return CONTRADICTED, f"but diagnosis {number} contradicts it: {', '.join(against)}"
+    asked = [joint for joint in estimate["axes"] if joint in document["axes"] and joint not in untold]
+    if len(asked) < len(estimate["axes"]):
+        left = [joint for joint in estimate["axes"] if joint not in asked]
+        return OPEN, f"diagnosis {number} does not tell whether something is missing in {_list(left)}"
+    return CONFIRMED, f"diagnosis {number} finds no effect missing"
+
+
+def _inertias(joints: Sequence[str]) -> str:
+    return f"the inertia of {_list(joints)} is" if len(joints) == 1 else f"the inertias of {_list(joints)} are"
+
+
+def _list(names: Sequence[str]) -> str:
+    return " and ".join(part for part in (", ".join(names[:-1]), names[-1]) if part)
+
+
+def _count(number: int, one: str, many: str) -> str:
+    return f"{number} {one if number == 1 else many}"

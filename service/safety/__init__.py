@@ -1,0 +1,1 @@
+"""What may move, checked before anything does and while it does. Pure."""

@@ -1,0 +1,1 @@
+"""Recordings, spectra and bundles in the data folder."""

@@ -1,0 +1,185 @@
+"""The exchange format `sweepid-bundle/1` (BUNDLE.md): a directory of bundle.json, a URDF and one file a sweep.
+
+Reading validates everything before anything is handed out; writing goes to a directory beside the target that is
+renamed when it is complete, so a bundle is there whole or not at all.
+"""
+
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+from uuid import uuid4
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from service.configuration import bad_field, read_text
+from service.errors import BadInput
+from service.recording import Sweep, SweepSpec
+from service.robot import Robot, RobotDescription, build_robot
+from service.store.files.columns import check_samples, columns_of, read_columns, write_columns
+
+FORMAT = "sweepid-bundle/1"
+MOST_NUMBERS = 250_000_000  # all sweeps of a bundle are in memory at once
+
+
+@dataclass(frozen=True, slots=True)
+class Bundle:
+    """A robot and its measured sweeps, in the order of bundle.json."""
+
+    robot: Robot
+    sweeps: tuple[Sweep, ...]
+
+
+class _Entry(SweepSpec):
+    file: str
+
+
+class _Document(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    format: Literal["sweepid-bundle/1"]
+    robot: RobotDescription
+    sweeps: tuple[_Entry, ...]
+
+
+def read_bundle(directory: Path) -> Bundle:
+    """Read and validate a whole bundle; BadInput names the file, the sweep and the reason of the first fault."""
+    place = directory / "bundle.json"
+    try:
+        document = _Document.model_validate_json(read_text(place), strict=True)
+    except ValidationError as error:
+        raise bad_field(str(place), error) from None
+    description = document.robot
+    urdf = _inside(directory, description.urdf, f"{place} robot.urdf")
+    robot = build_robot(description, read_text(urdf), f"{place} robot")
+    specs = [SweepSpec.model_validate(entry.model_dump(exclude={"file"})) for entry in document.sweeps]
+    check_specs(robot, specs, str(place))
+    sweeps: list[Sweep] = []
+    numbers = 0
+    for entry, spec in zip(document.sweeps, specs, strict=True):
+        path = _inside(directory, entry.file, f"{place} sweep {spec.id}")
+        here = f"{path} sweep {spec.id}"
+        sweep = Sweep(spec, read_columns(path, here))
+        numbers += sum(column.size for column in columns_of(sweep.recording).values())
+        if numbers > MOST_NUMBERS:
+            raise BadInput(str(place), f"its sweeps hold more than {MOST_NUMBERS} numbers together")
+        check_clock(sweep, here)
+        sweeps.append(sweep)
+    return Bundle(robot, tuple(sweeps))
+
+
+def write_bundle(directory: Path, robot: Robot, sweeps: Sequence[Sweep]) -> None:
+    """Write a bundle into a new or empty directory; BadInput, and nothing written, for what `read_bundle` refuses."""
+    if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
+        raise BadInput(str(directory), "is there already and is not an empty directory")
+    check_specs(robot, [sweep.spec for sweep in sweeps], str(directory))
+    for sweep in sweeps:
+        check_samples(sweep.recording, f"{directory} sweep {sweep.spec.id}")
+        check_clock(sweep, f"{directory} sweep {sweep.spec.id}")
+    directory.parent.mkdir(parents=True, exist_ok=True)
+    partial = directory.parent / f".{directory.name}.{uuid4().hex}.partial"
+    try:
+        _write_into(partial, robot, sweeps)
+        if directory.exists():
+            directory.rmdir()  # Windows does not rename onto a directory, not even an empty one
+        partial.rename(directory)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+
+
+def check_specs(robot: Robot, specs: Sequence[SweepSpec], place: str) -> None:
+    """What can be said of the sweeps of a robot without their samples; BadInput names the sweep."""
+    if not specs:
+        raise BadInput(place, "has no sweeps")
+    seen: set[str] = set()
+    for spec in specs:
+        here = f"{place} sweep {spec.id}"
+        if spec.id in seen:
+            raise BadInput(here, "this id stands twice")
+        seen.add(spec.id)
+        if spec.axis not in robot.joints:
+            raise BadInput(here, f"unknown joint {spec.axis!r}; robot {robot.name} has {', '.join(robot.joints)}")
+        if len(spec.pose) != len(robot.joints):
+            raise BadInput(here, f"pose has {len(spec.pose)} numbers, robot {robot.name} has {len(robot.joints)} axes")
+        if (spec.period is None) != (spec.periods is None):
+            raise BadInput(here, f"period is {spec.period} but periods is {spec.periods}; give both or neither")
+        _check_sines(spec, here)
+        samples = (spec.period or 0.0) * (spec.periods or 0) * spec.sample_rate
+        if spec.periodic and not (samples < 1e9 and abs(samples - round(samples)) <= 1e-6 * samples):
+            raise BadInput(
+                here, f"{spec.periods} periods of {spec.period} s are not whole samples at {spec.sample_rate} Hz"
+            )
+
+
+def check_clock(sweep: Sweep, place: str) -> None:
+    """BadInput unless `time` follows sample_rate without a gap and the measured window lies inside of the record.
+
+    A sample may be off its grid point by half a sample, so that one that is missing is always seen.
+    """
+    spec, time = sweep.spec, sweep.recording.time
+    rate = spec.sample_rate
+    with np.errstate(over="ignore", invalid="ignore"):  # absurd rates give inf and NaN, which no bound lets pass
+        steps = np.diff(time) * rate
+        late = (time - time[0]) * rate - np.arange(time.size)
+    gaps = np.flatnonzero(~(steps <= 1.5))
+    if gaps.size:
+        lost = int(gaps[0])
+        raise BadInput(
+            place,
+            f"gap in time: {time[lost + 1]:.6g} s follows on {time[lost]:.6g} s, sample_rate is {rate:.6g} Hz",
+        )
+    if not (np.abs(late) <= 0.5).all():
+        measured = (time.size - 1) / (time[-1] - time[0])
+        raise BadInput(place, f"sample_rate is {rate:.6g} Hz, but time runs at {measured:.6g} Hz")
+    length = time.size / rate
+    end = spec.measure_from + (spec.period or 0.0) * (spec.periods or 0)
+    if not end <= length + 0.5 / rate or spec.measure_from >= length:
+        raise BadInput(
+            place,
+            f"measured window {spec.measure_from:.6g} to {end:.6g} s lies outside of the record of {length:.6g} s",
+        )
+
+
+def _check_sines(spec: SweepSpec, place: str) -> None:
+    frequencies = [sine.frequency for sine in spec.sines]
+    for frequency in frequencies:
+        if frequency >= spec.sample_rate / 2:
+            raise BadInput(
+                place, f"sine of {frequency:.6g} Hz is not below half the sample rate {spec.sample_rate:.6g} Hz"
+            )
+        if frequencies.count(frequency) > 1:
+            raise BadInput(place, f"two sines of {frequency:.6g} Hz")
+        if spec.period is not None:
+            turns = frequency * spec.period
+            if not turns < 1e9 or round(turns) < 1 or abs(turns - round(turns)) > 1e-6 * turns:
+                raise BadInput(
+                    place,
+                    f"sine of {frequency:.9g} Hz makes {turns:.9g} turns in a period of {spec.period:.9g} s, not whole",
+                )
+
+
+def _inside(directory: Path, name: str, place: str) -> Path:
+    """The file that a bundle names; BadInput if it lies elsewhere, symbolic links followed."""
+    try:
+        path = directory / name
+        inside = not Path(name).is_absolute() and path.resolve().is_relative_to(directory.resolve())
+    except (OSError, ValueError, RuntimeError) as error:  # NUL in the name, loop of links
+        raise BadInput(place, f"file {name!r} cannot be named: {error}") from None
+    if not inside:
+        raise BadInput(place, f"file {name!r} lies outside of the bundle")
+    return path
+
+
+def _write_into(directory: Path, robot: Robot, sweeps: Sequence[Sweep]) -> None:
+    (directory / "sweeps").mkdir(parents=True)
+    (directory / "robot.urdf").write_text(robot.urdf_text, encoding="utf-8")
+    entries: list[_Entry] = []
+    for number, sweep in enumerate(sweeps, start=1):
+        name = f"sweeps/{number:04d}.parquet"  # ids are free text and make no file names
+        write_columns(directory / name, sweep.recording)
+        entries.append(_Entry.model_validate(sweep.spec.model_dump() | {"file": name}))
+    description = robot.description.model_copy(update={"urdf": "robot.urdf"})
+    document = _Document(format=FORMAT, robot=description, sweeps=tuple(entries))
+    (directory / "bundle.json").write_text(document.model_dump_json(indent=2) + "\n", encoding="utf-8")

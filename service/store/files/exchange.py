@@ -1,0 +1,36 @@
+"""Whole campaigns in and out as bundles."""
+
+from service.errors import Conflict
+from service.recording import Sweep
+from service.robot import build_robot
+from service.store.documents import CampaignDocument, NewSweep, SweepState
+from service.store.files.bundle import Bundle
+from service.store.files.intake import SavedBundle
+from service.store.files.recordings import RecordingFiles
+from service.store.store import Store
+
+
+def import_campaign(store: Store, files: RecordingFiles, saved: SavedBundle) -> CampaignDocument:
+    """A measured campaign of sweeps whose recordings lie in `files`, which wait to be identified.
+
+    Where it is not stored, the recordings are removed.
+    """
+    try:
+        robot = store.add_robot(build_robot(saved.robot, saved.urdf_text))
+        return store.add_measured(robot.id, [NewSweep(spec=spec, mode=None) for spec in saved.sweeps], saved.recordings)
+    except BaseException:
+        files.remove_folder(saved.folder)
+        raise
+
+
+def campaign_bundle(store: Store, files: RecordingFiles, campaign_id: int) -> Bundle:
+    """The complete sweeps of a campaign, as the estimate knows them; Conflict if there is none yet."""
+    robot = store.robot(store.campaign(campaign_id).robot_id).build()
+    sweeps = tuple(
+        Sweep(sweep.spec, files.load(store.recording(campaign_id, sweep.number)))
+        for sweep in store.sweeps(campaign_id)
+        if sweep.state in (SweepState.RECORDED, SweepState.IDENTIFIED)
+    )
+    if not sweeps:
+        raise Conflict(f"campaign {campaign_id} has no complete recording yet")
+    return Bundle(robot, sweeps)

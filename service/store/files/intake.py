@@ -1,0 +1,97 @@
+"""What a reader process does with a bundle that came from outside: unpack it, read all of it, store its recordings."""
+
+import errno
+import lzma
+import shutil
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Annotated, Any
+from uuid import uuid4
+
+from pydantic import BaseModel, ConfigDict, StringConstraints
+
+from service.errors import BadInput
+from service.recording import SweepSpec
+from service.robot import RobotDescription
+from service.store.documents import NewRecording, RecordingState
+from service.store.files.bundle import Bundle, read_bundle
+from service.store.files.recordings import RecordingFiles
+
+_MAX_UNPACKED = 4 * 2**30  # bytes; a small zip can hold a very large file
+# a name too long, a file that is a folder as well, a place before the archive's begin; None: bad bzip2 data.
+# Others, as a full disk, are our own trouble
+_BAD_MEMBER = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.EINVAL, None)
+
+
+class SavedBundle(BaseModel):
+    """A bundle whose samples lie in files already, one recording a sweep; `folder`: the name of theirs."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    robot: RobotDescription
+    urdf_text: str
+    sweeps: tuple[SweepSpec, ...]
+    recordings: tuple[NewRecording, ...]
+    folder: Annotated[str, StringConstraints(pattern="^import-[0-9a-f]{32}$")]  # a reader gives it
+
+
+def save_bundle(files: RecordingFiles, bundle: Bundle) -> SavedBundle:
+    """Write the recordings of a bundle into a folder of their own; all of them or nothing."""
+    name = f"import-{uuid4().hex}"
+    folder = files.folder(name)
+    try:
+        recordings = tuple(
+            files.save(
+                folder / f"{number:04d}-1.parquet",
+                sweep.recording,
+                RecordingState.COMPLETE,
+                {"robot": bundle.robot.name, "spec": sweep.spec.model_dump(mode="json")},
+            )
+            for number, sweep in enumerate(bundle.sweeps, 1)
+        )
+    except BaseException:
+        shutil.rmtree(folder)
+        raise
+    return SavedBundle(
+        robot=bundle.robot.description,
+        urdf_text=bundle.robot.urdf_text,
+        sweeps=tuple(sweep.spec for sweep in bundle.sweeps),
+        recordings=recordings,
+        folder=name,
+    )
+
+
+def take_in(source: Path, work: Path) -> dict[str, Any]:
+    """`save_bundle` of a bundle (its folder or a zip of it) below `work`, an empty folder, as JSON."""
+    return save_bundle(RecordingFiles(work), read_from(source, work / "bundle")).model_dump(mode="json")
+
+
+def read_from(source: Path, folder: Path) -> Bundle:
+    """The bundle in a folder or a zip, which is unpacked into `folder`; BadInput then names places in the bundle."""
+    if source.is_dir():
+        return read_bundle(source)
+    _unpack(source, folder)
+    try:
+        return read_bundle(folder)
+    except BadInput as error:  # who sent it knows the bundle, not our folder
+        raise BadInput(_own_place(error.place, folder), _own_place(error.reason, folder)) from None
+
+
+def _unpack(archive: Path, folder: Path) -> None:
+    """Unpack into `folder`; member names that would leave it are cut by `zipfile` itself."""
+    try:
+        with zipfile.ZipFile(archive) as content:
+            size = sum(member.file_size for member in content.infolist())
+            if size > _MAX_UNPACKED:
+                raise BadInput("bundle", f"unpacks to {size} bytes, limit {_MAX_UNPACKED} bytes")
+            content.extractall(folder)
+    except (zipfile.BadZipFile, zlib.error, EOFError, lzma.LZMAError, NotImplementedError, RuntimeError) as error:
+        raise BadInput("bundle", f"cannot be unpacked: {error}") from None
+    except OSError as error:
+        if error.errno not in _BAD_MEMBER:
+            raise
+        raise BadInput("bundle", f"cannot be unpacked: {error.strerror or error}") from None
+
+
+def _own_place(text: str, folder: Path) -> str:
+    return text.replace(f"{folder}/", "").replace(str(folder), "bundle")

@@ -1,0 +1,66 @@
+"""The audit: who asked for what, from where, and what came of it."""
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+
+from pydantic import BaseModel, ConfigDict, JsonValue
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from service.people.chain import FIRST, Entry, Link, canonical, sha256
+from service.store import tables as t
+from service.store.database import Database
+
+_PIECE = 1000  # entries read at once
+
+
+class AuditDocument(BaseModel):
+    """One entry. `sha256` goes over that of the entry before it and the canonical JSON of this one's `entry`."""
+
+    model_config = ConfigDict(frozen=True)
+    number: int
+    entry: dict[str, JsonValue]
+    sha256: str
+
+
+class AuditStore:
+    """Every method is one transaction and blocks."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def append(self, entries: Sequence[Entry]) -> int:
+        """Add entries in this order; the number of the first."""
+        with self._database.write(quiet=True) as session:
+            return append(session, entries)
+
+    def documents(self, after: int = 0, limit: int = 100) -> tuple[AuditDocument, ...]:
+        return tuple(
+            AuditDocument(number=number, entry=json.loads(entry), sha256=value)
+            for number, entry, value in self._piece(after, limit)
+        )
+
+    def links(self) -> Iterator[Link]:
+        """The whole chain, in pieces."""
+        after = 0
+        while piece := self._piece(after, _PIECE):
+            yield from piece
+            after = piece[-1][0]
+
+    def _piece(self, after: int, limit: int) -> tuple[Link, ...]:
+        query = select(t.AuditRow).where(t.AuditRow.number > after).order_by(t.AuditRow.number).limit(limit)
+        with self._database.read() as session:
+            return tuple((row.number, row.entry, row.sha256) for row in session.scalars(query))
+
+
+def append(session: Session, entries: Iterable[Entry]) -> int:
+    """Within a transaction that does more; the number of the first."""
+    last = session.scalar(select(t.AuditRow).order_by(t.AuditRow.number.desc()).limit(1))
+    number, previous = (0, FIRST) if last is None else (last.number, last.sha256)
+    first = number + 1
+    for entry in entries:
+        number += 1
+        text = canonical({**entry, "number": number, "at": t.now().isoformat()})
+        previous = sha256(previous, text)
+        session.add(t.AuditRow(number=number, entry=text, sha256=previous))
+    return first

@@ -1,0 +1,87 @@
+"""API keys: made, shown once, looked up by their hash, revoked. The audit has each change, in the same transaction."""
+
+from datetime import datetime, timedelta
+
+from pydantic import BaseModel, ConfigDict
+from sqlalchemy import select
+
+from service.errors import Conflict, NotFound
+from service.people.chain import Entry
+from service.people.keys import key_sha256, new_key
+from service.people.permissions import Role
+from service.store import tables as t
+from service.store.database import Database
+from service.store.people.audit import append
+
+
+class KeyDocument(BaseModel):
+    """A key without the key."""
+
+    model_config = ConfigDict(frozen=True)
+    id: int
+    name: str
+    role: Role
+    created_at: datetime
+    expires_at: datetime
+    revoked_at: datetime | None
+
+    def trouble(self, at: datetime) -> str:
+        """Why it opens nothing at that time; empty if it does."""
+        if self.revoked_at is not None:
+            return f"the key of {self.name} was revoked on {self.revoked_at:%Y-%m-%d}"
+        return f"the key of {self.name} expired on {self.expires_at:%Y-%m-%d}" if at >= self.expires_at else ""
+
+
+class KeyStore:
+    """Every method is one transaction and blocks. `entry`: of the audit, who does it and from where."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def add(self, name: str, role: Role, valid: timedelta, entry: Entry) -> tuple[KeyDocument, str]:
+        """The new key, which nobody can ask for again. Conflict where the name was given before."""
+        key = new_key()
+        with self._database.write(quiet=True) as session:
+            if session.scalar(select(t.ApiKeyRow).where(t.ApiKeyRow.name == name)) is not None:
+                raise Conflict(f"there is or was a key of {name}; a name is given once, so that the audit is clear")
+            made = t.now()
+            row = t.ApiKeyRow(name=name, role=role.word, sha256=key_sha256(key), expires_at=made + valid)
+            session.add(row)
+            append(session, [{**entry, "event": "key added", "key": name, "key_role": role.word}])
+            session.flush()
+            return _document(row), key
+
+    def revoke(self, name: str, entry: Entry) -> KeyDocument:
+        """At once; again changes nothing. NotFound."""
+        with self._database.write(quiet=True) as session:
+            row = session.scalar(select(t.ApiKeyRow).where(t.ApiKeyRow.name == name))
+            if row is None:
+                raise NotFound(f"no key of {name}")
+            if row.revoked_at is None:
+                row.revoked_at = t.now()
+                append(session, [{**entry, "event": "key revoked", "key": name}])
+            return _document(row)
+
+    def all(self) -> tuple[KeyDocument, ...]:
+        with self._database.read() as session:
+            return tuple(_document(row) for row in session.scalars(select(t.ApiKeyRow).order_by(t.ApiKeyRow.id)))
+
+    def find(self, key: str) -> KeyDocument | None:
+        """Revoked and expired ones too."""
+        value = key_sha256(key)
+        if value is None:
+            return None
+        with self._database.read() as session:
+            row = session.scalar(select(t.ApiKeyRow).where(t.ApiKeyRow.sha256 == value))
+            return None if row is None else _document(row)
+
+
+def _document(row: t.ApiKeyRow) -> KeyDocument:
+    return KeyDocument(
+        id=row.id,
+        name=row.name,
+        role=Role[row.role.upper()],
+        created_at=row.created_at,
+        expires_at=row.expires_at,
+        revoked_at=row.revoked_at,
+    )

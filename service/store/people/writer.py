@@ -1,0 +1,90 @@
+"""Writes the audit from a thread of its own: who asks waits, if at all, without holding the event loop or a thread.
+
+One writer, one transaction for all that waits: a flood of requests is no flood of transactions beside the lease.
+"""
+
+import queue
+import threading
+from concurrent.futures import Future, wait
+from types import TracebackType
+from typing import Self
+
+import structlog
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.errors import SweepidError
+from service.people.chain import Entry
+from service.store.people.audit import AuditStore
+
+_log = structlog.get_logger(__name__)
+
+_MOST_WAITING = 2000
+_AT_ONCE = 100
+
+
+class NotAudited(SweepidError):
+    """The audit cannot be written, so nothing is done either (API: 503)."""
+
+
+_Item = tuple[Entry | None, "Future[int]"]  # None: only waits for those before it
+
+
+class AuditWriter:
+    """A context."""
+
+    def __init__(self, store: AuditStore) -> None:
+        self.store = store
+        self._waiting: queue.Queue[_Item | None] = queue.Queue()
+        self._thread = threading.Thread(target=self._write, name="audit", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """What waits is written first."""
+        self._waiting.put(None)
+        self._thread.join()
+
+    def settle(self, within: float) -> None:
+        """Blocks until what was put so far is written or refused, for `within` s at most."""
+        wait([self.put(None)], within)
+
+    def put(self, entry: Entry | None) -> "Future[int]":
+        """From any thread, waits for nothing. The entry's number once it is on disk, or NotAudited."""
+        future: Future[int] = Future()
+        if self._waiting.qsize() >= _MOST_WAITING or not self._thread.is_alive():
+            future.set_exception(NotAudited("more waits for the audit than it takes"))
+            _log.error("not_audited", entry=None if entry is None else dict(entry), reason="too much waits")
+        else:
+            self._waiting.put((entry, future))
+        return future
+
+    def _write(self) -> None:
+        while (first := self._waiting.get()) is not None:
+            items, ended = [first], False
+            while len(items) < _AT_ONCE and not self._waiting.empty():
+                item = self._waiting.get()
+                if item is None:
+                    ended = True
+                    break
+                items.append(item)
+            self._append([item for item in items if item[1].set_running_or_notify_cancel()])
+            if ended:
+                return
+
+    def _append(self, items: list[_Item]) -> None:
+        if not items:
+            return
+        try:
+            number = self.store.append([entry for entry, _ in items if entry is not None])
+        except SQLAlchemyError as error:
+            for entry, future in items:
+                _log.error("not_audited", entry=None if entry is None else dict(entry), reason=type(error).__name__)
+                future.set_exception(NotAudited(f"the audit cannot be written: {type(error).__name__}"))
+            return
+        for entry, future in items:
+            future.set_result(number)
+            number += entry is not None

@@ -1,0 +1,47 @@
+"""Whoever follows the guide to a CANopen drive connects: its profile, on nodes made of that drive's dictionary."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.contract.bench import closing
+from drivers.errors import WrongIdentity
+from drivers.ports import AxisState, DrivePort
+from drivers.registry import load_profile, open_drive
+from tests.contract.makers import PATIENCE
+from tests.foreign_bench import ROOT, Foreign, bench
+from tests.guide import written
+
+GUIDE = ROOT / "docs" / "how-to" / "connect-a-canopen-drive.md"
+
+
+async def test_the_profile_of_the_guide_leads_to_its_drive(tmp_path: Path) -> None:
+    drives = tmp_path / "drives"
+    written(GUIDE.name, drives)
+    shutil.copytree(ROOT / "config" / "devices", tmp_path / "devices")
+    (machine, *_) = load_profile(ROOT / "config" / "drives" / "virtual-max100.yaml")["axes"]
+    with bench("epos4") as foreign:
+        shutil.copy(foreign.files["joint_1"], drives / "epos4.dcf")
+        profile = load_profile(drives / "my-machine.yaml")
+        (axis,) = profile["axes"]
+        with pytest.raises(WrongIdentity, match="rated torque of the motor"):  # the virtual machine's is larger
+            await connected(profile, foreign, drives)
+        port = await connected(profile | {"axes": [axis | {"rated_torque": machine["rated_torque"]}]}, foreign, drives)
+        async with closing(port):
+            assert f"`{port.capabilities.set_points}`" in GUIDE.read_text()
+            assert (await port.status())["joint_1"].state is AxisState.DISABLED
+            assert not foreign.truth()["energised"]
+
+
+async def connected(profile: dict[str, Any], foreign: Foreign, base: Path) -> DrivePort:
+    """On the bus of the nodes instead of can0."""
+    cycle = profile["bus"]["sync_period"]
+    port = open_drive(profile | {"bus": {**foreign.bus, **PATIENCE, "sync_period": cycle}}, base)
+    try:
+        await port.connect()
+    except BaseException:
+        await port.close()
+        raise
+    return port

@@ -1,0 +1,201 @@
+"""Everything of the product that reads files from outside, with what it starts from and which errors it may raise."""
+
+import json
+import shutil
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from drivers.canopen.device_map import load_device_map
+from drivers.canopen.profile import parse_profile as canopen_profile
+from drivers.errors import BadProfile
+from drivers.modbus.profile import parse_profile as modbus_profile
+from drivers.modbus.registers import load_registers
+from drivers.registry import load_profile
+from service.cli.campaign.measure import plan_number
+from service.cli.documents import read_document
+from service.cli.exports.export_path import export_path
+from service.cli.recordings.control_file import import_control_file
+from service.cli.recordings.gains_file import read_gains
+from service.cli.recordings.identify import read_effects
+from service.configuration import read_robot, read_text
+from service.diagnosis.start import started_from
+from service.errors import BadInput
+from service.execution.recorder import UnreadableStream, read_stream
+from service.export import identified_model
+from service.export.sheet import check_sheet, sheet
+from service.export.sheet_text import as_markdown
+from service.geometry.cell import read_cell
+from service.geometry.collision import CollisionChecker
+from service.maker_urdf.check import check_urdf
+from service.maker_urdf.draft import side_file_text
+from service.maker_urdf.packages import Packages
+from service.paths.control import read_control
+from service.robot import Robot
+from service.settings import load_settings
+from service.sinumerik.document import Given
+from service.store.files.bundle import write_bundle
+from service.store.files.columns import read_columns
+from service.store.files.intake import read_from
+from service.traces.trace_import import import_trace
+from service.urdf import read_chain
+from simulator.drive.dictionary import Dictionary
+from simulator.foreign.dictionary import ForeignDictionary
+from simulator.modbus.register_map import RegisterMapError, load_register_map
+from simulator.scenario import ScenarioError, load_scenario
+from tests.fuzz import seeds
+from tests.fuzz.seeds import CONFIG, Seed
+
+ROBOT = "robots/max100-class.yaml"
+URDF = "robots/max100-class.urdf"
+
+
+@dataclass(frozen=True)
+class Parser:
+    """`read` is given the entry of a seed, and a folder beside it in which it may write."""
+
+    seeds: Callable[[], Iterable[Seed]]
+    read: Callable[[Path, Path], object]
+    allowed: tuple[type[Exception], ...] = (BadInput,)
+
+
+@cache
+def _robot() -> Robot:
+    return read_robot(CONFIG / ROBOT)
+
+
+def _named(pattern: str, *others: str) -> Callable[[], Iterable[Seed]]:
+    """Every file of `config` like this, each with others that stay as they are."""
+    names = sorted(path.relative_to(CONFIG).as_posix() for path in CONFIG.glob(pattern))
+    return lambda: [seeds.of_config(name, *others, targets=(name,)) for name in names]
+
+
+def _shapes(path: Path, work: Path) -> None:
+    CollisionChecker(read_robot(path), read_cell(CONFIG / "cells/workshop.yaml"))
+
+
+def _maker(path: Path, work: Path) -> None:
+    told = check_urdf(read_text(path), Packages([path.parent], path.parent), "tip", str(path))
+    side_file_text(told, "x", "x.urdf")
+
+
+def _estimate(path: Path, work: Path) -> None:
+    document = read_document(path)
+    identified_model(_robot(), document, str(path))
+    made = sheet(_robot(), document, str(path))
+    as_markdown(made)
+    check_sheet(made, str(path))
+
+
+def _payload(path: Path, work: Path) -> None:
+    as_markdown(sheet(_robot(), json.loads(seeds.estimate()), "estimate"), read_document(path))
+
+
+def _trace(path: Path, work: Path) -> None:
+    robot, sweeps = import_trace(path)
+    write_bundle(work / "bundle", robot, sweeps)
+
+
+def _paths(path: Path, work: Path) -> None:
+    plan_number(str(path))
+    cell, control = CONFIG / "cells/workshop.yaml", CONFIG / "controls/sinumerik.yaml"
+    export_path(path, CONFIG / ROBOT, cell, control, work / "paths")
+
+
+def _profile(path: Path, work: Path) -> None:
+    content = load_profile(path)
+    parse = modbus_profile if content.get("adapter") == "modbus" else canopen_profile
+    profile = parse(content, path.parent)
+    registers = getattr(profile, "registers", None)
+    if registers is not None:
+        load_registers(registers)
+
+
+def _profiles() -> Iterable[Seed]:
+    eds, devices = "eds/virtual-axis.eds", "devices/virtual-axis.yaml"
+    yield seeds.of_config("drives/virtual-max100.yaml", eds, targets=("drives/virtual-max100.yaml",) * 2 + (eds,))
+    mapped = seeds.of_config("drives/virtual-max100.yaml", eds, devices, targets=(devices,))
+    drive = mapped.files[mapped.entry] + b"device: ../devices/virtual-axis.yaml\n"
+    yield Seed(mapped.files | {mapped.entry: drive}, mapped.entry, mapped.targets)
+    for end in ("tcp", "rtu"):
+        yield seeds.of_config(f"drives/virtual-max100-modbus-{end}.yaml", "registers/virtual-high-first.yaml",
+                              "registers/virtual-low-first.yaml")  # fmt: skip
+
+
+def _dictionaries() -> Iterable[Seed]:
+    yield from _named("eds/*.eds")()
+    yield from seeds.shared("drives/*.dcf")
+
+
+def _robots() -> Iterable[Seed]:
+    for name in ("max100-class", "emps"):
+        yield seeds.of_config(f"robots/{name}.yaml", f"robots/{name}.urdf")
+
+
+def _scenarios() -> Iterable[Seed]:
+    for seed in _named("scenarios/*.yaml", ROBOT, URDF)():
+        yield Seed(seed.files, seed.entry, (seed.entry, seed.entry, ROBOT, URDF))
+
+
+def _settings() -> Iterable[Seed]:
+    yield seeds.of_config("service.yaml")
+    yield seeds.one("all.yaml", "data_dir: var\nhost: 0.0.0.0\nallowed_hosts: [cell]\nport: 1\nlease_time: 2.0\n")
+
+
+def _documents() -> Iterable[Seed]:
+    yield seeds.one("estimate.json", seeds.estimate())
+
+
+PARSERS: Mapping[str, Parser] = {
+    "bundle": Parser(lambda: [seeds.bundle()], lambda path, work: read_from(path, work / "bundle")),
+    "bundle zip": Parser(lambda: [seeds.packed(seeds.bundle())], lambda path, work: read_from(path, work / "bundle")),
+    "parquet": Parser(
+        lambda: [seeds.one("a.parquet", seeds.bundle().files["sweeps/0001.parquet"])], lambda p, _: read_columns(p)
+    ),
+    "csv": Parser(lambda: [seeds.one("a.csv", seeds.as_csv(seeds.columns()))], lambda path, _: read_columns(path)),
+    "recorder's stream": Parser(
+        lambda: [seeds.one("a.arrow", seeds.as_stream(seeds.columns()))],
+        lambda path, _: read_stream(path),
+        (BadInput, UnreadableStream),
+    ),
+    "urdf": Parser(_named("robots/*.urdf"), lambda path, _: read_chain(read_text(path), str(path))),
+    "shapes": Parser(lambda: [seeds.of_config(ROBOT, URDF, targets=(URDF,))], _shapes),
+    "maker's urdf": Parser(lambda: [seeds.maker()], _maker),
+    "robot": Parser(_robots, lambda path, _: read_robot(path)),
+    "cell": Parser(_named("cells/*.yaml"), lambda path, _: read_cell(path).home_pose(_robot().joints)),
+    "control": Parser(_named("controls/*.yaml"), lambda path, _: read_control(path, _robot())),
+    "settings": Parser(_settings, lambda path, _: load_settings(path)),
+    "gains": Parser(
+        lambda: [seeds.one("g.yaml", "axes: {joint_1: {gain: {value: 1.1, std: 0.1}, poses: 3}}")],
+        lambda path, _: read_gains(path),
+    ),
+    "drive profile": Parser(_profiles, _profile, (BadProfile,)),
+    "device map": Parser(_named("devices/*.yaml"), lambda path, _: load_device_map(path), (BadProfile,)),
+    "simulator's registers": Parser(
+        _named("registers/*.yaml"), lambda path, _: load_register_map(path), (RegisterMapError,)
+    ),
+    "simulator's eds": Parser(_named("eds/*.eds"), lambda path, _: Dictionary(path, 3), (ScenarioError,)),
+    "foreign eds": Parser(_dictionaries, lambda path, _: ForeignDictionary(path, 3), (ScenarioError,)),
+    "scenario": Parser(_scenarios, lambda path, _: load_scenario(path), (ScenarioError,)),
+    "trace": Parser(lambda: list(seeds.traces()), _trace),
+    "sinumerik": Parser(
+        lambda: list(seeds.controls()), lambda path, work: import_control_file(path, Given(0.8), work / "out", "-")
+    ),
+    "estimate": Parser(_documents, _estimate),
+    "start of a diagnosis": Parser(
+        _documents, lambda path, _: started_from(_robot(), read_document(path), "x", str(path))
+    ),
+    "payload": Parser(lambda: [seeds.one("payload.json", seeds.payload())], _payload),
+    "model": Parser(lambda: [seeds.one("model.json", seeds.model())], lambda path, _: read_effects(path, _robot())),
+    "plan": Parser(lambda: [seeds.one("plan.json", seeds.plan())], _paths),
+}
+
+
+def write_into(folder: Path, files: Mapping[str, bytes]) -> None:
+    """The files of a case, and nothing else, in a folder."""
+    shutil.rmtree(folder, ignore_errors=True)
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)

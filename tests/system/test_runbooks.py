@@ -1,0 +1,247 @@
+"""The operators' runbooks on one virtual machine: each well and with a fault; what they leave, the protocol tells.
+
+The tests go through a machine's life in their order: reference, check, fault, stop, repair, another load.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+from service.client import Json, ServiceClient
+from tests.system.rest_bench import (
+    PATIENCE,
+    PATIENT_LEASE,
+    ROBOT,
+    SCENARIO,
+    Service,
+    VirtualMachine,
+    serving,
+    until,
+    virtual_machine,
+)
+
+RUNBOOKS = Path(__file__).parents[2] / "docs" / "how-to" / "runbooks"
+PLAN = ("max100-class", "--axes", "joint_2,joint_3", "--varied", "joint_3", "--step", "15")
+OVERNIGHT = ("overnight", *PLAN, "--confidence", "2")
+DONE, FAILED, BAD_INPUT, STOPPED, AMBER = range(5)
+PAYLOAD = 25.0  # kg, instead of 1.2
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("runbooks")
+
+
+@pytest.fixture(scope="module")
+def machine(folder: Path) -> Iterator[VirtualMachine]:
+    with virtual_machine(folder) as machine:
+        yield machine
+
+
+@pytest.fixture(scope="module")
+def service(folder: Path, machine: VirtualMachine) -> Iterator[Service]:
+    with serving(folder, machine.profile, PATIENT_LEASE) as service:
+        yield service
+
+
+@pytest.fixture(scope="module")
+def client(service: Service) -> Iterator[ServiceClient]:
+    with ServiceClient(service.url) as client:
+        yield client
+
+
+class Books:
+    """Runs runbooks as a shell does."""
+
+    def __init__(self, folder: Path, url: str) -> None:
+        self._folder, self._url = folder, url
+        self._runs = 0
+
+    def begin(self, name: str, *arguments: str) -> tuple[subprocess.Popen[str], Path]:
+        """The process, and the file of its protocol."""
+        self._runs += 1
+        protocol = self._folder / f"protocol-{self._runs}.json"
+        command = [sys.executable, str(RUNBOOKS / f"{name}.py"), "--by", "Ada", "--protocol", str(protocol), *arguments]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        return subprocess.Popen(command, text=True, env=os.environ | {"SWEEPID_URL": self._url}, **pipes), protocol
+
+    def run(self, name: str, *arguments: str, typed: str = "") -> tuple[int, Json, str]:
+        """Exit code, protocol and what was printed."""
+        process, protocol = self.begin(name, *arguments)
+        out, err = process.communicate(typed, timeout=4 * PATIENCE)
+        assert "Traceback" not in err, err
+        return process.returncode, read(protocol, process.returncode), out + err
+
+
+def read(protocol: Path, code: int) -> Json:
+    """The protocol, which is whole."""
+    content = json.loads(protocol.read_text("utf-8"))
+    assert (content["by"], content["exit_code"]) == ("Ada", code)
+    assert content["begun"] < content["ended"]
+    assert all(step["result"] for step in content["steps"])
+    return content
+
+
+def results(protocol: Json, key: str) -> dict[str, Json]:
+    """The steps that have `key`, by the step's name; the worst of an axis stands last or alone."""
+    return {step["step"]: step for step in protocol["steps"] if key in step}
+
+
+@pytest.fixture(scope="module")
+def books(folder: Path, service: Service) -> Books:
+    return Books(folder, service.url)
+
+
+@pytest.fixture(scope="module")
+def reference(books: Books) -> Json:
+    """The protocol of a night that reached its confidence."""
+    code, protocol, printed = books.run(*OVERNIGHT, "--yes")
+    assert code == DONE, printed
+    return protocol
+
+
+def test_a_dry_run_tells_every_axis_and_moves_nothing(
+    books: Books, client: ServiceClient, machine: VirtualMachine
+) -> None:
+    code, protocol, printed = books.run(*OVERNIGHT, "--dry-run")
+    assert code == DONE, printed
+    motion = {joint: step["motion"] for joint, step in results(protocol, "motion").items()}
+    assert motion.keys() == {"joint_2", "joint_3"}
+    for joint, move in motion.items():
+        assert move["lowest_deg"] < move["highest_deg"]
+        assert move["arm_mm"] > 0
+        assert move["seconds"] > 0
+        assert f"{joint}: {move['lowest_deg']:.1f} to {move['highest_deg']:.1f} deg" in printed
+    assert client.campaigns() == []
+    assert machine.stands()
+
+
+def test_bad_input_is_told_before_anything_moves(books: Books, client: ServiceClient) -> None:
+    known = len(client.campaigns())
+    code, protocol, printed = books.run("overnight", "nobody", *PLAN[1:], "--confidence", "2", "--yes", "--dry-run")
+    assert (code, "knows no robot nobody" in printed) == (BAD_INPUT, True)
+    assert "knows no robot nobody" in protocol["result"]
+    assert len(client.campaigns()) == known
+
+
+def test_a_night_ends_with_the_confidence(reference: Json, machine: VirtualMachine) -> None:
+    assert "confidence of 2 % reached" in reference["steps"][-1]["result"]
+    assert reference["robot"]["name"] == "max100-class"
+    assert reference["versions"]["service"]
+    assert reference["versions"]["drives"]["joint_1"]["serial"]
+    recorded = [step for step in reference["steps"] if "sweep" in step]
+    assert len(recorded) == 6
+    assert all(step["left_s"] is not None for step in recorded)
+    assert machine.stands()
+
+
+def test_an_unchanged_machine_passes_the_daily_check(books: Books, reference: Json, machine: VirtualMachine) -> None:
+    code, protocol, printed = books.run("daily_check", "max100-class", "--yes")
+    axes = results(protocol, "colour")
+    assert axes.keys() == {"joint_2", "joint_3"}, printed
+    assert code == (AMBER if any(axis["colour"] == "amber" for axis in axes.values()) else DONE), printed
+    for axis in axes.values():
+        assert abs(axis["significance"]) <= 4  # one in twenty is amber by chance
+        assert abs(axis["deviation_percent"]) < 5
+        own, stored = axis["measured"], axis["estimate"]
+        both = (own["std"] ** 2 + stored["std"] ** 2) ** 0.5
+        assert axis["significance"] == pytest.approx((own["value"] - stored["value"]) / both)
+    assert protocol["steps"][0]["campaign"] == reference["campaign"]
+    assert machine.stands()
+
+
+def test_a_fault_ends_the_night_and_nothing_is_resumed(
+    books: Books, client: ServiceClient, machine: VirtualMachine
+) -> None:
+    machine.order("fault", joint="joint_2", code=0x4310, at_sample=50)
+    code, protocol, printed = books.run(*OVERNIGHT, "--yes")
+    assert code == FAILED, printed
+    assert protocol["steps"][-1]["result"] == "a fault"
+    assert "4310h" in protocol["steps"][-1]["cause"]
+    until(machine.stands, "the axes stand")
+    campaign = protocol["campaign"]
+    assert client.campaign(campaign)["state"] == "paused"
+
+    code, protocol, printed = books.run("after_a_stop", typed="no\n")
+    assert code == STOPPED, printed
+    told = [step["result"] for step in protocol["steps"] if step["step"] == "next"]
+    assert told == ["acknowledge joint_2 (error 4310h, history 00004310h); moves nothing"]
+    assert client.campaign(campaign)["state"] == "paused"
+    (faulty,) = [axis["joint"] for axis in client.drives()["axes"] if axis["fault"]]
+    client.acknowledge(faulty)
+    client.abort(campaign, "the test goes on")
+
+
+def test_sigterm_stops_the_machine_and_after_a_stop_leads_on(
+    books: Books, reference: Json, client: ServiceClient, machine: VirtualMachine
+) -> None:
+    process, file = books.begin("before_and_after", "max100-class", "--before", str(reference["campaign"]), "--yes")
+    with process:
+        until(lambda: any(abs(axis["velocity"]) > 1e-3 for axis in machine.axes().values()), "an axis moves")
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=PATIENCE)
+    protocol = read(file, process.returncode)
+    assert process.returncode == STOPPED, err
+    assert protocol["result"].startswith("stopped: SIGTERM; machine stopped")
+    until(machine.stands, "the axes stand")
+    after = protocol["campaign"]
+    until(lambda: client.campaign(after)["state"] == "paused", "campaign paused")
+    assert [stop["by"] for stop in client.stops()] == ["before_and_after"]
+
+    code, protocol, printed = books.run("after_a_stop", "--dry-run")
+    assert (code, "to do: release stop" in printed) == (DONE, True), printed
+    assert results(protocol, "motion").keys() == {"joint_2", "joint_3"}
+    assert len(client.stops()) == 1
+
+    code, protocol, printed = books.run("after_a_stop", typed="release\nresume\n")
+    assert (code, client.stops()) == (DONE, []), printed
+    assert "latched by before_and_after" in printed
+    assert client.campaign(after)["state"] == "completed"
+
+    numbers = ("--before", str(reference["campaign"]), "--after", str(after))
+    code, protocol, printed = books.run("before_and_after", "max100-class", *numbers)
+    assert code in (DONE, AMBER), printed
+    axes = results(protocol, "significance")
+    assert axes.keys() == {"joint_2", "joint_3"}
+    assert all(axis["poses"] == 3 and axis["std"] > 0 for axis in axes.values())
+    assert protocol["steps"][-1]["step"] == "verdict"
+
+
+@pytest.fixture(scope="module")
+def heavier(books: Books, reference: Json, client: ServiceClient, machine: VirtualMachine, folder: Path) -> str:
+    """The power fails, and the machine comes back with another load; the number of the campaign before."""
+    scenario = yaml.safe_load(SCENARIO.read_text("utf-8")) | {"robot": str(ROBOT)}
+    (payload,) = scenario["links"]["tool"]["added"]
+    payload["mass"] = PAYLOAD
+    heavy = folder / "heavy.yaml"
+    heavy.write_text(yaml.safe_dump(scenario), "utf-8")
+    machine.power_off()
+    machine.power_on(heavy)
+    until(lambda: not client.drives()["connected"] or client.stops(), "the power cut is noticed")
+    code, _, printed = books.run("after_a_stop", "--yes")
+    assert code == DONE, printed
+    assert client.ready()["ready"], client.ready()["causes"]
+    return str(reference["campaign"])
+
+
+def test_another_load_is_red(books: Books, heavier: str) -> None:
+    code, protocol, printed = books.run("daily_check", "max100-class", "--campaign", heavier, "--yes")
+    assert code == FAILED, printed
+    axis = results(protocol, "colour")["joint_3"]
+    assert axis["colour"] == "red"
+    assert axis["significance"] > 4
+    assert axis["deviation_percent"] > 20
+
+
+def test_another_load_is_a_change(books: Books, heavier: str, machine: VirtualMachine) -> None:
+    code, protocol, printed = books.run("before_and_after", "max100-class", "--before", heavier, "--yes")
+    assert code == FAILED, printed
+    assert "joint_3 changed (+" in protocol["steps"][-1]["result"]
+    assert machine.stands()

@@ -1,0 +1,107 @@
+"""Whatever is sent to a route, it answers as the OpenAPI document says: statuses, media types, schemas, `Allow`.
+
+The service has no machine here, so nothing moves; commands are refused, or answer with a 503 that their route declares.
+"""
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+import requests
+import schemathesis
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis import strategies as st
+from schemathesis.checks import not_a_server_error
+from schemathesis.specs.openapi.checks import (
+    content_type_conformance,
+    negative_data_rejection,
+    response_headers_conformance,
+    response_schema_conformance,
+    status_code_conformance,
+    unsupported_method,
+)
+
+from service.api.openapi import COMMITTED
+from tests.unit.service.api.conftest import serving
+from tests.unit.service.api.test_api_bundles import ZIP, packed
+
+DOCUMENT = json.loads(COMMITTED.read_text("utf-8"))
+# an answer of /events never ends (test_api_bundles reads them)
+SCHEMA = schemathesis.openapi.from_dict(DOCUMENT).exclude(path="/api/v1/events")
+EXAMPLES = 5  # beside those that each field's limits give
+EACH = {"/api/v1/plans": 12, "/api/v1/robots": 5, "/api/v1/diagnoses/{diagnosis_id}/experiment": 3}
+"""Of routes with many fields so many-th example of those is sent."""
+
+schemathesis.openapi.format("binary", st.binary(max_size=200))
+
+
+@schemathesis.serializer("application/zip")
+def as_it_is(_: object, value: object) -> bytes:
+    return value if isinstance(value, bytes) else str(value).encode()
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory, profile: Path, bundle: Path) -> Iterator[str]:
+    """A service of its own, with campaign 1."""
+    with serving(tmp_path_factory.mktemp("declared"), profile) as url:
+        added = httpx.post(f"{url}/api/v1/bundles", content=packed(bundle), headers=ZIP, timeout=60, trust_env=False)
+        assert added.status_code == 201, added.text
+        yield url
+
+
+@pytest.fixture(scope="module")
+def session() -> Iterator[requests.Session]:
+    with requests.Session() as session:
+        session.trust_env = False
+        yield session
+
+
+@pytest.fixture(scope="module")
+def made() -> Counter[str]:
+    """Examples of a route so far."""
+    return Counter()
+
+
+def checking(name: str) -> Callable[..., None]:
+    """The test of the route with this operation id."""
+
+    @SCHEMA.include(operation_id=name).parametrize()
+    @settings(
+        max_examples=EXAMPLES,
+        derandomize=True,
+        database=None,
+        deadline=None,
+        phases=[Phase.explicit, Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    def answers_are_as_declared(case: Any, address: str, session: requests.Session, made: Counter[str]) -> None:
+        methods = DOCUMENT["paths"][case.path]
+        made[case.path] += 1
+        if case.method.lower() in methods and made[case.path] % EACH.get(case.path, 1):
+            return
+        answer = case.call(base_url=address, session=session, timeout=60)
+        declared = methods.get(case.method.lower(), {}).get("responses", {})
+        assert answer.status_code < 500 or (answer.status_code == 503 and "503" in declared), answer.text
+        case.validate_response(
+            answer,
+            excluded_checks=[not_a_server_error],
+            checks=[
+                content_type_conformance,
+                negative_data_rejection,
+                response_headers_conformance,
+                response_schema_conformance,
+                status_code_conformance,
+                unsupported_method,
+            ],
+        )
+
+    return answers_are_as_declared
+
+
+# each with a name of its own: of tests that share one, xdist does the first alone
+NAMES = [route["operationId"] for methods in DOCUMENT["paths"].values() for route in methods.values()]
+globals().update({f"test_{name}": checking(name) for name in NAMES if name != "follow_events"})

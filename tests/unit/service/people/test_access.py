@@ -1,0 +1,179 @@
+"""Each role against each route of a service that asks who it is; no machine is there, so nothing moves."""
+
+import re
+import sqlite3
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import httpx
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from service.client import ServiceClient, ServiceProblem
+from service.people.chain import verify
+from service.people.keys import new_key
+from service.people.permissions import PERMISSIONS, SOCKET, Role
+from service.store.database import Database
+from service.store.people.audit import AuditDocument, AuditStore
+from service.store.people.keys import KeyStore
+from tests.unit.service.people.conftest import calling
+
+NOBODY_THERE = "987654"  # stands for every number in a path
+START = f"/api/v1/campaigns/{NOBODY_THERE}/start"
+
+
+def status_of(http: httpx.Client, url: str, method: str, path: str, key: str | None) -> int:
+    if method == SOCKET:
+        headers = None if key is None else {"Authorization": f"Bearer {key}"}
+        try:
+            with connect(f"ws{url.removeprefix('http')}{path}", additional_headers=headers, proxy=None):
+                return 101
+        except InvalidStatus as refused:
+            return refused.response.status_code
+    with http.stream(method, path) as answer:  # events never end
+        if answer.status_code in (401, 403):
+            assert answer.headers["content-type"] == "application/problem+json"
+            assert ("www-authenticate" in answer.headers) == (answer.status_code == 401)
+            assert answer.read()
+        return answer.status_code
+
+
+@pytest.mark.parametrize("role", [None, *Role], ids=lambda role: "nobody" if role is None else role.word)
+def test_each_route_lets_in_who_may(url: str, keys: dict[str, str], role: Role | None) -> None:
+    key = None if role is None else keys[role.word]
+    with calling(url, key) as http:
+        for (method, template), needed in PERMISSIONS.items():
+            status = status_of(http, url, method, re.sub(r"\{\w+\}", NOBODY_THERE, template), key)
+            if needed is None or (role is not None and role >= needed):
+                assert status not in (401, 403), (method, template)
+            else:
+                # a WebSocket is refused before it opens, and has no other status for that
+                assert status == (401 if role is None and method != SOCKET else 403), (method, template)
+        for method in ("GET", "PUT"):  # what is nowhere in the table
+            assert http.request(method, "/api/v1/nothing").status_code == (401 if role is None else 404)
+
+
+def after(database: Database, number: int = 0) -> list[AuditDocument]:
+    return list(AuditStore(database).documents(number, 10000))
+
+
+def test_an_attack_is_refused_and_in_the_audit(
+    url: str, keys: dict[str, str], database: Database, folder: Path
+) -> None:
+    before = len(after(database))
+    guesses = [new_key() for _ in range(100)]
+    with calling(url, None) as http:
+        assert http.post(START).status_code == 401
+        for wrong in ("sweepid-", "one two", "x" * 3000, keys["admin"].upper(), keys["admin"] + "0"):
+            assert http.post(START, headers={"Authorization": f"Bearer {wrong}"}).status_code == 401
+        assert http.post(START, headers={"Authorization": f"Basic {keys['admin']}"}).status_code == 401
+        for guess in guesses:
+            refused = http.post(START, headers={"Authorization": f"Bearer {guess}"})
+            assert (refused.status_code, guess in refused.text) == (401, False)
+        # who puts a key where it does not belong does not have it stored
+        assert http.post(f"/api/v1/{guesses[0]}").status_code == 401
+    entries = [one.entry for one in after(database, before)]
+    assert Counter((one["event"], one["actor"], one["address"], one["status"]) for one in entries) == {
+        ("outcome", "unknown", "127.0.0.1", 401): 108
+    }
+    assert {one["route"] for one in entries} == {"/api/v1/campaigns/{campaign_id}/start", None}
+    assert Counter(str(one["why"])[:8] for one in entries) == {"no key: ": 3, "this key": 105}
+    stored = b"".join(path.read_bytes() for path in (folder / "data").glob("sweepid.sqlite*"))
+    stored += (folder / "service.log").read_bytes()
+    assert not [key for key in (*keys.values(), *guesses) if key.removeprefix("sweepid-").encode() in stored]
+
+
+def test_expired_and_revoked_keys_are_refused_and_told(url: str, keys: dict[str, str], database: Database) -> None:
+    before = len(after(database))
+    for name in ("expired", "revoked"):
+        with calling(url, keys[name]) as http:
+            refused = http.get("/api/v1/robots")
+        assert refused.status_code == 401
+        assert f" {name} on " in refused.json()["detail"]
+    assert [one.entry["actor"] for one in after(database, before)] == ["too-late", "no-more"]
+
+
+def test_a_key_that_is_revoked_opens_nothing_at_once(url: str, keys: dict[str, str], database: Database) -> None:
+    store = KeyStore(database)
+    known = store.find(keys["viewer"])
+    assert known is not None
+    _, key = store.add("short-lived", Role.VIEWER, known.expires_at - known.created_at, {"actor": "test"})
+    with calling(url, key) as http:
+        assert http.get("/api/v1/robots").status_code == 200
+        store.revoke("short-lived", {"actor": "test"})
+        assert http.get("/api/v1/robots").status_code == 401
+
+
+def test_the_client_takes_its_key_from_the_environment(
+    url: str, keys: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("SWEEPID_KEY", raising=False)
+    with ServiceClient(url) as client, pytest.raises(ServiceProblem, match="no key") as refused:
+        client.robots()
+    assert refused.value.status == 401
+    monkeypatch.setenv("SWEEPID_KEY", keys["viewer"])
+    with ServiceClient(url) as client:
+        assert client.robots()
+        with pytest.raises(ServiceProblem, match="needs operator; the-viewer is viewer"):
+            client.start(1)
+
+
+def test_a_change_is_in_the_audit_before_and_after(url: str, keys: dict[str, str], database: Database) -> None:
+    before = len(after(database))
+    with calling(url, keys["operator"]) as http:
+        assert http.post(START).status_code == 404
+        assert http.get("/api/v1/robots").status_code == 200  # reading is nobody's business
+    request, outcome = (one.entry for one in after(database, before))
+    assert (request["event"], request["actor"], request["role"]) == ("request", "the-operator", "operator")
+    assert (outcome["status"], outcome["request"]) == (404, before + 1)
+    assert NOBODY_THERE in str(outcome["why"])
+    with calling(url, keys["admin"]) as http:
+        page = http.get("/api/v1/audit", params={"after": before, "limit": 1}).json()
+        assert [one["entry"]["actor"] for one in page["items"]] == ["the-operator"]
+        assert page["next"] == before + 1
+    verify(AuditStore(database).links())
+
+
+def test_what_cannot_be_audited_is_not_done_but_stops_are(
+    url: str, keys: dict[str, str], database: Database, folder: Path
+) -> None:
+    before = len(after(database))
+    beside = sqlite3.connect(folder / "data" / "sweepid.sqlite", timeout=30)
+    campaign = {"plan_id": 987654}
+    with calling(url, keys["operator"]) as http, calling(url, keys["admin"]) as admin:
+        beside.execute("ALTER TABLE audit RENAME TO gone")
+        try:
+            refused = http.post("/api/v1/campaigns", json=campaign)
+            assert (refused.status_code, refused.json()["type"]) == (503, "urn:sweepid:problem:not-audited")
+            stopped = http.post("/api/v1/stop", params={"by": "anna", "why": "unaudited"})
+            assert stopped.json()["type"] == "urn:sweepid:problem:stop-not-confirmed"
+            assert "unaudited" in [stop["why"] for stop in http.get("/api/v1/stop").json()["stops"]]
+            assert admin.get("/api/v1/audit").status_code == 500  # waits until the stop's entry is refused
+        finally:
+            beside.execute("ALTER TABLE gone RENAME TO audit")
+            beside.close()
+        assert http.post("/api/v1/campaigns", json=campaign).status_code == 404
+        http.post("/api/v1/stop")
+        entries = [one["entry"] for one in admin.get("/api/v1/audit", params={"after": before}).json()["items"]]
+    assert [(one["event"], one.get("status")) for one in entries] == [
+        ("request", None),
+        ("outcome", 404),
+        ("outcome", 503),
+    ]
+    assert (entries[-1]["actor"], entries[-1]["route"]) == ("anybody", "/api/v1/stop")
+
+
+def test_a_change_that_waits_for_the_audit_holds_up_nobody(url: str, keys: dict[str, str], folder: Path) -> None:
+    beside = sqlite3.connect(folder / "data" / "sweepid.sqlite", timeout=30, isolation_level=None)
+    with calling(url, keys["operator"]) as http, ThreadPoolExecutor(1) as other, calling(url, None) as nobody:
+        beside.execute("BEGIN IMMEDIATE")
+        try:
+            waiting = other.submit(http.post, START)
+            assert nobody.get("/api/v1/health/live").status_code == 200
+            assert not waiting.done()
+        finally:
+            beside.execute("ROLLBACK")
+            beside.close()
+        assert waiting.result(30).status_code == 404

@@ -1,0 +1,158 @@
+"""The chain of the audit: whoever changes, removes or cuts off something is found, with the number."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from sqlalchemy import text
+from sqlalchemy.exc import IntegrityError
+
+from service.cli.people.audit import export_audit
+from service.cli.people.people import add_key, list_keys
+from service.errors import BadInput, Conflict
+from service.people.chain import FIRST, AuditBroken, canonical, read_head, sha256, verify
+from service.people.permissions import LOCAL
+from service.store.database import Database, open_database
+from service.store.people.audit import AuditStore
+from service.store.people.writer import AuditWriter, NotAudited
+from tests.unit.service.api.conftest import serving
+from tests.unit.service.people.conftest import calling
+
+ENTRIES = [{"event": "request", "actor": f"p{number}", "why": "ü\ud800"} for number in range(5)]
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Iterator[Database]:
+    with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
+        AuditStore(database).append(ENTRIES)
+        yield database
+
+
+def tamper(database: Database, *statements: str) -> None:
+    with database.write() as session:
+        for statement in ("DROP TRIGGER audit_no_update", "DROP TRIGGER audit_no_delete", *statements):
+            session.execute(text(statement))
+
+
+def test_a_chain_by_hand() -> None:
+    first, second = canonical({"b": 1, "a": "é"}), canonical({})
+    assert first == '{"a":"\\u00e9","b":1}'
+    one = sha256(FIRST, first)
+    two = sha256(one, second)
+    assert one == "4265935f7ed3c326fd1560074c2d2f4d8a837229523e7221b6641b5f7c265887"
+    assert verify([(1, first, one), (2, second, two)]) == (2, two)
+    assert verify([]) == (0, FIRST)
+
+
+@pytest.mark.parametrize("statement", ["UPDATE audit SET entry = '{}'", "DELETE FROM audit WHERE number = 5"])
+def test_entries_are_only_added(own: Database, statement: str) -> None:
+    with pytest.raises(IntegrityError, match="only ever added to"), own.write() as session:
+        session.execute(text(statement))
+    assert verify(AuditStore(own).links())[0] == 5
+
+
+@pytest.mark.parametrize(
+    ("statement", "number", "reason"),
+    [
+        ("UPDATE audit SET entry = replace(entry, 'p2', 'p9') WHERE number = 3", 3, "its hash"),
+        (f"UPDATE audit SET sha256 = '{FIRST}' WHERE number = 4", 4, "its hash"),
+        ("DELETE FROM audit WHERE number = 2", 2, "is missing"),
+        ("DELETE FROM audit WHERE number = 1", 1, "is missing"),
+        ("DELETE FROM audit WHERE number = 5", 5, "is missing"),  # by the head that was kept
+        ("INSERT INTO audit VALUES (6, '{}', 'abc')", 6, "its hash"),
+    ],
+)
+def test_a_tampered_entry_is_found(own: Database, statement: str, number: int, reason: str) -> None:
+    store = AuditStore(own)
+    head = verify(store.links())
+    tamper(own, statement)
+    with pytest.raises(AuditBroken, match=rf"^audit entry {number}: {reason}") as broken:
+        verify(store.links(), head)
+    assert broken.value.number == number
+
+
+def test_a_chain_that_was_made_anew_is_not_the_one_that_was_kept(own: Database) -> None:
+    store = AuditStore(own)
+    head = verify(store.links())
+    tamper(own, "DELETE FROM audit")
+    store.append(ENTRIES)
+    assert verify(store.links())[0] == 5
+    with pytest.raises(AuditBroken, match=r"^audit entry 5: its hash is "):
+        verify(store.links(), head)
+
+
+@pytest.mark.parametrize("head", ["", "5", "5:abc", f"x:{FIRST}", f"1:{FIRST}0"])
+def test_what_is_no_head_is_refused(head: str) -> None:
+    with pytest.raises(BadInput, match="--head"):
+        read_head(head)
+
+
+def test_the_writer_tells_what_it_could_not_write(own: Database) -> None:
+    store = AuditStore(own)
+    with AuditWriter(store) as writer:
+        assert [writer.put(entry).result(30) for entry in ENTRIES] == [6, 7, 8, 9, 10]
+        tamper(own, "ALTER TABLE audit RENAME TO gone")
+        with pytest.raises(NotAudited, match="OperationalError"):
+            writer.put({}).result(30)
+        tamper_back = "ALTER TABLE gone RENAME TO audit"
+        with own.write() as session:
+            session.execute(text(tamper_back))
+        last = writer.put({})
+    assert last.result(0) == 11  # what waits is written before the end
+    with pytest.raises(NotAudited):
+        writer.put({}).result(0)
+
+
+def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+    sweepid = str(Path(sys.executable).with_name("sweepid"))
+    return subprocess.run([sweepid, *arguments], capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_the_commands(own: Database, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    here = ("--data-dir", str(tmp_path))
+    made = command("people", "add-key", "anna", "--role", "operator", "--days", "30", *here)
+    assert made.returncode == 0, made.stderr
+    key = made.stdout.strip()
+    for name, role in (("local", "viewer"), (" ", "viewer"), ("otto", "boss")):
+        with pytest.raises(BadInput, match=r"^NAME: |^--role: "):
+            add_key(name, role, 30, data_dir=tmp_path)
+    with pytest.raises(Conflict, match="anna"):
+        add_key("anna", "viewer", 30, data_dir=tmp_path)
+    export_audit(tmp_path / "audit.jsonl", data_dir=tmp_path)
+    lines = [json.loads(line) for line in (tmp_path / "audit.jsonl").read_text().splitlines()]
+    assert verify((line["number"], line["entry"], line["sha256"]) for line in lines)[0] == 6
+    assert json.loads(lines[-1]["entry"])["event"] == "key added"
+    assert key not in (tmp_path / "audit.jsonl").read_text()
+    capsys.readouterr()
+    list_keys(data_dir=tmp_path)
+    listed = json.loads(capsys.readouterr().out)
+    assert (listed["name"], listed["role"], listed["trouble"]) == ("anna", "operator", "")
+    tamper(own, "UPDATE audit SET entry = replace(entry, 'p2', 'p9') WHERE number = 3")
+    broken = command("audit", "verify", *here)
+    assert (broken.returncode, broken.stdout) == (1, "")
+    assert broken.stderr.startswith("sweepid: audit entry 3: ")
+
+
+def test_without_a_login_it_is_local(tmp_path: Path, profile: Path) -> None:
+    with serving(tmp_path, profile) as url, calling(url, "no key at all") as http:
+        assert http.post("/api/v1/campaigns", json={"plan_id": 5}).status_code == 404
+        foreign = http.post("/api/v1/campaigns", headers={"Origin": "http://evil.example"})
+        assert foreign.status_code == 403
+        stopped = http.get("/api/v1/stop").json()["port"]
+        http.post(f"http://127.0.0.1:{stopped}/stop", params={"by": "anna", "why": "here"})
+        items = http.get("/api/v1/audit").json()["items"]
+    assert [(one["entry"]["event"], one["entry"]["actor"]) for one in items[:3]] == [
+        ("request", LOCAL),
+        ("outcome", LOCAL),
+        ("outcome", "unknown"),
+    ]
+    assert "evil.example" in items[2]["entry"]["why"]
+    with open_database(f"sqlite:///{tmp_path / 'data' / 'sweepid.sqlite'}") as database:
+        links = list(AuditStore(database).links())
+    assert verify(links)[0] == 4
+    by_the_stop_process = json.loads(links[3][1])
+    assert (by_the_stop_process["event"], by_the_stop_process["by"]) == ("stop", "anna")
+    assert '"no_login"' in (tmp_path / "service.log").read_text()

@@ -1,0 +1,70 @@
+"""The table of permissions is that of the routes, and the page that of the table."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fastapi import FastAPI
+
+from service.app import create_app
+from service.people.permissions import PERMISSIONS, SOCKET, STOP, Permissions, Role, Route, page
+from service.settings import Settings
+
+PAGE = Path("docs/reference/permissions.md")
+
+
+def routes_of(routes: Iterable[Any]) -> Iterator[Route]:
+    """Of an application, those of included routers too."""
+    for route in routes:
+        if hasattr(route, "effective_candidates"):
+            yield from routes_of(route.effective_candidates())
+            continue
+        route = getattr(route, "starlette_route", None) or route
+        yield from ((method, route.path) for method in getattr(route, "methods", {SOCKET}) if method != "HEAD")
+
+
+def test_each_route_has_an_entry_and_each_entry_a_route() -> None:
+    app = create_app(Settings())
+    found = sorted(routes_of(app.routes))
+    assert ("GET", "/api/v1/audit") in found
+    assert len(found) == len(set(found))
+    assert set(found) == set(PERMISSIONS)
+    declared = {(method.upper(), path) for path, ways in app.openapi()["paths"].items() for method in ways}
+    assert declared < set(found)
+
+
+def test_a_route_without_an_entry_would_be_found() -> None:
+    app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+    app.include_router(create_app(Settings()).router)
+    app.add_api_route("/new", lambda: None, methods=["PUT"])
+    assert set(routes_of(app.routes)) - set(PERMISSIONS) == {("PUT", "/new")}
+
+
+def test_stop_and_health_need_nobody() -> None:
+    assert PERMISSIONS[STOP] is None
+    assert {PERMISSIONS["GET", f"/api/v1/health/{word}"] for word in ("live", "ready")} == {None}
+    free = {path for (method, path), role in PERMISSIONS.items() if role is None and method != "GET"}
+    assert free == {STOP[1]}
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "role"),
+    [
+        ("POST", "/api/v1/campaigns/7/start", Role.OPERATOR),
+        ("GET", "/api/v1/campaigns/7/model.urdf", Role.VIEWER),
+        ("HEAD", "/api/v1/openapi.json", None),
+        ("POST", "/api/v1/stop/reset", Role.OPERATOR),
+        ("POST", "/api/v1/stop/reset\n", Role.OPERATOR),  # as the router takes it
+        ("POST", "/api/v1/no-such-thing", Role.VIEWER),
+        ("PUT", "/api/v1/stop", Role.VIEWER),
+        (SOCKET, "/api/v1/campaigns/7/live", Role.VIEWER),
+    ],
+)
+def test_what_a_request_needs(method: str, path: str, role: Role | None) -> None:
+    assert Permissions().needed(method, path) is role
+
+
+def test_the_page_is_fresh(root: Path) -> None:
+    told = "run: python -m service.people.permissions > docs/reference/permissions.md"
+    assert (root / PAGE).read_text("utf-8") == page(), told

@@ -1,0 +1,180 @@
+"""The report of a campaign: its verdict, its origin, and what is drawn where nobody told the workspace."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.configuration import read_robot
+from service.identification.model.certainty import not_for_use
+from service.report import CampaignReport, Content, Drive, content_of, render_campaign
+from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict
+from service.robot import Robot
+from tests.unit.service.report.test_report import content, sweep
+
+SOUND: dict[str, Any] = {"findings": []}
+WRONG: dict[str, Any] = {
+    "findings": [
+        {"code": "effort_sign", "severity": "wrong", "axis": "joint_1", "sentence": "It brakes.", "action": "Turn it."}
+    ]
+}
+
+
+@pytest.fixture(scope="module")
+def max100(root: Path) -> Robot:
+    return read_robot(root / "config" / "robots" / "max100-class.yaml")
+
+
+def estimate(percent: float = 0.8, **more: Any) -> dict[str, Any]:
+    gain = {"value": 1.0, "std": 0.006}
+    axes = {joint: {"confidence_percent": percent, "torque_gain": gain} for joint in ("joint_1", "joint_2")}
+    return {"axes": axes, **more}
+
+
+def diagnosis(verdict: str, *effects: str) -> tuple[int, dict[str, Any]]:
+    axis = {"verdict": verdict, "effects": [{"effect": effect} for effect in effects]}
+    return 7, {"axes": {"joint_1": axis, "joint_2": {"verdict": "none", "effects": []}}}
+
+
+def test_confirmed_only_where_check_and_diagnosis_speak_for_it() -> None:
+    found = verdict(estimate(), SOUND, diagnosis("none"))
+    assert found.standing == CONFIRMED
+    # hypot(0.8, 0.6) = 1.0
+    assert found.sentence == (
+        "The inertias of joint_1 and joint_2 are known to 1 % or better, joint_1 the worst (one standard deviation, "
+        "that of the torque constants included); the check of the data found nothing; diagnosis 7 finds no effect "
+        "missing."
+    )
+
+
+@pytest.mark.parametrize(
+    ("document", "check", "found", "words"),
+    [
+        (estimate(), None, diagnosis("none"), "the data were not checked yet"),
+        (estimate(), SOUND, None, "no diagnosis was made of it"),
+        (estimate(), SOUND, diagnosis("untestable"), "does not tell whether something is missing in joint_1"),
+        (estimate(40.0), SOUND, diagnosis("none"), "The inertias of joint_1 and joint_2 are too uncertain to use"),
+        (estimate(suspect=[{}]), SOUND, diagnosis("none"), "but 1 sweep does not fit the others"),
+        ({"axes": {}}, SOUND, None, "No inertia of an axis by itself"),
+    ],
+)
+def test_what_is_not_known_is_not_confirmed(
+    document: dict[str, Any], check: dict[str, Any] | None, found: tuple[int, dict[str, Any]] | None, words: str
+) -> None:
+    told = verdict(document, check, found)
+    assert told.standing == OPEN
+    assert words in told.sentence
+
+
+def test_a_test_mass_is_told() -> None:
+    assert "a test mass of 20 kg was mounted" in verdict(estimate(), SOUND, diagnosis("none"), 20.0).sentence
+
+
+@pytest.mark.parametrize(
+    ("check", "found", "words"),
+    [
+        (WRONG, diagnosis("none"), "they cannot be trusted (effort sign of joint_1)"),
+        (
+            SOUND,
+            diagnosis("named", "coulomb_friction", "backlash"),
+            "the model of joint_1 lacks Coulomb friction and backlash",
+        ),
+        (SOUND, diagnosis("ambiguous"), "something is missing in joint_1"),
+        (SOUND, diagnosis("unknown"), "joint_1 has a gap that no known effect explains"),
+    ],
+)
+def test_what_speaks_against_it_comes_first(
+    check: dict[str, Any], found: tuple[int, dict[str, Any]], words: str
+) -> None:
+    told = verdict(estimate(40.0), check, found)
+    assert told.standing == CONTRADICTED
+    assert words in told.sentence
+
+
+def test_an_effect_that_the_estimate_took_into_account_is_none_that_it_lacks() -> None:
+    taken = [{"axis": "joint_1", "effect": "coulomb_friction", "used": True}]
+    assert verdict(estimate(effects=taken), SOUND, diagnosis("named", "coulomb_friction")).standing == CONFIRMED
+    left_out = [taken[0] | {"used": False}]
+    assert verdict(estimate(effects=left_out), SOUND, diagnosis("named", "coulomb_friction")).standing == CONTRADICTED
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "why"),
+    [(4.0, 1.0, ""), (-4.0, 1.01, "too uncertain"), (0.0, 0.1, "too uncertain"), (4.0, None, "not identified")],
+)
+def test_parameters_that_are_not_for_use(value: float, std: float | None, why: str) -> None:
+    assert not_for_use({"value": value, "std": std}) == why
+
+
+def test_without_a_known_workspace_nothing_is_drawn_beyond_what_was_measured(max100: Robot) -> None:
+    base = content(max100)
+    asked: list[str] = []
+
+    def read(spec: Any) -> Any:
+        asked.append(spec.id)
+        return sweep()
+
+    (foreign,) = [replace_id(spec) for spec in base.specs[:1]]
+    made = content_of(max100, base.estimate, (*base.specs, foreign), read, "of a test")
+    assert made.specs == base.specs  # the foreign sweep is not in the estimate
+    assert asked == ["0001"]  # one sweep is read
+    assert made.title == "Inertias of the robot max100-class"
+    assert len(made.workspace) == 25 * 25
+    assert np.ptp(made.workspace, axis=0) == pytest.approx([0, 1.0, 1.0, 0, 0, 0])
+
+
+def replace_id(spec: Any) -> Any:
+    return spec.model_copy(update={"id": "9999"})
+
+
+def report(**changes: Any) -> CampaignReport:
+    drive = Drive("joint_1", "node 1", 0x2B1, 0x402, 1, 4711, "ab" * 32, 12)
+    told = CampaignReport(
+        title="Campaign 1: <robot>",
+        subtitle="12 sweeps",
+        origin=(("robot document", "SHA-256 " + "cd" * 32), ("ordered by", "Ada <ada>")),
+        drives=(drive, replace(drive, joint="joint_2", serial=0)),
+        check=WRONG,
+        diagnosis=None,
+    )
+    return replace(told, **changes)
+
+
+def text_of(page: str) -> str:
+    body = page.partition("<main>")[2].partition("</main>")[0]
+    return " ".join(re.sub(r"<[^>]+>", " ", body).split())
+
+
+def test_the_page_begins_with_verdict_and_origin(max100: Robot) -> None:
+    drawn: Content = content(max100)
+    page = render_campaign(report(), max100, drawn.estimate, drawn)
+    text = text_of(page)
+    order = [
+        text.index(words)
+        for words in (
+            "Campaign 1: &lt;robot&gt;",
+            "Contradicted. The inertias of joint_1, joint_2 and joint_3 are known",
+            "Origin robot document SHA-256 cdcd",
+            "ordered by Ada &lt;ada&gt;",
+            "Drives",
+            "joint_1 node 1 0x2b1 0x402 0x1 4711 abababababab 12",
+            "joint_2 node 1 0x2b1 0x402 0x1 not told abababababab 12",
+            "Inertia of the axes over the poses",
+            "Base parameters",
+            "Check of the data wrong: It brakes. Turn it.",
+        )
+    ]
+    assert order == sorted(order)
+    assert render_campaign(report(), max100, drawn.estimate, drawn) == page
+
+
+def test_a_campaign_without_an_inertia_has_what_there_is(max100: Robot) -> None:
+    one = {"name": "m(link_6)", "value": 12.0, "std": None, "identified": False, "reason": "not excited", "source": ""}
+    document = {"axes": {}, "analysis": {}, "combination": {"base_parameters": [one]}}
+    text = text_of(render_campaign(report(drives=(), check=None), max100, document, None))
+    assert "m(link_6) 12 – not excited not identified" in text
+    assert "Not recorded: the sweeps were imported" in text
+    assert "Not confirmed. No inertia of an axis by itself" in text
