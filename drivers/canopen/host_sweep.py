@@ -195,8 +195,11 @@ class HostSweep:
             self._wait_for_answers(events, now)
             if self._number <= self._last or self._ended:
                 continue
-            now = time.monotonic()
             unfinished = self._unfinished()
+            if unfinished is not None and self._number > self._last + STANDING_SAMPLES:
+                self._wait_for_the_count(events)
+                unfinished = self._unfinished()
+            now = time.monotonic()
             if hold_until < float("inf"):  # at standstill, handed over
                 if self._released.is_set():
                     return
@@ -267,6 +270,17 @@ class HostSweep:
         for lane in lanes if self._clock.patient else ():
             lane.silent += 0 if lane.answered else round((until - sent) / self._period)
             lane.settle()
+
+    def _wait_for_the_count(self, events: Events) -> None:
+        """Hold the next SYNC back until all are counted: answers may be on their way (a gateway), or one is lost."""
+        until = time.monotonic() + self._silence
+        while any(lane.behind for lane in self._lanes.values()) and not self._ended:
+            event = _next(events, until - time.monotonic())
+            if event is None:
+                break
+            self._take(event)
+            self._check()
+        self._clock.begin(max(self._clock.due, time.monotonic()))  # no deadline passed: none was set
 
     def _listen(self, events: Events, deadline: float) -> None:
         """Take events until the deadline; what already waits is taken even if it has passed."""

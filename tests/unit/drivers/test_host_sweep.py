@@ -144,6 +144,42 @@ async def test_whatever_ends_one_axis_ends_all(mishap: object, ending: Ending, r
                     await asyncio.sleep(0.005)
 
 
+@pytest.mark.parametrize("delay", [1, 3, 25])
+async def test_answers_that_take_several_cycles_complete_the_sweep(delay: int) -> None:
+    """As behind a gateway or on a busy computer: late in every cycle, but none is lost and each is counted."""
+    waiting: list[Frame] = []
+
+    def late(k: int, answer: list[Frame]) -> list[Frame]:
+        if k == 1:  # the state is told at once: before that no set-point is sent
+            return answer
+        waiting.extend(answer)
+        due = waiting[: -2 * delay]
+        del waiting[: len(due)]
+        return due
+
+    async with bench(Drive(1, mangle=late)) as on:
+        idle = threading.Event()
+
+        def answer_the_rest() -> None:
+            """Once no SYNC comes any more: on a real bus time passes, here nothing does."""
+            while not idle.wait(3 * PERIOD):
+                heard = len(on.cabinet.heard)
+                if waiting and not idle.wait(3 * PERIOD) and len(on.cabinet.heard) == heard:
+                    rest, waiting[:] = waiting[:], []
+                    for frame in rest:
+                        on.cabinet.say(*frame)
+
+        pump = threading.Thread(target=answer_the_rest)
+        pump.start()
+        try:
+            blocks = await run_to_end(run := on.start())
+        finally:
+            idle.set()
+            pump.join()
+        assert (run.ending, run.reason) == (Ending.COMPLETED, "")
+        assert of(blocks, "joint_1").index.tolist() == list(range(SAMPLES))
+
+
 async def test_a_node_that_missed_a_sync_has_shifted_its_clock_and_is_found_out() -> None:
     drive = Drive(1)
 
