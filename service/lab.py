@@ -12,6 +12,7 @@ import structlog
 
 from drivers.errors import DriveError
 from drivers.registry import load_profile, open_drive
+from service.background import Background
 from service.campaigns.live import EventFeed, LiveHub
 from service.configuration import read_robot
 from service.diagnosis.effects import CATALOGUE
@@ -171,8 +172,9 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
         order_stop = (lambda: None) if stop_process is None else stop_process.order
         machine = Machine(port, latch, latch.latched(), order_stop)
         stack.push_async_callback(port.close)
-        keeper = asyncio.create_task(machine.keep_lease(lease, settings.lease_time), name="lease")
-        stack.push_async_callback(_end, keeper)
+        keeping = Background()
+        stack.push_async_callback(keeping.close)
+        keeping.begin("lease", machine.keep_lease(lease, settings.lease_time))
         await stack.enter_async_context(watching(machine))
         if stop_process is not None:
             await stack.enter_async_context(listening(stop_process, machine, partial(_tell_stop, audit)))
@@ -207,12 +209,10 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
         checking = Checking(store, checks, files, worker)
         stack.push_async_callback(checking.close)
         await checking.recover()
-        checker = asyncio.create_task(checking.follow(feed, told), name="check of the data")
-        checker.add_done_callback(tell_error)
-        stack.push_async_callback(_end, checker)
-        follower = asyncio.create_task(experiments.follow(feed, told), name="loop of the diagnoses")
-        follower.add_done_callback(tell_error)
-        stack.push_async_callback(_end, follower)
+        following = Background()
+        stack.push_async_callback(following.close)
+        following.begin("check of the data", checking.follow(feed, told))
+        following.begin("loop of the diagnoses", experiments.follow(feed, told))
 
         await jobs.recover()
         try:
@@ -226,17 +226,6 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
         )
 
 
-def tell_error(task: asyncio.Task[None]) -> None:
-    """Log how a task that nobody waits for broke off."""
-    if not task.cancelled() and (error := task.exception()) is not None:
-        _log.error("task_broke_off", task=task.get_name(), exc_info=error)
-
-
 def _tell_stop(audit: AuditWriter, by: str, why: str) -> None:
     """A stop by the port of the stop process, which asks nobody who he is: `by` is what he says."""
     audit.put({"event": "stop", "actor": "anybody", "by": masked(by), "why": masked(why)})
-
-
-async def _end(task: asyncio.Task[None]) -> None:
-    task.cancel()
-    await asyncio.wait([task])

@@ -1,6 +1,5 @@
 """Large bodies go into a file as they come: the process that owns the machine never has one in memory."""
 
-import asyncio
 import hashlib
 import shutil
 import tempfile
@@ -10,6 +9,7 @@ from fastapi import Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from service.api.idempotent import Handler, IdempotentRoute, head_of
+from service.background import to_its_end
 
 _PIECE = 2**20  # bytes written at once
 
@@ -30,7 +30,7 @@ class SpooledRoute(IdempotentRoute):
                 await _spool(request, request.state.body)
                 return await handle(request)
             finally:
-                await asyncio.shield(run_in_threadpool(shutil.rmtree, folder))
+                await to_its_end(run_in_threadpool(shutil.rmtree, folder))
 
         return handle_spooled
 

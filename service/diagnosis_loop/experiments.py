@@ -10,6 +10,7 @@ from typing import Any, cast
 import structlog
 
 from drivers.errors import DriveError
+from service.background import Background
 from service.campaigns.live import EventFeed
 from service.diagnosis.experiments import TEST_MASS
 from service.diagnosis.sensitivity.design import DesignedSweep
@@ -51,7 +52,7 @@ class Experiments:
         self._settings, self._store, self._diagnoses = settings, store, diagnoses
         self._runner, self._diagnosing = runner, diagnosing
         self._approving = asyncio.Lock()
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._heard_events = Background()
 
     def plan(
         self, diagnosis_id: int, axis: str, cell: str | None, test_mass: BoltedMass | None = None
@@ -114,16 +115,11 @@ class Experiments:
         """Take part in what happens from event `after` on, until the feed is closed."""
         async for event in feed.follow(after):
             if event.kind in (EventKind.CAMPAIGN, EventKind.DIAGNOSIS):
-                task = asyncio.create_task(self._heard(event), name=f"event {event.id}")
-                self._tasks.add(task)
-                task.add_done_callback(self._done)
+                self._heard_events.begin(f"event {event.id}", self._heard(event))  # its error: the next start finds it
 
     async def close(self) -> None:
         """What was heard and not done is found again by the next process."""
-        tasks = list(self._tasks)
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await self._heard_events.close()
 
     async def _heard(self, event: EventDocument) -> None:
         if event.kind is EventKind.CAMPAIGN and event.data["state"] == CampaignState.COMPLETED.value:
@@ -214,12 +210,6 @@ class Experiments:
                 request = cast("dict[str, Any]", self._store.plan(plan_id).document["request"])
                 return str(request["cell"])
         raise BadInput("cell", "none of the campaigns was planned here: name the cell that the machine stands in")
-
-    def _done(self, task: asyncio.Task[None]) -> None:
-        self._tasks.discard(task)
-        if not task.cancelled() and (error := task.exception()) is not None:
-            # what it was about is still in the store: the next start finds it
-            _log.error("loop_broke_off", task=task.get_name(), error=repr(error))
 
 
 def proposed(diagnosis: DiagnosisDocument, axis: str) -> dict[str, Any]:

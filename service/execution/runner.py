@@ -10,6 +10,7 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import DriveError
+from service.background import to_its_end
 from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.errors import Conflict, NotFound, SweepidError
 from service.execution.check_move import CheckMove
@@ -217,7 +218,7 @@ class Runner:
         refusals = 0
         while True:
             try:
-                await asyncio.shield(self._tell())
+                await to_its_end(self._tell())
                 return
             except SQLAlchemyError as refused:
                 refusals += 1

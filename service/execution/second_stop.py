@@ -12,6 +12,7 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import DriveError
+from service.background import Background
 from service.execution.machine import Hold, Machine
 from service.stop_process.handle import StopProcess
 
@@ -54,12 +55,10 @@ async def watching(machine: Machine) -> AsyncGenerator[None]:
 @asynccontextmanager
 async def _holding(machine: Machine) -> AsyncGenerator[Callable[[str, str, str], None]]:
     """What holds the machine, given by, why and press; from any thread."""
-    loop, confirming = asyncio.get_running_loop(), set[asyncio.Task[None]]()
+    loop, confirming = asyncio.get_running_loop(), Background()
 
     def follow(hold: Hold) -> None:
-        task = asyncio.create_task(_confirm(machine, hold), name="confirm a stop")
-        confirming.add(task)
-        task.add_done_callback(confirming.discard)
+        confirming.begin("confirm a stop", _confirm(machine, hold))
 
     def hold_at_once(by: str, why: str, press: str) -> None:
         loop.call_soon_threadsafe(follow, machine.seize(by, why, press))
@@ -68,8 +67,7 @@ async def _holding(machine: Machine) -> AsyncGenerator[Callable[[str, str, str],
         yield hold_at_once
     finally:
         await asyncio.sleep(0)  # what was called soon
-        if confirming:
-            await asyncio.wait(tuple(confirming))
+        await confirming.settle()
 
 
 async def _confirm(machine: Machine, hold: Hold) -> None:

@@ -4,7 +4,7 @@ import asyncio
 import math
 import time
 from collections import deque
-from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
+from collections.abc import AsyncGenerator, Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import aclosing, asynccontextmanager
 from dataclasses import asdict, dataclass
@@ -17,6 +17,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import CommunicationLost, DriveError, SweepInterrupted
 from drivers.ports import AxisState, NoiseCommand, SampleBlock, SweepCommand
+from service.background import to_its_end
 from service.campaigns.live import LiveHub
 from service.campaigns.session import SweepEvent, sweep_move
 from service.errors import EnvelopeViolation, SweepidError
@@ -85,7 +86,7 @@ class SweepExecutor:
         """
         left: list[_Begun] = []  # begun, and not recorded yet
         try:
-            await _to_its_end(asyncio.to_thread(self._begin, sweeps, compiled, left))
+            await to_its_end(asyncio.to_thread(self._begin, sweeps, compiled, left))
             together = tuple(left)
             commands, pose = [each.command for each in together], together[0].sweep.spec.pose
             await asyncio.to_thread(compiled.envelope.check_run, commands, pose)
@@ -96,9 +97,9 @@ class SweepExecutor:
             moved = {command.joint for command in commands}
             compiled.envelope.check_standing(pose, here, compiled.pose_tolerance, moving=moved)
             for each, (spec, recording) in [(each, await self._finish(each, started_at)) for each in together]:
-                await _to_its_end(self._keep(each, spec, recording, left, recorded))
+                await to_its_end(self._keep(each, spec, recording, left, recorded))
         except BaseException as error:
-            await asyncio.shield(self._give_up(left, error))
+            await to_its_end(self._give_up(left, error))
             raise
         finally:
             self.under_way = None
@@ -227,7 +228,7 @@ class SweepExecutor:
                     while writes and writes[0].done():
                         writes.popleft().result()  # what the disk does not take ends the sweep
             for write in writes:
-                await asyncio.shield(asyncio.wrap_future(write))
+                await to_its_end(asyncio.wrap_future(write))
             for recorder in recorders:
                 recorder.check_complete()
         finally:
@@ -304,19 +305,6 @@ class SweepExecutor:
         self, work: Callable[Arguments, Result], *args: Arguments.args, **kwargs: Arguments.kwargs
     ) -> Result:
         return await asyncio.get_running_loop().run_in_executor(self._disk, partial(work, *args, **kwargs))
-
-
-async def _to_its_end(work: Awaitable[None]) -> None:
-    """Wait for what changes the store, also when cancelled: it is done all the same, and how it ended counts."""
-    task = asyncio.ensure_future(work)
-    try:
-        await asyncio.wait([task])
-    except asyncio.CancelledError:
-        await asyncio.wait([task])
-        if not task.cancelled() and (error := task.exception()) is not None:
-            _log.error("not_stored", reason=str(error))
-        raise
-    task.result()
 
 
 def cause_of(machine: Machine, error: BaseException) -> str:

@@ -1,6 +1,5 @@
 """Bundles in and out, as a zip of the folder that BUNDLE format `sweepid-bundle/1` describes."""
 
-import asyncio
 import shutil
 import tempfile
 import zipfile
@@ -15,6 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from service.api.campaign.campaigns import CampaignView, view
 from service.api.dependencies import Id, LabOf, set_etag
 from service.api.spooled import SpooledRoute
+from service.background import to_its_end
 
 router = APIRouter(tags=["bundles"], route_class=SpooledRoute)
 
@@ -46,7 +46,7 @@ async def export_bundle(campaign_id: Id, lab: LabOf) -> FileResponse:
         await lab.export_bundle(campaign_id, folder / "bundle")
         packed = await run_in_threadpool(_pack, folder / "bundle", folder / "bundle.zip")
     except BaseException:
-        await asyncio.shield(run_in_threadpool(shutil.rmtree, folder))
+        await to_its_end(run_in_threadpool(shutil.rmtree, folder))
         raise
     return FileResponse(
         packed,

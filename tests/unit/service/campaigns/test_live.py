@@ -11,7 +11,6 @@ from structlog.testing import capture_logs
 
 from drivers.ports import SampleBlock
 from service.campaigns.live import EventFeed, LiveHub, thin
-from service.lab import tell_error
 from service.store.database import open_database
 from service.store.guards import StopLatch
 from service.store.store import Store
@@ -139,15 +138,3 @@ async def test_who_follows_loses_no_event_to_a_database_that_does_not_answer(
         await asyncio.sleep(0.05)
         feed.close()  # it ends also while it waits for the database
         assert await asyncio.wait_for(ending, TIMEOUT) is None
-
-
-async def test_a_task_of_the_service_that_ends_by_an_error_is_told() -> None:
-    async def fails() -> None:
-        raise LookupError("nobody thought of it")
-
-    task = asyncio.create_task(fails(), name="loop of the diagnoses")
-    task.add_done_callback(tell_error)
-    with capture_logs() as logs:
-        await asyncio.wait([task])
-        await asyncio.sleep(0)
-    assert [(log["event"], log["task"]) for log in logs] == [("task_broke_off", "loop of the diagnoses")]
