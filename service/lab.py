@@ -12,7 +12,6 @@ import structlog
 
 from drivers.errors import DriveError
 from drivers.registry import load_profile, open_drive
-from service.background import Background
 from service.campaigns.live import EventFeed, LiveHub
 from service.configuration import read_robot
 from service.diagnosis.effects import CATALOGUE
@@ -51,6 +50,7 @@ from service.store.people.keys import KeyStore
 from service.store.people.writer import AuditWriter
 from service.store.requests import IdempotencyKeys
 from service.store.store import Store
+from service.tasks.background import Background
 from service.worker import Worker, open_worker
 
 _log = structlog.get_logger(__name__)

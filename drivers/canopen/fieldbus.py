@@ -55,7 +55,9 @@ class CanopenFieldbus:
     async def open(self) -> "CanopenConnection":
         profile, thread = self._profile, DriveThread("can-sdo")
         nodes = tuple(axis.node for axis in profile.axes)
-        opening = asyncio.create_task(thread.run(Bus, profile.bus, nodes, profile.device_map.wires))
+        opening = asyncio.create_task(
+            thread.run(Bus, profile.bus, nodes, profile.device_map.wires), name="open the bus"
+        )
         heart: asyncio.Task[None] | None = None
         try:
             bus = await asyncio.shield(opening)

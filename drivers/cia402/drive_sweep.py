@@ -44,7 +44,7 @@ class DriveSweep:
         self._most = round(OVERLONG * (command.duration + 1.0) * command.sample_rate)
         self._done = 0  # samples handed over
         self._blocks: asyncio.Queue[SampleBlock | None] = asyncio.Queue()
-        self._task = asyncio.create_task(self._run())
+        self._task = asyncio.create_task(self._run(), name="drive-side sweep")
 
     async def blocks(self) -> AsyncGenerator[SampleBlock, None]:
         """The samples as they come; raises what ended the run early."""

@@ -94,7 +94,7 @@ class Cia402Machine:
 
     async def close(self) -> None:
         if self._link is not None and self._closing is None:
-            self._closing = asyncio.create_task(self._close(self._link))
+            self._closing = asyncio.create_task(self._close(self._link), name="close the connection")
         await self._closed()
 
     async def _close(self, link: Connection) -> None:
@@ -324,7 +324,7 @@ class Cia402Machine:
 
     async def _shield(self, work: Coroutine[object, object, Result]) -> Result:
         """Runs `work` to its end even if the caller is cancelled meanwhile."""
-        task = asyncio.create_task(work)
+        task = asyncio.create_task(work, name="bring down")
         self._cleanups.add(task)
         task.add_done_callback(self._cleanups.discard)
         return await asyncio.shield(task)

@@ -21,7 +21,7 @@ class Watched:
         self._work = thread, standing, stop
 
     async def __aenter__(self) -> None:
-        self._watch = asyncio.create_task(_watch(*self._work))
+        self._watch = asyncio.create_task(_watch(*self._work), name="standing axes")
 
     async def __aexit__(self, _: object, error: BaseException | None, __: object) -> None:
         over = self._watch.done() and not self._watch.cancelled()

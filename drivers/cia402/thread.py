@@ -38,7 +38,7 @@ class DriveThread:
 
 async def to_the_end(work: Coroutine[object, object, None]) -> None:
     """Runs what releases a bus to its end, also when the caller is cancelled twice."""
-    task = asyncio.create_task(work)
+    task = asyncio.create_task(work, name="release the bus")
     while not task.done():
         with suppress(asyncio.CancelledError):
             await asyncio.wait([task])

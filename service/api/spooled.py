@@ -9,7 +9,7 @@ from fastapi import Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from service.api.idempotent import Handler, IdempotentRoute, head_of
-from service.background import to_its_end
+from service.tasks.ending import to_its_end
 
 _PIECE = 2**20  # bytes written at once
 

@@ -149,7 +149,7 @@ class _Server(uvicorn.Server):
         self._loop.call_soon_threadsafe(self._halt)  # not here: the loop may hold the lock of the bus
 
     async def shutdown(self, sockets: list[socket] | None = None) -> None:
-        halting = asyncio.create_task(end_motion(self._app))
+        halting = asyncio.create_task(end_motion(self._app), name="end of motion")
         end_streams(self._app)
         await asyncio.wait([halting])
         await super().shutdown(sockets)

@@ -10,7 +10,6 @@ from typing import Any, cast
 import structlog
 
 from drivers.errors import DriveError
-from service.background import Background
 from service.campaigns.live import EventFeed
 from service.diagnosis.experiments import TEST_MASS
 from service.diagnosis.sensitivity.design import DesignedSweep
@@ -34,6 +33,7 @@ from service.store.diagnosis_documents import (
 )
 from service.store.documents import CampaignDocument, CampaignState, EventDocument, EventKind, NewSweep
 from service.store.store import Store
+from service.tasks.background import Background
 
 _log = structlog.get_logger(__name__)
 

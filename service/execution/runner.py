@@ -10,7 +10,6 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import DriveError
-from service.background import to_its_end
 from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.errors import Conflict, NotFound, SweepidError
 from service.execution.check_move import CheckMove
@@ -22,6 +21,7 @@ from service.jobs.jobs import Jobs
 from service.planning.compiled_plan import CompiledPlan
 from service.store.documents import CampaignDocument, CampaignState, SweepState
 from service.store.store import StaleVersion, Store, SweepMove
+from service.tasks.ending import to_its_end
 
 _log = structlog.get_logger(__name__)
 

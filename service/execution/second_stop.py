@@ -12,9 +12,9 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import DriveError
-from service.background import Background
 from service.execution.machine import Hold, Machine
 from service.stop_process.handle import StopProcess
+from service.tasks.background import Background
 
 _log = structlog.get_logger(__name__)
 

@@ -17,7 +17,6 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import CommunicationLost, DriveError, SweepInterrupted
 from drivers.ports import AxisState, NoiseCommand, SampleBlock, SweepCommand
-from service.background import to_its_end
 from service.campaigns.live import LiveHub
 from service.campaigns.session import SweepEvent, sweep_move
 from service.errors import EnvelopeViolation, SweepidError
@@ -32,6 +31,7 @@ from service.safety.noise_motion import Command
 from service.store.documents import EventKind, NewRecording, SweepDocument
 from service.store.files.recordings import RecordingFiles, Run
 from service.store.store import Store
+from service.tasks.ending import to_its_end
 
 _log = structlog.get_logger(__name__)
 

@@ -199,7 +199,7 @@ class WorkerProcess(Worker):
 def _serve(pipe: "Connection[Any, Any]") -> None:
     """The worker process: does what comes through the pipe until its other end is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal's is for the service
-    threading.Thread(target=_end_with_service, daemon=True).start()
+    threading.Thread(target=_end_with_service, name="end with the service", daemon=True).start()
     pipe.send_bytes(pickle.dumps("ready"))
     while True:
         try:

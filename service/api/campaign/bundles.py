@@ -14,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from service.api.campaign.campaigns import CampaignView, view
 from service.api.dependencies import Id, LabOf, set_etag
 from service.api.spooled import SpooledRoute
-from service.background import to_its_end
+from service.tasks.ending import to_its_end
 
 router = APIRouter(tags=["bundles"], route_class=SpooledRoute)
 

@@ -21,7 +21,7 @@ def main(arguments: list[str]) -> None:
     """Do it and write the answer."""
     memory, named, *paths = arguments
     _give_way(int(memory))
-    threading.Thread(target=_end_with_service, daemon=True).start()
+    threading.Thread(target=_end_with_service, name="end with the service", daemon=True).start()
     sys.stdout.write(json.dumps(_answer(named, [Path(path) for path in paths])))
     sys.stdout.flush()
     os._exit(0)  # at once: the other thread holds the input

@@ -1,14 +1,11 @@
-"""Work on the event loop that nobody waits for, and work that must end although its caller is cancelled."""
+"""Work on the event loop that nobody waits for."""
 
 import asyncio
-from collections.abc import Awaitable, Coroutine
-from typing import TypeVar
+from collections.abc import Coroutine
 
 import structlog
 
 _log = structlog.get_logger(__name__)
-
-Result = TypeVar("Result")
 
 
 class Background:
@@ -38,22 +35,3 @@ class Background:
         self._tasks.discard(task)
         if not task.cancelled() and (error := task.exception()) is not None:
             _log.error("task_failed", task=task.get_name(), exc_info=error)
-
-
-async def to_its_end(work: Awaitable[Result]) -> Result:
-    """The result of `work`, which ends in any case: a caller that is cancelled hears of it afterwards.
-
-    An error of `work` is then logged, for the cancellation is what the caller gets.
-    """
-    task = asyncio.ensure_future(work)
-    cancelled: asyncio.CancelledError | None = None
-    while not task.done():
-        try:
-            await asyncio.wait([task])
-        except asyncio.CancelledError as error:
-            cancelled = error
-    if cancelled is None:
-        return task.result()
-    if not task.cancelled() and (error := task.exception()) is not None:
-        _log.error("failed_while_cancelled", reason=str(error), exc_info=error)
-    raise cancelled

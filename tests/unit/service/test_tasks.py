@@ -5,7 +5,8 @@ import asyncio
 import pytest
 from structlog.testing import capture_logs
 
-from service.background import Background, to_its_end
+from service.tasks.background import Background
+from service.tasks.ending import to_its_end
 
 
 async def fails() -> None:
