@@ -53,9 +53,9 @@ def motion_start(path: Excitation, position: float, time: Array, set_position: A
     if np.ptp(set_position) < swing:
         raise BadInput(place, f"the set position moves by {np.ptp(set_position):.2g} rad (m) only: another axis?")
     match = _match(path, position, time, set_position, np.ones(1))
-    if match.rms > RESIDUAL * swing:
+    if not match.rms <= RESIDUAL * swing:
         raise BadInput(place, _what_it_is(path, position, time, set_position, match, swing))
-    if abs(match.stretch - 1) > STRETCH:
+    if not abs(match.stretch - 1) <= STRETCH:
         raise BadInput(place, _slow(match))
     if abs(match.offset) > START:
         raise BadInput(

@@ -21,11 +21,13 @@ from numpy.typing import NDArray
 
 from service.identification.axis.distortion import Distortion, distortion_of
 from service.identification.axis.ideal_frequency import AxisAnalysis
-from service.identification.axis.joint_fit import JointFit, PosePrior, SharedPrior, fit_axis
+from service.identification.axis.joint_fit import JointFit, fit_axis
 from service.identification.axis.known_effects import LOAD, KnownAxis
 from service.identification.axis.known_torque import Corrected, Load, corrected
 from service.identification.axis.nominal_priors import (
     NOISE_GUESS,
+    PosePrior,
+    SharedPrior,
     TorqueGain,
     pose_prior,
     shared_prior,

@@ -24,22 +24,17 @@ nearly s Jm, and whatever turns its phase is L_e. Jm has the data sheet's prior 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from service.errors import BadInput
-from service.identification.axis.joint_fit import (
-    STARTS,
-    PosePrior,
-    SharedPrior,
-    complete_prior,
-    real_parts,
-    scaled_inverse,
-)
-from service.identification.axis.nominal_priors import NOISE_GUESS, pose_prior, shared_prior
+from service.identification.axis.joint_fit import STARTS, complete_prior, real_parts, scaled_inverse
+from service.identification.axis.nominal_priors import NOISE_GUESS, PosePrior, SharedPrior, pose_prior, shared_prior
 from service.identification.axis.sweep_model import OWN, SHARED, effort_residual
+from service.identification.model.convergence import converged
 from service.identification.model.regressor import axis_rows, gravity_terms
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Complex, Spectrum, spectrum, window
@@ -187,6 +182,7 @@ def _velocity_lag(spectra: Sequence[Spectrum], positions: Sequence[Complex], cyc
         return np.stack([-real_parts(column / sigma) for column in columns], -1)
 
     fit = least_squares(residual, [1.0, 0.0, START], jacobian, method="lm", x_scale="jac")
+    converged(fit, spectra[0].spec.axis, "the velocity's delay")
     freedom = max(len(fit.fun) - len(fit.x), 1)
     slope = jacobian(fit.x)
     covariance = scaled_inverse(slope.T @ slope) * max(2 * float(fit.cost) / freedom, 1.0)
@@ -210,10 +206,12 @@ def _effort_lag(
     ]
     problem = _Problem(spectra, shared_prior(robot, number, reference, spectra), priors)
     noise = np.array([NOISE_GUESS * robot.axes[number].rated_effort / np.sqrt(2 * one.samples) for one in spectra])
-    starts = [problem.solve(problem.start(frequency), noise, 12) for frequency in STARTS]
+    starts = [problem.search(problem.start(frequency), noise, 12).x for frequency in STARTS]
     values = min(starts, key=lambda candidate: float(np.sum(problem.rows(candidate, noise)[0] ** 2)))
     for _ in range(ROUNDS):
-        values = problem.solve(values, noise, 100)
+        found = problem.search(values, noise, 100)
+        converged(found, joint, "the effort's delay")
+        values = np.asarray(found.x, dtype=float)
         noise = problem.noise(values)
     jacobian = problem.rows(values, noise)[1]
     covariance = scaled_inverse(jacobian.T @ jacobian)
@@ -271,8 +269,9 @@ class _Problem:
             column += len(own)
         return np.concatenate(residuals), np.concatenate(jacobians)
 
-    def solve(self, values: Array, noise: Array, evaluations: int) -> Array:
-        fit = least_squares(
+    def search(self, values: Array, noise: Array, evaluations: int) -> Any:
+        """SciPy's result from `values` on."""
+        return least_squares(
             lambda x: self.rows(x, noise)[0],
             values,
             lambda x: self.rows(x, noise)[1],
@@ -280,7 +279,6 @@ class _Problem:
             x_scale="jac",
             max_nfev=evaluations,
         )
-        return np.asarray(fit.x)
 
     def noise(self, values: Array) -> Array:
         """Standard deviation (n,) of real and imaginary part of an effort bin, pooled over all sweeps."""

@@ -24,14 +24,17 @@ nothing was seen of f_l itself: then the last line is its lower bound, and that 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
 from service.errors import BadInput
-from service.identification.axis.joint_fit import SHARED, STARTS, PosePrior, SharedPrior, scaled_inverse
+from service.identification.axis.joint_fit import SHARED, STARTS, scaled_inverse
+from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.design.excitation import LINE_MARGIN, LINES
+from service.identification.model.convergence import converged
 from service.identification.spectra.axis_inertia import DriveTrain, impedance
 from service.identification.spectra.noise_response import Response
 
@@ -159,7 +162,7 @@ def analyse_axis(
     problem = _Problem(tuple(responses), shared_prior, tuple(pose_priors))
     if problem.count <= problem.size:
         raise BadInput(joint, f"{problem.count} numbers of its frequency responses for {problem.size} unknown ones")
-    values, chi_squared, covariance = _fit(problem)
+    values, chi_squared, covariance = _fit(joint, problem)
     asymptotes = [_asymptotes(response) for response in responses]
     return AxisAnalysis(
         joint=joint,
@@ -224,8 +227,8 @@ class _Problem:
         return starts
 
 
-def _fit(problem: _Problem) -> tuple[Array, float, Array]:
-    """Values, chi^2 per degree of freedom, and covariance."""
+def _fit(joint: str, problem: _Problem) -> tuple[Array, float, Array]:
+    """Values, chi^2 per degree of freedom, and covariance; BadInput at the joint where the search did not converge."""
     mean, root = problem.mean, problem.root
     inverse_root = np.linalg.inv(root)
     weights = [1 / np.sqrt(response.variance(response.impedance) / 2) for response in problem.responses]
@@ -236,18 +239,20 @@ def _fit(problem: _Problem) -> tuple[Array, float, Array]:
     def jacobian(x: Array) -> Array:
         return np.vstack([_misfit(problem, mean + root @ x, weights)[1] @ root, np.eye(len(x))])
 
-    def solve(start: Array) -> "tuple[float, Array]":
+    def solve(start: Array) -> Any:
         found = optimize.least_squares(residual, start, jac=jacobian, method="lm", max_nfev=100)
-        return float(found.cost), np.asarray(found.x, dtype=float)
+        return found
 
-    _, x = min((solve(inverse_root @ (start - mean)) for start in problem.starts()), key=lambda each: each[0])
+    found = min((solve(inverse_root @ (start - mean)) for start in problem.starts()), key=lambda each: each.cost)
     for _ in range(ROUNDS):
-        values = mean + root @ x
+        values = mean + root @ found.x
         weights[:] = [
             1 / np.sqrt(response.variance(_model(response.frequency, values, SHARED + 2 * k)) / 2)
             for k, response in enumerate(problem.responses)
         ]
-        _, x = solve(x)
+        found = solve(found.x)
+    converged(found, joint, "its frequency responses")
+    x = np.asarray(found.x, dtype=float)
     misfit, _ = _misfit(problem, mean + root @ x, weights)
     chi_squared = float(misfit @ misfit) / (problem.count - problem.size)
     rows = jacobian(x)

@@ -14,6 +14,7 @@ its own (`weight` = pooled over own variance). Chance: chi-squared at `CHANCE` o
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import cast
 
 import numpy as np
@@ -21,7 +22,9 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.stats import chi2
 
+from service.errors import BadInput
 from service.identification.axis.load_motion import spring
+from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.axis.sweep_model import SHARED, Stack, direct_terms, stack_residual, stacks
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Complex, Spectrum
@@ -39,25 +42,12 @@ CHANCE = 0.01  # that any sweep of an axis is suspected although all are sound
 MATERIAL = 1e-3  # of the largest effort bin: a residual below does not matter, whatever the others'
 
 
-@dataclass(frozen=True)
-class SharedPrior:
-    """Mean (5,) and covariance (5, 5) of the drive train, in the order of `DriveTrain.as_array`."""
+class Ended(Enum):
+    """How a search for the least cost ended."""
 
-    mean: Array
-    covariance: Array
-
-    @property
-    def sigma(self) -> Array:
-        """One sigma (5,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-
-@dataclass(frozen=True)
-class PosePrior:
-    """What the nominal model says of one sweep's pose: mean and one sigma of [J_l, k_g, G0]."""
-
-    mean: Array
-    sigma: Array
+    CONVERGED = "a further step gains less than 1e-9 of the cost"
+    AT_REST = "no step, however short, lowers the cost"
+    UNFINISHED = f"the cost still falls after {ITERATIONS} steps"
 
 
 @dataclass(frozen=True)
@@ -87,6 +77,7 @@ class JointFit:
     moved: Array
     shared: Array  # (5 + u,) and
     own: tuple[Array, ...]  # of each sweep (p,): all parameters, for `sweep_model`
+    ended: Ended
 
 
 @dataclass(frozen=True)
@@ -115,6 +106,13 @@ class _Normal:
 
 
 @dataclass(frozen=True)
+class _Minimum:
+    point: _Point
+    cost: float  # squared standard deviations
+    ended: Ended
+
+
+@dataclass(frozen=True)
 class _Noise:
     sigma: Array  # (n,) of all sweeps, as used
     chi_squared: Array
@@ -134,6 +132,7 @@ def fit_axis(
 
     `uncertain` (u, b) of each sweep: what the effects taken out of its effort are uncertain by. `spread` (b,) of each:
     how many times the noise each bin's standard deviation is, where a nonlinearity distorts it (`distortion`).
+    BadInput where the cost is no finite number, or still falls when the steps are used up: then nothing is told.
     """
     known = list(uncertain or [np.zeros((0, len(one.frequency)), dtype=np.complex128) for one in spectra])
     poses = [complete_prior(*pair) for pair in zip(spectra, pose_priors, strict=True)]
@@ -146,10 +145,27 @@ def fit_axis(
     point = _Point(shared, priors.own_mean)
     rate = np.array([spectrum.spec.sample_rate for spectrum in spectra])
     noise = _Noise(sigma, np.ones(len(spectra)), np.ones(len(spectra)), 0.0)
+    ended = Ended.UNFINISHED
     for _ in range(ROUNDS):
-        point, _ = _minimise(parts, priors, noise.sigma, point, ITERATIONS)
+        minimum = _minimise(parts, priors, noise.sigma, point, ITERATIONS)
+        if not np.isfinite(minimum.cost):
+            raise BadInput(
+                _not_finite(spectra, parts, point), "has no finite residual: effort, motion or prior overflow"
+            )
+        point, ended = minimum.point, minimum.ended
         noise = _pooled_noise(parts, priors, noise.sigma, point, rate, noise_guess)
-    return _result(parts, priors, noise, point)
+    if ended is Ended.UNFINISHED:
+        raise BadInput(spectra[0].spec.axis, f"its fit over {len(spectra)} sweeps did not converge: {ended.value}")
+    return _result(parts, priors, noise, point, ended)
+
+
+def _not_finite(spectra: Sequence[Spectrum], parts: Sequence[Stack], point: _Point) -> str:
+    """The sweep whose residual is not finite, else the axis."""
+    for stack, own in zip(parts, point.own, strict=True):
+        spoiled = ~np.isfinite(stack_residual(stack, point.shared, own)[0]).all(axis=1)
+        for place in cast(list[int], stack.place[spoiled].tolist()):
+            return f"sweep {spectra[place].spec.id} of {spectra[place].spec.axis}"
+    return spectra[0].spec.axis
 
 
 def complete_prior(spectrum: Spectrum, prior: PosePrior) -> PosePrior:
@@ -176,7 +192,8 @@ def _first_train(parts: Sequence[Stack], shared: SharedPrior, poses: Sequence[Po
     priors = _priors(parts, shared, poses)
     starts = STARTS if any(stack.load_velocity is None for stack in parts) else STARTS[:1]
     tries = [_minimise(parts, priors, sigma, _start(priors, frequency), 8) for frequency in starts]
-    return min(tries, key=lambda one: one[1])[0].shared
+    finite = [one for one in tries if np.isfinite(one.cost)] or tries
+    return min(finite, key=lambda one: one.cost).point.shared
 
 
 def _start(priors: _Priors, locked_rotor: float) -> _Point:
@@ -216,26 +233,26 @@ def _equations(
     return cost, tuple(normals)
 
 
-def _minimise(
-    parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point, iterations: int
-) -> tuple[_Point, float]:
-    """The point of least cost and that cost."""
-    damping = 1e-3
+def _minimise(parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point, iterations: int) -> _Minimum:
+    """The point of least cost, from `point` downhill. A point whose cost is no number is no step down."""
+    damping, ended = 1e-3, Ended.UNFINISHED
     cost, normals = _equations(parts, priors, sigma, point)
-    for _ in range(iterations):
+    for _ in range(iterations if np.isfinite(cost) else 0):
         while True:
             trial = _step(normals, priors, point, damping)
             trial_cost, trial_normals = _equations(parts, priors, sigma, trial)
             if trial_cost <= cost or damping > 1e8:
                 break
             damping *= 10
-        if trial_cost > cost:
+        if not trial_cost <= cost:
+            ended = Ended.AT_REST
             break
         gained, point, cost, normals = cost - trial_cost, trial, trial_cost, trial_normals
         damping = max(damping / 10, 1e-12)
         if gained < 1e-9 * (1 + cost):
+            ended = Ended.CONVERGED
             break
-    return point, cost
+    return _Minimum(point, cost, ended)
 
 
 def _step(normals: Sequence[_Normal], priors: _Priors, point: _Point, damping: float) -> _Point:
@@ -299,7 +316,7 @@ def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tu
     return variance, sound
 
 
-def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Point) -> JointFit:
+def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Point, ended: Ended) -> JointFit:
     count = len(noise.sigma)
     load, own_variance, bound = np.zeros((3, count))
     gravity, by_shared = np.zeros((count, 2)), np.zeros((count, len(point.shared)))
@@ -336,6 +353,7 @@ def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Poin
         moved=point.shared[SHARED:],
         shared=point.shared,
         own=_by_sweep(parts, point),
+        ended=ended,
     )
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from service.identification.axis.joint_fit import PosePrior, SharedPrior
 from service.identification.axis.known_effects import ELASTICITY, GAIN, HOSE, KnownAxis
 from service.identification.spectra.frequency_response import Spectrum
 from service.robot import Robot
@@ -18,6 +17,27 @@ Array = NDArray[np.float64]
 
 LIGHT = 0.01  # of the mean link's mass: what a link without mass in the model may have
 NOISE_GUESS = 0.002  # of the rated effort: start value only, the noise is then estimated
+
+
+@dataclass(frozen=True)
+class SharedPrior:
+    """Mean (5,) and covariance (5, 5) of the drive train, in the order of `DriveTrain.as_array`."""
+
+    mean: Array
+    covariance: Array
+
+    @property
+    def sigma(self) -> Array:
+        """One sigma (5,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+@dataclass(frozen=True)
+class PosePrior:
+    """What the nominal model says of one sweep's pose: mean and one sigma of [J_l, k_g, G0]."""
+
+    mean: Array
+    sigma: Array
 
 
 @dataclass(frozen=True, slots=True)

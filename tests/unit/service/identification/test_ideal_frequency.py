@@ -8,7 +8,7 @@ import pytest
 
 from service.errors import BadInput
 from service.identification.axis.ideal_frequency import AxisAnalysis, analyse_axis, nearest_line
-from service.identification.axis.joint_fit import PosePrior, SharedPrior
+from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.estimates.analysis_document import analyses_document, analyses_from
 from service.identification.spectra.axis_inertia import DriveTrain, impedance
 from service.identification.spectra.noise_response import Response

@@ -7,7 +7,10 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.signal import lsim
 
-from service.identification.axis.joint_fit import PosePrior, SharedPrior, complete_prior, fit_axis
+from service.errors import BadInput
+from service.identification.axis import joint_fit
+from service.identification.axis.joint_fit import Ended, complete_prior, fit_axis
+from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.axis.sweep_model import SHARED, direct_terms, effort_residual
 from service.identification.design.excitation import design_sweep, velocity_setpoint
 from service.identification.spectra.axis_inertia import DriveTrain
@@ -208,3 +211,23 @@ def test_a_prior_may_be_correlated(robot: Robot) -> None:
     mean = shared.mean + np.array([0, 5, 5, 0, 0])
     fit = fit_axis(spectra, SharedPrior(mean, covariance), poses, noise_guess=6.0)
     assert fit.train.motor_friction + fit.train.load_friction == pytest.approx(210, abs=3)
+
+
+def test_what_is_no_number_is_refused_with_its_sweep(robot: Robot) -> None:
+    rng = np.random.default_rng(1)
+    spectra = [_measure(robot, number, load, 6.0, rng) for number, load in enumerate(LOADS)]
+    shared, poses = _priors()
+    spoiled = [one if number != 3 else replace(one, effort=one.effort * np.nan) for number, one in enumerate(spectra)]
+    with pytest.raises(BadInput, match=r"^sweep 0003 of lift: has no finite residual"):
+        fit_axis(spoiled, shared, poses, 6.0)
+
+
+def test_a_fit_that_does_not_converge_tells_nothing(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(2)
+    spectra = [_measure(robot, number, load, 6.0, rng) for number, load in enumerate(LOADS)]
+    shared, poses = _priors()
+    assert fit_axis(spectra, shared, poses, 6.0).ended in (Ended.CONVERGED, Ended.AT_REST)
+    monkeypatch.setattr(joint_fit, "ITERATIONS", 1)
+    monkeypatch.setattr(joint_fit, "ROUNDS", 1)
+    with pytest.raises(BadInput, match=r"^lift: its fit over 8 sweeps did not converge: the cost still falls after"):
+        fit_axis(spectra, shared, poses, 6.0)

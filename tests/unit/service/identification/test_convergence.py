@@ -1,0 +1,28 @@
+"""How an iterative fit ended is asked."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from service.errors import BadInput
+from service.identification.model.convergence import converged
+
+
+def rosenbrock(x: np.ndarray) -> np.ndarray:
+    return np.array([10 * (x[1] - x[0] ** 2), 1 - x[0]])
+
+
+def test_a_minimum_passes() -> None:
+    converged(least_squares(rosenbrock, [-1.2, 1.0], method="lm"), "joint_1", "a valley")
+
+
+def test_a_search_that_was_cut_short_is_refused() -> None:
+    with pytest.raises(BadInput, match=r"^joint_1: the fit of a valley did not converge: The maximum number"):
+        converged(least_squares(rosenbrock, [-1.2, 1.0], max_nfev=3), "joint_1", "a valley")
+
+
+def test_what_is_no_number_is_refused() -> None:
+    found = least_squares(rosenbrock, [-1.2, 1.0], method="lm")
+    found.cost = np.nan
+    with pytest.raises(BadInput, match=r"^joint_1: the fit of a valley has no finite residual"):
+        converged(found, "joint_1", "a valley")
