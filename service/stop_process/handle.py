@@ -41,6 +41,7 @@ class StopProcess:
         self._word: Word | None = None
         self._early: list[tuple[str, str, str]] = []  # stops before anybody listened
         self._attaching = threading.Lock()
+        self._watching = False  # signals are told to this process' pipe
 
     def __enter__(self) -> Self:
         """Returns when it listens. StopNotStarted."""
@@ -58,6 +59,8 @@ class StopProcess:
             self._process.kill()
             self._process.wait()
         self._thread.join()
+        if self._watching:
+            signal.set_wakeup_fd(-1)  # the number of a closed descriptor is soon another file's
         os.close(self._writing)
         os.close(self._reading)
 
@@ -68,10 +71,7 @@ class StopProcess:
         """
         if sys.platform != "win32":
             signal.set_wakeup_fd(self._writing, warn_on_full_buffer=False)
-
-    def leave_signals(self) -> None:
-        if sys.platform != "win32":
-            signal.set_wakeup_fd(-1)
+            self._watching = True
 
     def order(self) -> None:
         """Have the stop put on the wire. From any thread; waits for nothing."""

@@ -113,11 +113,6 @@ class Guide:
         return self.mode in _TRACKING and not self.ramping
 
     @property
-    def underway(self) -> bool:
-        """Whether a profile position move runs."""
-        return self.mode is Mode.PROFILE_POSITION and self._motion is not None
-
-    @property
     def target(self) -> float | None:
         """Of the last profile position move, rev."""
         return self._target
