@@ -14,7 +14,7 @@ demo: $(READY)  ## measure, identify and report a virtual robot
 	$(BIN)/sweepid demo --out demo-out
 
 test: check  ## all checks, then all tests
-	$(BIN)/python -m pytest -n 2 --dist loadscope --durations 25  # one waits for machines, one mostly reckons
+	$(BIN)/python -m pytest -n 3 --dist loadscope --durations 40  # two wait for machines, one reckons
 
 test-vcan: $(READY)  ## what needs a real SocketCAN vcan0; in a guest (user-mode-linux) where the kernel has no CAN
 	VCAN_TIMEOUT=1800 tests/vcan/run $(BIN)/python -m pytest --vcan --color=no tests/vcan tests/contract

@@ -14,18 +14,24 @@ from typing import Any
 
 import pytest
 from xdist.scheduler import LoadScopeScheduling
+from xdist.workermanage import WorkerController
 
 # before NumPy is imported, as the product does: with another number of threads a sum may end in another last digit
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 ROOT = Path(__file__).resolve().parents[1]
-MACHINES = {"browser", "contract", "system"}  # folders of tests that mostly wait for a machine
-BESIDE = {
+KEEP_TIME = {
+    "contract": "drives",
+    "browser": "machines",
+    "system": "machines",
+}  # folders that mostly wait for a machine
+BESIDE = {  # files that do so beside those
     "tests/system/test_demo.py",
     "tests/system/test_fault_table.py",
     "tests/unit/drivers/test_host_sweep.py",
     "tests/unit/drivers/test_host_sweep_ends.py",
 }
+TIMED = ("machines", "drives", "beside")
 RECKONING = 10  # nicer than a test that waits for a machine
 REAL_TIME = -15  # machine, service and host of a test come before all else on the computer, as a drive's own processor
 NICENESS = 0 if sys.platform == "win32" else os.getpriority(os.PRIO_PROCESS, 0)
@@ -47,21 +53,31 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def group_of(nodeid: str) -> str:
-    """What the processes of `make test` must not tear apart: tests of one file; all that move machines, one at a time.
+    """What the processes of `make test` must not tear apart: tests of one file, and the three groups that keep to time.
 
-    Those of `BESIDE` also keep to real time, but bear another machine beside theirs.
+    Each of the three moves one machine at a time.
     """
     path = nodeid.partition("::")[0]
     if path in BESIDE:
-        return "machines beside"
-    return path if MACHINES.isdisjoint(path.split("/")) else "machines"
+        return "beside"
+    return next((group for folder, group in KEEP_TIME.items() if folder in path.split("/")), path)
+
+
+def keeps_time(nodeid: str) -> bool:
+    return group_of(nodeid) in TIMED
 
 
 class Apart(LoadScopeScheduling):
-    """One group of tests after the other to whichever process is free, the largest first."""
+    """One group of tests after the other to whichever process is free: those that keep to time, then the largest."""
 
     def _split_scope(self, nodeid: str) -> str:
         return group_of(nodeid)
+
+    def _assign_work_unit(self, node: WorkerController) -> None:
+        for group in reversed(TIMED):
+            if group in self.workqueue:
+                self.workqueue.move_to_end(group, last=False)
+        super()._assign_work_unit(node)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -74,10 +90,10 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     """What keeps to real time comes first, where that is permitted (to root); tests that reckon give way to it."""
     if sys.platform == "win32":
         return
-    keeps_time = group_of(item.nodeid).startswith("machines")
     beside_others = hasattr(item.config, "workerinput")
+    niceness = REAL_TIME if keeps_time(item.nodeid) else RECKONING * beside_others
     with suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, 0, NICENESS + (REAL_TIME if keeps_time else RECKONING * beside_others))
+        os.setpriority(os.PRIO_PROCESS, 0, NICENESS + niceness)
 
 
 def session_comes_first(niceness: int) -> None:

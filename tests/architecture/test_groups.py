@@ -26,9 +26,9 @@ def test_each_file_runs_in_one_process(root: Path) -> None:
 @pytest.mark.parametrize(
     ("nodeid", "group"),
     [
-        ("tests/contract/test_faults.py::test_a[canopen-a/b]", "machines"),
+        ("tests/contract/test_faults.py::test_a[canopen-a/b]", "drives"),
         ("tests/system/test_rest_death.py::test_a", "machines"),
-        ("tests/system/test_demo.py::test_a", "machines beside"),
+        ("tests/system/test_demo.py::test_a", "beside"),
         ("tests/unit/drivers/test_ladder.py::test_a[system]", "tests/unit/drivers/test_ladder.py"),
     ],
 )
@@ -38,3 +38,13 @@ def test_what_moves_machines_is_one_group(nodeid: str, group: str) -> None:
 
 def test_the_files_that_are_named_are_there(root: Path) -> None:
     assert [file for file in sorted(BESIDE) if not (root / file).is_file()] == []
+
+
+def test_what_keeps_to_time_starts_first(root: Path) -> None:
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")}
+    files = ("tests/unit/drivers/test_states.py", "tests/unit/drivers/test_host_sweep_ends.py")
+    command = [sys.executable, "-m", "pytest", "-n", "1", "--dist", "loadscope", "-v", "--color=no"]
+    command += ["-p", "no:cacheprovider", *files]
+    run = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, timeout=120, check=True)
+    ran = re.findall(r"^\[gw\d\].* PASSED (\S+?)::", run.stdout, re.MULTILINE)
+    assert list(dict.fromkeys(ran)) == list(reversed(files))
