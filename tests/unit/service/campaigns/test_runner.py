@@ -314,9 +314,8 @@ async def test_a_resume_that_meets_the_pause_leaves_no_campaign_running_that_not
     bench.store.campaign = slow
     refused = asyncio.create_task(bench.runner.abort(bench.campaign.id, "by an old page", if_version=1))
     await until(asked.is_set)
-    # the resume waits for its turn, behind that command, while the campaign comes to its pause
     resuming = asyncio.create_task(bench.runner.resume(bench.campaign.id))
-    await asyncio.sleep(0)
+    await asyncio.sleep(0)  # it waits for its turn, behind that command, while the campaign comes to its pause
     bench.drive.hold = None
     bench.drive.go.set()
     await run_out(bench)
