@@ -8,13 +8,18 @@ unexport PYTHONDONTWRITEBYTECODE  # else every process that a test starts compil
 
 FUZZ ?=  # more words for the fuzzing, as: make fuzz FUZZ='--seed 7 --cpu 60 --parser trace'
 
-.PHONY: demo test test-vcan test-drives test-compose fuzz check format lock openapi clean
+SEED ?=  # of an order that test-random printed, to have it again
+
+.PHONY: demo test test-random test-vcan test-drives test-compose fuzz check format lock openapi clean
 
 demo: $(READY)  ## measure, identify and report a virtual robot
 	$(BIN)/sweepid demo --out demo-out
 
 test: check  ## all checks, then all tests
 	$(BIN)/python -m pytest -n 3 --dist loadscope --durations 40  # two wait for machines, one reckons
+
+test-random: $(READY)  ## unit and architecture tests, the files and the tests in each shuffled; prints the seed
+	$(BIN)/python -m pytest --random-order $(if $(strip $(SEED)),--random-order-seed $(strip $(SEED))) tests/unit tests/architecture
 
 test-vcan: $(READY)  ## what needs a real SocketCAN vcan0; in a guest (user-mode-linux) where the kernel has no CAN
 	VCAN_TIMEOUT=1800 tests/vcan/run $(BIN)/python -m pytest --vcan --color=no tests/vcan tests/contract
@@ -28,11 +33,12 @@ test-compose: $(READY)  ## start docker-compose.yml for real and measure in it; 
 fuzz: $(READY)  ## what no program wrote, given to every parser of files from outside; 600 s of CPU, fails on a finding
 	$(BIN)/python -m tests.fuzz $(FUZZ)
 
-check: $(READY)  ## format, lint, types, import arrows
+check: $(READY)  ## format, lint, types, import arrows, habits (repo-review; exceptions in pyproject.toml)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
+	$(BIN)/repo-review --show err .
 
 format: $(READY)  ## put the code into its form
 	$(BIN)/ruff check --fix .

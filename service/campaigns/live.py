@@ -25,7 +25,7 @@ _log = structlog.get_logger(__name__)
 
 Array = NDArray[np.float64]
 
-_RETRY = 2.0  # s until a database that refused is asked again
+RETRY = 2.0  # s until a database that refused is asked again
 
 # pyarrow ships without types
 _arrow = cast(Any, pa)
@@ -168,7 +168,7 @@ class EventFeed:
                 except SQLAlchemyError as refused:
                     _log.warning("events_not_read", after=after, reason=str(refused))
                     with suppress(TimeoutError):
-                        await asyncio.wait_for(news.wait(), _RETRY)
+                        await asyncio.wait_for(news.wait(), RETRY)
                     continue
                 for event in events:
                     yield event

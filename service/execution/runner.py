@@ -25,7 +25,7 @@ from service.tasks.ending import to_its_end
 
 _log = structlog.get_logger(__name__)
 
-_RETRY = 2.0  # s between attempts to store the end of a campaign
+RETRY = 2.0  # s between attempts to store the end of a campaign
 _IN_PARTS = "the trajectories left were measured in part, and can only be repeated as a whole"
 
 
@@ -226,7 +226,7 @@ class Runner:
                     _log.error("end_not_stored", cause=self._untold, reason=str(refused))
             if not wait:
                 return
-            await asyncio.sleep(_RETRY)
+            await asyncio.sleep(RETRY)
 
     async def _tell(self) -> None:
         """Store the end of a campaign that broke off, if that is still to be done; SQLAlchemyError if refused."""

@@ -2,22 +2,25 @@
 
 import asyncio
 import copy
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, cast
 
 import can
 import canopen
-import numpy as np
 import pytest
 from canopen.sdo.client import SdoClient
 
-from drivers.canopen.fieldbus import CanopenConnection, StreamedSweep
+from drivers.canopen import frames
+from drivers.canopen.fieldbus import CanopenConnection
+from drivers.canopen.lane import RunningLane
 from drivers.canopen.measuring import ABORT, COMMAND
 from drivers.canopen.objects import Entry
 from drivers.canopen.speed_control import GAIN
 from drivers.cia402.machine import Cia402Machine
+from drivers.cia402.thread import DriveThread
 from drivers.contract.bench import closing, consume, eventually
 from drivers.errors import MotionForbidden, WrongConfiguration, WrongIdentity
 from drivers.ports import AxisState, DrivePort, SweepMode
@@ -30,7 +33,7 @@ pytestmark = pytest.mark.adapter("canopen")
 def link_of(port: DrivePort) -> CanopenConnection:
     """The open connection behind a port."""
     assert isinstance(port, Cia402Machine)
-    link = port._link
+    link = port._link  # pyright: ignore[reportPrivateUsage]  # nobody else may have it
     assert isinstance(link, CanopenConnection)
     return link
 
@@ -185,29 +188,37 @@ async def test_a_drive_that_is_lost_while_the_consumer_hangs_is_told_to_stop(por
     await running.aclose()
 
 
-async def test_many_readers_of_the_status_are_not_ahead_of_a_stop(port: DrivePort) -> None:
-    waiting = link_of(port).thread._executor._work_queue
-    readers = [asyncio.create_task(port.status()) for _ in range(30)]
-    most = 0
-    while not all(reader.done() for reader in readers):
-        await asyncio.sleep(0)
-        most = max(most, waiting.qsize())
-    assert most <= 1
-    await asyncio.gather(*readers)
+async def test_many_readers_of_the_status_are_not_ahead_of_a_stop(
+    port: DrivePort, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, asked, most = DriveThread.run, 0, 0
+
+    async def counted(self: DriveThread, function: Callable[..., object], *args: object) -> object:
+        nonlocal asked, most
+        asked += 1
+        most = max(most, asked)
+        try:
+            return await run(self, function, *args)
+        finally:
+            asked -= 1
+
+    monkeypatch.setattr(DriveThread, "run", counted)
+    await asyncio.gather(*(port.status() for _ in range(30)))
+    assert 1 <= most <= 2  # one under way, one that waits
 
 
-async def test_a_stop_brings_every_axis_down_whatever_ended_the_stream(port: DrivePort, virtual: Virtual) -> None:
-    assert isinstance(port, Cia402Machine)
+async def test_a_stop_brings_every_axis_down_whatever_ended_the_stream(
+    port: DrivePort, virtual: Virtual, monkeypatch: pytest.MonkeyPatch
+) -> None:
     await port.enable(AXIS)
     running = port.run_sweep(await sweep(port, SweepMode.HOST_STREAMED, periods=200, offset_velocity=0.002, sines=()))
     await anext(running)
-    motion = port._motion
-    assert motion is not None
-    assert isinstance(motion.run, StreamedSweep)
-    stream = motion.run.run
-    for lane in stream._lanes.values():
-        lane._wave = np.empty(0)  # the thread fails with an IndexError at the next samples
-    await eventually(stream._thread.done)
+
+    def fail(self: RunningLane, event: frames.Event) -> None:
+        raise IndexError("unforeseen")
+
+    monkeypatch.setattr(RunningLane, "take", fail)
+    await eventually(lambda: not any(thread.name.startswith("can-stream") for thread in threading.enumerate()))
     await port.stop()
     assert virtual.energised() == []
     with pytest.raises(IndexError):

@@ -119,7 +119,7 @@ class Service:
 
     def workers(self) -> list[psutil.Process]:
         """The identification's processes."""
-        children = psutil.Process(self._running().pid).children(recursive=True)
+        children = psutil.Process(self.running().pid).children(recursive=True)
         return [child for child in children if any("spawn_main" in word for word in child.cmdline())]
 
     def log(self) -> str:
@@ -128,28 +128,28 @@ class Service:
 
     def kill(self) -> None:
         """SIGKILL, as a power cut does it: the service and all it has started."""
-        service = self._running()
+        service = self.running()
         children = psutil.Process(service.pid).children(recursive=True)
         service.kill()
         for child in children:
             child.kill()
         psutil.wait_procs(children, timeout=10)
-        self._end()
+        self.end()
 
     def close(self) -> None:
         """End it in good order."""
         if self._process is not None:
             self._process.terminate()
-            code = self._end()
+            code = self.end()
             assert code == 0, self._log.read_text("utf-8")
 
-    def _running(self) -> subprocess.Popen[bytes]:
+    def running(self) -> subprocess.Popen[bytes]:
         if self._process is None:
             raise RuntimeError("the service does not run")
         return self._process
 
-    def _end(self) -> int:
-        process = self._running()
+    def end(self) -> int:
+        process = self.running()
         code = process.wait(PATIENCE)
         if process.stdout:
             process.stdout.close()

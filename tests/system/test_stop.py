@@ -79,7 +79,7 @@ def press(url: str, **words: str) -> httpx.Response:
 
 
 def service_process(service: Service) -> psutil.Process:
-    return psutil.Process(service._running().pid)  # pyright: ignore[reportPrivateUsage]
+    return psutil.Process(service.running().pid)
 
 
 @pytest.mark.parametrize("modes", ["drive_side", "host_streamed"])
@@ -203,7 +203,7 @@ def test_the_death_of_the_service_is_a_stop(service: Service, machine: VirtualMa
         until(lambda: ear.quick_stops() == set(NODES), "the quick stop is on the bus")
         beside.wait(PATIENCE)
     until(machine.stands, "the axes stand")
-    service._end()  # pyright: ignore[reportPrivateUsage]
+    service.end()
     service.start()
 
 

@@ -96,7 +96,7 @@ def suspend_in_each(
 
 def suspend(service: Service, machine: VirtualMachine, ear: Ear) -> None:
     """No thread of the service does anything until the drives have taken the energy, and for a while after that."""
-    process = psutil.Process(service._running().pid)  # pyright: ignore[reportPrivateUsage]
+    process = psutil.Process(service.running().pid)
     process.suspend()
     since = time.monotonic()
     until(machine.stands, "the drives miss their host")

@@ -113,6 +113,22 @@ def condition_numbers(eigenvalues: Array) -> Array:
     return np.sqrt(np.divide(largest, smallest, out=np.full_like(largest, np.inf), where=regular))
 
 
+def condition_bounds(rows: Array, eigenvalues: Array, vectors: Array, width: int) -> Array:
+    """Lower bounds (c,) of the condition number with each of `rows` (c, a, p), see the module's header.
+
+    From the `width` lowest and highest of the eigenvectors (p, p) of the Gram matrix, whose `eigenvalues` (p,) ascend.
+    """
+    parts = (slice(None, width), slice(-width, None))
+    ends = np.hstack([vectors[:, part] for part in parts])
+    seen = (rows.reshape(-1, rows.shape[2]) @ ends).reshape(*rows.shape[:2], 2 * width)  # of no rows as well
+    lowest, highest = (
+        _ritz(np.diag(eigenvalues[part]) + own.swapaxes(1, 2) @ own)
+        for part, own in zip(parts, (seen[..., :width], seen[..., width:]), strict=True)
+    )
+    large, small = highest[:, -1], lowest[:, 0]
+    return np.sqrt(large / np.maximum(small, SINGULAR**2 * large + np.finfo(float).tiny))
+
+
 class _Greedy:
     """The candidates left and the Gram matrix of those taken."""
 
@@ -148,11 +164,11 @@ class _Greedy:
         spare = self._rows.shape[1]  # what one candidate can add to the rank
         if spare < len(eigenvalues) and eigenvalues[spare] <= SINGULAR * eigenvalues[-1]:
             return self.largest_volume()
-        quick = self._bound(self._rows, eigenvalues, vectors, 1)[self._left]
+        quick = condition_bounds(self._rows, eigenvalues, vectors, 1)[self._left]
         tried = self._left[np.argsort(quick, kind="stable")[:PROMISING]]
         limit = (1 + TIE) * min(float(self._condition(tried).min()), SINGULAR**-0.5)
         within = self._left[quick <= slack * limit]  # who may be within the slack of the best
-        bound = self._bound(
+        bound = condition_bounds(
             self._rows[within], eigenvalues, vectors, min(len(eigenvalues), max(2, len(eigenvalues) // 4))
         )
         left, within = within[bound <= limit], within[bound <= slack * limit]
@@ -179,22 +195,6 @@ class _Greedy:
         """Condition numbers (c,) with each of the candidates (c,)."""
         rows = self._rows[candidates]
         return condition_numbers(np.asarray(np.linalg.eigvalsh(self._gram + rows.swapaxes(1, 2) @ rows), dtype=float))
-
-    @staticmethod
-    def _bound(rows: Array, eigenvalues: Array, vectors: Array, width: int) -> Array:
-        """Lower bounds (c,) of `_condition` with each of `rows` (c, a, p).
-
-        From the `width` lowest and highest eigenvectors of the Gram matrix.
-        """
-        parts = (slice(None, width), slice(-width, None))
-        ends = np.hstack([vectors[:, part] for part in parts])
-        seen = (rows.reshape(-1, rows.shape[2]) @ ends).reshape(*rows.shape[:2], 2 * width)  # of no rows as well
-        lowest, highest = (
-            _ritz(np.diag(eigenvalues[part]) + own.swapaxes(1, 2) @ own)
-            for part, own in zip(parts, (seen[..., :width], seen[..., width:]), strict=True)
-        )
-        large, small = highest[:, -1], lowest[:, 0]
-        return np.sqrt(large / np.maximum(small, SINGULAR**2 * large + np.finfo(float).tiny))
 
     @staticmethod
     def _first(candidates: Indices, cost: Array, tie: float) -> int:

@@ -14,7 +14,7 @@ from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.machine import Cia402Machine
 from drivers.cia402.profile import AxisProfile, IdentityProfile
 from drivers.cia402.states import State
-from drivers.cia402.thread import DriveThread
+from drivers.cia402.thread import DriveThread, P, T
 from drivers.errors import CommunicationLost
 from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SweepCommand
 
@@ -153,6 +153,16 @@ class Servo:
         return SampleBlock(self.joint, index, index / 250.0, zero, zero, zero, zero)
 
 
+class AskedThread(DriveThread):
+    """Counts how often it was asked for."""
+
+    asked = 0
+
+    async def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        self.asked += 1
+        return await super().run(function, *args, **kwargs)
+
+
 class Link:
     """A connection, and the fieldbus that opens it."""
 
@@ -164,7 +174,7 @@ class Link:
 
     async def open(self) -> "Link":
         self.opened += 1
-        self.thread = DriveThread("small")
+        self.thread = AskedThread("small")
         self.watch = HostWatch(HOST_TIMEOUT)
         self.axes = {servo.joint: Axis(servo, self.watch) for servo in self._servos}  # pyright: ignore[reportArgumentType]
         self.identities = tuple([await self.thread.run(axis.introduce) for axis in self.axes.values()])

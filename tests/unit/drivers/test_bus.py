@@ -5,19 +5,21 @@ import time
 import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import can
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from drivers.canopen import bus as bus_module
 from drivers.canopen import frames
 from drivers.canopen.bus import Bus
 from drivers.canopen.profile import BusProfile
 from drivers.errors import CommunicationLost, ConnectionFailed
 
 NODE = 1
-DRIVE_TIMEOUT = 60.0  # s, which no test waits for: what was heard is set back instead
+DRIVE_TIMEOUT = 60.0  # s, which no test waits for: the bus' clock is set on instead
 
 
 @dataclass(frozen=True)
@@ -30,10 +32,12 @@ class Pair:
             can.Message(arbitration_id=identifier, data=data, is_extended_id=identifier > 0x7FF, is_error_frame=error)
         )
 
-    def say_nothing(self) -> None:
-        """As if no node had said a word for longer than the time-out."""
-        for node in self.bus._heard:
-            self.bus._heard[node] -= 1.01 * DRIVE_TIMEOUT
+
+@pytest.fixture
+def say_nothing(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """From its call on it is later by more than the time-out, in which no node has said a word."""
+    later = SimpleNamespace(time=time.time, monotonic=lambda: time.monotonic() + 1.01 * DRIVE_TIMEOUT)
+    return lambda: monkeypatch.setattr(bus_module, "time", later)
 
 
 @pytest.fixture
@@ -111,10 +115,10 @@ def test_a_stream_of_several_nodes_keeps_their_order_and_has_the_bus_own_events_
     assert stream.empty()
 
 
-def test_a_node_that_falls_silent_is_lost_and_the_others_are_not(pair: Pair) -> None:
+def test_a_node_that_falls_silent_is_lost_and_the_others_are_not(pair: Pair, say_nothing: Callable[[], None]) -> None:
     pair.bus.check(NODE)
     pair.bus.check(2)
-    pair.say_nothing()
+    say_nothing()
     stream = pair.bus.open_stream(2)
     pair.say(frames.HEARTBEAT + 2, bytes([frames.OPERATIONAL]))
     assert stream.get(timeout=5.0) == frames.Heartbeat(2, frames.OPERATIONAL)
@@ -123,8 +127,8 @@ def test_a_node_that_falls_silent_is_lost_and_the_others_are_not(pair: Pair) -> 
     pair.bus.check(2)
 
 
-def test_a_bus_on_which_nobody_speaks_is_lost_for_good(pair: Pair) -> None:
-    pair.say_nothing()
+def test_a_bus_on_which_nobody_speaks_is_lost_for_good(pair: Pair, say_nothing: Callable[[], None]) -> None:
+    say_nothing()
     with pytest.raises(CommunicationLost, match="no node was heard"):
         pair.bus.check(NODE)
     pair.say(frames.HEARTBEAT + NODE, bytes([frames.OPERATIONAL]))

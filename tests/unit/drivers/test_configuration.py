@@ -8,6 +8,7 @@ import can
 import canopen
 import pytest
 from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
+from canopen.sdo.client import SdoClient
 
 from drivers.canopen import objects
 from drivers.canopen.bus import Bus
@@ -20,6 +21,7 @@ from drivers.errors import CommunicationLost, WrongConfiguration
 @dataclass(frozen=True)
 class Desk:
     sdo: Sdo
+    client: SdoClient
     node: canopen.LocalNode
 
 
@@ -48,7 +50,8 @@ def desk() -> Iterator[Desk]:
     node = server.create_node(1, dictionary())
     bus = Bus(BusProfile(interface="virtual", channel=channel, sdo_timeout=5.0, drive_timeout=60.0), (1, 2))
     eds = dictionary()
-    yield Desk(Sdo(bus.add_node(1, eds), "joint_1 (node 1)", bus.check_alive), node)
+    client = bus.add_node(1, eds)
+    yield Desk(Sdo(client, "joint_1 (node 1)", bus.check_alive), client, node)
     bus.close()
     server.disconnect()
 
@@ -91,6 +94,6 @@ def test_a_value_of_another_size_or_range_is_wrong(desk: Desk) -> None:
 
 def test_a_node_that_does_not_answer_is_lost_communication(desk: Desk) -> None:
     desk.node.remove_network()
-    desk.sdo._client.RESPONSE_TIMEOUT = 0.2  # s
+    desk.client.RESPONSE_TIMEOUT = 0.2  # s
     with pytest.raises(CommunicationLost, match="6072h:00 max torque: No SDO response"):
         desk.sdo.read(objects.MAX_TORQUE)

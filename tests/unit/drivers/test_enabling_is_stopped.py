@@ -23,14 +23,15 @@ WAYS: dict[str, Callable[[Cia402Machine], Awaitable[None]]] = {
 async def test_no_further_step_is_told_to_a_drive(way: Callable[[Cia402Machine], Awaitable[None]]) -> None:
     gate = Gate("control 07")
     first, second = Servo("joint_1"), Servo("joint_2", before=gate)
-    port, _ = machine(first, second)
+    port, link = machine(first, second)
     await port.connect()
     gate.shut()
     enabling = asyncio.create_task(port.enable("joint_1", "joint_2"))
     await reached(gate)
     assert first.energised
+    asked = link.thread.asked
     ending = asyncio.ensure_future(way(port))
-    await asyncio.sleep(0.05)  # it has asked for the thread, and waits
+    await eventually(lambda: link.thread.asked > asked)  # and waits for it
     gate.open()
     with pytest.raises(SweepInterrupted, match="stopped while it was being enabled"):
         await asyncio.wait_for(enabling, PATIENCE)

@@ -1,10 +1,11 @@
 """A streamed sweep whose host fails in itself: the axes are told to stop, and the consumer is told why."""
 
 import asyncio
+import itertools
 import threading
 import time
 from collections.abc import Awaitable, Callable, Iterator
-from concurrent.futures.thread import _WorkItem  # pyright: ignore[reportPrivateUsage]
+from concurrent.futures.thread import _WorkItem  # pyright: ignore[reportPrivateUsage]  # there is no other way between a result and the end of its thread
 from types import FrameType
 
 import pytest
@@ -12,7 +13,8 @@ import pytest
 from drivers.canopen import host_sweep
 from drivers.canopen.bcm import KernelRefused
 from drivers.canopen.host_sweep import HostSweep
-from drivers.canopen.lane import Ending
+from drivers.canopen.lane import Ending, RunningLane
+from drivers.ports import SampleBlock
 from tests.unit.drivers.streaming_bench import OFF, Drive, bench, run_to_end
 
 
@@ -20,15 +22,15 @@ async def test_an_error_that_nobody_thought_of_stops_the_axes_before_the_consume
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """And the consumer gets that error, not the end of a sweep that it would take the mode from while it moves."""
-    hand_over = HostSweep._hand_over
+    hand_over, samples = RunningLane.block, itertools.count()
 
-    def fail(self: HostSweep, at_least: int) -> None:
-        hand_over(self, at_least)
-        if at_least > 1 and self._number > 20:
+    def fail(self: RunningLane, at_least: int) -> SampleBlock | None:
+        if at_least > 1 and next(samples) > 80:
             raise ArithmeticError("unforeseen")
+        return hand_over(self, at_least)
 
     async with bench(Drive(1), Drive(2)) as on:
-        monkeypatch.setattr(HostSweep, "_hand_over", fail)
+        monkeypatch.setattr(RunningLane, "block", fail)
         run = on.start(on.lane(1, periods=300), on.lane(2, periods=300))
         await run.over()
         with pytest.raises(ArithmeticError, match="unforeseen"):

@@ -18,7 +18,7 @@ from drivers.modbus import line as line_module
 from drivers.modbus.fieldbus import ModbusConnection, ModbusFieldbus
 from drivers.modbus.registers import RegisterMap
 from drivers.ports import SweepMode
-from tests.unit.drivers.modbus_bank import Bank, serving
+from tests.unit.drivers.modbus_bank import Bank, Request, serving
 from tests.unit.drivers.modbus_drive import HIGH, KINDS, LOW, drive, following, profile_on
 
 PATIENCE = 1.0  # s for a good answer: line and units share this process, and the computer
@@ -79,11 +79,17 @@ async def test_a_host_that_hangs_falls_silent() -> None:
         bank.requests.clear()
         await eventually(lambda: len(bank.requests) > 0)
         # from here on the event loop hangs; a beat under way may end, and the thread has one at a time
-        connection.thread._executor.submit(lambda: None).result()
-        before = len(bank.requests)
-        time.sleep(3 * BEAT)  # noqa: ASYNC251
-        assert len(bank.requests) == before
-        await eventually(lambda: len(bank.requests) > before)
+        over, heard = threading.Event(), threading.Event()
+        connection.thread.post(over.set)
+        assert over.wait(10)
+
+        def hear(_: Request, frame: bytes) -> bytes:
+            heard.set()
+            return frame
+
+        bank.spoil = hear
+        assert not heard.wait(3 * BEAT)
+        await eventually(heard.is_set)
 
 
 async def test_host_streamed_sweeps_are_refused() -> None:

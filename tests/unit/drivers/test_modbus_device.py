@@ -26,6 +26,7 @@ from drivers.errors import (
 )
 from drivers.modbus.device import ModbusDevice
 from drivers.modbus.line import Line
+from drivers.modbus.profile import RtuLine
 from drivers.modbus.registers import RegisterMap, load_registers
 from drivers.ports import AxisState, Sine, SweepCommand, SweepMode
 from tests.unit.drivers.modbus_bank import Bank, serving
@@ -273,8 +274,8 @@ def test_a_page_leaves_room_for_a_stop() -> None:
     with connected("tcp") as (_, device):
         assert device.page_size == 250  # 25 requests of 10 samples
     with connected("rtu") as (_, device):
-        served = device._machine.line  # pyright: ignore[reportPrivateUsage]
-        assert device.page_size == 5 * math.floor(0.1 / served.read_time(60))
+        line = RtuLine(transport="rtu", device="any", baudrate=115200, parity="N", timeout=0.5, watchdog=10.0)
+        assert device.page_size == 5 * math.floor(0.1 / line.read_time(60))
 
 
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -53,6 +53,8 @@ class Bench:
     runner: Runner
     hub: LiveHub
     campaign: CampaignDocument
+    compile_plan: Callable[[CampaignDocument], CompiledPlan]
+    """What the runner asks; a test may put another in its place."""
 
 
 @pytest.fixture(scope="session")
@@ -118,14 +120,15 @@ async def open_bench(
             commands = {sweep.number: command(sweep) for sweep in store.sweeps(campaign.id)}
             return CompiledPlan(robot.joints, commands, envelope, move_velocity=0.1, pose_tolerance=2e-3)
 
-        runner = Runner(store, machine, executor, jobs, compile_plan)
+        runner = Runner(store, machine, executor, jobs, lambda campaign: bench.compile_plan(campaign))
         stack.push_async_callback(runner.close)
         campaigns = store.campaigns()
         if not campaigns:
             plan = store.add_plan(store.add_robot(robot).id, {})
             new = [NewSweep(spec=spec(n, pose), mode=SweepMode.DRIVE_SIDE) for n, pose in enumerate(POSES, 1)]
             campaigns = (store.add_campaign(plan.id, new),)
-        yield Bench(store, database, files, drive, machine, jobs, runner, hub, campaigns[0])
+        bench = Bench(store, database, files, drive, machine, jobs, runner, hub, campaigns[0], compile_plan)
+        yield bench
 
 
 class Taken(Jobs):
@@ -143,6 +146,12 @@ class Taken(Jobs):
 async def bench(tmp_path: Path, robot: Robot, envelope: Envelope) -> AsyncIterator[Bench]:
     async with open_bench(tmp_path, robot, envelope) as bench:
         yield bench
+
+
+async def until_cancelled(campaign_id: int) -> None:
+    """Until somebody has asked the task that runs a campaign to end."""
+    name = f"campaign {campaign_id}"
+    await until(lambda: any(task.get_name() == name and task.cancelling() for task in asyncio.all_tasks()))
 
 
 async def until(condition: Callable[[], bool]) -> None:

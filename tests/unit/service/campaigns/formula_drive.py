@@ -100,7 +100,7 @@ class FormulaDrive:
         if not self.energised.issuperset(joints):
             raise NotReady(f"{', '.join(joints)}: no energy")
         self.trace.append(f"sweep {' '.join(joints)}")
-        together = [self._samples(command) for command in commands]
+        together = [self.samples(command) for command in commands]
         try:
             for number, start in enumerate(range(0, len(together[0].index), BLOCK)):
                 if number in self.fail:
@@ -147,7 +147,7 @@ class FormulaDrive:
     async def acknowledge(self, joint: str) -> None:
         self.trace.append(f"acknowledge {joint}")
 
-    def _samples(self, command: SweepCommand) -> SampleBlock:
+    def samples(self, command: SweepCommand) -> SampleBlock:
         rate = command.sample_rate
         index = np.arange(round(command.duration * rate))
         index = index[index != self.skip]

@@ -194,7 +194,7 @@ async def test_a_check_move_outside_of_the_envelope_moves_nothing(bench: Bench) 
     def refuse(joint, pose, target, velocity):
         raise EnvelopeViolation("no room")
 
-    envelope = bench.runner._compile(bench.campaign).envelope
+    envelope = bench.compile_plan(bench.campaign).envelope
     check_move = envelope.check_move
     envelope.check_move = refuse
     try:
@@ -206,14 +206,14 @@ async def test_a_check_move_outside_of_the_envelope_moves_nothing(bench: Bench) 
 
 
 async def test_implausible_channels_fail_the_sweep_and_keep_it_partial(bench: Bench) -> None:
-    samples = bench.drive._samples
+    samples = bench.drive.samples
 
     def reversed_effort(command):
         block = samples(command)
         block.effort[:] = -block.effort
         return block
 
-    bench.drive._samples = reversed_effort
+    bench.drive.samples = reversed_effort
     await bench.runner.start(bench.campaign.id)
     await run_out(bench)
     sweep = bench.store.sweep(bench.campaign.id, 1)

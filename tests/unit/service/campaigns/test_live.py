@@ -112,7 +112,7 @@ async def test_the_feed_goes_on_after_an_id(tmp_path: Path) -> None:
 async def test_who_follows_loses_no_event_to_a_database_that_does_not_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.campaigns.live._RETRY", 0.02)
+    monkeypatch.setattr("service.campaigns.live.RETRY", 0.02)
     with open_database(f"sqlite:///{tmp_path / 'x.sqlite'}") as database:
 
         def rename(table: str, name: str) -> None:
@@ -135,6 +135,7 @@ async def test_who_follows_loses_no_event_to_a_database_that_does_not_answer(
         assert (await asyncio.wait_for(waiting, TIMEOUT)).data["why"] == "comes later"
         await asyncio.to_thread(rename, "event", "gone")
         ending = asyncio.create_task(anext(events, None))
-        await asyncio.sleep(0.05)
+        with capture_logs() as logs:
+            await until(lambda: bool(logs))
         feed.close()  # it ends also while it waits for the database
         assert await asyncio.wait_for(ending, TIMEOUT) is None

@@ -17,7 +17,7 @@ from service.errors import Conflict
 from service.execution import runner as runner_module
 from service.store.documents import CampaignState, RecordingState, SweepState
 from service.store.files.columns import read_columns
-from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, Taken, until
+from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, Taken, until, until_cancelled
 
 OVER_CURRENT = "DriveFault: joint_1: over-current"
 
@@ -35,7 +35,7 @@ def refusing(bench: Bench, what: str = "INSERT ON event") -> Generator[None]:
 @pytest.fixture
 async def faulted(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Bench:
     """A campaign in its first sweep, of which the next block is a fault of the drive."""
-    monkeypatch.setattr(runner_module, "_RETRY", 0.05)
+    monkeypatch.setattr(runner_module, "RETRY", 0.05)
     bench.drive.hold, bench.drive.fail[3] = 2, DriveFault("joint_1: over-current")
     await bench.runner.start(bench.campaign.id)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
@@ -50,11 +50,19 @@ async def ran_out(bench: Bench) -> None:
 
 
 async def test_what_a_database_refuses_is_stored_as_soon_as_it_takes_it(faulted: Bench) -> None:
+    attempts = list[str]()
     with refusing(faulted):
         with capture_logs() as logs:
             faulted.drive.go.set()
             await until(lambda: "end_not_stored" in [log["event"] for log in logs])
-            await asyncio.sleep(0.2)  # some more attempts, which are not told
+            sweeps_in = faulted.store.sweeps_in
+
+            def attempt(*states):
+                attempts.append("")
+                return sweeps_in(*states)
+
+            faulted.store.sweeps_in = attempt
+            await until(lambda: len(attempts) > 3)  # each begins so, and is not told
         assert [log["event"] for log in logs] == ["sweep_given_up", "sweep_not_ended", "end_not_stored"]
         assert "stop" in faulted.drive.trace
         assert faulted.store.campaign(1).sweeps[SweepState.RUNNING] == 1
@@ -131,7 +139,7 @@ async def test_an_abort_while_the_end_of_a_sweep_is_stored_loses_no_result(bench
     await bench.runner.start(1)
     await until(inside.is_set)
     aborting = asyncio.create_task(bench.runner.abort(1, "enough"))
-    await until(lambda: bench.runner._task is not None and bench.runner._task.cancelling() > 0)
+    await until_cancelled(1)
     go.set()
     aborted = await aborting
     assert aborted.sweeps == {SweepState.RECORDED: 1, SweepState.SKIPPED: 3}
@@ -165,14 +173,14 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
 
 
 async def test_samples_are_watched_while_the_disk_stalls(bench: Bench, disk: Disk) -> None:
-    samples = bench.drive._samples
+    samples = bench.drive.samples
 
     def jolt(command):
         block = samples(command)
         block.velocity[1100] = 0.5
         return block
 
-    bench.drive._samples = jolt
+    bench.drive.samples = jolt
     await bench.runner.start(1)
     await until(disk.stalled.is_set)
     await until(lambda: "stop" in bench.drive.trace)

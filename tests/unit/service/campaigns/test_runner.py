@@ -13,7 +13,7 @@ from service.errors import Conflict
 from service.store.documents import CampaignState, RecordingState, SweepDocument, SweepState
 from service.store.files.columns import read_columns
 from service.store.store import StaleVersion
-from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench, Taken, until
+from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench, Taken, until, until_cancelled
 
 
 async def run_out(bench: Bench) -> None:
@@ -80,10 +80,8 @@ async def test_one_axis_has_energy_at_a_time_and_only_to_move(bench: Bench) -> N
 
 def wants_confidence(bench: Bench, reached: list[float | None]) -> None:
     """The plan wants 1 %; the estimates, which come at once, have `reached` so many percent after each sweep."""
-    compile_plan = bench.runner._compile
-    bench.runner._compile = lambda campaign: dataclasses.replace(
-        compile_plan(campaign), confidence=1.0, base_parameters=1
-    )
+    compile_plan = bench.compile_plan
+    bench.compile_plan = lambda campaign: dataclasses.replace(compile_plan(campaign), confidence=1.0, base_parameters=1)
 
     def identify(sweep: SweepDocument) -> None:
         document = {"base_parameters": ["Izz"], "axes": {"joint_1": {"confidence_percent": reached.pop(0)}}}
@@ -161,22 +159,22 @@ async def test_a_lost_sample_fails_the_sweep(bench: Bench) -> None:
 
 async def test_samples_outside_of_the_envelope_stop_the_machine_and_are_kept(bench: Bench) -> None:
     bench.drive.position["joint_1"] = 0.0015  # still within the tolerance of the pose
-    compile_plan = bench.runner._compile
+    compile_plan = bench.compile_plan
 
     def narrow(campaign):
         compiled = compile_plan(campaign)
         commands = {n: dataclasses.replace(c, effort_limit=1200.0) for n, c in compiled.commands.items()}
         return dataclasses.replace(compiled, commands=commands)
 
-    bench.runner._compile = narrow
-    samples = bench.drive._samples
+    bench.compile_plan = narrow
+    samples = bench.drive.samples
 
     def jolt(command):
         block = samples(command)
         block.effort[700] = 1300.0
         return block
 
-    bench.drive._samples = jolt
+    bench.drive.samples = jolt
     await bench.runner.start(bench.campaign.id)
     await run_out(bench)
     sweep = bench.store.sweep(bench.campaign.id, 1)
@@ -187,14 +185,14 @@ async def test_samples_outside_of_the_envelope_stop_the_machine_and_are_kept(ben
 
 
 async def test_a_command_outside_of_the_envelope_moves_nothing(bench: Bench) -> None:
-    compile_plan = bench.runner._compile
+    compile_plan = bench.compile_plan
 
     def fast(campaign):
         compiled = compile_plan(campaign)
         commands = {n: dataclasses.replace(c, velocity_limit=9.0) for n, c in compiled.commands.items()}
         return dataclasses.replace(compiled, commands=commands)
 
-    bench.runner._compile = fast
+    bench.compile_plan = fast
     await bench.runner.start(bench.campaign.id)
     await run_out(bench)
     assert bench.drive.trace == ["close", "connect", "stop"]
@@ -305,12 +303,25 @@ async def test_a_resume_that_meets_the_pause_leaves_no_campaign_running_that_not
     await bench.runner.start(bench.campaign.id)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     await bench.runner.pause(bench.campaign.id)
-    async with bench.runner._commands:  # the resume waits for its turn while the campaign comes to its pause
-        resuming = asyncio.create_task(bench.runner.resume(bench.campaign.id))
-        await asyncio.sleep(0)
-        bench.drive.hold = None
-        bench.drive.go.set()
-        await run_out(bench)
+    campaign, asked, go = bench.store.campaign, threading.Event(), threading.Event()
+
+    def slow(campaign_id):
+        bench.store.campaign = campaign  # everybody else is answered at once
+        asked.set()
+        go.wait(TIMEOUT)
+        return campaign(campaign_id)
+
+    bench.store.campaign = slow
+    refused = asyncio.create_task(bench.runner.abort(bench.campaign.id, "by an old page", if_version=1))
+    await until(asked.is_set)
+    resuming = asyncio.create_task(bench.runner.resume(bench.campaign.id))
+    await asyncio.sleep(0)  # it waits for its turn, behind that command, while the campaign comes to its pause
+    bench.drive.hold = None
+    bench.drive.go.set()
+    await run_out(bench)
+    go.set()
+    with pytest.raises(StaleVersion):
+        await refused
     with pytest.raises(Conflict, match="resume it once more"):
         await resuming
     assert state(bench) is CampaignState.PAUSED
@@ -346,7 +357,7 @@ async def test_an_abort_in_the_moment_in_which_a_sweep_begins_leaves_none_runnin
     await bench.runner.start(bench.campaign.id)
     await until(begins.is_set)
     aborting = asyncio.create_task(bench.runner.abort(bench.campaign.id, "enough"))
-    await asyncio.sleep(0.05)  # whether or not the cancellation has arrived by then, the outcome must be the same
+    await until_cancelled(bench.campaign.id)
     go.set()
     aborted = await aborting
     assert aborted.sweeps == {SweepState.INTERRUPTED: 1, SweepState.SKIPPED: 3}

@@ -96,7 +96,7 @@ def test_the_path_is_looked_at_with_all_axes_moving() -> None:
 
 def test_an_axis_that_leaves_its_path_is_noticed() -> None:
     drive = FormulaDrive(("j1", "j2"))
-    samples = drive._samples(FIRST)
+    samples = drive.samples(FIRST)
     on_path = replace(samples, position=POSE[0] + path_of(FIRST, samples.time))
     envelope().watch_path(FIRST, POSE[0], on_path)
     astray = replace(on_path, position=on_path.position + np.linspace(0, 0.03, len(samples.time)))

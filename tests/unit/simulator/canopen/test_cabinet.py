@@ -20,6 +20,7 @@ class Bench:
     def __init__(self, machine: Machine, speed_factor: float) -> None:
         self.sent: list[Frame] = []
         self.now = 1000.0
+        self.machine = machine
         self.cabinet = Cabinet(machine, EDS, speed_factor, self.sent.append)
         self.cabinet.boot()
         self.booted = self.take()
@@ -159,7 +160,7 @@ def test_a_locked_axis_has_no_power(bench: Bench) -> None:
 
 
 def test_the_drive_is_described_by_robot_and_scenario(bench: Bench) -> None:
-    info, dictionary = bench.cabinet._machine.axes[1], bench.cabinet.nodes["joint_2"].dictionary
+    info, dictionary = bench.machine.axes[1], bench.cabinet.nodes["joint_2"].dictionary
     assert dictionary[0x6076, 0] == round(info.rated_effort / info.gear_ratio * 1000)
     assert dictionary[0x6072, 0] == 2000
     assert dictionary[0x607D, 1] < 0 < dictionary[0x607D, 2]
