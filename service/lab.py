@@ -170,6 +170,7 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
         latch = StopLatch(database)
         order_stop = (lambda: None) if stop_process is None else stop_process.order
         machine = Machine(port, latch, latch.latched(), order_stop)
+        stack.push_async_callback(machine.close)
         stack.push_async_callback(port.close)
         keeper = asyncio.create_task(machine.keep_lease(lease, settings.lease_time), name="lease")
         stack.push_async_callback(_end, keeper)

@@ -9,7 +9,6 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 
 import structlog
-from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import DriveError
 from service.execution.machine import Hold, Machine
@@ -76,5 +75,5 @@ async def _confirm(machine: Machine, hold: Hold) -> None:
     """What goes wrong is told where the stop was asked for by the service's own way; here it is logged."""
     try:
         await machine.confirm(hold)
-    except (DriveError, SQLAlchemyError) as error:
+    except DriveError as error:
         _log.error("stop_not_confirmed", by=hold.document.by, reason=str(error))
