@@ -71,7 +71,7 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
     install_problem_handlers(app)
     limits = {f"{PREFIX}{bundles.BUNDLES}": BUNDLE_LIMIT, f"{PREFIX}{robots.router.prefix}": ROBOT_LIMIT}
     app.add_middleware(
-        Access, login=settings.login
+        Access, login=settings.login, wrong_keys=settings.wrong_keys
     )  # the last one that is added meets a request first
     app.add_middleware(Gate, hosts=hosts, stop_path=f"{PREFIX}{stop.router.prefix}", limits=limits)
     app.add_middleware(Audited)

@@ -20,7 +20,10 @@ _READING = ("GET", "HEAD", "OPTIONS", SOCKET)
 
 @dataclass
 class Trail:
-    """One request. `route`: its entry in the table of permissions; `request`: number of the entry from before it."""
+    """One request. `route`: its entry in the table of permissions; `request`: number of the entry from before it.
+
+    `hushed`: one like it was told, and this one is not.
+    """
 
     method: str
     path: str
@@ -29,6 +32,7 @@ class Trail:
     role: Role | None = None
     route: Route | None = None
     stop: bool = False
+    hushed: bool = False
     request: int | None = None
 
     @property
