@@ -56,6 +56,8 @@ class Access:
         trail = trail_of(scope)
         trail.route = self._permissions.entry(trail.method, scope["path"])
         trail.stop = trail.route == STOP
+        if trail.stop and self._login:
+            trail.key = _shown(scope)
         try:
             if not self._login:
                 trail.actor, trail.role = LOCAL, Role.ADMIN
@@ -72,7 +74,7 @@ class Access:
 
     async def _identify(self, scope: Scope, trail: Trail) -> None:
         needed = self._permissions.needed(trail.method, scope["path"])
-        given = bearer(Headers(scope=scope).get("authorization", ""))
+        given = _shown(scope)
         if not given:
             raise _unauthorized("no key: send Authorization: Bearer KEY")
         found = await self._find(scope["app"].state.lab, given, trail)
@@ -99,6 +101,10 @@ class Access:
             raise _unauthorized("this key is none of the service's")
         guesses.opened(shown)
         return found
+
+
+def _shown(scope: Scope) -> str:
+    return bearer(Headers(scope=scope).get("authorization", ""))
 
 
 async def _begin(scope: Scope, trail: Trail) -> int:

@@ -3,6 +3,7 @@
 import asyncio
 import threading
 from collections.abc import Sequence
+from functools import partial
 
 import pytest
 from sqlalchemy import text
@@ -11,8 +12,13 @@ from structlog.testing import capture_logs
 
 from service.errors import Conflict, NotFound
 from service.execution import sweep_executor
+from service.execution.second_stop import watching
+from service.lab import tell_watch
 from service.store.documents import CampaignState, SweepState
 from service.store.guards import MachineLease, StopLatch
+from service.store.people.audit import AuditStore
+from service.store.people.keys import KeyStore
+from service.store.people.writer import AuditWriter
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
 
 LEASE_TIME = 0.5  # s
@@ -157,6 +163,19 @@ async def test_the_end_of_the_service_asks_the_database_once_more(bench: Bench) 
         await bench.machine.stop("ada", "smoke")
         await asyncio.wait_for(bench.machine.close(), PATIENCE)
     assert [log["by"] for log in logs if log["event"] == "stop_not_noted"] == ["ada"]
+
+
+async def test_a_stop_of_the_host_watch_is_in_the_audit(bench: Bench) -> None:
+    await bench.machine.connect()
+    store = AuditStore(bench.database)
+    with AuditWriter(store, KeyStore(bench.database)) as audit:
+        async with watching(bench.machine, partial(tell_watch, audit)):
+            assert bench.drive.tell is not None
+            bench.drive.tell("another host is there")
+        await bench.machine.noted()
+    (entry,) = (one.entry for one in store.documents())
+    assert (entry["event"], entry["way"], entry["actor"], entry["by"]) == ("stop", *["host watch"] * 3)
+    assert entry["why"] == "another host is there"
 
 
 async def test_a_stop_that_comes_while_another_is_being_reset_holds(
