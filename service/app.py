@@ -12,7 +12,7 @@ from service.api.campaign import bundles, campaigns, plans, sweeps
 from service.api.declared import Application
 from service.api.gate import BUNDLE_LIMIT, ROBOT_LIMIT, Gate
 from service.api.machine import drives, live, stop
-from service.api.people import audit
+from service.api.people import audit, me
 from service.api.people.access import Access
 from service.api.people.audited import Audited
 from service.api.problem import Problem, install_problem_handlers
@@ -39,6 +39,7 @@ _ROUTERS = (
     drives.router,
     stop.router,
     audit.router,
+    me.router,
     health.router,
 )
 
@@ -69,7 +70,9 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
     add_pages(app, None if stop_process is None else stop_process.port)
     install_problem_handlers(app)
     limits = {f"{PREFIX}{bundles.BUNDLES}": BUNDLE_LIMIT, f"{PREFIX}{robots.router.prefix}": ROBOT_LIMIT}
-    app.add_middleware(Access, login=settings.login)  # the last one that is added meets a request first
+    app.add_middleware(
+        Access, login=settings.login, wrong_keys=settings.wrong_keys
+    )  # the last one that is added meets a request first
     app.add_middleware(Gate, hosts=hosts, stop_path=f"{PREFIX}{stop.router.prefix}", limits=limits)
     app.add_middleware(Audited)
     return app

@@ -27,6 +27,7 @@ from service.execution.sweep_executor import SweepExecutor
 from service.jobs.checking import Checking
 from service.jobs.jobs import Jobs
 from service.jobs.reporting import Reporting
+from service.people.chain import Entry
 from service.people.keys import masked
 from service.planning.compiled_plan import compile_plan, planned_sweeps
 from service.safety.robot_and_machine import DriveAxis, drive_axes
@@ -159,7 +160,8 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
         axes = drive_axes(profile, port.joints)
         settings.data_dir.mkdir(parents=True, exist_ok=True)
         database = stack.enter_context(open_database(settings.url))
-        audit = stack.enter_context(AuditWriter(AuditStore(database)))
+        api_keys = KeyStore(database)
+        audit = stack.enter_context(AuditWriter(AuditStore(database), api_keys))
         store, files, keys = Store(database), RecordingFiles(settings.data_dir), IdempotencyKeys(database)
 
         lost = await asyncio.to_thread(claim_folder, settings.data_dir, database)
@@ -171,11 +173,12 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
         latch = StopLatch(database)
         order_stop = (lambda: None) if stop_process is None else stop_process.order
         machine = Machine(port, latch, latch.latched(), order_stop)
+        stack.push_async_callback(machine.close)
         stack.push_async_callback(port.close)
         keeping = Background()
         stack.push_async_callback(keeping.close)
         keeping.begin("lease", machine.keep_lease(lease, settings.lease_time))
-        await stack.enter_async_context(watching(machine))
+        await stack.enter_async_context(watching(machine, partial(tell_watch, audit)))
         if stop_process is not None:
             await stack.enter_async_context(listening(stop_process, machine, partial(_tell_stop, audit)))
 
@@ -222,10 +225,16 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
         yield Lab(
             *(settings, axes, store, files, keys, machine, runner, jobs, worker, hub, feed),
             *(diagnoses, models, diagnosing, experiments, checks, checking, stop_process, audit),
-            *(KeyStore(database), lost),
+            *(api_keys, lost),
         )
 
 
-def _tell_stop(audit: AuditWriter, by: str, why: str) -> None:
+def _tell_stop(audit: AuditWriter, by: str, why: str, address: str) -> None:
     """A stop by the port of the stop process, which asks nobody who he is: `by` is what he says."""
-    audit.put({"event": "stop", "actor": "anybody", "by": masked(by), "why": masked(why)})
+    told: Entry = {"actor": "anybody", "address": address, "by": masked(by), "why": masked(why)}
+    audit.put({"event": "stop", "way": "stop process", **told})
+
+
+def tell_watch(audit: AuditWriter, by: str, why: str) -> None:
+    """A stop by the host watch, which is nobody's."""
+    audit.put({"event": "stop", "way": by, "actor": by, "by": by, "why": masked(why)})

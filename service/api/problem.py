@@ -20,6 +20,7 @@ from starlette.routing import Match
 
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady
 from service.errors import BadInput, Conflict, EnvelopeViolation, NotFound, SweepidError
+from service.store.people.audit import AuditUnreadable
 from service.store.people.writer import NotAudited
 from service.store.requests import KeyReused
 from service.store.store import StaleVersion
@@ -39,6 +40,7 @@ _STATUS: tuple[tuple[type[Exception], HTTPStatus], ...] = (
     (CommunicationLost, HTTPStatus.SERVICE_UNAVAILABLE),
     (NotReady, HTTPStatus.SERVICE_UNAVAILABLE),
     (NotAudited, HTTPStatus.SERVICE_UNAVAILABLE),
+    (AuditUnreadable, HTTPStatus.SERVICE_UNAVAILABLE),
     (DriveError, HTTPStatus.BAD_GATEWAY),
 )
 _METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")

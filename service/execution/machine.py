@@ -1,40 +1,23 @@
 """The machine: the drive port behind the lease and the latched stop. What moves asks `check_may_move` first."""
 
 import asyncio
-import itertools
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from datetime import UTC, datetime
-from functools import partial
-from typing import ParamSpec, TypeVar
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import CommunicationLost, DriveError, StopNotConfirmed
 from drivers.ports import AxisIdentity, AxisState, AxisStatus, Capabilities, DrivePort, Fault
-from service.errors import Conflict, NotFound
+from service.errors import Conflict
+from service.execution.holds import Hold, Holds, apart
 from service.store.documents import StopDocument
 from service.store.guards import LeaseLost, MachineLease, StopLatch
 
 _log = structlog.get_logger(__name__)
 
-Arguments = ParamSpec("Arguments")
-Result = TypeVar("Result")
-
 RECENT = 0.25  # s
-
-
-@dataclass(slots=True, eq=False)
-class Hold:
-    """A stop that holds the machine. The id of its document is negative until the database has taken it."""
-
-    document: StopDocument
-    press: str  # of a button whose word comes by two ways
-    under_way: int = 0  # how many wait for the drives to confirm it
 
 
 class Machine:
@@ -49,11 +32,8 @@ class Machine:
     ) -> None:
         """`latched`: the stops in force when the service started. `order_stop` has the stop process send as well."""
         self.port = port
-        self._latch = latch
-        self._holds = [Hold(stop, "") for stop in latched]  # oldest first
-        self._unstored = itertools.count(-1, -1)
+        self._holds = Holds(latch, latched)
         self._order_stop = order_stop
-        self._latching = asyncio.Lock()  # what stands in the store and what is held here change in the same order
         self._ending = ""  # the service ends: nothing moves until it is started again
         self._lease_trouble = ""  # why this service may not be the owner of the machine any more
         self._lease_over = False  # and that does not change any more
@@ -92,12 +72,12 @@ class Machine:
     @property
     def latched(self) -> StopDocument | None:
         """The oldest stop that holds the machine, or None."""
-        return next((hold.document for hold in tuple(self._holds)), None)
+        return next(iter(self._holds.documents), None)
 
     @property
     def stops(self) -> tuple[StopDocument, ...]:
         """Every stop that holds the machine, oldest first; one that the database has not taken has a negative id."""
-        return tuple(hold.document for hold in tuple(self._holds))
+        return self._holds.documents
 
     async def connect(self) -> tuple[AxisIdentity, ...]:
         """Connect, also again after a loss; every axis is disabled afterwards.
@@ -168,37 +148,27 @@ class Machine:
     async def stop(self, by: str, why: str, press: str = "") -> StopDocument:
         """Stop every axis first, then latch: nothing moves until a person releases it. May be called at any time.
 
-        StopNotConfirmed names the axes that did not say that they stand; the machine is latched all the same. It
-        holds also where the database does not take it (SQLAlchemyError), but then not beyond a restart.
+        StopNotConfirmed names the axes that did not say that they stand; the machine is latched all the same. The
+        database takes it meanwhile or later (`noted`); what it has not taken does not hold beyond a restart.
         """
         self._order_stop()
         return await self.confirm(self.seize(by, why, press))
 
     def seize(self, by: str, why: str, press: str = "") -> Hold:
         """Nothing moves from here on, and every axis has been told to stop; `confirm` is to follow. From any thread."""
-        hold = next((each for each in tuple(self._holds) if press and each.press == press), None)
-        if hold is None:
-            at = datetime.now(UTC)
-            document = StopDocument(id=next(self._unstored), by=by, why=why, at=at, reset_by=None, reset_at=None)
-            hold = Hold(document, press)
-            self._holds.append(hold)  # before the drives are told: who is about to move finds it
-        hold.under_way += 1
+        hold = self._holds.take(by, why, press)  # before the drives are told: who is about to move finds it
         self._disturb()
         self.port.halt()
         return hold
 
     async def confirm(self, hold: Hold) -> StopDocument:
-        """The ladder, to confirmed standstill, then the latch. Errors as `stop`."""
+        """The ladder, to confirmed standstill, beside the note in the database. Errors as `stop`."""
+        self._holds.note()
         try:
             confirmed = await self.port.stop()
         finally:
-            try:
-                async with self._latching:
-                    if hold.document.id < 0:
-                        hold.document = await _apart(self._latch.latch, hold.document.by, hold.document.why)
-            finally:
-                hold.under_way -= 1
-                self._recent = None
+            hold.under_way -= 1
+            self._recent = None
         _log.warning("stop", stop=hold.document.id, by=hold.document.by, why=hold.document.why)
         reason = f"not connected: {self._trouble or 'the connection was closed'}"
         left = {joint: reason for joint in self.joints if joint not in confirmed}
@@ -217,23 +187,19 @@ class Machine:
 
         Those that are released already stay so. NotFound if one never was, Conflict while one is under way.
         """
-        async with self._latching:
-            named = {hold.document.id: hold for hold in tuple(self._holds) if hold.document.id in stops}
-            for number, hold in named.items():
-                if hold.under_way:
-                    raise Conflict(f"stop {number} is under way: {hold.document.by}: {hold.document.why}")
-            unstored = {number: hold.document for number, hold in named.items() if number < 0}
-            for number in stops:
-                if number < 0 and number not in unstored:
-                    raise NotFound(f"stop {number}")
-            stored = await _apart(self._latch.reset, by, [number for number in stops if number >= 0])
-            for hold in named.values():
-                self._holds.remove(hold)
-            if not self._holds:
-                self.port.allow()
+        released = await self._holds.reset(by, stops)
+        if not self._holds.documents:
+            self.port.allow()
         _log.warning("stop_reset", by=by, stops=list(stops))
-        done = {"reset_by": by, "reset_at": datetime.now(UTC)}
-        return (*stored, *(document.model_copy(update=done) for document in unstored.values()))
+        return released
+
+    async def noted(self) -> None:
+        """Waits until the database has taken every stop."""
+        await self._holds.noted()
+
+    async def close(self) -> None:
+        """The end of the service: what the database does not take now, it never takes."""
+        await self._holds.close()
 
     @property
     def forbidden(self) -> str:
@@ -291,7 +257,7 @@ class Machine:
             late += await _wait(lease_time / 5)
             begun = time.monotonic()
             # one attempt at a time, however long it takes: threads that wait for the database must not pile up
-            attempt = asyncio.create_task(_apart(lease.renew), name="renew lease")
+            attempt = asyncio.create_task(apart(lease.renew), name="renew lease")
             try:
                 while True:
                     late += await _wait(lease_time / 5, attempt)
@@ -357,11 +323,3 @@ async def _wait(within: float, work: "asyncio.Task[None] | None" = None) -> floa
     else:
         await asyncio.wait([work], timeout=within)
     return max(0.0, time.monotonic() - due)
-
-
-async def _apart(work: Callable[Arguments, Result], *args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-    """On a thread of its own: what keeps the machine safe waits for nothing that fills the threads which all share."""
-    executor = ThreadPoolExecutor(1, thread_name_prefix="machine")
-    result = asyncio.get_running_loop().run_in_executor(executor, partial(work, *args, **kwargs))
-    executor.shutdown(wait=False)  # the thread ends with its one task
-    return await result

@@ -9,7 +9,6 @@ from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 
 import structlog
-from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import DriveError
 from service.execution.machine import Hold, Machine
@@ -22,17 +21,19 @@ WATCH = "host watch"  # who stops, where it is no person
 
 
 @asynccontextmanager
-async def listening(process: StopProcess, machine: Machine, told: Callable[[str, str], None]) -> AsyncGenerator[None]:
+async def listening(
+    process: StopProcess, machine: Machine, told: Callable[[str, str, str], None]
+) -> AsyncGenerator[None]:
     """To the stop process, while the block runs, and for the stops that came before it.
 
-    `told` is given by and why of each once the machine is held; it waits for nothing.
+    `told` is given by, why and address of each once the machine is held; it waits for nothing.
     """
     async with _holding(machine) as hold:
 
-        def word(by: str, why: str, press: str) -> None:
+        def word(by: str, why: str, press: str, address: str) -> None:
             hold(by, why, press)
             process.taken_over()
-            told(by, why)
+            told(by, why, address)
 
         process.attach(word)
         try:
@@ -42,10 +43,15 @@ async def listening(process: StopProcess, machine: Machine, told: Callable[[str,
 
 
 @asynccontextmanager
-async def watching(machine: Machine) -> AsyncGenerator[None]:
-    """To what the drives' side finds, while the block runs."""
+async def watching(machine: Machine, told: Callable[[str, str], None]) -> AsyncGenerator[None]:
+    """To what the drives' side finds, while the block runs. `told`: by and why, as of `listening`."""
     async with _holding(machine) as hold:
-        machine.port.watch(lambda why: hold(WATCH, f"{why}; a person must look, release this stop and resume", ""))
+
+        def found(why: str) -> None:
+            hold(WATCH, f"{why}; a person must look, release this stop and resume", "")
+            told(WATCH, why)
+
+        machine.port.watch(found)
         try:
             yield
         finally:
@@ -74,5 +80,5 @@ async def _confirm(machine: Machine, hold: Hold) -> None:
     """What goes wrong is told where the stop was asked for by the service's own way; here it is logged."""
     try:
         await machine.confirm(hold)
-    except (DriveError, SQLAlchemyError) as error:
+    except DriveError as error:
         _log.error("stop_not_confirmed", by=hold.document.by, reason=str(error))

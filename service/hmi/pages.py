@@ -18,10 +18,12 @@ _SCRIPTS = (
     "figures",
     "findings",
     "intent",
+    "login",
     "machine",
     "motion",
     "moving",
     "refresh",
+    "stream",
     "wayout",
 )
 _STATIC = Path(__file__).parent / "static"

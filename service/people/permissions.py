@@ -86,6 +86,7 @@ _CALLS: dict[Route, Role | None] = {
     ("POST", "/stop"): None,
     ("POST", "/stop/reset"): _O,
     ("GET", "/audit"): _A,
+    ("GET", "/me"): _V,
     ("GET", "/health/live"): None,
     ("GET", "/health/ready"): None,
     ("GET", "/openapi.json"): None,
@@ -103,10 +104,12 @@ _PAGES = (  # public files without data
     "/figures.js",
     "/findings.js",
     "/intent.js",
+    "/login.js",
     "/machine.js",
     "/motion.js",
     "/moving.js",
     "/refresh.js",
+    "/stream.js",
     "/wayout.js",
     "/style.css",
     "/plotly.min.js",
@@ -117,6 +120,11 @@ PERMISSIONS: dict[Route, Role | None] = {
     **{("GET", page): None for page in _PAGES},
 }
 """The least role by method and path; None: nobody needs to be anybody."""
+
+
+def beyond(role: Role) -> dict[str, str]:
+    """What the API keeps from a role: the least role by "METHOD /path" below its prefix."""
+    return {f"{method} {path}": needed.word for (method, path), needed in _CALLS.items() if needed and needed > role}
 
 
 class Permissions:

@@ -20,7 +20,7 @@ _log = structlog.get_logger(__name__)
 
 _AGAIN = 1.0  # s until a process that ended is started anew
 
-Word = Callable[[str, str, str], None]
+Word = Callable[[str, str, str, str], None]
 
 
 class StopNotStarted(SweepidError):
@@ -39,7 +39,7 @@ class StopProcess:
         """Whether it does not run, and is being started anew."""
         self._closing = threading.Event()
         self._word: Word | None = None
-        self._early: list[tuple[str, str, str]] = []  # stops before anybody listened
+        self._early: list[tuple[str, str, str, str]] = []  # stops before anybody listened
         self._attaching = threading.Lock()
         self._watching = False  # signals are told to this process' pipe
 
@@ -82,7 +82,7 @@ class StopProcess:
         self._tell(TAKEN_OVER)
 
     def attach(self, word: Word | None) -> None:
-        """`word` is given by, why and press of every stop from the process' port, on a thread of this object's."""
+        """`word` is given by, why, press and address of every stop from the process' port, on a thread of its own."""
         with self._attaching:
             self._word, early = word, self._early
             if word is not None:
@@ -137,7 +137,7 @@ class StopProcess:
             _log.info("stop_process", trouble=self.trouble)
         if "stop" in message:
             stop = message["stop"]
-            word = (str(stop["by"]), str(stop["why"]), str(stop["press"]))
+            word = (str(stop["by"]), str(stop["why"]), str(stop["press"]), str(stop["address"]))
             with self._attaching:
                 if self._word is None:
                     self._early.append(word)

@@ -22,11 +22,12 @@ _ANY_ORIGIN = "Access-Control-Allow-Origin: *\r\n"  # a stop is refused to no pa
 
 @dataclass(frozen=True)
 class Request:
-    """Who wants the machine stopped, and why. `press` tells one press that comes by two ways from two presses."""
+    """Who wants the machine stopped, why, and from where. `press` tells one press that comes by two ways from two."""
 
     by: str
     why: str
     press: str
+    address: str
 
 
 Answer = tuple[int, dict[str, object]]  # HTTP status, JSON
@@ -119,7 +120,7 @@ class Listener:
         if url.path.rstrip("/") in PATHS:
             if method == "POST":
                 by, why, press = (asked.get(name, [""])[0] for name in ("by", "why", "press"))
-                return self._stop(Request(by[:100] or address, why[:500] or "stop requested", press[:100]))
+                return self._stop(Request(by[:100] or address, why[:500] or "stop requested", press[:100], address))
             return self._status() if method in ("GET", "HEAD") else (200 if method == "OPTIONS" else 405, {})
         return 404, {"detail": "this port has POST /stop and nothing else"}
 

@@ -5,6 +5,7 @@ import socket
 import time
 import uuid
 from collections.abc import Callable, Sequence
+from datetime import datetime
 
 from pydantic import JsonValue
 from sqlalchemy import Select, delete, select, update
@@ -100,9 +101,10 @@ class StopLatch:
         with self._database.read() as session:
             return tuple(_document(row) for row in session.scalars(_open_stops()))
 
-    def latch(self, by: str, why: str) -> StopDocument:
+    def latch(self, by: str, why: str, at: datetime | None = None) -> StopDocument:
+        """`at`: when it was, None: now."""
         with self._database.write() as session:
-            row = t.StopRow(by=by, why=why)
+            row = t.StopRow(by=by, why=why, at=at or t.now())
             session.add(row)
             session.flush()
             _emit(session, [row.id], True, by, why)

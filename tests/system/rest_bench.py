@@ -89,7 +89,7 @@ class VirtualMachine:
 class Service:
     """`sweepid serve` on a data directory; may be killed and started again."""
 
-    def __init__(self, folder: Path, profile: Path, lease_time: float = 6.0) -> None:
+    def __init__(self, folder: Path, profile: Path, lease_time: float = 6.0, **settings_too: object) -> None:
         """`lease_time`: s that a busy disk may take; also what a service that follows on a killed one waits for."""
         self.data = folder / "data"
         self._log = folder / "service.log"
@@ -101,6 +101,7 @@ class Service:
             "cells_dir": str(CONFIG / "cells"),
             "virtual_machine": True,
             "lease_time": lease_time,
+            **settings_too,
         }
         self._settings.write_text(yaml.safe_dump(settings), "utf-8")
         self._process: subprocess.Popen[bytes] | None = None
@@ -171,8 +172,8 @@ def virtual_machine(
 
 
 @contextmanager
-def serving(folder: Path, profile: Path, lease_time: float = 6.0) -> Iterator[Service]:
-    service = Service(folder, profile, lease_time)
+def serving(folder: Path, profile: Path, lease_time: float = 6.0, **settings_too: object) -> Iterator[Service]:
+    service = Service(folder, profile, lease_time, **settings_too)
     service.start()
     try:
         yield service

@@ -215,14 +215,14 @@ async def test_stop_in_a_sweep_leaves_standing_axes_and_a_partial_recording(lab:
         await lab.runner.start(campaign.id)
         async with asyncio.timeout(TIMEOUT):
             await anext(live)  # samples flow: the axis moves
-        stop = await lab.machine.stop("test", "hose caught")
+        await lab.machine.stop("test", "hose caught")
     await asyncio.wait_for(lab.runner.finished(), TIMEOUT)
     assert await standing(lab)
     sweep = lab.store.sweep(campaign.id, 1)
     assert (sweep.state, sweep.cause) == (SweepState.INTERRUPTED, "stopped by test: hose caught")
     assert lab.store.campaign(campaign.id).state is CampaignState.PAUSED
     assert lab.store.recording(campaign.id, 1).state is RecordingState.PARTIAL
-    assert lab.machine.latched == stop
+    assert [stop.why for stop in lab.machine.stops] == ["hose caught"]
 
 
 async def test_a_second_service_on_the_same_data_is_refused(lab: Lab, settings: Settings) -> None:

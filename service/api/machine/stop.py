@@ -11,8 +11,10 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from drivers.errors import StopNotConfirmed
 from service.api.dependencies import LabOf
+from service.api.people.trail import trail_of
 from service.api.problem import Problem, problem_response
 from service.lab import Lab
+from service.people.keys import masked
 from service.store.documents import LARGEST_ID, StopDocument
 
 router = APIRouter(prefix="/stop", tags=["stop"])
@@ -71,8 +73,10 @@ async def stop(
     503 names the axes that did not confirm that they stand; the machine is held all the same.
     """
     client = "unknown" if request.client is None else request.client.host
+    by, why = by[:100] or client, why[:500] or "stop requested"
+    trail_of(request.scope).told = {"by": masked(by), "reason": masked(why)}
     try:
-        held = await lab.machine.stop(by[:100] or client, why[:500] or "stop requested", press[:100])
+        held = await lab.machine.stop(by, why, press[:100])
     except StopNotConfirmed as error:
         told = {"confirmed": error.confirmed, "unconfirmed": error.unconfirmed}
         return problem_response(
@@ -82,11 +86,12 @@ async def stop(
 
 
 @router.post("/reset")
-async def reset_stop(reset: Reset, lab: LabOf) -> StopView:
+async def reset_stop(request: Request, reset: Reset, lab: LabOf) -> StopView:
     """Release these stops and no other; sent again it changes nothing. The machine may move when none is left.
 
     Nothing moves by this; a campaign goes on when it is resumed.
     """
+    trail_of(request.scope).told = {"by": masked(reset.by), "stops": list(reset.stops)}
     released = await lab.machine.reset_stop(reset.by, reset.stops)
     return _view(lab, released[0])
 

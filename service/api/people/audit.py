@@ -12,7 +12,10 @@ _PATIENCE = 5.0  # s for what waits to be written
 
 @router.get("")
 def list_audit(lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[AuditDocument]:
-    """Entries, oldest first. A change has two: `request` before it is done, `outcome` with its status afterwards."""
+    """Entries, oldest first. A change has two: `request` before it is done, `outcome` with its status afterwards.
+
+    503 where the table cannot be read.
+    """
     lab.audit.settle(_PATIENCE)
     found = lab.audit.store.documents(after, limit)
     return Page(items=found, next=found[-1].number if len(found) == limit else None)

@@ -15,7 +15,7 @@ from service.api.people.trail import Trail, begin_trail, put, written
 from service.people.permissions import Permissions
 from service.store.people.writer import NotAudited
 
-_REFUSED = (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN)
+_REFUSED = (HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN, HTTPStatus.TOO_MANY_REQUESTS)
 
 
 class Audited:
@@ -49,7 +49,7 @@ class _Answer:
 
     async def send(self, message: Message) -> None:
         kind = message["type"]
-        if self._told:
+        if self._told or self._trail.hushed:
             await self._send(message)
         elif kind == "http.response.start" and (self._trail.changes or message["status"] in _REFUSED):
             self._start = message

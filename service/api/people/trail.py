@@ -2,7 +2,7 @@
 
 import asyncio
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from pydantic import JsonValue
 from starlette.types import Scope
@@ -20,7 +20,11 @@ _READING = ("GET", "HEAD", "OPTIONS", SOCKET)
 
 @dataclass
 class Trail:
-    """One request. `route`: its entry in the table of permissions; `request`: number of the entry from before it."""
+    """One request. `route`: its entry in the table of permissions; `request`: number of the entry from before it.
+
+    `hushed`: one like it was told, and this one is not. `key`: shown with a stop, which waits for no look at it: who it
+    belongs to is found out when the entry is written. `told`: what a route adds to the outcome.
+    """
 
     method: str
     path: str
@@ -29,6 +33,9 @@ class Trail:
     role: Role | None = None
     route: Route | None = None
     stop: bool = False
+    hushed: bool = False
+    key: str = ""
+    told: dict[str, JsonValue] = field(default_factory=dict[str, JsonValue])
     request: int | None = None
 
     @property
@@ -48,7 +55,7 @@ class Trail:
         }
 
     def outcome(self, status: int, why: str) -> dict[str, JsonValue]:
-        return self.entry("outcome", status=status, why=masked(why)[:_LONGEST], request=self.request)
+        return self.entry("outcome", status=status, why=masked(why)[:_LONGEST], request=self.request, **self.told)
 
 
 def begin_trail(scope: Scope) -> Trail:
@@ -66,7 +73,7 @@ def put(scope: Scope, entry: dict[str, JsonValue]) -> "Future[int]":
     """Waits for nothing."""
     lab: Lab | None = getattr(scope["app"].state, "lab", None)
     if lab is not None:
-        return lab.audit.put(entry)
+        return lab.audit.put(entry, trail_of(scope).key)
     future: Future[int] = Future()
     future.set_exception(NotAudited("the application runs outside its lifespan: there is no audit"))
     return future

@@ -1,16 +1,30 @@
 // The public API, and nothing else: what these pages can do, another program can.
 
 const API = "api/v1";
+const KEY = "sweepid-key"; // of this tab alone, and gone with it
 
 export class Refused extends Error {}
+
+// the service wants to know who it is: the head of the page asks
+export class Unknown extends Refused {}
 
 // no answer at all: the head of the page tells it
 export class Silent extends Error {}
 
 export const address = (path) => `${API}${path}`;
 
+export const keep = (key) => sessionStorage.setItem(KEY, key);
+export const forget = () => sessionStorage.removeItem(KEY);
+export const bearer = (key) => ({ Authorization: `Bearer ${key}` });
+
+export function authorization() {
+  const key = sessionStorage.getItem(KEY);
+  return key ? bearer(key) : {};
+}
+
 // patience: ms, for what a page asks again and again
 export async function call(method, path, body, headers = {}, patience = null) {
+  headers = { ...authorization(), ...headers };
   if (body !== undefined) headers["Content-Type"] = "application/json";
   const signal = patience === null ? undefined : AbortSignal.timeout(patience);
   let answer, content;
@@ -20,7 +34,7 @@ export async function call(method, path, body, headers = {}, patience = null) {
   } catch (error) {
     throw new Silent(`no answer from the service (${error.message})`);
   }
-  if (!answer.ok) throw new Refused(content.detail ?? answer.statusText);
+  if (!answer.ok) throw new (answer.status === 401 ? Unknown : Refused)(content.detail ?? answer.statusText);
   return { content, etag: answer.headers.get("ETag") };
 }
 
@@ -35,5 +49,3 @@ export async function all(path) {
   }
   return items;
 }
-
-export const events = () => new EventSource(address("/events"));

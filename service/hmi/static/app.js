@@ -1,6 +1,6 @@
 // The operator's page: campaigns and their estimates.
 
-import { address, all, call, events, get, Refused } from "./api.js";
+import { address, all, call, get, Refused } from "./api.js";
 import { showAxes, watchAxes } from "./axes.js";
 import { showCommands, watchCommands } from "./commands.js";
 import { byId, choices, complain, duration, element, number, row, tell } from "./elements.js";
@@ -10,6 +10,7 @@ import { watchMachine } from "./machine.js";
 import { inWords, showMotion, unitsOf } from "./motion.js";
 import { showMoving } from "./moving.js";
 import { refresher } from "./refresh.js";
+import { events } from "./stream.js";
 
 let campaigns = [];
 let machine = null; // {drives, stop} as the page heard last

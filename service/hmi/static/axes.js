@@ -2,6 +2,7 @@
 
 import { call } from "./api.js";
 import { byId, element, EMPTY, fixed, row } from "./elements.js";
+import { mayNot } from "./login.js";
 
 let faulty = []; // joints
 let last = null; // the drives
@@ -40,7 +41,9 @@ function faultCells(axis) {
   const button = element("button", "I looked: acknowledge");
   button.type = "button";
   button.dataset.acknowledge = axis.joint;
-  return [[inWords(axis.fault), "fault", button]];
+  const reason = mayNot("POST /drives/{joint}/acknowledge");
+  button.disabled = reason !== "";
+  return [[reason ? `${inWords(axis.fault)} (${reason})` : inWords(axis.fault), "fault", button]];
 }
 
 function inWords({ code, text, emergency_stop }) {

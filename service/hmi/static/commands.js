@@ -1,6 +1,7 @@
 // Start, Pause, Resume and Abort: what cannot work is dead, with the reason beside it.
 
 import { byId, tell } from "./elements.js";
+import { mayNot } from "./login.js";
 
 const FITS = {
   start: ["planned"],
@@ -21,6 +22,8 @@ export function showCommands(campaign, machine, owner) {
 }
 
 function whyNot(name, campaign, machine, owner) {
+  const forbidden = mayNot(`POST /campaigns/{campaign_id}/${name}`);
+  if (forbidden) return forbidden;
   if (!campaign) return "no campaign";
   if (!FITS[name].includes(campaign.state)) return ofState(name, campaign);
   if (name === "pause" || name === "abort" || campaign.state === "pausing") return "";

@@ -1,14 +1,16 @@
 // The diagnosis page: where model and measurement disagree, what is missing, what to measure next.
 
-import { address, all, call, events, get } from "./api.js";
+import { address, all, call, get } from "./api.js";
 import { byId, choices, complain, element, link, number, plain, row } from "./elements.js";
 import { clearExperiment, showExperiment, watchExperiment } from "./experiment.js";
 import { drawFigures } from "./figures.js";
 import { findingParts } from "./findings.js";
 import { held } from "./intent.js";
+import { identified } from "./login.js";
 import { watchMachine } from "./machine.js";
 import { showMoving } from "./moving.js";
 import { refresher } from "./refresh.js";
+import { events } from "./stream.js";
 
 const FINISHED = ["measured", "completed"];
 const OPEN = ["waiting", "running"];
@@ -212,7 +214,7 @@ byId("axis").addEventListener("change", refresh);
 byId("accept").addEventListener("submit", submit(accept));
 window.addEventListener("hashchange", refresh);
 watchExperiment(submit);
-showModels().catch(complain);
+identified.then(showModels).catch(complain);
 
 const stream = events();
 stream.addEventListener("open", refresh); // whatever was missed meanwhile

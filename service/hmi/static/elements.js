@@ -1,5 +1,7 @@
 // Cells, numbers and choices of the pages.
 
+import { Unknown } from "./api.js";
+
 export const EMPTY = "\u2013";
 export const byId = (id) => document.getElementById(id);
 
@@ -54,6 +56,7 @@ export function tell(id, text) {
 }
 
 export function complain(error) {
+  if (error instanceof Unknown) return; // the head of the page asks who it is
   byId("error").hidden = !error;
   byId("error").textContent = error ? `${error.message}` : "";
 }

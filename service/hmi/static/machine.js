@@ -1,8 +1,9 @@
 // The head of every page: the machine's state, the stop, its release, the way out of trouble, what the machine does.
 
-import { call, get, Refused } from "./api.js";
+import { call, get, Refused, Unknown } from "./api.js";
 import { byId, complain, tell } from "./elements.js";
 import { showDoubt } from "./intent.js";
+import { askWho, identify, presser, watchLogin } from "./login.js";
 import { keepMoving } from "./moving.js";
 import { showWayOut } from "./wayout.js";
 
@@ -16,8 +17,10 @@ let shown = []; // the stops that the person sees, and releases: none that came 
 async function ask() {
   const state = byId("machine");
   try {
-    const [drives, stop] = await Promise.all([get("/drives", PATIENCE), get("/stop", PATIENCE)]);
+    const stop = await get("/stop", PATIENCE); // nobody need be anybody for it
     stopPort = stop.port;
+    await identify(PATIENCE);
+    const drives = await get("/drives", PATIENCE);
     shown = stop.stops.map(({ id }) => id);
     byId("held").hidden = !stop.latched;
     if (stop.latched) tell("held-by", stop.stops.map(({ by, why }) => `Stopped by ${by}: ${why}`).join("; "));
@@ -30,8 +33,10 @@ async function ask() {
     return { drives, stop };
   } catch (error) {
     const answers = error instanceof Refused;
-    tell("machine", answers ? error.message : "no word from the service");
-    state.className = "state bad";
+    const nobody = error instanceof Unknown;
+    if (nobody) askWho(error);
+    tell("machine", nobody ? "log in to see the machine" : answers ? error.message : "no word from the service");
+    state.className = nobody ? "state" : "state bad";
     showDoubt(null, []);
     showSilence(!answers);
     return null;
@@ -61,7 +66,7 @@ export function inTrouble(drives, stop) {
 // by both ways at once; the service's answer alone says that the axes stand
 async function stop() {
   const press = `${Date.now()}-${Math.random()}`;
-  const words = `/stop?by=operator%20page&why=stop%20button&press=${press}`;
+  const words = `/stop?by=${encodeURIComponent(presser())}&why=stop%20button&press=${press}`;
   const beside = stopPort ? fetch(`http://${location.hostname}:${stopPort}${words}`, { method: "POST" }) : Promise.reject();
   const slow = setTimeout(async () => {
     const sent = await beside.then(({ ok }) => ok, () => false);
@@ -105,6 +110,7 @@ export function watchMachine(refresh, paused, show = () => {}) {
     await stop();
     await now();
   };
+  watchLogin();
   byId("stop").addEventListener("click", press);
   document.addEventListener("keydown", (event) => {
     if (event.key !== STOP_KEY) return;

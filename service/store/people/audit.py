@@ -2,16 +2,23 @@
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
+from typing import cast
 
 from pydantic import BaseModel, ConfigDict, JsonValue
 from sqlalchemy import select
+from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
+from service.errors import SweepidError
 from service.people.chain import FIRST, Entry, Link, canonical, sha256
 from service.store import tables as t
 from service.store.database import Database
 
 _PIECE = 1000  # entries read at once
+
+
+class AuditUnreadable(SweepidError):
+    """The table is damaged or gone, or the database does not answer (API: 503)."""
 
 
 class AuditDocument(BaseModel):
@@ -24,7 +31,7 @@ class AuditDocument(BaseModel):
 
 
 class AuditStore:
-    """Every method is one transaction and blocks."""
+    """Every method is one transaction and blocks. What reads raises AuditUnreadable."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -36,7 +43,7 @@ class AuditStore:
 
     def documents(self, after: int = 0, limit: int = 100) -> tuple[AuditDocument, ...]:
         return tuple(
-            AuditDocument(number=number, entry=json.loads(entry), sha256=value)
+            AuditDocument(number=number, entry=_content(number, entry), sha256=value)
             for number, entry, value in self._piece(after, limit)
         )
 
@@ -49,8 +56,27 @@ class AuditStore:
 
     def _piece(self, after: int, limit: int) -> tuple[Link, ...]:
         query = select(t.AuditRow).where(t.AuditRow.number > after).order_by(t.AuditRow.number).limit(limit)
-        with self._database.read() as session:
-            return tuple((row.number, row.entry, row.sha256) for row in session.scalars(query))
+        try:
+            with self._database.read() as session:
+                return tuple((row.number, row.entry, row.sha256) for row in session.scalars(query))
+        except SQLAlchemyError as error:
+            reason = " ".join(str(getattr(error, "orig", None) or type(error).__name__).split())
+            raise AuditUnreadable(
+                f"the audit cannot be read: {reason}; look with `sweepid doctor`, restore a backup if it is damaged"
+            ) from error
+
+
+def _content(number: int, entry: str) -> dict[str, JsonValue]:
+    """Of what the canonical JSON of an entry should be."""
+    try:
+        found: object = json.loads(entry)
+    except ValueError:
+        found = None
+    if not isinstance(found, dict):
+        raise AuditUnreadable(
+            f"audit entry {number} is no JSON object: somebody changed it; `sweepid audit verify` tells where"
+        )
+    return cast("dict[str, JsonValue]", found)
 
 
 def append(session: Session, entries: Iterable[Entry]) -> int:

@@ -3,15 +3,22 @@
 import asyncio
 import threading
 from collections.abc import Sequence
+from functools import partial
 
 import pytest
 from sqlalchemy import text
-from sqlalchemy.exc import IntegrityError, OperationalError
+from sqlalchemy.exc import OperationalError
+from structlog.testing import capture_logs
 
 from service.errors import Conflict, NotFound
 from service.execution import sweep_executor
+from service.execution.second_stop import watching
+from service.lab import tell_watch
 from service.store.documents import CampaignState, SweepState
 from service.store.guards import MachineLease, StopLatch
+from service.store.people.audit import AuditStore
+from service.store.people.keys import KeyStore
+from service.store.people.writer import AuditWriter
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
 
 LEASE_TIME = 0.5  # s
@@ -111,8 +118,7 @@ async def test_a_stop_that_the_database_does_not_take_is_seen_and_reset_all_the_
     with bench.database.write() as session:
         refuse = "CREATE TRIGGER refuse BEFORE INSERT ON stop BEGIN SELECT RAISE(FAIL, 'database or disk is full'); END"
         session.execute(text(refuse))
-    with pytest.raises(IntegrityError, match="disk is full"):
-        await bench.machine.stop("ada", "smoke")
+    await bench.machine.stop("ada", "smoke")
     assert "stop" in bench.drive.trace
     held = bench.machine.latched
     assert held is not None
@@ -125,6 +131,51 @@ async def test_a_stop_that_the_database_does_not_take_is_seen_and_reset_all_the_
     bench.machine.check_may_move()
     with pytest.raises(NotFound, match=f"stop {held.id}"):
         await bench.machine.reset_stop("berta", [held.id])
+
+
+async def test_what_the_database_did_not_take_is_noted_once_it_does(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.execution.holds.AGAIN", 0.02)
+    await bench.machine.connect()
+    with bench.database.write() as session:
+        session.execute(text("CREATE TRIGGER refuse BEFORE INSERT ON stop BEGIN SELECT RAISE(FAIL, 'full'); END"))
+    with capture_logs() as logs:
+        told = [await bench.machine.stop(by, "smoke") for by in ("ada", "berta")]
+        await until(lambda: any(log["event"] == "stop_not_noted_yet" for log in logs))
+    with bench.database.write() as session:
+        session.execute(text("DROP TRIGGER refuse"))
+    await bench.machine.noted()
+    stored = StopLatch(bench.database).latched()
+    assert stored == bench.machine.stops
+    assert [(stop.by, stop.at) for stop in stored] == [(stop.by, stop.at) for stop in told]
+    await bench.machine.reset_stop("carl", [told[0].id])
+    assert [stop.by for stop in StopLatch(bench.database).latched()] == ["berta"]
+    await bench.machine.reset_stop("carl", [told[1].id, stored[1].id])
+    assert bench.machine.latched is None
+
+
+async def test_the_end_of_the_service_asks_the_database_once_more(bench: Bench) -> None:
+    await bench.machine.connect()
+    with bench.database.write() as session:
+        session.execute(text("CREATE TRIGGER refuse BEFORE INSERT ON stop BEGIN SELECT RAISE(FAIL, 'full'); END"))
+    with capture_logs() as logs:
+        await bench.machine.stop("ada", "smoke")
+        await asyncio.wait_for(bench.machine.close(), PATIENCE)
+    assert [log["by"] for log in logs if log["event"] == "stop_not_noted"] == ["ada"]
+
+
+async def test_a_stop_of_the_host_watch_is_in_the_audit(bench: Bench) -> None:
+    await bench.machine.connect()
+    store = AuditStore(bench.database)
+    with AuditWriter(store, KeyStore(bench.database)) as audit:
+        async with watching(bench.machine, partial(tell_watch, audit)):
+            assert bench.drive.tell is not None
+            bench.drive.tell("another host is there")
+        await bench.machine.noted()
+    (entry,) = (one.entry for one in store.documents())
+    assert (entry["event"], entry["way"], entry["actor"], entry["by"]) == ("stop", *["host watch"] * 3)
+    assert entry["why"] == "another host is there"
 
 
 async def test_a_stop_that_comes_while_another_is_being_reset_holds(

@@ -238,7 +238,8 @@ async def test_stop_reaches_the_drives_first_and_holds_the_machine(bench: Bench)
     sweep = bench.store.sweep(bench.campaign.id, 1)
     assert (sweep.state, sweep.cause) == (SweepState.INTERRUPTED, "stopped by operator: hose caught")
     assert state(bench) is CampaignState.PAUSED
-    assert bench.machine.latched == stop
+    await bench.machine.noted()
+    assert [held.why for held in bench.machine.stops] == ["hose caught"]
     assert "stop" in [event.kind.value for event in bench.store.events(told_before)]
     with pytest.raises(Conflict, match="may not move: stopped by operator: hose caught"):
         await bench.runner.resume(bench.campaign.id)

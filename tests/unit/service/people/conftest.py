@@ -33,7 +33,7 @@ def profile(folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def url(folder: Path, profile: Path) -> Iterator[str]:
-    with serving(folder, profile, login=True) as url:
+    with serving(folder, profile, login=True, wrong_keys=1000) as url:
         yield url
 
 
@@ -56,7 +56,9 @@ def keys(database: Database) -> dict[str, str]:
 
 
 @contextmanager
-def calling(url: str, key: str | None) -> Iterator[httpx.Client]:
+def calling(url: str, key: str | None, address: str | None = None) -> Iterator[httpx.Client]:
+    """`address`: of this computer, from which it calls."""
     headers = None if key is None else {"Authorization": f"Bearer {key}"}
-    with httpx.Client(base_url=url, headers=headers, timeout=30, trust_env=False) as client:
+    way = httpx.HTTPTransport(local_address=address)
+    with httpx.Client(base_url=url, headers=headers, timeout=30, trust_env=False, transport=way) as client:
         yield client

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from sqlalchemy import text
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -15,8 +16,8 @@ from service.client import ServiceClient, ServiceProblem
 from service.people.chain import verify
 from service.people.keys import new_key
 from service.people.permissions import PERMISSIONS, SOCKET, Role
-from service.store.database import Database
-from service.store.people.audit import AuditDocument, AuditStore
+from service.store.database import Database, open_database
+from service.store.people.audit import AuditDocument, AuditStore, AuditUnreadable
 from service.store.people.keys import KeyStore
 from tests.unit.service.people.conftest import calling
 
@@ -150,7 +151,9 @@ def test_what_cannot_be_audited_is_not_done_but_stops_are(
             stopped = http.post("/api/v1/stop", params={"by": "anna", "why": "unaudited"})
             assert stopped.json()["type"] == "urn:sweepid:problem:stop-not-confirmed"
             assert "unaudited" in [stop["why"] for stop in http.get("/api/v1/stop").json()["stops"]]
-            assert admin.get("/api/v1/audit").status_code == 500  # waits until the stop's entry is refused
+            unread = admin.get("/api/v1/audit")  # waits until the stop's entry is refused
+            assert (unread.status_code, unread.json()["type"]) == (503, "urn:sweepid:problem:audit-unreadable")
+            assert "no such table: audit; look with" in unread.json()["detail"]
         finally:
             beside.execute("ALTER TABLE gone RENAME TO audit")
             beside.close()
@@ -162,7 +165,38 @@ def test_what_cannot_be_audited_is_not_done_but_stops_are(
         ("outcome", 404),
         ("outcome", 503),
     ]
-    assert (entries[-1]["actor"], entries[-1]["route"]) == ("anybody", "/api/v1/stop")
+    assert (entries[-1]["actor"], entries[-1]["route"]) == ("the-operator", "/api/v1/stop")
+
+
+def test_who_stops_and_who_releases_is_in_the_audit(url: str, keys: dict[str, str], database: Database) -> None:
+    before = len(after(database))
+    with calling(url, None) as nobody, calling(url, keys["operator"]) as http, calling(url, keys["revoked"]) as revoked:
+        for one, by in ((nobody, "anna"), (http, ""), (revoked, "gone"), (http, keys["admin"])):
+            assert one.post("/api/v1/stop", params={"by": by, "why": "smoke"}).status_code == 503
+        stops = [stop["id"] for stop in http.get("/api/v1/stop").json()["stops"]]
+        assert http.post("/api/v1/stop/reset", json={"by": "Berta", "stops": stops}).status_code == 200
+    with calling(url, keys["admin"]) as admin:
+        items = admin.get("/api/v1/audit", params={"after": before}).json()["items"]
+    outcomes = [one["entry"] for one in items if one["entry"]["event"] == "outcome"]
+    assert [(one["actor"], one["role"], one["address"], one["by"]) for one in outcomes] == [
+        ("anybody", None, "127.0.0.1", "anna"),
+        ("the-operator", "operator", "127.0.0.1", "127.0.0.1"),
+        ("anybody", None, "127.0.0.1", "gone"),  # a key that is no more names nobody
+        ("the-operator", "operator", "127.0.0.1", "sweepid-(key)"),
+        ("the-operator", "operator", "127.0.0.1", "Berta"),
+    ]
+    assert [one["reason"] for one in outcomes[:4]] == ["smoke"] * 4
+    assert outcomes[4]["stops"] == stops
+
+
+def test_an_entry_that_is_no_json_is_a_problem(tmp_path: Path) -> None:
+    with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as own:
+        store = AuditStore(own)
+        store.append([{"event": "request"}])
+        with own.write() as session:
+            session.execute(text("INSERT INTO audit VALUES (2, '[1]', 'abc')"))
+        with pytest.raises(AuditUnreadable, match="audit entry 2 is no JSON object"):
+            store.documents()
 
 
 def test_a_change_that_waits_for_the_audit_holds_up_nobody(url: str, keys: dict[str, str], folder: Path) -> None:

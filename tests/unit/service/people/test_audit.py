@@ -17,6 +17,7 @@ from service.people.chain import FIRST, AuditBroken, canonical, read_head, sha25
 from service.people.permissions import LOCAL
 from service.store.database import Database, open_database
 from service.store.people.audit import AuditStore
+from service.store.people.keys import KeyStore
 from service.store.people.writer import AuditWriter, NotAudited
 from tests.unit.service.api.conftest import serving
 from tests.unit.service.people.conftest import calling
@@ -92,7 +93,7 @@ def test_what_is_no_head_is_refused(head: str) -> None:
 
 def test_the_writer_tells_what_it_could_not_write(own: Database) -> None:
     store = AuditStore(own)
-    with AuditWriter(store) as writer:
+    with AuditWriter(store, KeyStore(own)) as writer:
         assert [writer.put(entry).result(30) for entry in ENTRIES] == [6, 7, 8, 9, 10]
         tamper(own, "ALTER TABLE audit RENAME TO gone")
         with pytest.raises(NotAudited, match="OperationalError"):
@@ -154,5 +155,8 @@ def test_without_a_login_it_is_local(tmp_path: Path, profile: Path) -> None:
         links = list(AuditStore(database).links())
     assert verify(links)[0] == 4
     by_the_stop_process = json.loads(links[3][1])
-    assert (by_the_stop_process["event"], by_the_stop_process["by"]) == ("stop", "anna")
+    assert {name: by_the_stop_process[name] for name in ("event", "way", "by", "actor", "address")} == {
+        **{"event": "stop", "way": "stop process", "by": "anna"},
+        **{"actor": "anybody", "address": "127.0.0.1"},
+    }
     assert '"no_login"' in (tmp_path / "service.log").read_text()

@@ -1,0 +1,27 @@
+"""Who asks, and what his role keeps from him: a page shows such commands as dead, with the reason."""
+
+from fastapi import APIRouter, Request
+from pydantic import BaseModel
+
+from service.api.dependencies import LabOf
+from service.api.people.trail import trail_of
+from service.people.permissions import Role, beyond
+
+router = APIRouter(prefix="/me", tags=["people"])
+
+
+class Me(BaseModel):
+    """`login`: whether the service asks who it is. `refused`: the least role by "METHOD /path" below ``/api/v1``."""
+
+    login: bool
+    name: str
+    role: str
+    refused: dict[str, str]
+
+
+@router.get("")
+async def who_asks(request: Request, lab: LabOf) -> Me:
+    """Without login everybody is `local`, and nothing is refused."""
+    trail = trail_of(request.scope)
+    role = Role.VIEWER if trail.role is None else trail.role
+    return Me(login=lab.settings.login, name=trail.actor, role=role.word, refused=beyond(role))

@@ -1,0 +1,150 @@
+"""With `login: true` the pages ask for a key, keep it for their tab, let each do what the role may; STOP is free."""
+
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from service.client import ServiceClient
+from tests.browser.browsing import WITHOUT_BROWSER, browsing
+from tests.browser.looking import faint, small
+from tests.system.rest_bench import (
+    PATIENT_LEASE,
+    SWEEPID,
+    Service,
+    add_plan,
+    serving,
+    until,
+    virtual_machine,
+)
+from tests.unit.service.api.conftest import bundle, profile, robot  # noqa: F401 - three sweeps, and no machine
+
+pytestmark = WITHOUT_BROWSER
+
+
+@pytest.fixture
+def service(tmp_path: Path, profile: Path) -> Iterator[Service]:  # noqa: F811
+    """No machine answers it."""
+    with serving(tmp_path, profile, PATIENT_LEASE, login=True) as service:
+        yield service
+
+
+@pytest.fixture
+def keys(service: Service) -> dict[str, str]:
+    return keys_of(service)
+
+
+@pytest.fixture
+def page(service: Service) -> Iterator[Page]:
+    with browsing(service.url) as page:
+        yield page
+
+
+def keys_of(service: Service) -> dict[str, str]:
+    """By role, of people who are called as it."""
+    return {role: add_key(service, role) for role in ("viewer", "operator", "engineer")}
+
+
+def add_key(service: Service, role: str) -> str:
+    command = [SWEEPID, "people", "add-key", f"the-{role}", "--role", role, "--data-dir", str(service.data)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout.strip()
+
+
+def log_in(page: Page, key: str) -> None:
+    page.get_by_label("Your key").fill(key)
+    page.get_by_role("button", name="Log in").click()
+
+
+def test_a_page_that_nobody_is_logged_in_to_stops_the_machine(tmp_path: Path) -> None:
+    with (
+        virtual_machine(tmp_path, speed_factor=1.0) as machine,
+        serving(tmp_path, machine.profile, PATIENT_LEASE, login=True) as service,
+        ServiceClient(service.url, keys_of(service)["engineer"]) as engineer,
+        browsing(service.url) as page,
+    ):
+        expect(page.locator("#login")).to_be_visible()
+        expect(page.locator("#machine")).to_have_text("log in to see the machine")
+        expect(page.locator("main")).to_be_hidden()
+        assert (faint(page), small(page)) == ([], [])
+        engineer.start(int(engineer.add_campaign(add_plan(engineer, axes=["joint_1"], poses=2))["id"]))
+        until(lambda: not machine.stands(), "an axis with energy")
+        page.get_by_role("button", name="STOP").click()
+        until(machine.stands, "standing axes")
+        until(engineer.stops, "a latched stop")
+        assert [stop["by"] for stop in engineer.stops()] == ["operator page"]
+
+
+def test_the_page_is_what_the_role_is(service: Service, keys: dict[str, str], page: Page) -> None:
+    with ServiceClient(service.url, keys["engineer"]) as engineer:
+        engineer.add_campaign(add_plan(engineer, axes=["joint_1"], poses=1))
+    why = page.locator("#login-why")
+    expect(why).to_contain_text("no key")
+    log_in(page, f"sweepid-{'0' * 64}")
+    expect(why).to_have_text("this key is none of the service's")
+
+    log_in(page, keys["viewer"])
+    expect(page.locator("#me-who")).to_have_text("the-viewer, viewer")
+    expect(page.locator("#login")).to_be_hidden()
+    expect(page.locator("#machine")).to_contain_text("no machine: ")
+    expect(page.locator("#campaign-state")).to_have_text("planned")
+    expect(page.locator("#start")).to_be_disabled()
+    expect(page.locator("#why-start")).to_have_text("needs operator, you are viewer")
+    assert (faint(page), small(page)) == ([], [])
+    page.get_by_role("link", name="Diagnosis").click()  # the tab keeps the key
+    expect(page.locator("#me-who")).to_have_text("the-viewer, viewer")
+    diagnose = page.get_by_role("button", name="Diagnose")
+    expect(diagnose).to_be_disabled()
+    expect(page.locator("#new .needs")).to_have_text("needs engineer, you are viewer")
+
+    page.get_by_role("button", name="Log out").click()
+    expect(page.locator("#login")).to_be_visible()
+    log_in(page, keys["engineer"])
+    expect(page.locator("#me-who")).to_have_text("the-engineer, engineer")
+    expect(diagnose).to_be_enabled()
+    page.get_by_role("link", name="Campaigns").click()
+    expect(page.locator("#start")).to_be_enabled()
+    with page.expect_popup() as other:  # another tab asks anew
+        page.evaluate("open(location.href, '_blank', 'noopener')")
+    expect(other.value.locator("#login")).to_be_visible()
+
+
+def test_stop_and_release_bear_the_name(service: Service, keys: dict[str, str], page: Page) -> None:
+    log_in(page, keys["operator"])
+    expect(page.locator("#machine")).to_contain_text("no machine: ")
+    page.get_by_role("button", name="STOP").click()
+    expect(page.locator("#held-by")).to_contain_text("Stopped by the-operator (operator page): stop button")
+    page.get_by_role("button", name="I looked at the machine: release").click()  # the name stands there already
+    expect(page.locator("#held")).to_be_hidden()
+    with ServiceClient(service.url, keys["viewer"]) as viewer:
+        assert viewer.stops() == []
+
+
+def test_events_and_reports_come_with_the_key(
+    service: Service,
+    keys: dict[str, str],
+    page: Page,
+    bundle: Path,  # noqa: F811
+    tmp_path: Path,
+) -> None:
+    log_in(page, keys["viewer"])
+    expect(page.locator("#progress-text")).to_contain_text("no campaign yet")
+    archive = shutil.make_archive(str(tmp_path / "three-sweeps"), "zip", bundle)
+    with ServiceClient(service.url, keys["engineer"]) as engineer:
+        engineer.import_bundle(Path(archive))
+    expect(page.locator("#campaign-state")).to_have_text("completed")  # told by the stream of events alone
+    with page.expect_download() as saved:
+        page.get_by_role("link", name="Report").click()
+    assert saved.value.suggested_filename == "campaigns-1-report.html"
+    assert "max100-class" in Path(saved.value.path()).read_text("utf-8")
+
+
+def test_a_key_that_is_revoked_ends_the_page(service: Service, keys: dict[str, str], page: Page) -> None:
+    log_in(page, keys["operator"])
+    expect(page.locator("#machine")).to_contain_text("no machine: ")
+    command = [SWEEPID, "people", "revoke-key", "the-operator", "--data-dir", str(service.data)]
+    subprocess.run(command, capture_output=True, timeout=120, check=True)
+    expect(page.locator("#login-why")).to_contain_text("the key of the-operator was revoked on")
+    expect(page.locator("main")).to_be_hidden()
