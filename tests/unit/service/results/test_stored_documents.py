@@ -2,18 +2,21 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import get_args
 
 import pytest
 from pydantic import BaseModel
 
+from service.diagnosis import experiments, verdict
 from service.errors import BadInput
 from service.results.cell import Bin, Cell
 from service.results.check import DataCheck
-from service.results.diagnosis import AxisDiagnosis, Diagnosis
+from service.results.diagnosis import AxisDiagnosis, Diagnosis, Verdict
 from service.results.estimate import Estimate
+from service.results.experiment import TEST_MASS
 from service.results.part import Document
 from service.results.revision import ModelRevision
+from tests.stored.documents import stored
 
 KINDS: dict[str, type[Document]] = {
     "analysis": Estimate,
@@ -37,10 +40,6 @@ LATER = {  # keys of an axis that documents of before did not have
 }
 
 
-def stored(root: Path, name: str) -> Any:
-    return json.loads((root / "tests" / "stored" / f"{name}.json").read_text("utf-8"))
-
-
 def canonical(document: object) -> str:
     return json.dumps(document, sort_keys=True, separators=(",", ":"))
 
@@ -61,25 +60,30 @@ def test_every_stored_document_has_its_model(root: Path) -> None:
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_a_stored_document_comes_out_as_it_went_in(root: Path, name: str) -> None:
-    document = stored(root, name)
+def test_a_stored_document_comes_out_as_it_went_in(name: str) -> None:
+    document = stored(name)
     assert canonical(KINDS[name].read(document, name).as_json()) == canonical(document)
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_nothing_in_a_stored_document_is_without_a_name(root: Path, name: str) -> None:
-    assert unnamed(KINDS[name].read(stored(root, name), name)) == set()
+def test_nothing_in_a_stored_document_is_without_a_name(name: str) -> None:
+    assert unnamed(KINDS[name].read(stored(name), name)) == set()
 
 
-def test_a_key_without_a_name_would_be_found(root: Path) -> None:
-    document = stored(root, "diagnosis-named")
+def test_a_key_without_a_name_would_be_found() -> None:
+    document = stored("diagnosis-named")
     document["axes"]["joint_1"]["where"][0]["planted"] = 1
     document["axes"]["joint_1"]["also_planted"] = 1
     assert unnamed(Diagnosis.read(document, "d")) == {"planted", "also_planted"}
 
 
-def test_older_documents_are_read(root: Path) -> None:
-    axis = stored(root, "diagnosis-named")["axes"]["joint_1"]
+def test_words_of_mathematics_and_of_its_results_are_the_same() -> None:
+    assert get_args(Verdict) == tuple(one.value for one in verdict.Verdict)
+    assert experiments.TEST_MASS == TEST_MASS
+
+
+def test_older_documents_are_read() -> None:
+    axis = stored("diagnosis-named")["axes"]["joint_1"]
     older = {key: value for key, value in axis.items() if key not in LATER}
     older["gap"] = {key: axis["gap"][key] for key in axis["gap"] if key not in ("cross_validated", "twin_rms")}
     older["fit"] = {key: axis["fit"][key] for key in axis["fit"] if key not in ("gravity", "torques")}
@@ -88,13 +92,13 @@ def test_older_documents_are_read(root: Path) -> None:
     assert canonical(found.as_json()) == canonical(older)
 
 
-def test_keys_that_nobody_described_are_kept(root: Path) -> None:
-    document = stored(root, "check") | {"tomorrow": {"n": 1}}
+def test_keys_that_nobody_described_are_kept() -> None:
+    document = stored("check") | {"tomorrow": {"n": 1}}
     assert DataCheck.read(document, "check").as_json() == document
 
 
-def test_what_is_no_result_is_refused_by_its_field(root: Path) -> None:
-    document = stored(root, "diagnosis-named")
+def test_what_is_no_result_is_refused_by_its_field() -> None:
+    document = stored("diagnosis-named")
     document["axes"]["joint_1"]["gap"]["before_rms"] = "much"
     with pytest.raises(BadInput, match=r"^diagnosis 7\.axes\.joint_1\.gap\.before_rms"):
         Diagnosis.read(document, "diagnosis 7")
@@ -103,9 +107,9 @@ def test_what_is_no_result_is_refused_by_its_field(root: Path) -> None:
 
 
 @pytest.mark.parametrize("version", [2, 0, "one", None])
-def test_what_a_newer_version_wrote_is_refused(root: Path, version: object) -> None:
+def test_what_a_newer_version_wrote_is_refused(version: object) -> None:
     with pytest.raises(BadInput, match=r"file\.version.*update sweepid"):
-        DataCheck.read(stored(root, "check") | {"version": version}, "file")
+        DataCheck.read(stored("check") | {"version": version}, "file")
 
 
 @pytest.mark.parametrize(
