@@ -1,6 +1,8 @@
 """A sweep: what was commanded and what was recorded (BUNDLE format `sweepid-bundle/1`, section "sweeps")."""
 
+import re
 from dataclasses import dataclass
+from enum import Enum
 from typing import Annotated, Literal
 
 import numpy as np
@@ -14,9 +16,24 @@ Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=_P
 Label = Annotated[str, StringConstraints(max_length=200, pattern=_PRINTABLE)]
 
 REQUIRED_COLUMNS = ("time", "effort", "velocity", "position")
-STEPPED = "stepped_sine"  # how the block of an initial analysis by sines is called
-WARM_UP = "warm_up"  # the block of sweeps that bring the gears to their working temperature
 OPTIONAL_COLUMNS = ("velocity_setpoint", "excitation_effort", "load_velocity", "load_position", "temperature")
+
+
+class SweepPurpose(Enum):
+    """What a sweep is for; the value is what a block that tells it begins with."""
+
+    INERTIA = "inertia"
+    STEPPED_SINE = "stepped_sine"  # a few lines of a stepped sine, for a drive without torque injection
+    WARM_UP = "warm_up"  # brings the gears to their working temperature
+    OTHER = "other"  # noise, standstill, or sines about standstill, where at each reversal dry friction is no constant
+
+
+def together(number: int, axes: int) -> str:
+    """The block of all sweeps of a trajectory; it says how many there are, so that none is taken for standing."""
+    return f"trajectory {number} of {axes} axes"
+
+
+_TOGETHER = re.compile(r"trajectory \d+ of (\d+) axes")
 
 
 class Sine(BaseModel):
@@ -52,13 +69,27 @@ class SweepSpec(BaseModel):
         return bool(self.sines) and self.period is not None and self.periods is not None
 
     @property
-    def shows_inertia(self) -> bool:
-        """True for sines and trajectories; noise, stepped sines, warm-up and standstill serve other ends than J.
+    def purpose(self) -> SweepPurpose:
+        """As a bundle tells it: by excitation and `block`, which has no other place to say so."""
+        if self.block == SweepPurpose.WARM_UP.value:
+            return SweepPurpose.WARM_UP
+        if self.excitation == "trajectory":
+            return SweepPurpose.INERTIA
+        if self.excitation == "multisine" and self.block.startswith(SweepPurpose.STEPPED_SINE.value):
+            return SweepPurpose.STEPPED_SINE
+        turns = self.excitation == "multisine" and self.offset_velocity != 0
+        return SweepPurpose.INERTIA if turns else SweepPurpose.OTHER
 
-        So do sines about standstill: at each reversal dry friction is no constant.
-        """
-        moves = self.excitation == "trajectory" or (self.excitation == "multisine" and self.offset_velocity != 0)
-        return moves and not self.stepped and self.block != WARM_UP
+    @property
+    def axes_at_once(self) -> int:
+        """Of how many axes the trajectory is whose part this sweep is, as its block tells; 1 for any other sweep."""
+        found = _TOGETHER.fullmatch(self.block)
+        return int(found[1]) if found else 1
+
+    @property
+    def shows_inertia(self) -> bool:
+        """True for sines and trajectories; noise, stepped sines, warm-up and standstill serve other ends than J."""
+        return self.purpose is SweepPurpose.INERTIA
 
     @property
     def moves(self) -> bool:
@@ -70,7 +101,7 @@ class SweepSpec(BaseModel):
     @property
     def stepped(self) -> bool:
         """True for a few lines of a stepped sine, the initial analysis of a drive without torque injection."""
-        return self.excitation == "multisine" and self.block.startswith(STEPPED)
+        return self.purpose is SweepPurpose.STEPPED_SINE
 
 
 @dataclass(frozen=True, slots=True)

@@ -99,13 +99,14 @@ def _print_estimate(outcome: Outcome, console: Console) -> None:
 
 
 def _print_diagnosis(found: Found, console: Console) -> None:
-    gap = found.axis["gap"]
+    axis = found.axis
+    gap, floor = axis.gap, axis.gap.noise_floor_rms
     asked = f" after {', '.join(map(plain, found.experiments))}" if found.experiments else ""
     console.print(f"\n[bold]A machine that hides something in {found.joint}[/bold]", highlight=False)
-    console.print(f"Found{asked}: {found.axis['summary']}", highlight=False)
+    console.print(f"Found{asked}: {axis.summary}", highlight=False)
     console.print(
-        f"Gap {judged_on(gap)}: {gap['before_rms']:.3g} N m before, "
-        f"{gap['after_rms']:.3g} N m after, noise floor {gap['noise_floor_rms']:.3g} N m.",
+        f"Gap {judged_on(gap.model_dump())}: {gap.before_rms:.3g} N m before, "
+        f"{gap.after_rms:.3g} N m after, noise floor {'–' if floor is None else f'{floor:.3g} N m'}.",
         highlight=False,
     )
     console.print(f"Hidden: {found.told}.", highlight=False)

@@ -16,6 +16,7 @@ from service.demo.processes import command, environment
 from service.demo.screen import Screen
 from service.errors import SweepidError
 from service.geometry.cell import Cell
+from service.results.diagnosis import AxisDiagnosis, Diagnosis
 from service.robot import Robot
 
 SCENARIO = Path("config/scenarios/max100-as-modelled.yaml")
@@ -27,14 +28,13 @@ REQUEST: Json = {
     "move_velocity": 0.5,
 }
 EXPERIMENTS = 2  # that the demo's operator runs when the diagnosis asks for more
-BY_HAND = "test_mass"  # an experiment that needs something bolted on
 PERSON = "operator of the demo"
 _TIMEOUT = 120.0  # s
 
 
 @dataclass(frozen=True)
 class Found:
-    """`document` of the last diagnosis; `hidden` is what `sweepid truth` told afterwards."""
+    """`document` of the last diagnosis, as the API has it; `hidden` is what `sweepid truth` told afterwards."""
 
     joint: str
     document: Json
@@ -43,12 +43,16 @@ class Found:
     hidden: Json
 
     @property
-    def axis(self) -> Json:
-        return self.document["axes"][self.joint]
+    def diagnosis(self) -> Diagnosis:
+        return Diagnosis.read(self.document, "diagnosis")
+
+    @property
+    def axis(self) -> AxisDiagnosis:
+        return self.diagnosis.axes[self.joint]
 
     @property
     def named(self) -> list[str]:
-        return [effect["effect"] for effect in self.axis["effects"]] if self.axis["verdict"] == "named" else []
+        return [effect.effect for effect in self.axis.effects] if self.axis.verdict == "named" else []
 
     @property
     def right(self) -> bool:
@@ -69,9 +73,9 @@ class Found:
             return f"Right; {accepted}."
         if self.named:
             return f"Wrong: {', '.join(map(plain, self.named))} was named."
-        if self.hidden["effect"] in self.axis["candidates"]:
+        if self.hidden["effect"] in self.axis.candidates:
             return "Not decided: it is among the candidates."
-        return f"Not found: the verdict is {self.axis['verdict']}."
+        return f"Not found: the verdict is {self.axis.verdict}."
 
 
 def plain(name: str) -> str:
@@ -100,12 +104,12 @@ def _diagnosed(machine: VirtualCell, joint: str, cell: Cell, screen: Screen) -> 
     screen.doing("diagnosing")
     diagnosis = _done(client, client.add_diagnosis([campaign], [joint]))
     experiments: list[str] = []
-    while wanted := diagnosis["document"]["axes"][joint]["next_experiment"]:
-        if wanted["kind"] == BY_HAND or not wanted["sweeps"] or len(experiments) == EXPERIMENTS:
+    while wanted := _axis(diagnosis, joint).next_experiment:
+        if wanted.weighs or not wanted.sweeps or len(experiments) == EXPERIMENTS:
             break
-        experiments.append(wanted["kind"])
-        screen.say(f"the diagnosis asks: {wanted['reason']}; approved")
-        screen.doing(f"next experiment: {plain(wanted['kind'])}")
+        experiments.append(wanted.kind)
+        screen.say(f"the diagnosis asks: {wanted.reason}; approved")
+        screen.doing(f"next experiment: {plain(wanted.kind)}")
         operator.watch(int(client.approve_experiment(diagnosis["id"], joint, PERSON)["id"]))
         screen.doing("diagnosing with the new sweeps")
         diagnosis = _done(client, _continued(client, diagnosis["id"]))
@@ -129,10 +133,14 @@ def _done(client: ServiceClient, diagnosis: Json) -> Json:
     return found
 
 
+def _axis(diagnosis: Json, joint: str) -> AxisDiagnosis:
+    return Diagnosis.read(diagnosis["document"], f"diagnosis {diagnosis['id']}").axes[joint]
+
+
 def _accepted(client: ServiceClient, diagnosis: Json, joint: str) -> int | None:
     """The model's revision, where there is a name to accept."""
-    axis = diagnosis["document"]["axes"][joint]
-    if axis["verdict"] != "named" or set(axis["rolled_back"]) >= {effect["effect"] for effect in axis["effects"]}:
+    axis = _axis(diagnosis, joint)
+    if axis.verdict != "named" or set(axis.rolled_back) >= {effect.effect for effect in axis.effects}:
         return None
     return int(client.accept_model(diagnosis["id"], PERSON, [joint])["revision"])
 

@@ -84,7 +84,7 @@ def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> Outcome:
         f"{content.subtitle} At the end a second machine, which hides something in {found.joint}; told after its "
         f"diagnosis: {found.told}. {found.judgement}"
     )
-    content = replace(content, subtitle=subtitle, truth=truth, truth_columns=columns, diagnosis=found.document)
+    content = replace(content, subtitle=subtitle, truth=truth, truth_columns=columns, diagnosis=found.diagnosis)
     report = out / "report.html"
     report.write_text(render(content), encoding="utf-8")
     (out / "estimate.json").write_text(json.dumps(content.estimate, indent=2) + "\n", encoding="utf-8")

@@ -1,10 +1,11 @@
 """A person takes what a diagnosis named into the robot's model."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, cast
 
 from service.diagnosis import model_document
 from service.errors import BadInput, Conflict
+from service.results.diagnosis import AxisDiagnosis
+from service.results.revision import RevisedAxis
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import DiagnosisDocument, ModelDocument
@@ -38,19 +39,17 @@ def accept_model(
                     "it; diagnose again from there"
                 )
     robot = store.robot(diagnosis.robot_id).build()
-    document = model_document(robot, cast("dict[str, Any]", diagnosis.document), joints, {"axes": _axes(newest)})
+    document = model_document(robot, diagnosis.document or {}, joints, None if newest is None else newest.document)
     return models.add(diagnosis_id, accepted_by, document, None if newest is None else newest.id)
 
 
-def _axes(model: ModelDocument | None) -> dict[str, Any]:
-    return {} if model is None else cast("dict[str, Any]", model.document["axes"])
+def _axes(model: ModelDocument | None) -> Mapping[str, RevisedAxis]:
+    return {} if model is None else model.content.axes
 
 
 def _acceptable(diagnosis: DiagnosisDocument, axes: Sequence[str] | None) -> tuple[str, ...]:
     """The joints whose effects are taken over."""
-    if diagnosis.document is None:
-        raise Conflict(f"diagnosis {diagnosis.id} is {diagnosis.state.value}: there is nothing to accept")
-    found = cast("dict[str, Any]", diagnosis.document)["axes"]
+    found = diagnosis.found("accept").axes
     refusals = {
         joint: _refusal(found[joint]) if joint in found else f"has no result, {diagnosis.cause}"
         for joint in diagnosis.axes
@@ -70,11 +69,11 @@ def _acceptable(diagnosis: DiagnosisDocument, axes: Sequence[str] | None) -> tup
     return tuple(joint for joint in diagnosis.axes if joint in axes)
 
 
-def _refusal(axis: Mapping[str, Any]) -> str:
+def _refusal(axis: AxisDiagnosis) -> str:
     """Why an axis has nothing to accept, or ""."""
-    rolled_back = axis["rolled_back"]
-    if not [effect for effect in axis["effects"] if effect["effect"] not in rolled_back] and rolled_back:
+    rolled_back = axis.rolled_back
+    if not [effect for effect in axis.effects if effect.effect not in rolled_back] and rolled_back:
         return f"{', '.join(rolled_back)} did not make held-out sweeps better, and was rolled back"
-    if axis["verdict"] != "named" and not (axis["verdict"] == "none" and axis.get("changes")):
-        return f"the verdict is {axis['verdict']}, not named"
+    if axis.verdict != "named" and not (axis.verdict == "none" and axis.changes):
+        return f"the verdict is {axis.verdict}, not named"
     return ""

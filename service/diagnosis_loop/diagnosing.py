@@ -7,12 +7,13 @@ that has its result is not done twice.
 import asyncio
 import hashlib
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
-from typing import Any, cast
 
 import structlog
+from pydantic import JsonValue
 
 from service.diagnosis import compose
 from service.diagnosis.fit.parameters import Parameter
@@ -21,6 +22,7 @@ from service.diagnosis_loop.starting import Start, latest_estimate
 from service.errors import BadInput, Conflict, NotFound
 from service.identification.estimates.torque_gain import KnownMass
 from service.jobs.open_jobs import OpenJobs
+from service.results.effect import Value
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import DiagnosisDocument, DiagnosisEntry, NewDiagnosis, Weighing
@@ -131,7 +133,7 @@ class Diagnosing:
         except (BadInput, Conflict) as error:
             await self._fail(diagnosis, str(error), None)
 
-    async def _fail(self, diagnosis: DiagnosisEntry, cause: str, document: dict[str, Any] | None) -> None:
+    async def _fail(self, diagnosis: DiagnosisEntry, cause: str, document: dict[str, JsonValue] | None) -> None:
         """What the other axes came to is kept."""
         _log.error("diagnosis_failed", diagnosis=diagnosis.id, cause=cause)
         await asyncio.to_thread(self._diagnoses.fail, diagnosis.id, cause, document)
@@ -181,10 +183,10 @@ class Diagnosing:
         """Effects of the axis that the model has, with its parameters."""
         if model_id is None:
             return {}
-        axes = cast("dict[str, Any]", self._models.model(model_id).document)["axes"]
+        axes = self._models.model(model_id).content.axes
         return {
-            effect["effect"]: {name: Parameter(**value) for name, value in effect["parameters"].items()}
-            for effect in (axes[joint]["effects"] if joint in axes else ())
+            effect.effect: {name: _parameter(value) for name, value in effect.parameters.items()}
+            for effect in (axes[joint].effects if joint in axes else ())
         }
 
     def _weighing(self, diagnosis: DiagnosisEntry, joint: str) -> Weighing | None:
@@ -198,9 +200,14 @@ class Diagnosing:
             at = None if at.parent is None else self._diagnoses.diagnosis(at.parent)
         return None
 
-    def _composed(self, diagnosis: DiagnosisEntry) -> dict[str, Any] | None:
+    def _composed(self, diagnosis: DiagnosisEntry) -> dict[str, JsonValue] | None:
         """Of the axes that have a result."""
         results = self._diagnoses.results(diagnosis.id)
         robot = self._store.robot(diagnosis.robot_id).build()
         done = {joint: results[joint] for joint in diagnosis.axes if joint in results}
         return compose(robot, done) if done else None
+
+
+def _parameter(value: Value) -> Parameter:
+    """What JSON cannot say is infinite."""
+    return Parameter(value.value, math.inf if value.std is None else value.std, value.unit)

@@ -5,22 +5,22 @@ experiments (`unattended`), `ROUNDS` times an axis at most, never with a test ma
 """
 
 import asyncio
-from typing import Any, cast
+from typing import cast
 
 import structlog
 
 from drivers.errors import DriveError
 from service.campaigns.live import EventFeed
-from service.diagnosis.experiments import TEST_MASS
 from service.diagnosis.sensitivity.design import DesignedSweep
 from service.diagnosis.verdict import Verdict
 from service.diagnosis_loop.diagnosing import Diagnosing
 from service.errors import BadInput, Conflict, SweepidError
 from service.execution.runner import Runner
 from service.geometry.cell import read_cell
+from service.planning.compiled_plan import plan_of
 from service.planning.diagnosis.documents import ExperimentPlan, ExperimentRequest
 from service.planning.diagnosis.plan import build_experiment_plan
-from service.recording import SweepSpec
+from service.results.experiment import Experiment
 from service.settings import Settings
 from service.store.diagnosis.diagnoses import DiagnosisStore, check_free
 from service.store.diagnosis_documents import (
@@ -63,10 +63,7 @@ class Experiments:
         """
         diagnosis = self._diagnoses.diagnosis(diagnosis_id)
         experiment = proposed(diagnosis, axis)
-        designed = [
-            DesignedSweep(SweepSpec.model_validate(sweep["spec"]), sweep["ramp"], sweep["settle"])
-            for sweep in experiment["sweeps"]
-        ]
+        designed = [DesignedSweep(sweep.spec, sweep.ramp, sweep.settle) for sweep in experiment.sweeps]
         name = cell or self._cell(diagnosis)
         request = ExperimentRequest(robot_id=diagnosis.robot_id, cell=name, test_mass=test_mass)
         robot = self._store.robot(diagnosis.robot_id).build()
@@ -83,7 +80,7 @@ class Experiments:
         async with self._approving:
             diagnosis = await asyncio.to_thread(self._diagnoses.diagnosis, diagnosis_id)
             check_free(diagnosis, await asyncio.to_thread(self._diagnoses.experiment_state, diagnosis_id))
-            weighing = proposed(diagnosis, axis)["kind"] == TEST_MASS
+            weighing = proposed(diagnosis, axis).weighs
             if weighing and test_mass is None:
                 raise BadInput("test_mass", "the experiment is one with a test mass: say which is bolted on")
             if test_mass is not None and not weighing:
@@ -186,7 +183,7 @@ class Experiments:
                 continue
             if diagnosis.verdicts[axis] not in _UNDECIDED:
                 continue  # more could be tested, but nothing is left to explain
-            if experiment["kind"] == TEST_MASS:
+            if experiment.weighs:
                 causes.append(f"{axis}: a test mass needs a person")
             elif self._rounds(diagnosis, axis) >= ROUNDS:
                 causes.append(f"{axis}: {ROUNDS} experiments did not decide it")
@@ -207,19 +204,16 @@ class Experiments:
         for number in reversed(diagnosis.campaigns):
             plan_id = self._store.campaign(number).plan_id
             if plan_id is not None:
-                request = cast("dict[str, Any]", self._store.plan(plan_id).document["request"])
-                return str(request["cell"])
+                return plan_of(self._store.plan(plan_id)).request.cell
         raise BadInput("cell", "none of the campaigns was planned here: name the cell that the machine stands in")
 
 
-def proposed(diagnosis: DiagnosisDocument, axis: str) -> dict[str, Any]:
+def proposed(diagnosis: DiagnosisDocument, axis: str) -> Experiment:
     """`next_experiment` of an axis; Conflict if the diagnosis is not done or proposes none, BadInput if unknown."""
     if axis not in diagnosis.axes:
         raise BadInput("axis", f"{axis} is not an axis of diagnosis {diagnosis.id}, {', '.join(diagnosis.axes)} are")
-    if diagnosis.document is None:
-        raise Conflict(f"diagnosis {diagnosis.id} is {diagnosis.state.value}, and proposes nothing yet")
-    found = cast("dict[str, Any]", diagnosis.document)["axes"]
-    experiment = found[axis]["next_experiment"] if axis in found else None
+    found = diagnosis.found("plan").axes
+    experiment = found[axis].next_experiment if axis in found else None
     if experiment is None:
         raise Conflict(f"diagnosis {diagnosis.id} proposes no experiment for {axis}")
     return experiment

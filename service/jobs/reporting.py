@@ -14,6 +14,7 @@ from service.campaigns.linked_campaign import campaign_beside
 from service.errors import Conflict, NotFound
 from service.identification.motion.trajectory_record import runs_at_once
 from service.report import CampaignReport, Drive, example_of, used_sweeps
+from service.results.check import DataCheck
 from service.store.checks import CheckStore
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis_documents import DiagnosisDocument
@@ -51,6 +52,7 @@ class Reporting:
         mass = None if approved is None else approved.test_mass
         identified = {sweep.number for sweep in own if sweep.state is SweepState.IDENTIFIED}
         recordings = [one for number, one in self.store.recordings(campaign_id).items() if number in identified]
+        checked = self.checks.document(campaign_id)
         made = datetime.now(UTC)
         report = CampaignReport(
             title=f"Campaign {campaign_id}: the robot {robot.name}",
@@ -72,8 +74,8 @@ class Reporting:
                 ("report", f"{_time(made)}, sweepid {version('sweepid')}"),
             ),
             drives=_drives(self.files.manifest(one) for one in recordings),
-            check=cast("Mapping[str, Any] | None", self.checks.document(campaign_id)),
-            diagnosis=None if diagnosis is None else (diagnosis.id, cast("Mapping[str, Any]", diagnosis.document)),
+            check=None if checked is None else DataCheck.read(checked, f"data check of campaign {campaign_id}"),
+            diagnosis=None if diagnosis is None else (diagnosis.id, diagnosis.found()),
             test_mass=None if mass is None else mass.mass,
         )
         return ReportJob(

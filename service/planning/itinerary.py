@@ -14,7 +14,7 @@ from drivers.ports import SweepMode
 from service.errors import BadInput, EnvelopeViolation
 from service.identification.design.excitation import Excitation, realisations
 from service.planning.documents import DroppedPose, PlannedLeg, PlannedSweep, PlanRequest
-from service.recording import WARM_UP, Sine, SweepSpec
+from service.recording import Sine, SweepPurpose, SweepSpec
 from service.robot import Robot
 from service.safety.envelope import Envelope
 from service.safety.travel import order_poses
@@ -35,11 +35,11 @@ class ChosenPose:
 
 @dataclass(frozen=True)
 class _Run:
-    """One sweep of a pose; `block`: "" for the one that measures, by its direction."""
+    """One sweep of a pose."""
 
     joint: str
     excitation: Excitation
-    block: str = ""
+    purpose: SweepPurpose = SweepPurpose.INERTIA
     repeat: int = 0
 
 
@@ -88,7 +88,11 @@ class Itinerary:
     def _warm_up(self, excitations: Sequence[Excitation]) -> list[_Run]:
         """Whole rounds of all axes that take the time wanted."""
         rounds = math.ceil(self._request.warm_up / least_duration(excitations))
-        return [replace(run, block=WARM_UP, repeat=n) for n in range(rounds) for run in self._runs(excitations)]
+        return [
+            replace(run, purpose=SweepPurpose.WARM_UP, repeat=n)
+            for n in range(rounds)
+            for run in self._runs(excitations)
+        ]
 
     def _pose(
         self,
@@ -123,7 +127,7 @@ class Itinerary:
 
     def _mode(self, run: _Run, streamed: set[str]) -> SweepMode:
         modes = self._request.modes
-        first = run.block != WARM_UP and run.joint not in streamed
+        first = run.purpose is SweepPurpose.INERTIA and run.joint not in streamed
         if modes == "host_streamed" or (modes == "one_host_streamed" and first):
             return SweepMode.HOST_STREAMED
         return SweepMode.DRIVE_SIDE
@@ -150,7 +154,7 @@ class Itinerary:
                 measure_from=excitation.measure_from,
                 sample_rate=self._request.sample_rate,
                 repeat=run.repeat,
-                block=run.block or ("forward" if excitation.offset_velocity > 0 else "backward"),
+                block=_label(run),
             ),
             mode=mode,
             ramp=excitation.ramp,
@@ -179,6 +183,12 @@ def _in_order(chosen: Sequence[ChosenPose], home: Array) -> list[ChosenPose]:
             ordered += [part[k] for k in order_poses(poses, here)]
             here = ordered[-1].pose
     return ordered
+
+
+def _label(run: _Run) -> str:
+    if run.purpose is SweepPurpose.WARM_UP:
+        return run.purpose.value
+    return "forward" if run.excitation.offset_velocity > 0 else "backward"
 
 
 def _moves(here: Sequence[float], legs: Sequence[tuple[int, float]]) -> list[tuple[float, float]]:

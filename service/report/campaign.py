@@ -9,6 +9,8 @@ from service.report.diagnosis import diagnosis_section, findings
 from service.report.html import Page
 from service.report.page import analysis_section, estimate_sections
 from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict
+from service.results.check import DataCheck
+from service.results.diagnosis import Diagnosis
 from service.robot import Robot
 
 _LOOK = {CONFIRMED: "none", OPEN: "ambiguous", CONTRADICTED: "unknown"}  # of the card; the word stands in it
@@ -32,15 +34,15 @@ class Drive:
 class CampaignReport:
     """What a campaign's report has beside the estimate. `origin`: what, and what is known of it, in order.
 
-    `check` as `sweepid check --json` writes it. `diagnosis`: number and document of the newest one. `test_mass`: kg.
+    `diagnosis`: number and content of the newest one. `test_mass`: kg.
     """
 
     title: str
     subtitle: str
     origin: tuple[tuple[str, str], ...]
     drives: tuple[Drive, ...]
-    check: Document | None
-    diagnosis: tuple[int, Document] | None
+    check: DataCheck | None
+    diagnosis: tuple[int, Diagnosis] | None
     test_mass: float | None = None
 
 
@@ -120,11 +122,11 @@ def _suspects(page: Page, suspects: Sequence[Document]) -> None:
     page.table(["sweep", "axis", "why", "weight"], rows)
 
 
-def _check(page: Page, check: Document | None) -> None:
+def _check(page: Page, check: DataCheck | None) -> None:
     page.add("<h2>Check of the data</h2>")
     if check is None:
         page.add("<p>Not made yet: it follows when the campaign is over.</p>")
-    elif not check["findings"]:
+    elif not check.findings:
         page.add("<p>Nothing found.</p>")
     else:
-        findings(page, check["findings"])
+        findings(page, check.findings)

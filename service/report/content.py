@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from service.identification.model.regressor import axis_rows, lock
 from service.recording import Sweep, SweepSpec
+from service.results.diagnosis import Diagnosis
 from service.robot import INERTIAL_NAMES, Robot
 
 Array = NDArray[np.float64]
@@ -52,7 +53,7 @@ class Content:
     example: Sweep | None = None  # shown in time and frequency
     truth_columns: tuple[str, ...] = ()
     truth: tuple[Row, ...] = ()
-    diagnosis: Document | None = None  # as of `sweepid diagnose --json`
+    diagnosis: Diagnosis | None = None
 
 
 @dataclass(frozen=True)

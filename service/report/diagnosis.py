@@ -3,12 +3,13 @@
 import math
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any
 
 from service.report import gap_figures as drawn
-from service.report.content import Document
 from service.report.drawing import Figure
 from service.report.html import Page
+from service.results.check import Finding
+from service.results.diagnosis import AxisDiagnosis, Diagnosis, Gap, RigidParameter
+from service.results.effect import AxisFit, Effect, PoseInertia, Value
 
 _BUILDERS = {
     "map": drawn.gap_map,
@@ -31,63 +32,63 @@ _CROSS_VALIDATED = (
 _NOT_HELD_OUT = "One pose without repeats: nothing could be left out, so the fit is judged on its own sweeps."
 
 
-def diagnosis_figures(document: Document) -> dict[str, dict[str, Figure]]:
+def diagnosis_figures(document: Diagnosis) -> dict[str, dict[str, Figure]]:
     """All figures by joint and name (`map`, `gap_by_pose`, `example`, `evidence`, `parameters`)."""
-    return {joint: figures_of(axis) for joint, axis in document["axes"].items()}
+    return {joint: figures_of(axis) for joint, axis in document.axes.items()}
 
 
-def figures_of(axis: Document) -> dict[str, Figure]:
+def figures_of(axis: AxisDiagnosis) -> dict[str, Figure]:
     """The figures of one axis."""
     made = {name: build(axis) for name, build in _BUILDERS.items()}
     return {name: figure for name, figure in made.items() if figure is not None}
 
 
-def diagnosis_page(document: Document, title: str, subtitle: str = "") -> str:
+def diagnosis_page(document: Diagnosis, title: str, subtitle: str = "") -> str:
     """One HTML file."""
     page = Page()
     page.add(f"<h1>{escape(title)}</h1>", f'<p class="lead">{escape(subtitle)}</p>')
-    for joint, axis in document["axes"].items():
+    for joint, axis in document.axes.items():
         page.add(f"<h2>{escape(joint)}</h2>")
         _axis(page, joint, axis)
     return page.html(title)
 
 
-def diagnosis_section(page: Page, document: Document) -> None:
+def diagnosis_section(page: Page, document: Diagnosis) -> None:
     """The same at the end of another report."""
     page.add(
         "<h2>Where model and measurement disagree</h2>",
         "<p>The rigid model is driven along every recorded motion; what it leaves of the drives' effort, and repeats, "
         "is a gap. A catalogue of effects is tried on it, and judged on sweeps that took no part in the fit.</p>",
     )
-    for joint, axis in document["axes"].items():
+    for joint, axis in document.axes.items():
         page.add(f"<h3>{escape(joint)}</h3>")
         _axis(page, joint, axis)
 
 
-def _axis(page: Page, joint: str, axis: Document) -> None:
+def _axis(page: Page, joint: str, axis: AxisDiagnosis) -> None:
     figures = figures_of(axis)
-    page.add(f'<div class="card {escape(axis["verdict"])}"><p class="verdict">{escape(axis["summary"])}</p></div>')
-    told = {finding["sentence"] for finding in axis.get("data", ())}
+    page.add(f'<div class="card {escape(axis.verdict)}"><p class="verdict">{escape(axis.summary)}</p></div>')
+    told = {finding.sentence for finding in axis.data}
     if told:
         page.add("<h3>Check of the data</h3>")
-        findings(page, axis["data"])
+        findings(page, axis.data)
     _gap(page, axis)
     if "map" in figures:
         page.add(
             "<h3>Where the gap is</h3>",
-            *(f"<p>{escape(sentence)}</p>" for sentence in axis["sentences"] if sentence not in told),
+            *(f"<p>{escape(sentence)}</p>" for sentence in axis.sentences if sentence not in told),
         )
         page.figure(figures["map"])
-    if axis["known"]:
+    if axis.known:
         _known(page, axis)
-    if drawn.explained(axis):
+    if axis.explained:
         _effects(page, axis, figures)
-    if axis.get("part"):
+    if axis.part:
         page.add("<h3>Known in part</h3>", "<p>Beside a rest that no effect of the catalogue explains.</p>")
-        page.table(["effect", "parameter", "value", "± std", "unit"], _parameter_rows(axis["part"]))
-    if axis.get("rigid_model"):
-        _rigid_model(page, axis["rigid_model"], axis.get("started_from", "cad"))
-    sweep, block = axis["example"]["sweep"], axis["example"]["block"]
+        page.table(["effect", "parameter", "value", "± std", "unit"], _parameter_rows(axis.part))
+    if axis.rigid_model:
+        _rigid_model(page, axis.rigid_model, axis.started_from)
+    sweep, block = axis.example.sweep, axis.example.block
     page.add(
         "<h3>Example</h3>",
         f"<p>Sweep {escape(sweep)}{escape(f' ({plain(block)})') if block else ''}, the sweep with the "
@@ -97,64 +98,64 @@ def _axis(page: Page, joint: str, axis: Document) -> None:
     _open_questions(page, joint, axis)
 
 
-def _gap(page: Page, axis: Document) -> None:
-    gap, unit = axis["gap"], drawn.unit(axis)
-    facts = [(f"{gap['before_rms']:.3g} {unit}", f"gap before, {gap['before_percent']:.3g} % of the effort")]
-    if drawn.explained(axis):
-        facts.append((f"{gap['after_rms']:.3g} {unit}", f"gap after, {gap['after_percent']:.3g} %"))
-    floor = gap["noise_floor_rms"]
+def _gap(page: Page, axis: AxisDiagnosis) -> None:
+    gap, unit = axis.gap, axis.unit
+    facts = [(f"{gap.before_rms:.3g} {unit}", f"gap before, {gap.before_percent:.3g} % of the effort")]
+    if axis.explained:
+        facts.append((f"{gap.after_rms:.3g} {unit}", f"gap after, {gap.after_percent:.3g} %"))
+    floor = gap.noise_floor_rms
     facts += [
         ("–", "noise floor: nothing was measured twice")
         if floor is None
         else (f"{floor:.3g} {unit}", "noise floor, from repeats"),
-        (str(gap["held_out_sweeps"]), "sweeps that took no part in naming or fit")
-        if gap["held_out_sweeps"]
+        (str(gap.held_out_sweeps), "sweeps that took no part in naming or fit")
+        if gap.held_out_sweeps
         else ("–", "no pose could be kept out of the naming"),
     ]
-    if gap.get("twin_rms") is not None:
-        facts.append((f"{gap['twin_rms']:.3g} {unit}", "left by the simulator with this model"))
+    if gap.twin_rms is not None:
+        facts.append((f"{gap.twin_rms:.3g} {unit}", "left by the simulator with this model"))
     page.facts(facts)
     page.add(f"<p>{_how_judged(gap)}</p>")
     page.figure(drawn.gap_by_pose(axis))
 
 
-def _how_judged(gap: Document) -> str:
-    if gap["held_out_sweeps"]:
+def _how_judged(gap: Gap) -> str:
+    if gap.held_out_sweeps:
         return _HELD_OUT
-    return _CROSS_VALIDATED if gap.get("cross_validated", False) else _NOT_HELD_OUT
+    return _CROSS_VALIDATED if gap.cross_validated else _NOT_HELD_OUT
 
 
-def _known(page: Page, axis: Document) -> None:
+def _known(page: Page, axis: AxisDiagnosis) -> None:
     """What the model had before, fitted anew, beside what it says of it."""
-    changed = {(change["effect"], change["parameter"]): change["model"] for change in axis.get("changes", ())}
+    changed = {(change.effect, change.parameter): change.model for change in axis.changes}
     rows = [
         [
-            drawn.effect_words(effect["effect"]),
+            drawn.effect_words(effect.effect),
             plain(name),
             *_value(value),
-            _model(changed.get((effect["effect"], name))),
+            _model(changed.get((effect.effect, name))),
         ]
-        for effect in axis["known"]
-        for name, value in effect["parameters"].items()
+        for effect in axis.known
+        for name, value in effect.parameters.items()
     ]
     page.add("<h3>What the model has already</h3>", "<p>Fitted anew to these sweeps.</p>")
     page.table(["effect", "parameter", "value", "± std", "unit", "the model says"], rows)
 
 
-def _model(value: Document | None) -> str:
-    return "the same" if value is None else f"{value['value']:.5g} ± {value['std']:.2g}"
+def _model(value: Value | None) -> str:
+    return "the same" if value is None else f"{value.value:.5g} ± {drawn.number(value.std):.2g}"
 
 
-def _effects(page: Page, axis: Document, figures: Mapping[str, Figure]) -> None:
-    decided = axis["verdict"] == "named"
+def _effects(page: Page, axis: AxisDiagnosis, figures: Mapping[str, Figure]) -> None:
+    decided = axis.verdict == "named"
     page.add(f"<h3>{'What explains it' if decided else 'The simplest explanation so far, not decided'}</h3>")
-    for effect in axis["effects"]:
+    for effect in axis.effects:
         page.add(
-            f"<p><b>{escape(drawn.effect_words(effect['effect']))}.</b> {escape(effect['sentence'])} "
-            f"<code>{escape(effect['physics'])}</code> "
-            f'<span class="note">({escape(effect["source"])})</span></p>'
+            f"<p><b>{escape(drawn.effect_words(effect.effect))}.</b> {escape(effect.sentence)} "
+            f"<code>{escape(effect.physics)}</code> "
+            f'<span class="note">({escape(effect.source)})</span></p>'
         )
-    page.table(["effect", "parameter", "value", "± std", "unit"], _parameter_rows(axis["effects"]))
+    page.table(["effect", "parameter", "value", "± std", "unit"], _parameter_rows(axis.effects))
     if "parameters" in figures:
         page.figure(figures["parameters"])
     if "evidence" in figures:
@@ -163,29 +164,26 @@ def _effects(page: Page, axis: Document, figures: Mapping[str, Figure]) -> None:
             "are: far behind (beyond the dashed line), or richer without explaining more, or against physics.</p>"
         )
         page.figure(figures["evidence"])
-    _fit(page, axis["fit"])
+    _fit(page, axis.fit)
 
 
-def _parameter_rows(effects: Sequence[Document]) -> list[list[str]]:
+def _parameter_rows(effects: Sequence[Effect]) -> list[list[str]]:
     return [
-        [drawn.effect_words(effect["effect"]), plain(name), *_value(value)]
+        [drawn.effect_words(effect.effect), plain(name), *_value(value)]
         for effect in effects
-        for name, value in effect["parameters"].items()
+        for name, value in effect.parameters.items()
     ]
 
 
-def findings(page: Page, found: Sequence[Document]) -> None:
+def findings(page: Page, found: Sequence[Finding]) -> None:
     """Of a check of the data. Where one is wrong, no physics was named."""
-    ordered = sorted(found, key=lambda one: one["severity"] != "wrong")
+    ordered = sorted(found, key=lambda one: one.severity != "wrong")
     page.add(
-        *(
-            f"<p><b>{escape(one['severity'])}:</b> {escape(one['sentence'])} {escape(one['action'])}</p>"
-            for one in ordered
-        ),
+        *(f"<p><b>{escape(one.severity)}:</b> {escape(one.sentence)} {escape(one.action)}</p>" for one in ordered),
     )
 
 
-def _rigid_model(page: Page, parameters: Sequence[Document], started_from: str) -> None:
+def _rigid_model(page: Page, parameters: Sequence[RigidParameter], started_from: str) -> None:
     """What CAD and data sheet, or an estimate, say of the rigid model, and what these sweeps say."""
     by_cad = started_from == "cad"
     page.add(
@@ -196,44 +194,45 @@ def _rigid_model(page: Page, parameters: Sequence[Document], started_from: str) 
         "" if by_cad else f"<p>Started from an estimate: {escape(started_from)}.</p>",
     )
     rows = [
-        [one["name"], "–" if one["nominal"] is None else f"{one['nominal']:.5g}", *_value(one)[:2]]
-        for one in parameters
+        [one.name, "–" if one.nominal is None else f"{one.nominal:.5g}", *_number_and_std(one)] for one in parameters
     ]
     page.table(["parameter", "CAD" if by_cad else "estimate", "found", "± std"], rows)
 
 
-def _fit(page: Page, fit: Document) -> None:
-    labels = drawn.pose_labels([entry["pose"] for entry in fit["inertia"]])
+def _fit(page: Page, fit: AxisFit) -> None:
+    labels = drawn.pose_labels([entry.pose for entry in fit.inertia])
     page.add("<p>The axis again, with the effects in its model; kg m² (kg) and N m s/rad (N s/m).</p>")
-    rows = [[f"inertia at {label}", *_value(entry)[:2]] for label, entry in zip(labels, fit["inertia"], strict=True)]
-    page.table(["", "value", "± std"], [*rows, ["viscous friction", *_value(fit["viscous_friction"])[:2]]])
+    rows = [[f"inertia at {label}", *_number_and_std(entry)] for label, entry in zip(labels, fit.inertia, strict=True)]
+    page.table(["", "value", "± std"], [*rows, ["viscous friction", *_number_and_std(fit.viscous_friction)]])
 
 
-def _open_questions(page: Page, joint: str, axis: Document) -> None:
-    experiment = axis["next_experiment"]
-    if experiment:
-        sweeps = experiment["sweeps"]
-        poses = len({tuple(sweep["spec"]["pose"]) for sweep in sweeps})
+def _open_questions(page: Page, joint: str, axis: AxisDiagnosis) -> None:
+    experiment = axis.next_experiment
+    if experiment is not None:
+        sweeps = experiment.sweeps
+        poses = len({sweep.spec.pose for sweep in sweeps})
         size = f"{len(sweeps)} sweeps of {escape(joint)} in {poses} poses, " if sweeps else ""
         page.add(
             "<h3>What to measure next</h3>",
-            f"<p><b>{escape(drawn.effect_words(experiment['kind']))}.</b> {escape(experiment['reason'])} "
-            f"{size}{_duration(experiment['seconds'])} of machine time.</p>",
+            f"<p><b>{escape(drawn.effect_words(experiment.kind))}.</b> {escape(experiment.reason)} "
+            f"{size}{_duration(experiment.seconds)} of machine time.</p>",
         )
-    if axis["untestable"]:
+    if axis.untestable:
         page.add("<h3>What these sweeps cannot show</h3>", "<p>Whether or not there is one of these:</p>")
-        shown_by = axis.get("visible_in", {})
         rows = [
-            [drawn.effect_words(effect), ", ".join(plain(block) for block in shown_by.get(effect, ()))]
-            for effect in axis["untestable"]
+            [drawn.effect_words(effect), ", ".join(plain(block) for block in axis.visible_in.get(effect, ()))]
+            for effect in axis.untestable
         ]
         page.table(["effect", "it shows in"], rows)
 
 
-def _value(entry: Mapping[str, Any]) -> list[str]:
-    std = entry["std"]
-    known = std is not None and math.isfinite(std)
-    return [f"{entry['value']:.5g}", f"{std:.2g}" if known else "–", str(entry.get("unit", ""))]
+def _value(value: Value) -> list[str]:
+    return [*_number_and_std(value), value.unit]
+
+
+def _number_and_std(of: Value | PoseInertia | RigidParameter) -> list[str]:
+    known = of.std is not None and math.isfinite(of.std)
+    return [f"{of.value:.5g}", f"{of.std:.2g}" if known else "–"]
 
 
 def _duration(seconds: float) -> str:

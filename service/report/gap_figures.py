@@ -1,15 +1,14 @@
-"""The figures of a diagnosis, from the document of one axis ("Data contracts": `sweepid diagnose --json`)."""
+"""The figures of a diagnosis, from the diagnosis of one axis."""
 
 import math
-import re
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 
 from service.report.drawing import IDENTIFIED, Figure, figure, line, rounded, scale
-
-Axis = Mapping[str, Any]
+from service.results.cell import Bin, Cell
+from service.results.diagnosis import AxisDiagnosis, Rival
+from service.results.effect import Value
 
 BEFORE, AFTER, FLOOR, QUIET = "#c2410c", IDENTIFIED, "#15803d", "#e0b8a2"
 RECORDED = "#64748b"
@@ -18,23 +17,21 @@ TIE = "#b45309"
 COLUMNS = 3
 SIGNIFICANT = 5.0  # standard deviations from no gap at all
 DECISIVE = 10.0  # of Schwarz's criterion: as far behind, a rival is out
-_NUMBER = r"[-+]?\d[\d.]*(?:e[-+]?\d+)?"
-_BIN = re.compile(rf"({_NUMBER})(/\d+)?(?: to ({_NUMBER}))? (\S.*)")
 
 
-def gap_map(axis: Axis) -> Figure | None:
+def gap_map(axis: AxisDiagnosis) -> Figure | None:
     """The gap cut along every property of sweeps and samples, before and after, the noise floor in each panel."""
-    dimensions: dict[str, list[Axis]] = {}
-    for cell in axis["where"]:
-        dimensions.setdefault(cell["dimension"], []).append(cell)
+    dimensions: dict[str, list[Cell]] = {}
+    for cell in axis.where:
+        dimensions.setdefault(cell.dimension, []).append(cell)
     if not dimensions:
         return None
-    panels = [_panel(name, cells, explained(axis)) for name, cells in dimensions.items()]
+    panels = [_panel(name, cells, axis.explained) for name, cells in dimensions.items()]
     panels.sort(key=lambda panel: -len(panel.labels))  # panels of one height side by side
     lines = [panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)]
     heights = [20 * max(len(panel.labels) for panel in line) + 62 for line in lines]
-    floor = axis["gap"]["noise_floor_rms"]
-    largest = max(max(cell["rms"] for cell in axis["where"]), floor or 0.0)
+    floor = axis.gap.noise_floor_rms
+    largest = max(max(cell.rms for cell in axis.where), floor or 0.0)
     layout: Figure = {
         "height": sum(heights) + 70,
         "margin": {"l": 10, "r": 10, "t": 40, "b": 30},
@@ -75,19 +72,19 @@ def gap_map(axis: Axis) -> Figure | None:
             if panel.with_floor and floor is not None:
                 layout["shapes"].append(_upright(tail, floor))
         top -= share
-    layout["annotations"].append(_title(f"bars: RMS of the repeatable gap in {unit(axis)}", 1.0, 0.0, right=True))
+    layout["annotations"].append(_title(f"bars: RMS of the repeatable gap in {axis.unit}", 1.0, 0.0, right=True))
     return figure(traces, layout)
 
 
 class _Panel:
     """One property: its bins in order, and the bars of both models."""
 
-    def __init__(self, title: str, cells: Sequence[Axis], labels: list[str], after: bool, with_floor: bool) -> None:
+    def __init__(self, title: str, cells: Sequence[Cell], labels: list[str], after: bool, with_floor: bool) -> None:
         self.title, self.labels, self.with_floor = title, labels, with_floor
-        significance = [cell["significance"] for cell in cells]
+        significance = [cell.significance for cell in cells]
         shown = {"y": labels, "customdata": [round(value, 1) for value in significance]}
         before = {
-            "x": rounded(np.array([cell["rms"] for cell in cells])),
+            "x": rounded(np.array([cell.rms for cell in cells])),
             "marker": {"color": [BEFORE if value > SIGNIFICANT else QUIET for value in significance]},
             "hovertemplate": "%{y}: %{x:.3g} before, significance %{customdata}<extra></extra>",
             "width": 0.72,
@@ -95,7 +92,7 @@ class _Panel:
         self.traces = [shown | before]
         if after:
             left = {
-                "x": rounded(np.array([cell["rms_after"] for cell in cells])),
+                "x": rounded(np.array([cell.rms_after for cell in cells])),
                 "marker": {"color": AFTER},
                 "hovertemplate": "%{y}: %{x:.3g} after<extra></extra>",
                 "width": 0.3,
@@ -103,58 +100,63 @@ class _Panel:
             self.traces.append(shown | left)
 
 
-def _panel(name: str, cells: Sequence[Axis], after: bool) -> _Panel:
-    bins = [_BIN.fullmatch(cell["value"]) for cell in cells]
-    found = [match for match in bins if match is not None]
-    if len(found) < len(cells):
-        ordered = sorted(cells, key=lambda cell: cell["value"])
-        return _Panel(name, ordered, [_words(cell["value"]) for cell in ordered], after, True)
-    pairs = sorted(zip(found, cells, strict=True), key=lambda pair: float(pair[0][1]))
-    size = max(abs(float(match[k])) for match in found for k in (1, 3) if match[k])
-    labels = [
-        " … ".join(_short(float(match[k]), size) for k in (1, 3) if match[k]) + (match[2] or "") for match, _ in pairs
-    ]
-    measure = found[0][4].replace("s2", "s²")
+def _panel(name: str, cells: Sequence[Cell], after: bool) -> _Panel:
+    bins = [(cell.bin, cell) for cell in cells]
+    pairs = sorted(((one, cell) for one, cell in bins if one is not None), key=lambda pair: pair[0].low)
+    if len(pairs) < len(cells):
+        ordered = sorted(cells, key=lambda cell: cell.value)
+        return _Panel(name, ordered, [_words(cell.value) for cell in ordered], after, True)
+    size = max(abs(end) for one, _ in pairs for end in (one.low, one.high) if end is not None)
+    labels = [_label(one, size) for one, _ in pairs]
+    measure = pairs[0][0].unit.replace("s2", "s²")
     # the noise of one line is not that of the whole signal
     return _Panel(f"{name} ({measure})", [cell for _, cell in pairs], labels, after, name != "line frequency")
 
 
-def _keys(axis: Axis) -> list[Figure]:
+def _label(one: Bin, size: float) -> str:
+    ends = " … ".join(_short(end, size) for end in (one.low, one.high) if end is not None)
+    return ends if one.parts is None else f"{ends}/{one.parts}"
+
+
+def _keys(axis: AxisDiagnosis) -> list[Figure]:
     """What the legend shows; the bars themselves stand in many panels."""
     bar: Figure = {"type": "bar", "x": [None], "y": [None]}
     keys: list[Figure] = [
         {**bar, "name": "before", "marker": {"color": BEFORE}},
         {**bar, "name": "before, not significant", "marker": {"color": QUIET}},
     ]
-    if explained(axis):
+    if axis.explained:
         keys.append({**bar, "name": "after", "marker": {"color": AFTER}})
     floor = line("noise floor", [None], np.array([np.nan]), FLOOR, dash="dash")
     return [*keys, floor]
 
 
-def gap_by_pose(axis: Axis) -> Figure:
+def gap_by_pose(axis: AxisDiagnosis) -> Figure:
     """Gap before and after in every pose, cross-validated, beside the noise floor."""
-    poses: Sequence[Axis] = axis["gap"]["by_pose"]
-    labels = pose_labels([pose["pose"] for pose in poses])
+    poses = axis.gap.by_pose
+    labels = pose_labels([pose.pose for pose in poses])
     bars = [
         {
             "type": "bar",
             "name": name,
             "x": labels,
-            "y": rounded(np.array([_number(pose[key]) for pose in poses])),
+            "y": rounded(np.array(values)),
             "marker": {"color": colour, "pattern": {"shape": pattern}},
-            "customdata": [pose["sweeps"] for pose in poses],
-            "hovertemplate": f"%{{y:.3g}} {unit(axis)} {name}, %{{customdata}} sweeps<extra></extra>",
+            "customdata": [pose.sweeps for pose in poses],
+            "hovertemplate": f"%{{y:.3g}} {axis.unit} {name}, %{{customdata}} sweeps<extra></extra>",
         }
-        for name, key, colour, pattern in (("before", "before_rms", BEFORE, ""), ("after", "after_rms", AFTER, "/"))
-        if name == "before" or explained(axis)
+        for name, values, colour, pattern in (
+            ("before", [pose.before_rms for pose in poses], BEFORE, ""),
+            ("after", [pose.after_rms for pose in poses], AFTER, "/"),
+        )
+        if name == "before" or axis.explained
     ]
     floor = {
         "type": "scatter",
         "mode": "markers",
         "name": "noise floor",
         "x": labels,
-        "y": rounded(np.array([_number(pose["noise_floor_rms"]) for pose in poses])),
+        "y": rounded(np.array([number(pose.noise_floor_rms) for pose in poses])),
         "marker": {"symbol": "line-ew-open", "size": 56, "color": FLOOR, "line": {"width": 2.5, "color": FLOOR}},
         "hovertemplate": "noise floor %{y:.3g}<extra></extra>",
     }
@@ -164,22 +166,22 @@ def gap_by_pose(axis: Axis) -> Figure:
             "height": 360,
             "bargap": max(0.35, 1 - 0.16 * len(poses)),
             "xaxis": {**scale("pose: positions of the joints that vary, rad (m)"), "type": "category"},
-            "yaxis": {**scale(f"RMS of the gap in {unit(axis)}"), "rangemode": "tozero"},
+            "yaxis": {**scale(f"RMS of the gap in {axis.unit}"), "rangemode": "tozero"},
         },
     )
 
 
-def example(axis: Axis) -> Figure:
+def example(axis: AxisDiagnosis) -> Figure:
     """The sweep with the largest gap: what the drive gave, what either model needs, and what is left."""
-    sweep: Axis = axis["example"]
-    time = rounded(np.array(sweep["time"]), 4)
-    measured, before, after = (np.array(sweep[key], dtype=float) for key in ("measured", "before", "after"))
+    sweep = axis.example
+    time = rounded(np.array(sweep.time), 4)
+    measured, before, after = (np.array(effort, dtype=float) for effort in (sweep.measured, sweep.before, sweep.after))
     traces = [
         line("measured", time, measured, RECORDED, width=3),
         line("model before", time, before, BEFORE, width=1.4),
         {**line("left before", time, measured - before, BEFORE, width=1.2), "yaxis": "y2", "showlegend": False},
     ]
-    if explained(axis):
+    if axis.explained:
         traces += [
             line("model after", time, after, AFTER, dash="dot", width=1.8),
             {**line("left after", time, measured - after, AFTER, width=1.2), "yaxis": "y2", "showlegend": False},
@@ -189,19 +191,19 @@ def example(axis: Axis) -> Figure:
         {
             "height": 480,
             "xaxis": {**scale("time in s"), "anchor": "y2"},
-            "yaxis": {**scale(f"effort in {unit(axis)}"), "domain": [0.45, 1.0]},
-            "yaxis2": {**scale(f"left in {unit(axis)}", zeroline=True), "domain": [0.0, 0.37]},
+            "yaxis": {**scale(f"effort in {axis.unit}"), "domain": [0.45, 1.0]},
+            "yaxis2": {**scale(f"left in {axis.unit}", zeroline=True), "domain": [0.0, 0.37]},
         },
     )
 
 
-def evidence(axis: Axis) -> Figure | None:
+def evidence(axis: AxisDiagnosis) -> Figure | None:
     """How far behind the chosen explanation every other candidate is, on a scale of powers of ten."""
-    rivals: Sequence[Axis] = axis["rivals"]
-    if not rivals or not axis["effects"]:
+    rivals = axis.rivals
+    if not rivals or not axis.effects:
         return None
-    chosen = " + ".join(effect_words(effect["effect"]) for effect in axis["effects"])
-    rows = [(chosen, 0.0, AFTER), *((effect_words(r["effect"]), r["behind"], _colour(axis, r)) for r in rivals)]
+    chosen = " + ".join(effect_words(effect.effect) for effect in axis.effects)
+    rows = [(chosen, 0.0, AFTER), *((effect_words(r.effect), r.behind, _colour(axis, r)) for r in rivals)]
     names, behind, colours = zip(*rows, strict=True)
     places = [_signed_power(value) for value in behind]
     ticks = [-1e4, -1e3, -100.0, -10.0, 0.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8]
@@ -234,17 +236,17 @@ def evidence(axis: Axis) -> Figure | None:
     )
 
 
-def parameters(axis: Axis) -> Figure | None:
+def parameters(axis: AxisDiagnosis) -> Figure | None:
     """Every parameter of the named effects with two standard deviations, in percent of its value."""
     rows = [
-        (f"{effect_words(effect['effect'])}: {name.replace('_', ' ')}", value)
-        for effect in axis["effects"]
-        for name, value in effect["parameters"].items()
-        if value["value"]
+        (f"{effect_words(effect.effect)}: {name.replace('_', ' ')}", value)
+        for effect in axis.effects
+        for name, value in effect.parameters.items()
+        if value.value
     ]
     if not rows:
         return None
-    interval = [200 * abs(_number(value["std"]) / value["value"]) for _, value in rows]
+    interval = [200 * abs(number(value.std) / value.value) for _, value in rows]
     reach = min(1.15 * max((one for one in interval if math.isfinite(one)), default=10.0) + 1, 250)
     nothing = [_upright("", -100.0, "#64748b")] if reach > 100 else []
     return figure(
@@ -273,25 +275,15 @@ def parameters(axis: Axis) -> Figure | None:
     )
 
 
-def explained(axis: Axis) -> bool:
-    """Whether there is an after: effects that the model had not."""
-    return bool(axis["effects"])
-
-
 def effect_words(effect: str) -> str:
     """An effect's name for a person."""
     words = effect.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
     return words[:1].upper() + words[1:]
 
 
-def measured(value: Mapping[str, Any]) -> str:
+def measured(value: Value) -> str:
     """Value, standard deviation and unit of a parameter."""
-    return f"{value['value']:.4g} ± {_number(value['std']):.2g} {value['unit']}".rstrip()
-
-
-def unit(axis: Axis) -> str:
-    """Of the axis' effort."""
-    return str(axis["unit"])
+    return f"{value.value:.4g} ± {number(value.std):.2g} {value.unit}".rstrip()
 
 
 def pose_labels(poses: Sequence[Sequence[float]]) -> list[str]:
@@ -304,13 +296,13 @@ def pose_labels(poses: Sequence[Sequence[float]]) -> list[str]:
     return [f"{k}: {label}" for k, label in enumerate(labels, start=1)]
 
 
-def _colour(axis: Axis, rival: Axis) -> str:
-    return TIE if rival["effect"] in axis["candidates"] else "#94a3b8"
+def _colour(axis: AxisDiagnosis, rival: Rival) -> str:
+    return TIE if rival.effect in axis.candidates else "#94a3b8"
 
 
-def _behind(axis: Axis, rival: Axis) -> str:
+def _behind(axis: AxisDiagnosis, rival: Rival) -> str:
     """In words too: colour alone tells nothing on grey paper."""
-    return f"{round(rival['behind']):,}{', not ruled out' if rival['effect'] in axis['candidates'] else ''}"
+    return f"{round(rival.behind):,}{', not ruled out' if rival.effect in axis.candidates else ''}"
 
 
 def _signed_power(value: float) -> float:
@@ -354,5 +346,6 @@ def _upright(tail: str, place: float, colour: str = FLOOR) -> Figure:
     }
 
 
-def _number(value: float | None) -> float:
+def number(value: float | None) -> float:
+    """NaN for what is not known."""
     return float("nan") if value is None else float(value)

@@ -6,6 +6,8 @@ from typing import Any
 
 from service.identification.model.certainty import UNSURE, share_of_value
 from service.report.diagnosis import plain
+from service.results.check import DataCheck
+from service.results.diagnosis import Diagnosis
 
 Document = Mapping[str, Any]
 
@@ -22,8 +24,8 @@ class Verdict:
 
 def verdict(
     estimate: Document,
-    check: Document | None,
-    diagnosis: tuple[int, Document] | None,
+    check: DataCheck | None,
+    diagnosis: tuple[int, Diagnosis] | None,
     test_mass: float | None = None,
 ) -> Verdict:
     """Of an estimate's document, the findings of the data's check, and number and document of the newest diagnosis."""
@@ -62,21 +64,21 @@ def _mass(test_mass: float | None) -> tuple[str, str]:
     return OPEN, f"a test mass of {test_mass:g} kg was mounted, so this is not the bare robot"
 
 
-def _check(check: Document | None) -> tuple[str, str]:
+def _check(check: DataCheck | None) -> tuple[str, str]:
     if check is None:
         return OPEN, "the data were not checked yet"
-    wrong = [one for one in check["findings"] if one["severity"] == "wrong"]
+    wrong = [one for one in check.findings if one.severity == "wrong"]
     if wrong:
-        codes = sorted({f"{one['code'].replace('_', ' ')} of {one['axis'] or 'the robot'}" for one in wrong})
+        codes = sorted({f"{one.code.replace('_', ' ')} of {one.axis or 'the robot'}" for one in wrong})
         return CONTRADICTED, f"but the check of the data says that they cannot be trusted ({', '.join(codes)})"
-    warnings = len(check["findings"])
+    warnings = len(check.findings)
     return (
         CONFIRMED,
         f"the check of the data found {_count(warnings, 'warning', 'warnings') if warnings else 'nothing'}",
     )
 
 
-def _diagnosis(estimate: Document, diagnosis: tuple[int, Document] | None) -> tuple[str, str]:
+def _diagnosis(estimate: Document, diagnosis: tuple[int, Diagnosis] | None) -> tuple[str, str]:
     """An effect that the estimate took into account is none that it lacks."""
     if diagnosis is None:
         return OPEN, "no diagnosis was made of it"
@@ -84,21 +86,21 @@ def _diagnosis(estimate: Document, diagnosis: tuple[int, Document] | None) -> tu
     taken = {(one["axis"], one["effect"]) for one in estimate.get("effects", ()) if one["used"]}
     against: list[str] = []
     untold: list[str] = []
-    for joint, axis in document["axes"].items():
+    for joint, axis in document.axes.items():
         if joint not in estimate["axes"]:
             continue
-        effects = [one["effect"] for one in axis["effects"] if (joint, one["effect"]) not in taken]
-        if axis["verdict"] == "named" and effects:
+        effects = [one.effect for one in axis.effects if (joint, one.effect) not in taken]
+        if axis.verdict == "named" and effects:
             against.append(f"the model of {joint} lacks {_list([plain(effect) for effect in effects])}")
-        elif axis["verdict"] == "ambiguous":
+        elif axis.verdict == "ambiguous":
             against.append(f"something is missing in {joint} that is not named yet")
-        elif axis["verdict"] == "unknown":
+        elif axis.verdict == "unknown":
             against.append(f"{joint} has a gap that no known effect explains")
-        elif axis["verdict"] == "untestable":
+        elif axis.verdict == "untestable":
             untold.append(joint)
     if against:
         return CONTRADICTED, f"but diagnosis {number} contradicts it: {', '.join(against)}"
-    asked = [joint for joint in estimate["axes"] if joint in document["axes"] and joint not in untold]
+    asked = [joint for joint in estimate["axes"] if joint in document.axes and joint not in untold]
     if len(asked) < len(estimate["axes"]):
         left = [joint for joint in estimate["axes"] if joint not in asked]
         return OPEN, f"diagnosis {number} does not tell whether something is missing in {_list(left)}"

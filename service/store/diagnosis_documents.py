@@ -2,9 +2,14 @@
 
 from datetime import datetime
 from enum import Enum
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from service.errors import Conflict
+from service.results.described import JsonOf
+from service.results.diagnosis import Diagnosis
+from service.results.revision import ModelRevision
 from service.store.documents import LARGEST_ID
 
 
@@ -94,7 +99,13 @@ class DiagnosisEntry(NewDiagnosis):
 class DiagnosisDocument(DiagnosisEntry):
     """A diagnosis; `document` as `sweepid diagnose --json` prints it, once it is done."""
 
-    document: dict[str, JsonValue] | None
+    document: Annotated[dict[str, JsonValue], JsonOf(Diagnosis)] | None
+
+    def found(self, to_do: str = "show") -> Diagnosis:
+        """What `document` says; Conflict while there is nothing `to_do`, BadInput where it is no diagnosis."""
+        if self.document is None:
+            raise Conflict(f"diagnosis {self.id} is {self.state.value}, there is nothing to {to_do} yet")
+        return Diagnosis.read(self.document, f"diagnosis {self.id}")
 
 
 class ModelDocument(_Document):
@@ -110,4 +121,9 @@ class ModelDocument(_Document):
     diagnosis_id: int
     accepted_by: str
     at: datetime
-    document: dict[str, JsonValue]
+    document: Annotated[dict[str, JsonValue], JsonOf(ModelRevision)]
+
+    @property
+    def content(self) -> ModelRevision:
+        """What `document` says; BadInput where it is no model."""
+        return ModelRevision.read(self.document, f"model {self.id}")

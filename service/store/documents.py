@@ -8,11 +8,14 @@ import json
 from collections.abc import Mapping
 from datetime import datetime
 from enum import Enum
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, JsonValue
 
 from drivers.ports import SweepMode
 from service.recording import SweepSpec
+from service.results.described import JsonOf
+from service.results.estimate import Estimate
 from service.robot import Robot, RobotDescription, build_robot
 
 Json = Mapping[str, JsonValue]
@@ -137,8 +140,13 @@ class EstimateDocument(_Document):
     campaign_id: int
     revision: int
     number: int
-    document: dict[str, JsonValue]
+    document: Annotated[dict[str, JsonValue], JsonOf(Estimate)]
     created_at: datetime
+
+    @property
+    def content(self) -> Estimate:
+        """What `document` says; BadInput where it is no estimate."""
+        return Estimate.read(self.document, f"estimate {self.revision} of campaign {self.campaign_id}")
 
 
 class EventDocument(_Document):

@@ -3,8 +3,6 @@
 Commands take `If-Match` with the campaign's ETag: 412 when the campaign has changed since the client read it.
 """
 
-from typing import Literal
-
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
@@ -14,6 +12,7 @@ from service.api.dependencies import After, Id, IfMatch, LabOf, Limit, Page, set
 from service.api.idempotent import IdempotentRoute
 from service.execution.check_move import CheckMove
 from service.lab import Lab
+from service.results.check import DataCheck
 from service.store.documents import LARGEST_ID, CampaignDocument
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=IdempotentRoute)
@@ -34,37 +33,6 @@ class Resume(BaseModel):
 class Abort(BaseModel):
     model_config = ConfigDict(extra="forbid")
     why: str = Field(default="aborted by request", min_length=1, max_length=500)
-
-
-class Finding(BaseModel):
-    """`severity` wrong: no physics of the `axis` (null: of the whole robot) can be trusted; warning: read it.
-
-    `value` and `limit` are of one unit, which the sentence names; null where there is no number.
-    """
-
-    code: str
-    severity: Literal["wrong", "warning"]
-    axis: str | None
-    sweeps: tuple[str, ...]
-    value: float | None
-    limit: float | None
-    sentence: str
-    action: str
-
-
-class CheckedAxis(BaseModel):
-    """An axis that was swept, and the codes of what was found about it."""
-
-    sweeps: int
-    trustworthy: bool
-    codes: tuple[str, ...]
-
-
-class DataCheck(BaseModel):
-    """Do recordings, set-points and robot file fit together?"""
-
-    findings: tuple[Finding, ...]
-    axes: dict[str, CheckedAxis]
 
 
 class CheckMoveView(BaseModel):
@@ -148,7 +116,7 @@ def view(lab: Lab, campaign: CampaignDocument) -> CampaignView:
         progress=progress(campaign.state, lab.store.sweeps(campaign.id), times, under_way),
         motion=steps(under_way, check_move),
         check_move=_check_move(check_move),
-        data_check=None if checked is None else DataCheck.model_validate(checked),
+        data_check=None if checked is None else DataCheck.read(checked, f"data check of campaign {campaign.id}"),
     )
 
 

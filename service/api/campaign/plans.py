@@ -3,7 +3,7 @@
 from typing import Annotated, cast
 
 from fastapi import APIRouter, Request, Response
-from pydantic import Discriminator, Tag
+from pydantic import Discriminator, JsonValue, Tag
 
 from service.api.dependencies import After, Id, LabOf, Limit, Page
 from service.api.idempotent import IdempotentRoute
@@ -16,12 +16,13 @@ from service.identification.estimates.analysis_document import analyses_from
 from service.lab import Lab
 from service.planning.analysis.documents import AnalysisRequest
 from service.planning.analysis.plan import build_analysis_plan
-from service.planning.compiled_plan import other_machine
+from service.planning.compiled_plan import Plan, other_machine
 from service.planning.diagnosis.documents import DiagnosisRequest
 from service.planning.diagnosis.plan import build_diagnosis_plan
 from service.planning.plan import PlanRequest, build_plan
 from service.planning.trajectories.documents import TrajectoryRequest
 from service.planning.trajectories.plan import build_trajectory_plan
+from service.results.described import JsonOf
 from service.store.documents import PlanRecord
 
 
@@ -38,10 +39,17 @@ Wanted = Annotated[
     Discriminator(_kind),
 ]
 
+
+class PlanView(PlanRecord):
+    """A stored plan; `document` is of the kind that its request names."""
+
+    document: Annotated[dict[str, JsonValue], JsonOf(Plan)]
+
+
 router = APIRouter(prefix="/plans", tags=["plans"], route_class=IdempotentRoute)
 
 
-@router.post("", status_code=201)
+@router.post("", status_code=201, response_model=PlanView)
 def add_plan(wanted: Wanted, request: Request, response: Response, lab: LabOf, elsewhere: bool = False) -> PlanRecord:
     """Choose poses and excitation and store the plan. Takes seconds to minutes; nothing moves.
 
@@ -85,12 +93,12 @@ def _with_excitation(wanted: AnalysisRequest, lab: Lab) -> AnalysisRequest:
     return wanted.model_copy(update={"excitation": "noise" if able else "stepped_sine"})
 
 
-@router.get("")
+@router.get("", response_model=Page[PlanView])
 def list_plans(lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[PlanRecord]:
     plans = lab.store.plans(after, limit)
     return Page(items=plans, next=plans[-1].id if len(plans) == limit else None)
 
 
-@router.get("/{plan_id}")
+@router.get("/{plan_id}", response_model=PlanView)
 def get_plan(plan_id: Id, lab: LabOf) -> PlanRecord:
     return lab.store.plan(plan_id)

@@ -4,19 +4,21 @@ Asking for one moves nothing: it is computed from campaigns that are over. An ex
 with a person's approval and is a campaign like any other from then on (pause, abort, stop).
 """
 
-from typing import Annotated, Any, cast
+from typing import Annotated
 
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 from starlette.concurrency import run_in_threadpool
 
 from service.api.campaign.campaigns import CampaignView, view
+from service.api.campaign.plans import PlanView
 from service.api.dependencies import After, Id, LabOf, Limit, Page, set_etag
 from service.api.idempotent import IdempotentRoute
 from service.diagnosis_loop.starting import Start
 from service.errors import Conflict
 from service.planning.diagnosis.documents import CELL_NAME
 from service.report.diagnosis import diagnosis_figures, diagnosis_page
+from service.report.drawing import Figure
 from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, DiagnosisEntry, ModelDocument
 from service.store.documents import LARGEST_ID, PlanRecord
 
@@ -71,7 +73,7 @@ class Acceptance(_Body):
 class Figures(BaseModel):
     """Plotly figures by joint and name, as in the report."""
 
-    axes: dict[str, dict[str, dict[str, Any]]]
+    axes: dict[str, dict[str, Figure]]
 
 
 @router.post("", status_code=202)
@@ -103,7 +105,7 @@ def get_diagnosis(diagnosis_id: Id, lab: LabOf) -> DiagnosisDocument:
 @router.get("/{diagnosis_id}/figures")
 def get_diagnosis_figures(diagnosis_id: Id, lab: LabOf) -> Figures:
     """409 until the diagnosis is done."""
-    return Figures(axes=diagnosis_figures(_document(lab.diagnoses.diagnosis(diagnosis_id))))
+    return Figures(axes=diagnosis_figures(lab.diagnoses.diagnosis(diagnosis_id).found()))
 
 
 @router.get(
@@ -114,14 +116,14 @@ def get_diagnosis_figures(diagnosis_id: Id, lab: LabOf) -> Figures:
 def get_diagnosis_report(diagnosis_id: Id, lab: LabOf) -> Response:
     """One file that needs no network. 409 until the diagnosis is done."""
     diagnosis = lab.diagnoses.diagnosis(diagnosis_id)
-    document = _document(diagnosis)
+    found = diagnosis.found()
     robot = lab.store.robot(diagnosis.robot_id)
     campaigns = ", ".join(str(number) for number in diagnosis.campaigns)
-    page = diagnosis_page(document, f"Diagnosis {diagnosis_id} of {robot.name}", f"Campaigns {campaigns}")
+    page = diagnosis_page(found, f"Diagnosis {diagnosis_id} of {robot.name}", f"Campaigns {campaigns}")
     return Response(page, media_type="text/html")
 
 
-@router.post("/{diagnosis_id}/plan", status_code=201)
+@router.post("/{diagnosis_id}/plan", status_code=201, response_model=PlanView)
 def plan_experiment(
     diagnosis_id: Id, wanted: PlanOfExperiment, request: Request, response: Response, lab: LabOf
 ) -> PlanRecord:
@@ -153,9 +155,3 @@ def accept_model(
     model = lab.accept_model(diagnosis_id, acceptance.axes, acceptance.accepted_by)
     response.headers["Location"] = str(request.url_for("get_model_revision", model_id=model.id))
     return model
-
-
-def _document(diagnosis: DiagnosisDocument) -> dict[str, Any]:
-    if diagnosis.document is None:
-        raise Conflict(f"diagnosis {diagnosis.id} is {diagnosis.state.value}, there is nothing to show yet")
-    return cast("dict[str, Any]", diagnosis.document)

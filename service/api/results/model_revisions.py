@@ -1,6 +1,6 @@
 """Models of robots as people accepted them from diagnoses: rigid body and effects; append-only."""
 
-from typing import Annotated, Any, cast
+from typing import Annotated
 
 import yaml
 from fastapi import APIRouter, Query, Response
@@ -38,8 +38,8 @@ def get_model_scenario(model_id: Id, lab: LabOf) -> Response:
 
     What a scenario cannot hold stands in comments at its head.
     """
-    document = cast("dict[str, Any]", lab.models.model(model_id).document)
-    notes = "".join(f"# {note}\n" for note in document["notes"])
-    text = notes + yaml.safe_dump(document["scenario"], sort_keys=False)
+    model = lab.models.model(model_id).content
+    notes = "".join(f"# {note}\n" for note in model.notes)
+    text = notes + yaml.safe_dump(model.scenario, sort_keys=False)
     disposition = {"Content-Disposition": f'attachment; filename="model-{model_id}-scenario.yaml"'}
     return Response(text, media_type="application/yaml", headers=disposition)

@@ -1,12 +1,13 @@
 """`sweepid diagnose BUNDLE`: where model and measurement disagree, what is missing, and what to measure next."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 import yaml
+from pydantic import JsonValue
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -16,11 +17,13 @@ from service.diagnosis import AxisDiagnosis, as_document, diagnose_axis, is_evid
 from service.diagnosis.start import CAD
 from service.errors import BadInput
 from service.report import diagnosis_page
+from service.report.gap_figures import measured, number
+from service.results.diagnosis import Diagnosis, RigidParameter
+from service.results.effect import Effect
 from service.robot import Robot
 from service.store.files.bundle import Bundle, read_bundle
 
-_SIZES = {"before": "before_rms", "after": "after_rms", "noise floor": "noise_floor_rms", "twin": "twin_rms"}
-"""Columns of the table, and where of the gap they stand."""
+_SIZES = ("before", "after", "noise floor", "twin")
 
 
 def diagnose(
@@ -44,26 +47,25 @@ def diagnose(
     """Find where simulation and measurement disagree, and name the missing effect."""
     measured = read_bundle(bundle)
     document = diagnose_bundle(measured, axis, str(bundle), known or (), estimate, twin=twin)
+    found = Diagnosis.read(document, str(bundle))
     if model is not None:
         write_file(model, as_json(model_document(measured.robot, document)))
     if scenario is not None:
-        write_scenario(scenario, measured.robot, document["model"]["scenario"])
+        write_scenario(scenario, measured.robot, found.model.scenario)
     if report is not None:
-        write_file(
-            report, diagnosis_page(document, f"Diagnosis of the robot {document['model']['robot']}", str(bundle))
-        )
+        write_file(report, diagnosis_page(found, f"Diagnosis of the robot {found.model.robot}", str(bundle)))
     if put_json(document, json_to):
         return
-    print_diagnosis(document, Console())
+    print_diagnosis(found, Console())
 
 
-def write_scenario(path: Path, robot: Robot, scenario: dict[str, Any]) -> None:
+def write_scenario(path: Path, robot: Robot, scenario: Mapping[str, JsonValue]) -> None:
     """A scenario that the virtual machine can load: with the robot's description and URDF beside it."""
     description = robot.description.model_dump(mode="json") | {"urdf": f"{path.stem}-robot.urdf"}
     files = {
         description["urdf"]: robot.urdf_text,
         f"{path.stem}-robot.yaml": yaml.safe_dump(description, sort_keys=False),
-        path.name: yaml.safe_dump(scenario | {"robot": f"{path.stem}-robot.yaml"}, sort_keys=False),
+        path.name: yaml.safe_dump({**scenario, "robot": f"{path.stem}-robot.yaml"}, sort_keys=False),
     }
     for name, text in files.items():
         write_file(path.parent / name, text)
@@ -77,7 +79,7 @@ def diagnose_bundle(
     estimate: Path | None = None,
     *,
     twin: bool = True,
-) -> dict[str, Any]:
+) -> dict[str, JsonValue]:
     """The document of all axes that were swept, or of one; BadInput if that leaves none.
 
     `estimate`: file of an estimate from which the rigid model starts; BadInput if it is of another robot.
@@ -101,7 +103,7 @@ def diagnose_bundle(
     return as_document(bundle.robot, found)
 
 
-def print_diagnosis(document: dict[str, Any], console: Console) -> None:
+def print_diagnosis(document: Diagnosis, console: Console) -> None:
     """Verdict and gap of each axis; the same in words, where the gap is, the parameters, and what to measure next.
 
     "twin" is what the simulator leaves with the model that is handed on.
@@ -109,44 +111,45 @@ def print_diagnosis(document: dict[str, Any], console: Console) -> None:
     table = Table(title="Diagnosis; gap, RMS")
     for name in ("axis", "verdict", "effects", *_SIZES, ""):
         table.add_column(name, no_wrap=name in ("axis", "effects"), justify="right" if name in _SIZES else "left")
-    for joint, axis in document["axes"].items():
-        names = axis["candidates"] or [effect["effect"] for effect in axis["effects"]]
-        sizes = (axis["gap"][key] for key in _SIZES.values())
+    for joint, axis in document.axes.items():
+        names = axis.candidates or [effect.effect for effect in axis.effects]
+        gap = axis.gap
+        sizes = (gap.before_rms, gap.after_rms, gap.noise_floor_rms, gap.twin_rms)
         table.add_row(
             joint,
-            axis["verdict"],
-            (" or " if axis["candidates"] else ", ").join(names) or "-",
+            axis.verdict,
+            (" or " if axis.candidates else ", ").join(names) or "-",
             *("-" if size is None else f"{size:.4g}" for size in sizes),
-            axis["unit"],
+            axis.unit,
         )
     console.print(table)
-    for joint, axis in document["axes"].items():
-        console.print(axis["summary"])
-        if axis["started_from"] != CAD:
-            console.print(f"  The rigid model started from {axis['started_from']}.", highlight=False, soft_wrap=True)
-        for sentence in axis["sentences"]:
+    for joint, axis in document.axes.items():
+        console.print(axis.summary)
+        if axis.started_from != CAD:
+            console.print(f"  The rigid model started from {axis.started_from}.", highlight=False, soft_wrap=True)
+        for sentence in axis.sentences:
             console.print(f"  {sentence}")
-        for effect in axis["effects"]:
-            _print_effect(effect, "If it is that: " if effect["effect"] in axis["candidates"] else "", console)
-        for effect in axis["part"]:
+        for effect in axis.effects:
+            _print_effect(effect, "If it is that: " if effect.effect in axis.candidates else "", console)
+        for effect in axis.part:
             _print_effect(effect, "Part of it, beside what nobody knows: ", console)
-        console.print(_rigid_table(joint, axis["rigid_model"], "CAD" if axis["started_from"] == CAD else "estimate"))
-        if axis["next_experiment"]:
-            console.print(f"{joint}: next, {axis['next_experiment']['kind']}. {axis['next_experiment']['reason']}")
+        console.print(_rigid_table(joint, axis.rigid_model, "CAD" if axis.started_from == CAD else "estimate"))
+        if axis.next_experiment is not None:
+            console.print(f"{joint}: next, {axis.next_experiment.kind}. {axis.next_experiment.reason}")
 
 
-def _print_effect(effect: dict[str, Any], before: str, console: Console) -> None:
-    console.print(f"  {before}{effect['sentence']}")
-    for name, value in effect["parameters"].items():
-        console.print(f"    {name} = {value['value']:.4g} ± {value['std']:.2g} {value['unit']}".rstrip())
+def _print_effect(effect: Effect, before: str, console: Console) -> None:
+    console.print(f"  {before}{effect.sentence}")
+    for name, value in effect.parameters.items():
+        console.print(f"    {name} = {measured(value)}")
 
 
-def _rigid_table(joint: str, parameters: Sequence[dict[str, Any]], before: str) -> Table:
+def _rigid_table(joint: str, parameters: Sequence[RigidParameter], before: str) -> Table:
     """What CAD and data sheet, or an estimate, say of the rigid model, and what these sweeps say."""
     table = Table(title=f"{joint}: rigid model, base parameters")
     for name in ("parameter", before, "found", "± std"):
         table.add_column(name, justify="left" if name == "parameter" else "right")
     for one in parameters:
-        nominal = "-" if one["nominal"] is None else f"{one['nominal']:.4g}"
-        table.add_row(one["name"], nominal, f"{one['value']:.4g}", f"{one['std']:.2g}")
+        nominal = "-" if one.nominal is None else f"{one.nominal:.4g}"
+        table.add_row(one.name, nominal, f"{one.value:.4g}", f"{number(one.std):.2g}")
     return table

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from itertools import combinations
 
 from service.errors import BadInput
-from service.identification.motion.trajectory_record import axes_of_block
 from service.identification.spectra.frequency_response import Spectrum
 
 
@@ -16,7 +15,7 @@ def check_moved_alone(spectra: Sequence[Spectrum]) -> None:
     """
     trajectories = [each for each in spectra if each.spec.excitation == "trajectory"]
     for each in trajectories:
-        if axes_of_block(each.spec.block) > 1:
+        if each.spec.axes_at_once > 1:
             raise BadInput(
                 f"sweep {each.spec.id}",
                 f"its block {each.spec.block!r} moved several axes at once: the equations of {each.spec.axis} alone do "

@@ -7,7 +7,6 @@ lies below the band's end, so velocity and acceleration need no difference quoti
 X_h = 1/N sum_n x_n exp(-2 pi i h n P / N) as in `frequency_response`; X_0 is the mean.
 """
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -130,23 +129,16 @@ def runs_at_once(spec: SweepSpec) -> bool:
     return spec.excitation == "trajectory" and spec.periodic
 
 
-def block_label(number: int, axes: int) -> str:
-    """The block of all sweeps of a trajectory; it says how many there are, so that none is taken for standing."""
-    return f"trajectory {number} of {axes} axes"
-
-
 def trajectories(robot: Robot, tracks: Sequence[AxisTrack]) -> tuple[TrajectoryRecord, ...]:
     """Tracks put together by block, pose and start; BadInput where they do not belong together after all.
 
-    A trajectory of which axes are still missing by its `block_label` is left out.
+    A trajectory of which axes are still missing by its block is left out.
     """
     groups: dict[tuple[object, ...], list[AxisTrack]] = {}
     for track in tracks:
         spec = track.spec
         groups.setdefault((spec.block, spec.started_at, spec.pose, spec.repeat), []).append(track)
-    return tuple(
-        trajectory(robot, group) for group in groups.values() if len(group) >= axes_of_block(group[0].spec.block)
-    )
+    return tuple(trajectory(robot, group) for group in groups.values() if len(group) >= group[0].spec.axes_at_once)
 
 
 def trajectory(robot: Robot, tracks: Sequence[AxisTrack]) -> TrajectoryRecord:
@@ -198,12 +190,6 @@ def in_time(harmonics: Complex, samples: int) -> Array:
     kept = harmonics[: samples // 2]
     spectrum[: len(kept)] = kept
     return np.fft.irfft(spectrum * samples, samples)
-
-
-def axes_of_block(block: str) -> int:
-    """How many axes the label of a trajectory names; 1 for any other label."""
-    found = re.fullmatch(r"trajectory \d+ of (\d+) axes", block)
-    return int(found[1]) if found else 1
 
 
 def _pairs(values: Complex) -> list[list[float]]:

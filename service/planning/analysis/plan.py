@@ -21,7 +21,7 @@ from service.planning.analysis.documents import AnalysisPlan, AnalysisRequest, P
 from service.planning.candidates import grid, has_room, room
 from service.planning.documents import DroppedPose, PlannedLeg, PlannedSweep
 from service.planning.itinerary import LEG_OVERHEAD
-from service.recording import STEPPED, Sine, SweepSpec
+from service.recording import Sine, SweepPurpose, SweepSpec
 from service.robot import Robot
 from service.safety.envelope import Envelope
 from service.safety.noise_motion import noise_way
@@ -181,7 +181,9 @@ class _Way:
         envelope = self._envelope
         sway = sum(sine.amplitude / (np.pi * sine.frequency) for sine in design.sines)
         return PlannedSweep(
-            spec=self._spec(index, start, design, STEPPED).model_copy(update={"sines": design.sines}),
+            spec=self._spec(index, start, design, SweepPurpose.STEPPED_SINE.value).model_copy(
+                update={"sines": design.sines}
+            ),
             mode=SweepMode.DRIVE_SIDE,
             ramp=design.ramp,
             settle=design.settle,

@@ -9,11 +9,10 @@ from service.geometry.cell import Cell
 from service.identification.design.exciting_trajectory import Shape, Trajectory, TrajectoryLimits, design_trajectory
 from service.identification.model.base_parameters import joint_ranges
 from service.identification.model.whole_base import dynamic_base
-from service.identification.motion.trajectory_record import block_label
 from service.planning.documents import PlannedLeg, PlannedSweep
 from service.planning.itinerary import LEG_OVERHEAD
 from service.planning.trajectories.documents import TrajectoryPlan, TrajectoryRequest
-from service.recording import SweepSpec
+from service.recording import SweepSpec, together
 from service.robot import Robot
 from service.safety.envelope import Envelope
 
@@ -129,7 +128,7 @@ def _sweeps(
                     measure_from=design.measure_from,
                     sample_rate=request.sample_rate,
                     started_at=clock + travelling,
-                    block=block_label(number, len(request.axes)),
+                    block=together(number, len(request.axes)),
                 ),
                 mode=SweepMode.HOST_STREAMED,
                 ramp=design.ramp,

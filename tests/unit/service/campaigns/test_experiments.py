@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from pydantic import JsonValue
 
 from service.campaigns.live import EventFeed
 from service.diagnosis_loop.diagnosing import Diagnosing
@@ -20,6 +19,7 @@ from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, NewDiagnosis
 from service.store.documents import CampaignState, NewSweep
 from service.worker.dask_workers import DaskWorkers
+from tests.stored.documents import axis_document, diagnosis_document, stored
 from tests.unit.service.campaigns.conftest import Bench, open_bench, spec, until
 
 MASS = BoltedMass(mass=20.0, center=(0.1, 0.0, 0.0))
@@ -35,9 +35,11 @@ class Loop:
     def done(self, kind: str | None, new: NewDiagnosis | None = None, verdict: str = "ambiguous") -> DiagnosisDocument:
         """A diagnosis of joint_1 that proposes an experiment of a kind."""
         diagnosis = self.diagnoses.add(new or self.new)
-        wanted: JsonValue = None if kind is None else {"kind": kind, "sweeps": []}
+        proposal = stored("diagnosis-open")["axes"]["joint_1"]["next_experiment"]
+        wanted = None if kind is None else proposal | {"kind": kind, "sweeps": []}
         self.diagnoses.add_result(diagnosis.id, "joint_1", verdict, {"verdict": verdict})
-        self.diagnoses.finish(diagnosis.id, {"axes": {"joint_1": {"next_experiment": wanted}}})
+        axis = axis_document(verdict=verdict, next_experiment=wanted)
+        self.diagnoses.finish(diagnosis.id, diagnosis_document(joint_1=axis))
         return self.diagnoses.diagnosis(diagnosis.id)
 
     def measured(self, diagnosis: DiagnosisDocument, mass: BoltedMass | None) -> int:

@@ -15,6 +15,7 @@ from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis_documents import BoltedMass, NewDiagnosis
 from service.store.documents import NewSweep, SweepState
 from service.store.files.exchange import campaign_bundle
+from tests.stored.documents import diagnosis, diagnosis_document
 from tests.unit.service.campaigns.conftest import POSES, SPECTRUM, Bench, spec
 
 
@@ -42,7 +43,7 @@ async def test_origin_drives_and_one_sweep_come_from_what_was_recorded(bench: Be
     diagnoses = DiagnosisStore(bench.database)
     for joint in ("joint_1", "joint_2"):
         number = diagnoses.add(NewDiagnosis(robot_id=1, campaigns=(1,), axes=(joint,))).id
-        diagnoses.finish(number, {"axes": {}})
+        diagnoses.finish(number, diagnosis_document())
     diagnoses.add(NewDiagnosis(robot_id=1, campaigns=(1,), axes=("joint_3",)))  # waits
 
     job = reporting(bench).job(1)
@@ -50,7 +51,7 @@ async def test_origin_drives_and_one_sweep_come_from_what_was_recorded(bench: Be
         (f"joint_{n}", f"node {n}", n, len(POSES)) for n in (1, 2, 3)
     ]
     assert [spec.id for spec in job.specs] == ["0001", "0002", "0003", "0004"]
-    assert job.report.diagnosis == (2, {"axes": {}})
+    assert job.report.diagnosis == (2, diagnosis())
     assert job.report.check is None
     origin = dict(job.report.origin)
     assert origin["robot"] == "max100-class, number 1 of this service"
@@ -70,7 +71,7 @@ async def test_origin_drives_and_one_sweep_come_from_what_was_recorded(bench: Be
 async def test_who_approved_an_experiment_and_its_test_mass_are_told(bench: Bench, robot: Robot) -> None:
     diagnoses = DiagnosisStore(bench.database)
     number = diagnoses.add(NewDiagnosis(robot_id=1, campaigns=(1,), axes=("joint_1",))).id
-    diagnoses.finish(number, {"axes": {}})
+    diagnoses.finish(number, diagnosis_document())
     mass = BoltedMass(mass=20.0, center=(0.0, 0.0, 0.1))
     new = [NewSweep(spec=spec(1, POSES[0]), mode=None)]
     campaign = diagnoses.approve(number, "joint_1", "Ada", mass, {}, new)

@@ -8,7 +8,7 @@ from service.geometry.cell import Cell
 from service.identification.design.excitation import Excitation
 from service.planning.itinerary import least_duration
 from service.planning.plan import PlanDocument, PlanRequest, build_plan
-from service.recording import WARM_UP
+from service.recording import SweepPurpose
 from tests.unit.service.campaigns.small_arm import small_arm
 
 
@@ -19,7 +19,7 @@ def plan(**fields: object) -> PlanDocument:
 
 def test_all_axes_in_turn_in_the_first_pose_for_the_time_wanted() -> None:
     cold, document = plan(), plan(warm_up=60.0)
-    warm = [sweep for sweep in document.sweeps if sweep.spec.block == WARM_UP]
+    warm = [sweep for sweep in document.sweeps if sweep.spec.purpose is SweepPurpose.WARM_UP]
     assert document.sweeps[: len(warm)] == tuple(warm)
     assert {sweep.spec.pose for sweep in warm} == {document.sweeps[len(warm)].spec.pose}
     assert [sweep.spec.axis for sweep in warm] == ["j1", "j2"] * (len(warm) // 2)
@@ -47,7 +47,7 @@ def test_the_one_streamed_sweep_of_an_axis_is_one_that_counts() -> None:
 
 
 def test_none_unless_wanted_and_no_day_long_one() -> None:
-    assert all(sweep.spec.block != WARM_UP for sweep in plan().sweeps)
+    assert all(sweep.spec.purpose is not SweepPurpose.WARM_UP for sweep in plan().sweeps)
     assert least_duration([Excitation(0.01, (), 1.0, 5, 0.5, 0.5)]) > 6.5
     with pytest.raises(ValidationError, match="less than or equal to 7200"):
         plan(warm_up=1e6)

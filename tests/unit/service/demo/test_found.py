@@ -1,20 +1,15 @@
 """What the demo says of a diagnosis once it knows the truth: it does not flatter."""
 
-from typing import Any
-
 import pytest
 
 from service.demo.hidden import Found
+from tests.stored.documents import axis_document, diagnosis_document
 
 
 def found(verdict: str, named: list[str], candidates: list[str], model: int | None) -> Found:
-    axis: dict[str, Any] = {
-        "verdict": verdict,
-        "effects": [{"effect": name} for name in named],
-        "candidates": candidates,
-    }
+    axis = axis_document(tuple(named), verdict=verdict, candidates=candidates)
     hidden = {"joint": "joint_3", "effect": "coulomb_friction", "parameters": {"coulomb": 48.7878}}
-    return Found("joint_3", {"axes": {"joint_3": axis}}, (), model, hidden)
+    return Found("joint_3", diagnosis_document(joint_3=axis), (), model, hidden)
 
 
 @pytest.mark.parametrize(

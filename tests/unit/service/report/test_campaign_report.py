@@ -12,15 +12,29 @@ from service.configuration import read_robot
 from service.identification.model.certainty import not_for_use
 from service.report import CampaignReport, Content, Drive, content_of, render_campaign
 from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict
+from service.results.check import DataCheck, Finding
+from service.results.diagnosis import Diagnosis
 from service.robot import Robot
+from tests.stored import documents
+from tests.stored.documents import axis_document
 from tests.unit.service.report.test_report import content, sweep
 
-SOUND: dict[str, Any] = {"findings": []}
-WRONG: dict[str, Any] = {
-    "findings": [
-        {"code": "effort_sign", "severity": "wrong", "axis": "joint_1", "sentence": "It brakes.", "action": "Turn it."}
-    ]
-}
+SOUND = DataCheck(findings=(), axes={})
+WRONG = DataCheck(
+    findings=(
+        Finding(
+            code="effort_sign",
+            severity="wrong",
+            axis="joint_1",
+            sweeps=(),
+            value=None,
+            limit=None,
+            sentence="It brakes.",
+            action="Turn it.",
+        ),
+    ),
+    axes={},
+)
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +48,10 @@ def estimate(percent: float = 0.8, **more: Any) -> dict[str, Any]:
     return {"axes": axes, **more}
 
 
-def diagnosis(verdict: str, *effects: str) -> tuple[int, dict[str, Any]]:
-    axis = {"verdict": verdict, "effects": [{"effect": effect} for effect in effects]}
-    return 7, {"axes": {"joint_1": axis, "joint_2": {"verdict": "none", "effects": []}}}
+def diagnosis(verdict: str, *effects: str) -> tuple[int, Diagnosis]:
+    return 7, documents.diagnosis(
+        joint_1=axis_document(effects, verdict=verdict), joint_2=axis_document((), verdict="none")
+    )
 
 
 def test_confirmed_only_where_check_and_diagnosis_speak_for_it() -> None:
@@ -62,7 +77,7 @@ def test_confirmed_only_where_check_and_diagnosis_speak_for_it() -> None:
     ],
 )
 def test_what_is_not_known_is_not_confirmed(
-    document: dict[str, Any], check: dict[str, Any] | None, found: tuple[int, dict[str, Any]] | None, words: str
+    document: dict[str, Any], check: DataCheck | None, found: tuple[int, Diagnosis] | None, words: str
 ) -> None:
     told = verdict(document, check, found)
     assert told.standing == OPEN
@@ -86,9 +101,7 @@ def test_a_test_mass_is_told() -> None:
         (SOUND, diagnosis("unknown"), "joint_1 has a gap that no known effect explains"),
     ],
 )
-def test_what_speaks_against_it_comes_first(
-    check: dict[str, Any], found: tuple[int, dict[str, Any]], words: str
-) -> None:
+def test_what_speaks_against_it_comes_first(check: DataCheck, found: tuple[int, Diagnosis], words: str) -> None:
     told = verdict(estimate(40.0), check, found)
     assert told.standing == CONTRADICTED
     assert words in told.sentence

@@ -8,6 +8,8 @@ import pytest
 
 from service.diagnosis.summary import summary
 from service.report import diagnosis_figures, diagnosis_page
+from service.results.diagnosis import Diagnosis
+from tests.stored.documents import stored
 
 POSES = ([0.1, 0.5, 0.0], [0.1, -0.5, 0.0], [0.1, 0.0, 0.0])
 
@@ -89,8 +91,8 @@ def axis(**changes: Any) -> dict[str, Any]:
     return document | {"summary": summary("joint_2", document)}
 
 
-def document(**changes: Any) -> dict[str, Any]:
-    return {"axes": {"joint_2": axis(**changes)}, "model": {"robot": "r", "effects": {}}}
+def document(**changes: Any) -> Diagnosis:
+    return Diagnosis.read({"axes": {"joint_2": axis(**changes)}, "model": {"robot": "r", "effects": {}}}, "document")
 
 
 def figures(**changes: Any) -> dict[str, Any]:
@@ -177,10 +179,11 @@ def test_the_page_says_it_in_words_and_loads_nothing() -> None:
 
 
 def test_the_page_tells_what_to_measure_next() -> None:
+    designed = stored("diagnosis-open")["axes"]["joint_1"]["next_experiment"]["sweeps"][0]["spec"]
     experiment = {
         "kind": "reversal",
         "blocks": ["reversal"],
-        "sweeps": [{"spec": {"pose": pose}, "ramp": 0.5, "settle": 0.5} for pose in POSES * 2],
+        "sweeps": [{"spec": designed | {"pose": pose}, "ramp": 0.5, "settle": 0.5} for pose in POSES * 2],
         "seconds": 96.0,
         "separation": 200.0,
         "between": ["coulomb_friction", "stribeck_friction"],
@@ -265,9 +268,10 @@ def test_the_rigid_model_stands_beside_the_estimate_that_it_started_from() -> No
 
 
 def test_findings_of_the_data_come_first_and_once() -> None:
+    (found,) = stored("check-wrong")["findings"]
     findings = [
-        {"severity": "warning", "sentence": "Repeats differ.", "action": "Look at the floor."},
-        {"severity": "wrong", "sentence": "Torque has the wrong sign.", "action": "Turn it round."},
+        found | {"severity": "warning", "sentence": "Repeats differ.", "action": "Look at the floor."},
+        found | {"severity": "wrong", "sentence": "Torque has the wrong sign.", "action": "Turn it round."},
     ]
     sentences = [*(one["sentence"] for one in findings), "joint_2 leaves 30 N m."]
     markup = diagnosis_page(document(data=findings, sentences=sentences), "t")

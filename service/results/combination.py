@@ -1,0 +1,40 @@
+"""Sweeps and trajectories in one problem: "combination" of an estimate."""
+
+from pydantic import Field
+
+from service.results.part import Part
+
+
+class CombinedParameter(Part):
+    """A base parameter of the whole dynamics, SI; a std is null where its source does not determine it."""
+
+    name: str
+    value: float
+    std: float | None
+    std_total: float | None = None
+    std_sweeps: float | None = None
+    std_trajectories: float | None = None
+    std_nominal: float | None = None
+    source: str
+    identified: bool
+    reason: str
+
+
+class FreeMotionAxis(Part):
+    """What free motion leaves of an axis' effort, N m (N): in the fit, held out, and between equal motions."""
+
+    residual_rms: float
+    held_out_rms: float
+    held_out_percent: float
+    noise_floor_rms: float | None
+
+
+class Combination(Part):
+    """The joint estimate; `became_identifiable`: what neither sweeps nor trajectories alone identify."""
+
+    base_parameters: tuple[CombinedParameter, ...]
+    became_identifiable: tuple[str, ...] = ()
+    trajectories: tuple[tuple[str, ...], ...] = ()
+    noise: dict[str, dict[str, float]] = Field(default={})
+    free_motions: tuple[tuple[str, ...], ...] = ()
+    free_motion_axes: dict[str, FreeMotionAxis] = Field(default={})

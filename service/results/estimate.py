@@ -1,0 +1,168 @@
+"""An estimate: `sweepid identify --json`, and each revision of a campaign's."""
+
+from pydantic import Field, JsonValue
+
+from service.results.analysis import AxisAnalysis
+from service.results.combination import Combination
+from service.results.effect import Value
+from service.results.part import Document, Part
+
+
+class ResponseLine(Part):
+    """Effort over velocity at a frequency, Hz: N m s/rad (N s/m), `std` of its parts."""
+
+    frequency: float
+    re: float
+    im: float
+    std: float
+    noise_std: float | None = None
+    distortion_std: float | None = None
+
+
+class SweepInertia(Part):
+    """Inertia by one sweep, kg m^2 (kg): measured, of the nominal and the identified model, by the paper's formula."""
+
+    sweep: str
+    value: float
+    std: float
+    std_total: float | None = None
+    reference: float
+    identified: float
+    paper_value: float | None
+    viscous_friction: float | None = None
+    frequency_response: tuple[ResponseLine, ...] = ()
+    terms: dict[str, Value] = Field(default={})
+    warning: str = ""
+
+
+class Rmse(Part):
+    """The paper's Table 1, percent."""
+
+    reference_measured: float
+    identified_measured: float
+    reference_identified: float
+
+
+class HeldOut(Part):
+    """How well poses are predicted that took no part."""
+
+    sweeps: int
+    rmse_percent: float
+    standardized_rmse: float
+    within_95_percent: float
+
+
+class CramerRao(Part):
+    """Medians over the sweeps: the bound, and what is reached of it."""
+
+    bound_percent: float
+    std_over_bound: float
+
+
+class Distortion(Part):
+    """Noise and nonlinear distortion of the effort, N m (N), over realisations of the sweeps."""
+
+    realisations: int
+    poses: int
+    effort: tuple[dict[str, float], ...]
+
+
+class Spread(Part):
+    """Standard deviation of the inertia over the workspace, percent."""
+
+    median: float
+    worst: float
+
+
+class EstimatedAxis(Part):
+    """What is known of one axis; null is what its sweeps cannot tell."""
+
+    inertia: tuple[SweepInertia, ...]
+    rmse_percent: Rmse
+    drive_train: dict[str, Value] | None = None
+    load_motion: str = "motor_encoder"
+    torque_gain: Value = Value(value=1.0, std=0.0)
+    distortion: Distortion | None = None
+    effects_moved_in_std: float | None = None
+    confidence_percent: float | None = None
+    workspace_std_percent: Spread | None = None
+    reduced_chi_squared: float | None = None
+    held_out: HeldOut | None = None
+    cramer_rao: CramerRao | None = None
+
+
+class BaseParameter(Part):
+    """A combination of inertial parameters, kg, kg m or kg m^2; std null: not identified, and `reason` says why."""
+
+    name: str
+    symbolic: str | None = None
+    value: float
+    std: float | None
+    reason: str = ""
+
+
+class Base(Part):
+    """Joints that never moved with their positions, rad (m), and the covariance of the base parameters."""
+
+    locked: dict[str, float] = Field(default={})
+    covariance: tuple[tuple[float, ...], ...] = ()
+
+
+class Symbol(Part):
+    """A distance or an angle in the words of the base parameters."""
+
+    value: float
+    unit: str
+    meaning: str
+
+
+class StandardParameters(Part):
+    """One physical robot with these base parameters: ten numbers a link, and the motors' inertias, by name."""
+
+    links: dict[str, dict[str, float]]
+    motor_inertias: dict[str, float]
+
+
+class Physical(Part):
+    """How far the base parameters had to be moved to be physical, standard deviations."""
+
+    deviation_in_std: float | None
+
+
+class Suspect(Part):
+    """A sweep that does not fit the others, and the weight that it has left."""
+
+    axis: str
+    sweep: str
+    why: str
+    weight: float
+
+
+class UsedEffect(Part):
+    """A known effect, and whether and how it entered the estimate."""
+
+    axis: str
+    effect: str
+    parameters: dict[str, Value]
+    used: bool
+    how: str
+
+
+class Estimate(Document):
+    """Axes by joint, base parameters, the initial analysis and the combination with trajectories.
+
+    `model`: from which model the effects are: {"id", "revision"} or {"file"}, null where none is known.
+    """
+
+    axes: dict[str, EstimatedAxis]
+    base_parameters: tuple[BaseParameter, ...]
+    base: Base = Base()
+    symbols: dict[str, Symbol] = Field(default={})
+    condition_number: float | None
+    standard_parameters: StandardParameters
+    physical: Physical = Physical(deviation_in_std=None)
+    suspect: tuple[Suspect, ...] = ()
+    effects: tuple[UsedEffect, ...] = ()
+    model: dict[str, JsonValue] | None = None
+    analysis: dict[str, AxisAnalysis] = Field(default={})
+    combination: Combination | None = None

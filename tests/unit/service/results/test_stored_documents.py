@@ -1,0 +1,133 @@
+"""What is stored today is read, and comes out byte for byte; what is not a result is refused by place and field."""
+
+import json
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from pydantic import BaseModel
+
+from service.diagnosis import experiments, verdict
+from service.errors import BadInput
+from service.results.cell import Bin, Cell
+from service.results.check import DataCheck
+from service.results.diagnosis import AxisDiagnosis, Diagnosis, Verdict
+from service.results.estimate import Estimate
+from service.results.experiment import TEST_MASS
+from service.results.part import Document
+from service.results.revision import ModelRevision
+from tests.stored.documents import stored
+
+KINDS: dict[str, type[Document]] = {
+    "analysis": Estimate,
+    "check": DataCheck,
+    "check-wrong": DataCheck,
+    "diagnosis-named": Diagnosis,
+    "diagnosis-open": Diagnosis,
+    "estimate": Estimate,
+    "estimate-free-motion": Estimate,
+    "model": ModelRevision,
+}
+LATER = {  # keys of an axis that documents of before did not have
+    "part",
+    "changes",
+    "alternatives",
+    "started_from",
+    "rigid_model",
+    "unexplained",
+    "data",
+    "visible_in",
+}
+
+
+def canonical(document: object) -> str:
+    return json.dumps(document, sort_keys=True, separators=(",", ":"))
+
+
+def unnamed(value: object) -> set[str]:
+    """Keys, at any depth, that a model kept without describing them."""
+    if isinstance(value, BaseModel):
+        return set(value.model_extra or {}).union(
+            *map(unnamed, (getattr(value, key) for key in type(value).model_fields))
+        )
+    if isinstance(value, dict):
+        return set().union(*map(unnamed, value.values()))
+    return set().union(*map(unnamed, value)) if isinstance(value, tuple) else set()
+
+
+def test_every_stored_document_has_its_model(root: Path) -> None:
+    assert {path.stem for path in (root / "tests" / "stored").glob("*.json")} == set(KINDS)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_stored_document_comes_out_as_it_went_in(name: str) -> None:
+    document = stored(name)
+    assert canonical(KINDS[name].read(document, name).as_json()) == canonical(document)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_nothing_in_a_stored_document_is_without_a_name(name: str) -> None:
+    assert unnamed(KINDS[name].read(stored(name), name)) == set()
+
+
+def test_a_key_without_a_name_would_be_found() -> None:
+    document = stored("diagnosis-named")
+    document["axes"]["joint_1"]["where"][0]["planted"] = 1
+    document["axes"]["joint_1"]["also_planted"] = 1
+    assert unnamed(Diagnosis.read(document, "d")) == {"planted", "also_planted"}
+
+
+def test_words_of_mathematics_and_of_its_results_are_the_same() -> None:
+    assert get_args(Verdict) == tuple(one.value for one in verdict.Verdict)
+    assert experiments.TEST_MASS == TEST_MASS
+
+
+def test_older_documents_are_read() -> None:
+    axis = stored("diagnosis-named")["axes"]["joint_1"]
+    older = {key: value for key, value in axis.items() if key not in LATER}
+    older["gap"] = {key: axis["gap"][key] for key in axis["gap"] if key not in ("cross_validated", "twin_rms")}
+    older["fit"] = {key: axis["fit"][key] for key in axis["fit"] if key not in ("gravity", "torques")}
+    found = AxisDiagnosis.read(older, "axis")
+    assert (found.started_from, found.gap.cross_validated, found.fit.torques) == ("cad", False, "recorded")
+    assert canonical(found.as_json()) == canonical(older)
+
+
+def test_keys_that_nobody_described_are_kept() -> None:
+    document = stored("check") | {"tomorrow": {"n": 1}}
+    assert DataCheck.read(document, "check").as_json() == document
+
+
+def test_what_is_no_result_is_refused_by_its_field() -> None:
+    document = stored("diagnosis-named")
+    document["axes"]["joint_1"]["gap"]["before_rms"] = "much"
+    with pytest.raises(BadInput, match=r"^diagnosis 7\.axes\.joint_1\.gap\.before_rms"):
+        Diagnosis.read(document, "diagnosis 7")
+    with pytest.raises(BadInput, match=r"^file"):
+        Diagnosis.read([], "file")
+
+
+@pytest.mark.parametrize("version", [2, 0, "one", None])
+def test_what_a_newer_version_wrote_is_refused(version: object) -> None:
+    with pytest.raises(BadInput, match=r"file\.version.*update sweepid"):
+        DataCheck.read(stored("check") | {"version": version}, "file")
+
+
+@pytest.mark.parametrize(
+    ("value", "found"),
+    [
+        ("0.1 to 0.2 rad/s", Bin(0.1, 0.2, "rad/s")),
+        ("1e-12 to 0.1 rad/s2", Bin(1e-12, 0.1, "rad/s2")),
+        ("-544 to -414 N m", Bin(-544, -414, "N m")),
+        ("+0.10 rad", Bin(0.1, None, "rad")),
+        ("17 Hz", Bin(17, None, "Hz")),
+        ("3/8 turn", Bin(3, None, "turn", 8)),
+        ("reversal", None),
+        ("forward_slow of campaign 7", None),
+        ("7", None),
+        ("nan to 3 rad", None),
+        ("1 to many rad", None),
+        ("", None),
+    ],
+)
+def test_a_cell_in_numbers(value: str, found: Bin | None) -> None:
+    assert Cell(dimension="d", value=value, rms=1.0, significance=1.0, rms_after=1.0).bin == found
