@@ -24,7 +24,6 @@ nearly s Jm, and whatever turns its phase is L_e. Jm has the data sheet's prior 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +33,7 @@ from service.errors import BadInput
 from service.identification.axis.joint_fit import STARTS, complete_prior, real_parts, scaled_inverse
 from service.identification.axis.nominal_priors import NOISE_GUESS, PosePrior, SharedPrior, pose_prior, shared_prior
 from service.identification.axis.sweep_model import OWN, SHARED, effort_residual
-from service.identification.model.convergence import converged
+from service.identification.model.convergence import Fit, converged
 from service.identification.model.regressor import axis_rows, gravity_terms
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Complex, Spectrum, spectrum, window
@@ -269,7 +268,7 @@ class _Problem:
             column += len(own)
         return np.concatenate(residuals), np.concatenate(jacobians)
 
-    def search(self, values: Array, noise: Array, evaluations: int) -> Any:
+    def search(self, values: Array, noise: Array, evaluations: int) -> Fit:
         """SciPy's result from `values` on."""
         return least_squares(
             lambda x: self.rows(x, noise)[0],

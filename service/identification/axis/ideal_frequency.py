@@ -24,7 +24,6 @@ nothing was seen of f_l itself: then the last line is its lower bound, and that 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +33,7 @@ from service.errors import BadInput
 from service.identification.axis.joint_fit import SHARED, STARTS, scaled_inverse
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.design.excitation import LINE_MARGIN, LINES
-from service.identification.model.convergence import converged
+from service.identification.model.convergence import Fit, converged
 from service.identification.spectra.axis_inertia import DriveTrain, impedance
 from service.identification.spectra.noise_response import Response
 
@@ -239,9 +238,8 @@ def _fit(joint: str, problem: _Problem) -> tuple[Array, float, Array]:
     def jacobian(x: Array) -> Array:
         return np.vstack([_misfit(problem, mean + root @ x, weights)[1] @ root, np.eye(len(x))])
 
-    def solve(start: Array) -> Any:
-        found = optimize.least_squares(residual, start, jac=jacobian, method="lm", max_nfev=100)
-        return found
+    def solve(start: Array) -> Fit:
+        return optimize.least_squares(residual, start, jac=jacobian, method="lm", max_nfev=100)
 
     found = min((solve(inverse_root @ (start - mean)) for start in problem.starts()), key=lambda each: each.cost)
     for _ in range(ROUNDS):
