@@ -10,13 +10,16 @@ FUZZ ?=  # more words for the fuzzing, as: make fuzz FUZZ='--seed 7 --cpu 60 --p
 
 SEED ?=  # of an order that test-random printed, to have it again
 
-.PHONY: demo test test-random test-vcan test-drives test-compose fuzz check format lock openapi clean
+.PHONY: demo test test-fast test-random test-vcan test-drives test-compose fuzz check format lock openapi clean
 
 demo: $(READY)  ## measure, identify and report a virtual robot
 	$(BIN)/sweepid demo --out demo-out
 
 test: check  ## all checks, then all tests
 	$(BIN)/python -m pytest -n 3 --dist loadscope --durations 40  # two wait for machines, one reckons
+
+test-fast: $(READY)  ## unit and architecture tests that are not marked slow; two minutes on two idle cores
+	$(BIN)/python -m pytest -n 2 --dist loadscope -m "not slow" --durations 10 --durations-min 2 tests/unit tests/architecture
 
 test-random: $(READY)  ## unit and architecture tests, the files and the tests in each shuffled; prints the seed
 	$(BIN)/python -m pytest --random-order $(if $(strip $(SEED)),--random-order-seed $(strip $(SEED))) tests/unit tests/architecture

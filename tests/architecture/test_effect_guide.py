@@ -19,6 +19,7 @@ def run(line: str, desk: Path, packages: Path) -> subprocess.CompletedProcess[st
     return subprocess.run(line.split(), cwd=desk, env=environment, capture_output=True, text=True, timeout=300)
 
 
+@pytest.mark.slow
 def test_the_effect_of_the_guide_is_named(tmp_path: Path, root: Path) -> None:
     install, *others = written("write-an-effect.md", tmp_path / "seal-drag")
     (tmp_path / "config").symlink_to(root / "config")
@@ -45,6 +46,7 @@ def test_the_code_of_a_guide_keeps_our_rules(guide: str, tmp_path: Path, root: P
         assert done.returncode == 0, done.stdout
 
 
+@pytest.mark.slow
 def test_a_broken_effect_is_one_line_and_two(tmp_path: Path, root: Path) -> None:
     (tmp_path / "broken-1.0.dist-info").mkdir()
     (tmp_path / "broken-1.0.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")

@@ -13,6 +13,7 @@ from tests.conftest import BESIDE, group_of
 TWO_FILES = ("tests/unit/drivers/test_ladder.py", "tests/unit/drivers/test_states.py")
 
 
+@pytest.mark.slow
 def test_each_file_runs_in_one_process(root: Path) -> None:
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")}
     command = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "loadscope", "-v", "--color=no"]

@@ -16,6 +16,8 @@ from drivers.errors import CommunicationLost
 from drivers.ports import SampleBlock
 from tests.unit.drivers.streaming_bench import ENABLED, OFF, PERIOD, SWITCHED_ON, Bench, Drive, Frame, bench, run_to_end
 
+pytestmark = pytest.mark.slow
+
 SAMPLES = round(0.5 / PERIOD) + 1
 
 

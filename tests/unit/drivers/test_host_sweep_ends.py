@@ -17,6 +17,8 @@ from drivers.canopen.lane import Ending, RunningLane
 from drivers.ports import SampleBlock
 from tests.unit.drivers.streaming_bench import OFF, Drive, bench, run_to_end
 
+pytestmark = pytest.mark.slow
+
 
 async def test_an_error_that_nobody_thought_of_stops_the_axes_before_the_consumer_hears_of_it(
     monkeypatch: pytest.MonkeyPatch,

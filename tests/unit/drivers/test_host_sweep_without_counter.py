@@ -9,6 +9,8 @@ from drivers.canopen.lane import Ending
 from drivers.ports import SampleBlock
 from tests.unit.drivers.streaming_bench import PERIOD, Drive, Frame, bench, run_to_end
 
+pytestmark = pytest.mark.slow
+
 SAMPLES = round(0.5 / PERIOD) + 1
 WAITS = 6.0  # s, a third of it for a late answer: an overloaded computer is no lost frame
 

@@ -21,6 +21,8 @@ from drivers.ports import SweepMode
 from tests.unit.drivers.modbus_bank import Bank, Request, serving
 from tests.unit.drivers.modbus_drive import HIGH, KINDS, LOW, drive, following, profile_on
 
+pytestmark = pytest.mark.slow
+
 PATIENCE = 1.0  # s for a good answer: line and units share this process, and the computer
 BEAT = PATIENCE / 2  # s; four in the watchdog's time
 

@@ -123,6 +123,7 @@ def test_no_write_is_ever_repeated(bank: Bank, hasty: Line, monkeypatch: pytest.
     assert bank.writes(0x10) == [5, 5]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bank", ["rtu"], indirect=True)
 def test_a_garbled_read_on_a_serial_line_is_asked_once_more(bank: Bank, line: Line) -> None:
     def spoil_first(_: Request, frame: bytes) -> bytes:
@@ -137,6 +138,7 @@ def test_a_garbled_read_on_a_serial_line_is_asked_once_more(bank: Bank, line: Li
     assert len(bank.requests) == 4
 
 
+@pytest.mark.slow
 def test_a_late_answer_is_never_taken_for_that_of_a_later_request(
     bank: Bank, line: Line, monkeypatch: pytest.MonkeyPatch
 ) -> None:

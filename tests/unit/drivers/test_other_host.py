@@ -16,6 +16,8 @@ from drivers.canopen.profile import parse_profile
 from drivers.errors import CommunicationLost, ConnectionFailed
 from drivers.registry import load_profile
 
+pytestmark = pytest.mark.slow
+
 DRIVES = Path(__file__).parents[3] / "config" / "drives"
 BEAT = 0.3  # s
 PATIENCE = 20.0  # s

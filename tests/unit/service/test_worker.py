@@ -19,6 +19,8 @@ from service.safety.envelope import Envelope
 from service.worker import Job, JobFailed, Worker, WorkerLost, open_worker, work
 from tests.unit.service.campaigns.conftest import ROOT, open_bench, until
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def robot() -> Robot:

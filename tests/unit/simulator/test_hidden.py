@@ -86,6 +86,7 @@ def test_the_truth_is_asked_one_thing_at_a_time(options: tuple[str, ...]) -> Non
     assert "one of --poses and --hide" in told.stderr
 
 
+@pytest.mark.slow
 def test_the_machine_says_on_which_axis_and_no_more() -> None:
     command = [str(Path(sys.executable).with_name("sweepid")), "drive", "--port", "0", "--scenario", str(MODELLED)]
     command += ["--eds", str(ROOT / "config" / "eds" / "virtual-axis.eds"), "--hide", "3"]

@@ -88,6 +88,7 @@ def lines() -> st.SearchStrategy[bytes]:
     return line | st.binary(max_size=400)
 
 
+@pytest.mark.slow
 @LOOSE
 @given(chunks=st.lists(lines(), min_size=1, max_size=6))
 def test_any_bytes_from_a_client(wire: Wire, chunks: list[bytes]) -> None:

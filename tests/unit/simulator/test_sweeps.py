@@ -128,6 +128,7 @@ def spectrum(columns: dict[str, np.ndarray], name: str, run: NoiseRun) -> np.nda
     return 2 * np.fft.rfft(periods.mean(axis=0)) / count
 
 
+@pytest.mark.slow
 def test_injected_torque_is_the_wanted_noise(noise_free: Load) -> None:
     run = noise()
     (columns,) = run_sweeps(noise_free("full"), [run], seed=1)

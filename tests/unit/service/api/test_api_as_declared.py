@@ -29,6 +29,8 @@ from service.api.openapi import COMMITTED
 from tests.unit.service.api.conftest import serving
 from tests.unit.service.api.test_api_bundles import ZIP, packed
 
+pytestmark = pytest.mark.slow
+
 DOCUMENT = json.loads(COMMITTED.read_text("utf-8"))
 # an answer of /events never ends (test_api_bundles reads them)
 SCHEMA = schemathesis.openapi.from_dict(DOCUMENT).exclude(path="/api/v1/events")

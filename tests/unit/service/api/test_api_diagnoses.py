@@ -18,6 +18,8 @@ from service.robot import Robot
 from service.store.files.bundle import write_bundle
 from tests.unit.service.api.test_api_bundles import packed
 
+pytestmark = pytest.mark.slow
+
 POSES = ((0.0, -0.6, 0.4, 0.0, 0.0, 0.0), (0.5, 0.4, -0.7, 0.0, 0.0, 0.0), (-0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
 FRICTION = 60.0  # N m, dry, that the model does not know
 

@@ -17,6 +17,8 @@ from service.lab import Lab
 from service.settings import Settings
 from tests.unit.service.api.conftest import CONFIG
 
+pytestmark = pytest.mark.slow
+
 PATIENCE = 60.0  # s
 
 

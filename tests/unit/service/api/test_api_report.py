@@ -54,8 +54,8 @@ def test_the_report_is_one_page_with_verdict_and_origin(http: httpx.Client, camp
     robot = http.get(f"/campaigns/{campaign}").json()["robot_id"]
     assert f"max100-class, number {robot} of this service" in body
     # as `sha256sum FILE ... | sha256sum` in the data folder tells it
-    found = sorted((folder / "data").glob("recordings/import-*/*-1.parquet"))
-    listed = "".join(f"{one}  {path.relative_to(folder / 'data').as_posix()}\n" for one, path in in_order(found, body))
+    recordings = list_told(folder / "data", body)
+    listed = "".join(f"{hash_of(path)}  {path.relative_to(folder / 'data').as_posix()}\n" for path in recordings)
     assert hashlib.sha256(listed.encode()).hexdigest() in body
 
 
@@ -63,15 +63,15 @@ def hash_of(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def in_order(found: list[Path], body: str) -> list[tuple[str, Path]]:
-    """Of the import whose list has the SHA-256 that the report tells; the same bundle may have been imported twice."""
+def list_told(data: Path, body: str) -> list[Path]:
+    """The recordings of the import whose list has the SHA-256 that the report tells; others have the same content."""
     told = re.search(r"3, SHA-256 ([0-9a-f]{64}) of their list", body)
     assert told
-    for folder in {path.parent for path in found}:
-        listed = [(hash_of(path), path) for path in found if path.parent == folder]
-        text = "".join(f"{one}  recordings/{folder.name}/{path.name}\n" for one, path in listed)
+    for folder in data.glob("recordings/import-*"):
+        paths = sorted(folder.glob("*-1.parquet"))
+        text = "".join(f"{hash_of(path)}  recordings/{folder.name}/{path.name}\n" for path in paths)
         if hashlib.sha256(text.encode()).hexdigest() == told[1]:
-            return listed
+            return paths
     raise AssertionError(f"no folder of recordings has the list {told[1]}")
 
 

@@ -6,9 +6,12 @@ import sys
 from pathlib import Path
 
 import httpx
+import pytest
 
 from service.store.files.recordings import RecordingFiles
 from tests.unit.service.api.conftest import serving
+
+pytestmark = pytest.mark.slow
 
 
 def serve(settings: Path) -> subprocess.CompletedProcess[str]:

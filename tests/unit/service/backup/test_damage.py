@@ -20,6 +20,8 @@ from service.store.guards import MachineLease
 from tests.command import sweepid
 from tests.unit.service.backup.conftest import contents
 
+pytestmark = pytest.mark.slow
+
 Findings = Callable[[], list[tuple[str, str]]]
 DAMAGES = {
     "missing": ("is missing", Path.unlink),

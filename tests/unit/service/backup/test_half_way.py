@@ -11,6 +11,8 @@ from service.backup.restoring import restore
 from service.errors import BadInput
 from tests.unit.service.backup.conftest import Forks, contents
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_killed_backup_is_none(data: Path, tmp_path: Path, forks: Forks) -> None:
     before = contents(data)

@@ -48,6 +48,8 @@ from service.store.store import Store
 from service.worker import DiagnosisJob, JobFailed, Work, Worker, open_worker
 from service.worker.dask_workers import DaskWorkers
 
+pytestmark = pytest.mark.slow
+
 SPECTRUM = SpectrumRecord(path="s", sha256="0" * 64)  # where its content makes no difference
 POSES = np.array([[0.0, -0.6, 0.4, 0.0, 0.0, 0.0], [0.5, 0.4, -0.7, 0.0, 0.0, 0.0]])
 PATIENCE = 300.0  # s; the worker gives way to whatever else the computer does

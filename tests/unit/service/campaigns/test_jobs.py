@@ -28,6 +28,8 @@ from service.worker import Result, Work, open_worker
 from tests.unit.service.campaigns.conftest import POSES, Bench, open_bench, until
 from tests.unit.service.identification.known import model
 
+pytestmark = pytest.mark.slow
+
 
 async def completed(bench: Bench) -> None:
     await until(lambda: bench.store.campaign(bench.campaign.id).state is CampaignState.COMPLETED)

@@ -208,6 +208,7 @@ for n in range(10**6):
 """
 
 
+@pytest.mark.slow
 def test_after_sigkill_every_block_that_was_written_is_there(files: RecordingFiles) -> None:
     path = files.stream(RUN)
     writer = subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, text=True, cwd=ROOT)
@@ -250,6 +251,7 @@ def stored(files: RecordingFiles) -> tuple[Path, bytes]:
     return path, path.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_stream_whose_tail_a_power_cut_left_zeroed_gives_back_what_is_before_it(files: RecordingFiles) -> None:
     path, whole = stored(files)
     for end in range(0, len(whole), 8):

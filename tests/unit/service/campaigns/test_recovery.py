@@ -21,6 +21,8 @@ from service.store.store import Store
 from tests.unit.service.campaigns.conftest import POSES, ROOT, command, open_bench
 from tests.unit.service.campaigns.test_recorder import block
 
+pytestmark = pytest.mark.slow
+
 SERVICE = """
 import asyncio, json, resource, sys
 from pathlib import Path

@@ -14,6 +14,8 @@ from service.errors import BadInput
 from service.geometry.cell import read_cell
 from tests.command import sweepid
 
+pytestmark = pytest.mark.slow
+
 SWEEPID = str(Path(sys.executable).with_name("sweepid"))
 
 

@@ -16,6 +16,8 @@ from simulator import load_scenario
 from tests.command import sweepid
 from tests.numeric.campaign import max100
 
+pytestmark = pytest.mark.slow
+
 FRICTION = 60.0  # N m, dry, that the model does not know
 
 

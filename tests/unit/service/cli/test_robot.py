@@ -103,6 +103,7 @@ ODD = {  # what a person should know of each before it is measured
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("maker", MAKERS, ids=lambda maker: maker.name)
 def test_what_is_odd_about_a_makers_urdf_is_told(maker: Maker) -> None:
     told = told_of(maker)

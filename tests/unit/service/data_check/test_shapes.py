@@ -20,6 +20,8 @@ from service.store.files.bundle import Bundle, read_bundle, write_bundle
 from service.store.files.columns import write_columns
 from tests.unit.service.data_check.conftest import OFFSET, RATED, lift_sweep, pair
 
+pytestmark = pytest.mark.slow
+
 USES: dict[str, Callable[[Bundle], object]] = {
     "check": lambda bundle: findings_document(bundle.robot, bundle.sweeps, check(bundle.robot, bundle.sweeps)),
     "identify": lambda bundle: identify_bundle(bundle, None, "bundle"),

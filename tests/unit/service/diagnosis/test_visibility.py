@@ -31,6 +31,7 @@ def test_what_shows_depends_on_the_noise() -> None:
     assert not unseen("joint_3", ("forward_slow",), "measurement_delay", noise=1e-5)
 
 
+@pytest.mark.slow
 def test_play_shows_where_the_torque_changes_its_sign() -> None:
     found = unseen("joint_1", ("forward_slow",), "backlash", noise=0.02)
     assert found.keys() <= {"backlash"}

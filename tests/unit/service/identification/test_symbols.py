@@ -50,6 +50,7 @@ def coefficients(name: str, parameters: tuple[str, ...], known: tuple[Dimension,
     return row
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("locked", "axes"),
     [({3: 0.0, 4: 0.0, 5: 0.0}, (0, 1, 2)), ({}, (0, 1, 2, 3, 4, 5)), ({}, (2, 4)), ({2: 0.3, 4: 0.2}, (0, 1))],

@@ -21,6 +21,8 @@ from service.store.people.audit import AuditDocument, AuditStore, AuditUnreadabl
 from service.store.people.keys import KeyStore
 from tests.unit.service.people.conftest import calling
 
+pytestmark = pytest.mark.slow
+
 NOBODY_THERE = "987654"  # stands for every number in a path
 START = f"/api/v1/campaigns/{NOBODY_THERE}/start"
 

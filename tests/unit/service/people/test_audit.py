@@ -22,6 +22,8 @@ from service.store.people.writer import AuditWriter, NotAudited
 from tests.unit.service.api.conftest import serving
 from tests.unit.service.people.conftest import calling
 
+pytestmark = pytest.mark.slow
+
 ENTRIES = [{"event": "request", "actor": f"p{number}", "why": "ü\ud800"} for number in range(5)]
 
 

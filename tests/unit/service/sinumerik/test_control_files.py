@@ -176,6 +176,7 @@ def test_a_file_of_100_megabytes_is_refused_by_its_size(tmp_path: Path) -> None:
         read_measurement(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ["<a>" * 100 + "</a>" * 100, f"<a>{'<b/>' * 200_001}</a>"], ids=["deep", "many"])
 def test_members_are_bounded(tmp_path: Path, text: str) -> None:
     with pytest.raises(BadInput, match="has more than 200000 members, or more than 64 inside of each other"):
@@ -246,6 +247,7 @@ def test_the_spectra_of_the_control_are_those_of_its_series(shared: Path) -> Non
     assert (found.spectra.coherence <= 1 + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_from_the_command_line(tmp_path: Path) -> None:
     path, out = tmp_path / "loop.xml", tmp_path / "tables"
     path.write_text(Loop().xml(), encoding="latin-1")

@@ -21,7 +21,10 @@ from service.store.files.apart import Limits, read_apart
 from service.store.files.bundle import write_bundle
 from service.store.files.intake import take_in
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited on Linux alone")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited on Linux alone"),
+]
 LONG = Limits(time=120.0)
 
 

@@ -23,8 +23,8 @@ def test_bytes_cross_and_nobody_waits_for_a_reader() -> None:
     selector = selectors.SelectSelector()
     pair = PtyPair(selector)
 
-    def pump() -> None:
-        while ready := selector.select(0.2):
+    def pump(patience: float = 0.2) -> None:
+        while ready := selector.select(patience):
             for key, mask in ready:
                 key.data(mask)
 
@@ -38,7 +38,8 @@ def test_bytes_cross_and_nobody_waits_for_a_reader() -> None:
         for _ in range(64):  # far more than any terminal keeps for a reader that is not there
             with suppress(BlockingIOError):
                 os.write(near, bytes(4096))
-            pump()
+            pump(0.0)
+        pump()
         lost = 64 * 4096
         with suppress(BlockingIOError):
             while data := os.read(far, 65536):
