@@ -3,12 +3,16 @@
 import shutil
 import subprocess
 from collections.abc import Iterator
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
 
 from service.client import ServiceClient
+from service.people.permissions import Role
+from service.store.database import open_database
+from service.store.people.keys import KeyStore
 from tests.browser.browsing import WITHOUT_BROWSER, browsing
 from tests.browser.looking import faint, small
 from tests.system.rest_bench import (
@@ -45,12 +49,9 @@ def page(service: Service) -> Iterator[Page]:
 
 def keys_of(service: Service) -> dict[str, str]:
     """By role, of people who are called as it."""
-    return {role: add_key(service, role) for role in ("viewer", "operator", "engineer")}
-
-
-def add_key(service: Service, role: str) -> str:
-    command = [SWEEPID, "people", "add-key", f"the-{role}", "--role", role, "--data-dir", str(service.data)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout.strip()
+    with open_database(f"sqlite:///{service.data / 'sweepid.sqlite'}") as database:
+        store, day, who = KeyStore(database), timedelta(days=1), {"actor": "test"}
+        return {role.word: store.add(f"the-{role.word}", role, day, who)[1] for role in Role}
 
 
 def log_in(page: Page, key: str) -> None:

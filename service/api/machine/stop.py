@@ -28,8 +28,9 @@ _NOT_CONFIRMED: dict[int | str, dict[str, Any]] = {
 class StopView(BaseModel):
     """Whether the machine is held, the stop that was spoken of last, and the stops that hold it (the oldest 100).
 
-    A stop has a negative id until the database has taken it. `port` is where the stop process listens for
-    ``POST /stop``, null where there is none; `process_trouble` is why its own way to the drives is not open.
+    A stop has a negative id until the database has taken it, which stays good for its release. `port` is where the
+    stop process listens for ``POST /stop``, null where there is none; `process_trouble` is why its own way to the
+    drives is not open.
     """
 
     latched: bool
