@@ -54,8 +54,8 @@ class Bus:
         """The network interface of a SocketCAN bus; None where python-can reaches the bus by other ways."""
         return self._profile.channel if self._profile.interface == "socketcan" else None
 
-    def add_node(self, node: int, eds: str) -> SdoClient:
-        """The SDO client of a node with the dictionary of `eds`."""
+    def add_node(self, node: int, eds: str | None) -> SdoClient:
+        """The SDO client of a node with the dictionary of `eds`; without one, values come at the length they have."""
         remote: canopen.RemoteNode = self._network.add_node(node, eds)
         client: SdoClient = remote.sdo
         client.RESPONSE_TIMEOUT = self._profile.sdo_timeout

@@ -183,12 +183,12 @@ class DeviceMap(Frozen):
         for name, place in self.objects.items():
             if place.type != TOLD.get(name, place.type):
                 raise ValueError(f"objects.{name}: type must be {TOLD[name]}")
-        if lacking := sorted(self._used() & self.missing.keys()):
+        if lacking := sorted(self.used() & self.missing.keys()):
             raise ValueError(f"missing: {lacking}, and the map uses it")
         self._check_pdos()
         return self
 
-    def _used(self) -> set[str]:
+    def used(self) -> set[str]:
         """Objects that may be missing only where the map has another way."""
         used = {self.units.effort, *(way.target for way in self.excitation)}
         for used_so, name in (

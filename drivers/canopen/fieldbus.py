@@ -61,7 +61,7 @@ class CanopenFieldbus:
         heart: asyncio.Task[None] | None = None
         try:
             bus = await asyncio.shield(opening)
-            await _check_alone(bus, profile)
+            await check_alone(bus, profile)
             heart = asyncio.create_task(_beat(bus, profile), name="can-heartbeat")
             devices, axes, identities = await thread.run(_introduce, profile, bus)
         except BaseException:
@@ -207,7 +207,7 @@ def _check_resolution(device: CanopenDevice, command: SweepCommand) -> None:
             )
 
 
-async def _check_alone(bus: Bus, profile: CanopenProfile) -> None:
+async def check_alone(bus: Bus, profile: CanopenProfile) -> None:
     """ConnectionFailed if another host speaks under our node id: the drives would miss neither if it died.
 
     Heard twice, for what a gateway held back comes in one go, and may be our own of a connection before this one.

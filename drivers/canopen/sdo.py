@@ -25,24 +25,28 @@ class ObjectAbsent(WrongConfiguration):
     """The drive does not have an object."""
 
 
+class OtherType(WrongConfiguration):
+    """The drive has an object, of another length."""
+
+
 class Sdo:
     """Reads and writes objects of one node. CommunicationLost when it does not answer."""
 
     def __init__(self, client: SdoClient, place: str, check_alive: Callable[[], None]) -> None:
         """`place` as in "joint_1 (node 1)"; `check_alive` raises CommunicationLost once the bus is gone."""
-        self._client = client
-        self._place = place
+        self.client = client
+        self.place = place
         self._check_alive = check_alive
 
     def read(self, entry: Entry) -> float:
-        """WrongConfiguration when the drive refuses; ObjectAbsent when it has no such object."""
+        """WrongConfiguration when the drive refuses; ObjectAbsent, OtherType when it has no such object or type."""
         self._check_alive()
         try:
-            return entry.unpack(self._client.upload(entry.index, entry.sub))
+            return entry.unpack(self._answer(entry))
         except (SdoAbortedError, SdoCommunicationError, can.CanError, OSError) as error:
             raise self._explain(entry, error) from None
         except struct.error as error:
-            raise WrongConfiguration(f"{self._place}: {entry} has another type: {error}") from None
+            raise OtherType(f"{self.place}: {entry} has another type: {error}") from None
 
     def integer(self, entry: Entry) -> int:
         return int(self.read(entry))
@@ -51,11 +55,11 @@ class Sdo:
         """As `read`; the value is not read back."""
         self._check_alive()
         try:
-            self._client.download(entry.index, entry.sub, entry.pack(value))
+            self.client.download(entry.index, entry.sub, entry.pack(value))
         except (SdoAbortedError, SdoCommunicationError, can.CanError, OSError) as error:
             raise self._explain(entry, error, f" = {value:g}") from None
         except struct.error as error:
-            raise WrongConfiguration(f"{self._place}: {entry} cannot hold {value:g}: {error}") from None
+            raise WrongConfiguration(f"{self.place}: {entry} cannot hold {value:g}: {error}") from None
 
     def settle(self, entry: Entry, value: float) -> None:
         """Make sure the object holds `value`: write where it differs, and read back. WrongConfiguration if not."""
@@ -64,7 +68,7 @@ class Sdo:
         self.write(entry, value)
         got = self.read(entry)
         if got != value:
-            raise WrongConfiguration(f"{self._place}: {entry}: wrote {value:g}, drive holds {got:g}")
+            raise WrongConfiguration(f"{self.place}: {entry}: wrote {value:g}, drive holds {got:g}")
 
     def upload(self, index: int, sub: int, block: bool) -> bytes:
         """A DOMAIN, by block or segmented transfer."""
@@ -72,14 +76,17 @@ class Sdo:
         self._check_alive()
         try:
             if not block:
-                return self._client.upload(index, sub)
-            with _BlockUpload(self._client, index, sub) as stream:
+                return self.client.upload(index, sub)
+            with _BlockUpload(self.client, index, sub) as stream:
                 return cast(bytes, stream.read())
         except (SdoAbortedError, SdoCommunicationError, can.CanError, OSError) as error:
             raise self._explain(entry, error) from None
 
+    def _answer(self, entry: Entry) -> bytes:
+        return self.client.upload(entry.index, entry.sub)
+
     def _explain(self, entry: Entry, error: Exception, value: str = "") -> WrongConfiguration | CommunicationLost:
         if not isinstance(error, SdoAbortedError):
-            return CommunicationLost(f"{self._place}: {entry}{value}: {error}")
+            return CommunicationLost(f"{self.place}: {entry}{value}: {error}")
         kind = ObjectAbsent if error.code in ABSENT else WrongConfiguration
-        return kind(f"{self._place}: {entry}{value}: {error}")
+        return kind(f"{self.place}: {entry}{value}: {error}")

@@ -1,8 +1,8 @@
 """What a person knows of a drive before the bus is opened, whatever the fieldbus."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Literal, TypeVar, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -87,8 +87,13 @@ class AxisProfile(Frozen):
 Parsed = TypeVar("Parsed", bound=BaseModel)
 
 
+FILL_IN = "FILL IN"
+"""How a value begins that a draft has left to a person."""
+
+
 def parse(kind: type[Parsed], content: Mapping[str, object]) -> Parsed:
     """`content` as a checked `kind`; BadProfile names the first wrong place, the reason and what was given."""
+    refuse_unfilled(content)
     try:
         return kind.model_validate(content)
     except ValidationError as error:
@@ -96,6 +101,25 @@ def parse(kind: type[Parsed], content: Mapping[str, object]) -> Parsed:
         place = ".".join(str(part) for part in first["loc"]) or "profile"
         given = "" if isinstance(first["input"], Mapping) else f" (given: {first['input']!r})"
         raise BadProfile(f"{place}: {first['msg']}{given}") from None
+
+
+def refuse_unfilled(content: Mapping[str, object]) -> None:
+    """BadProfile names the first value that a draft has left open, what it is, and how many there are."""
+    (place, what), *more = [*_unfilled(content, "")] or [("", "")]
+    if place:
+        others = f"; {len(more)} more lines begin with {FILL_IN}" if more else ""
+        raise BadProfile(f"{place}: is to be filled in: {what.removeprefix(FILL_IN).strip()}{others}")
+
+
+def _unfilled(value: object, place: str) -> Iterator[tuple[str, str]]:
+    if isinstance(value, str) and value.startswith(FILL_IN):
+        yield place, value
+    elif isinstance(value, Mapping):
+        for key, each in cast("Mapping[object, object]", value).items():
+            yield from _unfilled(each, f"{place}.{key}".lstrip("."))
+    elif isinstance(value, list):
+        for number, each in enumerate(cast("list[object]", value)):
+            yield from _unfilled(each, f"{place}.{number}")
 
 
 def require_different(axes: Sequence[AxisProfile], what: str, addresses: Sequence[int]) -> None:

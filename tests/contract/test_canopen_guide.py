@@ -5,7 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
+from typer.testing import CliRunner
 
+from drivers.commission.command import commission
 from drivers.contract.bench import closing
 from drivers.errors import WrongIdentity
 from drivers.ports import AxisState, DrivePort
@@ -33,6 +36,30 @@ async def test_the_profile_of_the_guide_leads_to_its_drive(tmp_path: Path) -> No
             assert f"`{port.capabilities.set_points}`" in GUIDE.read_text()
             assert (await port.status())["joint_1"].state is AxisState.DISABLED
             assert not foreign.truth()["energised"]
+
+
+def test_the_check_of_the_guide_asks_its_drive(tmp_path: Path) -> None:
+    drives = tmp_path / "drives"
+    commands = [line for line in written(GUIDE.name, drives) if line.startswith("sweepid commission check")]
+    assert [line.split()[4:] for line in commands] == [[], ["--turn", "joint_1=30"]]
+    shutil.copytree(ROOT / "config" / "devices", tmp_path / "devices")
+    (machine, *_) = load_profile(ROOT / "config" / "drives" / "virtual-max100.yaml")["axes"]
+    with bench("epos4") as foreign:
+        shutil.copy(foreign.files["joint_1"], drives / "epos4.dcf")
+        path = drives / commands[0].split()[3]
+        content = load_profile(path)
+        (axis,) = content["axes"]
+        path.write_text(yaml.safe_dump(content | {"bus": {**foreign.bus, **PATIENCE}}))
+        wrong = CliRunner().invoke(commission, ["check", str(path)])
+        assert wrong.exit_code == 1
+        assert "joint_1: rated-torque: 6076h: the motor has 17.54 N m, the profile 0.5129 N m" in wrong.output
+        right = {"axes": [axis | {"rated_torque": machine["rated_torque"]}]}
+        path.write_text(yaml.safe_dump(load_profile(path) | right))
+        done = CliRunner().invoke(commission, ["check", str(path)])
+        assert done.exit_code == 0, done.output
+        told = {line.split()[1] for line in done.output.splitlines() if line.startswith("joint_1 ")}
+        assert {"rated-torque", "position", "standstill", "excitation", "pdos", "position-limits"} <= told
+        assert not foreign.truth()["energised"]
 
 
 async def connected(profile: dict[str, Any], foreign: Foreign, base: Path) -> DrivePort:

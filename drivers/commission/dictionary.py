@@ -1,0 +1,76 @@
+"""What an EDS or DCF (CiA 306) says of the objects of a drive: type, access, whether a PDO may carry it."""
+
+import configparser
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import canopen
+from canopen.objectdictionary import ObjectDictionaryError, ODVariable, datatypes
+
+from drivers.errors import BadProfile
+
+Key = tuple[int, int]
+
+_NAMES = {
+    datatypes.INTEGER8: "i8",
+    datatypes.UNSIGNED8: "u8",
+    datatypes.INTEGER16: "i16",
+    datatypes.UNSIGNED16: "u16",
+    datatypes.INTEGER32: "i32",
+    datatypes.UNSIGNED32: "u32",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """One object. `type` as device maps have it ("i32"), "" for others; `value` as commissioned, else the default."""
+
+    type: str
+    writable: bool
+    mappable: bool
+    value: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Dictionary:
+    """The objects of a file by index and sub-index, and who made the drive; None where the file does not tell."""
+
+    objects: Mapping[Key, Listed]
+    vendor: int | None
+    product: int | None
+    revision: int | None
+    name: str  # of maker and product, for people
+
+    def value(self, index: int, sub: int = 0) -> int | None:
+        """What the file says that an object holds."""
+        listed = self.objects.get((index, sub))
+        return None if listed is None else listed.value
+
+
+def read_dictionary(path: Path, node: int) -> Dictionary:
+    """BadProfile names the file and the reason. `node` resolves ``$NODEID``."""
+    try:
+        whole: Any = cast(Any, canopen).import_od(str(path), node)
+    except (OSError, configparser.Error, ObjectDictionaryError, KeyError, ValueError, UnicodeError) as error:
+        raise BadProfile(f"eds: {path}: not an EDS or DCF: {' '.join(str(error).split())}") from None
+    objects: dict[Key, Listed] = {}
+    for entry in whole.values():
+        for variable in [entry] if isinstance(entry, ODVariable) else entry.values():
+            objects[variable.index, variable.subindex] = _listed(variable)
+    about = whole.device_information
+    told = [objects[0x1018, sub].value if (0x1018, sub) in objects else None for sub in (1, 2, 3)]
+    return Dictionary(
+        objects,
+        vendor=about.vendor_number or told[0],
+        product=about.product_number or told[1],
+        revision=about.revision_number or told[2],
+        name=" ".join(filter(None, (about.vendor_name, about.product_name))),
+    )
+
+
+def _listed(variable: Any) -> Listed:
+    values = (getattr(variable, "value", None), variable.default)
+    value = next((each for each in values if isinstance(each, int)), None)
+    return Listed(_NAMES.get(variable.data_type, ""), variable.writable, variable.pdo_mappable, value)

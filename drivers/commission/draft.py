@@ -1,0 +1,177 @@
+"""Drafts of a drive profile and a device map by what a dictionary tells; the loader refuses what is left open."""
+
+import json
+from collections.abc import Iterator, Sequence
+
+from drivers.canopen.device_map import NEEDED, STANDARD, TOLD, TYPES, DeviceMap, Way
+from drivers.canopen.objects import Entry
+from drivers.cia402.profile import FILL_IN
+from drivers.commission.dictionary import Dictionary
+from drivers.commission.fitting import ways
+
+_WIRE = {letter: name for name, letter in TYPES.items()}
+_NEEDLESS = {  # missing, and nobody asks for it where the other object is there
+    "current": ("torque", "6077h tells the torque"),
+    "rated_current": ("torque", "6077h tells the torque"),
+    "sync_period": ("cycle_value", "not needed: 60C2h has the cycle"),
+}
+_COUNTER = "host: each sample belongs to the SYNC after which it came"
+
+
+def profile_text(
+    dictionary: Dictionary, joints: Sequence[str], eds: str, device: str, device_map: DeviceMap | None
+) -> str:
+    """A drive profile. `eds` and `device` as they stand in it; `device_map` is the shipped one, if one fits."""
+    bitrate = _open("bit/s, as the drives are set")
+    lines = [
+        f"# {dictionary.name or 'A drive'}: drafted from its dictionary. What begins with {FILL_IN} is refused.",
+        "adapter: canopen",
+        f"eds: {json.dumps(eds)}",
+        f"device: {json.dumps(device)}",
+        f"bus: {{interface: socketcan, channel: can0, bitrate: {bitrate}, sync_period: 0.004}}",
+        "emergency_stop_codes: [] # values of 603Fh that mean safe torque off; the first emergency stop tells them",
+        "axes:",
+    ]
+    for node, joint in enumerate(joints, 1):
+        lines += [
+            f"  - joint: {json.dumps(joint)}",
+            f"    node: {node}",
+            *(f"    {line}" for line in _axis(dictionary, device_map)),
+        ]
+    return "\n".join([*lines, ""])
+
+
+def map_text(dictionary: Dictionary) -> str:
+    """A device map."""
+    able = ways(dictionary)
+    excitation = (
+        f"[{', '.join(way.value for way in able)}]" if able else _open("no object for set-points: none can be streamed")
+    )
+    lines = [
+        f"# Drafted from a dictionary: compare it with the maker's manual. What begins with {FILL_IN} is refused.",
+        f"description: {json.dumps(dictionary.name or 'unknown drive')}",
+        *(f"{key}: 0x{value:08X}" for key, value in _maker(dictionary) if value),
+        f"excitation: {excitation}",
+        f"pdos: {_pdos(dictionary, able)}",
+        "units:",
+        *(f"  {line}" for line in _units(dictionary)),
+    ]
+    for title, section in (("objects:", _objects(dictionary)), ("missing:", _missing(dictionary))):
+        found = [*section]
+        lines += [title, *found] if found else []
+    return "\n".join([*lines, ""])
+
+
+def unfilled(text: str) -> int:
+    """Values that a person must fill in."""
+    return text.count(f'"{FILL_IN}')
+
+
+def _open(what: str) -> str:
+    return json.dumps(f"{FILL_IN} {what}")
+
+
+def _maker(dictionary: Dictionary) -> tuple[tuple[str, int | None], ...]:
+    return ("vendor", dictionary.vendor), ("product", dictionary.product)
+
+
+def _axis(dictionary: Dictionary, device_map: DeviceMap | None) -> list[str]:
+    told = {"vendor": dictionary.vendor, "product": dictionary.product, "revision": dictionary.revision}
+    identity = ", ".join(
+        f"{key}: {_open(f'1018h of the drive, {key}') if value is None else f'0x{value:08X}'}"
+        for key, value in told.items()
+    )
+    rated = dictionary.value(0x6076)
+    hint = f" (the file has {rated} in 6076h)" if rated else ""
+    wanted = {
+        "gear_ratio": "motor revolutions per joint revolution, signed",
+        "rated_torque": f"N m of the motor, from its data sheet{hint}",
+        "position_limits": "[lowest, highest] rad, small for the first moves",
+        "velocity_limit": "rad/s, small for the first moves",
+        "effort_limit": "N m on the joint side",
+        "acceleration": "rad/s^2 of moves",
+        "quick_stop_deceleration": "rad/s^2",
+    }
+    if device_map is None or device_map.units.increments == "profile":
+        wanted["increments"] = "of the position, a motor revolution; without this line where the map tells them"
+    if device_map is not None and device_map.units.effort == "current":
+        wanted["torque_constant"] = "N m/A of the motor, from its data sheet"
+    lines = [f"identity: {{{identity}}} # add the serial number: it tells swapped drives"]
+    lines += [f"{key}: {_open(what)}" for key, what in wanted.items()]
+    return [*lines, "standstill_velocity: 1.0e-3 # rad/s, above the noise of the speed at rest, which the check tells"]
+
+
+def _has(dictionary: Dictionary, name: str) -> bool:
+    entry = STANDARD[name]
+    return (entry.index, entry.sub) in dictionary.objects
+
+
+def _units(dictionary: Dictionary) -> Iterator[str]:
+    yield f"side: {_open('motor, or joint where the drive counts behind the gear')}"
+    counts = dictionary.value(0x608F, 1)
+    if counts is not None and counts > 1:
+        yield f"increments: 608Fh # {counts} in the file"
+    else:
+        yield f"increments: {_open('608Fh, profile, or increments of the position a revolution')}"
+    speed = _open("increments/s, rev/min, 1e-3 rev/min or 1e-3 deg/s")
+    yield "velocity: 60A9h" if _has(dictionary, "velocity_unit") else f"velocity: {speed}"
+    if _has(dictionary, "max_speed"):
+        yield "max_speed: rev/min # as CiA 402 has it; velocity where the maker says so"
+    if _has(dictionary, "rated_torque"):
+        yield f"rated_torque: {_open('N m in one step of 6076h; CiA 402 has 1.0e-3')}"
+    yield "effort: torque" if _has(dictionary, "torque") else "effort: current"
+
+
+def _pdos(dictionary: Dictionary, able: Sequence[Way]) -> str:
+    receive = [n for n in range(1, 5) if (0x13FF + n, 1) in dictionary.objects]
+    transmit = [n for n in range(1, 5) if (0x17FF + n, 1) in dictionary.objects]
+    if not receive or len(transmit) < 2:
+        return _open(f"{len(receive)} RPDOs and {len(transmit)} TPDOs in the file: one and two are needed")
+    parts = [f"set_point: {receive[0]}"]
+    if len(receive) > 1:
+        parts.append(f"stop: {receive[1]}")
+    elif set(able) - {Way.CYCLIC_VELOCITY}:
+        parts.append(f"stop: {_open('a second RPDO, or cyclic_velocity alone')}")
+    parts += [f"state: {transmit[0]}", f"place: {transmit[1]}"]
+    if not dictionary.objects[0x13FF + receive[0], 1].writable:
+        parts.append("cob_id: fixed")
+    for key, numbers in (("unused_rpdos", receive[2:]), ("unused_tpdos", transmit[2:])):
+        if numbers:
+            parts.append(f"{key}: {numbers}")
+    return f"{{{', '.join(parts)}}}"
+
+
+def _objects(dictionary: Dictionary) -> Iterator[str]:
+    """Of another type than CiA 402 has."""
+    for name, entry in STANDARD.items():
+        listed = dictionary.objects.get((entry.index, entry.sub))
+        if listed is None or listed.type == _WIRE[entry.type]:
+            continue
+        if name in TOLD or not listed.type:
+            what = f"{listed.type or 'no number'} in the file, and only {_WIRE[entry.type]} can be used"
+            yield f"  {name}: {_open(what)}"
+        else:
+            yield f"  {name}: {{index: 0x{entry.index:04X}, sub: {entry.sub}, type: {listed.type}}}"
+
+
+def _missing(dictionary: Dictionary) -> Iterator[str]:
+    able = {way.target for way in ways(dictionary)}
+    targets = {way.target for way in Way}
+    for name, entry in STANDARD.items():
+        if name == "sample_counter":
+            yield f"  {name}: {json.dumps(_COUNTER)}"
+        elif not _has(dictionary, name):
+            yield f"  {name}: {_instead(dictionary, name, entry, able, targets)}"
+
+
+def _instead(dictionary: Dictionary, name: str, entry: Entry, able: set[str], targets: set[str]) -> str:
+    if name in NEEDED:
+        return _open(f"{entry} is not in the file: without it the drive cannot be used")
+    if name in targets and able:
+        return json.dumps(f"the set-points go into {', '.join(sorted(able))}")
+    other, why = _NEEDLESS.get(name, ("", ""))
+    return (
+        json.dumps(why)
+        if other and _has(dictionary, other)
+        else _open(f"who does it instead: {entry} is not in the file")
+    )

@@ -1,0 +1,125 @@
+"""Does the drive take what a connection writes, object by object, and the mapping of its PDOs?"""
+
+from collections.abc import Callable, Iterator
+
+from drivers.canopen import configuration
+from drivers.canopen.bus_load import check_bus_load
+from drivers.canopen.configuration import Setting
+from drivers.canopen.device_map import Way
+from drivers.canopen.objects import Entry
+from drivers.canopen.sdo import ObjectAbsent
+from drivers.canopen.units import Codec
+from drivers.cia402.device import Mode
+from drivers.commission.objects import mappable
+from drivers.commission.quiet import Node
+from drivers.commission.sheet import Row
+from drivers.errors import LimitExceeded, WrongConfiguration
+
+
+def of_map(node: Node) -> Iterator[Row]:
+    """What must hold before the units are read, and the maker's settings; absent is refused."""
+    makers = [(Entry(m.index, m.sub, m.type, m.name), m.value) for m in node.machine.maker_settings]
+    for check, wanted in (("map-setting", [(s.entry, s.value) for s in node.map.settings]), ("maker-setting", makers)):
+        for entry, value in wanted:
+            error = _settled(node, entry, value)
+            yield node.row(check, error is None, f"{entry}: holds {value}" if error is None else str(error))
+
+
+def standing(node: Node, units: Codec) -> Iterator[Row]:
+    """Stop reactions, heartbeats, cycle times, ramps."""
+    machine = node.machine
+    yield from _all(
+        node, "setting", lambda: configuration.standing(node.axis, machine.bus, machine.stop_options, units, node.map)
+    )
+
+
+def limits(node: Node, units: Codec) -> Iterator[Row]:
+    """The profile's limits, where the drive has objects for them."""
+    axis = node.axis
+    yield from _all(
+        node,
+        "limit",
+        lambda: configuration.limits(units, axis.velocity_limit, axis.effort_limit, axis.position_limits, node.map),
+    )
+
+
+def way_of(node: Node) -> tuple[Way | None, list[Row]]:
+    """The excitation that a sweep will use, and whether the drive can move to poses."""
+    rows: list[Row] = []
+    modes = node.of_map("supported_modes")
+    if modes is not None and not modes >> (Mode.PROFILE_POSITION - 1) & 1:
+        rows.append(
+            node.row("no-profile-position", False, f"6502h is {modes:08X}h: the drive cannot move to a position")
+        )
+    there = [way for way in node.map.excitation if modes is None or modes >> (way.mode - 1) & 1]
+    way = there[0] if there else None
+    wanted = ", ".join(each.value for each in node.map.excitation)
+    if way is None:
+        rows.append(node.row("no-excitation", False, f"6502h is {modes or 0:08X}h: none of the map's ways: {wanted}"))
+    elif node.value(node.map.entry(way.target)) is None and not _own_sweep(node):
+        target = node.map.entry(way.target)
+        rows.append(node.row("no-excitation", False, f"{target}: the drive does not give the target of {way.value}"))
+        way = None
+    else:
+        rows.append(node.row("excitation", True, f"{way.value} ({node.map.entry(way.target).index:04X}h)"))
+    return way, rows
+
+
+def mapping(node: Node, way: Way) -> Iterator[Row]:
+    """The PDOs of a streamed sweep, written and read back; how full they make the bus."""
+    refused = [*mappable(node, way)]
+    yield from refused
+    if refused:
+        return
+    pdos = configuration.pdos(node.map, way, node.axis.node)
+    try:
+        there = configuration.configure_pdos(node.sdo, pdos, node.map, node.axis.node)
+    except WrongConfiguration as error:
+        yield node.row("mapping-refused", False, str(error))
+        return
+    what = (
+        f"{len(pdos)} mapped, transmission type 1"
+        if there
+        else "the drive lacks objects for its PDOs: nothing is streamed"
+    )
+    yield node.row("pdos", there, what)
+    cyclic = tuple(pdo for pdo in pdos if pdo.mapped != (node.map.entry("controlword"),))
+    bus = node.machine.bus
+    try:
+        check_bus_load(bus, [cyclic], len(node.machine.axes))
+    except LimitExceeded as error:
+        yield node.row("bus-load", False, str(error))
+        return
+    yield (
+        node.note("bus-load", "not computed: the profile has no bitrate")
+        if bus.bitrate is None
+        else node.row("bus-load", True, f"a sweep of this axis leaves room at {bus.bitrate} bit/s")
+    )
+
+
+def _own_sweep(node: Node) -> bool:
+    return node.map.measuring is not None
+
+
+def _all(node: Node, check: str, make: Callable[[], tuple[Setting, ...]]) -> Iterator[Row]:
+    """One row for what holds, one for each that does not; what is absent `objects` has told."""
+    try:
+        wanted = make()
+    except LimitExceeded as error:
+        yield node.row(check, False, f"in drive units: {error}")
+        return
+    missing, held = {node.map.entry(name) for name in node.missing}, 0
+    for entry, value in wanted:
+        error = None if entry in missing else _settled(node, entry, value)
+        held += entry not in missing and error is None
+        if error is not None and not isinstance(error, ObjectAbsent):
+            yield node.row(check, False, str(error))
+    yield node.row(f"{check}s", True, f"{held} objects hold what a connection writes")
+
+
+def _settled(node: Node, entry: Entry, value: float) -> WrongConfiguration | None:
+    try:
+        node.sdo.settle(entry, value)
+    except WrongConfiguration as error:
+        return error
+    return None

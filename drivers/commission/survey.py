@@ -1,0 +1,124 @@
+"""Every drive of a profile asked, without energy: each axis is looked at and, in NMT pre-operational, configured."""
+
+import asyncio
+import hashlib
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+from drivers.canopen import frames
+from drivers.canopen.bus import Bus
+from drivers.canopen.fieldbus import check_alone
+from drivers.canopen.profile import CanopenAxis, CanopenProfile, parse_profile
+from drivers.commission import identity, objects, settings, units
+from drivers.commission.dictionary import read_dictionary
+from drivers.commission.quiet import Node, QuietSdo
+from drivers.commission.sheet import Row, Sheet, Verdict
+from drivers.errors import BadProfile, CommunicationLost, ConnectionFailed
+from drivers.registry import load_profile
+
+
+def load(path: Path) -> CanopenProfile:
+    """BadProfile names the file, the place and the reason; also for a profile of another fieldbus."""
+    content = load_profile(path)
+    if content.get("adapter") != "canopen":
+        raise BadProfile(f"{path}: adapter: {content.get('adapter')!r} is not checked by this, but canopen")
+    return parse_profile(content, path.parent)
+
+
+def survey(profile: CanopenProfile, name: str, files: dict[str, str] | None = None) -> Sheet:
+    """The sheet of a machine; ConnectionFailed where the bus cannot be opened. Blocking; no event loop may run."""
+    ways: dict[str, str] = {}
+    rows: list[Row] = []
+    bus = Bus(profile.bus, tuple(axis.node for axis in profile.axes), profile.device_map.wires)
+    try:
+        try:
+            asyncio.run(check_alone(bus, profile))
+        except ConnectionFailed as error:
+            rows.append(Row("", "other-host", Verdict.MISMATCH, str(error)))
+        else:
+            for axis in profile.axes:
+                rows += _axis(bus, axis, profile, ways)
+        if bus.watch.reason:
+            rows.append(Row("", "other-host", Verdict.MISMATCH, bus.watch.reason))
+    finally:
+        bus.close()
+    made = datetime.now(UTC).isoformat(timespec="seconds")
+    return Sheet(name, made, files or {}, ways, tuple(rows))
+
+
+def digests(path: Path) -> dict[str, str]:
+    """SHA-256 of the profile and of the files that it names, by name: what the sheet is true of."""
+    content = load_profile(path)
+    named = [path, *(path.parent / str(content[key]) for key in ("eds", "device") if content.get(key))]
+    return {each.name: hashlib.sha256(each.read_bytes()).hexdigest() for each in named}
+
+
+def _axis(bus: Bus, axis: CanopenAxis, profile: CanopenProfile, ways: dict[str, str]) -> Iterator[Row]:
+    place = f"{axis.joint} (node {axis.node})"
+    sdo = QuietSdo(bus.add_node(axis.node, None), place, bus.check_alive)
+    node = Node(axis, profile, read_dictionary(profile.eds, axis.node), sdo)
+    bus.expect_nodes()  # the silence of one before is no silence of this one
+    try:
+        _wake(bus, node)
+        other = [*identity.who(node)]
+        yield from other
+        if _wrong(other):
+            yield node.note("not-asked", "units, limits, settings, mapping: it is not the drive of the profile")
+            yield from objects.present(node)
+            return
+        looked = [*identity.state(node), *_looked_at(node)]
+        yield from looked
+        if _wrong(looked) & _NO_GROUND:
+            yield node.note("not-asked", "settings and mapping: nothing is written before this is right")
+            return
+        bus.send(frames.NMT, bytes([frames.NMT_PRE_OPERATIONAL, axis.node]))
+        yield from _written(node, ways)
+    except CommunicationLost as error:
+        yield node.row("no-answer", False, f"{error}: power, cable, node number or bit rate")
+
+
+_NO_GROUND = {"energy", "fault", "missing-object", "wrong-type", "refused-object", "units", "increments"}
+
+
+def _wrong(rows: list[Row]) -> set[str]:
+    return {row.check for row in rows if row.verdict is Verdict.MISMATCH}
+
+
+def _wake(bus: Bus, node: Node) -> None:
+    """A node in NMT stop does not answer; only such a one is told anything before it has said that it has no energy."""
+    try:
+        node.of_map("statusword")
+    except CommunicationLost:
+        bus.expect_nodes()
+        bus.send(frames.NMT, bytes([frames.NMT_PRE_OPERATIONAL, node.axis.node]))
+        node.of_map("statusword")
+
+
+def _looked_at(node: Node) -> Iterator[Row]:
+    """What is only read."""
+    yield from objects.present(node)
+    yield from units.scale(node)
+    codec, rows = units.conversions(node)
+    yield from rows
+    if codec is not None:
+        yield from units.limits(node, codec)
+        yield from units.at_rest(node, codec)
+
+
+def _written(node: Node, ways: dict[str, str]) -> Iterator[Row]:
+    """What a connection writes."""
+    yield from settings.of_map(node)
+    fresh = Node(node.axis, node.machine, node.dictionary, node.sdo)  # units as the settings have made them
+    codec, rows = units.conversions(fresh)
+    yield from rows
+    if codec is None:
+        return
+    yield from units.resolution(fresh, codec)
+    way, rows = settings.way_of(fresh)
+    yield from rows
+    if way is not None:
+        ways[node.axis.joint] = f"{way.value} ({node.map.entry(way.target).index:04X}h)"
+        yield from settings.mapping(fresh, way)
+    yield from settings.standing(fresh, codec)
+    yield from settings.limits(fresh, codec)
