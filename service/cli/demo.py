@@ -88,7 +88,7 @@ def _detail(campaign: Json) -> str:
 
 
 def _print_estimate(outcome: Outcome, console: Console) -> None:
-    print_estimate(dict(outcome.content.estimate), console)
+    print_estimate(outcome.content.estimate, console)
     table = Table(title="Errors against the truth in percent: median (95th percentile)")
     table.add_column("")
     for joint in outcome.content.truth_columns:

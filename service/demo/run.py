@@ -20,6 +20,7 @@ from service.errors import BadInput
 from service.geometry.cell import read_cell
 from service.planning.plan import PlanRequest, workspace_grid
 from service.report import Content, axes_of, content_of, render
+from service.results.estimate import Estimate
 from service.store.files.bundle import Bundle, read_bundle
 
 SCENARIO = Path("config/scenarios/max100-full.yaml")
@@ -87,7 +88,7 @@ def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> Outcome:
     content = replace(content, subtitle=subtitle, truth=truth, truth_columns=columns, diagnosis=found.diagnosis)
     report = out / "report.html"
     report.write_text(render(content), encoding="utf-8")
-    (out / "estimate.json").write_text(json.dumps(content.estimate, indent=2) + "\n", encoding="utf-8")
+    (out / "estimate.json").write_text(json.dumps(revisions[-1]["document"], indent=2) + "\n", encoding="utf-8")
     (out / "diagnosis.json").write_text(json.dumps(found.document, indent=2) + "\n", encoding="utf-8")
     return Outcome(content, found, report, out / "bundle")
 
@@ -104,13 +105,14 @@ def _clear(out: Path) -> None:
 
 def _content(bundle: Bundle, revisions: list[Json], workspace: np.ndarray, seed: int) -> Content:
     sweeps = {sweep.spec.id: sweep for sweep in bundle.sweeps}
+    estimates = [Estimate.read(entry["document"], f"estimate {entry['revision']}") for entry in revisions]
     return content_of(
         bundle.robot,
-        revisions[-1]["document"],
+        estimates[-1],
         [sweep.spec for sweep in bundle.sweeps],
         lambda spec: sweeps[spec.id],
         f"Demo on a virtual machine (scenario {SCENARIO.stem}, seed {seed}), measured over CANopen through "
         "the service: elastic drive trains, friction on motor and load side, cogging and noise.",
         workspace=workspace,
-        revisions=[(entry["revision"], entry["document"]) for entry in revisions],
+        revisions=[(entry["revision"], one.base_parameters) for entry, one in zip(revisions, estimates, strict=True)],
     )

@@ -15,6 +15,7 @@ from service.errors import Conflict, NotFound
 from service.identification.motion.trajectory_record import runs_at_once
 from service.report import CampaignReport, Drive, example_of, used_sweeps
 from service.results.check import DataCheck
+from service.results.estimate import Estimate
 from service.store.checks import CheckStore
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis_documents import DiagnosisDocument
@@ -44,8 +45,8 @@ class Reporting:
         beside = campaign_beside(self.store, campaign)
         others = () if beside is None else self.store.sweeps(beside.id)
         alone = {sweep.spec.id: sweep for sweep in (*others, *own) if not runs_at_once(sweep.spec)}
-        document = cast("Mapping[str, Any]", estimate.document)
-        specs = used_sweeps(document, [sweep.spec for sweep in alone.values()])
+        found = estimate.content
+        specs = used_sweeps(found, [sweep.spec for sweep in alone.values()])
         diagnosis = self.diagnoses.newest_of(campaign_id)
         experiment = self.diagnoses.of_experiment(campaign_id)
         approved = None if experiment is None else experiment.experiment
@@ -60,7 +61,7 @@ class Reporting:
             origin=(
                 ("robot", f"{robot.name}, number {robot.id} of this service"),
                 ("robot document", f"SHA-256 {robot.sha256}"),
-                ("model", _model(document)),
+                ("model", _model(found)),
                 ("campaign", _campaign(campaign)),
                 ("ordered by", _ordered(campaign, None if approved is None else approved.approved_by)),
                 ("measured", _measured(campaign)),
@@ -83,7 +84,7 @@ class Reporting:
             robot=robot.description,
             urdf_text=robot.urdf_text,
             report=report,
-            estimate=estimate.document,
+            estimate=found,
             specs=specs,
             example=self._recorded(alone[example_of(specs).id]) if specs else None,
             revisions=tuple(
@@ -120,8 +121,8 @@ def spread(last: int) -> Sequence[int]:
     return sorted({1 + round(k * (last - 1) / (CONVERGENCE - 1)) for k in range(CONVERGENCE)})
 
 
-def _model(estimate: Mapping[str, Any]) -> str:
-    source = estimate.get("model")
+def _model(estimate: Estimate) -> str:
+    source = estimate.model
     if not source:
         return "rigid body of the robot document; no accepted effects"
     return f"revision {source['revision']} (number {source['id']}), its effects taken into account"

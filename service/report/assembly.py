@@ -8,7 +8,8 @@ import numpy as np
 
 from service.geometry.collision import reachable
 from service.recording import Sweep, SweepSpec
-from service.report.content import SAME_POSITION, Array, Content, Document, revision
+from service.report.content import SAME_POSITION, Array, Content, revision
+from service.results.estimate import BaseParameter, Estimate
 from service.robot import Robot
 
 DRAWN = 2000  # poses that models are drawn over, at most
@@ -17,22 +18,22 @@ FINEST = 25  # positions of one joint
 
 def content_of(
     robot: Robot,
-    estimate: Document,
+    estimate: Estimate,
     specs: Iterable[SweepSpec],
     read: Callable[[SweepSpec], Sweep],
     subtitle: str,
     *,
     workspace: Array | None = None,
-    revisions: Iterable[tuple[int, Document]] = (),
+    revisions: Iterable[tuple[int, Sequence[BaseParameter]]] = (),
 ) -> Content:
     """The content of a report of an estimate that has the inertia of an axis.
 
     `specs`: at least of the sweeps that the estimate used. `read` gives the samples of one of them, for the example.
     `workspace` (m, n): free poses, where they are known; else a grid over what the sweeps covered. `revisions`: number
-    and document (its "base_parameters" are enough) of the estimates on the way.
+    and base parameters of the estimates on the way.
     """
     used = used_sweeps(estimate, specs)
-    names = [entry["name"] for entry in estimate["base_parameters"]]
+    names = [entry.name for entry in estimate.base_parameters]
     return Content(
         title=f"Inertias of the robot {robot.name}",
         subtitle=subtitle,
@@ -40,14 +41,14 @@ def content_of(
         estimate=estimate,
         specs=used,
         workspace=covered(robot, used) if workspace is None else workspace,
-        revisions=tuple(revision(document, names, number) for number, document in revisions),
+        revisions=tuple(revision(parameters, names, number) for number, parameters in revisions),
         example=read(example_of(used)),
     )
 
 
-def used_sweeps(estimate: Document, specs: Iterable[SweepSpec]) -> tuple[SweepSpec, ...]:
+def used_sweeps(estimate: Estimate, specs: Iterable[SweepSpec]) -> tuple[SweepSpec, ...]:
     """Those whose inertia stands in the estimate, in their order."""
-    used = {one["sweep"] for axis in estimate["axes"].values() for one in axis["inertia"]}
+    used = {one.sweep for axis in estimate.axes.values() for one in axis.inertia}
     return tuple(spec for spec in specs if spec.id in used)
 
 

@@ -4,13 +4,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
-from service.report.content import Content, Document
+from service.report.content import Content
 from service.report.diagnosis import diagnosis_section, findings
 from service.report.html import Page
 from service.report.page import analysis_section, estimate_sections
 from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict
 from service.results.check import DataCheck
+from service.results.combination import Combination
 from service.results.diagnosis import Diagnosis
+from service.results.estimate import Estimate, Suspect
 from service.robot import Robot
 
 _LOOK = {CONFIRMED: "none", OPEN: "ambiguous", CONTRADICTED: "unknown"}  # of the card; the word stands in it
@@ -46,7 +48,7 @@ class CampaignReport:
     test_mass: float | None = None
 
 
-def render_campaign(report: CampaignReport, robot: Robot, estimate: Document, content: Content | None) -> str:
+def render_campaign(report: CampaignReport, robot: Robot, estimate: Estimate, content: Content | None) -> str:
     """One HTML file. `content`: None where the estimate has no inertia of an axis by itself."""
     page = Page()
     page.add(f"<h1>{escape(report.title)}</h1>", f'<p class="lead">{escape(report.subtitle)}</p>')
@@ -59,10 +61,10 @@ def render_campaign(report: CampaignReport, robot: Robot, estimate: Document, co
     if content is not None:
         estimate_sections(page, content)
     else:
-        analysis_section(page, robot, estimate.get("analysis", {}))
-    if estimate.get("combination"):
-        _combination(page, estimate["combination"])
-    _suspects(page, estimate.get("suspect", ()))
+        analysis_section(page, robot, estimate.analysis)
+    if estimate.combination is not None:
+        _combination(page, estimate.combination)
+    _suspects(page, estimate.suspect)
     _check(page, report.check)
     if report.diagnosis is not None:
         diagnosis_section(page, report.diagnosis[1])
@@ -91,7 +93,7 @@ def _origin(page: Page, report: CampaignReport) -> None:
     )
 
 
-def _combination(page: Page, combination: Document) -> None:
+def _combination(page: Page, combination: Combination) -> None:
     page.add(
         "<h2>Sweeps and trajectories together</h2>",
         "<p>The base parameters of the whole dynamics, SI, and what determines them.</p>",
@@ -100,25 +102,25 @@ def _combination(page: Page, combination: Document) -> None:
         ["parameter", "value", "± std", "determined by", "not for use"],
         [
             [
-                one["name"],
-                f"{one['value']:.5g}",
-                "–" if one["std"] is None else f"{one['std']:.2g}",
-                one["reason"] or one["source"],
-                "" if one["identified"] else "not identified",
+                one.name,
+                f"{one.value:.5g}",
+                "–" if one.std is None else f"{one.std:.2g}",
+                one.reason or one.source,
+                "" if one.identified else "not identified",
             ]
-            for one in combination["base_parameters"]
+            for one in combination.base_parameters
         ],
         "name",
     )
 
 
-def _suspects(page: Page, suspects: Sequence[Document]) -> None:
+def _suspects(page: Page, suspects: Sequence[Suspect]) -> None:
     if not suspects:
         return
     page.add(
         "<h2>Sweeps that do not fit the others</h2>", "<p>None is dropped; the worse one fits, the less it counts.</p>"
     )
-    rows = [[one["sweep"], one["axis"], one["why"], f"{one['weight']:.2g}"] for one in suspects]
+    rows = [[one.sweep, one.axis, one.why, f"{one.weight:.2g}"] for one in suspects]
     page.table(["sweep", "axis", "why", "weight"], rows)
 
 

@@ -4,9 +4,8 @@ The identified model is taken from the estimate's `standard_parameters`, which r
 estimate document of `sweepid identify --json` is all that is needed of the identification.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +13,10 @@ from numpy.typing import NDArray
 from service.identification.model.regressor import axis_rows, lock
 from service.recording import Sweep, SweepSpec
 from service.results.diagnosis import Diagnosis
+from service.results.estimate import BaseParameter, Estimate
 from service.robot import INERTIAL_NAMES, Robot
 
 Array = NDArray[np.float64]
-Document = Mapping[str, Any]
 
 SAME_POSITION = 2e-3  # rad (m): joints that differ by less between poses did not vary
 
@@ -46,7 +45,7 @@ class Content:
     title: str
     subtitle: str
     robot: Robot
-    estimate: Document
+    estimate: Estimate
     specs: tuple[SweepSpec, ...]
     workspace: Array
     revisions: tuple[Revision, ...] = ()
@@ -81,9 +80,9 @@ def axes_of(content: Content) -> tuple[Axis, ...]:
     order = {spec.id: number for number, spec in enumerate(content.specs, start=1)}
     poses = {spec.id: spec.pose for spec in content.specs}
     axes: list[Axis] = []
-    for joint, found in content.estimate["axes"].items():
-        sweeps: Sequence[Document] = sorted(found["inertia"], key=lambda sweep: order[sweep["sweep"]])
-        own = np.array([poses[sweep["sweep"]] for sweep in sweeps])
+    for joint, found in content.estimate.axes.items():
+        sweeps = sorted(found.inertia, key=lambda sweep: order[sweep.sweep])
+        own = np.array([poses[sweep.sweep] for sweep in sweeps])
         index = content.robot.index(joint)
         identified, reference = model.inertia(index, own)
         identified_workspace, reference_workspace = model.inertia(index, content.workspace)
@@ -91,10 +90,10 @@ def axes_of(content: Content) -> tuple[Axis, ...]:
             Axis(
                 joint=joint,
                 poses=own,
-                numbers=tuple(order[sweep["sweep"]] for sweep in sweeps),
-                measured=np.array([sweep["value"] for sweep in sweeps], dtype=float),
-                std=np.array([sweep["std"] for sweep in sweeps], dtype=float),
-                paper=np.array([_number(sweep["paper_value"]) for sweep in sweeps]),
+                numbers=tuple(order[sweep.sweep] for sweep in sweeps),
+                measured=np.array([sweep.value for sweep in sweeps], dtype=float),
+                std=np.array([sweep.std for sweep in sweeps], dtype=float),
+                paper=np.array([_number(sweep.paper_value) for sweep in sweeps]),
                 identified=identified,
                 reference=reference,
                 workspace=content.workspace,
@@ -102,23 +101,23 @@ def axes_of(content: Content) -> tuple[Axis, ...]:
                 reference_workspace=reference_workspace,
                 varied=tuple(int(k) for k in np.flatnonzero(np.ptp(own, axis=0) > SAME_POSITION) if k > index),
                 rmse=(
-                    found["rmse_percent"]["reference_measured"],
-                    found["rmse_percent"]["identified_measured"],
-                    found["rmse_percent"]["reference_identified"],
+                    found.rmse_percent.reference_measured,
+                    found.rmse_percent.identified_measured,
+                    found.rmse_percent.reference_identified,
                 ),
             )
         )
     return tuple(axes)
 
 
-def revision(document: Document, names: Sequence[str], sweeps: int) -> Revision:
+def revision(parameters: Sequence[BaseParameter], names: Sequence[str], sweeps: int) -> Revision:
     """The revision as one step of the convergence of the parameters `names` (those of the last estimate)."""
-    found = {entry["name"]: entry for entry in document["base_parameters"]}
-    missing = {"value": None, "std": None}
+    value = {entry.name: entry.value for entry in parameters}
+    std = {entry.name: entry.std for entry in parameters}
     return Revision(
         sweeps,
-        np.array([_number(found.get(name, missing)["value"]) for name in names]),
-        np.array([_number(found.get(name, missing)["std"]) for name in names]),
+        np.array([_number(value.get(name)) for name in names]),
+        np.array([_number(std.get(name)) for name in names]),
     )
 
 
@@ -127,13 +126,13 @@ class _Models:
 
     def __init__(self, content: Content) -> None:
         chain = content.robot.chain
-        standard = content.estimate["standard_parameters"]
+        standard = content.estimate.standard_parameters
         poses = np.array([spec.pose for spec in content.specs])
-        self._unlocked = [k for k, joint in enumerate(chain.joints) if joint.link in standard["links"]]
+        self._unlocked = [k for k, joint in enumerate(chain.joints) if joint.link in standard.links]
         fixed = {k: float(poses[:, k].mean()) for k in range(len(chain.joints)) if k not in self._unlocked}
         self._chain = lock(chain, fixed)
-        links = [standard["links"][joint.link][name] for joint in self._chain.joints for name in INERTIAL_NAMES]
-        motors = list(standard["motor_inertias"].values())
+        links = [standard.links[joint.link][name] for joint in self._chain.joints for name in INERTIAL_NAMES]
+        motors = list(standard.motor_inertias.values())
         self._identified = np.array([*links, *motors], dtype=float)
         nominal = [content.robot.axes[k].reflected_motor_inertia or 0.0 for k in self._unlocked]
         self._nominal = np.concatenate([self._chain.inertial.ravel(), nominal])

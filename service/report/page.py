@@ -3,14 +3,14 @@
 import math
 from collections.abc import Sequence
 from html import escape
-from typing import Any
 
 from service.identification.estimates.analysis_document import analyses_from
 from service.identification.model.certainty import UNSURE, not_for_use
 from service.report import figures, initial_analysis
-from service.report.content import Axis, Content, Document, axes_of
+from service.report.content import Axis, Content, axes_of
 from service.report.diagnosis import diagnosis_section
 from service.report.html import Page
+from service.results.analysis import Analyses, as_json
 from service.robot import Robot
 
 
@@ -28,7 +28,7 @@ def estimate_sections(page: Page, content: Content) -> None:
     """All that an estimate tells, from the facts to the base parameters."""
     axes = axes_of(content)
     _facts(page, content, axes)
-    analysis_section(page, content.robot, content.estimate.get("analysis", {}))
+    analysis_section(page, content.robot, content.estimate.analysis)
     _inertias(page, content, axes)
     _accuracy(page, content, axes)
     _convergence(page, content)
@@ -36,8 +36,8 @@ def estimate_sections(page: Page, content: Content) -> None:
     _parameters(page, content)
 
 
-def render_analysis(robot: Robot, analysis: Document) -> str:
-    """A report of an initial analysis alone ("analysis" of an estimate's document)."""
+def render_analysis(robot: Robot, analysis: Analyses) -> str:
+    """A report of an initial analysis alone."""
     title = f"Initial analysis of the robot {robot.name}"
     page = Page()
     page.add(f"<h1>{escape(title)}</h1>")
@@ -45,9 +45,9 @@ def render_analysis(robot: Robot, analysis: Document) -> str:
     return page.html(title)
 
 
-def analysis_section(page: Page, robot: Robot, analysis: Document) -> None:
-    """Of "analysis" of an estimate's document; nothing where it is empty."""
-    analyses = analyses_from(analysis)
+def analysis_section(page: Page, robot: Robot, analysis: Analyses) -> None:
+    """Of the initial analysis of an estimate; nothing where it is empty."""
+    analyses = analyses_from(as_json(analysis))
     if not analyses:
         return
     page.add(
@@ -69,13 +69,13 @@ def analysis_section(page: Page, robot: Robot, analysis: Document) -> None:
 
 
 def _facts(page: Page, content: Content, axes: Sequence[Axis]) -> None:
-    condition = content.estimate["condition_number"]
+    condition = content.estimate.condition_number
     poses = len({spec.pose for spec in content.specs})
     facts = [
         (str(sum(len(axis.measured) for axis in axes)), "sweeps"),
         (str(poses), "poses"),
         (str(len(axes)), "axes"),
-        (str(len(content.estimate["base_parameters"])), "base parameters"),
+        (str(len(content.estimate.base_parameters)), "base parameters"),
         ("–" if condition is None else f"{condition:.1f}", "condition number"),
     ]
     page.facts(facts)
@@ -129,7 +129,7 @@ def _accuracy(page: Page, content: Content, axes: Sequence[Axis]) -> None:
 def _convergence(page: Page, content: Content) -> None:
     if len(content.revisions) < 2:
         return
-    names = [entry["name"] for entry in content.estimate["base_parameters"]]
+    names = [entry.name for entry in content.estimate.base_parameters]
     page.add(
         "<h2>Convergence</h2>",
         "<p>Every base parameter after each sweep, with a band of two standard deviations; each curve starts where the "
@@ -162,12 +162,12 @@ def _parameters(page: Page, content: Content) -> None:
     )
     rows = [
         [
-            entry.get("symbolic", entry["name"]),
-            f"{entry['value']:.5g}",
-            "–" if entry["std"] is None else f"{entry['std']:.2g}",
-            not_for_use(entry),
+            entry.name if entry.symbolic is None else entry.symbolic,
+            f"{entry.value:.5g}",
+            "–" if entry.std is None else f"{entry.std:.2g}",
+            not_for_use(entry.model_dump()),
         ]
-        for entry in content.estimate["base_parameters"]
+        for entry in content.estimate.base_parameters
     ]
     page.table(["parameter", "value", "± std", "not for use"], rows, "name")
     if any(row[-1] for row in rows):
@@ -175,11 +175,8 @@ def _parameters(page: Page, content: Content) -> None:
             f"<p>Not for use: a value whose standard deviation is more than {100 * UNSURE:.0f} % of it, or that the "
             "data tell no better than the CAD model does, which then stands here.</p>"
         )
-    symbols: dict[str, Any] = content.estimate.get("symbols", {})  # stored before there were words: none
-    for symbol, of in symbols.items():
-        page.add(
-            f'<p class="note">{escape(symbol)} = {of["value"]:.5g} {escape(of["unit"])}, {escape(of["meaning"])}</p>'
-        )
+    for symbol, of in content.estimate.symbols.items():
+        page.add(f'<p class="note">{escape(symbol)} = {of.value:.5g} {escape(of.unit)}, {escape(of.meaning)}</p>')
     page.add(
         '<p class="note">Standard deviations are conditional on the torque constants: a torque constant that is wrong '
         "by 1 % scales every inertia by 1 %, and no sweep shows it.</p>"

@@ -1,15 +1,13 @@
 """The verdict of a campaign's report in one sentence: what the estimate says, and what speaks against it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from service.identification.model.certainty import UNSURE, share_of_value
 from service.report.diagnosis import plain
 from service.results.check import DataCheck
 from service.results.diagnosis import Diagnosis
-
-Document = Mapping[str, Any]
+from service.results.estimate import Estimate
 
 CONFIRMED, OPEN, CONTRADICTED = "Confirmed", "Not confirmed", "Contradicted"
 
@@ -23,20 +21,20 @@ class Verdict:
 
 
 def verdict(
-    estimate: Document,
+    estimate: Estimate,
     check: DataCheck | None,
     diagnosis: tuple[int, Diagnosis] | None,
     test_mass: float | None = None,
 ) -> Verdict:
-    """Of an estimate's document, the findings of the data's check, and number and document of the newest diagnosis."""
+    """Of an estimate, the findings of the data's check, and number and document of the newest diagnosis."""
     parts = (_estimate(estimate), _mass(test_mass), _check(check), _diagnosis(estimate, diagnosis))
     standings = {standing for standing, _ in parts}
     standing = next(one for one in (CONTRADICTED, OPEN, CONFIRMED) if one in standings)
     return Verdict(standing, f"{'; '.join(told for _, told in parts if told)}.")
 
 
-def _estimate(estimate: Document) -> tuple[str, str]:
-    shares = {joint: share_of_value(axis) for joint, axis in estimate["axes"].items()}
+def _estimate(estimate: Estimate) -> tuple[str, str]:
+    shares = {joint: share_of_value(axis.model_dump()) for joint, axis in estimate.axes.items()}
     if not shares:
         return OPEN, "No inertia of an axis by itself was identified, only what is told below"
     unsure = [joint for joint, share in shares.items() if not share <= UNSURE]
@@ -51,7 +49,7 @@ def _estimate(estimate: Document) -> tuple[str, str]:
         )
     if unsure:
         told.append(f"{_inertias(unsure)} too uncertain to use")
-    suspects = estimate.get("suspect", ())
+    suspects = estimate.suspect
     if suspects:
         told.append(f"{_count(len(suspects), 'sweep does', 'sweeps do')} not fit the others")
     text = ", but ".join(told)
@@ -78,16 +76,16 @@ def _check(check: DataCheck | None) -> tuple[str, str]:
     )
 
 
-def _diagnosis(estimate: Document, diagnosis: tuple[int, Diagnosis] | None) -> tuple[str, str]:
+def _diagnosis(estimate: Estimate, diagnosis: tuple[int, Diagnosis] | None) -> tuple[str, str]:
     """An effect that the estimate took into account is none that it lacks."""
     if diagnosis is None:
         return OPEN, "no diagnosis was made of it"
     number, document = diagnosis
-    taken = {(one["axis"], one["effect"]) for one in estimate.get("effects", ()) if one["used"]}
+    taken = {(one.axis, one.effect) for one in estimate.effects if one.used}
     against: list[str] = []
     untold: list[str] = []
     for joint, axis in document.axes.items():
-        if joint not in estimate["axes"]:
+        if joint not in estimate.axes:
             continue
         effects = [one.effect for one in axis.effects if (joint, one.effect) not in taken]
         if axis.verdict == "named" and effects:
@@ -100,9 +98,9 @@ def _diagnosis(estimate: Document, diagnosis: tuple[int, Diagnosis] | None) -> t
             untold.append(joint)
     if against:
         return CONTRADICTED, f"but diagnosis {number} contradicts it: {', '.join(against)}"
-    asked = [joint for joint in estimate["axes"] if joint in document.axes and joint not in untold]
-    if len(asked) < len(estimate["axes"]):
-        left = [joint for joint in estimate["axes"] if joint not in asked]
+    asked = [joint for joint in estimate.axes if joint in document.axes and joint not in untold]
+    if len(asked) < len(estimate.axes):
+        left = [joint for joint in estimate.axes if joint not in asked]
         return OPEN, f"diagnosis {number} does not tell whether something is missing in {_list(left)}"
     return CONFIRMED, f"diagnosis {number} finds no effect missing"
 

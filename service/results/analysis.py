@@ -1,5 +1,9 @@
 """The initial analysis of an axis: "analysis" of an estimate, by joint."""
 
+from collections.abc import Mapping
+
+from pydantic import JsonValue
+
 from service.results.effect import Value
 from service.results.part import Part
 
@@ -59,3 +63,11 @@ class AxisAnalysis(Part):
     chi_squared: float
     classes: tuple[PoseClass, ...] = ()
     poses: tuple[AnalysedPose, ...]
+
+
+Analyses = Mapping[str, AxisAnalysis]  # by joint
+
+
+def as_json(analyses: Analyses) -> dict[str, JsonValue]:
+    """What was read, as mathematics takes it."""
+    return {joint: axis.model_dump(mode="json", exclude_unset=True) for joint, axis in analyses.items()}

@@ -1,19 +1,21 @@
 """The report of a campaign, drawn in the worker: it takes seconds that would delay set-points."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
-from pydantic import JsonValue
+from pydantic import JsonValue, TypeAdapter
 
 from service.recording import SweepSpec
 from service.report import CampaignReport, content_of, render_campaign
+from service.results.estimate import BaseParameter, Estimate
 from service.robot import RobotDescription, build_robot
 from service.worker.jobs import RecordedSweep
+
+_PARAMETERS = TypeAdapter(tuple[BaseParameter, ...])
 
 
 @dataclass(frozen=True, slots=True)
 class ReportJob:
-    """One HTML file of an estimate's document.
+    """One HTML file of an estimate.
 
     `specs`: of the sweeps whose inertia it has, none where it has no axis; `example` is one of them. `revisions`:
     number and "base_parameters" of estimates on the way.
@@ -23,7 +25,7 @@ class ReportJob:
     robot: RobotDescription
     urdf_text: str
     report: CampaignReport
-    estimate: Mapping[str, JsonValue]
+    estimate: Estimate
     specs: tuple[SweepSpec, ...]
     example: RecordedSweep | None
     revisions: tuple[tuple[int, JsonValue], ...]
@@ -43,6 +45,6 @@ class ReportJob:
                 self.specs,
                 lambda _: example.read(),
                 self.report.subtitle,
-                revisions=[(number, {"base_parameters": found}) for number, found in self.revisions],
+                revisions=[(number, _PARAMETERS.validate_python(found)) for number, found in self.revisions],
             )
         return render_campaign(self.report, robot, self.estimate, content)

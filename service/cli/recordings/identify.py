@@ -1,10 +1,11 @@
 """`sweepid identify BUNDLE`: the paper's Table 1, the base parameters and their quality from recorded sweeps."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
+from pydantic import JsonValue
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -24,13 +25,16 @@ from service.identification.motion.trajectory_record import runs_at_once
 from service.identification.spectra.noise_response import has_reference
 from service.recording import Sweep
 from service.report import content_of, render, render_analysis, used_sweeps
+from service.results.analysis import Analyses, as_json
+from service.results.effect import Value
+from service.results.estimate import BaseParameter, Estimate, EstimatedAxis, Rmse
 from service.robot import Robot
 from service.store.files.bundle import Bundle, read_bundle
 
-_ROWS = (
-    ("reference - measurement", "reference_measured"),
-    ("identified - measurement", "identified_measured"),
-    ("reference - identified (workspace)", "reference_identified"),
+_ROWS: tuple[tuple[str, Callable[[Rmse], float]], ...] = (
+    ("reference - measurement", lambda rmse: rmse.reference_measured),
+    ("identified - measurement", lambda rmse: rmse.identified_measured),
+    ("reference - identified (workspace)", lambda rmse: rmse.reference_identified),
 )
 
 
@@ -53,11 +57,12 @@ def identify(
         read_gains(gains) if gains else None,
         read_effects(model, measured.robot) if model else None,
     )
+    found = Estimate.read(document, str(bundle))
     if report is not None:
-        write_file(report, _report(measured, document, str(bundle)))
+        write_file(report, _report(measured, found, str(bundle)))
     if put_json(document, json_to):
         return
-    print_estimate(document, Console())
+    print_estimate(found, Console())
 
 
 def identify_bundle(
@@ -66,7 +71,7 @@ def identify_bundle(
     place: str,
     gains: Mapping[str, TorqueGain] | None = None,
     known: KnownEffects | None = None,
-) -> dict[str, Any]:
+) -> dict[str, JsonValue]:
     """The estimate as in DESIGN.md, of all sweeps or of those of one joint; BadInput if that leaves none."""
     if axis is not None:
         bundle.robot.index(axis)
@@ -87,18 +92,18 @@ def identify_bundle(
         return estimate_document(bundle.robot, spectra, gains=gains, known=known, motions=motions)
 
 
-def _report(bundle: Bundle, document: dict[str, Any], place: str) -> str:
+def _report(bundle: Bundle, found: Estimate, place: str) -> str:
     """HTML. BadInput if there is nothing to report."""
-    if not document["axes"]:
-        if not document["analysis"]:
+    if not found.axes:
+        if not found.analysis:
             raise BadInput(
                 place, "has neither sweeps that show the inertia of one axis nor an initial analysis to report"
             )
-        return render_analysis(bundle.robot, document["analysis"])
+        return render_analysis(bundle.robot, found.analysis)
     sweeps = {sweep.spec.id: sweep for sweep in bundle.sweeps}
-    specs = used_sweeps(document, [sweep.spec for sweep in bundle.sweeps])
+    specs = used_sweeps(found, [sweep.spec for sweep in bundle.sweeps])
     subtitle = f"Identified from {len(specs)} sweeps of the bundle {place}."
-    return render(content_of(bundle.robot, document, specs, lambda spec: sweeps[spec.id], subtitle))
+    return render(content_of(bundle.robot, found, specs, lambda spec: sweeps[spec.id], subtitle))
 
 
 def read_effects(path: Path, robot: Robot) -> KnownEffects:
@@ -120,52 +125,51 @@ def _tells(sweep: Sweep) -> bool:
     return sweep.spec.shows_inertia or sweep.spec.stepped or has_reference(sweep)
 
 
-def print_estimate(document: dict[str, Any], console: Console) -> None:
+def print_estimate(found: Estimate, console: Console) -> None:
     """Initial analysis, Table 1 of the paper for this robot, and the base parameters with standard deviation."""
-    if document["analysis"]:
-        _print_analysis(document["analysis"], console)
-    combination = document.get("combination")  # estimates that were stored by an earlier version have none
-    if combination is not None:
-        print_combination(combination, console)
-    axes: dict[str, Any] = document["axes"]
+    if found.analysis:
+        _print_analysis(found.analysis, console)
+    if found.combination is not None:
+        print_combination(found.combination, console)
+    axes = found.axes
     if not axes:
         return
     table = Table(title="RMSE of the axis inertias in percent")
     table.add_column("")
     for joint in axes:
         table.add_column(joint, justify="right")
-    for label, key in _ROWS:
-        table.add_row(label, *(_percent(axis["rmse_percent"][key]) for axis in axes.values()))
-    table.add_row("sweeps", *(str(len(axis["inertia"])) for axis in axes.values()), style="dim")
+    for label, size in _ROWS:
+        table.add_row(label, *(f"{size(axis.rmse_percent):.2f}" for axis in axes.values()))
+    table.add_row("sweeps", *(str(len(axis.inertia)) for axis in axes.values()), style="dim")
     console.print(table)
 
     table = Table(title="Base parameters, SI, about the joints' axes")
     table.add_column("parameter", overflow="fold")
     table.add_column("value", justify="right")
     table.add_column("std", justify="right")
-    for parameter in document["base_parameters"]:
-        table.add_row(parameter["symbolic"], f"{parameter['value']:.5g}", _number(parameter["std"]))
+    for parameter in found.base_parameters:
+        table.add_row(_words(parameter), f"{parameter.value:.5g}", _number(parameter.std))
     console.print(table)
-    for parameter in document["base_parameters"]:
-        if "reason" in parameter:
-            console.print(f"Not identified: {parameter['symbolic']}: {parameter['reason']}", highlight=False)
-    for symbol, of in document["symbols"].items():
-        console.print(f"  {symbol} = {of['value']:.5g} {of['unit']}, {of['meaning']}", style="dim", highlight=False)
+    for parameter in found.base_parameters:
+        if parameter.reason:
+            console.print(f"Not identified: {_words(parameter)}: {parameter.reason}", highlight=False)
+    for symbol, of in found.symbols.items():
+        console.print(f"  {symbol} = {of.value:.5g} {of.unit}, {of.meaning}", style="dim", highlight=False)
     _print_free_records(axes, console)
-    for suspect in document["suspect"]:
-        console.print(f"Suspect: sweep {suspect['sweep']} of {suspect['axis']}, {suspect['why']}")
-    for effect in document.get("effects", []):  # estimates that were stored by an earlier version have none
-        used = "Taken into account" if effect["used"] else "Left out"
-        console.print(f"{used}: {effect['effect']} of {effect['axis']}, {effect['how']}")
-    console.print(f"Condition number of the observation matrix: {_number(document['condition_number'])}")
+    for suspect in found.suspect:
+        console.print(f"Suspect: sweep {suspect.sweep} of {suspect.axis}, {suspect.why}")
+    for effect in found.effects:
+        used = "Taken into account" if effect.used else "Left out"
+        console.print(f"{used}: {effect.effect} of {effect.axis}, {effect.how}")
+    console.print(f"Condition number of the observation matrix: {_number(found.condition_number)}")
 
 
-def _print_analysis(analysis: dict[str, Any], console: Console) -> None:
+def _print_analysis(analysis: Analyses, console: Console) -> None:
     """Pose by pose: where the load swings, where friction rules, and which frequency lies between them."""
     table = Table(title="Initial analysis; in brackets by asymptotes")
     for name in ("axis", "pose in rad", "J", "locked rotor, Hz", "friction below, Hz", "ideal, Hz", "sweep, Hz"):
         table.add_column(name, justify="left" if name in ("axis", "pose in rad") else "right")
-    for joint, axis in analyses_from(analysis).items():
+    for joint, axis in analyses_from(as_json(analysis)).items():
         for pose in axis.poses:
             fit, read = pose.fit, pose.asymptotes
             locked_rotor, ideal = _both(fit.locked_rotor, read.locked_rotor), _both(fit.frequency, read.frequency)
@@ -191,9 +195,9 @@ def _with_std(figure: Figure) -> str:
     return f"{figure.value:.4g} ± {figure.std:.4g}"
 
 
-def _print_free_records(axes: dict[str, Any], console: Console) -> None:
+def _print_free_records(axes: Mapping[str, EstimatedAxis], console: Console) -> None:
     """What else was found in records without lines, which are fitted one by one."""
-    records = [(joint, sweep) for joint, axis in axes.items() for sweep in axis["inertia"] if "terms" in sweep]
+    records = [(joint, sweep) for joint, axis in axes.items() for sweep in axis.inertia if sweep.terms]
     if not records:
         return
     table = Table(title="Records without lines, SI")
@@ -202,14 +206,14 @@ def _print_free_records(axes: dict[str, Any], console: Console) -> None:
     for name in ("value", "std"):
         table.add_column(name, justify="right")
     for joint, sweep in records:
-        terms = {"inertia": {"value": sweep["value"], "std": sweep["std"]}, **sweep["terms"]}
+        terms = {"inertia": Value(value=sweep.value, std=sweep.std), **sweep.terms}
         for name, term in terms.items():
-            table.add_row(joint, sweep["sweep"], name, f"{term['value']:.5g}", _number(term["std"]))
+            table.add_row(joint, sweep.sweep, name, f"{term.value:.5g}", _number(term.std))
     console.print(table)
 
 
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
+def _words(parameter: BaseParameter) -> str:
+    return parameter.name if parameter.symbolic is None else parameter.symbolic
 
 
 def _number(value: float | None) -> str:

@@ -15,7 +15,7 @@ from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis_documents import BoltedMass, NewDiagnosis
 from service.store.documents import NewSweep, SweepState
 from service.store.files.exchange import campaign_bundle
-from tests.stored.documents import diagnosis, diagnosis_document
+from tests.stored.documents import diagnosis, diagnosis_document, stored
 from tests.unit.service.campaigns.conftest import POSES, SPECTRUM, Bench, spec
 
 
@@ -77,7 +77,7 @@ async def test_who_approved_an_experiment_and_its_test_mass_are_told(bench: Benc
     campaign = diagnoses.approve(number, "joint_1", "Ada", mass, {}, new)
     bench.store.begin_sweep(campaign.id, 1, sweep_move(SweepEvent.BEGIN))
     bench.store.end_sweep(campaign.id, 1, sweep_move(SweepEvent.RECORD))
-    identify(bench, {"axes": {}, "analysis": {}, "combination": {"base_parameters": []}}, campaign.id)
+    identify(bench, stored("estimate-free-motion"), campaign.id)
     job = reporting(bench).job(campaign.id)
     assert dict(job.report.origin)["ordered by"] == "Ada, who approved it as the experiment of a diagnosis"
     assert (job.report.test_mass, job.report.drives, job.example) == (20.0, (), None)

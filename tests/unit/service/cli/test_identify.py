@@ -12,9 +12,11 @@ from rich.console import Console
 from service.cli.recordings.identify import print_estimate
 from service.identification.estimates.analysis_document import analyses_document
 from service.recording import Recording, Sine, Sweep, SweepSpec
+from service.results.estimate import Estimate
 from service.robot import Axis, RobotDescription, build_robot
 from service.store.files.bundle import write_bundle
 from tests.command import sweepid
+from tests.stored.documents import stored
 from tests.unit.service.identification.known import model
 from tests.unit.service.identification.test_ideal_frequency import STIFF, analysis
 
@@ -150,8 +152,8 @@ def test_a_broken_bundle_is_told_by_file_and_sweep(bundle: Path) -> None:
 
 def test_a_locked_rotor_above_the_band_is_told_as_such() -> None:
     written = StringIO()
-    document = {"analysis": analyses_document({"swing": analysis(train=STIFF)}), "axes": {}}
-    print_estimate(document, Console(file=written, width=200))
+    document = stored("analysis") | {"analysis": analyses_document({"swing": analysis(train=STIFF)})}
+    print_estimate(Estimate.read(document, "estimate"), Console(file=written, width=200))
     rows = [line for line in written.getvalue().splitlines() if "swing" in line]
     assert len(rows) == 4
     for row in rows:

@@ -14,11 +14,13 @@ from service.report import CampaignReport, Content, Drive, content_of, render_ca
 from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict
 from service.results.check import DataCheck, Finding
 from service.results.diagnosis import Diagnosis
+from service.results.estimate import Estimate
 from service.robot import Robot
 from tests.stored import documents
-from tests.stored.documents import axis_document
+from tests.stored.documents import axis_document, stored
 from tests.unit.service.report.test_report import content, sweep
 
+SUSPECT = {"axis": "joint_1", "sweep": "0001", "why": "it is far off", "weight": 0.1}
 SOUND = DataCheck(findings=(), axes={})
 WRONG = DataCheck(
     findings=(
@@ -42,10 +44,11 @@ def max100(root: Path) -> Robot:
     return read_robot(root / "config" / "robots" / "max100-class.yaml")
 
 
-def estimate(percent: float = 0.8, **more: Any) -> dict[str, Any]:
-    gain = {"value": 1.0, "std": 0.006}
-    axes = {joint: {"confidence_percent": percent, "torque_gain": gain} for joint in ("joint_1", "joint_2")}
-    return {"axes": axes, **more}
+def estimate(percent: float = 0.8, **more: Any) -> Estimate:
+    document = stored("estimate")
+    known = {"confidence_percent": percent, "torque_gain": {"value": 1.0, "std": 0.006}}
+    axes = {joint: document["axes"][joint] | known for joint in ("joint_1", "joint_2")}
+    return Estimate.read(document | {"axes": axes} | more, "estimate")
 
 
 def diagnosis(verdict: str, *effects: str) -> tuple[int, Diagnosis]:
@@ -72,12 +75,12 @@ def test_confirmed_only_where_check_and_diagnosis_speak_for_it() -> None:
         (estimate(), SOUND, None, "no diagnosis was made of it"),
         (estimate(), SOUND, diagnosis("untestable"), "does not tell whether something is missing in joint_1"),
         (estimate(40.0), SOUND, diagnosis("none"), "The inertias of joint_1 and joint_2 are too uncertain to use"),
-        (estimate(suspect=[{}]), SOUND, diagnosis("none"), "but 1 sweep does not fit the others"),
-        ({"axes": {}}, SOUND, None, "No inertia of an axis by itself"),
+        (estimate(suspect=[SUSPECT]), SOUND, diagnosis("none"), "but 1 sweep does not fit the others"),
+        (estimate(axes={}), SOUND, None, "No inertia of an axis by itself"),
     ],
 )
 def test_what_is_not_known_is_not_confirmed(
-    document: dict[str, Any], check: DataCheck | None, found: tuple[int, Diagnosis] | None, words: str
+    document: Estimate, check: DataCheck | None, found: tuple[int, Diagnosis] | None, words: str
 ) -> None:
     told = verdict(document, check, found)
     assert told.standing == OPEN
@@ -108,7 +111,7 @@ def test_what_speaks_against_it_comes_first(check: DataCheck, found: tuple[int, 
 
 
 def test_an_effect_that_the_estimate_took_into_account_is_none_that_it_lacks() -> None:
-    taken = [{"axis": "joint_1", "effect": "coulomb_friction", "used": True}]
+    taken = [{"axis": "joint_1", "effect": "coulomb_friction", "parameters": {}, "used": True, "how": ""}]
     assert verdict(estimate(effects=taken), SOUND, diagnosis("named", "coulomb_friction")).standing == CONFIRMED
     left_out = [taken[0] | {"used": False}]
     assert verdict(estimate(effects=left_out), SOUND, diagnosis("named", "coulomb_friction")).standing == CONTRADICTED
@@ -186,7 +189,7 @@ def test_the_page_begins_with_verdict_and_origin(max100: Robot) -> None:
 
 def test_a_campaign_without_an_inertia_has_what_there_is(max100: Robot) -> None:
     one = {"name": "m(link_6)", "value": 12.0, "std": None, "identified": False, "reason": "not excited", "source": ""}
-    document = {"axes": {}, "analysis": {}, "combination": {"base_parameters": [one]}}
+    document = estimate(axes={}, combination={"base_parameters": [one]})
     text = text_of(render_campaign(report(drives=(), check=None), max100, document, None))
     assert "m(link_6) 12 – not excited not identified" in text
     assert "Not recorded: the sweeps were imported" in text

@@ -13,6 +13,7 @@ from service.identification.model.regressor import axis_rows, lock
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.report import Content, Row, axes_of, render
 from service.report.content import revision
+from service.results.estimate import BaseParameter, Estimate
 from service.robot import INERTIAL_NAMES, Robot
 
 AXES = ("joint_1", "joint_2", "joint_3")
@@ -38,9 +39,8 @@ def content(robot: Robot, **changes: Any) -> Content:
             name = f"{len(specs) + 1:04d}"
             specs.append(spec(name, joint, pose))
             value = 1.01 * HEAVIER * float(axis_rows(chain, k, np.array(pose[:3]))[0] @ nominal)
-            axes[joint]["inertia"].append(
-                {"sweep": name, "value": value, "std": 0.01 * value, "paper_value": 1.1 * value}
-            )
+            sizes = {"value": value, "std": 0.01 * value, "paper_value": 1.1 * value}
+            axes[joint]["inertia"].append({"sweep": name, "reference": value, "identified": value, **sizes})
     estimate = {
         "axes": axes,
         "base_parameters": [{"name": "Izz(link_1) + m(link_2)", "value": 3.0, "std": 0.1}],
@@ -59,7 +59,7 @@ def content(robot: Robot, **changes: Any) -> Content:
             "title": "Robot <1>",
             "subtitle": "a test",
             "robot": robot,
-            "estimate": estimate,
+            "estimate": Estimate.read(estimate, "estimate"),
             "specs": tuple(specs),
             "workspace": grid,
             **changes,
@@ -140,11 +140,11 @@ def test_a_pose_that_is_not_free_leaves_a_hole(max100: Robot) -> None:
 
 
 def test_convergence_starts_where_the_parameter_is_determined(max100: Robot) -> None:
-    def step(std: float | None) -> dict[str, Any]:
-        return {"base_parameters": [{"name": "a", "value": 1.0, "std": std}]}
+    def step(std: float | None) -> tuple[BaseParameter, ...]:
+        return (BaseParameter(name="a", value=1.0, std=std),)
 
     base = content(max100)
-    estimate = {**base.estimate, "base_parameters": step(0.1)["base_parameters"]}
+    estimate = base.estimate.model_copy(update={"base_parameters": step(0.1)})
     steps = [revision(step(std), ["a"], n) for n, std in enumerate((None, 1e6, 0.5, 0.1), start=1)]
     page = render(content(max100, estimate=estimate, revisions=tuple(steps)))
     lines = [t for f in figures(page).values() for t in f["data"] if t.get("name") == "a"]
@@ -160,11 +160,8 @@ def test_example_sweep_in_time_and_frequency(max100: Robot) -> None:
 
 def test_truth_and_what_is_not_determined(max100: Robot) -> None:
     base = content(max100)
-    estimate = {
-        **base.estimate,
-        "condition_number": None,
-        "base_parameters": [{"name": "</script>", "value": 1.0, "std": None}],
-    }
+    unknown = (BaseParameter(name="</script>", value=1.0, std=None),)
+    estimate = base.estimate.model_copy(update={"condition_number": None, "base_parameters": unknown})
     page = render(content(max100, estimate=estimate, truth_columns=AXES, truth=(Row("ours", ("0.1", "0.2", "0.3")),)))
     assert "<td>0.3</td>" in page
     assert page.count("</script>") == 3
