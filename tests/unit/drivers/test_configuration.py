@@ -91,6 +91,6 @@ def test_a_value_of_another_size_or_range_is_wrong(desk: Desk) -> None:
 
 def test_a_node_that_does_not_answer_is_lost_communication(desk: Desk) -> None:
     desk.node.remove_network()
-    desk.sdo._client.RESPONSE_TIMEOUT = 0.2  # s
+    desk.sdo.client.RESPONSE_TIMEOUT = 0.2  # s
     with pytest.raises(CommunicationLost, match="6072h:00 max torque: No SDO response"):
         desk.sdo.read(objects.MAX_TORQUE)
