@@ -66,8 +66,13 @@ def read_dictionary(path: Path, node: int) -> Dictionary:
         vendor=about.vendor_number or told[0],
         product=about.product_number or told[1],
         revision=about.revision_number or told[2],
-        name=" ".join(filter(None, (about.vendor_name, about.product_name))),
+        name=_printable(f"{about.vendor_name or ''} {about.product_name or ''}"),
     )
+
+
+def _printable(name: str) -> str:
+    """In one line, without what YAML does not read."""
+    return " ".join("".join(letter if letter.isprintable() else " " for letter in name).split())
 
 
 def _listed(variable: Any) -> Listed:

@@ -7,8 +7,13 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+import yaml
+
 from drivers.canopen.device_map import load_device_map
 from drivers.canopen.profile import parse_profile as canopen_profile
+from drivers.cia402.profile import refuse_unfilled
+from drivers.commission.dictionary import read_dictionary
+from drivers.commission.draft import map_text, profile_text
 from drivers.errors import BadProfile
 from drivers.modbus.profile import parse_profile as modbus_profile
 from drivers.modbus.registers import load_registers
@@ -128,6 +133,16 @@ def _dictionaries() -> Iterable[Seed]:
     yield from seeds.shared("drives/*.dcf")
 
 
+def _drafts(path: Path) -> None:
+    dictionary = read_dictionary(path, 3)
+    for text in (profile_text(dictionary, ["a"], path.name, "b.yaml", None), map_text(dictionary)):
+        try:
+            refuse_unfilled(yaml.safe_load(text))
+        except BadProfile:
+            continue
+        raise AssertionError("a draft without an open value")
+
+
 def _robots() -> Iterable[Seed]:
     for name in ("max100-class", "emps"):
         yield seeds.of_config(f"robots/{name}.yaml", f"robots/{name}.urdf")
@@ -172,6 +187,7 @@ PARSERS: Mapping[str, Parser] = {
     ),
     "drive profile": Parser(_profiles, _profile, (BadProfile,)),
     "device map": Parser(_named("devices/*.yaml"), lambda path, _: load_device_map(path), (BadProfile,)),
+    "drive's dictionary": Parser(_dictionaries, lambda path, _: _drafts(path), (BadProfile,)),
     "simulator's registers": Parser(
         _named("registers/*.yaml"), lambda path, _: load_register_map(path), (RegisterMapError,)
     ),

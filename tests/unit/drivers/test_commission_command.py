@@ -110,6 +110,18 @@ def test_a_file_that_is_no_dictionary_is_refused_by_name(tmp_path: Path) -> None
     assert "x.eds: not an EDS or DCF" in str(error)
 
 
+@pytest.mark.parametrize("letter", ["\x7f", "\x85", "\u2028"])
+def test_a_makers_name_that_yaml_does_not_read_still_makes_a_draft(letter: str, tmp_path: Path) -> None:
+    eds = tmp_path / "odd.eds"
+    text = file_of("plain").read_text()
+    eds.write_text(text.replace("ProductName=", f"ProductName=a{letter}b"), encoding="utf-8")
+    assert run("draft", "--eds", eds, "--out", tmp_path, "--devices", tmp_path).exit_code == 0
+    with pytest.raises(BadProfile, match="is to be filled in"):
+        load(tmp_path / "odd.yaml")
+    with pytest.raises(BadProfile, match="is to be filled in"):
+        load_device_map(tmp_path / "odd-device.yaml")
+
+
 # -- the sheet
 
 
