@@ -128,6 +128,15 @@ class Runbook:
         except EOFError:
             return False
 
+    def findings(self, found: Sequence[Json]) -> Exit:
+        """Tell what a check of the data found: red where something is wrong, amber for warnings."""
+        for one in found:
+            self.step(f"data, {one['severity']}", f"{one['sentence']} {one['action']}", finding=one)
+        if not found:
+            self.step("data", "nothing found")
+        severities = {one["severity"] for one in found}
+        return Exit.FAILED if "wrong" in severities else Exit.AMBER if severities else Exit.DONE
+
     def tell_moves(self, robot: Robot, sweeps: Sequence[Json], indent: str = "") -> None:
         """What sweeps of a plan would move, axis by axis, from where the axes stand now."""
         stands = {axis["joint"]: axis["position"] for axis in self.client.drives()["axes"]}

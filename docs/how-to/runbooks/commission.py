@@ -1,0 +1,89 @@
+"""The first day of a machine: robot file, cell, drives, a first plan of two poses, its campaign, and what came of it.
+
+    python commission.py robots/my-robot.yaml cells/workshop.yaml --varied joint_2,joint_3 --by "your name"
+
+Each axis is measured in a few poses, so that wrong axes, signs and ratios show before a long campaign. Exit codes:
+0 every axis tells its inertia, 1 failed or something of the data is wrong, 2 bad input, 3 stopped, 4 an axis was left
+open or the data has warnings.
+"""
+
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from runbook import Exit, Runbook, optional_list, parser_of, run, worst
+
+from service.configuration import read_robot
+from service.data_check import check, findings_document
+from service.geometry.cell import read_cell
+from service.robot import Robot
+from service.store.files.intake import read_from
+
+
+def main() -> int:
+    parser = parser_of(__doc__)
+    parser.add_argument("robot", type=Path, help="side file of the robot (YAML)")
+    parser.add_argument("cell", type=Path, help="file of the cell, as the service has it in its cells_dir")
+    parser.add_argument("--axes", type=optional_list, default=[], help="comma separated; default: all of the robot")
+    parser.add_argument("--varied", type=optional_list, required=True, help="joints that make the poses")
+    parser.add_argument("--poses", type=int, default=2)
+    parser.add_argument("--step", type=float, default=15.0, help="deg (cm) between the positions of the grid")
+    return run("commission", parser, commission)
+
+
+def commission(book: Runbook) -> Exit:
+    given, client = book.given, book.client
+    robot = read_robot(given.robot)
+    book.step("robot file", f"{robot.name}, {len(robot.joints)} axes: {', '.join(robot.joints)}")
+    cell = read_cell(given.cell)
+    cell.home_pose(robot.joints)
+    book.step("cell", f"{cell.name}, {len(cell.boxes)} boxes, at least {1e3 * cell.clearance:.0f} mm from anything")
+    if not ready(book):
+        return Exit.FAILED
+    stored = client.add_robot(robot.description.model_dump(mode="json"), robot.urdf_text)
+    book.identify_machine(client.robot(stored["id"]))
+    axes = given.axes or list(robot.joints)
+    request = {"robot_id": stored["id"], "cell": given.cell.stem, "axes": axes, "varied": given.varied}
+    plan = client.add_plan(request | {"poses": given.poses, "step": given.step})
+    book.step("first plan", "robot and drives fit together, and ways free of collision were found", plan=plan["id"])
+    campaign = book.measured(robot, plan)
+    if campaign is None:
+        return Exit.DONE
+    if campaign["state"] != "completed":
+        return book.not_completed(campaign)
+    return worst([checked(book, campaign["id"]), *(told(book, robot, campaign["id"], joint) for joint in axes)])
+
+
+def ready(book: Runbook) -> bool:
+    """Drives and service; a dry run goes on without a machine."""
+    drives, causes = book.client.drives(), book.client.ready()["causes"]
+    book.step("drives", "connected" if drives["connected"] else f"not connected: {drives['trouble']}")
+    for cause in causes:
+        book.step("not ready", cause)
+    return not causes or book.given.dry_run
+
+
+def checked(book: Runbook, campaign: int) -> Exit:
+    """Does the data fit together, and to the robot file?"""
+    with TemporaryDirectory() as folder:
+        archive = Path(folder) / "campaign.zip"
+        book.client.export_bundle(campaign, archive)
+        measured = read_from(archive, Path(folder) / "bundle")
+    findings = check(measured.robot, measured.sweeps)
+    return book.findings(findings_document(measured.robot, measured.sweeps, findings)["findings"])
+
+
+def told(book: Runbook, robot: Robot, campaign: int, joint: str) -> Exit:
+    """One axis of the first estimate."""
+    axis = book.client.estimate(campaign)["document"]["axes"].get(joint)
+    if axis is None or not axis["inertia"]:
+        book.step(joint, "its sweeps show no inertia", axis=joint)
+        return Exit.AMBER
+    unit = "kg" if robot.chain.joints[robot.joints.index(joint)].kind == "prismatic" else "kg m2"
+    values = ", ".join(f"{sweep['value']:.4g} +- {sweep['std']:.2g}" for sweep in axis["inertia"])
+    book.step(joint, f"{values} {unit}", axis=joint, inertia=axis["inertia"])
+    return Exit.DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

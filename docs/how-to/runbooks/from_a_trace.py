@@ -1,0 +1,60 @@
+"""From another control's trace to an inertia: import by a mapping file, check, identify. Nothing moves.
+
+    python from_a_trace.py mapping.yaml --source trace.csv --out bundle --by "your name"
+
+Exit codes: 0 identified and nothing found, 1 something of the data is wrong or tells no inertia, 2 bad input, 3 ended
+by a person, 4 identified, with warnings.
+"""
+
+import sys
+from pathlib import Path
+
+from runbook import Exit, Runbook, parser_of, run
+
+from service.cli.documents import as_json, write_file
+from service.cli.recordings.identify import identify_bundle
+from service.data_check import check, findings_document
+from service.errors import BadInput
+from service.store.files.bundle import read_bundle, write_bundle
+from service.traces.trace_import import import_trace
+
+
+def main() -> int:
+    parser = parser_of(__doc__)
+    parser.add_argument("mapping", type=Path, help="what the columns of the trace are (YAML)")
+    parser.add_argument("--source", type=Path, help="trace file in place of the one that the mapping names")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the new bundle; must not exist")
+    return run("from_a_trace", parser, from_a_trace)
+
+
+def from_a_trace(book: Runbook) -> Exit:
+    given = book.given
+    if given.out.exists():
+        raise BadInput("--out", f"{given.out} is there already; nothing is overwritten")
+    robot, sweeps = import_trace(given.mapping, given.source)
+    book.protocol["robot"] = {"id": None, "name": robot.name}
+    axes = sorted({sweep.spec.axis for sweep in sweeps})
+    book.step("trace", f"{len(sweeps)} sweeps of {', '.join(axes)} of {robot.name}")
+    found = book.findings(findings_document(robot, sweeps, check(robot, sweeps))["findings"])
+    if given.dry_run:
+        book.step("bundle", f"would be written to {given.out}; moves nothing")
+        return Exit.DONE
+    write_bundle(given.out, robot, sweeps)
+    book.step("bundle", f"{given.out}")
+    document = identify_bundle(read_bundle(given.out), None, str(given.out), None, None)
+    estimate = given.out.with_name(f"{given.out.name}-estimate.json")
+    write_file(estimate, as_json(document))
+    for joint in axes:
+        inertia = document["axes"].get(joint, {}).get("inertia", ())
+        for sweep in inertia:
+            value = f"{sweep['value']:.5g} +- {sweep['std']:.2g} kg m2 (kg)"
+            book.step(f"{joint}, sweep {sweep['sweep']}", value, inertia=sweep)
+        if not inertia:
+            book.step(joint, "its sweeps tell no inertia")
+            found = Exit.FAILED
+    book.step("estimate", f"{estimate}")
+    return found
+
+
+if __name__ == "__main__":
+    sys.exit(main())
