@@ -40,6 +40,7 @@ check: $(READY)  ## format, lint, types, import arrows, habits (repo-review; exc
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/basedpyright
+	$(BIN)/basedpyright -p tests/pyrightconfig.json
 	$(BIN)/lint-imports
 	$(BIN)/repo-review --show err .
 

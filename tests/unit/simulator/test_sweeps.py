@@ -1,6 +1,7 @@
 """Sweeps of the plant: columns, seeds, batches, sample rates, cogging, delay."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -184,6 +185,6 @@ def test_a_noise_run_beside_a_sweep_equals_each_alone(noise_free: Load, sweep: M
         ({"highest": 500.0}, "above the rate"),
     ],
 )
-def test_noise_that_cannot_be_is_refused(scenario: Load, changes: dict[str, object], message: str) -> None:
+def test_noise_that_cannot_be_is_refused(scenario: Load, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         run_sweeps(scenario("full"), [noise(**changes)], seed=1)
