@@ -18,7 +18,7 @@ demo: $(READY)  ## measure, identify and report a virtual robot
 test: check  ## all checks, then all tests
 	$(BIN)/python -m pytest -n 2 --dist loadscope --durations 25  # one waits for machines, one mostly reckons
 
-test-fast: $(READY)  ## unit and architecture tests that are not marked slow; two minutes on two idle cores
+test-fast: $(READY)  ## unit and architecture tests that are not marked slow, in some two minutes
 	$(BIN)/python -m pytest -n 2 --dist loadscope -m "not slow" --durations 10 --durations-min 2 tests/unit tests/architecture
 
 test-random: $(READY)  ## unit and architecture tests, the files and the tests in each shuffled; prints the seed

@@ -134,6 +134,7 @@ def test_repeats_are_no_realisations(robot: Robot) -> None:
     assert axis_of(robot, [*spectra, *twice]).distortion is None
 
 
+@pytest.mark.slow
 def test_standard_deviations_are_honest_under_distortion(robot: Robot) -> None:
     """RMS of error over standard deviation of J: with several realisations 1.
 
