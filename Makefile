@@ -18,7 +18,7 @@ demo: $(READY)  ## measure, identify and report a virtual robot
 test: check  ## all checks, then all tests
 	$(BIN)/python -m pytest -n 3 --dist loadscope --durations 40  # two wait for machines, one reckons
 
-test-fast: $(READY)  ## unit and architecture tests that are not marked slow; two minutes on two idle cores
+test-fast: $(READY)  ## unit and architecture tests that are not marked slow, in some two minutes
 	$(BIN)/python -m pytest -n 2 --dist loadscope -m "not slow" --durations 10 --durations-min 2 tests/unit tests/architecture
 
 test-random: $(READY)  ## unit and architecture tests, the files and the tests in each shuffled; prints the seed
@@ -40,6 +40,7 @@ check: $(READY)  ## format, lint, types, import arrows, habits (repo-review; exc
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/basedpyright
+	$(BIN)/basedpyright -p tests/pyrightconfig.json
 	$(BIN)/lint-imports
 	$(BIN)/repo-review --show err .
 

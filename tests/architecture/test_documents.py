@@ -47,6 +47,7 @@ def desk(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", [pytest.param(block, id=block.place) for block in blocks() if block.run])
 def test_a_marked_snippet_runs(block: Block, desk: Path) -> None:
     environment = os.environ | {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}

@@ -4,7 +4,7 @@ Of marks there is one, ``adapter(name)``: a test of this adapter alone. All else
 """
 
 from collections.abc import AsyncIterator, Iterator
-from typing import cast
+from typing import Any, cast
 
 import pytest
 
@@ -19,12 +19,14 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    vcan, every = config.getoption("vcan"), config.getoption("every_drive")
+    vcan, every = bool(config.getoption("vcan")), bool(config.getoption("every_drive"))
     items[:] = [item for item in items if _exists(item, vcan, every)]
 
 
 def _exists(item: pytest.Item, vcan: bool, every: bool) -> bool:
-    given = item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
+    given: dict[str, Any] = (
+        item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
+    )
     name = given.get("virtual", given.get("mortal"))
     if name is None:
         return not vcan or "vcan" in item.path.parts

@@ -2,7 +2,7 @@
 
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 import yaml
@@ -24,11 +24,11 @@ async def test_the_profile_of_the_guide_leads_to_its_drive(tmp_path: Path) -> No
     drives = tmp_path / "drives"
     written(GUIDE.name, drives)
     shutil.copytree(ROOT / "config" / "devices", tmp_path / "devices")
-    (machine, *_) = load_profile(ROOT / "config" / "drives" / "virtual-max100.yaml")["axes"]
+    (machine, *_) = cast(Any, load_profile(ROOT / "config" / "drives" / "virtual-max100.yaml")["axes"])
     with bench("epos4") as foreign:
         shutil.copy(foreign.files["joint_1"], drives / "epos4.dcf")
         profile = load_profile(drives / "my-machine.yaml")
-        (axis,) = profile["axes"]
+        (axis,) = cast(Any, profile["axes"])
         with pytest.raises(WrongIdentity, match="rated torque of the motor"):  # the virtual machine's is larger
             await connected(profile, foreign, drives)
         port = await connected(profile | {"axes": [axis | {"rated_torque": machine["rated_torque"]}]}, foreign, drives)

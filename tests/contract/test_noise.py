@@ -14,7 +14,7 @@ from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
 from tests.contract.bench import AXIS, Virtual, noise, sweep
 
 # interrupted on its way: 80 s of a slow turn, 4 s of a machine at 20 times real time
-LONG: dict[str, object] = {"periods": 160, "offset_velocity": 0.005}
+LONG: dict[str, Any] = {"periods": 160, "offset_velocity": 0.005}
 
 injecting = needs(injects=True)
 

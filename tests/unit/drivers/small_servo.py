@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -73,8 +74,8 @@ class Servo:
         return AxisIdentity(self.joint, "small", 1, 2, 3, 4, "")
 
     def configure(self) -> Abilities:
-        has = dict.fromkeys(Abilities.__dataclass_fields__, False)
-        return Abilities(**(has | {"measures": True}))
+        has: dict[str, Any] = {name: name == "measures" for name in Abilities.__dataclass_fields__}
+        return Abilities(**has)
 
     def allow_motion(self) -> None: ...
 

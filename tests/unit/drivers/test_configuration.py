@@ -3,6 +3,7 @@
 import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any, cast
 
 import can
 import canopen
@@ -50,7 +51,7 @@ def desk() -> Iterator[Desk]:
     node = server.create_node(1, dictionary())
     bus = Bus(BusProfile(interface="virtual", channel=channel, sdo_timeout=5.0, drive_timeout=60.0), (1, 2))
     eds = dictionary()
-    client = bus.add_node(1, eds)
+    client = bus.add_node(1, cast(Any, eds))  # canopen takes either
     yield Desk(Sdo(client, "joint_1 (node 1)", bus.check_alive), client, node)
     bus.close()
     server.disconnect()

@@ -12,7 +12,7 @@ from drivers.errors import SweepInterrupted
 from tests.unit.drivers.small_servo import Servo, machine
 from tests.unit.drivers.test_comes_to_rest import PATIENCE, Gate, eventually, reached
 
-WAYS: dict[str, Callable[[Cia402Machine], Awaitable[None]]] = {
+WAYS: dict[str, Callable[[Cia402Machine], Awaitable[object]]] = {
     "stop": lambda port: port.stop(),
     "close": lambda port: port.close(),
     "disable": lambda port: port.disable("joint_2"),
@@ -20,7 +20,7 @@ WAYS: dict[str, Callable[[Cia402Machine], Awaitable[None]]] = {
 
 
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
-async def test_no_further_step_is_told_to_a_drive(way: Callable[[Cia402Machine], Awaitable[None]]) -> None:
+async def test_no_further_step_is_told_to_a_drive(way: Callable[[Cia402Machine], Awaitable[object]]) -> None:
     gate = Gate("control 07")
     first, second = Servo("joint_1"), Servo("joint_2", before=gate)
     port, link = machine(first, second)

@@ -161,9 +161,9 @@ def test_derivative_keeps_a_straight_line_to_its_ends() -> None:
 def viscous_only(inertia: float, viscous: float) -> dict[str, np.ndarray]:
     time = np.arange(8000) / 1000
     phases = [(0.4, 0.3), (1.1, 1.0), (2.3, 2.0)]
-    position = sum(np.sin(2 * np.pi * f * time + p) / f for f, p in phases)
-    velocity = sum(2 * np.pi * np.cos(2 * np.pi * f * time + p) for f, p in phases)
-    acceleration = sum(-((2 * np.pi) ** 2) * f * np.sin(2 * np.pi * f * time + p) for f, p in phases)
+    position = np.sum([np.sin(2 * np.pi * f * time + p) / f for f, p in phases], axis=0)
+    velocity = np.sum([2 * np.pi * np.cos(2 * np.pi * f * time + p) for f, p in phases], axis=0)
+    acceleration = np.sum([-((2 * np.pi) ** 2) * f * np.sin(2 * np.pi * f * time + p) for f, p in phases], axis=0)
     return {"TORQUE": (inertia * acceleration + viscous * velocity) / 20.0, "ENC": np.degrees(position - 1.0)}
 
 

@@ -87,6 +87,7 @@ def test_another_channel_is_refused(machine: Machine) -> None:
             assert client.recv(64) == b""
 
 
+@pytest.mark.slow
 def test_any_python_can_interface(machine: Machine) -> None:
     with running(VirtualDrive(machine, EDS, bus="virtual", channel="test buses")) as drive:
         assert drive.port is None

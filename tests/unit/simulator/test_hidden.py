@@ -17,6 +17,7 @@ MODELLED = ROOT / "config" / "scenarios" / "max100-as-modelled.yaml"
 SEEDS = range(100)
 
 
+@pytest.mark.slow
 def test_the_seed_decides_and_every_effect_comes_up() -> None:
     scenario = load_scenario(MODELLED)
     found = [hide(scenario, seed) for seed in SEEDS]

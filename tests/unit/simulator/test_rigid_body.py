@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-import pinocchio
+import pinocchio  # pyright: ignore[reportMissingImports]  # found once its path file has run
 import pytest
 
 from simulator import Scenario, ScenarioError, true_inertia
@@ -48,6 +48,7 @@ def test_real_links_differ_from_cad_by_at_most_a_fifth(scenario: Callable[[str],
     assert np.abs(ratio - 1).max(axis=0).min() > 0.02
 
 
+@pytest.mark.slow
 def test_true_inertia_counts_the_motor(scenario: Callable[[str], Scenario]) -> None:
     full = scenario("full")
     motor = 171.0**2 * 0.001995

@@ -1,6 +1,7 @@
 """The representative robot: accepted by the service, physically possible, with collision shapes that mean something."""
 
 from pathlib import Path
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -10,19 +11,21 @@ import yaml
 from service.robot import RobotDescription, build_robot
 from service.urdf import inertia_matrix, transform_inertial
 
+_mujoco = cast(Any, mujoco)  # a binary module without type stubs
+
 ROBOTS = Path(__file__).parents[3] / "config" / "robots"
 URDF = ROBOTS / "max100-class.urdf"
 
 
 @pytest.fixture(scope="module")
-def model() -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_path(str(URDF))
+def model() -> Any:
+    return _mujoco.MjModel.from_xml_path(str(URDF))
 
 
-def contacts(model: mujoco.MjModel, *positions: float) -> set[tuple[str, str]]:
-    data = mujoco.MjData(model)
+def contacts(model: Any, *positions: float) -> set[tuple[str, str]]:
+    data = _mujoco.MjData(model)
     data.qpos[: len(positions)] = positions
-    mujoco.mj_forward(model, data)
+    _mujoco.mj_forward(model, data)
     return {
         (model.body(model.geom_bodyid[c.geom1]).name, model.body(model.geom_bodyid[c.geom2]).name) for c in data.contact
     }
@@ -45,11 +48,11 @@ def test_every_link_could_be_a_real_body() -> None:
         assert moments[2] < moments[0] + moments[1]
 
 
-def test_nothing_touches_at_rest(model: mujoco.MjModel) -> None:
+def test_nothing_touches_at_rest(model: Any) -> None:
     assert contacts(model) == set()
 
 
-def test_every_link_has_a_collision_shape(model: mujoco.MjModel) -> None:
+def test_every_link_has_a_collision_shape(model: Any) -> None:
     assert {model.body(body).name for body in model.geom_bodyid} == {"world", *(f"link_{k}" for k in range(1, 7))}
 
 
@@ -61,5 +64,5 @@ def test_every_link_has_a_collision_shape(model: mujoco.MjModel) -> None:
         ((0.0, -0.5, 1.2, 0.0, 2.0), ("link_2", "link_6")),  # tool into the upper arm
     ],
 )
-def test_silly_poses_collide(model: mujoco.MjModel, pose: tuple[float, ...], pair: tuple[str, str]) -> None:
+def test_silly_poses_collide(model: Any, pose: tuple[float, ...], pair: tuple[str, str]) -> None:
     assert {frozenset(found) for found in contacts(model, *pose)} >= {frozenset(pair)}

@@ -1,6 +1,7 @@
 """Sweeps of the plant: columns, seeds, batches, sample rates, cogging, delay."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -77,6 +78,7 @@ def test_torque_noise_is_that_of_the_scenario(scenario: Load, noise_free: Load, 
     assert np.std(noisy["velocity"] - clean["velocity"]) == pytest.approx(5e-6, rel=0.05)
 
 
+@pytest.mark.slow
 def test_effort_delay_shifts_the_torque_alone(noise_free: Load, sweep: Make) -> None:
     rigid = noise_free("rigid")
     late = rigid.model_copy(update={"measurement": Measurement(effort_delay=0.0005)})
@@ -164,6 +166,7 @@ def test_injected_torque_moves_the_plant_as_its_physics_say(noise_free: Load) ->
     np.testing.assert_allclose(wanted[lines] / spectrum(columns, "velocity", run)[lines] / pi, 1.0, atol=0.05)
 
 
+@pytest.mark.slow
 def test_a_noise_run_beside_a_sweep_equals_each_alone(noise_free: Load, sweep: Make) -> None:
     full, runs = noise_free("full"), [noise(periods=1), sweep("joint_3")]
     together = run_sweeps(full, runs, seed=1)
@@ -184,6 +187,6 @@ def test_a_noise_run_beside_a_sweep_equals_each_alone(noise_free: Load, sweep: M
         ({"highest": 500.0}, "above the rate"),
     ],
 )
-def test_noise_that_cannot_be_is_refused(scenario: Load, changes: dict[str, object], message: str) -> None:
+def test_noise_that_cannot_be_is_refused(scenario: Load, changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         run_sweeps(scenario("full"), [noise(**changes)], seed=1)

@@ -29,9 +29,7 @@ def campaigns(http: httpx.Client) -> list[int]:
     return [item["id"] for item in http.get("/campaigns", params={"limit": 200}).json()["items"]]
 
 
-def first_events(
-    http: httpx.Client, campaign: int, count: int, **options: dict[str, str | int]
-) -> list[tuple[int, str, Any]]:
+def first_events(http: httpx.Client, campaign: int, count: int, **options: Any) -> list[tuple[int, str, Any]]:
     """(id, kind, document) of the first events of a campaign's stream; what the machine tells stands between them."""
     found: list[tuple[int, str, Any]] = []
     fields: dict[str, str] = {}

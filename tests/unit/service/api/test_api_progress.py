@@ -7,7 +7,7 @@ import pytest
 from drivers.ports import SweepMode
 from service.api.campaign.progress import CHECK_MOVE, PlannedTime, planned_times, progress, steps
 from service.execution.check_move import CheckMove
-from service.execution.under_way import Travel, UnderWay, travels
+from service.execution.under_way import UnderWay, travels
 from service.recording import Sine, SweepSpec
 from service.store.documents import CampaignState, SweepDocument, SweepState
 
@@ -100,7 +100,8 @@ def test_without_a_plan_there_is_no_remaining_time() -> None:
 
 def test_the_axis_that_travels_comes_first_and_what_follows_after_it() -> None:
     way = travels(("joint_1", "joint_2"), (0.0, 0.1), ((1, -0.7), (0, 0.2)), 0.1)
-    assert way == (Travel("joint_2", -0.7, pytest.approx(8.0)), Travel("joint_1", 0.2, pytest.approx(2.0)))
+    assert [(leg.joint, leg.target) for leg in way] == [("joint_2", -0.7), ("joint_1", 0.2)]
+    assert [leg.seconds for leg in way] == [pytest.approx(8.0), pytest.approx(2.0)]
     now = UnderWay((3,), ("joint_1",), way, 12.0, frozenset(), 0.0)
     told = [(step.kind, step.axes, step.target) for step in steps(now, None)]
     assert told == [("travel", ("joint_2",), -0.7), ("travel", ("joint_1",), 0.2), ("sweep", ("joint_1",), None)]

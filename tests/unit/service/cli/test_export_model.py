@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any, cast
 
 import mujoco
 import pytest
@@ -9,6 +10,8 @@ import pytest
 from service.configuration import read_robot
 from tests.command import sweepid
 from tests.unit.service.cli.test_identify import bundle
+
+_mujoco = cast(Any, mujoco)  # a binary module without type stubs
 
 __all__ = ["bundle"]  # the fixture
 
@@ -29,7 +32,7 @@ def test_from_a_bundle(bundle: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"{tmp_path / 'out'}\n"
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
-    assert mujoco.MjModel.from_xml_path(str(tmp_path / "out/model.xml")).dof_damping[0] == pytest.approx(4.0, rel=0.01)
+    assert _mujoco.MjModel.from_xml_path(str(tmp_path / "out/model.xml")).dof_damping[0] == pytest.approx(4.0, rel=0.01)
     again = read_robot(tmp_path / "out/robot.yaml")
     assert again.axes[0].viscous_friction == pytest.approx(4.0, rel=0.01)
     assert again.axes[1].motor_inertia is None  # unknown, and not measured

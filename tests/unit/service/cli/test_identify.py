@@ -48,7 +48,7 @@ def bundle(tmp_path: Path) -> Path:
     robot = build_robot(RobotDescription(name="pair", urdf="robot.urdf", axes=axes), URDF)
     sines = tuple(Sine(frequency=f, amplitude=0.01, phase=f) for f in (2.0, 3.0, 4.0, 5.0))
     time = np.arange(2500) / 500.0
-    velocity = 0.1 + sum(s.amplitude * np.sin(2 * np.pi * s.frequency * time + s.phase) for s in sines)
+    velocity = 0.1 + np.sum([s.amplitude * np.sin(2 * np.pi * s.frequency * time + s.phase) for s in sines], axis=0)
     acceleration = sum(
         2 * np.pi * s.frequency * s.amplitude * np.cos(2 * np.pi * s.frequency * time + s.phase) for s in sines
     )

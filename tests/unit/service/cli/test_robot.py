@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -56,7 +57,7 @@ def test_drafts_are_read_when_they_are_completed_and_are_not_overwritten(tmp_pat
     side.write_text(text.replace("rated_effort: null", "rated_effort: 60.0"))
     robot, cell = read_robot(side), read_cell(drafts[2])
     home = cell.home_pose(robot.joints)
-    assert CollisionChecker(robot, cell).collision_free([home]).all()
+    assert CollisionChecker(robot, cell).collision_free(np.array([home])).all()
     again = sweepid(*command)
     assert (again.returncode, "nothing is overwritten" in again.stderr) == (2, True)
 

@@ -57,6 +57,7 @@ def test_what_the_axis_cannot_have_is_left_out() -> None:
     assert "cogging_torque" not in found.untestable
 
 
+@pytest.mark.slow
 def test_all_effects_may_be_known() -> None:
     found = diagnose_axis(
         max100(), "joint_2", sweeps_of("joint_2", 60.0, 7), known={name: {} for name in CATALOGUE}, twin=False

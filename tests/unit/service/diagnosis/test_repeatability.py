@@ -30,7 +30,7 @@ def seen(left: np.ndarray) -> Unrepeated:
 def noise(colour: float) -> np.ndarray:
     """Rows of the sensor's RMS times `colour`, correlated over a few rows."""
     white = np.random.default_rng(2).standard_normal((quiet().right.shape[0], quiet().right.shape[1] + 3))
-    smooth = sum(white[:, k : k + quiet().right.shape[1]] for k in range(4)) / 2.0
+    smooth = np.sum([white[:, k : k + quiet().right.shape[1]] for k in range(4)], axis=0) / 2.0
     return colour * quiet().sensor_noise * smooth
 
 

@@ -47,7 +47,7 @@ def test_a_load_within_the_prior_costs_what_its_probability_says() -> None:
     wanted[1], wanted[2] = G * np.cos(POSES[:, 0]), -G * np.sin(POSES[:, 0])
     wanted *= 0.3 * MASS * ARM
     basis = found.basis.reshape(len(found.basis), -1)
-    coefficients = np.linalg.lstsq(basis.T, wanted.ravel(), rcond=None)[0]
+    coefficients = np.asarray(np.linalg.lstsq(basis.T, wanted.ravel(), rcond=None)[0], dtype=float)
     np.testing.assert_allclose(found.load(coefficients) - found.nominal, wanted, atol=1e-3 * np.abs(wanted).max())
     assert coefficients @ found.precision @ coefficients == pytest.approx(1.0, rel=0.05)
 

@@ -66,6 +66,7 @@ def diagnosed(robot: Robot, measured: Robot) -> Mapping[str, Any]:
     return axis_document(diagnose_axis(robot, JOINT, sweeps, twin=False))
 
 
+@pytest.mark.slow
 def test_cad_that_is_off_beyond_its_prior_is_told_and_not_when_an_estimate_put_it_right(
     robot: Robot, estimate: dict[str, Any]
 ) -> None:

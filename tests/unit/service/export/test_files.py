@@ -2,7 +2,7 @@
 
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import mujoco
 import numpy as np
@@ -18,6 +18,8 @@ from service.robot import INERTIAL_NAMES, Axis, Robot, RobotDescription, build_r
 from service.urdf import read_chain, read_inertial
 from tests.unit.service.export.conftest import estimate_of
 
+_mujoco = cast(Any, mujoco)  # a binary module without type stubs
+
 MOTORS = np.array([60.0, 70.0, 20.0, 4.0, 0.0, 2.0])
 
 
@@ -32,7 +34,7 @@ def test_sweepid_reads_the_robot_again(max100: Robot, document: dict[str, Any], 
     np.testing.assert_allclose(again.chain.inertial, 1.1 * max100.chain.inertial, rtol=1e-12, atol=1e-12)
     motors = [axis.reflected_motor_inertia for axis in again.axes]
     kept = max100.axes[4].reflected_motor_inertia  # found to be 0: not measured, not known
-    np.testing.assert_allclose(motors, [60.0, 70.0, 20.0, 4.0, kept, 2.0])
+    assert motors == pytest.approx([60.0, 70.0, 20.0, 4.0, kept, 2.0], rel=1e-7)
     assert [axis.viscous_friction for axis in again.axes] == [150.5, 210.0, 90.0, 30.0, 26.0, 15.0]
     for joint, old in zip(again.chain.joints, max100.chain.joints, strict=True):
         assert (joint.name, joint.link, joint.lower, joint.upper) == (old.name, old.link, old.lower, old.upper)
@@ -85,11 +87,11 @@ def test_yaml_holds_all_parameters(max100: Robot, document: dict[str, Any]) -> N
 
 
 def test_shapes_are_there_to_look_at(max100: Robot, document: dict[str, Any]) -> None:
-    loaded = mujoco.MjModel.from_xml_string(model_files(identified_model(max100, document))["model.xml"])
+    loaded = _mujoco.MjModel.from_xml_string(model_files(identified_model(max100, document))["model.xml"])
     root = ET.fromstring(max100.urdf_text)
     assert loaded.ngeom == len(root.findall("link/collision"))
-    state = mujoco.MjData(loaded)
-    mujoco.mj_forward(loaded, state)
+    state = _mujoco.MjData(loaded)
+    _mujoco.mj_forward(loaded, state)
     assert state.ncon == 0  # nothing collides by them
     places = {tuple(np.round(place, 4)) for place in state.geom_xpos}
     # by hand, all joints at 0: the floor, and the tip of the tool 0.345 beyond joint 6's 1.63, at 2.15 above the floor
@@ -103,7 +105,7 @@ def test_a_continuous_joint_has_no_range() -> None:
     axes = (Axis(joint="c", gear_ratio=50.0, rated_effort=10.0),)
     robot = build_robot(RobotDescription(name="table", urdf="r.urdf", axes=axes), text)
     link = np.array([[4.0, 0, 0, 0, 1.0, 0, 1.0, 0, 0, 1.5]])
-    loaded = mujoco.MjModel.from_xml_string(
+    loaded = _mujoco.MjModel.from_xml_string(
         model_files(identified_model(robot, estimate_of(robot, link, np.array([0.2]))))["model.xml"]
     )
     assert not loaded.jnt_limited[0]
@@ -115,7 +117,7 @@ def test_quaternions_at_every_angle() -> None:
         axis = rng.normal(size=3)
         rotation = rotation_about(axis / np.linalg.norm(axis), np.asarray(angle))
         back = np.zeros(9)
-        mujoco.mju_quat2Mat(back, quaternion(rotation))
+        _mujoco.mju_quat2Mat(back, quaternion(rotation))
         np.testing.assert_allclose(back.reshape(3, 3), rotation, atol=1e-12)
 
 

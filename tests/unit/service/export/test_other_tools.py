@@ -2,16 +2,19 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, cast
 
 import mujoco
 import numpy as np
-import pinocchio as pin
+import pinocchio as pin  # pyright: ignore[reportMissingImports]  # found once its path file has run
 import pytest
 
 from service.export import IdentifiedModel, identified_model, model_files, write_model
 from service.identification.model.regressor import axis_rows
 from service.robot import Robot
 from tests.unit.service.export.conftest import estimate_of
+
+_mujoco = cast(Any, mujoco)  # a binary module without type stubs
 
 
 @pytest.fixture(params=["max100", *range(6)])
@@ -35,12 +38,12 @@ def poses_of(model: IdentifiedModel) -> np.ndarray:
     return np.random.default_rng(3).uniform(-2.5, 2.5, (20, len(model.robot.axes)))
 
 
-def mass_matrix(loaded: mujoco.MjModel, names: tuple[str, ...], pose: np.ndarray) -> np.ndarray:
-    data = mujoco.MjData(loaded)
+def mass_matrix(loaded: Any, names: tuple[str, ...], pose: np.ndarray) -> np.ndarray:
+    data = _mujoco.MjData(loaded)
     data.qpos[[int(loaded.joint(name).qposadr[0]) for name in names]] = pose
-    mujoco.mj_forward(loaded, data)
+    _mujoco.mj_forward(loaded, data)
     full = np.zeros((loaded.nv, loaded.nv))
-    mujoco.mj_fullM(loaded, data, full)
+    _mujoco.mj_fullM(loaded, data, full)
     return full
 
 
@@ -53,14 +56,14 @@ def test_urdf_in_pinocchio(model: IdentifiedModel) -> None:
 
 
 def test_urdf_in_mujoco(model: IdentifiedModel) -> None:
-    loaded = mujoco.MjModel.from_xml_string(model_files(model)["model.urdf"])
+    loaded = _mujoco.MjModel.from_xml_string(model_files(model)["model.urdf"])
     poses = poses_of(model)
     found = [np.diag(mass_matrix(loaded, model.robot.joints, pose)) + model.motor_inertias for pose in poses]
     np.testing.assert_allclose(found, expected(model, poses), rtol=1e-6)
 
 
 def test_mjcf_in_mujoco(model: IdentifiedModel) -> None:
-    loaded = mujoco.MjModel.from_xml_string(model_files(model)["model.xml"])
+    loaded = _mujoco.MjModel.from_xml_string(model_files(model)["model.xml"])
     poses = poses_of(model)
     found = [np.diag(mass_matrix(loaded, model.robot.joints, pose)) for pose in poses]
     np.testing.assert_allclose(found, expected(model, poses), rtol=1e-6)
@@ -76,11 +79,11 @@ def test_gravity_is_that_of_pinocchio(model: IdentifiedModel) -> None:
     """The whole first moments of all links, not only what turns about one axis."""
     urdf = pin.buildModelFromXML(model_files(model)["model.urdf"])
     urdf.gravity.linear = model.robot.gravity
-    loaded, data = mujoco.MjModel.from_xml_string(model_files(model)["model.xml"]), urdf.createData()
-    state = mujoco.MjData(loaded)
+    loaded, data = _mujoco.MjModel.from_xml_string(model_files(model)["model.xml"]), urdf.createData()
+    state = _mujoco.MjData(loaded)
     for pose in poses_of(model)[:5]:
         state.qpos[:] = pose
-        mujoco.mj_forward(loaded, state)
+        _mujoco.mj_forward(loaded, state)
         held = pin.computeGeneralizedGravity(urdf, data, pose)
         np.testing.assert_allclose(state.qfrc_bias, held, rtol=1e-6, atol=1e-6 * np.abs(held).max())
 
@@ -89,5 +92,5 @@ def test_all_files_from_a_folder(model: IdentifiedModel, tmp_path: Path) -> None
     write_model(tmp_path / "robot", model)
     names = {path.name for path in (tmp_path / "robot").iterdir()}
     assert names == {"model.urdf", "model.xml", "model.yaml", "robot.yaml"}
-    loaded = mujoco.MjModel.from_xml_path(str(tmp_path / "robot/model.xml"))
+    loaded = _mujoco.MjModel.from_xml_path(str(tmp_path / "robot/model.xml"))
     assert loaded.nv == len(model.robot.axes)

@@ -134,6 +134,7 @@ def test_repeats_are_no_realisations(robot: Robot) -> None:
     assert axis_of(robot, [*spectra, *twice]).distortion is None
 
 
+@pytest.mark.slow
 def test_standard_deviations_are_honest_under_distortion(robot: Robot) -> None:
     """RMS of error over standard deviation of J: with several realisations 1.
 
@@ -162,7 +163,7 @@ def test_cubic_friction_in_a_speed_loop(robot: Robot) -> None:
     jobs = [(pose, one) for place, pose in enumerate(POSES) for one in sweep_of(robot, pose, 50 + place, 4)]
     inertia = np.array([truth(pose) for pose, _ in jobs])
     count = round(jobs[0][1].duration / step)
-    time = step * np.arange(count)
+    time = np.asarray(step * np.arange(count), dtype=float)
     wanted = np.stack([velocity_setpoint(one, time) for _, one in jobs], axis=1)
     gain = 2 * np.pi * 15 * inertia
     speed, place, integral = np.zeros((3, len(jobs)))

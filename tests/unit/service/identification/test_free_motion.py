@@ -1,6 +1,7 @@
 """Which records are free motions of several axes, the filter, and the whitening of residuals."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -49,7 +50,7 @@ def test_one_start_one_motion() -> None:
 @pytest.mark.parametrize(
     "changes", [{"started_at": 5.0}, {"pose": (0.0, 1.0)}, {"repeat": 1}, {"block": "b"}, {"excitation": "noise"}]
 )
-def test_another_start_is_another_motion(changes: dict[str, object]) -> None:
+def test_another_start_is_another_motion(changes: dict[str, Any]) -> None:
     assert at_once([sweep("joint_1").spec, sweep("joint_2", **changes).spec]) == ()
 
 
@@ -109,7 +110,7 @@ def test_the_filter_passes_what_is_slow_and_differentiates_it() -> None:
 
 
 def test_the_filter_keeps_value_and_slope_at_the_ends() -> None:
-    ramp = 3.0 + 2.0 * np.arange(500) / RATE
+    ramp = np.asarray(3.0 + 2.0 * np.arange(500) / RATE, dtype=float)
     np.testing.assert_allclose(low_pass(ramp, RATE, 10.0), ramp, atol=1e-5)
     np.testing.assert_allclose(low_pass(ramp, RATE, 10.0, 1), 2.0, atol=1e-5)
 

@@ -15,7 +15,7 @@ from service.identification.axis.sweep_model import SHARED, direct_terms, effort
 from service.identification.design.excitation import design_sweep, velocity_setpoint
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Spectrum, spectrum
-from service.recording import Recording, Sweep, SweepSpec
+from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Robot
 
 TRAIN = DriveTrain(60.0, 130.0, 80.0, 1 / 6e5, 1e-3)
@@ -131,9 +131,9 @@ def test_reversing_about_standstill_costs_dry_friction_not_inertia(robot: Robot)
     """Effort = J dv/dt + mu v + Fc sign(v) by formula: the sign is a regressor of its own."""
     time = np.arange(5000) / 1000
     lines = (2.0, 3.0, 5.0)
-    velocity = sum(0.01 * np.sin(2 * np.pi * f * time + f) for f in lines)
-    acceleration = sum(0.01 * 2 * np.pi * f * np.cos(2 * np.pi * f * time + f) for f in lines)
-    position = sum(-0.01 / (2 * np.pi * f) * np.cos(2 * np.pi * f * time + f) for f in lines)
+    velocity = np.sum([0.01 * np.sin(2 * np.pi * f * time + f) for f in lines], axis=0)
+    acceleration = np.sum([0.01 * 2 * np.pi * f * np.cos(2 * np.pi * f * time + f) for f in lines], axis=0)
+    position = np.sum([-0.01 / (2 * np.pi * f) * np.cos(2 * np.pi * f * time + f) for f in lines], axis=0)
     spectra = []
     for number, load in enumerate(LOADS):
         effort = (load + NOMINAL_MOTOR) * acceleration + 150 * velocity + 80 * np.sign(velocity)
@@ -142,7 +142,7 @@ def test_reversing_about_standstill_costs_dry_friction_not_inertia(robot: Robot)
             axis="swing",
             pose=(0.0, 0.0),
             offset_velocity=0.0,
-            sines=tuple({"frequency": f, "amplitude": 0.01, "phase": f} for f in lines),
+            sines=tuple(Sine(frequency=f, amplitude=0.01, phase=f) for f in lines),
             period=1.0,
             periods=5,
             sample_rate=1000.0,
@@ -177,7 +177,8 @@ def test_the_stacked_fit_is_the_least_of_the_plain_sum(robot: Robot) -> None:
     # SciPy's difference quotients stop a little short of the least
     away = fit.inertia - plain.x[edges[:-1]] - plain.x[0]
     assert np.abs(away / np.sqrt(np.diag(fit.covariance))).max() < 0.1
-    information = plain.jac.T @ plain.jac
+    jacobian = np.asarray(plain.jac, dtype=float)
+    information = jacobian.T @ jacobian
     scale = np.sqrt(np.diag(information))
     covariance = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
     pick = np.zeros((6, len(start)))

@@ -1,6 +1,7 @@
 """Known effects are taken out of a sweep: against efforts written down in the time domain, where all is exact."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,14 +21,16 @@ Signal = Callable[[np.ndarray], np.ndarray]
 
 
 def velocity(time: np.ndarray) -> np.ndarray:
-    return 0.012 + sum(s.amplitude * np.sin(2 * np.pi * s.frequency * (time - START) + s.phase) for s in SINES)
+    sines = [s.amplitude * np.sin(2 * np.pi * s.frequency * (time - START) + s.phase) for s in SINES]
+    return 0.012 + np.sum(sines, axis=0)
 
 
 def acceleration(time: np.ndarray) -> np.ndarray:
-    return sum(
+    sines = [
         2 * np.pi * s.frequency * s.amplitude * np.cos(2 * np.pi * s.frequency * (time - START) + s.phase)
         for s in SINES
-    )
+    ]
+    return np.sum(sines, axis=0)
 
 
 def way(time: np.ndarray) -> np.ndarray:
@@ -114,17 +117,17 @@ def test_effort_that_comes_late_is_taken_earlier(robot: Robot) -> None:
     ],
 )
 def test_friction_of_a_known_law_is_taken_out(robot: Robot, name: str, told: Told, law: Signal) -> None:
+    known: dict[str, Any] = {name: told}
     rubbed: Signal = lambda time: rigid(time) + law(velocity(time))  # noqa: E731
-    done = taken_out(robot, rubbed, **{name: told})
+    done = taken_out(robot, rubbed, **known)
     np.testing.assert_allclose(lines(done.spectrum), IMPEDANCE, rtol=1e-7)
     assert len(done.uncertain) == len(told)
     # recorded torques of a gain of 1.25 hold friction that is 1.25 times as large, and so does the model made of them
     larger = {key: (1.25 * v if key in ("coulomb", "extra", "coefficient") else v, s) for key, (v, s) in told.items()}
     if name != "asymmetric_friction":
         scaled: Signal = lambda time: 1.25 * rubbed(time)  # noqa: E731
-        np.testing.assert_allclose(
-            lines(taken_out(robot, scaled, gain=1.25, **{name: larger}).spectrum), IMPEDANCE, rtol=1e-7
-        )
+        known = {name: larger}
+        np.testing.assert_allclose(lines(taken_out(robot, scaled, gain=1.25, **known).spectrum), IMPEDANCE, rtol=1e-7)
 
 
 def test_friction_that_grows_with_the_load_is_taken_out_where_gravity_rules(robot: Robot) -> None:

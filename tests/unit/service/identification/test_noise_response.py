@@ -92,9 +92,9 @@ def recording(count: int = 1200) -> Recording:
     for line in range(2, 40):
         wave = 2j * np.pi * line / 1.6
         phase = np.exp(1j * (line**2 + wave.imag * time))
-        injected += phase.imag
-        velocity += (phase / (wave * 200 + 300)).imag
-        effort += phase.imag
+        injected += np.imag(phase)
+        velocity += np.imag(phase / (wave * 200 + 300))
+        effort += np.imag(phase)
     position = 0.3 + np.cumsum(velocity) / 250.0
     angle = 24 * 170.0 * position
     return Recording(time, effort + 8 * np.sin(angle) + 40 * time, velocity, position, excitation_effort=injected)

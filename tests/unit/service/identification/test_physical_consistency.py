@@ -76,6 +76,7 @@ def test_what_a_real_robot_has_comes_back_exactly(seed: int) -> None:
     np.testing.assert_allclose(rows @ found.parameters, values, rtol=1e-9, atol=1e-11 * size.max())
 
 
+@pytest.mark.slow
 @FEW
 @given(SEEDS, st.floats(0.01, 3))
 def test_what_noise_made_impossible_comes_back_physical(seed: int, noise: float) -> None:

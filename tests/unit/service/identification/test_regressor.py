@@ -1,7 +1,7 @@
 """The rows against Pinocchio (an independent code), on random chains with fixed, revolute and prismatic joints."""
 
 import numpy as np
-import pinocchio as pin
+import pinocchio as pin  # pyright: ignore[reportMissingImports]  # found once its path file has run
 import pytest
 
 from service.identification.model.base_parameters import base_parameters, condition_number

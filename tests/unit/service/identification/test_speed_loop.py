@@ -14,7 +14,8 @@ S = 2j * np.pi * FREQUENCY
 
 def loop(reset_time: float | None = None) -> NDArray[np.complex128]:
     train = (OVER_GAIN * S + FRICTION) * np.exp(S * DELAY)
-    return 1 / (1 + (train if reset_time is None else train * reset_time * S / (1 + reset_time * S)))
+    opened = train if reset_time is None else train * reset_time * S / (1 + reset_time * S)
+    return np.asarray(1 / (1 + opened), dtype=np.complex128)
 
 
 @pytest.mark.parametrize("reset_time", [None, 0.05, 0.01])
@@ -58,7 +59,7 @@ def test_a_torque_response_tells_rotor_and_load_together() -> None:
     assert fit.inertia == pytest.approx(total, rel=1e-9)
     assert fit.friction == pytest.approx(0.4, rel=1e-9)
     assert fit.band == pytest.approx((5.5, zero / 2), abs=0.5)
-    rigid = fit_torque_response(frequency, 1 / (s * total + 0.4), "x")
+    rigid = fit_torque_response(frequency, np.asarray(1 / (s * total + 0.4), dtype=np.complex128), "x")
     assert rigid.inertia == pytest.approx(total, rel=1e-9)
 
 

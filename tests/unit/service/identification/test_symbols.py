@@ -77,6 +77,7 @@ def test_of_the_paper_s_three_axes() -> None:
     assert known[1].meaning == "from joint_2 to joint_3 along z of link_2"
 
 
+@pytest.mark.slow
 def test_two_distances_of_one_length_are_told_apart() -> None:
     chain = read_chain(SCARA)
     base, names, known = named(chain, (0, 1, 2))
@@ -88,6 +89,7 @@ def test_two_distances_of_one_length_are_told_apart() -> None:
         np.testing.assert_allclose(coefficients(name, parameter_names(chain), known), row, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_twist_is_an_angle() -> None:
     text = SCARA.replace('xyz="0.5 0 0"/>', 'xyz="0.5 0 0" rpy="0.3 0 0"/>', 1)
     base, names, known = named(read_chain(text), (0, 1))

@@ -146,6 +146,7 @@ def command(plan_file: Path, out: Path) -> list[str]:
     return [sweepid, "export-path", str(plan_file), *files]
 
 
+@pytest.mark.slow
 def test_from_the_command_line(plan_file: Path, tmp_path: Path) -> None:
     done = subprocess.run(command(plan_file, tmp_path / "paths"), capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stdout) == (0, ""), done.stderr

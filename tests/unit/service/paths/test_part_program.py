@@ -36,7 +36,7 @@ def test_the_written_positions_run_the_velocity_set_point(sweeps: list[PathSweep
         speed = steps * done.feed / 60
         # blocks without way at the very ends are left out
         first = next(k for k in range(len(sweep.time)) if round(sweep.position[k + 1] - sweep.position[0], DECIMALS))
-        middle = (first + np.arange(len(speed)) + 0.5) * sweep.cycle
+        middle = np.asarray((first + np.arange(len(speed)) + 0.5) * sweep.cycle, dtype=float)
         wanted = np.degrees(velocity_setpoint(sweep.excitation, middle))
         assert np.abs(speed - wanted).max() <= velocity_bound(sweep)
         assert velocity_bound(sweep) < 5e-4 * np.abs(sweep.velocity).max()

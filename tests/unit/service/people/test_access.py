@@ -5,6 +5,7 @@ import sqlite3
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any, cast
 
 import httpx
 import pytest
@@ -81,7 +82,7 @@ def test_an_attack_is_refused_and_in_the_audit(
     assert Counter((one["event"], one["actor"], one["address"], one["status"]) for one in entries) == {
         ("outcome", "unknown", "127.0.0.1", 401): 108
     }
-    assert {one["route"] for one in entries} == {"/api/v1/campaigns/{campaign_id}/start", None}
+    assert {cast(Any, one["route"]) for one in entries} == {"/api/v1/campaigns/{campaign_id}/start", None}
     assert Counter(str(one["why"])[:8] for one in entries) == {"no key: ": 3, "this key": 105}
     stored = b"".join(path.read_bytes() for path in (folder / "data").glob("sweepid.sqlite*"))
     stored += (folder / "service.log").read_bytes()

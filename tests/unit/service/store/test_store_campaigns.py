@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import pytest
+from pydantic import JsonValue
 from sqlalchemy.exc import IntegrityError
 
 from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
@@ -145,7 +146,7 @@ def test_the_database_itself_refuses_a_second_estimate_of_a_sweep(
 
 
 def test_floats_come_back_exactly(store: Store, record: Callable[[int], SweepDocument]) -> None:
-    document = {"x": [0.1 + 0.2, 1e-300, 2.0**-1074, -1.7976931348623157e308]}
+    document: dict[str, JsonValue] = {"x": [0.1 + 0.2, 1e-300, 2.0**-1074, -1.7976931348623157e308]}
     sweep = record(1)
     store.add_estimate(sweep, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, document)
     assert store.estimate(sweep.campaign_id).document == document

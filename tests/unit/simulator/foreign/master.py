@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from canopen.profiles.p402 import BaseNode402
-from canopen.sdo import SdoAbortedError
+from canopen.sdo.exceptions import SdoAbortedError
 
 from tests.foreign_bench import Foreign
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 
 import pytest
-from canopen.sdo import SdoAbortedError
+from canopen.sdo.exceptions import SdoAbortedError
 
 from tests.foreign_bench import Foreign, bench
 from tests.unit.simulator.foreign.master import Master
