@@ -38,6 +38,10 @@ class Guesses:
             return 0.0
         return max(0.0, found.times[0] + WINDOW - now)
 
+    def __len__(self) -> int:
+        """How many addresses and keys are remembered."""
+        return len(self._wrong) + len(self._opened)
+
     def first_refusal(self, address: str) -> bool:
         """Whether this is the one to tell of those since the last attempt that was looked at."""
         found = self._wrong.get(_place(address))

@@ -43,12 +43,12 @@ def test_the_check_of_the_guide_asks_its_drive(tmp_path: Path) -> None:
     commands = [line for line in written(GUIDE.name, drives) if line.startswith("sweepid commission check")]
     assert [line.split()[4:] for line in commands] == [[], ["--turn", "joint_1=30"]]
     shutil.copytree(ROOT / "config" / "devices", tmp_path / "devices")
-    (machine, *_) = load_profile(ROOT / "config" / "drives" / "virtual-max100.yaml")["axes"]
+    (machine, *_) = cast(Any, load_profile(ROOT / "config" / "drives" / "virtual-max100.yaml")["axes"])
     with bench("epos4") as foreign:
         shutil.copy(foreign.files["joint_1"], drives / "epos4.dcf")
         path = drives / commands[0].split()[3]
         content = load_profile(path)
-        (axis,) = content["axes"]
+        (axis,) = cast(Any, content["axes"])
         path.write_text(yaml.safe_dump(content | {"bus": {**foreign.bus, **PATIENCE}}))
         wrong = CliRunner().invoke(commission, ["check", str(path)])
         assert wrong.exit_code == 1

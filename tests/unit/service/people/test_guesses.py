@@ -64,7 +64,7 @@ def test_the_tables_are_bounded() -> None:
     for number in range(3 * MOST):
         guesses.wrong(f"10.0.{number // 256}.{number % 256}", 0.0)
         guesses.opened(str(number))
-    assert (len(guesses._wrong), len(guesses._opened)) == (MOST, MOST)
+    assert len(guesses) == 2 * MOST
     assert guesses.wait("10.0.0.0", None, 0.0) == 0  # the oldest is forgotten
     assert guesses.wait("10.0.11.183", None, 0.0) == WINDOW  # the newest is not
 
