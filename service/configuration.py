@@ -49,7 +49,7 @@ def read_yaml(path: Path, kind: type[Model]) -> Model:
     if isinstance(content, dict):
         for key in cast("dict[object, object]", content):
             if not isinstance(key, str):  # settings take keys as keywords
-                raise BadInput(str(path), f"key {key!r} is no text")
+                raise BadInput(str(path), f"key {key!r} is not text")
     try:
         return kind.model_validate(content)
     except ValidationError as error:

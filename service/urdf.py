@@ -62,8 +62,8 @@ def read_chain(text: str, place: str = "urdf") -> Chain:
     children: dict[str, list[ET.Element]] = {}
     for element in joints:
         children.setdefault(_ref(element, "parent", place), []).append(element)
-    _once([element.get("name", "") for element in root.findall("link")], place, "link {!r} stands twice")
-    _once([element.get("name", "") for element in joints], place, "joint {!r} stands twice")
+    _once([element.get("name", "") for element in root.findall("link")], place, "link {!r} occurs twice")
+    _once([element.get("name", "") for element in joints], place, "joint {!r} occurs twice")
     carried = [_ref(element, "child", place) for element in joints]
     _once(carried, place, "link {!r} is carried by two joints")
     roots = [name for name in links if name not in carried]

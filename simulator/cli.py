@@ -127,7 +127,7 @@ def _foreign(joints: Sequence[str], options: Sequence[str]) -> dict[str, Path]:
     for option in options:
         joint, equals, name = option.rpartition("=")
         if equals and joint not in joints:
-            raise ScenarioError(f"--foreign: {joint!r} is none of {', '.join(joints)}")
+            raise ScenarioError(f"--foreign: {joint!r} is not one of {', '.join(joints)}")
         files[joint] = _readable("--foreign", Path(name), ".eds", ".dcf")
     return {joint: files[joint] if joint in files else files[""] for joint in joints if joint in files or "" in files}
 

@@ -187,7 +187,7 @@ def carry_out(plant: Plant, line: bytes) -> Reply:
         request = cast(Request, request)
         name = request.get("order")
         if not isinstance(name, str) or name not in ORDERS:
-            raise BadOrder(f"order {_echo(name)} is none of {', '.join(ORDERS)}")
+            raise BadOrder(f"order {_echo(name)} is not one of {', '.join(ORDERS)}")
         order = ORDERS[name]
         for field in order.required:
             if field not in request:
@@ -205,7 +205,7 @@ def carry_out(plant: Plant, line: bytes) -> Reply:
 def _node(plant: Plant, request: Request, field: str = "joint") -> Node | ForeignNode:
     joint = request.get(field)
     if not isinstance(joint, str) or joint not in plant.cabinet.nodes:
-        raise BadOrder(f"{field} {_echo(joint)} is none of {', '.join(plant.cabinet.nodes)}")
+        raise BadOrder(f"{field} {_echo(joint)} is not one of {', '.join(plant.cabinet.nodes)}")
     return plant.cabinet.nodes[joint]
 
 

@@ -70,7 +70,7 @@ def _check(scenario: Scenario, sweeps: Sequence[SweepRun]) -> int:
         ):
             raise ScenarioError(f"{sweep.axis}: pose, duration or sample rate differ from {first.axis}'s")
     if len({sweep.axis for sweep in sweeps}) < len(sweeps):
-        raise ScenarioError("an axis stands twice in a trajectory")
+        raise ScenarioError("an axis is listed twice in a trajectory")
     if len(first.pose) != len(scenario.joints):
         raise ScenarioError(f"pose has {len(first.pose)} positions, the robot {len(scenario.joints)} joints")
     block = round(1 / (CYCLE * first.sample_rate))

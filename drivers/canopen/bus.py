@@ -180,7 +180,7 @@ class Bus:
 
     def _sort(self, message: can.Message) -> None:
         if message.is_extended_id and not message.is_error_frame:
-            return  # 29 bits: whoever sends it is none of our nodes, whatever its lower bits say
+            return  # 29 bits: whoever sends it is not one of our nodes, whatever its lower bits say
         identifier, data = message.arbitration_id, bytes(message.data)
         if not message.is_error_frame and time.monotonic() > self._alone_from:
             word = self._strangers.word(identifier, data)

@@ -59,7 +59,7 @@ class CanopenDevice:
         read = self.sdo.integer
         kind = read(objects.DEVICE_TYPE)
         if kind & 0xFFFF != objects.SERVO_DRIVE:
-            raise WrongIdentity(f"{self.place}: device type {kind:08X}h is no CiA 402 drive")
+            raise WrongIdentity(f"{self.place}: device type {kind:08X}h is not a CiA 402 drive")
         found = (read(objects.VENDOR), read(objects.PRODUCT), read(objects.REVISION), read(objects.SERIAL))
         expected = self.profile.identity
         wanted = (expected.vendor, expected.product, expected.revision, expected.serial)

@@ -157,7 +157,7 @@ VIRTUAL_WIRES = Wires()
 
 
 def decode(identifier: int, data: bytes, error: bool = False, wires: Wires = VIRTUAL_WIRES) -> Frame | None:
-    """What a frame says, None if it is none of ours (SDO answers go to the SDO client). SYNC is the bus' matter."""
+    """What a frame says, None if it is not one of ours (SDO answers go to the SDO client). SYNC is the bus' matter."""
     if error:
         return _controller(identifier, data)
     function, node = identifier & ~0x7F, identifier & 0x7F

@@ -64,7 +64,7 @@ def check_sweep(axis: AxisProfile, command: SweepCommand, start: float, sync_per
         if not (math.isfinite(value) and value > 0):
             raise LimitExceeded(f"{axis.joint}: {what} {value} must be above 0")
     if not (math.isfinite(command.settle) and command.settle >= 0 and command.periods >= 1):
-        raise LimitExceeded(f"{axis.joint}: settle {command.settle} s, {command.periods} periods is no sweep")
+        raise LimitExceeded(f"{axis.joint}: settle {command.settle} s, {command.periods} periods is not a sweep")
     peak = abs(command.offset_velocity) + sum(abs(sine.amplitude) for sine in command.sines)
     if not peak <= command.velocity_limit:
         raise LimitExceeded(

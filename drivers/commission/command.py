@@ -54,7 +54,7 @@ def draft(
     )
     for path in texts:
         if path.exists():
-            raise BadProfile(f"{path}: is there already; nothing is overwritten")
+            raise BadProfile(f"{path}: exists already; nothing is overwritten")
     out.mkdir(parents=True, exist_ok=True)
     for path, text in texts.items():
         path.write_text(text, encoding="utf-8")

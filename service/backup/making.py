@@ -27,7 +27,7 @@ def make_backup(database: Path, data_dir: Path, target: Path) -> Manifest:
     """
     target, data_dir = target.resolve(), data_dir.resolve()
     if target.exists():
-        raise BadInput(str(target), "is there already; nothing is overwritten")
+        raise BadInput(str(target), "exists already; nothing is overwritten")
     if target.is_relative_to(data_dir):
         raise BadInput(str(target), f"lies in the data folder {data_dir}: a backup belongs on another disk")
     files = RecordingFiles(data_dir)

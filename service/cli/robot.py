@@ -57,7 +57,7 @@ def check(
 def _drafts(told: Told, name: str, out: Path, cell: str) -> dict[Path, str]:
     """Texts by path; BadInput for a name that makes no file, and where a file is there already."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", name):
-        raise BadInput("--name", f"{name!r} is no name of files: letters, digits, '-', '_' and '.'")
+        raise BadInput("--name", f"{name!r} is not a file name: use letters, digits, '-', '_' and '.'")
     drafts = {
         out / "robots" / f"{name}.urdf": told.urdf_text,
         out / "robots" / f"{name}.yaml": side_file_text(told, name, f"{name}.urdf"),
@@ -65,7 +65,7 @@ def _drafts(told: Told, name: str, out: Path, cell: str) -> dict[Path, str]:
     }
     for path in drafts:
         if path.exists():
-            raise BadInput(str(path), "is there already; nothing is overwritten")
+            raise BadInput(str(path), "exists already; nothing is overwritten")
     return drafts
 
 

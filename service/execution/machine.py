@@ -248,7 +248,7 @@ class Machine:
             await self._let_go(f"{error}; restart this one")
         except Exception as error:
             _log.error("lease_watch_broke_off", exc_info=error)
-            await self._let_go(f"nobody watches over the right to the machine any more: {error!r}; restart this one")
+            await self._let_go(f"the renewal of the machine's lease has ended: {error!r}; restart this one")
             raise
 
     async def _keep_lease(self, lease: MachineLease, lease_time: float) -> None:
@@ -280,7 +280,7 @@ class Machine:
         passed = time.monotonic() - renewed
         if passed > lease_time / 2 and not self._lease_trouble:
             why = f"this computer was late by {late:.1f} s" if late > passed / 2 else "the database does not answer"
-            reason = f"the right to the machine could not be renewed: {why}"
+            reason = f"the machine's lease could not be renewed: {why}"
             _log.error("lease_not_renewed", reason=reason)
             await self._stop_quietly(reason)
 

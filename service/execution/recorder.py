@@ -51,7 +51,7 @@ class Gapless:
         self.last_time = -np.inf  # s, drive clock
 
     def check(self, block: SampleBlock) -> None:
-        """SamplesMissing if the block does not follow on those so far, or holds what is no number."""
+        """SamplesMissing if the block does not follow on those so far, or holds what is not a number."""
         joint, expected = block.joint, np.arange(self.samples, self.samples + len(block.index))
         wrong = np.flatnonzero(block.index != expected)
         if wrong.size:

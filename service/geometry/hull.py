@@ -51,5 +51,5 @@ def read_hull(mesh: ET.Element, here: str) -> Array:
         raise BadInput(here, f"mesh {name}: its hull reaches {np.abs(numbers).max():.3g} m, limit {LARGEST:g} m")
     vertices = numbers.reshape(-1, 3)
     if len(vertices) < 4 or np.linalg.matrix_rank(vertices - vertices[:1], tol=1e-9) < 3:
-        raise BadInput(here, f"mesh {name}: its hull is no body: {len(vertices)} points, or all in one plane")
+        raise BadInput(here, f"mesh {name}: its hull is not a body: {len(vertices)} points, or all in one plane")
     return vertices

@@ -43,7 +43,7 @@ class _Tree:
         for joint in root.findall("joint"):
             child = _end(joint, "child", place)
             if child in self._carrier:
-                raise BadInput(place, f"link {child!r} is carried by two joints: a closed loop is no serial chain")
+                raise BadInput(place, f"link {child!r} is carried by two joints: a closed loop is not a serial chain")
             self._carrier[child] = joint
             for link in (child, _end(joint, "parent", place)):
                 if link not in self._links:
@@ -52,7 +52,7 @@ class _Tree:
     def way_to(self, link: str) -> list[ET.Element]:
         """Joints from the root of its tree to a link."""
         if link not in self._links:
-            raise BadInput("--tip", f"{link!r} is no link of {self._place}: {', '.join(self._links)}")
+            raise BadInput("--tip", f"{link!r} is not a link of {self._place}: {', '.join(self._links)}")
         way: list[ET.Element] = []
         while link in self._carrier:
             way.append(self._carrier[link])

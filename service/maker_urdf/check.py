@@ -44,7 +44,7 @@ def check_urdf(text: str, packages: Packages, tip: str | None, place: str) -> To
         raise BadInput(place, f"not XML: {error}") from None
     if root.tag != "robot":
         raise BadInput(
-            place, f"is no URDF: begins with <{root.tag}>, not <robot>; a xacro file is to be expanded first"
+            place, f"is not a URDF: begins with <{root.tag}>, not <robot>; a xacro file is to be expanded first"
         )
     for tag in ("link", "joint"):
         if len(root.findall(tag)) > MOST_LINKS:

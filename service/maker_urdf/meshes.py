@@ -19,10 +19,10 @@ _HEAD, _TRIANGLE = 84, 50
 
 
 def mesh_points(content: bytes, name: str, place: str) -> Array:
-    """Points (n, 3) of a mesh file in its own unit (DAE: m); BadInput if it has fewer than one or one is no number."""
+    """Points (n, 3) of a mesh file in its own unit (DAE: m); BadInput where it has none or not all are numbers."""
     kind = PurePosixPath(name).suffix.lower()
     if kind not in KINDS:
-        raise BadInput(place, f"mesh {name}: is none of {', '.join(KINDS)}")
+        raise BadInput(place, f"mesh {name}: is not one of {', '.join(KINDS)}")
     here = f"{place} mesh {name}"
     try:
         points = {".stl": _stl, ".obj": _obj, ".dae": collada_points}[kind](content, here)

@@ -19,7 +19,7 @@ class Packages:
         """`beside`: the folder of the URDF. BadInput where a package folder is none."""
         for folder in folders:
             if not folder.is_dir():
-                raise BadInput(str(folder), "is no folder of packages")
+                raise BadInput(str(folder), "is not a folder of packages")
         self._folders = tuple(folder.resolve() for folder in folders)
         self._beside = beside.resolve()
 
@@ -53,7 +53,7 @@ class Packages:
 def _content(path: Path, name: str, place: str) -> bytes:
     try:
         if not path.is_file():
-            raise BadInput(place, f"mesh {name}: is no file")
+            raise BadInput(place, f"mesh {name}: is not a file")
         with path.open("rb") as file:
             content = file.read(LARGEST_MESH + 1)
     except OSError as error:

@@ -37,7 +37,7 @@ def read_control(path: Path, robot: Robot) -> Control:
         raise BadInput(f"{path} axes", f"must be the joints of {robot.name}: {', '.join(robot.joints)}")
     names = [axis.name.upper() for axis in control.axes.values()]
     if len(set(names)) < len(names):
-        raise BadInput(f"{path} axes", f"an axis stands twice: {', '.join(names)}")
+        raise BadInput(f"{path} axes", f"an axis is listed twice: {', '.join(names)}")
     if control.trace.columns.set_position is None:
         raise BadInput(f"{path} trace.columns", "set_position is missing: it tells where a trace's motion starts")
     return control

@@ -30,7 +30,7 @@ def export_paths(folder: Path, plan: PlanDocument, robot: Robot, cell: Cell, con
     which looks for the traces in ``traces/SWEEP_0001.csv`` and so on.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise BadInput(str(folder), "is there already and is not an empty directory")
+        raise BadInput(str(folder), "exists already and is not an empty folder")
     folder.parent.mkdir(parents=True, exist_ok=True)
     partial = folder.parent / f".{folder.name}.{uuid4().hex}.partial"
     partial.mkdir()

@@ -1,4 +1,4 @@
-"""How often an address may show a key that is none of the service's. Pure: the caller brings the time.
+"""How often an address may show a key that is not one of the service's. Pure: the caller brings the time.
 
 Nobody guesses 32 random bytes; but each attempt costs a look into the database and a line in the audit. Both tables are
 bounded: what was longest without an attempt is forgotten first.

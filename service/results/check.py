@@ -8,7 +8,7 @@ from service.results.part import Document, Part
 class Finding(Part):
     """`severity` wrong: no physics of the `axis` (null: of the whole robot) can be trusted; warning: read it.
 
-    `value` and `limit` are of one unit, which the sentence names; null where there is no number.
+    `value` and `limit` are of one unit, which the sentence names; null where there is none.
     """
 
     code: str

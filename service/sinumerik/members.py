@@ -75,13 +75,13 @@ class Member:
         except ValueError:
             value = float("nan")
         if not abs(value) < HUGE:
-            raise BadInput(self.place, f"member {name} is {text!r}, which is no number below {HUGE:g}")
+            raise BadInput(self.place, f"member {name} is {text!r}, which is not a number below {HUGE:g}")
         return value
 
     def whole(self, name: str) -> int:
         value = self.number(name)
         if value != int(value):
-            raise BadInput(self.place, f"member {name} is {value!r}, which is no whole number")
+            raise BadInput(self.place, f"member {name} is {value!r}, which is not a whole number")
         return int(value)
 
     def flag(self, name: str) -> bool:
@@ -134,7 +134,7 @@ def read_members(path: Path) -> Member:
     try:
         parser.Parse(content, True)
     except (expat.ExpatError, ValueError, LookupError) as error:  # torn, no XML, or of an unknown encoding
-        raise BadInput(str(path), f"is no whole XML file: {error}") from None
+        raise BadInput(str(path), f"is not a complete XML file: {error}") from None
     return builder.top.children[0]
 
 

@@ -38,7 +38,7 @@ def sqlite_file(url: str) -> Path:
     parsed = make_url(url)
     if parsed.get_backend_name() != "sqlite" or not parsed.database or parsed.database == ":memory:":
         shown = parsed.render_as_string(hide_password=True)
-        raise BadInput("database_url", f"{shown} is no SQLite file: use the backup of that database")
+        raise BadInput("database_url", f"{shown} is not a SQLite file: use the backup of that database")
     return Path(parsed.database)
 
 

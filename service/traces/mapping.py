@@ -90,7 +90,7 @@ def _robot_kind(given: Any) -> str:
 class Columns(_Part):
     """Where each column of the bundle comes from; without `time` the sample rate makes it.
 
-    `set_position` is no column of the bundle: it tells where in the trace the sweep's path begins.
+    `set_position` is not a column of the bundle: it tells where in the trace the sweep's path begins.
     """
 
     time: Column | None = None

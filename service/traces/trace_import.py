@@ -58,7 +58,7 @@ def import_trace(mapping_file: Path, source: Path | None = None) -> tuple[Robot,
         path = source or mapping_file.parent / entry.source
         place = f"{path} sweep {entry.id}"
         if entry.axis not in robot.joints or len(entry.pose) != len(robot.joints):
-            raise BadInput(place, f"axis {entry.axis} in pose {entry.pose} is none of robot {robot.name}")
+            raise BadInput(place, f"axis {entry.axis} in pose {entry.pose} is not one of robot {robot.name}")
         taken = _columns(mapping, robot, entry, path)
         set_position = taken.pop("set_position", None)
         recording = Recording(**taken)
@@ -161,7 +161,7 @@ def _read_mat(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
             raise BadInput(str(path), f"has no variable {name!r}")
         value = np.asarray(content[name])
         if value.dtype.kind not in "iuf" or value.size != max(value.shape, default=0):
-            raise BadInput(str(path), f"variable {name!r} is no column of numbers: {value.dtype} {value.shape}")
+            raise BadInput(str(path), f"variable {name!r} is not a column of numbers: {value.dtype} {value.shape}")
         columns[name] = value.astype(np.float64).ravel()
     return columns
 

@@ -84,7 +84,7 @@ def test_the_page_is_what_the_role_is(service: Service, keys: dict[str, str], pa
     why = page.locator("#login-why")
     expect(why).to_contain_text("no key")
     log_in(page, f"sweepid-{'0' * 64}")
-    expect(why).to_have_text("this key is none of the service's")
+    expect(why).to_have_text("this key is not one of the service's")
 
     log_in(page, keys["viewer"])
     expect(page.locator("#me-who")).to_have_text("the-viewer, viewer")

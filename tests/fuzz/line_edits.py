@@ -9,7 +9,7 @@ _CELLS = re.compile(r"([,;=\s])")
 
 
 def edit(content: bytes, rng: Random) -> bytes:
-    """UnicodeDecodeError where the content is no text any more."""
+    """UnicodeDecodeError where the content is not text any more."""
     lines = content.decode().splitlines(keepends=True)
     if not lines:
         return values.text(rng).encode()

@@ -93,7 +93,7 @@ def test_a_backup_is_made_and_rehearsed(books: Books, service: Service, tmp_path
     ]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["backup"]  # the rehearsal is gone
     code, _, printed = books.run("back_up", str(target), *data)
-    assert (code, "is there already; nothing is overwritten" in printed) == (BAD_INPUT, True), printed
+    assert (code, "exists already; nothing is overwritten" in printed) == (BAD_INPUT, True), printed
     code, _, printed = books.run("back_up", str(tmp_path / "no-disk" / "backup"), *data)
     assert (code, "is the disk mounted?" in printed) == (BAD_INPUT, True), printed
 

@@ -271,7 +271,7 @@ def test_faults_to_order(machine: Machine, node: canopen.RemoteNode) -> None:
 
     assert machine.order("fault", joint="nothing", code=1) == {
         "ok": False,
-        "error": "joint 'nothing' is none of joint_1, joint_2, joint_3, joint_4, joint_5, joint_6",
+        "error": "joint 'nothing' is not one of joint_1, joint_2, joint_3, joint_4, joint_5, joint_6",
     }
     assert not machine.order("explode")["ok"]
 

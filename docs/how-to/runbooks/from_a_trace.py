@@ -30,7 +30,7 @@ def main() -> int:
 def from_a_trace(book: Runbook) -> Exit:
     given = book.given
     if given.out.exists():
-        raise BadInput("--out", f"{given.out} is there already; nothing is overwritten")
+        raise BadInput("--out", f"{given.out} exists already; nothing is overwritten")
     robot, sweeps = import_trace(given.mapping, given.source)
     book.protocol["robot"] = {"id": None, "name": robot.name}
     axes = sorted({sweep.spec.axis for sweep in sweeps})

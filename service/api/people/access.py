@@ -98,7 +98,7 @@ class Access:
         found = None if shown is None else await run_in_threadpool(lab.api_keys.find, given)
         if found is None or shown is None:
             guesses.wrong(trail.address, time.monotonic())
-            raise _unauthorized("this key is none of the service's")
+            raise _unauthorized("this key is not one of the service's")
         guesses.opened(shown)
         return found
 

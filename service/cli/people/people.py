@@ -32,9 +32,9 @@ def add_key(
     """Make a key and print it, once: only its hash is stored. To be sent as `Authorization: Bearer KEY`."""
     name = name.strip()
     if name in _TAKEN or not name.isprintable() or not 1 <= len(name) <= _LONGEST_NAME:
-        raise BadInput("NAME", f"{name[:_LONGEST_NAME]!r} is no name: 1 to {_LONGEST_NAME} printable characters")
+        raise BadInput("NAME", f"{name[:_LONGEST_NAME]!r} is not a name: 1 to {_LONGEST_NAME} printable characters")
     if role not in _ROLES:
-        raise BadInput("--role", f"{role!r} is none of {', '.join(_ROLES)}")
+        raise BadInput("--role", f"{role!r} is not one of {', '.join(_ROLES)}")
     with opened(config, data_dir, make=True) as database:
         _, key = KeyStore(database).add(name, _ROLES[role], timedelta(days=days), shell_entry())
     sys.stdout.write(f"{key}\n")

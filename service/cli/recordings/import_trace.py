@@ -39,7 +39,7 @@ def import_trace(
     """Turn trace files (.mat, .csv, .parquet) into a bundle, or read what a Sinumerik measured of itself (.xml)."""
     if mapping.suffix.lower() == ".xml":
         if source is not None:
-            raise BadInput("--source", f"{mapping} is no mapping but the measurement itself")
+            raise BadInput("--source", f"{mapping} is the measurement itself, not a mapping")
         import_control_file(mapping, Given(speed_gain, reset_time, gear_ratio), out, json_to)
         return
     options = {

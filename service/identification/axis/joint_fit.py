@@ -234,7 +234,7 @@ def _equations(
 
 
 def _minimise(parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point, iterations: int) -> _Minimum:
-    """The point of least cost, from `point` downhill. A point whose cost is no number is no step down."""
+    """The point of least cost, from `point` downhill. A point whose cost is not a number is no step down."""
     damping, ended = 1e-3, Ended.UNFINISHED
     cost, normals = _equations(parts, priors, sigma, point)
     for _ in range(iterations if np.isfinite(cost) else 0):

@@ -104,7 +104,7 @@ def known_effects(document: Mapping[str, Any], joints: Sequence[str], source: Ma
     found: dict[str, KnownAxis] = {}
     for joint, axis in cast("dict[str, Any]", axes).items():
         if joint not in joints:
-            raise BadInput(f"model.axes.{joint}", f"is no joint of the robot, {', '.join(joints)} are")
+            raise BadInput(f"model.axes.{joint}", f"is not a joint of the robot, {', '.join(joints)} are")
         place = f"model.axes.{joint}"
         effects = _mapping(axis, place).get("effects", [])
         if not isinstance(effects, list):
@@ -141,7 +141,7 @@ def _covariance(told: Any, std: Array, place: str) -> Array:
     try:
         given = np.array(told, dtype=float) if isinstance(told, list) and told else np.zeros((0, 0))
     except (ValueError, TypeError, OverflowError):
-        raise BadInput(place, "is no matrix of numbers") from None
+        raise BadInput(place, "is not a matrix of numbers") from None
     if given.size and given.shape == correlation.shape and np.all(np.isfinite(given)) and np.all(np.diag(given) > 0):
         scale = np.sqrt(np.diag(given))
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):

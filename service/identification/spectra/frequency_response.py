@@ -109,7 +109,7 @@ def _check_numbers(spec: SweepSpec, record: Recording) -> None:
         column: Array | None = getattr(record, name)
         if column is not None and not np.isfinite(column).all():
             sample = int(np.flatnonzero(~np.isfinite(column))[0])
-            raise BadInput(f"sweep {spec.id} of {spec.axis}", f"{name} is no number at sample {sample}")
+            raise BadInput(f"sweep {spec.id} of {spec.axis}", f"{name} is not a number at sample {sample}")
 
 
 def _periodic(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> Spectrum:

@@ -72,7 +72,7 @@ def read_bundle(directory: Path) -> Bundle:
 def write_bundle(directory: Path, robot: Robot, sweeps: Sequence[Sweep]) -> None:
     """Write a bundle into a new or empty directory; BadInput, and nothing written, for what `read_bundle` refuses."""
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
-        raise BadInput(str(directory), "is there already and is not an empty directory")
+        raise BadInput(str(directory), "exists already and is not an empty folder")
     check_specs(robot, [sweep.spec for sweep in sweeps], str(directory))
     for sweep in sweeps:
         check_samples(sweep.recording, f"{directory} sweep {sweep.spec.id}")
@@ -97,7 +97,7 @@ def check_specs(robot: Robot, specs: Sequence[SweepSpec], place: str) -> None:
     for spec in specs:
         here = f"{place} sweep {spec.id}"
         if spec.id in seen:
-            raise BadInput(here, "this id stands twice")
+            raise BadInput(here, "another sweep has the same id")
         seen.add(spec.id)
         if spec.axis not in robot.joints:
             raise BadInput(here, f"unknown joint {spec.axis!r}; robot {robot.name} has {', '.join(robot.joints)}")

@@ -126,7 +126,7 @@ def _read_parquet(path: Path, wanted: Collection[str], place: str) -> Any:
         for name in names:
             if name in wanted:
                 if names.count(name) > 1:
-                    raise BadInput(place, f"column {name!r} stands twice")
+                    raise BadInput(place, f"column {name!r} occurs twice")
                 _check_type(schema.field(name).type, name, place)
         present = [name for name in names if name in wanted]
         return file.read(columns=present) if present else schema.empty_table()
@@ -157,7 +157,7 @@ def _read_csv(path: Path, form: CsvForm, place: str) -> Any:
 
 def _numbers(table: Any, name: str, place: str) -> Array:
     if table.column_names.count(name) > 1:
-        raise BadInput(place, f"column {name!r} stands twice")
+        raise BadInput(place, f"column {name!r} occurs twice")
     column = table.column(name)
     _check_type(column.type, name, place)
     return np.array(column.cast(_arrow.float64(), safe=False).to_numpy(), dtype=np.float64)

@@ -74,7 +74,7 @@ def _content(number: int, entry: str) -> dict[str, JsonValue]:
         found = None
     if not isinstance(found, dict):
         raise AuditUnreadable(
-            f"audit entry {number} is no JSON object: somebody changed it; `sweepid audit verify` tells where"
+            f"audit entry {number} is not a JSON object: somebody changed it; `sweepid audit verify` tells where"
         )
     return cast("dict[str, JsonValue]", found)
 

@@ -1,4 +1,4 @@
-"""Limits: what is outside is told with value, limit and unit, and what is no number is outside."""
+"""Limits: what is outside is told with value, limit and unit, and what is not a number is outside."""
 
 import math
 from dataclasses import replace

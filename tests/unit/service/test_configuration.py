@@ -32,7 +32,7 @@ def test_values_that_are_not_of_their_type_are_refused(value: str, tmp_path: Pat
 def test_keys_that_are_no_text_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "service.yaml"
     path.write_text("1: 2", "utf-8")
-    with pytest.raises(BadInput, match="key 1 is no text"):
+    with pytest.raises(BadInput, match="key 1 is not text"):
         load_settings(path)
 
 

@@ -118,7 +118,7 @@ def test_a_trace_with_a_gap_is_not_written(tmp_path: Path) -> None:
         ("none.mat", {}, "none.mat: file does not exist"),
         ("mapping.yaml", {}, "samples are .parquet or .csv"),
         ("torn.mat", {}, "torn.mat: cannot be read"),
-        ("text.mat", {}, "variable 'TORQUE' is no column of numbers"),
+        ("text.mat", {}, "variable 'TORQUE' is not a column of numbers"),
         ("trace.mat", {"robots": "x"}, "robots: unknown key; did you mean robot?"),
         ("trace.mat", {"robot": "robot.yaml"}, "robot.yaml: cannot be read"),
         ("trace.mat", {"robot": {"name": "table"}}, "robot.axis.joint: Field required"),

@@ -105,8 +105,8 @@ def test_a_body_carried_there_and_back_is_the_same() -> None:
         (robot(joint("j", "revolute", "a", "b", f'{LIMIT}<mimic joint="k"/>')), "j: follows joint 'k' (<mimic>)"),
         (robot(joint("j", "fixed", "a", "b"), joint("k", "fixed", "b", "b")), "carried by two joints"),
         (robot(joint("j", "fixed", "a", "b"), joint("k", "fixed", "a", "b")), "carried by two joints"),
-        (robot('<link name="a"/>', joint("j", "revolute", "a", "b")), "link 'a' stands twice"),
-        (robot(joint("j", "fixed", "a", "b"), joint("j", "revolute", "b", "c"), links="abc"), "joint 'j' stands twice"),
+        (robot('<link name="a"/>', joint("j", "revolute", "a", "b")), "link 'a' occurs twice"),
+        (robot(joint("j", "fixed", "a", "b"), joint("j", "revolute", "b", "c"), links="abc"), "joint 'j' occurs twice"),
         (
             robot(joint("j", "revolute", "a", "c"), '<link name="c"><inertial/></link>', links="a"),
             "<inertial> needs <mass> and <inertia>",

@@ -58,9 +58,9 @@ async def test_a_lease_that_cannot_be_renewed_is_told(
     async with service(tmp_path, profile, lease_time=0.5) as (_, http):
         with closing(sqlite3.connect(tmp_path / "sweepid.sqlite", isolation_level=None)) as other:
             other.execute("BEGIN EXCLUSIVE")
-            await told(http, "right to the machine could not be renewed")
+            await told(http, "lease could not be renewed")
             other.execute("ROLLBACK")
-        await told(http, "right to the machine", there=False)
+        await told(http, "lease could not be renewed", there=False)
 
 
 async def test_a_disk_that_is_too_full_is_told(tmp_path: Path, profile: Path) -> None:

@@ -115,7 +115,7 @@ def test_an_older_schema_is_backed_up_as_it_is(data: Path, tmp_path: Path) -> No
 def test_what_is_there_is_not_overwritten(data: Path, tmp_path: Path) -> None:
     backup_of(data, tmp_path / "backup")
     before = contents(tmp_path)
-    with pytest.raises(BadInput, match="is there already"):
+    with pytest.raises(BadInput, match="exists already"):
         backup_of(data, tmp_path / "backup")
     with pytest.raises(BadInput, match="is not an empty folder"):
         restore(tmp_path / "backup", data)

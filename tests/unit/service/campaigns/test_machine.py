@@ -164,7 +164,7 @@ async def test_a_computer_that_comes_late_is_told_apart_from_a_database_that_doe
     await until(asked.is_set)
     asyncio.get_running_loop().call_soon(time.sleep, LEASE_TIME)  # something else has the processor
     await until(lambda: bench.machine.held != "")
-    assert bench.machine.held.startswith("the right to the machine could not be renewed: this computer was late by 0.")
+    assert bench.machine.held.startswith("the machine's lease could not be renewed: this computer was late by 0.")
     assert "stop" in bench.drive.trace  # who is late may have lost the machine all the same
     answer.set()
     await until(lambda: bench.machine.held == "")

@@ -71,7 +71,7 @@ def test_several_chains_ask_for_a_tip() -> None:
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        ("<xacro/>", "is no URDF: begins with <xacro>, not <robot>"),
+        ("<xacro/>", "is not a URDF: begins with <xacro>, not <robot>"),
         ("<robot", "not XML"),
         ('<robot name="r"><link name="a"/></robot>', "has no moving joint"),
         (

@@ -72,15 +72,15 @@ def test_a_variance_without_a_root_gives_no_correlations() -> None:
     ("document", "message"),
     [
         ({}, 'model: has no "axes"'),
-        ({"axes": {"joint_9": {"effects": []}}}, r"model\.axes\.joint_9: is no joint of the robot, lift are"),
+        ({"axes": {"joint_9": {"effects": []}}}, r"model\.axes\.joint_9: is not a joint of the robot, lift are"),
         ({"axes": {"lift": []}}, r"model\.axes\.lift: is not an object"),
         ({"axes": {"lift": {"effects": {}}}}, r"lift\.effects: is not a list"),
         ({"axes": {"lift": {"effects": [{}]}}}, r'lift\.effects: has an entry without "effect"'),
         (model(lift={"a": {"b": (float("nan"), 1.0)}}), r"effects\.a\.b\.value: nan is not a finite number"),
         (model(lift={"a": {"b": (10**400, 1.0)}}), r"effects\.a\.b\.value: 10+ is not a finite number"),
         (model(lift={"a": {"b": (1.0, -1.0)}}), r"effects\.a\.b\.std: -1\.0 is below 0"),
-        (with_covariance([[1.0], [1.0, 2.0]]), r"effects\.a\.covariance: is no matrix of numbers"),
-        (with_covariance([["x"]]), r"effects\.a\.covariance: is no matrix of numbers"),
+        (with_covariance([[1.0], [1.0, 2.0]]), r"effects\.a\.covariance: is not a matrix of numbers"),
+        (with_covariance([["x"]]), r"effects\.a\.covariance: is not a matrix of numbers"),
     ],
 )
 def test_what_cannot_be_read_is_named(document: dict[str, object], message: str) -> None:

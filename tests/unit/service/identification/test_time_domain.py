@@ -152,5 +152,5 @@ def _part(sweep: Sweep, first: float, last: float) -> Sweep:
 def test_what_is_no_number_is_refused_by_axis_and_sweep(bench: Robot, value: float) -> None:
     sweep = run_up(seed=1)
     sweep.recording.velocity[17] = value
-    with pytest.raises(BadInput, match="sweep 0001 of motor: velocity is no number at sample 17"):
+    with pytest.raises(BadInput, match="sweep 0001 of motor: velocity is not a number at sample 17"):
         spectrum(bench, sweep)

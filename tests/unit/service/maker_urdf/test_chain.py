@@ -101,7 +101,7 @@ def test_another_tree_is_left_out_and_told() -> None:
 @pytest.mark.parametrize(
     ("root", "tip", "told"),
     [
-        (robot("ab", joint("one", "revolute", "ab")), "z", "--tip: 'z' is no link of x"),
+        (robot("ab", joint("one", "revolute", "ab")), "z", "--tip: 'z' is not a link of x"),
         (robot("ab", joint("one", "fixed", "ab")), None, "has no moving joint"),
         (robot("abc", joint("one", "revolute", "ac"), joint("two", "revolute", "bc")), None, "a closed loop"),
         (robot("ab", joint("one", "revolute", "ab"), joint("two", "revolute", "ba")), None, "carries itself"),

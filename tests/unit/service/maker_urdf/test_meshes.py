@@ -67,7 +67,7 @@ def test_the_scene_of_a_dae_places_scales_and_turns() -> None:
         (b"<COLLADA/>", "a.dae", "has no visual scene"),
         (dae("<matrix>1 2 3</matrix>"), "a.dae", "cannot be read"),
         (dae("", used="0 1 9"), "a.dae", "cannot be read"),
-        (b"", "a.step", "is none of .stl, .obj, .dae"),
+        (b"", "a.step", "is not one of .stl, .obj, .dae"),
     ],
 )
 def test_what_is_no_mesh_is_told(content: bytes, name: str, told: str) -> None:
@@ -100,7 +100,7 @@ def test_a_package_is_found_below_a_folder_and_as_one(share: Path) -> None:
         ("package://arm/circle.obj", "no such file"),
         ("package://other/a.obj", "no such file in the package folders"),
         ("package://arm", "is not package://PACKAGE/FILE"),
-        ("package://arm/meshes", "is no file"),
+        ("package://arm/meshes", "is not a file"),
         ("package://arm/\0", "no such file"),
         ("file:///etc/passwd", "only package://PACKAGE/FILE or a path beside the URDF"),
         ("/etc/passwd", "lies outside"),
@@ -120,5 +120,5 @@ def test_a_mesh_larger_than_the_limit_is_refused(share: Path, monkeypatch: pytes
 
 
 def test_a_package_folder_that_is_none_is_told(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match="is no folder of packages"):
+    with pytest.raises(BadInput, match="is not a folder of packages"):
         Packages([tmp_path / "nowhere"], tmp_path)

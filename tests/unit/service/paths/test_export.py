@@ -119,7 +119,7 @@ def test_a_cycle_too_slow_for_the_sines_is_refused(
     ("change", "reason"),
     [
         ({"axes": {"joint_1": {"name": "A1"}}}, "axes: must be the joints of max100-class: joint_1, joint_2"),
-        ({"axes": {f"joint_{k}": {"name": "A1"} for k in range(1, 7)}}, "axes: an axis stands twice"),
+        ({"axes": {f"joint_{k}": {"name": "A1"} for k in range(1, 7)}}, "axes: an axis is listed twice"),
         ({"axes": {f"joint_{k}": {"name": f"A {k}"} for k in range(1, 7)}}, "axes.joint_1.name: String should match"),
         ({"interpolation_cycle": 0.1}, "interpolation_cycle: Input should be less than or equal to 0.02"),
     ],
@@ -153,7 +153,7 @@ def test_from_the_command_line(plan_file: Path, tmp_path: Path) -> None:
     assert "9 sweeps of max100-class" in done.stderr
     again = subprocess.run(command(plan_file, tmp_path / "paths"), capture_output=True, text=True, timeout=300)
     assert (again.returncode, again.stdout) == (2, "")
-    assert "is there already" in again.stderr
+    assert "exists already" in again.stderr
     plan_file.write_text(json.dumps({"id": 1}))
     bad = subprocess.run(command(plan_file, tmp_path / "more"), capture_output=True, text=True, timeout=300)
     assert (bad.returncode, bad.stderr) == (2, f"sweepid: {plan_file} document: Field required\n")

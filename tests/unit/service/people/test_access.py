@@ -198,7 +198,7 @@ def test_an_entry_that_is_no_json_is_a_problem(tmp_path: Path) -> None:
         store.append([{"event": "request"}])
         with own.write() as session:
             session.execute(text("INSERT INTO audit VALUES (2, '[1]', 'abc')"))
-        with pytest.raises(AuditUnreadable, match="audit entry 2 is no JSON object"):
+        with pytest.raises(AuditUnreadable, match="audit entry 2 is not a JSON object"):
             store.documents()
 
 

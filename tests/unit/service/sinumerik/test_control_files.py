@@ -120,7 +120,7 @@ def test_a_tuning_file_gives_the_inertia_of_rotor_and_load(tmp_path: Path) -> No
         (
             'name="m_dSamplingInterval">0.000125<',
             'name="m_dSamplingInterval">nan<',
-            "'nan', which is no number below 1e+15",
+            "'nan', which is not a number below 1e+15",
         ),
         ('name="m_dSamplingInterval">0.000125<', 'name="m_dSamplingInterval">0.00025<', "samples, 0.00025 s apart"),
         (
@@ -133,7 +133,7 @@ def test_a_tuning_file_gives_the_inertia_of_rotor_and_load(tmp_path: Path) -> No
         ('name="m_length">127<', 'name="m_length">126<', "m_ValueVector has 127 numbers, and says 126 of 1"),
         ('name="m_uSignodeId">62<', 'name="m_uSignodeId">63<', "has no cross-spectrum with signal 62"),
         ("TimeSeries", "Series", "has no TimeSeries: save the measurement with its time series"),
-        ("</ResponseTestCustom>", "", "is no whole XML file"),
+        ("</ResponseTestCustom>", "", "is not a complete XML file"),
         ('name="m_bIsLinearMotor">false<', 'name="m_bIsLinearMotor">true<', "is of a linear motor"),
         ('name="m_GainValue_real">1<', 'name="m_GainValue_real">2<', "is told to be distorted"),
     ],
@@ -186,7 +186,7 @@ def test_members_are_bounded(tmp_path: Path, text: str) -> None:
 @pytest.mark.parametrize("cut", [0, 1, 100, 5000, -3])
 def test_a_truncated_file_is_refused(tmp_path: Path, cut: int) -> None:
     text = Loop(order=7).xml()
-    with pytest.raises(BadInput, match="is no whole XML file"):
+    with pytest.raises(BadInput, match="is not a complete XML file"):
         read(tmp_path, text[:cut])
 
 
@@ -281,7 +281,7 @@ def test_options_that_do_not_fit_the_file_are_refused(tmp_path: Path) -> None:
     path.write_text(tuning_xml(), encoding="latin-1")
     with pytest.raises(BadInput, match="tables: is not empty"):
         import_trace(path, out=tmp_path / "tables")
-    with pytest.raises(BadInput, match=r"--source: .* is no mapping but the measurement itself"):
+    with pytest.raises(BadInput, match=r"--source: .* is the measurement itself, not a mapping"):
         import_trace(path, source=path)
     with pytest.raises(BadInput, match="--speed-gain: is for a Sinumerik's measurement"):
         import_trace(tmp_path / "mapping.yaml", out=tmp_path / "b", speed_gain=1.0)

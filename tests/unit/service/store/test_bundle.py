@@ -181,7 +181,7 @@ FILE = "0002.parquet sweep 0002"
         (lambda d: d["robot"].update(urdf="other.urdf"), "other.urdf", "cannot be read: No such file"),
         (lambda d: d["robot"].update(urdf="sweeps/0001.parquet"), "0001.parquet", "cannot be read"),
         (lambda d: d["robot"].update(urdf="../bundle.urdf"), "bundle.json robot.urdf", "outside of the bundle"),
-        (first({"id": "0001"}), "bundle.json sweep 0001", "stands twice"),
+        (first({"id": "0001"}), "bundle.json sweep 0001", "another sweep has the same id"),
         (first({"id": ""}), "bundle.json sweeps.1.id", "at least 1 character"),
         (first({"axis": "j3"}), SWEEP, "unknown joint 'j3'; robot two has j1, j2"),
         (first({"pose": [0.0]}), SWEEP, "pose has 1 numbers, robot two has 2 axes"),

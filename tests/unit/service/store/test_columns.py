@@ -52,7 +52,7 @@ def test_columns_of_others_are_left_out(tmp_path: Path) -> None:
     [
         (PLAIN.replace("effort", "torque"), "column 'effort' is missing; there are time, torque, velocity, position"),
         (PLAIN.replace("position", "effort"), "column 'position' is missing"),
-        (PLAIN.replace("time", "time,effort").replace("\n0", "\n0,9"), "column 'effort' stands twice"),
+        (PLAIN.replace("time", "time,effort").replace("\n0", "\n0,9"), "column 'effort' occurs twice"),
         (PLAIN.replace(",1,2,3\n0.5", ",nan,2,3\n0.5"), "column 'effort' is nan in row 1"),
         (PLAIN.replace("0.5,1,2,", "0.5,1,2,inf"), "column 'position' is inf in row 2"),
         (PLAIN.replace("0.5,1", "0.5,"), "column 'effort' is nan in row 2"),

@@ -155,7 +155,7 @@ def test_the_command_takes_a_dictionary_for_all_and_one_for_an_axis(tmp_path: Pa
 def test_the_command_tells_what_is_no_dictionary(option: str) -> None:
     done = subprocess.run(command("--foreign", option), cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2
-    assert re.search(r"--foreign: ('joint_9' is none of|config/.*yaml is not an \.eds or \.dcf file)", done.stderr)
+    assert re.search(r"--foreign: ('joint_9' is not one of|config/.*yaml is not an \.eds or \.dcf file)", done.stderr)
 
 
 frames = st.builds(
