@@ -336,7 +336,7 @@ class DrivePort(Protocol):
         ...
 
     async def stop(self) -> tuple[str, ...]:
-        """Stop every axis now: `halt`, then the stop ladder, axis by axis, to standstill without energy.
+        """Stop every axis now: `halt`, then the stop sequence, axis by axis, to standstill without energy.
 
         Gives the joints that confirmed it: all of them, or none where it is not connected. Never raises for an axis
         already still; StopNotConfirmed names those that did not answer.

@@ -1,4 +1,4 @@
-"""The web application: API and operator's page over one lab."""
+"""The web application: API and operator's page."""
 
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import asynccontextmanager
@@ -9,7 +9,7 @@ from fastapi.routing import APIRoute
 
 from service.api import events, health, metrics, robots
 from service.api.campaign import bundles, campaigns, plans, sweeps
-from service.api.declared import Application
+from service.api.declared import DeclaredApi
 from service.api.gate import BUNDLE_LIMIT, ROBOT_LIMIT, Gate
 from service.api.machine import drives, live, stop
 from service.api.people import audit, me
@@ -17,8 +17,8 @@ from service.api.people.access import Access
 from service.api.people.audited import Audited
 from service.api.problem import Problem, install_problem_handlers
 from service.api.results import diagnoses, estimates, model_revisions, models, reports
+from service.application import Application, open_application
 from service.hmi.pages import add_pages
-from service.lab import Lab, open_lab
 from service.settings import Settings
 from service.stop_process.handle import StopProcess
 
@@ -45,11 +45,11 @@ _ROUTERS = (
 
 
 def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: StopProcess | None = None) -> FastAPI:
-    """The application; its lifespan owns the lab. `hosts`: host names it answers to, empty: any.
+    """Its lifespan owns the `Application` behind it. `hosts`: host names it answers to, empty: any.
 
     `stop_process` runs already, and belongs to who started it.
     """
-    app = Application(
+    app = DeclaredApi(
         title="sweepid",
         version=version("sweepid"),
         summary="Measures the inertia of a robot's axes through its own drives",
@@ -80,31 +80,31 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
 
 def end_streams(app: FastAPI) -> None:
     """End what never ends by itself (event streams, live samples), so that the server can shut down."""
-    lab: Lab | None = getattr(app.state, "lab", None)
-    if lab is not None:
-        lab.feed.close()
-        lab.hub.close()
+    application: Application | None = getattr(app.state, "application", None)
+    if application is not None:
+        application.feed.close()
+        application.hub.close()
 
 
 async def end_motion(app: FastAPI) -> None:
     """The machine at standstill, and moved no more: before anything of the service is waited for."""
-    lab: Lab | None = getattr(app.state, "lab", None)
-    if lab is not None:
-        lab.machine.end("the service ended")
-        await lab.runner.close()
+    application: Application | None = getattr(app.state, "application", None)
+    if application is not None:
+        application.machine.end("the service ended")
+        await application.runner.close()
 
 
 def halt(app: FastAPI) -> None:
     """Tell every axis to stop; nothing moves any more."""
-    lab: Lab | None = getattr(app.state, "lab", None)
-    if lab is not None:
-        lab.machine.end("the service ended")
+    application: Application | None = getattr(app.state, "application", None)
+    if application is not None:
+        application.machine.end("the service ended")
 
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncGenerator[None, None]:
-    async with open_lab(app.state.settings, app.state.stop_process) as lab:
-        app.state.lab = lab
+    async with open_application(app.state.settings, app.state.stop_process) as application:
+        app.state.application = application
         yield
 
 

@@ -26,7 +26,7 @@ FOLLOW = 0x10  # controlword bit 4 in interpolated position mode
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """An axis that waits for set-points: see `lane.Lane`."""
+    """An axis that waits for set-points: see `streamed_axis.StreamRequest`."""
 
     counter: int | None
     position: int | None

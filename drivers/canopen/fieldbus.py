@@ -16,9 +16,9 @@ from drivers.canopen.bus_load import check_bus_load
 from drivers.canopen.device import CanopenDevice
 from drivers.canopen.device_map import Way
 from drivers.canopen.host_sweep import HostSweep
-from drivers.canopen.lane import Ending, Lane
 from drivers.canopen.profile import CanopenProfile
 from drivers.canopen.stop_sender import CanopenStopSender
+from drivers.canopen.streamed_axis import Ending, StreamRequest
 from drivers.cia402.axis import Axis
 from drivers.cia402.checks import Envelope
 from drivers.cia402.connection import capabilities
@@ -106,7 +106,7 @@ class CanopenConnection:
         return self.profile.bus.sync_period
 
     async def stream(self, sweeps: Sequence[tuple[SweepCommand, Envelope]], stop: threading.Event) -> "StreamedSweep":
-        lanes: list[Lane] = []
+        requests: list[StreamRequest] = []
         swept = [self.devices[command.joint] for command, _ in sweeps]
         check_bus_load(self.profile.bus, [device.cyclic_pdos for device in swept], len(self.devices))
         for device, (command, _) in zip(swept, sweeps, strict=True):
@@ -115,8 +115,8 @@ class CanopenConnection:
             device = self.devices[command.joint]
             start = await self.thread.run(device.prepare_streaming)
             waiting = (start.counter, start.position, start.mode_bits, self.profile.device_map.wires)
-            lanes.append(Lane(device.profile, device.codec, command, envelope, *waiting))
-        run = HostSweep(self.bus, self.profile.bus, lanes, stop)
+            requests.append(StreamRequest(device.profile, device.codec, command, envelope, *waiting))
+        run = HostSweep(self.bus, self.profile.bus, requests, stop)
         return StreamedSweep(run, self.thread, {command.joint: self.axes[command.joint] for command, _ in sweeps})
 
     def halt(self, *, streaming: bool) -> None:
@@ -154,7 +154,7 @@ class StreamedSweep:
         self.run.halt()
 
     async def interrupted(self) -> None:
-        """The ladder of a streaming axis is the stream's own."""
+        """The stop sequence of a streaming axis is the stream's own."""
         await self.run.over()
 
     async def over(self) -> None:

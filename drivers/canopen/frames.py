@@ -67,7 +67,7 @@ def tpdo_id(number: int) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class MotionPdo:
     """TPDO1: 6041h, 606Ch, 6077h (or 6078h) of one SYNC."""
 
     node: int
@@ -77,7 +77,7 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class PositionPdo:
     """TPDO2: 6064h and the sample counter 2120h:01 of one SYNC; in place of a counter (then 0) 606Ch once more."""
 
     node: int
@@ -134,7 +134,7 @@ class SetPoint:
     data: bytes
 
 
-Frame = Motion | Place | Emergency | Heartbeat | Controller | SetPoint
+Frame = MotionPdo | PositionPdo | Emergency | Heartbeat | Controller | SetPoint
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,12 +164,12 @@ def decode(identifier: int, data: bytes, error: bool = False, wires: Wires = VIR
     if node == 0:
         return None
     if function == tpdo_id(wires.state) and len(data) == _TPDO1.size:
-        return Motion(node, *_TPDO1.unpack(data))
+        return MotionPdo(node, *_TPDO1.unpack(data))
     if function == tpdo_id(wires.place) and len(data) == _TPDO2.size:
         if wires.counted:
-            return Place(node, *_TPDO2.unpack(data))
+            return PositionPdo(node, *_TPDO2.unpack(data))
         position, velocity = _TPDO2_WITHOUT_COUNTER.unpack(data)
-        return Place(node, position, 0, velocity)
+        return PositionPdo(node, position, 0, velocity)
     if function in (rpdo_id(wires.set_point), rpdo_id(wires.stop or wires.set_point)):
         return SetPoint(node, data)
     if function == EMERGENCY and len(data) == _EMERGENCY.size:

@@ -1,8 +1,8 @@
 """The host-streamed sweep of one or several axes on one clock: set-points and SYNC out, samples in, one thread.
 
 A cycle is every axis' RPDO1, then one SYNC. The thread sends cycles by absolute deadlines, or plans them ahead for the
-kernel to send (`bcm`); the ladder is the thread's always. A late cycle shifts the wall clock alone, for the drives'
-clock is SYNC. Whatever ends one axis' sweep starts the ladder of all.
+kernel to send (`bcm`); the stop sequence is always the thread's. A late cycle shifts the wall clock alone, for the
+drives' clock is SYNC. Whatever ends one axis' sweep starts the stop sequence of all.
 """
 
 import asyncio
@@ -18,10 +18,10 @@ from contextlib import suppress
 from drivers.canopen import frames
 from drivers.canopen.bcm import Cycle, KernelRefused, KernelStream, set_point_source
 from drivers.canopen.bus import Bus
-from drivers.canopen.ladder import Rung
-from drivers.canopen.lane import STANDING_SAMPLES, Ending, Lane, RunningLane, Trouble
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.punctuality import Punctuality
+from drivers.canopen.stop_sequence import StopStage
+from drivers.canopen.streamed_axis import STANDING_SAMPLES, Ending, StreamedAxis, StreamRequest, Trouble
 from drivers.cia402.states import State
 from drivers.errors import CommunicationLost
 from drivers.ports import SampleBlock, SetPointTiming
@@ -35,9 +35,11 @@ Events = queue.SimpleQueue[frames.Event]
 
 
 class HostSweep:
-    """One run. `stop` (a threading.Event) may be set from any thread and starts the ladder."""
+    """One run. `stop` (a threading.Event) may be set from any thread and starts the stop sequence."""
 
-    def __init__(self, bus: Bus, settings: BusProfile, lanes: Sequence[Lane], stop: threading.Event) -> None:
+    def __init__(
+        self, bus: Bus, settings: BusProfile, requests: Sequence[StreamRequest], stop: threading.Event
+    ) -> None:
         """Starts at once. The axes stand, enabled, in cyclic synchronous velocity."""
         self.ending = Ending.COMPLETED
         self.reason = ""
@@ -48,13 +50,13 @@ class HostSweep:
         self._bus, self._stop, self._period = bus, stop, period
         self._source = set_point_source(bus)
         self._clock = Punctuality(period, settings.missed_cycles, settings.host_timeout)
-        self._lanes = {lane.axis.node: RunningLane(lane, period) for lane in lanes}
-        wires = self._wires = lanes[0].wires
+        self._axes = {request.axis.node: StreamedAxis(request, period) for request in requests}
+        wires = self._wires = requests[0].wires
         # what the kernel sends when nobody plans further
-        self._rest: list[tuple[int, bytes]] = [*(wires.stop_frame(node) for node in self._lanes), (frames.SYNC, b"")]
-        self._last = max(lane.last for lane in self._lanes.values())
+        self._rest: list[tuple[int, bytes]] = [*(wires.stop_frame(node) for node in self._axes), (frames.SYNC, b"")]
+        self._last = max(axis.last for axis in self._axes.values())
         self._number = 0  # cycles sent
-        self._ended = False  # the ladder has begun
+        self._ended = False  # the stop sequence has begun
         self._block_samples = max(1, round(BLOCK_TIME / period))
         self._silence = settings.silence
         self._silent_cycles = max(3, round(settings.silence / period))
@@ -62,7 +64,7 @@ class HostSweep:
         self._seen: dict[int, bytes] = {}  # the kernel's set-points since its last SYNC, by node
         self._released = threading.Event()
         self._halted = threading.Event()
-        self._forbidden = False  # by the host watch: known, and the ladder begun
+        self._forbidden = False  # by the host watch: known, and the stop sequence begun
         self._held = False  # all axes stand and wait to be released; the thread goes on
         self._loop = asyncio.get_running_loop()
         self._blocks: asyncio.Queue[SampleBlock | None] = asyncio.Queue()
@@ -82,7 +84,7 @@ class HostSweep:
         self._released.set()
 
     def halt(self) -> None:
-        """Begin the ladder at its quick stop, which another has told the drives: a ramp would take that back."""
+        """Begin the stop sequence at its quick stop, which another has told the drives: a ramp would take that back."""
         self._halted.set()
 
     async def finished(self) -> None:
@@ -105,7 +107,7 @@ class HostSweep:
 
     def _run(self) -> None:
         _sharpen_timer()
-        events = self._bus.open_stream(*self._lanes)
+        events = self._bus.open_stream(*self._axes)
         try:
             self._meet(events)
             if self._source == "bcm" and not self._ended:
@@ -115,7 +117,7 @@ class HostSweep:
             self._last_word()
             raise
         finally:
-            self._bus.close_stream(*self._lanes)
+            self._bus.close_stream(*self._axes)
             self._hand_over(at_least=1)
             self._post(None)
 
@@ -136,22 +138,22 @@ class HostSweep:
             while self._unknown() and (event := _next(events, answer_by - time.monotonic())) is not None:
                 self._take(event)
             self._listen(events, sent + self._period)
-            for lane in self._lanes.values():
-                lane.settle()
+            for axis in self._axes.values():
+                axis.settle()
             if not self._unknown():
                 break
-        for lane in self._unknown():
-            self._end(Trouble(Ending.SILENT, f"does not answer SYNC within {self._silence:g} s"), lane)
+        for axis in self._unknown():
+            self._end(Trouble(Ending.SILENT, f"does not answer SYNC within {self._silence:g} s"), axis)
         self._check()
         if not self._ended:
-            for lane in self._lanes.values():
-                lane.begin()
+            for axis in self._axes.values():
+                axis.begin()
 
-    def _unknown(self) -> list[RunningLane]:
-        return [lane for lane in self._lanes.values() if lane.state is State.UNKNOWN]
+    def _unknown(self) -> list[StreamedAxis]:
+        return [axis for axis in self._axes.values() if axis.state is State.UNKNOWN]
 
     def _by_kernel(self, events: Events) -> None:
-        """The sweep's cycles, planned ahead; returns at its end, or once the ladder has begun."""
+        """The sweep's cycles, planned ahead; returns at its end, or once the stop sequence has begun."""
         interface = self._bus.kernel_interface or ""
         self._kernel = kernel = KernelStream(interface, self._period, self._plan, self._rest)
         self._bus.kernel_sends(sending=True)
@@ -171,7 +173,7 @@ class HostSweep:
                 elif event is None and time.monotonic() - heard > max(self._silence, 3 * self._period):
                     self._end(Trouble(Ending.NOT_SENT, f"the kernel sent no SYNC for {self._silence:g} s"))
                 self._check()
-        except KernelRefused as error:  # the bus may live: the ladder is the thread's
+        except KernelRefused as error:  # the bus may live: the stop sequence is the thread's
             self._end(Trouble(Ending.NOT_SENT, str(error)))
         finally:
             kernel.close()
@@ -187,7 +189,7 @@ class HostSweep:
             if not self._send_set_points(now):
                 continue  # without SYNC: the drives do not take what the first of them were told
             self._bus.send(frames.SYNC, b"")
-            if all(lane.ladder.rung is Rung.DONE for lane in self._lanes.values()):
+            if all(axis.stop_sequence.stage is StopStage.DONE for axis in self._axes.values()):
                 return
             self._number += 1
             self._count_sync()
@@ -204,7 +206,7 @@ class HostSweep:
                 if self._released.is_set():
                     return
                 if now > hold_until:
-                    self._climb(Rung.QUICK_STOP)
+                    self._stop_all(StopStage.QUICK_STOP)
             elif unfinished is not None:
                 standstill_by = min(standstill_by, now + STANDSTILL_TIMEOUT)
                 if now > standstill_by:
@@ -220,20 +222,20 @@ class HostSweep:
     def _plan(self, number: int) -> Cycle:
         """For the kernel: what a cycle ahead will send if nothing comes in between."""
         wires = self._wires
-        set_points = [(wires.set_point_id(node), lane.planned(number)) for node, lane in self._lanes.items()]
+        set_points = [(wires.set_point_id(node), axis.planned(number)) for node, axis in self._axes.items()]
         return [*set_points, (frames.SYNC, b"")]
 
     def _send_set_points(self, now: float) -> bool:
         """That of every axis; False where the host turned out to be suspended in between: the next are quick stops."""
-        for node, lane in self._lanes.items():
-            word = lane.command(self._number, now)
+        for node, axis in self._axes.items():
+            word = axis.command(self._number, now)
             if self._is_forbidden():
                 return False
             self._bus.send(self._wires.set_point_id(node), word)
         return not self._is_forbidden()
 
     def _is_forbidden(self) -> bool:
-        """Whether the host watch forbids motion, once: the ladders then begin at their quick stop."""
+        """Whether the host watch forbids motion, once: the stop sequences then begin at their quick stop."""
         reason = "" if self._forbidden else self._bus.watch.reason
         if reason:
             self._forbidden = True
@@ -241,10 +243,10 @@ class HostSweep:
         return bool(reason)
 
     def _count_sync(self) -> None:
-        for lane in self._lanes.values():
-            trouble = lane.sync()
+        for axis in self._axes.values():
+            trouble = axis.sync()
             if trouble is not None:
-                self._end(trouble, lane)
+                self._end(trouble, axis)
 
     def _wait_for_answers(self, events: Events, sent: float) -> None:
         """Hold the next SYNC back for drives that count no samples, as far as the profile lets deadlines pass unmet.
@@ -252,14 +254,14 @@ class HostSweep:
         Nothing that answers later can then be taken for the answer to another SYNC. After the last sample one SYNC is
         left out in any case: all answers are then here, and none too many (`windows`).
         """
-        lanes = [lane for lane in self._lanes.values() if not lane.counts]
-        if not lanes or self._ended:
+        axes = [axis for axis in self._axes.values() if not axis.counts]
+        if not axes or self._ended:
             return
         if self._number == self._last + STANDING_SAMPLES:
             self._listen(events, self._clock.due + self._period)
             self._clock.begin(self._clock.due + self._period)
         until = sent + self._silence / OPENING_SYNCS
-        while self._clock.patient and not all(lane.answered for lane in lanes) and not self._ended:
+        while self._clock.patient and not all(axis.answered for axis in axes) and not self._ended:
             left = until - time.monotonic()
             if left <= 0:
                 break
@@ -267,14 +269,14 @@ class HostSweep:
             if event is not None:
                 self._take(event)
             self._check()
-        for lane in lanes if self._clock.patient else ():
-            lane.silent += 0 if lane.answered else round((until - sent) / self._period)
-            lane.settle()
+        for axis in axes if self._clock.patient else ():
+            axis.silent += 0 if axis.answered else round((until - sent) / self._period)
+            axis.settle()
 
     def _wait_for_the_count(self, events: Events) -> None:
         """Hold the next SYNC back until all are counted: answers may be on their way (a gateway), or one is lost."""
         until = time.monotonic() + self._silence
-        while any(lane.behind for lane in self._lanes.values()) and not self._ended:
+        while any(axis.behind for axis in self._axes.values()) and not self._ended:
             event = _next(events, until - time.monotonic())
             if event is None:
                 break
@@ -298,10 +300,10 @@ class HostSweep:
             case frames.Controller():
                 pass  # the bus' matter
             case _:
-                lane = self._lanes[event.node]
-                trouble = lane.take(event)
+                axis = self._axes[event.node]
+                trouble = axis.take(event)
                 if trouble is not None:
-                    self._end(trouble, lane)
+                    self._end(trouble, axis)
                 self._hand_over(at_least=self._block_samples)
 
     def _take_sync(self, at: float) -> None:
@@ -312,11 +314,11 @@ class HostSweep:
         if self._number == 0:
             self._clock.begin(at)
         seen, self._seen = self._seen, {}
-        for node, lane in self._lanes.items():
-            if seen.get(node) == lane.planned(self._number):
-                lane.was_sent(self._number)
+        for node, axis in self._axes.items():
+            if seen.get(node) == axis.planned(self._number):
+                axis.was_sent(self._number)
             elif not self._ended:
-                self._end(Trouble(*_unplanned(seen.get(node), self._wires.stop_frame(node)[1])), lane)
+                self._end(Trouble(*_unplanned(seen.get(node), self._wires.stop_frame(node)[1])), axis)
         self._number += 1
         self._count_sync()
         kernel.note(self._clock.sent(at))
@@ -329,44 +331,44 @@ class HostSweep:
                 self.ending = Ending.COMPLETED
             self._end(Trouble(Ending.STOPPED, "sweep was stopped"))
         if self._stop.is_set():
-            self._end(Trouble(Ending.STOPPED, "sweep was stopped", Rung.RAMP))
+            self._end(Trouble(Ending.STOPPED, "sweep was stopped", StopStage.RAMP))
         if self._ended:
             return
         if self._number <= self._last and (verdict := self._clock.verdict) is not None:
             self._end(Trouble(Ending.LATE, verdict))
-        for lane in self._lanes.values():
-            if lane.silent > self._silent_cycles:
-                text = f"no sample for {lane.silent} cycles of {self._period * 1e3:g} ms"
-                self._end(Trouble(Ending.SILENT, text), lane)
+        for axis in self._axes.values():
+            if axis.silent > self._silent_cycles:
+                text = f"no sample for {axis.silent} cycles of {self._period * 1e3:g} ms"
+                self._end(Trouble(Ending.SILENT, text), axis)
 
-    def _unfinished(self) -> tuple[Trouble, RunningLane] | None:
-        """A lane that does not stand yet, or whose last samples have not come."""
-        for lane in self._lanes.values():
-            if not lane.standing:
-                return Trouble(Ending.NO_STANDSTILL, f"does not stand {STANDSTILL_TIMEOUT:g} s after its sweep"), lane
-            if not lane.complete:
-                return Trouble(Ending.MISCOUNTED, f"its sample counter is {lane.behind} behind SYNC"), lane
+    def _unfinished(self) -> tuple[Trouble, StreamedAxis] | None:
+        """An axis that does not stand yet, or whose last samples have not come."""
+        for axis in self._axes.values():
+            if not axis.standing:
+                return Trouble(Ending.NO_STANDSTILL, f"does not stand {STANDSTILL_TIMEOUT:g} s after its sweep"), axis
+            if not axis.complete:
+                return Trouble(Ending.MISCOUNTED, f"its sample counter is {axis.behind} behind SYNC"), axis
         return None
 
-    def _end(self, trouble: Trouble, lane: RunningLane | None = None) -> None:
+    def _end(self, trouble: Trouble, axis: StreamedAxis | None = None) -> None:
         if self.ending is Ending.COMPLETED:
             self.ending = trouble.ending
-            self.joint = "" if lane is None else lane.joint
-            self.reason = f"{', '.join(self._places(lane))}: {trouble.reason}"
-        self._climb(trouble.rung)
+            self.joint = "" if axis is None else axis.joint
+            self.reason = f"{', '.join(self._places(axis))}: {trouble.reason}"
+        self._stop_all(trouble.stage)
 
-    def _places(self, lane: RunningLane | None) -> list[str]:
-        return [each.place for each in self._lanes.values() if lane in (None, each)]
+    def _places(self, axis: StreamedAxis | None) -> list[str]:
+        return [each.place for each in self._axes.values() if axis in (None, each)]
 
-    def _climb(self, rung: Rung) -> None:
+    def _stop_all(self, stage: StopStage) -> None:
         self._ended = True
         now = time.monotonic()
-        for lane in self._lanes.values():
-            lane.ladder.climb(rung, now, lane.velocity)
+        for axis in self._axes.values():
+            axis.stop_sequence.advance(stage, now, axis.velocity)
 
     def _hand_over(self, at_least: int) -> None:
-        for lane in self._lanes.values():
-            block = lane.block(at_least)
+        for axis in self._axes.values():
+            block = axis.block(at_least)
             if block is not None:
                 self._post(block)
 

@@ -10,7 +10,7 @@ What any one frame lost, doubled or late can do is thereby a gap, never a mixed 
 
 from dataclasses import dataclass
 
-from drivers.canopen.frames import Motion, Place
+from drivers.canopen.frames import MotionPdo, PositionPdo
 
 WORD = 0xFFFFFFFF
 LONGEST_GAP = 10_000  # SYNCs; a counter that jumps further, or back, has nothing to do with this sweep
@@ -34,7 +34,7 @@ class Pairing:
         """`counter` is 2120h:01 before the first SYNC."""
         self._counter = counter
         self._index = -1  # of the last TPDO2 that counted
-        self._motion: Motion | None = None
+        self._motion: MotionPdo | None = None
         self._motions = 0  # since that TPDO2
         self._different = 0  # of them, from the one before
         self._syncs = 0
@@ -48,14 +48,14 @@ class Pairing:
         """A SYNC was sent."""
         self._syncs += 1
 
-    def motion(self, event: Motion) -> None:
+    def motion(self, event: MotionPdo) -> None:
         if self.ahead >= 0:
             return
         self._motions += 1
         self._different += event != self._motion or self._different == 0
         self._motion = event
 
-    def place(self, event: Place) -> Sample | None:
+    def position(self, event: PositionPdo) -> Sample | None:
         """The sample that this TPDO2 completes; None if it came before, or if its partner is not certain."""
         advance = (event.counter - self._counter) & WORD
         if not 0 < advance <= LONGEST_GAP:

@@ -19,7 +19,7 @@ late in a row of SYNCs that ends with the loss of both; both answers to a SYNC c
 two both values of a sample are of one SYNC all the same, and the window bounds by how much it is wrongly numbered.
 """
 
-from drivers.canopen.frames import Motion, Place
+from drivers.canopen.frames import MotionPdo, PositionPdo
 from drivers.canopen.samples import Sample
 
 
@@ -32,8 +32,8 @@ class Windows:
         self.doubt: str | None = None
         """Why samples that were given may be of another SYNC than it was said."""
         self._syncs = 0
-        self._motions: list[Motion] = []
-        self._places: list[Place] = []
+        self._motions: list[MotionPdo] = []
+        self._places: list[PositionPdo] = []
         self._settled = False  # what belongs to the open window and to those before is here, or lost
         self._certain = True  # so far
         self._agreed: int | None = None  # velocity told by the window before, if its frames agreed
@@ -45,10 +45,10 @@ class Windows:
         """Both TPDOs came after the last SYNC."""
         return bool(self._motions and self._places)
 
-    def motion(self, event: Motion) -> None:
+    def motion(self, event: MotionPdo) -> None:
         self._motions.append(event)
 
-    def place(self, event: Place) -> None:
+    def position(self, event: PositionPdo) -> None:
         self._places.append(event)
 
     def settle(self) -> None:

@@ -181,7 +181,7 @@ class Axis:
         self.device.control(states.QUICK_STOP)
 
     def halt(self) -> None:
-        """The ladder's first rung for a positioning move: slow down by 605Dh, stay in closed loop if we still may."""
+        """The stop sequence's first stage for a move: slow down by 605Dh, in closed loop if we still may."""
         self.expect_stop()
         if self._watch.reason:
             self.quick_stop()
@@ -189,7 +189,7 @@ class Axis:
             self.device.control(states.ENABLE_OPERATION | states.HALT)
 
     def slow_down(self) -> None:
-        """The ladder's first rung: end the measuring function if it runs, otherwise halt."""
+        """The stop sequence's first stage: end the measuring function if it runs, otherwise halt."""
         if self.abilities.measures and self.device.measuring_state() is MeasuringState.RUNNING:
             self.device.abort_measuring()
         else:
@@ -224,7 +224,7 @@ class Axis:
     def start_positioning(self, position: float, velocity: float, stop: threading.Event) -> None:
         """Profile position: target, speed, rising edge of the new set-point bit, hand-shake by bit 12.
 
-        The axis may move before the drive acknowledges: `stop` ends the waiting, so that the ladder gets the thread.
+        The axis may move before the drive acknowledges: `stop` ends the waiting and gives the stop sequence the thread.
         """
         self._command(states.ENABLE_OPERATION)
         self.device.set_target(position, velocity)

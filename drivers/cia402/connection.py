@@ -28,7 +28,7 @@ class Run(Protocol):
         ...
 
     async def interrupted(self) -> None:
-        """After the stop event was set: until the stop ladder may talk to the drives."""
+        """After the stop event was set: until the stop sequence may talk to the drives."""
         ...
 
     async def over(self) -> None:

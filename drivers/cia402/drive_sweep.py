@@ -36,7 +36,7 @@ class DriveSweep:
         stop: threading.Event,
         bring_down: Callable[[], Awaitable[None]],
     ) -> None:
-        """`bring_down` is the stop ladder of the axis."""
+        """`bring_down` is the stop sequence of the axis."""
         self._thread, self._axis, self._command = thread, axis, command
         self._envelope, self._stop, self._bring_down = envelope, stop, bring_down
         self._largest = axis.device.page_size
@@ -61,7 +61,7 @@ class DriveSweep:
         """The drive has its word already; the stop event ends the run."""
 
     async def interrupted(self) -> None:
-        """The stop ladder may begin: this run only reads."""
+        """The stop sequence may begin: this run only reads."""
 
     async def over(self) -> None:
         """Until the run has ended, however it did: that is the consumer's matter."""
@@ -78,7 +78,7 @@ class DriveSweep:
             self._blocks.put_nowait(None)
 
     async def _follow_down(self) -> None:
-        """To the run's end, or to standstill by the stop ladder with what ended it."""
+        """To the run's end, or to standstill by the stop sequence with what ended it."""
         try:
             await self._follow()
         except DriveError as error:  # nobody watches the axis from here on: it must not wait for the consumer

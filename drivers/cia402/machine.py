@@ -200,7 +200,7 @@ class Cia402Machine:
         await self._interrupt()
         axes = sorted(link.axes.values(), key=lambda axis: axis not in moving)
         for axis in axes:
-            with suppress(DriveError):  # the ladder tells
+            with suppress(DriveError):  # the stop sequence tells
                 await link.thread.run(axis.device.reopen)
         await self._bring_down(link, axes)
         return self.joints
@@ -288,8 +288,8 @@ class Cia402Machine:
             self._motion = None
 
     async def _interrupt(self) -> None:
-        """Ask the motion under way to stop, and wait until the stop ladder may talk to its drives."""
-        for enabling in self._enabling:  # it has the thread on which the ladder runs
+        """Ask the motion under way to stop, and wait until the stop sequence may talk to its drives."""
+        for enabling in self._enabling:  # it has the thread on which the stop sequence runs
             enabling.stop.set()
         motion = self._motion
         if motion is None:
@@ -309,7 +309,7 @@ class Cia402Machine:
         try:
             await self._bring_down(self._link, motion.axes)
         except DriveError as error:
-            logger.error("stop ladder: %s", error)
+            logger.error("stop sequence: %s", error)
 
     async def _bring_down(self, link: Connection, axes: Sequence[Axis]) -> None:
         trouble: dict[str, str] = {}

@@ -64,7 +64,7 @@ class AxisProfile(Frozen):
     position_limits: tuple[float, float]
     velocity_limit: float = Field(gt=0)  # 1/s
     effort_limit: float = Field(gt=0)  # N m (N)
-    acceleration: float = Field(gt=0)  # 1/s^2, positioning moves and the stop ladder's first rung
+    acceleration: float = Field(gt=0)  # 1/s^2, positioning moves and the stop sequence's first stage
     quick_stop_deceleration: float = Field(gt=0)  # 1/s^2
     standstill_velocity: float = Field(gt=0)  # 1/s, above the noise of the speed reading
 

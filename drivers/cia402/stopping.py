@@ -1,4 +1,4 @@
-"""The stop ladder, asked step by step: slow down, quick stop, disable voltage; each rung has its deadline."""
+"""The stop sequence, asked step by step: slow down, quick stop, disable voltage; each stage has its deadline."""
 
 import asyncio
 import logging
@@ -13,7 +13,7 @@ from drivers.errors import DriveError, WrongConfiguration
 logger = logging.getLogger(__name__)
 
 POLL = 0.01  # s
-MARGIN = 0.5  # s that a rung gets above its ramp
+MARGIN = 0.5  # s that a stage gets above its ramp
 
 
 async def bring_down(thread: DriveThread, axis: Axis) -> None:
@@ -33,8 +33,8 @@ async def bring_down(thread: DriveThread, axis: Axis) -> None:
 async def _ladder(thread: DriveThread, axis: Axis) -> None:
     try:
         await _come_to_rest(thread, axis)
-    except WrongConfiguration as error:  # a refused rung must not keep the drive from the next ones
-        logger.error("stop ladder, next rung: %s", error)
+    except WrongConfiguration as error:  # a refused stage must not keep the drive from the next ones
+        logger.error("stop sequence, next stage: %s", error)
         await _quick_stop(thread, axis)
     await thread.run(axis.disable)
 
@@ -44,7 +44,7 @@ async def _quick_stop(thread: DriveThread, axis: Axis) -> None:
     try:
         await thread.run(axis.quick_stop)
     except WrongConfiguration as error:
-        logger.error("stop ladder, next rung: %s", error)
+        logger.error("stop sequence, next stage: %s", error)
     else:
         await asyncio.sleep(axis.profile.velocity_limit / axis.profile.quick_stop_deceleration)
 

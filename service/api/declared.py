@@ -16,7 +16,7 @@ _KEY = {
 }
 
 
-class Application(FastAPI):
+class DeclaredApi(FastAPI):
     """FastAPI declares every model as `application/json`; problems are sent as something else."""
 
     def openapi(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What the routes share: the lab, a page of a list, and the version a client has read."""
+"""What the routes share: the application, a page of a list, and the version a client has read."""
 
 import re
 from typing import Annotated, Generic, TypeVar
@@ -7,19 +7,19 @@ from fastapi import Depends, Header, Path, Query, Response
 from pydantic import BaseModel
 from starlette.requests import HTTPConnection
 
+from service.application import Application
 from service.errors import BadInput
-from service.lab import Lab
 from service.store.documents import LARGEST_ID
 
 Item = TypeVar("Item", bound=BaseModel)
 
 
-async def _lab(connection: HTTPConnection) -> Lab:
+async def _application(connection: HTTPConnection) -> Application:
     # async: a plain function would wait for a free thread of the pool, and the stop with it
-    lab = connection.app.state.lab
-    if not isinstance(lab, Lab):
-        raise TypeError("the application runs outside its lifespan: there is no lab")
-    return lab
+    application = connection.app.state.application
+    if not isinstance(application, Application):
+        raise TypeError("the application runs outside its lifespan")
+    return application
 
 
 def _if_match(
@@ -33,7 +33,7 @@ def _if_match(
     return int(tag[1:-1])
 
 
-LabOf = Annotated[Lab, Depends(_lab)]
+ApplicationOf = Annotated[Application, Depends(_application)]
 IfMatch = Annotated[int | None, Depends(_if_match)]
 Id = Annotated[int, Path(ge=1, le=LARGEST_ID)]
 After = Annotated[int, Query(ge=0, le=LARGEST_ID, description="the `next` of the page before; 0 for the first page")]

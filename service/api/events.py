@@ -13,7 +13,7 @@ from fastapi import APIRouter, Depends, Header, Query
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
-from service.api.dependencies import LabOf
+from service.api.dependencies import ApplicationOf
 from service.errors import BadInput
 from service.store.documents import LARGEST_ID
 
@@ -36,13 +36,13 @@ def _after(
 # a dependency, because what the generator raises comes after the response has begun
 @router.get("", response_class=EventSourceResponse)
 async def follow_events(
-    lab: LabOf,
+    application: ApplicationOf,
     after: Annotated[int | None, Depends(_after)],
     campaign: Annotated[int | None, Query(ge=1, le=LARGEST_ID, description="only events of this campaign")] = None,
 ) -> AsyncIterable[ServerSentEvent]:
     """`event` is the kind, `data` the event document, `id` its id."""
-    start = await run_in_threadpool(lab.store.last_event_id) if after is None else after
+    start = await run_in_threadpool(application.store.last_event_id) if after is None else after
     yield ServerSentEvent(comment="connected", retry=1000)
-    async with aclosing(lab.feed.follow(start, campaign)) as events:
+    async with aclosing(application.feed.follow(start, campaign)) as events:
         async for event in events:
             yield ServerSentEvent(data=event, event=event.kind.value, id=str(event.id))

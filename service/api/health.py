@@ -3,7 +3,7 @@
 from fastapi import APIRouter, Response
 from pydantic import BaseModel
 
-from service.api.dependencies import LabOf
+from service.api.dependencies import ApplicationOf
 
 router = APIRouter(prefix="/health", tags=["health"])
 
@@ -25,7 +25,7 @@ async def get_live() -> Live:
 
 
 @router.get("/ready", responses={503: {"model": Ready, "description": "nothing can be measured now"}})
-async def get_ready(response: Response, lab: LabOf) -> Ready:
-    causes = await lab.troubles()
+async def get_ready(response: Response, application: ApplicationOf) -> Ready:
+    causes = await application.troubles()
     response.status_code = 503 if causes else 200
     return Ready(ready=not causes, causes=causes)

@@ -51,7 +51,7 @@ class IdempotentRoute(APIRoute):
                 return await handle(request)
             if not 1 <= len(key) <= LONGEST_KEY:
                 raise BadInput("header/Idempotency-Key", f"is {len(key)} characters long, limit 1 to {LONGEST_KEY}")
-            return await _once(request.app.state.lab.keys, key, request, handle)
+            return await _once(request.app.state.application.keys, key, request, handle)
 
         return handle_once
 

@@ -10,7 +10,7 @@ COMMITTED = Path(__file__).parents[2] / "docs" / "reference" / "openapi.json"
 
 
 def document() -> str:
-    """The document as JSON text; needs neither a lab nor a machine."""
+    """The document as JSON text; needs neither a application nor a machine."""
     return json.dumps(create_app(Settings()).openapi(), indent=2, ensure_ascii=False) + "\n"
 
 

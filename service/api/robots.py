@@ -5,7 +5,7 @@ from datetime import datetime
 from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.api.dependencies import After, Id, LabOf, Limit, Page
+from service.api.dependencies import After, ApplicationOf, Id, Limit, Page
 from service.api.idempotent import IdempotentRoute
 from service.robot import RobotDescription, build_robot
 from service.store.documents import RobotDocument
@@ -31,14 +31,14 @@ class RobotEntry(BaseModel):
 
 
 @router.post("", status_code=201)
-def add_robot(robot: NewRobot, lab: LabOf) -> RobotDocument:
+def add_robot(robot: NewRobot, application: ApplicationOf) -> RobotDocument:
     """Store a robot; the same description and URDF give the same robot."""
-    return lab.store.add_robot(build_robot(robot.description, robot.urdf_text))
+    return application.store.add_robot(build_robot(robot.description, robot.urdf_text))
 
 
 @router.get("")
-def list_robots(lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[RobotEntry]:
-    robots = lab.store.robots(after, limit)
+def list_robots(application: ApplicationOf, after: After = 0, limit: Limit = 50) -> Page[RobotEntry]:
+    robots = application.store.robots(after, limit)
     entries = tuple(
         RobotEntry(
             id=robot.id,
@@ -52,5 +52,5 @@ def list_robots(lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[RobotEn
 
 
 @router.get("/{robot_id}")
-def get_robot(robot_id: Id, lab: LabOf) -> RobotDocument:
-    return lab.store.robot(robot_id)
+def get_robot(robot_id: Id, application: ApplicationOf) -> RobotDocument:
+    return application.store.robot(robot_id)

@@ -23,7 +23,7 @@ class SpooledRoute(IdempotentRoute):
         async def handle_spooled(request: Request) -> Response:
             if request.method != "POST":
                 return await handle(request)
-            parent: Path = request.app.state.lab.files.transfer()
+            parent: Path = request.app.state.application.files.transfer()
             folder = Path(await run_in_threadpool(tempfile.mkdtemp, prefix="import-", dir=parent))
             try:
                 request.state.body = folder / "body"

@@ -162,7 +162,7 @@ class Machine:
         return hold
 
     async def confirm(self, hold: Hold) -> StopDocument:
-        """The ladder, to confirmed standstill, beside the note in the database. Errors as `stop`."""
+        """The stop sequence, to confirmed standstill, beside the note in the database. Errors as `stop`."""
         self._holds.note()
         try:
             confirmed = await self.port.stop()

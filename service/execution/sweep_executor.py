@@ -255,7 +255,7 @@ class SweepExecutor:
 
     @asynccontextmanager
     async def _energised(self, *joints: str) -> AsyncGenerator[None]:
-        """Axes with energy. After an error it is `_give_up` that takes the energy away, with the stop ladder."""
+        """Axes with energy. After an error it is `_give_up` that takes the energy away, with the stop sequence."""
         self._machine.check_may_move()
         await self._machine.port.enable(*joints)
         self._machine.check_may_move()  # a stop may have come while the drives were being enabled

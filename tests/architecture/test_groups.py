@@ -10,7 +10,7 @@ import pytest
 
 from tests.conftest import BESIDE, group_of
 
-TWO_FILES = ("tests/unit/drivers/test_ladder.py", "tests/unit/drivers/test_states.py")
+TWO_FILES = ("tests/unit/drivers/test_stop_sequence.py", "tests/unit/drivers/test_states.py")
 
 
 @pytest.mark.slow
@@ -30,7 +30,7 @@ def test_each_file_runs_in_one_process(root: Path) -> None:
         ("tests/contract/test_faults.py::test_a[canopen-a/b]", "drives"),
         ("tests/system/test_rest_death.py::test_a", "machines"),
         ("tests/system/test_demo.py::test_a", "beside"),
-        ("tests/unit/drivers/test_ladder.py::test_a[system]", "tests/unit/drivers/test_ladder.py"),
+        ("tests/unit/drivers/test_stop_sequence.py::test_a[system]", "tests/unit/drivers/test_stop_sequence.py"),
     ],
 )
 def test_what_moves_machines_is_one_group(nodeid: str, group: str) -> None:

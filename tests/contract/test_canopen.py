@@ -15,10 +15,10 @@ from canopen.sdo.client import SdoClient
 
 from drivers.canopen import frames
 from drivers.canopen.fieldbus import CanopenConnection
-from drivers.canopen.lane import RunningLane
 from drivers.canopen.measuring import ABORT, COMMAND
 from drivers.canopen.objects import Entry
 from drivers.canopen.speed_control import GAIN
+from drivers.canopen.streamed_axis import StreamedAxis
 from drivers.cia402.machine import Cia402Machine
 from drivers.cia402.thread import DriveThread
 from drivers.contract.bench import closing, consume, eventually
@@ -214,10 +214,10 @@ async def test_a_stop_brings_every_axis_down_whatever_ended_the_stream(
     running = port.run_sweep(await sweep(port, SweepMode.HOST_STREAMED, periods=200, offset_velocity=0.002, sines=()))
     await anext(running)
 
-    def fail(self: RunningLane, event: frames.Event) -> None:
+    def fail(self: StreamedAxis, event: frames.Event) -> None:
         raise IndexError("unforeseen")
 
-    monkeypatch.setattr(RunningLane, "take", fail)
+    monkeypatch.setattr(StreamedAxis, "take", fail)
     await eventually(lambda: not any(thread.name.startswith("can-stream") for thread in threading.enumerate()))
     await port.stop()
     assert virtual.energised() == []

@@ -1,4 +1,4 @@
-"""The service's lab against the virtual machine over socketcand: plan, run, identify, stop, export."""
+"""The service's application against the virtual machine over socketcand: plan, run, identify, stop, export."""
 
 import asyncio
 import json
@@ -12,11 +12,11 @@ import pytest
 import yaml
 
 from drivers.ports import AxisState
+from service.application import Application, open_application
 from service.cli.recordings.identify import identify_bundle
 from service.estimation import estimate_document
 from service.geometry.cell import read_cell
 from service.identification import spectrum
-from service.lab import Lab, open_lab
 from service.planning.plan import PlanRequest, build_plan
 from service.planning.trajectories.documents import TrajectoryRequest
 from service.planning.trajectories.plan import build_trajectory_plan
@@ -73,22 +73,22 @@ def settings(profile: Path, tmp_path: Path) -> Settings:
 
 
 @pytest.fixture
-async def lab(settings: Settings) -> AsyncIterator[Lab]:
-    async with open_lab(settings) as lab:
-        yield lab
+async def application(settings: Settings) -> AsyncIterator[Application]:
+    async with open_application(settings) as application:
+        yield application
 
 
-async def campaign_of(lab: Lab, modes: str, **changes: object) -> CampaignDocument:
+async def campaign_of(application: Application, modes: str, **changes: object) -> CampaignDocument:
     """Two poses, three axes."""
-    robot = next(robot for robot in lab.store.robots() if robot.name == "max100-class")
+    robot = next(robot for robot in application.store.robots() if robot.name == "max100-class")
     request = PlanRequest.model_validate(
         {"robot_id": robot.id, "axes": AXES, "varied": AXES[1:], "step": 30.0, "poses": 2, "modes": modes}
         | {"move_velocity": 0.5}
         | changes
     )
-    plan = build_plan(robot.build(), request, read_cell(lab.settings.cells_dir / "workshop.yaml"))
-    record = lab.store.add_plan(robot.id, plan.model_dump(mode="json"))
-    return await lab.add_campaign(record.id)
+    plan = build_plan(robot.build(), request, read_cell(application.settings.cells_dir / "workshop.yaml"))
+    record = application.store.add_plan(robot.id, plan.model_dump(mode="json"))
+    return await application.add_campaign(record.id)
 
 
 async def until(condition: Callable[[], bool]) -> None:
@@ -97,90 +97,92 @@ async def until(condition: Callable[[], bool]) -> None:
             await asyncio.sleep(0.02)
 
 
-async def standing(lab: Lab) -> bool:
-    return all(axis.state is AxisState.DISABLED for axis in (await lab.machine.status()).values())
+async def standing(application: Application) -> bool:
+    return all(axis.state is AxisState.DISABLED for axis in (await application.machine.status()).values())
 
 
-async def completed(lab: Lab, campaign_id: int) -> CampaignDocument:
+async def completed(application: Application, campaign_id: int) -> CampaignDocument:
     """Wait until nothing is left to do; fails at once with its cause when the campaign is held."""
     under_way = (CampaignState.RUNNING, CampaignState.MEASURED)
-    await until(lambda: lab.store.campaign(campaign_id).state not in under_way)
-    campaign = lab.store.campaign(campaign_id)
+    await until(lambda: application.store.campaign(campaign_id).state not in under_way)
+    campaign = application.store.campaign(campaign_id)
     assert (campaign.state, campaign.cause) == (CampaignState.COMPLETED, "")
     return campaign
 
 
-async def test_a_campaign_from_plan_to_estimate_and_bundle(lab: Lab, tmp_path: Path) -> None:
-    assert lab.machine.connected, lab.machine.trouble
-    campaign = await campaign_of(lab, "drive_side")
-    await lab.runner.start(campaign.id)
-    done = await completed(lab, campaign.id)
+async def test_a_campaign_from_plan_to_estimate_and_bundle(application: Application, tmp_path: Path) -> None:
+    assert application.machine.connected, application.machine.trouble
+    campaign = await campaign_of(application, "drive_side")
+    await application.runner.start(campaign.id)
+    done = await completed(application, campaign.id)
     assert done.sweeps == {SweepState.IDENTIFIED: 6}
-    assert await standing(lab)
-    estimate = lab.store.estimate(campaign.id)
+    assert await standing(application)
+    estimate = application.store.estimate(campaign.id)
     assert estimate.revision == 6
     for joint in AXES:
         for sweep in estimate.document["axes"][joint]["inertia"]:
             assert sweep["value"] > 0
-    await lab.export_bundle(campaign.id, tmp_path / "bundle")
+    await application.export_bundle(campaign.id, tmp_path / "bundle")
     bundle = read_bundle(tmp_path / "bundle")
     offline = estimate_document(bundle.robot, [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps])
     assert offline == estimate.document
-    imported = await lab.import_bundle(tmp_path / "bundle")
+    imported = await application.import_bundle(tmp_path / "bundle")
     assert imported.plan_id is None
-    await completed(lab, imported.id)
-    assert lab.store.estimate(imported.id).document == estimate.document
+    await completed(application, imported.id)
+    assert application.store.estimate(imported.id).document == estimate.document
 
 
 @pytest.mark.parametrize("scenario", ["max100-rigid"])
-async def test_a_campaign_ends_when_the_confidence_wanted_is_reached(lab: Lab) -> None:
+async def test_a_campaign_ends_when_the_confidence_wanted_is_reached(application: Application) -> None:
     """The plan reckons with noise that this machine does not have: a few sweeps are enough, the rest is skipped."""
     budget = {"axes": ("joint_2",), "varied": ("joint_3",), "step": 10.0, "poses": None, "confidence": 0.33}
-    campaign = await campaign_of(lab, "drive_side", **budget)
+    campaign = await campaign_of(application, "drive_side", **budget)
     planned = campaign.sweeps[SweepState.PLANNED]
-    await lab.runner.start(campaign.id)
-    await until(lambda: lab.store.campaign(campaign.id).state not in (CampaignState.RUNNING, CampaignState.MEASURED))
-    done = lab.store.campaign(campaign.id)
+    await application.runner.start(campaign.id)
+    await until(
+        lambda: application.store.campaign(campaign.id).state not in (CampaignState.RUNNING, CampaignState.MEASURED)
+    )
+    done = application.store.campaign(campaign.id)
     assert done.state is CampaignState.COMPLETED, done.cause
     assert done.cause.startswith("confidence of 0.33 % reached: J is known to ")
     measured = done.sweeps[SweepState.IDENTIFIED]
     assert done.sweeps == {SweepState.IDENTIFIED: measured, SweepState.SKIPPED: planned - measured}
     assert 3 <= measured < planned
-    assert {sweep.cause for sweep in lab.store.sweeps(campaign.id)[measured:]} == {done.cause}
-    told = [event.data for event in lab.store.events(0, campaign.id, 1000) if event.kind is EventKind.CAMPAIGN]
+    assert {sweep.cause for sweep in application.store.sweeps(campaign.id)[measured:]} == {done.cause}
+    told = [event.data for event in application.store.events(0, campaign.id, 1000) if event.kind is EventKind.CAMPAIGN]
     assert ("measured", done.cause) in [(data["state"], data["cause"]) for data in told]
-    known = lab.store.estimate(campaign.id).document["axes"]["joint_2"]["confidence_percent"]
+    known = application.store.estimate(campaign.id).document["axes"]["joint_2"]["confidence_percent"]
     assert known <= 0.33
-    assert await standing(lab)
+    assert await standing(application)
 
 
 @pytest.mark.parametrize("scenario", ["max100-six"])
-async def test_axes_that_move_at_once_are_identified_together(lab: Lab, tmp_path: Path) -> None:
-    robot = next(robot for robot in lab.store.robots() if robot.name == "max100-class")
-    alone = await campaign_of(lab, "drive_side", axes=("joint_3",), varied=("joint_5",))
-    await lab.runner.start(alone.id)
-    await completed(lab, alone.id)
+async def test_axes_that_move_at_once_are_identified_together(application: Application, tmp_path: Path) -> None:
+    robot = next(robot for robot in application.store.robots() if robot.name == "max100-class")
+    alone = await campaign_of(application, "drive_side", axes=("joint_3",), varied=("joint_5",))
+    await application.runner.start(alone.id)
+    await completed(application, alone.id)
     request = TrajectoryRequest.model_validate(
         {"kind": "trajectory", "robot_id": robot.id, "axes": ("joint_3", "joint_5"), "trajectories": 1, "period": 2.0}
         | {"harmonics": 3, "move_velocity": 0.5, "sweeps": alone.id}
     )
-    cell = read_cell(lab.settings.cells_dir / "workshop.yaml")
+    cell = read_cell(application.settings.cells_dir / "workshop.yaml")
     plan = await asyncio.to_thread(build_trajectory_plan, robot.build(), request, cell)
-    record = lab.store.add_plan(robot.id, plan.model_dump(mode="json"))
-    campaign = await lab.add_campaign(record.id)
-    await lab.runner.start(campaign.id)
-    done = await completed(lab, campaign.id)
+    record = application.store.add_plan(robot.id, plan.model_dump(mode="json"))
+    campaign = await application.add_campaign(record.id)
+    await application.runner.start(campaign.id)
+    done = await completed(application, campaign.id)
     assert done.sweeps == {SweepState.IDENTIFIED: 2}
-    assert await standing(lab)
-    first, second = (sweep.spec for sweep in lab.store.sweeps(campaign.id))
+    assert await standing(application)
+    first, second = (sweep.spec for sweep in application.store.sweeps(campaign.id))
     assert (first.started_at, first.block) == (second.started_at, "trajectory 1 of 2 axes")
-    estimate = lab.store.estimate(campaign.id).document
+    estimate = application.store.estimate(campaign.id).document
     assert estimate["axes"].keys() == {"joint_3"}
     found = {parameter["name"]: parameter for parameter in estimate["combination"]["base_parameters"]}
     assert found["Fc(joint_3)"]["value"] == pytest.approx(75, rel=0.1)  # motor and load side of the scenario
     assert found["Fc(joint_5)"]["value"] == pytest.approx(23, rel=0.1)
     assert not found["Fc(joint_1)"]["identified"]
-    await lab.export_bundle(campaign.id, tmp_path / "bundle")
+    await application.export_bundle(campaign.id, tmp_path / "bundle")
     offline = identify_bundle(read_bundle(tmp_path / "bundle"), None, "bundle")
     assert offline["axes"] == {}
     assert offline["combination"]["trajectories"] == estimate["combination"]["trajectories"] == [["0001", "0002"]]
@@ -189,14 +191,14 @@ async def test_axes_that_move_at_once_are_identified_together(lab: Lab, tmp_path
     assert sum(p["identified"] for p in found.values()) >= sum(p["identified"] for p in parts.values())
 
 
-async def test_both_ways_of_measuring_give_the_same_inertia(lab: Lab) -> None:
+async def test_both_ways_of_measuring_give_the_same_inertia(application: Application) -> None:
     """The drive's own measuring function against set-points streamed by us in real time, over the same bus."""
     documents = {}
     for modes in ("drive_side", "host_streamed"):
-        campaign = await campaign_of(lab, modes, poses=1)
-        await lab.runner.start(campaign.id)
-        await completed(lab, campaign.id)
-        documents[modes] = lab.store.estimate(campaign.id).document["axes"]
+        campaign = await campaign_of(application, modes, poses=1)
+        await application.runner.start(campaign.id)
+        await completed(application, campaign.id)
+        documents[modes] = application.store.estimate(campaign.id).document["axes"]
     deviations = []
     for joint in AXES:
         pairs = zip(*(documents[modes][joint]["inertia"] for modes in documents), strict=True)
@@ -209,24 +211,26 @@ async def test_both_ways_of_measuring_give_the_same_inertia(lab: Lab) -> None:
 
 @pytest.mark.parametrize("speed_factor", [2.0])  # slow enough to be stopped on the way
 @pytest.mark.parametrize("modes", ["drive_side", "host_streamed"])
-async def test_stop_in_a_sweep_leaves_standing_axes_and_a_partial_recording(lab: Lab, modes: str) -> None:
-    campaign = await campaign_of(lab, modes)
-    with lab.hub.subscribe(campaign.id) as live:
-        await lab.runner.start(campaign.id)
+async def test_stop_in_a_sweep_leaves_standing_axes_and_a_partial_recording(
+    application: Application, modes: str
+) -> None:
+    campaign = await campaign_of(application, modes)
+    with application.hub.subscribe(campaign.id) as live:
+        await application.runner.start(campaign.id)
         async with asyncio.timeout(TIMEOUT):
             await anext(live)  # samples flow: the axis moves
-        await lab.machine.stop("test", "hose caught")
-    await asyncio.wait_for(lab.runner.finished(), TIMEOUT)
-    assert await standing(lab)
-    sweep = lab.store.sweep(campaign.id, 1)
+        await application.machine.stop("test", "hose caught")
+    await asyncio.wait_for(application.runner.finished(), TIMEOUT)
+    assert await standing(application)
+    sweep = application.store.sweep(campaign.id, 1)
     assert (sweep.state, sweep.cause) == (SweepState.INTERRUPTED, "stopped by test: hose caught")
-    assert lab.store.campaign(campaign.id).state is CampaignState.PAUSED
-    assert lab.store.recording(campaign.id, 1).state is RecordingState.PARTIAL
-    assert [stop.why for stop in lab.machine.stops] == ["hose caught"]
+    assert application.store.campaign(campaign.id).state is CampaignState.PAUSED
+    assert application.store.recording(campaign.id, 1).state is RecordingState.PARTIAL
+    assert [stop.why for stop in application.machine.stops] == ["hose caught"]
 
 
-async def test_a_second_service_on_the_same_data_is_refused(lab: Lab, settings: Settings) -> None:
+async def test_a_second_service_on_the_same_data_is_refused(application: Application, settings: Settings) -> None:
     with pytest.raises(MachineTaken, match="stop that one first"):
-        async with open_lab(settings):
+        async with open_application(settings):
             pytest.fail("two services own the machine")
-    assert lab.machine.connected
+    assert application.machine.connected

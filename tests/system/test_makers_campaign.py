@@ -18,8 +18,8 @@ import pytest
 import yaml
 
 from drivers.registry import load_profile
+from service.application import open_application
 from service.geometry.cell import read_cell
-from service.lab import open_lab
 from service.planning.plan import PlanRequest, build_plan
 from service.settings import Settings
 from service.store.documents import CampaignState
@@ -64,20 +64,20 @@ def machine(folder: Path, kind: str = "") -> Iterator[Path]:
 async def measured(drive: Path, data: Path, modes: str) -> Inertias:
     """A campaign from plan to estimate."""
     settings = Settings(data_dir=data, drive=drive, robots_dir=CONFIG / "robots", cells_dir=CONFIG / "cells")
-    async with open_lab(settings) as lab:
-        assert lab.machine.connected, lab.machine.trouble
-        robot = next(robot for robot in lab.store.robots() if robot.name == "max100-class")
+    async with open_application(settings) as application:
+        assert application.machine.connected, application.machine.trouble
+        robot = next(robot for robot in application.store.robots() if robot.name == "max100-class")
         wanted = {"robot_id": robot.id, "axes": AXES, "varied": AXES[1:], "step": 30.0, "poses": POSES}
         request = PlanRequest.model_validate(wanted | {"modes": modes, "move_velocity": 0.5})
         plan = build_plan(robot.build(), request, read_cell(settings.cells_dir / "workshop.yaml"))
-        campaign = await lab.add_campaign(lab.store.add_plan(robot.id, plan.model_dump(mode="json")).id)
-        await lab.runner.start(campaign.id)
+        campaign = await application.add_campaign(application.store.add_plan(robot.id, plan.model_dump(mode="json")).id)
+        await application.runner.start(campaign.id)
         async with asyncio.timeout(TIMEOUT):
-            while lab.store.campaign(campaign.id).state in (CampaignState.RUNNING, CampaignState.MEASURED):  # noqa: ASYNC110
+            while application.store.campaign(campaign.id).state in (CampaignState.RUNNING, CampaignState.MEASURED):  # noqa: ASYNC110
                 await asyncio.sleep(0.1)
-        done = lab.store.campaign(campaign.id)
+        done = application.store.campaign(campaign.id)
         assert f"{done.state.value}: {done.cause}" == "completed: "
-        axes = lab.store.estimate(campaign.id).document["axes"]
+        axes = application.store.estimate(campaign.id).document["axes"]
         return {joint: [(one["value"], one["std"]) for one in axes[joint]["inertia"]] for joint in AXES}
 
 

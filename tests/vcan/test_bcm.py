@@ -12,7 +12,7 @@ import pytest
 
 from drivers.canopen import frames
 from drivers.canopen.bcm import KernelStream, set_point_source
-from drivers.canopen.lane import Ending
+from drivers.canopen.streamed_axis import Ending
 from drivers.errors import CommunicationLost
 from drivers.ports import SampleBlock
 from tests.unit.drivers.streaming_bench import OFF, Drive, bench, run_to_end
@@ -84,18 +84,18 @@ async def test_a_sweep_timed_by_the_kernel_sends_every_set_point_once_and_in_ord
     drives = [Drive(node) for node in range(1, nodes + 1)]
     async with bench(*drives, interface="socketcan", channel=INTERFACE, sync_period=period) as on:
         assert set_point_source(on.bus) == "bcm"
-        lanes = [on.lane(node, periods=10) for node in on.cabinet.drives]
-        run = on.start(*lanes)
+        requests = [on.request(node, periods=10) for node in on.cabinet.drives]
+        run = on.start(*requests)
         blocks = await run_to_end(run)
         assert run.ending is Ending.COMPLETED, run.reason
-        count = round(lanes[0].command.duration / period) + 1
-        for lane, drive in zip(lanes, drives, strict=True):
-            mine = [block for block in blocks if block.joint == lane.axis.joint]
+        count = round(requests[0].command.duration / period) + 1
+        for request, drive in zip(requests, drives, strict=True):
+            mine = [block for block in blocks if block.joint == request.axis.joint]
             index = np.concatenate([block.index for block in mine])
             set_point = np.concatenate([block.velocity_setpoint for block in mine])
             assert index.tolist() == list(range(count))
             assert np.concatenate([block.velocity for block in mine]) == pytest.approx(set_point, abs=0.5001e-3)
-            assert obeyed(drive)[: count - 1] == [lane.codec.raw_velocity(each) for each in set_point[1:]]
+            assert obeyed(drive)[: count - 1] == [request.codec.raw_velocity(each) for each in set_point[1:]]
         timing = run.timing()
         assert timing.source == "bcm"
         assert timing.cycles >= count
@@ -105,7 +105,7 @@ async def test_a_stop_deletes_the_kernels_job_and_the_ladder_takes_over() -> Non
     stop = threading.Event()
     drives = (Drive(1), Drive(2))
     async with bench(*drives, interface="socketcan", channel=INTERFACE, sync_period=0.01) as on:
-        run = on.start(on.lane(1, periods=300), on.lane(2, periods=300), stop=stop)
+        run = on.start(on.request(1, periods=300), on.request(2, periods=300), stop=stop)
         await run_to_end(run, lambda _: stop.set())
         assert run.ending is Ending.STOPPED
         for drive in drives:
@@ -118,7 +118,7 @@ async def test_a_stop_deletes_the_kernels_job_and_the_ladder_takes_over() -> Non
 
 async def test_a_second_source_of_sync_ends_the_sweep() -> None:
     async with bench(Drive(1), interface="socketcan", channel=INTERFACE, sync_period=0.01) as on:
-        run = on.start(on.lane(1, periods=300))
+        run = on.start(on.request(1, periods=300))
         await run_to_end(run, lambda _: on.cabinet.say(frames.SYNC))
         assert run.ending in (Ending.NOT_SENT, Ending.MISCOUNTED)
         assert run.joint == "joint_1"
@@ -131,7 +131,7 @@ def link(state: str) -> None:
 async def test_an_interface_that_goes_down_is_lost_communication_and_nothing_is_sent_when_it_is_back() -> None:
     drive = Drive(1)
     async with bench(drive, interface="socketcan", channel=INTERFACE, sync_period=0.01) as on:
-        run = on.start(on.lane(1, periods=300))
+        run = on.start(on.request(1, periods=300))
 
         def pull(_: SampleBlock) -> None:
             link("down")

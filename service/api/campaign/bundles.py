@@ -12,7 +12,7 @@ from starlette.background import BackgroundTask
 from starlette.concurrency import run_in_threadpool
 
 from service.api.campaign.campaigns import CampaignView, view
-from service.api.dependencies import Id, LabOf, set_etag
+from service.api.dependencies import ApplicationOf, Id, set_etag
 from service.api.spooled import SpooledRoute
 from service.tasks.ending import to_its_end
 
@@ -26,12 +26,12 @@ _BODY: dict[str, Any] = {
 
 
 @router.post(BUNDLES, status_code=201, openapi_extra=_BODY)
-async def import_bundle(request: Request, response: Response, lab: LabOf) -> CampaignView:
+async def import_bundle(request: Request, response: Response, application: ApplicationOf) -> CampaignView:
     """A campaign of measured sweeps, which are then identified. What cannot be read is refused as a whole."""
-    campaign = await lab.import_bundle(request.state.body)
+    campaign = await application.import_bundle(request.state.body)
     set_etag(response, campaign.version)
     response.headers["Location"] = str(request.url_for("get_campaign", campaign_id=campaign.id))
-    return await run_in_threadpool(view, lab, campaign)
+    return await run_in_threadpool(view, application, campaign)
 
 
 @router.get(
@@ -39,11 +39,11 @@ async def import_bundle(request: Request, response: Response, lab: LabOf) -> Cam
     response_class=FileResponse,
     responses={200: {"content": {_ZIP: {"schema": {"type": "string", "format": "binary"}}}}},
 )
-async def export_bundle(campaign_id: Id, lab: LabOf) -> FileResponse:
+async def export_bundle(campaign_id: Id, application: ApplicationOf) -> FileResponse:
     """The completely recorded sweeps of a campaign."""
-    folder = FilePath(await run_in_threadpool(tempfile.mkdtemp, prefix="export-", dir=lab.files.transfer()))
+    folder = FilePath(await run_in_threadpool(tempfile.mkdtemp, prefix="export-", dir=application.files.transfer()))
     try:
-        await lab.export_bundle(campaign_id, folder / "bundle")
+        await application.export_bundle(campaign_id, folder / "bundle")
         packed = await run_in_threadpool(_pack, folder / "bundle", folder / "bundle.zip")
     except BaseException:
         await to_its_end(run_in_threadpool(shutil.rmtree, folder))

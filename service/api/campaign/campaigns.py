@@ -8,10 +8,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
 from service.api.campaign.progress import Progress, StepView, planned_times, progress, steps
-from service.api.dependencies import After, Id, IfMatch, LabOf, Limit, Page, set_etag
+from service.api.dependencies import After, ApplicationOf, Id, IfMatch, Limit, Page, set_etag
 from service.api.idempotent import IdempotentRoute
+from service.application import Application
 from service.execution.check_move import CheckMove
-from service.lab import Lab
 from service.results.check import DataCheck
 from service.store.documents import LARGEST_ID, CampaignDocument
 
@@ -57,63 +57,69 @@ class CampaignView(CampaignDocument):
 
 
 @router.post("", status_code=201)
-async def add_campaign(new: NewCampaign, request: Request, response: Response, lab: LabOf) -> CampaignView:
+async def add_campaign(
+    new: NewCampaign, request: Request, response: Response, application: ApplicationOf
+) -> CampaignView:
     """A campaign of a stored plan. Nothing moves until it is started."""
-    campaign = await lab.add_campaign(new.plan_id)
+    campaign = await application.add_campaign(new.plan_id)
     response.headers["Location"] = str(request.url_for("get_campaign", campaign_id=campaign.id))
-    return await _answer(lab, campaign, response)
+    return await _answer(application, campaign, response)
 
 
 @router.get("")
-def list_campaigns(lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[CampaignDocument]:
-    campaigns = lab.store.campaigns(after, limit)
+def list_campaigns(application: ApplicationOf, after: After = 0, limit: Limit = 50) -> Page[CampaignDocument]:
+    campaigns = application.store.campaigns(after, limit)
     return Page(items=campaigns, next=campaigns[-1].id if len(campaigns) == limit else None)
 
 
 @router.get("/{campaign_id}")
-async def get_campaign(campaign_id: Id, response: Response, lab: LabOf) -> CampaignView:
-    return await _answer(lab, await run_in_threadpool(lab.store.campaign, campaign_id), response)
+async def get_campaign(campaign_id: Id, response: Response, application: ApplicationOf) -> CampaignView:
+    return await _answer(application, await run_in_threadpool(application.store.campaign, campaign_id), response)
 
 
 @router.post("/{campaign_id}/start")
-async def start_campaign(campaign_id: Id, response: Response, lab: LabOf, version: IfMatch) -> CampaignView:
+async def start_campaign(
+    campaign_id: Id, response: Response, application: ApplicationOf, version: IfMatch
+) -> CampaignView:
     """Begin to move and measure."""
-    return await _answer(lab, await lab.runner.start(campaign_id, version), response)
+    return await _answer(application, await application.runner.start(campaign_id, version), response)
 
 
 @router.post("/{campaign_id}/pause")
-async def pause_campaign(campaign_id: Id, response: Response, lab: LabOf, version: IfMatch) -> CampaignView:
+async def pause_campaign(
+    campaign_id: Id, response: Response, application: ApplicationOf, version: IfMatch
+) -> CampaignView:
     """Hold after the present sweep."""
-    return await _answer(lab, await lab.runner.pause(campaign_id, version), response)
+    return await _answer(application, await application.runner.pause(campaign_id, version), response)
 
 
 @router.post("/{campaign_id}/resume")
 async def resume_campaign(
-    campaign_id: Id, response: Response, lab: LabOf, version: IfMatch, resume: Resume | None = None
+    campaign_id: Id, response: Response, application: ApplicationOf, version: IfMatch, resume: Resume | None = None
 ) -> CampaignView:
     """Go on with the next planned sweep."""
     repeat = resume is not None and resume.repeat
-    return await _answer(lab, await lab.runner.resume(campaign_id, version, repeat), response)
+    return await _answer(application, await application.runner.resume(campaign_id, version, repeat), response)
 
 
 @router.post("/{campaign_id}/abort")
 async def abort_campaign(
-    campaign_id: Id, response: Response, lab: LabOf, version: IfMatch, abort: Abort | None = None
+    campaign_id: Id, response: Response, application: ApplicationOf, version: IfMatch, abort: Abort | None = None
 ) -> CampaignView:
     """Stop the present sweep now and give the campaign up. What was recorded stays."""
     why = (abort or Abort()).why
-    return await _answer(lab, await lab.runner.abort(campaign_id, why, version), response)
+    return await _answer(application, await application.runner.abort(campaign_id, why, version), response)
 
 
-def view(lab: Lab, campaign: CampaignDocument) -> CampaignView:
+def view(application: Application, campaign: CampaignDocument) -> CampaignView:
     """The campaign with its progress; reads the store."""
-    checked = lab.checks.document(campaign.id)
-    times = () if campaign.plan_id is None else planned_times(lab.store.plan(campaign.plan_id).document)
-    owns = lab.runner.running == campaign.id
-    under_way, check_move = (lab.runner.under_way, lab.runner.check_move) if owns else (None, None)
+    checked = application.checks.document(campaign.id)
+    times = () if campaign.plan_id is None else planned_times(application.store.plan(campaign.plan_id).document)
+    owns = application.runner.running == campaign.id
+    under_way, check_move = (application.runner.under_way, application.runner.check_move) if owns else (None, None)
     return CampaignView(
         **campaign.model_dump(),
-        progress=progress(campaign.state, lab.store.sweeps(campaign.id), times, under_way),
+        progress=progress(campaign.state, application.store.sweeps(campaign.id), times, under_way),
         motion=steps(under_way, check_move),
         check_move=_check_move(check_move),
         data_check=None if checked is None else DataCheck.read(checked, f"data check of campaign {campaign.id}"),
@@ -126,6 +132,6 @@ def _check_move(move: CheckMove | None) -> CheckMoveView | None:
     return CheckMoveView(axis=move.joint, way=move.way, unit=move.units[move.joint])
 
 
-async def _answer(lab: Lab, campaign: CampaignDocument, response: Response) -> CampaignView:
+async def _answer(application: Application, campaign: CampaignDocument, response: Response) -> CampaignView:
     set_etag(response, campaign.version)
-    return await run_in_threadpool(view, lab, campaign)
+    return await run_in_threadpool(view, application, campaign)

@@ -5,15 +5,15 @@ from typing import Annotated, cast
 from fastapi import APIRouter, Request, Response
 from pydantic import Discriminator, JsonValue, Tag
 
-from service.api.dependencies import After, Id, LabOf, Limit, Page
+from service.api.dependencies import After, ApplicationOf, Id, Limit, Page
 from service.api.idempotent import IdempotentRoute
 from service.api.problem import TAG
+from service.application import Application
 from service.campaigns.linked_analysis import latest_analysis
 from service.campaigns.linked_campaign import check_beside
 from service.errors import BadInput
 from service.geometry.cell import read_cell
 from service.identification.estimates.analysis_document import analyses_from
-from service.lab import Lab
 from service.planning.analysis.documents import AnalysisRequest
 from service.planning.analysis.plan import build_analysis_plan
 from service.planning.compiled_plan import Plan, other_machine
@@ -50,7 +50,9 @@ router = APIRouter(prefix="/plans", tags=["plans"], route_class=IdempotentRoute)
 
 
 @router.post("", status_code=201, response_model=PlanView)
-def add_plan(wanted: Wanted, request: Request, response: Response, lab: LabOf, elsewhere: bool = False) -> PlanRecord:
+def add_plan(
+    wanted: Wanted, request: Request, response: Response, application: ApplicationOf, elsewhere: bool = False
+) -> PlanRecord:
     """Choose poses and excitation and store the plan. Takes seconds to minutes; nothing moves.
 
     With `kind` "analysis": an initial analysis. A plan of sweeps may name the campaign of one (`analysis`). With `kind`
@@ -60,23 +62,27 @@ def add_plan(wanted: Wanted, request: Request, response: Response, lab: LabOf, e
     The robot has to be that of this service's drives: gear ratios, rated efforts, limits. `elsewhere`: the plan is for
     another machine (part programs of a CNC), and a campaign of it cannot be started here.
     """
-    robot = lab.store.robot(wanted.robot_id).build()
-    other = "" if elsewhere else other_machine(robot, wanted.robot_id, lab.settings, lab.drive_axes, _moved(wanted))
+    robot = application.store.robot(wanted.robot_id).build()
+    other = (
+        ""
+        if elsewhere
+        else other_machine(robot, wanted.robot_id, application.settings, application.drive_axes, _moved(wanted))
+    )
     if other:
         raise BadInput("robot_id", f"is of another machine: {other}")
-    cell = read_cell(lab.settings.cells_dir / f"{wanted.cell}.yaml")
+    cell = read_cell(application.settings.cells_dir / f"{wanted.cell}.yaml")
     if isinstance(wanted, AnalysisRequest):
-        document = build_analysis_plan(robot, _with_excitation(wanted, lab), cell)
+        document = build_analysis_plan(robot, _with_excitation(wanted, application), cell)
     elif isinstance(wanted, TrajectoryRequest):
         if wanted.sweeps is not None:
-            check_beside(lab.store, wanted.sweeps, wanted.robot_id)
+            check_beside(application.store, wanted.sweeps, wanted.robot_id)
         document = build_trajectory_plan(robot, wanted, cell)
     elif isinstance(wanted, DiagnosisRequest):
         document = build_diagnosis_plan(robot, wanted, cell)
     else:
-        found = {} if wanted.analysis is None else latest_analysis(lab.store, wanted.analysis)
+        found = {} if wanted.analysis is None else latest_analysis(application.store, wanted.analysis)
         document = build_plan(robot, wanted, cell, analyses_from(found))
-    plan = lab.store.add_plan(wanted.robot_id, document.model_dump(mode="json"))
+    plan = application.store.add_plan(wanted.robot_id, document.model_dump(mode="json"))
     response.headers["Location"] = str(request.url_for("get_plan", plan_id=plan.id))
     return plan
 
@@ -85,20 +91,20 @@ def _moved(wanted: PlanRequest | AnalysisRequest | TrajectoryRequest | Diagnosis
     return wanted.axes if isinstance(wanted, TrajectoryRequest) else (*wanted.axes, *wanted.varied)
 
 
-def _with_excitation(wanted: AnalysisRequest, lab: Lab) -> AnalysisRequest:
+def _with_excitation(wanted: AnalysisRequest, application: Application) -> AnalysisRequest:
     """The kind of excitation that the machine can give; noise while nobody knows the machine."""
     if wanted.excitation is not None:
         return wanted
-    able = not lab.machine.connected or lab.machine.capabilities.torque_injection
+    able = not application.machine.connected or application.machine.capabilities.torque_injection
     return wanted.model_copy(update={"excitation": "noise" if able else "stepped_sine"})
 
 
 @router.get("", response_model=Page[PlanView])
-def list_plans(lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[PlanRecord]:
-    plans = lab.store.plans(after, limit)
+def list_plans(application: ApplicationOf, after: After = 0, limit: Limit = 50) -> Page[PlanRecord]:
+    plans = application.store.plans(after, limit)
     return Page(items=plans, next=plans[-1].id if len(plans) == limit else None)
 
 
 @router.get("/{plan_id}", response_model=PlanView)
-def get_plan(plan_id: Id, lab: LabOf) -> PlanRecord:
-    return lab.store.plan(plan_id)
+def get_plan(plan_id: Id, application: ApplicationOf) -> PlanRecord:
+    return application.store.plan(plan_id)

@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path
 from fastapi.responses import FileResponse
 
-from service.api.dependencies import Id, LabOf
+from service.api.dependencies import ApplicationOf, Id
 from service.store.documents import LARGEST_ID, RecordingDocument, SweepDocument
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/sweeps", tags=["sweeps"])
@@ -16,21 +16,21 @@ _PARQUET = "application/vnd.apache.parquet"
 
 
 @router.get("")
-def list_sweeps(campaign_id: Id, lab: LabOf) -> tuple[SweepDocument, ...]:
+def list_sweeps(campaign_id: Id, application: ApplicationOf) -> tuple[SweepDocument, ...]:
     """All sweeps in the order of the plan."""
-    lab.store.campaign(campaign_id)  # NotFound, where an unknown campaign would look like one without sweeps
-    return lab.store.sweeps(campaign_id)
+    application.store.campaign(campaign_id)  # NotFound, where an unknown campaign would look like one without sweeps
+    return application.store.sweeps(campaign_id)
 
 
 @router.get("/{number}")
-def get_sweep(campaign_id: Id, number: Number, lab: LabOf) -> SweepDocument:
-    return lab.store.sweep(campaign_id, number)
+def get_sweep(campaign_id: Id, number: Number, application: ApplicationOf) -> SweepDocument:
+    return application.store.sweep(campaign_id, number)
 
 
 @router.get("/{number}/recording")
-def get_recording(campaign_id: Id, number: Number, lab: LabOf) -> RecordingDocument:
+def get_recording(campaign_id: Id, number: Number, application: ApplicationOf) -> RecordingDocument:
     """The latest recording of a sweep: how much of it there is, and its SHA-256."""
-    return lab.store.recording(campaign_id, number)
+    return application.store.recording(campaign_id, number)
 
 
 @router.get(
@@ -38,12 +38,12 @@ def get_recording(campaign_id: Id, number: Number, lab: LabOf) -> RecordingDocum
     response_class=FileResponse,
     responses={200: {"content": {_PARQUET: {"schema": {"type": "string", "format": "binary"}}}}},
 )
-def get_recording_file(campaign_id: Id, number: Number, lab: LabOf) -> FileResponse:
+def get_recording_file(campaign_id: Id, number: Number, application: ApplicationOf) -> FileResponse:
     """The samples as Parquet, columns as in the bundle format; a part of them if the recording is partial."""
-    recording = lab.store.recording(campaign_id, number)
+    recording = application.store.recording(campaign_id, number)
     name = re.sub(r"\W+", "-", f"campaign-{campaign_id}-sweep-{number:04d}-attempt-{recording.attempt}") + ".parquet"
     return FileResponse(
-        lab.files.path(recording),
+        application.files.path(recording),
         media_type=_PARQUET,
         filename=name,
         headers={"X-Content-SHA256": recording.sha256, "X-Recording-State": recording.state.value},

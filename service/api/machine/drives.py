@@ -8,7 +8,7 @@ from fastapi import APIRouter
 from pydantic import BaseModel
 
 from drivers.ports import AxisIdentity, AxisState, AxisStatus, Capabilities, SweepMode
-from service.api.dependencies import LabOf
+from service.api.dependencies import ApplicationOf
 from service.api.idempotent import IdempotentRoute
 from service.api.problem import Problem
 from service.errors import NotFound
@@ -78,9 +78,9 @@ class DrivesView(BaseModel):
 
 
 @router.get("")
-async def get_drives(lab: LabOf) -> DrivesView:
+async def get_drives(application: ApplicationOf) -> DrivesView:
     """State, position, faults and identity of every axis."""
-    machine = lab.machine
+    machine = application.machine
     status: Mapping[str, AxisStatus] = await machine.recent_status() if machine.connected else {}
     identities = {identity.joint: identity for identity in machine.identities}
     return DrivesView(
@@ -93,16 +93,16 @@ async def get_drives(lab: LabOf) -> DrivesView:
 
 
 @router.post("/connect", responses=_NO_ANSWER)
-async def connect(lab: LabOf) -> DrivesView:
+async def connect(application: ApplicationOf) -> DrivesView:
     """Connect, or connect again after a loss. Every axis is disabled afterwards."""
-    await lab.machine.connect()
-    return await get_drives(lab)
+    await application.machine.connect()
+    return await get_drives(application)
 
 
 @router.post("/{joint}/acknowledge", responses=_NO_ANSWER)
-async def acknowledge(joint: str, lab: LabOf) -> AxisView:
+async def acknowledge(joint: str, application: ApplicationOf) -> AxisView:
     """Clear the fault of one axis after a person looked. The axis stays without energy."""
-    machine = lab.machine
+    machine = application.machine
     _check_joint(machine, joint)
     await machine.acknowledge(joint)
     status = await machine.status()

@@ -10,7 +10,7 @@ import asyncio
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from starlette.concurrency import run_in_threadpool
 
-from service.api.dependencies import Id, LabOf
+from service.api.dependencies import ApplicationOf, Id
 from service.errors import NotFound
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/live", tags=["live"])
@@ -19,14 +19,16 @@ _UNKNOWN_CAMPAIGN = 4404  # close code of our own: 4000 + the HTTP status
 
 
 @router.websocket("")
-async def send_samples(socket: WebSocket, campaign_id: Id, lab: LabOf) -> None:
+async def send_samples(socket: WebSocket, campaign_id: Id, application: ApplicationOf) -> None:
     await socket.accept()
     try:
-        await run_in_threadpool(lab.store.campaign, campaign_id)
+        await run_in_threadpool(application.store.campaign, campaign_id)
     except NotFound as error:
         await socket.close(_UNKNOWN_CAMPAIGN, str(error))
         return
-    sender = asyncio.create_task(_send(socket, campaign_id, lab), name=f"live samples of campaign {campaign_id}")
+    sender = asyncio.create_task(
+        _send(socket, campaign_id, application), name=f"live samples of campaign {campaign_id}"
+    )
     listener = asyncio.create_task(_until_disconnect(socket), name="live listener")
     try:
         await asyncio.wait({sender, listener}, return_when=asyncio.FIRST_COMPLETED)
@@ -41,8 +43,8 @@ async def send_samples(socket: WebSocket, campaign_id: Id, lab: LabOf) -> None:
         await socket.close(1001, "the service ends")
 
 
-async def _send(socket: WebSocket, campaign_id: int, lab: LabOf) -> None:
-    with lab.hub.subscribe(campaign_id) as queue:
+async def _send(socket: WebSocket, campaign_id: int, application: ApplicationOf) -> None:
+    with application.hub.subscribe(campaign_id) as queue:
         async for block in queue:
             await socket.send_bytes(block.to_arrow())
 

@@ -10,10 +10,10 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from drivers.errors import StopNotConfirmed
-from service.api.dependencies import LabOf
+from service.api.dependencies import ApplicationOf
 from service.api.people.trail import trail_of
 from service.api.problem import Problem, problem_response
-from service.lab import Lab
+from service.application import Application
 from service.people.keys import masked
 from service.store.documents import LARGEST_ID, StopDocument
 
@@ -57,14 +57,14 @@ class Reset(BaseModel):
 
 
 @router.get("")
-async def get_stop(lab: LabOf) -> StopView:
-    return _view(lab, lab.machine.latched)
+async def get_stop(application: ApplicationOf) -> StopView:
+    return _view(application, application.machine.latched)
 
 
 @router.post("", response_model=Stopped, responses=_NOT_CONFIRMED)
 async def stop(
     request: Request,
-    lab: LabOf,
+    application: ApplicationOf,
     by: Annotated[str, Query(description="who stops; default: the client's address")] = "",
     why: Annotated[str, Query()] = "",
     press: Annotated[str, Query(description="the same at the port of the stop process: then both are one stop")] = "",
@@ -77,28 +77,28 @@ async def stop(
     by, why = by[:100] or client, why[:500] or "stop requested"
     trail_of(request.scope).told = {"by": masked(by), "reason": masked(why)}
     try:
-        held = await lab.machine.stop(by, why, press[:100])
+        held = await application.machine.stop(by, why, press[:100])
     except StopNotConfirmed as error:
         told = {"confirmed": error.confirmed, "unconfirmed": error.unconfirmed}
         return problem_response(
             request, HTTPStatus.SERVICE_UNAVAILABLE, "stop-not-confirmed", f"stop not confirmed: {error}", told=told
         )
-    return Stopped(**_view(lab, held).model_dump(), confirmed=lab.machine.joints)
+    return Stopped(**_view(application, held).model_dump(), confirmed=application.machine.joints)
 
 
 @router.post("/reset")
-async def reset_stop(request: Request, reset: Reset, lab: LabOf) -> StopView:
+async def reset_stop(request: Request, reset: Reset, application: ApplicationOf) -> StopView:
     """Release these stops and no other; sent again it changes nothing. The machine may move when none is left.
 
     Nothing moves by this; a campaign goes on when it is resumed.
     """
     trail_of(request.scope).told = {"by": masked(reset.by), "stops": list(reset.stops)}
-    released = await lab.machine.reset_stop(reset.by, reset.stops)
-    return _view(lab, released[0])
+    released = await application.machine.reset_stop(reset.by, reset.stops)
+    return _view(application, released[0])
 
 
-def _view(lab: Lab, spoken_of: StopDocument | None) -> StopView:
-    process, stops = lab.stop_process, lab.machine.stops
+def _view(application: Application, spoken_of: StopDocument | None) -> StopView:
+    process, stops = application.stop_process, application.machine.stops
     return StopView(
         latched=bool(stops),
         stop=spoken_of,

@@ -16,7 +16,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.api.people.trail import Trail, put, trail_of, written
 from service.api.problem import problem_response
-from service.lab import Lab
+from service.application import Application
 from service.people.guesses import WINDOW, Guesses
 from service.people.keys import bearer, key_sha256
 from service.people.permissions import LOCAL, PERMISSIONS, STOP, Permissions, Role
@@ -77,7 +77,7 @@ class Access:
         given = _shown(scope)
         if not given:
             raise _unauthorized("no key: send Authorization: Bearer KEY")
-        found = await self._find(scope["app"].state.lab, given, trail)
+        found = await self._find(scope["app"].state.application, given, trail)
         trail.actor, trail.role = found.name, found.role
         if trouble := found.trouble(now()):
             raise _unauthorized(trouble)
@@ -85,7 +85,7 @@ class Access:
             detail = f"{trail.method} {scope['path']} needs {needed.word}; {found.name} is {found.role.word}"
             raise _Refused(HTTPStatus.FORBIDDEN, "forbidden", detail)
 
-    async def _find(self, lab: Lab, given: str, trail: Trail) -> KeyDocument:
+    async def _find(self, application: Application, given: str, trail: Trail) -> KeyDocument:
         shown, guesses = key_sha256(given), self._guesses
         if wait := guesses.wait(trail.address, shown, time.monotonic()):
             trail.hushed = not guesses.first_refusal(trail.address)
@@ -95,7 +95,7 @@ class Access:
                 f"for {seconds} s; a stop needs none"
             )
             raise _Refused(HTTPStatus.TOO_MANY_REQUESTS, "too-many-wrong-keys", detail, {"Retry-After": str(seconds)})
-        found = None if shown is None else await run_in_threadpool(lab.api_keys.find, given)
+        found = None if shown is None else await run_in_threadpool(application.api_keys.find, given)
         if found is None or shown is None:
             guesses.wrong(trail.address, time.monotonic())
             raise _unauthorized("this key is not one of the service's")

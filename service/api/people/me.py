@@ -3,7 +3,7 @@
 from fastapi import APIRouter, Request
 from pydantic import BaseModel
 
-from service.api.dependencies import LabOf
+from service.api.dependencies import ApplicationOf
 from service.api.people.trail import trail_of
 from service.people.permissions import Role, beyond
 
@@ -20,8 +20,8 @@ class Me(BaseModel):
 
 
 @router.get("")
-async def who_asks(request: Request, lab: LabOf) -> Me:
+async def who_asks(request: Request, application: ApplicationOf) -> Me:
     """Without login everybody is `local`, and nothing is refused."""
     trail = trail_of(request.scope)
     role = Role.VIEWER if trail.role is None else trail.role
-    return Me(login=lab.settings.login, name=trail.actor, role=role.word, refused=beyond(role))
+    return Me(login=application.settings.login, name=trail.actor, role=role.word, refused=beyond(role))

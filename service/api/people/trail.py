@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pydantic import JsonValue
 from starlette.types import Scope
 
-from service.lab import Lab
+from service.application import Application
 from service.people.keys import masked
 from service.people.permissions import SOCKET, Role, Route
 from service.store.people.writer import NotAudited
@@ -71,9 +71,9 @@ def trail_of(scope: Scope) -> Trail:
 
 def put(scope: Scope, entry: dict[str, JsonValue]) -> "Future[int]":
     """Waits for nothing."""
-    lab: Lab | None = getattr(scope["app"].state, "lab", None)
-    if lab is not None:
-        return lab.audit.put(entry, trail_of(scope).key)
+    application: Application | None = getattr(scope["app"].state, "application", None)
+    if application is not None:
+        return application.audit.put(entry, trail_of(scope).key)
     future: Future[int] = Future()
     future.set_exception(NotAudited("the application runs outside its lifespan: there is no audit"))
     return future

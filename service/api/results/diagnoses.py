@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 
 from service.api.campaign.campaigns import CampaignView, view
 from service.api.campaign.plans import PlanView
-from service.api.dependencies import After, Id, LabOf, Limit, Page, set_etag
+from service.api.dependencies import After, ApplicationOf, Id, Limit, Page, set_etag
 from service.api.idempotent import IdempotentRoute
 from service.diagnosis_loop.starting import Start
 from service.errors import Conflict
@@ -77,13 +77,15 @@ class Figures(BaseModel):
 
 
 @router.post("", status_code=202)
-async def add_diagnosis(wanted: WantedDiagnosis, request: Request, response: Response, lab: LabOf) -> DiagnosisDocument:
+async def add_diagnosis(
+    wanted: WantedDiagnosis, request: Request, response: Response, application: ApplicationOf
+) -> DiagnosisDocument:
     """Diagnose. Takes seconds an axis; an event tells when it is done."""
-    if wanted.unattended and not lab.settings.virtual_machine:
+    if wanted.unattended and not application.settings.virtual_machine:
         raise Conflict(
             "unattended experiments are for virtual machines alone; the settings do not call this one virtual"
         )
-    diagnosis = await lab.diagnosing.request(
+    diagnosis = await application.diagnosing.request(
         wanted.campaigns, wanted.axes, wanted.model, wanted.unattended, wanted.start
     )
     response.headers["Location"] = str(request.url_for("get_diagnosis", diagnosis_id=diagnosis.id))
@@ -91,21 +93,21 @@ async def add_diagnosis(wanted: WantedDiagnosis, request: Request, response: Res
 
 
 @router.get("")
-def list_diagnoses(lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[DiagnosisEntry]:
+def list_diagnoses(application: ApplicationOf, after: After = 0, limit: Limit = 50) -> Page[DiagnosisEntry]:
     """Without their documents."""
-    diagnoses = lab.diagnoses.diagnoses(after, limit)
+    diagnoses = application.diagnoses.diagnoses(after, limit)
     return Page(items=diagnoses, next=diagnoses[-1].id if len(diagnoses) == limit else None)
 
 
 @router.get("/{diagnosis_id}")
-def get_diagnosis(diagnosis_id: Id, lab: LabOf) -> DiagnosisDocument:
-    return lab.diagnoses.diagnosis(diagnosis_id)
+def get_diagnosis(diagnosis_id: Id, application: ApplicationOf) -> DiagnosisDocument:
+    return application.diagnoses.diagnosis(diagnosis_id)
 
 
 @router.get("/{diagnosis_id}/figures")
-def get_diagnosis_figures(diagnosis_id: Id, lab: LabOf) -> Figures:
+def get_diagnosis_figures(diagnosis_id: Id, application: ApplicationOf) -> Figures:
     """409 until the diagnosis is done."""
-    return Figures(axes=diagnosis_figures(lab.diagnoses.diagnosis(diagnosis_id).found()))
+    return Figures(axes=diagnosis_figures(application.diagnoses.diagnosis(diagnosis_id).found()))
 
 
 @router.get(
@@ -113,11 +115,11 @@ def get_diagnosis_figures(diagnosis_id: Id, lab: LabOf) -> Figures:
     response_class=Response,
     responses={200: {"content": {"text/html": {"schema": {"type": "string"}}}}},
 )
-def get_diagnosis_report(diagnosis_id: Id, lab: LabOf) -> Response:
+def get_diagnosis_report(diagnosis_id: Id, application: ApplicationOf) -> Response:
     """One file that needs no network. 409 until the diagnosis is done."""
-    diagnosis = lab.diagnoses.diagnosis(diagnosis_id)
+    diagnosis = application.diagnoses.diagnosis(diagnosis_id)
     found = diagnosis.found()
-    robot = lab.store.robot(diagnosis.robot_id)
+    robot = application.store.robot(diagnosis.robot_id)
     campaigns = ", ".join(str(number) for number in diagnosis.campaigns)
     page = diagnosis_page(found, f"Diagnosis {diagnosis_id} of {robot.name}", f"Campaigns {campaigns}")
     return Response(page, media_type="text/html")
@@ -125,33 +127,33 @@ def get_diagnosis_report(diagnosis_id: Id, lab: LabOf) -> Response:
 
 @router.post("/{diagnosis_id}/plan", status_code=201, response_model=PlanView)
 def plan_experiment(
-    diagnosis_id: Id, wanted: PlanOfExperiment, request: Request, response: Response, lab: LabOf
+    diagnosis_id: Id, wanted: PlanOfExperiment, request: Request, response: Response, application: ApplicationOf
 ) -> PlanRecord:
     """Store the plan of an axis's next experiment, to be read. Nothing moves."""
-    plan = lab.experiments.plan(diagnosis_id, wanted.axis, wanted.cell)
-    record = lab.store.add_plan(plan.request.robot_id, plan.model_dump(mode="json"))
+    plan = application.experiments.plan(diagnosis_id, wanted.axis, wanted.cell)
+    record = application.store.add_plan(plan.request.robot_id, plan.model_dump(mode="json"))
     response.headers["Location"] = str(request.url_for("get_plan", plan_id=record.id))
     return record
 
 
 @router.post("/{diagnosis_id}/experiment", status_code=201)
 async def approve_experiment(
-    diagnosis_id: Id, approval: Approval, request: Request, response: Response, lab: LabOf
+    diagnosis_id: Id, approval: Approval, request: Request, response: Response, application: ApplicationOf
 ) -> CampaignView:
     """Plan an axis's next experiment and begin to move and measure. When it is completed, the diagnosis goes on."""
-    campaign = await lab.experiments.approve(
+    campaign = await application.experiments.approve(
         diagnosis_id, approval.axis, approval.approved_by, approval.test_mass, approval.cell
     )
     response.headers["Location"] = str(request.url_for("get_campaign", campaign_id=campaign.id))
     set_etag(response, campaign.version)
-    return await run_in_threadpool(view, lab, campaign)
+    return await run_in_threadpool(view, application, campaign)
 
 
 @router.post("/{diagnosis_id}/model", status_code=201)
 def accept_model(
-    diagnosis_id: Id, acceptance: Acceptance, request: Request, response: Response, lab: LabOf
+    diagnosis_id: Id, acceptance: Acceptance, request: Request, response: Response, application: ApplicationOf
 ) -> ModelDocument:
     """Take named effects into the robot's model. 409 for an axis without a name, or whose effects were rolled back."""
-    model = lab.accept_model(diagnosis_id, acceptance.axes, acceptance.accepted_by)
+    model = application.accept_model(diagnosis_id, acceptance.axes, acceptance.accepted_by)
     response.headers["Location"] = str(request.url_for("get_model_revision", model_id=model.id))
     return model

@@ -2,26 +2,28 @@
 
 from fastapi import APIRouter
 
-from service.api.dependencies import After, Id, LabOf, Limit, Page
+from service.api.dependencies import After, ApplicationOf, Id, Limit, Page
 from service.store.documents import EstimateDocument
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/estimates", tags=["estimates"])
 
 
 @router.get("")
-def list_estimates(campaign_id: Id, lab: LabOf, after: After = 0, limit: Limit = 50) -> Page[EstimateDocument]:
+def list_estimates(
+    campaign_id: Id, application: ApplicationOf, after: After = 0, limit: Limit = 50
+) -> Page[EstimateDocument]:
     """Revisions, oldest first; `after` is a revision."""
-    lab.store.campaign(campaign_id)
-    estimates = lab.store.estimates(campaign_id, after, limit)
+    application.store.campaign(campaign_id)
+    estimates = application.store.estimates(campaign_id, after, limit)
     return Page(items=estimates, next=estimates[-1].revision if len(estimates) == limit else None)
 
 
 @router.get("/latest")
-def get_latest_estimate(campaign_id: Id, lab: LabOf) -> EstimateDocument:
+def get_latest_estimate(campaign_id: Id, application: ApplicationOf) -> EstimateDocument:
     """The newest revision; 404 until the first sweep is identified."""
-    return lab.store.estimate(campaign_id)
+    return application.store.estimate(campaign_id)
 
 
 @router.get("/{revision}")
-def get_estimate(campaign_id: Id, revision: Id, lab: LabOf) -> EstimateDocument:
-    return lab.store.estimate(campaign_id, revision)
+def get_estimate(campaign_id: Id, revision: Id, application: ApplicationOf) -> EstimateDocument:
+    return application.store.estimate(campaign_id, revision)

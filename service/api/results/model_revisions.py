@@ -5,7 +5,7 @@ from typing import Annotated
 import yaml
 from fastapi import APIRouter, Query, Response
 
-from service.api.dependencies import After, Id, LabOf, Limit, Page
+from service.api.dependencies import After, ApplicationOf, Id, Limit, Page
 from service.store.diagnosis_documents import ModelDocument
 from service.store.documents import LARGEST_ID
 
@@ -14,18 +14,18 @@ router = APIRouter(prefix="/models", tags=["diagnoses"])
 
 @router.get("")
 def list_model_revisions(
-    lab: LabOf,
+    application: ApplicationOf,
     robot: Annotated[int | None, Query(ge=1, le=LARGEST_ID, description="only models of this robot")] = None,
     after: After = 0,
     limit: Limit = 50,
 ) -> Page[ModelDocument]:
-    models = lab.models.models(robot, after, limit)
+    models = application.models.models(robot, after, limit)
     return Page(items=models, next=models[-1].id if len(models) == limit else None)
 
 
 @router.get("/{model_id}")
-def get_model_revision(model_id: Id, lab: LabOf) -> ModelDocument:
-    return lab.models.model(model_id)
+def get_model_revision(model_id: Id, application: ApplicationOf) -> ModelDocument:
+    return application.models.model(model_id)
 
 
 @router.get(
@@ -33,12 +33,12 @@ def get_model_revision(model_id: Id, lab: LabOf) -> ModelDocument:
     response_class=Response,
     responses={200: {"content": {"application/yaml": {"schema": {"type": "object"}}}}},
 )
-def get_model_scenario(model_id: Id, lab: LabOf) -> Response:
+def get_model_scenario(model_id: Id, application: ApplicationOf) -> Response:
     """The model as a scenario that a virtual machine runs on, beside the robot's description as `robot.yaml`.
 
     What a scenario cannot hold stands in comments at its head.
     """
-    model = lab.models.model(model_id).content
+    model = application.models.model(model_id).content
     notes = "".join(f"# {note}\n" for note in model.notes)
     text = notes + yaml.safe_dump(model.scenario, sort_keys=False)
     disposition = {"Content-Disposition": f'attachment; filename="model-{model_id}-scenario.yaml"'}

@@ -4,7 +4,7 @@ from enum import StrEnum
 
 from fastapi import APIRouter, Response
 
-from service.api.dependencies import Id, LabOf
+from service.api.dependencies import ApplicationOf, Id
 from service.export import identified_model, model_files
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["estimates"])
@@ -27,10 +27,10 @@ _TYPES = {ModelFile.URDF: "application/xml", ModelFile.MJCF: "application/xml", 
     response_class=Response,
     responses={200: {"content": _CONTENT}},
 )
-def get_model(campaign_id: Id, ending: ModelFile, lab: LabOf) -> Response:
+def get_model(campaign_id: Id, ending: ModelFile, application: ApplicationOf) -> Response:
     """404 until the first sweep is identified; 422 while none of them shows inertia."""
-    robot = lab.store.robot(lab.store.campaign(campaign_id).robot_id).build()
-    estimate = lab.store.estimate(campaign_id)
+    robot = application.store.robot(application.store.campaign(campaign_id).robot_id).build()
+    estimate = application.store.estimate(campaign_id)
     model = identified_model(robot, estimate.document, f"estimate {estimate.revision} of campaign {campaign_id}")
     name = f"model.{ending.value}"
     disposition = {"Content-Disposition": f'attachment; filename="campaign-{campaign_id}-{name}"'}

@@ -2,7 +2,7 @@
 
 from fastapi import APIRouter, Response
 
-from service.api.dependencies import Id, LabOf
+from service.api.dependencies import ApplicationOf, Id
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/report", tags=["reports"])
 
@@ -12,6 +12,6 @@ router = APIRouter(prefix="/campaigns/{campaign_id}/report", tags=["reports"])
     response_class=Response,
     responses={200: {"content": {"text/html": {"schema": {"type": "string"}}}}},
 )
-async def get_campaign_report(campaign_id: Id, lab: LabOf) -> Response:
+async def get_campaign_report(campaign_id: Id, application: ApplicationOf) -> Response:
     """One file that needs no network, of the latest estimate. 409 until a sweep is identified."""
-    return Response(await lab.campaign_report(campaign_id), media_type="text/html")
+    return Response(await application.campaign_report(campaign_id), media_type="text/html")

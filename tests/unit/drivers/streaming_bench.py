@@ -12,8 +12,8 @@ import can
 from drivers.canopen import frames
 from drivers.canopen.bus import Bus
 from drivers.canopen.host_sweep import HostSweep
-from drivers.canopen.lane import Lane
 from drivers.canopen.profile import BusProfile, CanopenAxis
+from drivers.canopen.streamed_axis import StreamRequest
 from drivers.canopen.units import Codec
 from drivers.cia402.checks import Envelope
 from drivers.cia402.profile import IdentityProfile
@@ -118,7 +118,7 @@ class Bench:
     cabinet: Cabinet
     wires: frames.Wires
 
-    def lane(self, node: int, **changes: object) -> Lane:
+    def request(self, node: int, **changes: object) -> StreamRequest:
         """Revolutions are radians here: raw velocity is 10^-3 rev/s, raw position 10^-6 rev."""
         axis = CanopenAxis(
             joint=f"joint_{node}",
@@ -152,10 +152,10 @@ class Bench:
         envelope = Envelope(command.velocity_limit, command.effort_limit, command.position_window, "rad", "N m")
         drive = self.cabinet.drives.get(node)
         counter = COUNTER if drive is None or drive.counts else None
-        return Lane(axis, codec, command, envelope, counter, wires=self.wires)
+        return StreamRequest(axis, codec, command, envelope, counter, wires=self.wires)
 
-    def start(self, *lanes: Lane, stop: threading.Event | None = None) -> HostSweep:
-        chosen = lanes or tuple(self.lane(node) for node in self.cabinet.drives)
+    def start(self, *requests: StreamRequest, stop: threading.Event | None = None) -> HostSweep:
+        chosen = requests or tuple(self.request(node) for node in self.cabinet.drives)
         return HostSweep(self.bus, self.settings, chosen, stop or threading.Event())
 
 

@@ -19,7 +19,7 @@ from drivers.canopen.device_map import (
     bits,
     load_device_map,
 )
-from drivers.canopen.frames import Motion, Place, SetPoint, Wires, decode, stop
+from drivers.canopen.frames import MotionPdo, PositionPdo, SetPoint, Wires, decode, stop
 from drivers.canopen.profile import parse_profile
 from drivers.cia402.profile import parse
 from drivers.errors import BadProfile
@@ -141,8 +141,8 @@ def test_a_map_that_is_not_there_is_named() -> None:
 def test_frames_are_read_where_the_map_has_them() -> None:
     wires = Wires(set_point=1, stop=3, state=1, place=3, counted=False)
     told = bytes.fromhex("2700 0a000000 0500")
-    assert decode(0x182, told, wires=wires) == Motion(2, 0x27, 10, 5)
-    assert decode(0x382, bytes.fromhex("01000000 0a000000"), wires=wires) == Place(2, 1, 0, 10)
+    assert decode(0x182, told, wires=wires) == MotionPdo(2, 0x27, 10, 5)
+    assert decode(0x382, bytes.fromhex("01000000 0a000000"), wires=wires) == PositionPdo(2, 1, 0, 10)
     assert decode(0x282, bytes.fromhex("01000000 0a000000"), wires=wires) is None
     assert decode(0x402, b"\2\0", wires=wires) == SetPoint(2, b"\2\0")
     assert decode(0x202, bytes(6), wires=wires) == SetPoint(2, bytes(6))

@@ -8,13 +8,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.canopen import frames
-from drivers.canopen.frames import Controller, ControllerState, Emergency, Heartbeat, Motion, Place, SetPoint, decode
+from drivers.canopen.frames import (
+    Controller,
+    ControllerState,
+    Emergency,
+    Heartbeat,
+    MotionPdo,
+    PositionPdo,
+    SetPoint,
+    decode,
+)
 from drivers.canopen.measuring import SAMPLE
 
 
 def test_events_by_hand() -> None:
-    assert decode(0x181, bytes.fromhex("3706 18fcffff 9cff")) == Motion(1, 0x0637, -1000, -100)
-    assert decode(0x282, bytes.fromhex("ffffffff 2a000000")) == Place(2, -1, 42)
+    assert decode(0x181, bytes.fromhex("3706 18fcffff 9cff")) == MotionPdo(1, 0x0637, -1000, -100)
+    assert decode(0x282, bytes.fromhex("ffffffff 2a000000")) == PositionPdo(2, -1, 42)
     assert decode(0x083, bytes.fromhex("0573 21 0102030405")) == Emergency(3, 0x7305, 0x21, bytes([1, 2, 3, 4, 5]))
     assert decode(0x704, b"\x85") == Heartbeat(4, 5)
     assert decode(0x202, bytes(6)) == SetPoint(2, bytes(6))

@@ -11,7 +11,7 @@ import pytest
 
 from drivers.canopen import frames
 from drivers.canopen.host_sweep import HostSweep
-from drivers.canopen.lane import Ending
+from drivers.canopen.streamed_axis import Ending
 from drivers.errors import CommunicationLost
 from drivers.ports import SampleBlock
 from tests.unit.drivers.streaming_bench import ENABLED, OFF, PERIOD, SWITCHED_ON, Bench, Drive, Frame, bench, run_to_end
@@ -55,7 +55,7 @@ async def test_three_axes_run_on_one_clock() -> None:
 
 async def test_axes_may_have_sweeps_of_different_length() -> None:
     async with bench(Drive(1), Drive(2)) as on:
-        run = on.start(on.lane(1), on.lane(2, periods=2))
+        run = on.start(on.request(1), on.request(2, periods=2))
         blocks = await run_to_end(run)
         assert run.ending is Ending.COMPLETED
         assert len(of(blocks, "joint_1").index) == SAMPLES
@@ -65,7 +65,7 @@ async def test_axes_may_have_sweeps_of_different_length() -> None:
 async def test_a_stop_brings_all_down_by_a_ramp() -> None:
     stop = threading.Event()
     async with bench(Drive(1), Drive(2)) as on:
-        run = on.start(on.lane(1, periods=300), on.lane(2, periods=300), stop=stop)
+        run = on.start(on.request(1, periods=300), on.request(2, periods=300), stop=stop)
         await run_to_end(run, lambda _: stop.set())
         assert run.ending is Ending.STOPPED
         assert run.reason == "joint_1 (node 1), joint_2 (node 2): sweep was stopped"
@@ -127,7 +127,7 @@ def jump(on: Bench) -> None:
 )
 async def test_whatever_ends_one_axis_ends_all(mishap: object, ending: Ending, reason: str) -> None:
     async with bench(Drive(1), Drive(2), Drive(3)) as on:
-        run = on.start(*(on.lane(node, periods=300) for node in (1, 2, 3)))
+        run = on.start(*(on.request(node, periods=300) for node in (1, 2, 3)))
         done: list[SampleBlock] = []
 
         def once(block: SampleBlock) -> None:
@@ -284,7 +284,7 @@ def hold_up(seconds: float) -> None:
 
 
 async def late_once(on: Bench, seconds: float) -> HostSweep:
-    run = on.start(on.lane(1, periods=3))
+    run = on.start(on.request(1, periods=3))
     held = threading.Event()
 
     def once(_: SampleBlock) -> None:
@@ -322,7 +322,7 @@ async def test_one_very_late_set_point_is_too_late_whatever_is_allowed() -> None
 
 async def test_bus_off_ends_it_at_once() -> None:
     async with bench(Drive(1)) as on:
-        run = on.start(on.lane(1, periods=300))
+        run = on.start(on.request(1, periods=300))
         with pytest.raises(CommunicationLost, match=r"bus-off; controller bus-off \(transmit errors 248"):
             await run_to_end(run, lambda _: on.cabinet.say(0x040, bytes([0, 0, 0, 0, 0, 0, 248, 0]), error=True))
         with pytest.raises(CommunicationLost, match="bus-off"):

@@ -13,7 +13,7 @@ import pytest
 from drivers.canopen import host_sweep
 from drivers.canopen.bcm import KernelRefused
 from drivers.canopen.host_sweep import HostSweep
-from drivers.canopen.lane import Ending, RunningLane
+from drivers.canopen.streamed_axis import Ending, StreamedAxis
 from drivers.ports import SampleBlock
 from tests.unit.drivers.streaming_bench import OFF, Drive, bench, run_to_end
 
@@ -24,16 +24,16 @@ async def test_an_error_that_nobody_thought_of_stops_the_axes_before_the_consume
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """And the consumer gets that error, not the end of a sweep that it would take the mode from while it moves."""
-    hand_over, samples = RunningLane.block, itertools.count()
+    hand_over, samples = StreamedAxis.block, itertools.count()
 
-    def fail(self: RunningLane, at_least: int) -> SampleBlock | None:
+    def fail(self: StreamedAxis, at_least: int) -> SampleBlock | None:
         if at_least > 1 and next(samples) > 80:
             raise ArithmeticError("unforeseen")
         return hand_over(self, at_least)
 
     async with bench(Drive(1), Drive(2)) as on:
-        monkeypatch.setattr(RunningLane, "block", fail)
-        run = on.start(on.lane(1, periods=300), on.lane(2, periods=300))
+        monkeypatch.setattr(StreamedAxis, "block", fail)
+        run = on.start(on.request(1, periods=300), on.request(2, periods=300))
         await run.over()
         with pytest.raises(ArithmeticError, match="unforeseen"):
             await run_to_end(run)
@@ -58,7 +58,7 @@ async def test_a_kernel_that_takes_no_more_set_points_is_no_dead_bus(monkeypatch
     async with bench(Drive(1), Drive(2)) as on:
         monkeypatch.setattr(host_sweep, "set_point_source", lambda _: "bcm")
         monkeypatch.setattr(host_sweep, "KernelStream", Kernel)
-        run = on.start(on.lane(1, periods=300), on.lane(2, periods=300))
+        run = on.start(on.request(1, periods=300), on.request(2, periods=300))
         await run_to_end(run)
         assert run.ending is Ending.NOT_SENT
         assert "no buffer space" in run.reason

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from drivers.canopen.lane import Ending
+from drivers.canopen.streamed_axis import Ending
 from drivers.ports import SampleBlock
 from tests.unit.drivers.streaming_bench import PERIOD, Drive, Frame, bench, run_to_end
 
@@ -51,8 +51,8 @@ async def test_a_lost_answer_is_a_gap_and_the_next_sample_is_right(which: tuple[
 async def test_a_drive_that_answers_nothing_more_is_silent_within_its_time() -> None:
     drive = Drive(1, counts=False, mangle=losing((0, 1), range(40, 10**6)))
     async with bench(drive, silence=0.3) as on:
-        run = on.start(on.lane(1, periods=50))
+        run = on.start(on.request(1, periods=50))
         await run_to_end(run)
         assert run.ending is Ending.SILENT
         cycles = round(0.3 / PERIOD)
-        assert len(drive.obeyed) < 40 + cycles + 600  # the ladder's, not the sweep's 2500
+        assert len(drive.obeyed) < 40 + cycles + 600  # the stop sequence's, not the sweep's 2500

@@ -7,20 +7,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen.frames import Motion, Place
+from drivers.canopen.frames import MotionPdo, PositionPdo
 from drivers.canopen.samples import Pairing, Sample
 
 SYNCS = 7
-Item = Motion | Place | None  # None: SYNC
+Item = MotionPdo | PositionPdo | None  # None: SYNC
 
 
-def motion(velocity: int) -> Motion:
-    return Motion(1, 0x27, velocity, 5)
+def motion(velocity: int) -> MotionPdo:
+    return MotionPdo(1, 0x27, velocity, 5)
 
 
 def stream(count: int = SYNCS) -> list[Item]:
     """SYNC k is answered by velocity k and position k."""
-    return [item for k in range(count) for item in (None, motion(k), Place(1, k, 100 + k))]
+    return [item for k in range(count) for item in (None, motion(k), PositionPdo(1, k, 100 + k))]
 
 
 def pair(items: list[Item], counter: int = 99) -> list[Sample]:
@@ -29,9 +29,9 @@ def pair(items: list[Item], counter: int = 99) -> list[Sample]:
     for item in items:
         if item is None:
             pairing.sync()
-        elif isinstance(item, Motion):
+        elif isinstance(item, MotionPdo):
             pairing.motion(item)
-        elif (sample := pairing.place(item)) is not None:
+        elif (sample := pairing.position(item)) is not None:
             samples.append(sample)
     return samples
 
@@ -85,7 +85,7 @@ def test_two_mishaps_may_mix_a_sample_but_only_near_a_gap() -> None:
 
 
 def test_a_drive_that_sends_tpdo2_first_gives_no_samples_at_all() -> None:
-    items = [item for k in range(50) for item in (None, Place(1, k, 100 + k), motion(k))]
+    items = [item for k in range(50) for item in (None, PositionPdo(1, k, 100 + k), motion(k))]
     assert pair(items) == []
 
 
@@ -97,7 +97,7 @@ def test_answers_later_than_a_cycle_are_paired_all_the_same() -> None:
 
 
 def test_a_repeated_reading_is_no_doubled_frame_and_a_doubled_one_no_reading() -> None:
-    standing = [item for k in range(4) for item in (None, motion(0), Place(1, 0, 100 + k))]
+    standing = [item for k in range(4) for item in (None, motion(0), PositionPdo(1, 0, 100 + k))]
     assert [s.index for s in pair(standing)] == [0, 1, 2, 3]
     without_place = standing[:5] + standing[6:]
     assert [s.index for s in pair(without_place)] == [0, 2, 3]
@@ -105,14 +105,14 @@ def test_a_repeated_reading_is_no_doubled_frame_and_a_doubled_one_no_reading() -
 
 @pytest.mark.parametrize("counter", [0xFFFFFFFE, 0x7FFFFFFF])
 def test_a_counter_that_wraps(counter: int) -> None:
-    items = [item for k in range(4) for item in (None, motion(k), Place(1, k, (counter + 1 + k) & 0xFFFFFFFF))]
+    items = [item for k in range(4) for item in (None, motion(k), PositionPdo(1, k, (counter + 1 + k) & 0xFFFFFFFF))]
     assert [s.index for s in pair(items, counter)] == [0, 1, 2, 3]
 
 
 def test_a_counter_that_stands_still_or_goes_back_gives_nothing() -> None:
     items: list[Item] = stream(3)
     for k in (2, 2, 1, 0, 2):
-        items += [None, motion(9), Place(1, 9, 100 + k)]
+        items += [None, motion(9), PositionPdo(1, 9, 100 + k)]
     assert [s.index for s in pair(items)] == [0, 1, 2]
 
 
@@ -121,7 +121,7 @@ def test_a_counter_that_stands_still_or_goes_back_gives_nothing() -> None:
 )
 def test_indices_only_grow(items: list[int | bool | None], counter: int) -> None:
     made: list[Item] = [
-        motion(0) if item is True else None if not item else Place(1, 0, (counter + int(item) % 8) & 0xFFFFFFFF)
+        motion(0) if item is True else None if not item else PositionPdo(1, 0, (counter + int(item) % 8) & 0xFFFFFFFF)
         for item in items
     ]
     indices = [s.index for s in pair(made, counter)]

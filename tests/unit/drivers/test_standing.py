@@ -50,7 +50,7 @@ async def test_a_streamed_sweep_ends_while_its_consumer_hangs() -> None:
     drive, standing, stop = Drive(1), Servo("joint_2"), threading.Event()
     thread, axis = DriveThread("test"), Axis(standing, HostWatch(60.0))  # pyright: ignore[reportArgumentType]
     async with bench(drive) as streaming:
-        run = StreamedSweep(streaming.start(streaming.lane(1, periods=10**4), stop=stop), thread, {})
+        run = StreamedSweep(streaming.start(streaming.request(1, periods=10**4), stop=stop), thread, {})
 
         async def hang() -> None:
             async with Watched(thread, [axis], stop):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from drivers.canopen.frames import Motion, Place
+from drivers.canopen.frames import MotionPdo, PositionPdo
 from drivers.canopen.samples import Sample
 from drivers.canopen.windows import Windows
 
@@ -28,11 +28,11 @@ Row = tuple[int, Fate, Fate, bool]  # velocity, fate of TPDO1 and TPDO2, TPDO2 c
 def told(rows: list[Row], settled: bool = False) -> tuple[list[Sample], Windows]:
     """The samples of these answers; at the end one SYNC is left out, as the host does it."""
     windows, samples = Windows(), list[Sample]()
-    due: list[list[Motion | Place]] = [[] for _ in range(len(rows) + 2)]
+    due: list[list[MotionPdo | PositionPdo]] = [[] for _ in range(len(rows) + 2)]
     for k, (velocity, of_motion, of_place, turned) in enumerate(rows):
         pair = [
-            (Motion(1, 0x27, velocity, TORQUE + k), of_motion),
-            (Place(1, POSITION + k, 0, velocity), of_place),
+            (MotionPdo(1, 0x27, velocity, TORQUE + k), of_motion),
+            (PositionPdo(1, POSITION + k, 0, velocity), of_place),
         ]
         for frame, fate in reversed(pair) if turned else pair:
             due[k + fate.late].extend([frame] * fate.copies)
@@ -41,7 +41,7 @@ def told(rows: list[Row], settled: bool = False) -> tuple[list[Sample], Windows]
         if sample is not None:
             samples.append(sample)
         for frame in due[k]:
-            (windows.motion if isinstance(frame, Motion) else windows.place)(frame)  # pyright: ignore[reportArgumentType]
+            (windows.motion if isinstance(frame, MotionPdo) else windows.position)(frame)  # pyright: ignore[reportArgumentType]
         if settled:
             windows.settle()
     last = windows.sync()

@@ -13,7 +13,7 @@ import httpx
 import pytest
 
 from service.app import create_app
-from service.lab import Lab
+from service.application import Application
 from service.settings import Settings
 from tests.unit.service.api.conftest import CONFIG
 
@@ -23,13 +23,13 @@ PATIENCE = 60.0  # s
 
 
 @asynccontextmanager
-async def service(folder: Path, profile: Path, **given: float) -> AsyncIterator[tuple[Lab, httpx.AsyncClient]]:
+async def service(folder: Path, profile: Path, **given: float) -> AsyncIterator[tuple[Application, httpx.AsyncClient]]:
     places = {"data_dir": folder, "drive": profile, "robots_dir": CONFIG / "robots", "cells_dir": CONFIG / "cells"}
     app = create_app(Settings.model_validate(places | given))
     async with app.router.lifespan_context(app):
         transport = httpx.ASGITransport(app=app)
         async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1/api/v1") as http:
-            yield app.state.lab, http
+            yield app.state.application, http
 
 
 async def told(http: httpx.AsyncClient, word: str, *, there: bool = True) -> str:
@@ -45,8 +45,8 @@ async def told(http: httpx.AsyncClient, word: str, *, there: bool = True) -> str
 
 
 async def test_a_worker_that_ended_is_told_until_it_is_replaced(tmp_path: Path, profile: Path) -> None:
-    async with service(tmp_path, profile) as (lab, http):
-        os.kill((await lab.worker.processes())[0], signal.SIGKILL)
+    async with service(tmp_path, profile) as (application, http):
+        os.kill((await application.worker.processes())[0], signal.SIGKILL)
         await told(http, "worker process ended")
         await told(http, "worker process", there=False)
 
@@ -74,11 +74,11 @@ async def test_a_lost_database_is_told_and_nothing_is_stored_in_its_place(tmp_pa
     (recordings / "0001-1.parquet").write_bytes(b"samples")
     stream = recordings / "0002-1.arrows"
     stream.write_bytes(b"stream")
-    async with service(tmp_path, profile) as (lab, http):
+    async with service(tmp_path, profile) as (application, http):
         assert "holds 1 recordings" in await told(http, "knows no campaign")
-        plan = lab.store.add_plan(lab.store.robots()[0].id, {})
+        plan = application.store.add_plan(application.store.robots()[0].id, {})
         answer = await http.post("/campaigns", json={"plan_id": plan.id})
         assert answer.status_code == 409
         assert "restore it from a backup" in answer.json()["detail"]
-        assert lab.store.campaigns() == ()
+        assert application.store.campaigns() == ()
     assert stream.read_bytes() == b"stream"

@@ -77,7 +77,7 @@ async def test_stop_does_not_wait_for_a_thread_of_the_pool(tmp_path: Path, profi
             async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as http:
                 held = await asyncio.wait_for(http.post("/api/v1/stop"), 10)
             assert held.json()["unconfirmed"]
-            assert app.state.lab.machine.latched is not None
+            assert app.state.application.machine.latched is not None
         finally:
             go.set()
             await asyncio.gather(*waiting)

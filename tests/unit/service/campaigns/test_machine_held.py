@@ -10,10 +10,10 @@ from sqlalchemy import text
 from sqlalchemy.exc import OperationalError
 from structlog.testing import capture_logs
 
+from service.application import tell_watch
 from service.errors import Conflict, NotFound
 from service.execution import sweep_executor
 from service.execution.second_stop import watching
-from service.lab import tell_watch
 from service.store.documents import CampaignState, SweepState
 from service.store.guards import MachineLease, StopLatch
 from service.store.people.audit import AuditStore

@@ -1,24 +1,24 @@
-"""The stop ladder of a streaming axis."""
+"""The stop sequence of a streaming axis."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen.ladder import Ladder, Rung
+from drivers.canopen.stop_sequence import StopSequence, StopStage
 from drivers.cia402 import states
 from drivers.cia402.states import State
 
 ENABLED, OFF = State.OPERATION_ENABLED, State.SWITCH_ON_DISABLED
 
 
-def ladder() -> Ladder:
-    return Ladder(ramp_step=10, ramp_time=1.0, quick_stop_time=1.0, disable_time=1.0)
+def stop_sequence() -> StopSequence:
+    return StopSequence(ramp_step=10, ramp_time=1.0, quick_stop_time=1.0, disable_time=1.0)
 
 
 @pytest.mark.parametrize("start", [25, -25])
 def test_ramp_then_disable(start: int) -> None:
-    one = ladder()
-    one.climb(Rung.RAMP, 0.0, start)
+    one = stop_sequence()
+    one.advance(StopStage.RAMP, 0.0, start)
     sign = 1 if start > 0 else -1
     assert [one.command(0.1, False, ENABLED) for _ in range(4)] == [
         (0x0F, 15 * sign),
@@ -27,52 +27,52 @@ def test_ramp_then_disable(start: int) -> None:
         (0x0F, 0),
     ]
     assert one.command(0.2, True, ENABLED) == (0x00, 0)
-    assert one.rung is Rung.DISABLE
+    assert one.stage is StopStage.DISABLE
     assert one.command(0.3, True, OFF) == (0x00, 0)
-    assert one.rung is Rung.DONE
+    assert one.stage is StopStage.DONE
 
 
-def test_each_rung_gives_way_at_its_deadline() -> None:
-    one = ladder()
-    one.climb(Rung.RAMP, 0.0, 10**6)
+def test_each_stage_gives_way_at_its_deadline() -> None:
+    one = stop_sequence()
+    one.advance(StopStage.RAMP, 0.0, 10**6)
     assert one.command(0.9, False, ENABLED)[0] == 0x0F
     assert one.command(1.1, False, ENABLED) == (0x02, 0)
     assert one.command(2.0, False, State.QUICK_STOP_ACTIVE) == (0x02, 0)
     assert one.command(2.2, False, State.QUICK_STOP_ACTIVE) == (0x00, 0)
-    assert one.rung is Rung.DISABLE
+    assert one.stage is StopStage.DISABLE
     assert one.command(3.3, False, State.QUICK_STOP_ACTIVE) == (0x00, 0)
-    assert one.rung is Rung.DONE
+    assert one.stage is StopStage.DONE
 
 
 def test_a_silent_drive_is_told_all_the_same_until_the_end() -> None:
-    one = ladder()
-    one.climb(Rung.QUICK_STOP, 0.0, 100)
+    one = stop_sequence()
+    one.advance(StopStage.QUICK_STOP, 0.0, 100)
     assert one.command(0.5, False, State.UNKNOWN) == (0x02, 0)
     assert one.command(1.1, False, State.UNKNOWN) == (0x00, 0)
     assert one.command(1.2, False, State.UNKNOWN) == (0x00, 0)
     one.command(2.2, False, State.UNKNOWN)
-    assert one.rung is Rung.DONE
+    assert one.stage is StopStage.DONE
 
 
 def test_a_fault_ends_the_ladder_once_the_drive_is_off() -> None:
-    one = ladder()
-    one.climb(Rung.QUICK_STOP, 0.0, 100)
+    one = stop_sequence()
+    one.advance(StopStage.QUICK_STOP, 0.0, 100)
     assert one.command(0.1, False, State.FAULT_REACTION) == (0x02, 0)
     assert one.command(0.2, False, State.FAULT) == (0x00, 0)
-    assert one.rung is Rung.DONE
+    assert one.stage is StopStage.DONE
 
 
-def test_it_is_never_climbed_down_and_never_enables_again() -> None:
-    one = ladder()
-    one.climb(Rung.QUICK_STOP, 0.0, 100)
-    one.climb(Rung.RAMP, 0.1, 100)
-    assert one.rung is Rung.QUICK_STOP
+def test_it_never_goes_back_and_never_enables_again() -> None:
+    one = stop_sequence()
+    one.advance(StopStage.QUICK_STOP, 0.0, 100)
+    one.advance(StopStage.RAMP, 0.1, 100)
+    assert one.stage is StopStage.QUICK_STOP
     for state in State:
         assert one.command(0.2, False, state)[0] in (0x00, 0x02)
 
 
 BIT_3 = 0x08  # enable operation
-Step = tuple[float, bool, int, Rung | None]
+Step = tuple[float, bool, int, StopStage | None]
 
 
 @given(
@@ -82,7 +82,7 @@ Step = tuple[float, bool, int, Rung | None]
             st.floats(0.0, 2.0),
             st.booleans(),
             st.integers(0, 0xFFFF) | st.sampled_from([0x27, 0x23, 0x21, 0x40, 0x07, 0x08, 0x0F, 0x00]),
-            st.none() | st.sampled_from(Rung),
+            st.none() | st.sampled_from(StopStage),
         ),
         max_size=60,
     ),
@@ -90,17 +90,17 @@ Step = tuple[float, bool, int, Rung | None]
 def test_whatever_happens_it_enables_no_drive_that_is_not_enabled_and_only_slows_down(
     start: int, steps: list[Step]
 ) -> None:
-    """Any order of times, statuswords and calls to climb, from any set-point; the run itself is no ladder."""
-    one, now, last, rung = ladder(), 0.0, abs(start), Rung.RUN
-    for passed, standing, statusword, climb in steps:
+    """Any order of times, statuswords and calls to advance, from any set-point; the run itself is no stop sequence."""
+    one, now, last, stage = stop_sequence(), 0.0, abs(start), StopStage.RUN
+    for passed, standing, statusword, goal in steps:
         now += passed
         state = states.decode(statusword)
-        if climb is not None:
-            one.climb(climb, now, start)
+        if goal is not None:
+            one.advance(goal, now, start)
         controlword, target = one.command(now, standing, state)
         assert not controlword & BIT_3 or state is ENABLED
         assert controlword in (states.ENABLE_OPERATION, states.QUICK_STOP, states.DISABLE_VOLTAGE)
         assert abs(target) <= last
-        assert one.rung >= max(rung, Rung.RAMP)
-        last, rung = abs(target), one.rung
+        assert one.stage >= max(stage, StopStage.RAMP)
+        last, stage = abs(target), one.stage
         start = target

@@ -58,7 +58,7 @@ _log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
-class Lab:
+class Application:
     """Everything that `sweepid serve` is made of."""
 
     settings: Settings
@@ -145,7 +145,7 @@ class Lab:
 
 
 @asynccontextmanager
-async def open_lab(settings: Settings, stop_process: StopProcess | None = None) -> AsyncGenerator[Lab]:
+async def open_application(settings: Settings, stop_process: StopProcess | None = None) -> AsyncGenerator[Application]:
     """Open everything; MachineTaken when another service owns the machine, BadInput or BadProfile for a bad file
     or an installed effect that cannot be used.
 
@@ -222,7 +222,7 @@ async def open_lab(settings: Settings, stop_process: StopProcess | None = None) 
             await machine.connect()
         except DriveError as error:
             _log.warning("machine_not_connected", reason=str(error))
-        yield Lab(
+        yield Application(
             *(settings, axes, store, files, keys, machine, runner, jobs, worker, hub, feed),
             *(diagnoses, models, diagnosing, experiments, checks, checking, stop_process, audit),
             *(api_keys, lost),

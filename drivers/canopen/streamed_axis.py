@@ -1,4 +1,4 @@
-"""One axis of a streamed sweep: its set-points, its samples, its ladder, and what is wrong with it. No I/O."""
+"""One axis of a streamed sweep: its set-points, its samples, its stop sequence, and what is wrong with it. No I/O."""
 
 import sys
 from dataclasses import dataclass
@@ -8,10 +8,10 @@ import numpy as np
 
 from drivers.canopen import frames
 from drivers.canopen.frames import VIRTUAL_WIRES, Wires
-from drivers.canopen.ladder import Ladder, Rung
 from drivers.canopen.profile import CanopenAxis
 from drivers.canopen.samples import Pairing, Sample
 from drivers.canopen.set_points import Positions, SetPoints, Velocities
+from drivers.canopen.stop_sequence import StopSequence, StopStage
 from drivers.canopen.units import Codec
 from drivers.canopen.windows import Windows
 from drivers.cia402 import states
@@ -40,15 +40,15 @@ class Ending(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """Something that ends the sweep of all axes; `rung` is where their ladders then begin."""
+    """Something that ends the sweep of all axes; `stage` is where their stop sequences then begin."""
 
     ending: Ending
     reason: str
-    rung: Rung = Rung.QUICK_STOP
+    stage: StopStage = StopStage.QUICK_STOP
 
 
 @dataclass(frozen=True, slots=True)
-class Lane:
+class StreamRequest:
     """What one axis brings to a streamed sweep.
 
     `counter` is 2120h:01 at standstill, before the first SYNC; None where the drive counts no samples. `start` is where
@@ -66,32 +66,32 @@ class Lane:
     wires: Wires = VIRTUAL_WIRES
 
 
-class RunningLane:
-    """A lane under way. Cycles and samples are numbered from the first SYNC that has set-points before it.
+class StreamedAxis:
+    """One axis under way. Cycles and samples are numbered from the first SYNC that has set-points before it.
 
     The set-point sent before SYNC k is reached one period later, so that at SYNC k the axis is asked for w(k T).
     """
 
-    def __init__(self, lane: Lane, period: float) -> None:
-        axis, codec = lane.axis, lane.codec
+    def __init__(self, request: StreamRequest, period: float) -> None:
+        axis, codec = request.axis, request.codec
         self.joint = axis.joint
         self.place = f"{axis.joint} (node {axis.node})"
         self.state = State.UNKNOWN  # until a TPDO says otherwise
         self.velocity = 0  # of the set-point sent last, drive units
         self.silent = 0  # SYNCs since the last sample
         self.behind = 0  # SYNCs that were sent and that the last sample's counter does not count
-        self.last = round(lane.command.duration / period)  # number of the last sample
-        self._lane, self._period = lane, period
-        self._wave = set_point(lane.command, np.arange(self.last + 1, dtype=float) * period)
-        self._set_points = _set_points(lane, self.last, period)
-        self.ladder = Ladder(
+        self.last = round(request.command.duration / period)  # number of the last sample
+        self._request, self._period = request, period
+        self._wave = set_point(request.command, np.arange(self.last + 1, dtype=float) * period)
+        self._set_points = _set_points(request, self.last, period)
+        self.stop_sequence = StopSequence(
             ramp_step=max(1, round(codec.raw_speed(axis.acceleration) * period)),
             ramp_time=axis.velocity_limit / axis.acceleration + 1.0,
             quick_stop_time=axis.velocity_limit / axis.quick_stop_deceleration + 1.0,
             disable_time=1.0,
         )
-        self._pairing = Windows() if lane.counter is None else Pairing(lane.counter)
-        self._motion: frames.Motion | None = None  # last heard
+        self._pairing = Windows() if request.counter is None else Pairing(request.counter)
+        self._motion: frames.MotionPdo | None = None  # last heard
         self._standing = 0
         self._syncs = 0  # sent since the counter was read
         self._first = sys.maxsize  # of them, before the sweep's first
@@ -127,11 +127,11 @@ class RunningLane:
         self.velocity = self._set_points.velocity(number)
 
     def command(self, number: int, now: float) -> bytes:
-        """The set-point's RPDO of this cycle: along the sweep, or down the ladder."""
-        if self.ladder.rung is Rung.RUN and self.state is State.OPERATION_ENABLED:
+        """The set-point's RPDO of this cycle: along the sweep, or down the stop sequence."""
+        if self.stop_sequence.stage is StopStage.RUN and self.state is State.OPERATION_ENABLED:
             self.was_sent(number)
             return self.planned(number)
-        controlword, self.velocity = self.ladder.command(now, self.standing, self.state)
+        controlword, self.velocity = self.stop_sequence.command(now, self.standing, self.state)
         if controlword == states.ENABLE_OPERATION:
             controlword |= self._set_points.mode_bits
         return frames.rpdo1(controlword, self._set_points.ramped(number, self.velocity))
@@ -159,11 +159,11 @@ class RunningLane:
     def take(self, event: frames.Event) -> Trouble | None:
         """What the node said, and what is wrong with that."""
         match event:
-            case frames.Motion():
+            case frames.MotionPdo():
                 self._pairing.motion(event)
                 self._motion = event
-            case frames.Place():
-                return self._take_place(event)
+            case frames.PositionPdo():
+                return self._take_position(event)
             case frames.Emergency() if event.code:
                 return Trouble(Ending.LEFT_STATE, f"error {event.code:04X}h")
             case frames.Heartbeat() if event.state == frames.BOOT_UP:
@@ -178,7 +178,7 @@ class RunningLane:
         if len(self._fresh) < at_least:
             return None
         fresh, self._fresh = self._fresh, []
-        codec, index = self._lane.codec, np.array([sample.index for sample in fresh], dtype=np.int64) - self._first
+        codec, index = self._request.codec, np.array([sample.index for sample in fresh], dtype=np.int64) - self._first
         return SampleBlock(
             joint=self.joint,
             index=index,
@@ -189,15 +189,15 @@ class RunningLane:
             velocity_setpoint=self._wave[index],
         )
 
-    def _take_place(self, event: frames.Place) -> Trouble | None:
+    def _take_position(self, event: frames.PositionPdo) -> Trouble | None:
         if isinstance(self._pairing, Windows):  # the sample is certain at the next SYNC, trouble is not to wait for it
-            self._pairing.place(event)
+            self._pairing.position(event)
             motion = self._motion
             if motion is None:
                 return None
             return self._watch(motion.statusword, motion.velocity, motion.torque, event.position)
-        sample = self._pairing.place(event)
-        if self._pairing.ahead > 0 and self.ladder.rung is Rung.RUN:
+        sample = self._pairing.position(event)
+        if self._pairing.ahead > 0 and self.stop_sequence.stage is StopStage.RUN:
             return Trouble(Ending.MISCOUNTED, f"its sample counter is {self._pairing.ahead} ahead of SYNC")
         if sample is None:
             return None
@@ -207,26 +207,26 @@ class RunningLane:
 
     def _keep(self, sample: Sample) -> None:
         self.silent = 0
-        velocity = float(self._lane.codec.velocity(sample.velocity))
-        self._standing = self._standing + 1 if abs(velocity) <= self._lane.axis.standstill_velocity else 0
+        velocity = float(self._request.codec.velocity(sample.velocity))
+        self._standing = self._standing + 1 if abs(velocity) <= self._request.axis.standstill_velocity else 0
         self._number = sample.index - self._first
         if 0 <= self._number <= self.last:
             self._fresh.append(sample)
 
     def _watch(self, statusword: int, velocity: int, torque: int, position: int) -> Trouble | None:
-        codec = self._lane.codec
+        codec = self._request.codec
         self.state = states.decode(statusword)
-        if self.ladder.rung is not Rung.RUN:
+        if self.stop_sequence.stage is not StopStage.RUN:
             return None
         if self.state is not State.OPERATION_ENABLED:
             return Trouble(Ending.LEFT_STATE, f"is '{self.state.value}'")
-        violation = self._lane.envelope.violation(
+        violation = self._request.envelope.violation(
             float(codec.position(position)), float(codec.velocity(velocity)), float(codec.effort(torque))
         )
         return None if violation is None else Trouble(Ending.LEFT_ENVELOPE, violation)
 
 
-def _set_points(lane: Lane, last: int, period: float) -> SetPoints:
-    if lane.start is None:
-        return Velocities(lane.codec, lane.command, last, period)
-    return Positions(lane.codec, lane.command, last, period, lane.start, lane.mode_bits)
+def _set_points(request: StreamRequest, last: int, period: float) -> SetPoints:
+    if request.start is None:
+        return Velocities(request.codec, request.command, last, period)
+    return Positions(request.codec, request.command, last, period, request.start, request.mode_bits)
