@@ -28,8 +28,10 @@ KEEP_TIME = {
 BESIDE = {  # files that do so beside those
     "tests/system/test_demo.py",
     "tests/system/test_fault_table.py",
+    "tests/unit/drivers/test_commission_command.py",
     "tests/unit/drivers/test_host_sweep.py",
     "tests/unit/drivers/test_host_sweep_ends.py",
+    "tests/unit/drivers/test_wiring_check.py",
 }
 TIMED = ("machines", "drives", "beside")
 RECKONING = 10  # nicer than a test that waits for a machine

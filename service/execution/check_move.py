@@ -9,13 +9,13 @@ ratio of the wrong sign, which turns command and position alike.
 
 import asyncio
 import math
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 
 from drivers.errors import CommunicationLost
 from drivers.ports import AxisState, AxisStatus
 from service.errors import SweepidError
-from service.execution.machine import Machine
+from service.execution.motion import Go
 
 WAY = {"rad": math.radians(0.5), "m": 2e-3}  # by the joint's unit
 DURATION = 1.0  # s one way: slow enough to be caught by a status every tenth of a second or so
@@ -78,15 +78,15 @@ class CheckMove:
         )
 
 
-async def make(machine: Machine, move: CheckMove, velocity: float) -> None:
-    """Move an enabled axis that way, watching every joint; CheckMoveFailed or what the drive raises.
+async def make(go: Go, move: CheckMove, status: Callable[[], Awaitable[Mapping[str, AxisStatus]]]) -> None:
+    """Let the axis `go` that way, watching every joint by `status`; CheckMoveFailed or what the drive raises.
 
     After an error the move is over and its axis brought down, as `DrivePort.move_to` does when it is cancelled.
     """
-    moving = asyncio.create_task(machine.port.move_to(move.joint, move.target, velocity), name=f"check {move.joint}")
+    moving = asyncio.create_task(go(move.target), name=f"check {move.joint}")
     try:
         while not (await asyncio.wait([moving], timeout=_POLL))[0]:
-            move.check_under_way(await machine.status())
+            move.check_under_way(await status())
     except BaseException:
         moving.cancel()
         await asyncio.wait([moving])
@@ -94,4 +94,4 @@ async def make(machine: Machine, move: CheckMove, velocity: float) -> None:
             moving.exception()  # of the same trouble; what was seen here tells more
         raise
     moving.result()
-    move.check_end(await machine.status())
+    move.check_end(await status())

@@ -1,19 +1,30 @@
-"""The machine: the drive port behind the lease and the latched stop. What moves asks `check_may_move` first."""
+"""The machine: the drive port behind the lease and the latched stop. Only `motion` moves it."""
 
 import asyncio
 import time
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import AsyncGenerator, Callable, Generator, Mapping, Sequence
+from contextlib import asynccontextmanager, contextmanager, suppress
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import CommunicationLost, DriveError, StopNotConfirmed
-from drivers.ports import AxisIdentity, AxisState, AxisStatus, Capabilities, DrivePort, Fault
+from drivers.ports import (
+    AxisIdentity,
+    AxisState,
+    AxisStatus,
+    Capabilities,
+    ChannelTiming,
+    DrivePort,
+    Fault,
+    SetPointTiming,
+)
 from service.errors import Conflict
 from service.execution.holds import Hold, Holds, apart
+from service.execution.motion import Bounds, Motion
 from service.store.documents import StopDocument
 from service.store.guards import LeaseLost, MachineLease, StopLatch
+from service.tasks.ending import to_its_end
 
 _log = structlog.get_logger(__name__)
 
@@ -31,7 +42,7 @@ class Machine:
         order_stop: Callable[[], None] = lambda: None,
     ) -> None:
         """`latched`: the stops in force when the service started. `order_stop` has the stop process send as well."""
-        self.port = port
+        self._port = port
         self._holds = Holds(latch, latched)
         self._order_stop = order_stop
         self._ending = ""  # the service ends: nothing moves until it is started again
@@ -47,7 +58,7 @@ class Machine:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        return self.port.joints
+        return self._port.joints
 
     @property
     def connected(self) -> bool:
@@ -67,7 +78,21 @@ class Machine:
     def capabilities(self) -> Capabilities:
         """Conflict while not connected."""
         self._check_connected()
-        return self.port.capabilities
+        return self._port.capabilities
+
+    @property
+    def channel_timing(self) -> Mapping[str, ChannelTiming]:
+        """What the drives' filters do to each channel, by joint."""
+        return self._port.channel_timing
+
+    @property
+    def set_point_timing(self) -> SetPointTiming | None:
+        """How punctual the set-points of the last streamed sweep were; None after any other."""
+        return self._port.set_point_timing
+
+    def watch(self, tell: Callable[[str], None] | None) -> None:
+        """Have `tell` told what the drives' side finds; None: nobody."""
+        self._port.watch(tell)
 
     @property
     def latched(self) -> StopDocument | None:
@@ -90,8 +115,8 @@ class Machine:
                 raise Conflict(f"connect: {self._lease_trouble}")
             self._trouble = "connecting"
             try:
-                await self.port.close()
-                self._identities = await self.port.connect()
+                await self._port.close()
+                self._identities = await self._port.connect()
             except DriveError as error:
                 self._trouble = str(error)
                 raise
@@ -117,7 +142,7 @@ class Machine:
         """The state of every axis. Conflict while not connected."""
         self._check_connected()
         try:
-            status = await self.port.status()
+            status = await self._port.status()
         except CommunicationLost as error:
             self.lost(str(error))
             raise
@@ -136,13 +161,13 @@ class Machine:
     async def faults(self) -> tuple[Fault, ...]:
         """Pending faults of all axes. Conflict while not connected."""
         self._check_connected()
-        return await self.port.faults()
+        return await self._port.faults()
 
     async def acknowledge(self, joint: str) -> None:
         """Clear the fault of an axis after a person looked. Conflict while a campaign runs."""
         self._check_connected()
         self._check_unused("acknowledge")
-        await self.port.acknowledge(joint)
+        await self._port.acknowledge(joint)
         self._recent = None
 
     async def stop(self, by: str, why: str, press: str = "") -> StopDocument:
@@ -158,14 +183,14 @@ class Machine:
         """Nothing moves from here on, and every axis has been told to stop; `confirm` is to follow. From any thread."""
         hold = self._holds.take(by, why, press)  # before the drives are told: who is about to move finds it
         self._disturb()
-        self.port.halt()
+        self._port.halt()
         return hold
 
     async def confirm(self, hold: Hold) -> StopDocument:
         """The stop sequence, to confirmed standstill, beside the note in the database. Errors as `stop`."""
         self._holds.note()
         try:
-            confirmed = await self.port.stop()
+            confirmed = await self._port.stop()
         finally:
             hold.under_way -= 1
             self._recent = None
@@ -180,7 +205,7 @@ class Machine:
         """The service ends: every axis is told to stop, and nothing moves any more."""
         self._ending = why
         self._disturb()
-        self.port.halt()
+        self._port.halt()
 
     async def reset_stop(self, by: str, stops: Sequence[int]) -> tuple[StopDocument, ...]:
         """A person looked and releases these stops; the machine may move when none is left. Nothing moves by this.
@@ -189,7 +214,7 @@ class Machine:
         """
         released = await self._holds.reset(by, stops)
         if not self._holds.documents:
-            self.port.allow()
+            self._port.allow()
         _log.warning("stop_reset", by=by, stops=list(stops))
         return released
 
@@ -235,6 +260,20 @@ class Machine:
             yield
         finally:
             self._user = None
+
+    @asynccontextmanager
+    async def motion(self, envelope: Bounds) -> AsyncGenerator[Motion]:
+        """The gate to motion, for the present user alone, while the block runs (see `motion`)."""
+        if self._user is None:
+            raise Conflict("nobody uses the machine: it may not be moved")
+        motion = Motion(self._port, envelope, self.check_may_move, self.lost)
+        try:
+            yield motion
+        except BaseException as error:
+            await to_its_end(motion.end(error))
+            raise
+        else:
+            await motion.end(None)
 
     async def keep_lease(self, lease: MachineLease, lease_time: float) -> None:
         """Renew the lease until it is another's. While it cannot be renewed (database blocked), the machine stands.
@@ -289,14 +328,14 @@ class Machine:
         self._lease_over = True
         await self._stop_quietly(why)
         async with self._connecting:
-            await self.port.close()
+            await self._port.close()
             self.lost(why)
 
     async def _stop_quietly(self, why: str) -> None:
         self._lease_trouble = why
         self._disturb()
         try:
-            await self.port.stop()
+            await self._port.stop()
         except DriveError as error:
             _log.error("stop_not_confirmed", reason=str(error))
             self.lost(str(error))

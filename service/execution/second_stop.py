@@ -51,11 +51,11 @@ async def watching(machine: Machine, told: Callable[[str, str], None]) -> AsyncG
             hold(WATCH, f"{why}; a person must look, release this stop and resume", "")
             told(WATCH, why)
 
-        machine.port.watch(found)
+        machine.watch(found)
         try:
             yield
         finally:
-            machine.port.watch(None)
+            machine.watch(None)
 
 
 @asynccontextmanager

@@ -4,9 +4,8 @@ import asyncio
 import math
 import time
 from collections import deque
-from collections.abc import AsyncGenerator, Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import aclosing, asynccontextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import ParamSpec, TypeVar
@@ -15,13 +14,14 @@ import structlog
 from pydantic import JsonValue
 from sqlalchemy.exc import SQLAlchemyError
 
-from drivers.errors import CommunicationLost, DriveError, SweepInterrupted
-from drivers.ports import AxisState, NoiseCommand, SampleBlock, SweepCommand
+from drivers.errors import CommunicationLost, SweepInterrupted
+from drivers.ports import AxisState, AxisStatus, SampleBlock, SweepCommand
 from service.campaigns.live import LiveHub
 from service.campaigns.session import SweepEvent, sweep_move
 from service.errors import EnvelopeViolation, SweepidError
 from service.execution.check_move import DURATION, WAY, CheckMove, make
 from service.execution.machine import Machine
+from service.execution.motion import Motion
 from service.execution.recorder import Gapless, Recorder, finish
 from service.execution.recovery import break_off, end_runs
 from service.execution.under_way import UnderWay, travels
@@ -86,18 +86,19 @@ class SweepExecutor:
         """
         left: list[_Begun] = []  # begun, and not recorded yet
         try:
-            await to_its_end(asyncio.to_thread(self._begin, sweeps, compiled, left))
-            together = tuple(left)
-            commands, pose = [each.command for each in together], together[0].sweep.spec.pose
-            await asyncio.to_thread(compiled.envelope.check_run, commands, pose)
-            await self._approach(together, compiled, checked, time.monotonic())
-            started_at = time.monotonic() - origin
-            await self._record(together, compiled)
-            here = await self._pose(together[0].sweep, compiled)  # did the others stand? A brake may have slipped
-            moved = {command.joint for command in commands}
-            compiled.envelope.check_standing(pose, here, compiled.pose_tolerance, moving=moved)
-            for each, (spec, recording) in [(each, await self._finish(each, started_at)) for each in together]:
-                await to_its_end(self._keep(each, spec, recording, left, recorded))
+            async with self._machine.motion(compiled.envelope) as motion:
+                await to_its_end(asyncio.to_thread(self._begin, sweeps, compiled, left))
+                together = tuple(left)
+                commands, pose = [each.command for each in together], together[0].sweep.spec.pose
+                await asyncio.to_thread(compiled.envelope.check_run, commands, pose)
+                here = await self._approach(motion, together, compiled, checked, time.monotonic())
+                started_at = time.monotonic() - origin
+                await self._record(motion, together, compiled, here)
+                here = await self._pose(together[0].sweep, compiled)  # did the others stand? A brake may have slipped
+                moved = {command.joint for command in commands}
+                compiled.envelope.check_standing(pose, here, compiled.pose_tolerance, moving=moved)
+                for each, (spec, recording) in [(each, await self._finish(each, started_at)) for each in together]:
+                    await to_its_end(self._keep(each, spec, recording, left, recorded))
         except BaseException as error:
             await to_its_end(self._give_up(left, error))
             raise
@@ -124,10 +125,10 @@ class SweepExecutor:
 
     async def _finish(self, each: _Begun, started_at: float) -> tuple[SweepSpec, NewRecording]:
         """The recording of a sweep that ran, and its spec as measured."""
-        port, spec = self._machine.port, each.sweep.spec.model_copy(update={"started_at": started_at})
-        streamed = port.set_point_timing
+        spec = each.sweep.spec.model_copy(update={"started_at": started_at})
+        streamed = self._machine.set_point_timing
         each.facts["set_point_timing"] = None if streamed is None else asdict(streamed)
-        timing = port.channel_timing[each.command.joint]
+        timing = self._machine.channel_timing[each.command.joint]
         return await self._on_disk(finish, self._files, each.run, spec, each.command, timing, each.facts)
 
     async def _keep(
@@ -149,9 +150,9 @@ class SweepExecutor:
         await self._on_disk(self._files.stream(run).unlink)
 
     async def _approach(
-        self, together: Sequence[_Begun], compiled: CompiledPlan, checked: set[str], begun: float
-    ) -> None:
-        """Bring the axes to the sweeps' pose, one at a time; then check that they are there.
+        self, motion: Motion, together: Sequence[_Begun], compiled: CompiledPlan, checked: set[str], begun: float
+    ) -> tuple[float, ...]:
+        """Bring the axes to the sweeps' pose, one at a time; then check that they are there: the pose as measured.
 
         An axis makes its check move before it goes further than that, and before it is swept.
         """
@@ -168,43 +169,47 @@ class SweepExecutor:
             self.under_way = UnderWay(numbers, joints, left, seconds, frozenset(checked), begun)
             here = await self._pose(sweep, compiled)
             if joint not in checked and abs(target - here[index]) > WAY[units[joint]]:
-                await self._check(joint, target - here[index], sweep, compiled)
+                await self._check(motion, joint, target - here[index], sweep, compiled)
                 checked.add(joint)
                 here = await self._pose(sweep, compiled)
-            await asyncio.to_thread(envelope.check_move, joint, here, target, compiled.move_velocity)
-            async with self._energised(joint):
-                await self._machine.port.move_to(joint, target, compiled.move_velocity)
+            async with motion.moving(joint, here, target, compiled.move_velocity) as go:
+                await go(target)
         self.under_way = UnderWay(numbers, joints, (), commands[0].duration, frozenset(checked), begun)
         for command in commands:
             if command.joint not in checked:
-                await self._check(command.joint, command.offset_velocity, sweep, compiled)
+                await self._check(motion, command.joint, command.offset_velocity, sweep, compiled)
                 checked.add(command.joint)
         here = await self._pose(sweep, compiled)
         envelope.check_standing(pose, here, compiled.pose_tolerance)
-        await asyncio.to_thread(envelope.check_run, commands, here)
+        await asyncio.to_thread(envelope.check_run, commands, here)  # before there is a file for samples
+        return here
 
-    async def _check(self, joint: str, towards: float, sweep: SweepDocument, compiled: CompiledPlan) -> None:
+    async def _check(
+        self, motion: Motion, joint: str, towards: float, sweep: SweepDocument, compiled: CompiledPlan
+    ) -> None:
         """The check move of a joint in the direction of `towards`, and back."""
         units = compiled.envelope.units()
         way = math.copysign(WAY[units[joint]], towards)
         velocity = min(compiled.move_velocity, abs(way) / DURATION)
-        here = await self._pose(sweep, compiled)
-        start = {each: status.position for each, status in (await self._machine.status()).items()}
-        there = CheckMove(joint, way, start, units)
-        await asyncio.to_thread(compiled.envelope.check_move, joint, here, there.target, velocity)
+        status = await self._machine.status()
+        here = _pose_of(status, sweep, compiled)
+        there = CheckMove(joint, way, {each: axis.position for each, axis in status.items()}, units)
         _log.info("check_move", campaign=sweep.campaign_id, sweep=sweep.number, axis=joint, way=way, unit=units[joint])
         told: dict[str, JsonValue] = {"number": sweep.number, "axis": joint, "way": way, "unit": units[joint]}
         self.check_move = there
         try:
             await asyncio.to_thread(self._store.add_event, sweep.campaign_id, EventKind.CHECK_MOVE, told)
-            async with self._energised(joint):
-                await make(self._machine, there, velocity)
-                reached = {each: status.position for each, status in (await self._machine.status()).items()}
-                await make(self._machine, CheckMove(joint, start[joint] - reached[joint], reached, units), velocity)
+            async with motion.moving(joint, here, there.target, velocity) as go:
+                await make(go, there, self._machine.status)
+                reached = {each: axis.position for each, axis in (await self._machine.status()).items()}
+                back = CheckMove(joint, there.start[joint] - reached[joint], reached, units)
+                await make(go, back, self._machine.status)
         finally:
             self.check_move = None
 
-    async def _record(self, together: Sequence[_Begun], compiled: CompiledPlan) -> None:
+    async def _record(
+        self, motion: Motion, together: Sequence[_Begun], compiled: CompiledPlan, here: Sequence[float]
+    ) -> None:
         """Run the sweeps and stream their samples to the disk; SamplesMissing if there are not all of them.
 
         The samples are watched as they come, however slow the disk is: what it has not taken yet waits in memory, at
@@ -217,11 +222,11 @@ class SweepExecutor:
                 recorders.append(await self._on_disk(Recorder, self._files.stream(each.run), each.command))
             by_joint = {each.command.joint: (each, own) for each, own in zip(together, recorders, strict=True)}
             came = {joint: Gapless() for joint in by_joint}
-            async with self._energised(*by_joint), aclosing(self._motion(together)) as blocks:
+            async with motion.sweeping([each.command for each in together], here) as blocks:
                 async for block in blocks:
                     each, recorder = by_joint.get(block.joint, (together[0], recorders[0]))
                     writes.append(self._disk.submit(recorder.write, block))
-                    await self._watch(each, compiled, block, on_path=len(together) > 1)
+                    await self._watch(motion, each, compiled, block, on_path=len(together) > 1)
                     self._hub.publish(each.run.campaign_id, each.run.number, block)
                     came[each.command.joint].check(block)
                     came[each.command.joint].add(block)
@@ -235,7 +240,9 @@ class SweepExecutor:
             for recorder in recorders:
                 self._disk.submit(recorder.close)  # not waited for: after an error the axes come first
 
-    async def _watch(self, each: _Begun, compiled: CompiledPlan, block: SampleBlock, *, on_path: bool) -> None:
+    async def _watch(
+        self, motion: Motion, each: _Begun, compiled: CompiledPlan, block: SampleBlock, *, on_path: bool
+    ) -> None:
         """EnvelopeViolation, with the machine stopped, if the axis left its envelope or its path in a trajectory."""
         try:
             compiled.envelope.watch(each.command, block)
@@ -243,50 +250,19 @@ class SweepExecutor:
                 start = each.sweep.spec.pose[compiled.joints.index(block.joint)]
                 compiled.envelope.watch_path(each.command, start, block)
         except EnvelopeViolation:
-            await self._machine.port.stop()
+            await motion.stop()
             raise
-
-    def _motion(self, together: Sequence[_Begun]) -> AsyncGenerator[SampleBlock, None]:
-        """What the drives do; nothing moves before it is iterated."""
-        port, first = self._machine.port, together[0].command
-        if isinstance(first, NoiseCommand):
-            return port.run_noise(first)
-        return port.run_sweep(*(each.command for each in together if isinstance(each.command, SweepCommand)))
-
-    @asynccontextmanager
-    async def _energised(self, *joints: str) -> AsyncGenerator[None]:
-        """Axes with energy. After an error it is `_give_up` that takes the energy away, with the stop sequence."""
-        self._machine.check_may_move()
-        await self._machine.port.enable(*joints)
-        self._machine.check_may_move()  # a stop may have come while the drives were being enabled
-        yield
-        for joint in joints:
-            await self._machine.port.disable(joint)
 
     async def _pose(self, sweep: SweepDocument, compiled: CompiledPlan) -> tuple[float, ...]:
         """Where the axes stand; those that this machine does not reach are taken to be where the plan says.
 
         CommunicationLost where a drive does not answer: what its axis does is not known then.
         """
-        status = await self._machine.status()
-        for joint, axis in status.items():
-            if axis.state is AxisState.UNKNOWN:
-                raise CommunicationLost(f"{joint}: its drive does not answer")
-        return tuple(
-            status[joint].position if joint in status else planned
-            for joint, planned in zip(compiled.joints, sweep.spec.pose, strict=True)
-        )
+        return _pose_of(await self._machine.status(), sweep, compiled)
 
     async def _give_up(self, left: Sequence[_Begun], error: BaseException) -> None:
+        """The machine stands: `Machine.motion` has seen to that before it let the error out."""
         interrupted = bool(self._machine.held) or isinstance(error, SweepInterrupted | asyncio.CancelledError)
-        trouble = [str(error)] if isinstance(error, CommunicationLost) else []
-        try:
-            await self._machine.port.stop()
-        except DriveError as unconfirmed:
-            trouble.append(f"the stop is not confirmed: {unconfirmed}")
-            error.add_note(trouble[-1])
-        if trouble:
-            self._machine.lost("; ".join(trouble))
         cause = cause_of(self._machine, error)
         event = SweepEvent.INTERRUPT if interrupted else SweepEvent.FAIL
         for each in left:
@@ -305,6 +281,16 @@ class SweepExecutor:
         self, work: Callable[Arguments, Result], *args: Arguments.args, **kwargs: Arguments.kwargs
     ) -> Result:
         return await asyncio.get_running_loop().run_in_executor(self._disk, partial(work, *args, **kwargs))
+
+
+def _pose_of(status: Mapping[str, AxisStatus], sweep: SweepDocument, compiled: CompiledPlan) -> tuple[float, ...]:
+    for joint, axis in status.items():
+        if axis.state is AxisState.UNKNOWN:
+            raise CommunicationLost(f"{joint}: its drive does not answer")
+    return tuple(
+        status[joint].position if joint in status else planned
+        for joint, planned in zip(compiled.joints, sweep.spec.pose, strict=True)
+    )
 
 
 def cause_of(machine: Machine, error: BaseException) -> str:

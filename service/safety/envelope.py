@@ -65,6 +65,11 @@ class Envelope:
         self._cell = cell
         self._home = cell.home_pose(robot.joints)
 
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """In the order of poses."""
+        return self._robot.joints
+
     def check_sweep(self, command: Command, pose: Sequence[float]) -> None:
         """May this sweep run from `pose` (n,), the positions of all joints at its start? The others stand still."""
         joint, limits = command.joint, self.limits

@@ -1,0 +1,113 @@
+"""The one gate to motion: the only object that gives an axis energy or moves it.
+
+It exists inside of `Machine.motion`, for the present user of the machine, and is of no use after that. Each axis gets
+energy only after the envelope has passed the way from where all axes stand; lease and latch are asked before and after
+the energy and again before each motion; the axes lose it when they have moved. Whatever ends the block by an error,
+cancellation included: every axis is brought to standstill without energy, here and nowhere else.
+"""
+
+import asyncio
+from collections.abc import AsyncGenerator, Callable, Coroutine, Sequence
+from contextlib import aclosing, asynccontextmanager
+from typing import Protocol
+
+from drivers.errors import CommunicationLost, DriveError
+from drivers.ports import DrivePort, NoiseCommand, SampleBlock, SweepCommand
+from service.errors import Conflict
+
+Command = SweepCommand | NoiseCommand
+Go = Callable[[float], Coroutine[object, object, None]]
+"""Moves the axis to a position, rad (m)."""
+ROUNDING = 1e-9  # rad (m)
+
+
+class Bounds(Protocol):
+    """What every motion must stay within: the envelope of the robot in its cell. Checks raise EnvelopeViolation."""
+
+    @property
+    def joints(self) -> tuple[str, ...]: ...
+
+    def check_move(self, joint: str, pose: Sequence[float], target: float, velocity: float) -> None: ...
+
+    def check_run(self, commands: Sequence[Command], pose: Sequence[float]) -> None: ...
+
+
+class Motion:
+    """See the module. `check` raises Conflict while nothing may move; `lost` is told why the drives do not answer."""
+
+    def __init__(
+        self, port: DrivePort, envelope: Bounds, check: Callable[[], None], lost: Callable[[str], None]
+    ) -> None:
+        self._port, self._envelope, self._check, self._lost = port, envelope, check, lost
+        self._open = True
+
+    @asynccontextmanager
+    async def moving(self, joint: str, here: Sequence[float], target: float, velocity: float) -> AsyncGenerator[Go]:
+        """Energy for one axis while the block runs; `go` moves it, to `target` or less far, at `velocity`, rad/s (m/s).
+
+        EnvelopeViolation where the way there is not free or not allowed; then nothing got energy.
+        """
+        await asyncio.to_thread(self._envelope.check_move, joint, here, target, velocity)
+        low, high = sorted((here[self._envelope.joints.index(joint)], target))
+
+        async def go(to: float) -> None:
+            if not low - ROUNDING <= to <= high + ROUNDING:
+                raise Conflict(f"{joint}: {to:.6g} was not checked, but {low:.6g} to {high:.6g}")
+            self._may_move()
+            await self._port.move_to(joint, to, velocity)
+
+        async with self._energised(joint):
+            yield go
+
+    @asynccontextmanager
+    async def sweeping(
+        self, commands: Sequence[Command], here: Sequence[float]
+    ) -> AsyncGenerator[AsyncGenerator[SampleBlock, None]]:
+        """Energy for the axes of the commands while the block runs; they move while the blocks of samples are iterated.
+
+        EnvelopeViolation where they would leave the envelope; then nothing got energy.
+        """
+        await asyncio.to_thread(self._envelope.check_run, commands, here)
+        async with self._energised(*(command.joint for command in commands)):
+            self._may_move()
+            async with aclosing(self._blocks(commands)) as blocks:
+                yield blocks
+
+    async def stop(self) -> None:
+        """The stop sequence at once, before whatever else an error brings with it. DriveError."""
+        await self._port.stop()
+
+    async def end(self, error: BaseException | None) -> None:
+        """The block is over. After an error: standstill without energy; what goes wrong with that is a note of it."""
+        self._open = False
+        if error is None:
+            return
+        trouble = [str(error)] if isinstance(error, CommunicationLost) else []
+        try:
+            await self._port.stop()
+        except DriveError as unconfirmed:
+            trouble.append(f"the stop is not confirmed: {unconfirmed}")
+            error.add_note(trouble[-1])
+        if trouble:
+            self._lost("; ".join(trouble))
+
+    def _may_move(self) -> None:
+        if not self._open:
+            raise Conflict("the permission to move has ended")
+        self._check()
+
+    @asynccontextmanager
+    async def _energised(self, *joints: str) -> AsyncGenerator[None]:
+        """After an error it is `end` that takes the energy away, with the stop sequence."""
+        self._may_move()
+        await self._port.enable(*joints)
+        self._may_move()  # a stop may have come while the drives were being enabled
+        yield
+        for joint in joints:
+            await self._port.disable(joint)
+
+    def _blocks(self, commands: Sequence[Command]) -> AsyncGenerator[SampleBlock, None]:
+        (first, *_) = commands
+        if isinstance(first, NoiseCommand):
+            return self._port.run_noise(first)
+        return self._port.run_sweep(*(command for command in commands if isinstance(command, SweepCommand)))
