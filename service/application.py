@@ -20,7 +20,7 @@ from service.diagnosis_loop.diagnosing import Diagnosing
 from service.diagnosis_loop.experiments import Experiments
 from service.errors import Conflict
 from service.execution.machine import Machine
-from service.execution.recovery import recover
+from service.execution.recording.recovery import recover
 from service.execution.runner import Runner
 from service.execution.second_stop import listening, watching
 from service.execution.sweep_executor import SweepExecutor

@@ -22,8 +22,8 @@ from service.errors import EnvelopeViolation, SweepidError
 from service.execution.check_move import DURATION, WAY, CheckMove, make
 from service.execution.machine import Machine
 from service.execution.motion import Motion
-from service.execution.recorder import Gapless, Recorder, finish
-from service.execution.recovery import break_off, end_runs
+from service.execution.recording.recorder import Gapless, Recorder, finish
+from service.execution.recording.recovery import break_off, end_runs
 from service.execution.under_way import UnderWay, travels
 from service.planning.compiled_plan import CompiledPlan
 from service.recording import SweepSpec

@@ -27,7 +27,7 @@ from service.cli.recordings.identify import read_effects
 from service.configuration import read_robot, read_text
 from service.diagnosis.start import started_from
 from service.errors import BadInput
-from service.execution.recorder import UnreadableStream, read_stream
+from service.execution.recording.recorder import UnreadableStream, read_stream
 from service.export import identified_model
 from service.export.sheet import check_sheet, sheet
 from service.export.sheet_text import as_markdown

@@ -12,7 +12,7 @@ import pytest
 from sqlalchemy import select
 
 from service.estimation import estimate_document
-from service.execution.recovery import recover
+from service.execution.recording.recovery import recover
 from service.identification import spectrum
 from service.identification.axis.known_effects import known_effects
 from service.robot import Robot

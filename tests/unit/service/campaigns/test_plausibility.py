@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from service.execution.plausibility import ImplausibleChannels, check_channels
+from service.execution.recording.plausibility import ImplausibleChannels, check_channels
 from service.recording import Recording, Sine, SweepSpec
 
 RATE = 250.0

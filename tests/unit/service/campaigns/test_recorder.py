@@ -14,8 +14,15 @@ import numpy as np
 import pytest
 
 from drivers.ports import ChannelTiming, SampleBlock, Sine, SweepCommand, SweepMode
-from service.execution.plausibility import ImplausibleChannels
-from service.execution.recorder import Recorder, SamplesMissing, UnreadableStream, finish, read_stream, salvage
+from service.execution.recording.plausibility import ImplausibleChannels
+from service.execution.recording.recorder import (
+    Recorder,
+    SamplesMissing,
+    UnreadableStream,
+    finish,
+    read_stream,
+    salvage,
+)
 from service.recording import SweepSpec
 from service.store.documents import RecordingState
 from service.store.files.columns import read_columns
@@ -199,8 +206,8 @@ WRITER = """
 import sys
 from pathlib import Path
 from tests.unit.service.campaigns.test_recorder import COMMAND, block
-from service.execution.plausibility import ImplausibleChannels
-from service.execution.recorder import Recorder
+from service.execution.recording.plausibility import ImplausibleChannels
+from service.execution.recording.recorder import Recorder
 recorder = Recorder(Path(sys.argv[1]), COMMAND)
 for n in range(10**6):
     recorder.write(block(50 * n, 50 * n + 50))

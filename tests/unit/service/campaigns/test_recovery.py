@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from service.campaigns.session import SweepEvent, sweep_move
-from service.execution.recorder import Recorder
-from service.execution.recovery import recover
+from service.execution.recording.recorder import Recorder
+from service.execution.recording.recovery import recover
 from service.robot import Robot
 from service.safety.envelope import Envelope
 from service.store.database import open_database
@@ -28,7 +28,7 @@ import asyncio, json, resource, sys
 from pathlib import Path
 from service.geometry.cell import Cell
 from service.safety.envelope import Envelope
-from service.execution.recorder import read_stream
+from service.execution.recording.recorder import read_stream
 from service.configuration import read_robot
 from tests.unit.service.campaigns import conftest
 

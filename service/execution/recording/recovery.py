@@ -11,7 +11,7 @@ from pydantic import JsonValue
 
 from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.errors import BadInput, NotFound
-from service.execution.recorder import UnreadableStream, salvage
+from service.execution.recording.recorder import UnreadableStream, salvage
 from service.store.documents import CampaignState, SweepState
 from service.store.files.recordings import RecordingFiles, Run
 from service.store.store import Store

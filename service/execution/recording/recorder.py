@@ -18,7 +18,7 @@ from pydantic import JsonValue
 from drivers.ports import ChannelTiming, SampleBlock
 from service.channels import align, noise_gain
 from service.errors import SweepidError
-from service.execution.plausibility import check_channels
+from service.execution.recording.plausibility import check_channels
 from service.recording import Recording, SweepSpec
 from service.safety.noise_motion import Command
 from service.store.documents import NewRecording, RecordingState

@@ -1,0 +1,1 @@
+"""What becomes of the samples of a sweep: written, checked, recovered after a restart."""
