@@ -1,9 +1,13 @@
 """Drives in one process whose dictionaries a test may falsify, and every frame that anybody sends on their bus."""
 
 import os
+import queue
+import selectors
+import socket
 import threading
 import uuid
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager
 from copy import copy
 from dataclasses import dataclass
@@ -36,6 +40,7 @@ class Cabinet:
     virtual: VirtualDrive
     profile: dict[str, Any]
     ear: can.BusABC
+    desk: "Desk"
 
     def dictionary(self, joint: str = "joint_1") -> Any:
         return cast(Any, self.virtual.cabinet).nodes[joint].dictionary
@@ -61,16 +66,51 @@ class Cabinet:
             (node, copy(node.dictionary._variables), copy(node.dictionary.nameplate), node.number)
             for node in cast(Any, self.virtual.cabinet).nodes.values()
         ]
-        try:
-            plant(self)
-            yield
-        finally:
+
+        def restore() -> None:
             for node, variables, nameplate, number in before:
                 node.disturbance.mute = False
                 node.number = number
                 node.dictionary._variables = variables
                 node.dictionary.nameplate = nameplate
                 node.boot()
+
+        try:
+            self.desk.done(lambda: plant(self))
+            yield
+        finally:
+            self.desk.done(restore)
+
+
+class Desk:
+    """Work on the drives in the thread that owns them, between two of its steps."""
+
+    def __init__(self, virtual: VirtualDrive) -> None:
+        """Before that thread starts."""
+        self._ours, self._theirs = socket.socketpair()
+        self._work: queue.SimpleQueue[tuple[Callable[[], None], Future[None]]] = queue.SimpleQueue()
+        cast(Any, virtual)._selector.register(self._theirs, selectors.EVENT_READ, self._serve)
+
+    def done(self, call: Callable[[], None]) -> None:
+        """Once it is; raises what it raised."""
+        future: Future[None] = Future()
+        self._work.put((call, future))
+        self._ours.send(b"\0")
+        future.result(60)
+
+    def close(self) -> None:
+        self._ours.close()
+        self._theirs.close()
+
+    def _serve(self, _: int) -> None:
+        self._theirs.recv(1)
+        call, future = self._work.get()
+        try:
+            call()
+        except BaseException as error:  # noqa: BLE001 - the test's, not the drives'
+            future.set_exception(error)
+        else:
+            future.set_result(None)
 
 
 @contextmanager
@@ -83,7 +123,7 @@ def cabinet(kind: str, joints: int = 2) -> Iterator[Cabinet]:
     )
     virtual = VirtualDrive(machine, eds, bus="virtual", channel=channel)
     thread = threading.Thread(target=virtual.run, name="virtual-drive")
-    ear = can.Bus(interface="virtual", channel=channel)
+    ear, desk = can.Bus(interface="virtual", channel=channel), Desk(virtual)
     thread.start()
     try:
         bus: dict[str, Any] = {"interface": "virtual", "channel": channel, "host": None, "port": None}
@@ -93,11 +133,12 @@ def cabinet(kind: str, joints: int = 2) -> Iterator[Cabinet]:
             else makers_profile(kind, Foreign(bus, 0, eds), DRIVES)
         )
         content |= {"bus": content["bus"] | bus | PATIENCE, "axes": content["axes"][:joints]}
-        yield Cabinet(virtual, content, ear)
+        yield Cabinet(virtual, content, ear, desk)
     finally:
         virtual.stop()
         thread.join()
         virtual.close()
+        desk.close()
         ear.shutdown()
 
 

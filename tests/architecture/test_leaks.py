@@ -37,10 +37,11 @@ def test_leaks_are_found(root: Path, tmp_path: Path) -> None:
     (tmp_path / "drivers").mkdir()
     shutil.copy(root / "tests/conftest.py", tmp_path / "tests")
     (tmp_path / "drivers/test_leak.py").write_text(LEAKS)
+    outside = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")}
     ran = subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "conftest", "-o", "asyncio_mode=auto", "drivers/test_leak.py"],
         cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(tmp_path / "tests")},
+        env=outside | {"PYTHONPATH": str(tmp_path / "tests")},
         capture_output=True,
         text=True,
         timeout=60,

@@ -22,7 +22,7 @@ CONFIG = Path(__file__).parents[2] / "config"
 ROBOT = CONFIG / "robots" / "max100-class.yaml"
 SCENARIO = CONFIG / "scenarios" / "max100-full.yaml"
 SWEEPID = str(Path(sys.executable).with_name("sweepid"))
-PATIENCE = 60.0  # s for anything on a busy computer
+PATIENCE = 180.0  # s for anything on a busy computer
 PATIENT_LEASE = 30.0  # s, where no service is killed: a disk that others use may take long over a renewal
 SYNC_PERIOD = 0.008  # s: half the rate of the default, which a computer that does other work cannot always keep
 
