@@ -25,7 +25,7 @@ KEEP_TIME = {
     "browser": "machines",
     "system": "machines",
 }  # folders that mostly wait for a machine
-BESIDE = {  # files that do so beside those
+BESIDE = {  # files that go with the drives, for the machines take long enough
     "tests/system/test_demo.py",
     "tests/system/test_fault_table.py",
     "tests/unit/drivers/test_commission_command.py",
@@ -33,7 +33,7 @@ BESIDE = {  # files that do so beside those
     "tests/unit/drivers/test_host_sweep_ends.py",
     "tests/unit/drivers/test_wiring_check.py",
 }
-TIMED = ("machines", "drives", "beside")
+TIMED = ("machines", "drives")
 RECKONING = 10  # nicer than a test that waits for a machine
 REAL_TIME = -15  # machine, service and host of a test come before all else on the computer, as a drive's own processor
 NICENESS = 0 if sys.platform == "win32" else os.getpriority(os.PRIO_PROCESS, 0)
@@ -55,13 +55,13 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def group_of(nodeid: str) -> str:
-    """What the processes of `make test` must not tear apart: tests of one file, and the three groups that keep to time.
+    """What the processes of `make test` must not tear apart: tests of one file, and the two groups that keep to time.
 
-    Each of the three moves one machine at a time.
+    Each of the two moves one machine at a time: more than two machines are too much for two processors.
     """
     path = nodeid.partition("::")[0]
     if path in BESIDE:
-        return "beside"
+        return "drives"
     return next((group for folder, group in KEEP_TIME.items() if folder in path.split("/")), path)
 
 

@@ -29,7 +29,7 @@ def test_each_file_runs_in_one_process(root: Path) -> None:
     [
         ("tests/contract/test_faults.py::test_a[canopen-a/b]", "drives"),
         ("tests/system/test_rest_death.py::test_a", "machines"),
-        ("tests/system/test_demo.py::test_a", "beside"),
+        ("tests/system/test_demo.py::test_a", "drives"),
         ("tests/unit/drivers/test_stop_sequence.py::test_a[system]", "tests/unit/drivers/test_stop_sequence.py"),
     ],
 )

@@ -124,9 +124,10 @@ def test_a_check_move_is_told_while_it_is_under_way(service: Service, page: Page
             response=real, json={**real.json(), "state": "running", "check_move": under_way[0] if under_way else None}
         )
 
-    page.route("**/api/v1/campaigns/1", answer)
     with ServiceClient(service.url) as client:
-        client.start(int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=1))["id"]))
+        campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=1))["id"])
+        page.route(f"**/api/v1/campaigns/{campaign}", answer)
+        client.start(campaign)
     told = page.locator("#check-move")
     expect(told).to_contain_text("joint_2 goes \u22120.5\u00b0 and back")
     under_way.clear()  # no event tells it: the page asks by itself
