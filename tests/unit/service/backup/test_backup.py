@@ -92,7 +92,7 @@ def test_a_database_elsewhere_comes_back_into_its_folder(data: Path, tmp_path: P
     settings.write_text(json.dumps({"database_url": "postgresql://me:secret@db/sweepid"}), "utf-8")
     told = sweepid("doctor", "--config", str(settings))
     assert (told.returncode, told.stderr.count("\n")) == (2, 1)
-    assert "no SQLite file" in told.stderr
+    assert "not a SQLite file" in told.stderr
     assert "secret" not in told.stderr
 
 

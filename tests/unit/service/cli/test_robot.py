@@ -89,7 +89,7 @@ def test_what_is_no_robot_is_told(tmp_path: Path, content: str, told: str) -> No
 
 def test_a_name_that_leads_elsewhere_is_refused(tmp_path: Path) -> None:
     done = sweepid("robot", "check", UR5, "--packages", str(share()), "--name", "../x", "--out", str(tmp_path / "out"))
-    assert (done.returncode, "is no name of files" in done.stderr) == (2, True)
+    assert (done.returncode, "is not a file name" in done.stderr) == (2, True)
 
 
 ODD = {  # what a person should know of each before it is measured

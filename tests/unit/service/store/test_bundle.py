@@ -134,7 +134,7 @@ def test_csv_is_as_good_as_parquet(folder: Path, sweep: Sweep) -> None:
 
 def test_a_full_directory_is_left_alone(folder: Path, robot: Robot, sweep: Sweep) -> None:
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    with pytest.raises(BadInput, match="not an empty directory"):
+    with pytest.raises(BadInput, match="not an empty folder"):
         write_bundle(folder, robot, [sweep])
     assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
 
