@@ -10,7 +10,7 @@ from playwright.sync_api import Page, expect
 from service.client import ServiceClient
 from tests.browser.browsing import WITHOUT_BROWSER, browsing
 from tests.browser.looking import faint, green, small, too_wide
-from tests.system.rest_bench import Service, VirtualMachine, add_plan, serving, until, virtual_machine
+from tests.system.rest_bench import Service, VirtualMachine, add_plan, release, serving, until, virtual_machine
 
 pytestmark = WITHOUT_BROWSER
 MOVES = 1e-3  # rad/s
@@ -142,7 +142,7 @@ def test_resume_shows_what_it_moves_and_what_cannot_work_says_why(
         resume = page.get_by_role("button", name="Resume")
         expect(page.locator("#why-resume")).to_have_text("the machine is stopped: release it first")
         expect(resume).to_be_disabled()
-        client.reset_stop("a test", [stop["id"] for stop in client.stops()])
+        release(client)
         expect(resume).to_be_enabled()
         expect(page.locator("#why-resume")).to_have_text("")
         expect(page.locator("#why-pause")).to_have_text("nothing runs")

@@ -16,7 +16,7 @@ from typing import Any
 import psutil
 import yaml
 
-from service.client import Json, ServiceClient
+from service.client import Json, ServiceClient, ServiceProblem
 
 CONFIG = Path(__file__).parents[2] / "config"
 ROBOT = CONFIG / "robots" / "max100-class.yaml"
@@ -202,3 +202,18 @@ def run(*arguments: str, url: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [SWEEPID, *arguments], capture_output=True, text=True, timeout=120, check=False, env=environment
     )
+
+
+def release(client: ServiceClient, by: str = "Ada") -> None:
+    """Every stop, once the drives have confirmed that they stand."""
+
+    def released() -> bool:
+        try:
+            client.reset_stop(by, [stop["id"] for stop in client.stops()])
+        except ServiceProblem as problem:
+            if "is under way" in str(problem):
+                return False
+            raise
+        return True
+
+    until(released, "released")

@@ -19,6 +19,7 @@ from tests.system.rest_bench import (
     Service,
     VirtualMachine,
     add_plan,
+    release,
     run,
     serving,
     until,
@@ -133,7 +134,7 @@ def test_the_command_line_measures_and_ctrl_c_stops_the_machine(
     assert client.ready()["causes"] == ["stopped by sweepid measure: Ctrl-C"]
     until(lambda: client.campaign(campaign)["state"] == "paused", "campaign paused")
 
-    client.reset_stop("test", [stop["id"] for stop in client.stops()])
+    release(client)
     client.resume(campaign, repeat=True)
     until(lambda: client.campaign(campaign)["state"] == "completed", "campaign completed")
     assert client.estimate(campaign)["revision"] == 1

@@ -10,7 +10,16 @@ from drivers.canopen import frames
 from drivers.cia402 import states
 from service.client import ServiceClient
 from tests.system.ear import SDO_REQUEST, Ear, listening
-from tests.system.rest_bench import Fieldbus, Service, VirtualMachine, add_plan, serving, until, virtual_machine
+from tests.system.rest_bench import (
+    Fieldbus,
+    Service,
+    VirtualMachine,
+    add_plan,
+    release,
+    serving,
+    until,
+    virtual_machine,
+)
 
 AXIS = "joint_1"
 HOST = 127
@@ -50,7 +59,7 @@ def ear(machine: VirtualMachine) -> Iterator[Ear]:
 
 
 def released(client: ServiceClient) -> None:
-    client.reset_stop("Ada", [stop["id"] for stop in client.stops()])
+    release(client)
     for axis in client.drives()["axes"]:
         if axis["fault"]:
             client.acknowledge(axis["joint"])

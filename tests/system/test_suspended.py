@@ -17,6 +17,7 @@ from tests.system.rest_bench import (
     Service,
     VirtualMachine,
     add_plan,
+    release,
     serving,
     until,
     virtual_machine,
@@ -116,7 +117,7 @@ def watched(machine: VirtualMachine, ear: Ear, phase: str) -> None:
 
 def a_person_resumes(service: Service, client: ServiceClient, campaign: int) -> None:
     """Also connects anew: an answer that was under way came too late."""
-    client.reset_stop("Ada", [stop["id"] for stop in client.stops()])
+    release(client)
     if not client.drives()["connected"]:
         httpx.post(f"{service.url}/api/v1/drives/connect", timeout=PATIENCE, trust_env=False).raise_for_status()
     for axis in client.drives()["axes"]:
