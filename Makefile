@@ -8,9 +8,11 @@ unexport PYTHONDONTWRITEBYTECODE  # else every process that a test starts compil
 
 FUZZ ?=  # more words for the fuzzing, as: make fuzz FUZZ='--seed 7 --cpu 60 --parser trace'
 
+SOAK ?=  # more words for the soak, as: make soak SOAK="--seed 7 --minutes 30"
+
 SEED ?=  # of an order that test-random printed, to have it again
 
-.PHONY: demo test test-fast test-random test-vcan test-drives test-compose fuzz check format lock openapi clean
+.PHONY: demo test test-fast test-random test-vcan test-drives test-compose fuzz soak check format lock openapi clean
 
 demo: $(READY)  ## measure, identify and report a virtual robot
 	$(BIN)/sweepid demo --out demo-out
@@ -32,6 +34,9 @@ test-drives: $(READY)  ## the contract suite on every drive and bus, those alike
 
 test-compose: $(READY)  ## start docker-compose.yml for real and measure in it; with an engine of its own where none runs
 	tests/compose/run sh -c 'docker-compose build && $(BIN)/python -m pytest --color=no tests/compose'
+
+soak: $(READY)  ## everything that goes wrong, 20 times each at random moments of real campaigns, on each bus; hours
+	for way in canopen canopen-streamed modbus; do $(BIN)/python -m tests.soak $$way $(SOAK) || exit 1; done
 
 fuzz: $(READY)  ## what no program wrote, given to every parser of files from outside; 600 s of CPU, fails on a finding
 	$(BIN)/python -m tests.fuzz $(FUZZ)
