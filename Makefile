@@ -12,10 +12,13 @@ SOAK ?=  # more words for the soak, as: make soak SOAK="--seed 7 --minutes 30"
 
 SEED ?=  # of an order that test-random printed, to have it again
 
-.PHONY: demo test test-fast test-random test-vcan test-drives test-compose fuzz soak check format lock openapi clean
+.PHONY: demo docs test test-fast test-random test-vcan test-drives test-compose fuzz soak check format lock openapi clean
 
 demo: $(READY)  ## measure, identify and report a virtual robot
 	$(BIN)/sweepid demo --out demo-out
+
+docs: $(READY)  ## the documents as a site, docs/_build/index.html; warnings are errors
+	$(BIN)/sphinx-build -q -n -W --keep-going docs docs/_build
 
 test: check  ## all checks, then all tests
 	$(BIN)/python -m pytest -n 3 --dist loadscope --durations 40  # two wait for machines, one reckons
@@ -54,14 +57,14 @@ format: $(READY)  ## put the code into its form
 	$(BIN)/ruff format .
 
 lock: $(READY)  ## resolve the dependencies anew, for all platforms
-	$(BIN)/uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --generate-hashes \
+	$(BIN)/uv pip compile pyproject.toml --extra pdf --group dev --universal --python-version 3.11 --generate-hashes \
 		--no-emit-index-url --no-header --quiet --output-file requirements.lock
 
 openapi: $(READY)  ## write docs/reference/openapi.json
 	$(BIN)/python -m service.api.openapi
 
 clean:  ## forget the environment and what was made
-	rm -rf .venv demo-out
+	rm -rf .venv demo-out docs/_build
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "sweepid needs Python 3.11 or newer")'
