@@ -146,7 +146,9 @@ class _Server(uvicorn.Server):
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         """The stop process has seen the signal before; this is the service's own word to the drives."""
         super().handle_exit(sig, frame)
-        self._loop.call_soon_threadsafe(self._halt)  # not here: the loop may hold the lock of the bus
+        self._loop.call_soon_threadsafe(
+            self._halt, signal.Signals(sig).name
+        )  # not here: the loop may hold the lock of the bus
 
     async def shutdown(self, sockets: list[socket] | None = None) -> None:
         halting = asyncio.create_task(end_motion(self._app), name="end of motion")
@@ -155,8 +157,8 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
         await halting  # an error of its own
 
-    def _halt(self) -> None:
-        halt(self._app)
+    def _halt(self, name: str) -> None:
+        halt(self._app, name)
         self._stop_process.taken_over()
 
 

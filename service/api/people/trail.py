@@ -70,10 +70,12 @@ def trail_of(scope: Scope) -> Trail:
 
 
 def put(scope: Scope, entry: dict[str, JsonValue]) -> "Future[int]":
-    """Waits for nothing."""
+    """Waits for nothing. That of a stop is kept until the database takes it."""
     application: Application | None = getattr(scope["app"].state, "application", None)
+    trail = trail_of(scope)
     if application is not None:
-        return application.audit.put(entry, trail_of(scope).key)
+        write = application.audit.keep if trail.stop else application.audit.put
+        return write(entry, trail.key)
     future: Future[int] = Future()
     future.set_exception(NotAudited("the application runs outside its lifespan: there is no audit"))
     return future
