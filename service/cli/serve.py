@@ -76,6 +76,8 @@ def _serve(settings: Settings, stop_process: StopProcess, logs: HeldBack) -> Non
             access_log=False,
             timeout_graceful_shutdown=_GRACE,
             ws="websockets-sansio",
+            proxy_headers=settings.behind_proxy,  # by default uvicorn believes whoever calls from this computer
+            forwarded_allow_ips=[str(network) for network in settings.trusted_proxies],
         ),
     )
     try:
