@@ -23,6 +23,7 @@ from service.settings import Settings
 from service.stop_process.handle import StopProcess
 
 PREFIX = "/api/v1"
+_ENDED = "the service ended"
 _ROUTERS = (
     robots.router,
     plans.router,
@@ -90,15 +91,15 @@ async def end_motion(app: FastAPI) -> None:
     """The machine at standstill, and moved no more: before anything of the service is waited for."""
     application: Application | None = getattr(app.state, "application", None)
     if application is not None:
-        application.machine.end("the service ended")
+        application.machine.end(_ENDED)
         await application.runner.close()
 
 
-def halt(app: FastAPI) -> None:
-    """Tell every axis to stop; nothing moves any more."""
+def halt(app: FastAPI, why: str) -> None:
+    """Tell every axis to stop; nothing moves any more. `why` the service ends."""
     application: Application | None = getattr(app.state, "application", None)
     if application is not None:
-        application.machine.end("the service ended")
+        application.machine.end(f"{_ENDED} by {why}")
 
 
 @asynccontextmanager

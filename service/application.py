@@ -172,19 +172,20 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
         stack.callback(lease.release)
         latch = StopLatch(database)
         order_stop = (lambda: None) if stop_process is None else stop_process.order
-        machine = Machine(port, latch, latch.latched(), order_stop)
+        machine = Machine(port, latch, latch.latched(), order_stop, partial(tell_own_stop, audit))
         stack.push_async_callback(machine.close)
         stack.push_async_callback(port.close)
         keeping = Background()
         stack.push_async_callback(keeping.close)
         keeping.begin("lease", machine.keep_lease(lease, settings.lease_time))
-        await stack.enter_async_context(watching(machine, partial(tell_watch, audit)))
+        await stack.enter_async_context(watching(machine, partial(tell_own_stop, audit)))
         if stop_process is not None:
             await stack.enter_async_context(listening(stop_process, machine, partial(_tell_stop, audit)))
 
         if not lost:
             await asyncio.to_thread(files.clear_transfer)
-            await asyncio.to_thread(recover, store, files)
+            for number in await asyncio.to_thread(recover, store, files):
+                tell_own_stop(audit, f"campaign {number}", "the service before this one ended without a word")
         keys.release_unanswered()
         for path in sorted(settings.robots_dir.glob("*.yaml")):
             store.add_robot(read_robot(path))
@@ -232,9 +233,9 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
 def _tell_stop(audit: AuditWriter, by: str, why: str, address: str) -> None:
     """A stop by the port of the stop process, which asks nobody who he is: `by` is what he says."""
     told: Entry = {"actor": "anybody", "address": address, "by": masked(by), "why": masked(why)}
-    audit.put({"event": "stop", "way": "stop process", **told})
+    audit.keep({"event": "stop", "way": "stop process", **told})
 
 
-def tell_watch(audit: AuditWriter, by: str, why: str) -> None:
-    """A stop by the host watch, which is nobody's."""
-    audit.put({"event": "stop", "way": by, "actor": by, "by": by, "why": masked(why)})
+def tell_own_stop(audit: AuditWriter, way: str, why: str) -> None:
+    """A stop by the service itself, which is nobody's: host watch, lease, end of the service, a campaign's trouble."""
+    audit.keep({"event": "stop", "way": way, "actor": way, "by": way, "why": masked(why)})

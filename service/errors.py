@@ -26,5 +26,9 @@ class Conflict(SweepidError):
     """The command does not fit the present state, e.g. starting a campaign that runs (API: 409)."""
 
 
+class NotNow(SweepidError):
+    """Nothing was done, because what it needs does not answer now; the same may be sent again later (API: 503)."""
+
+
 class EnvelopeViolation(SweepidError):
     """A motion would leave the safety envelope; nothing moved, or the machine was stopped."""

@@ -1,16 +1,17 @@
 """Settings of the service: ``config/service.yaml``, overridden by the environment (``SWEEPID_DATA_DIR`` ...)."""
 
-from ipaddress import ip_address
+from ipaddress import ip_address, ip_network
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, StringConstraints, ValidationError
+from pydantic import Field, IPvAnyNetwork, StringConstraints, ValidationError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from service.configuration import bad_field, read_yaml
 from service.errors import BadInput
 
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
+_THIS_COMPUTER = (ip_network("127.0.0.1"), ip_network("::1"))
 
 HostName = Annotated[str, StringConstraints(to_lower=True, pattern=r"^([A-Za-z0-9_.-]+|[0-9A-Fa-f:.]+)$")]
 
@@ -30,6 +31,8 @@ class Settings(BaseSettings):
     login: bool = False  # who is it? False: whoever reaches the service is "local" with all rights
     wrong_keys: int = Field(default=10, ge=1, le=10000)  # that an address may show in a minute
     trusted_network: bool = False  # without login, beyond this computer: something else lets only trusted ones in
+    behind_proxy: bool = False  # True: X-Forwarded-For and -Proto of `trusted_proxies` are believed; else of nobody
+    trusted_proxies: tuple[IPvAnyNetwork, ...] = Field(default=_THIS_COMPUTER, min_length=1)
     port: int = Field(default=8642, ge=0, le=65535)  # 0: any free port
     stop_port: int | None = Field(default=None, ge=0, le=65535)  # of the stop process; None: one above `port`
     dask_scheduler: str | None = None  # e.g. tcp://host:8786; None: one worker process of our own

@@ -19,7 +19,7 @@ from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady
-from service.errors import BadInput, Conflict, EnvelopeViolation, NotFound, SweepidError
+from service.errors import BadInput, Conflict, EnvelopeViolation, NotFound, NotNow, SweepidError
 from service.store.people.audit import AuditUnreadable
 from service.store.people.writer import NotAudited
 from service.store.requests import KeyReused
@@ -39,10 +39,12 @@ _STATUS: tuple[tuple[type[Exception], HTTPStatus], ...] = (
     (ConnectionFailed, HTTPStatus.SERVICE_UNAVAILABLE),
     (CommunicationLost, HTTPStatus.SERVICE_UNAVAILABLE),
     (NotReady, HTTPStatus.SERVICE_UNAVAILABLE),
+    (NotNow, HTTPStatus.SERVICE_UNAVAILABLE),
     (NotAudited, HTTPStatus.SERVICE_UNAVAILABLE),
     (AuditUnreadable, HTTPStatus.SERVICE_UNAVAILABLE),
     (DriveError, HTTPStatus.BAD_GATEWAY),
 )
+AGAIN = {"Retry-After": "5"}  # s, of what may be sent again as it is
 _METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
 _LIMITS = ("gt", "ge", "lt", "le", "min_length", "max_length", "expected", "multiple_of")
 _LONGEST_VALUE = 200
@@ -107,7 +109,8 @@ def install_problem_handlers(app: FastAPI) -> None:
 def _on_known_error(request: Request, error: Exception) -> Response:
     status = next((status for kind, status in _STATUS if isinstance(error, kind)), HTTPStatus.INTERNAL_SERVER_ERROR)
     errors = (FieldProblem(pointer=error.place, reason=error.reason),) if isinstance(error, BadInput) else ()
-    return problem_response(request, status, _kebab(type(error).__name__), str(error), errors)
+    headers = AGAIN if isinstance(error, NotNow | NotAudited) else None
+    return problem_response(request, status, _kebab(type(error).__name__), str(error), errors, headers)
 
 
 def _on_invalid_request(request: Request, error: Exception) -> Response:

@@ -76,6 +76,8 @@ def _serve(settings: Settings, stop_process: StopProcess, logs: HeldBack) -> Non
             access_log=False,
             timeout_graceful_shutdown=_GRACE,
             ws="websockets-sansio",
+            proxy_headers=settings.behind_proxy,  # by default uvicorn believes whoever calls from this computer
+            forwarded_allow_ips=[str(network) for network in settings.trusted_proxies],
         ),
     )
     try:
@@ -146,7 +148,9 @@ class _Server(uvicorn.Server):
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         """The stop process has seen the signal before; this is the service's own word to the drives."""
         super().handle_exit(sig, frame)
-        self._loop.call_soon_threadsafe(self._halt)  # not here: the loop may hold the lock of the bus
+        self._loop.call_soon_threadsafe(
+            self._halt, signal.Signals(sig).name
+        )  # not here: the loop may hold the lock of the bus
 
     async def shutdown(self, sockets: list[socket] | None = None) -> None:
         halting = asyncio.create_task(end_motion(self._app), name="end of motion")
@@ -155,8 +159,8 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
         await halting  # an error of its own
 
-    def _halt(self) -> None:
-        halt(self._app)
+    def _halt(self, name: str) -> None:
+        halt(self._app, name)
         self._stop_process.taken_over()
 
 

@@ -14,7 +14,7 @@ from typing import ParamSpec, TypeVar
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.errors import Conflict, NotFound
+from service.errors import Conflict, NotFound, NotNow
 from service.store.database import refusal
 from service.store.documents import StopDocument
 from service.store.guards import StopLatch
@@ -84,7 +84,10 @@ class Holds:
         await self.noted()
 
     async def reset(self, by: str, stops: Sequence[int]) -> tuple[StopDocument, ...]:
-        """Release these, by their ids or the negative ones that they had. NotFound; Conflict while one is under way."""
+        """Release these, by their ids or the negative ones that they had. NotFound; Conflict while one is under way.
+
+        NotNow where the database does not take it: then they hold on, here and there.
+        """
         async with self._writing:
             ids = [self._ids.get(number, number) for number in stops]
             named = {hold.document.id: hold for hold in tuple(self._holds) if hold.document.id in ids}
@@ -95,7 +98,13 @@ class Holds:
             for number in ids:
                 if number < 0 and number not in unstored:
                     raise NotFound(f"stop {number}")
-            stored = await apart(self._latch.reset, by, [number for number in ids if number >= 0])
+            try:
+                stored = await apart(self._latch.reset, by, [number for number in ids if number >= 0])
+            except SQLAlchemyError as error:
+                raise NotNow(
+                    f"nothing is released, because the database does not take it ({type(error).__name__}): the machine "
+                    "stays held; look for what locks it or fills its disk, and release again"
+                ) from error
             for hold in named.values():
                 self._holds.remove(hold)
         done = {"reset_by": by, "reset_at": datetime.now(UTC)}

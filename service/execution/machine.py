@@ -41,11 +41,15 @@ class Machine:
         latch: StopLatch,
         latched: Sequence[StopDocument],
         order_stop: Callable[[], None] = lambda: None,
+        tell: Callable[[str, str], None] = lambda way, why: None,
     ) -> None:
-        """`latched`: the stops in force when the service started. `order_stop` has the stop process send as well."""
+        """`latched`: the stops in force when the service started. `order_stop` has the stop process send as well.
+
+        `tell` is told way and why of each stop that latches nothing; it waits for nothing.
+        """
         self._port = port
         self._holds = Holds(latch, latched)
-        self._order_stop = order_stop
+        self._order_stop, self._tell = order_stop, tell
         self._ending = ""  # the service ends: nothing moves until it is started again
         self._lease_trouble = ""  # why this service may not be the owner of the machine any more
         self._lease_over = False  # and that does not change any more
@@ -203,10 +207,17 @@ class Machine:
         return hold.document
 
     def end(self, why: str) -> None:
-        """The service ends: every axis is told to stop, and nothing moves any more."""
-        self._ending = why
+        """The service ends: every axis is told to stop, and nothing moves any more. Said again it tells nothing new."""
+        first, self._ending = not self._ending, self._ending or why
         self._disturb()
         self._port.halt()
+        if first and self._user is not None:
+            self._tell("end of the service", f"{why}, and {self._user} was under way")
+
+    def broke_off(self, user: str, why: str) -> None:
+        """Its user ended by trouble of its own, and the axes stand: told, unless what stopped it was told before."""
+        if not self.held:
+            self._tell(user, why)
 
     async def reset_stop(self, by: str, stops: Sequence[int]) -> tuple[StopDocument, ...]:
         """A person looked and releases these stops; the machine may move when none is left. Nothing moves by this.
@@ -335,6 +346,7 @@ class Machine:
     async def _stop_quietly(self, why: str) -> None:
         self._lease_trouble = why
         self._disturb()
+        self._tell("lease", why)
         try:
             await self._port.stop()
         except DriveError as error:

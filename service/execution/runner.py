@@ -172,8 +172,9 @@ class Runner:
     async def _run(self, campaign: CampaignDocument, compiled: CompiledPlan) -> None:
         """The task: sweep after sweep until none is left, enough is known, a pause is due, or something goes wrong."""
         checked: set[str] = set()  # joints that made their check move since this start or resume
+        name = f"campaign {campaign.id}"
         try:
-            with self._machine.used_by(f"campaign {campaign.id}"):
+            with self._machine.used_by(name):
                 origin = await asyncio.to_thread(self._origin, campaign, compiled)
                 while await self._next_is_due(campaign.id):
                     sweeps = await asyncio.to_thread(self._store.sweeps, campaign.id)
@@ -190,6 +191,8 @@ class Runner:
         except BaseException as error:
             # the executor has brought the machine to standstill before it let the error out
             self._untold = cause_of(self._machine, error)
+            if not isinstance(error, asyncio.CancelledError):  # an abort, or the end of the service
+                self._machine.broke_off(name, self._untold)
             await self._tell_patiently(wait=not isinstance(error, asyncio.CancelledError))
             if not isinstance(error, DriveError | SweepidError | OSError | SQLAlchemyError):
                 raise

@@ -39,9 +39,13 @@ class Database:
             yield session
 
     @contextmanager
-    def write(self, quiet: bool = False) -> Generator[Session]:
-        """A transaction: all or nothing, on disk when the block is left; listeners are told then, unless `quiet`."""
-        with Session(self._writing) as session, session.begin():
+    def write(self, quiet: bool = False, patience: float = BUSY_TIMEOUT) -> Generator[Session]:
+        """A transaction: all or nothing, on disk when the block is left; listeners are told then, unless `quiet`.
+
+        OperationalError after `patience` s in which SQLite had another writer.
+        """
+        engine = self._writing if patience == BUSY_TIMEOUT else self._writing.execution_options(patience=patience)
+        with Session(engine) as session, session.begin():
             yield session
         if not quiet:
             for listener in self._listeners:
@@ -87,7 +91,6 @@ def alembic_config(connection: Connection) -> Config:
 
 def _configure_sqlite(connection: sqlite3.Connection, _: ConnectionPoolEntry) -> None:
     connection.isolation_level = None  # we say BEGIN ourselves: see _begin_sqlite
-    connection.execute(f"PRAGMA busy_timeout = {int(BUSY_TIMEOUT * 1000)}")
     connection.execute("PRAGMA journal_mode = WAL")
     connection.execute("PRAGMA synchronous = FULL")
     connection.execute("PRAGMA foreign_keys = ON")
@@ -95,5 +98,6 @@ def _configure_sqlite(connection: sqlite3.Connection, _: ConnectionPoolEntry) ->
 
 def _begin_sqlite(connection: Connection) -> None:
     # IMMEDIATE: a writer waits for its turn at the start instead of failing half-way when it upgrades its lock
-    write = connection.get_execution_options().get("write", False)
-    connection.exec_driver_sql("BEGIN IMMEDIATE" if write else "BEGIN")
+    options = connection.get_execution_options()
+    connection.exec_driver_sql(f"PRAGMA busy_timeout = {int(options.get('patience', BUSY_TIMEOUT) * 1000)}")
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if options.get("write", False) else "BEGIN")

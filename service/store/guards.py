@@ -88,10 +88,11 @@ class MachineLease:
 
 
 _RESOURCE = "machine"  # one database serves one machine
+PATIENCE = 5.0  # s
 
 
 class StopLatch:
-    """The stop that outlives a restart."""
+    """The stop that outlives a restart. No write waits longer than `PATIENCE` for another writer: OperationalError."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -103,7 +104,7 @@ class StopLatch:
 
     def latch(self, by: str, why: str, at: datetime | None = None) -> StopDocument:
         """`at`: when it was, None: now."""
-        with self._database.write() as session:
+        with self._database.write(patience=PATIENCE) as session:
             row = t.StopRow(by=by, why=why, at=at or t.now())
             session.add(row)
             session.flush()
@@ -112,7 +113,7 @@ class StopLatch:
 
     def reset(self, by: str, stops: Sequence[int]) -> tuple[StopDocument, ...]:
         """Release these stops and no other. One that is released already stays so; NotFound if one never was."""
-        with self._database.write() as session:
+        with self._database.write(patience=PATIENCE) as session:
             found = {row.id: row for row in session.scalars(select(t.StopRow).where(t.StopRow.id.in_(stops)))}
             for number in stops:
                 if number not in found:

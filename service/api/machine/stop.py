@@ -23,6 +23,9 @@ _SHOWN = 100  # stops in an answer
 _NOT_CONFIRMED: dict[int | str, dict[str, Any]] = {
     503: {"model": Problem, "description": "latched, but axes did not confirm standstill: `unconfirmed`"}
 }
+_NOT_RELEASED: dict[int | str, dict[str, Any]] = {
+    503: {"model": Problem, "description": "nothing released: the database or the audit does not take it"}
+}
 
 
 class StopView(BaseModel):
@@ -86,11 +89,12 @@ async def stop(
     return Stopped(**_view(application, held).model_dump(), confirmed=application.machine.joints)
 
 
-@router.post("/reset")
+@router.post("/reset", responses=_NOT_RELEASED)
 async def reset_stop(request: Request, reset: Reset, application: ApplicationOf) -> StopView:
     """Release these stops and no other; sent again it changes nothing. The machine may move when none is left.
 
-    Nothing moves by this; a campaign goes on when it is resumed.
+    Nothing moves by this; a campaign goes on when it is resumed. 503 with `Retry-After` where the database does not
+    take it within some seconds: every stop holds on.
     """
     trail_of(request.scope).told = {"by": masked(reset.by), "stops": list(reset.stops)}
     released = await application.machine.reset_stop(reset.by, reset.stops)

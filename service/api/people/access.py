@@ -15,7 +15,7 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.api.people.trail import Trail, put, trail_of, written
-from service.api.problem import problem_response
+from service.api.problem import AGAIN, problem_response
 from service.application import Application
 from service.people.guesses import WINDOW, Guesses
 from service.people.keys import bearer, key_sha256
@@ -111,8 +111,9 @@ async def _begin(scope: Scope, trail: Trail) -> int:
     try:
         return await written(put(scope, trail.entry("request")))
     except NotAudited as error:
+        trail.unwritten = True
         detail = f"nothing was done, because {error}"
-        raise _Refused(HTTPStatus.SERVICE_UNAVAILABLE, "not-audited", detail) from None
+        raise _Refused(HTTPStatus.SERVICE_UNAVAILABLE, "not-audited", detail, AGAIN) from None
 
 
 async def _answer(refused: _Refused, scope: Scope, receive: Receive, send: Send) -> None:

@@ -1,7 +1,8 @@
 """The outermost layer: what came of each change, and of all that was refused for who it was, goes to the audit.
 
 A stop waits for no entry; everything else is answered when its outcome is on disk, or when that is known to be
-impossible (then the log has it, and the entry `request` of a change is there without an outcome).
+impossible (then the log has it, and the entry `request` of a change is there without an outcome). What was refused
+because its beginning could not be written is answered at once.
 """
 
 import json
@@ -72,7 +73,7 @@ class _Answer:
     async def _tell(self, status: int, why: str) -> None:
         self._told = True
         entry = put(self._scope, self._trail.outcome(status, why))
-        if not self._trail.stop:
+        if not (self._trail.stop or self._trail.unwritten):
             with suppress(NotAudited):  # the log has it; nothing is undone by that
                 await written(entry)
 

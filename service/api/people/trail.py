@@ -22,8 +22,9 @@ _READING = ("GET", "HEAD", "OPTIONS", SOCKET)
 class Trail:
     """One request. `route`: its entry in the table of permissions; `request`: number of the entry from before it.
 
-    `hushed`: one like it was told, and this one is not. `key`: shown with a stop, which waits for no look at it: who it
-    belongs to is found out when the entry is written. `told`: what a route adds to the outcome.
+    `hushed`: one like it was told, and this one is not. `unwritten`: its beginning could not be written, so nothing was
+    done. `key`: shown with a stop, which waits for no look at it: who it belongs to is found out when the entry is
+    written. `told`: what a route adds to the outcome.
     """
 
     method: str
@@ -34,6 +35,7 @@ class Trail:
     route: Route | None = None
     stop: bool = False
     hushed: bool = False
+    unwritten: bool = False
     key: str = ""
     told: dict[str, JsonValue] = field(default_factory=dict[str, JsonValue])
     request: int | None = None
@@ -70,10 +72,12 @@ def trail_of(scope: Scope) -> Trail:
 
 
 def put(scope: Scope, entry: dict[str, JsonValue]) -> "Future[int]":
-    """Waits for nothing."""
+    """Waits for nothing. That of a stop is kept until the database takes it."""
     application: Application | None = getattr(scope["app"].state, "application", None)
+    trail = trail_of(scope)
     if application is not None:
-        return application.audit.put(entry, trail_of(scope).key)
+        write = application.audit.keep if trail.stop else application.audit.put
+        return write(entry, trail.key)
     future: Future[int] = Future()
     future.set_exception(NotAudited("the application runs outside its lifespan: there is no audit"))
     return future

@@ -21,9 +21,12 @@ _log = structlog.get_logger(__name__)
 _CAUSE = "the service ended during the sweep"
 
 
-def recover(store: Store, files: RecordingFiles) -> None:
-    """Bring store and files in order before anything is started. To be called with the machine's lease held."""
-    end_runs(store, files, _CAUSE, "the service was restarted")
+def recover(store: Store, files: RecordingFiles) -> tuple[int, ...]:
+    """Bring store and files in order before anything is started. To be called with the machine's lease held.
+
+    The campaigns that the last process left running.
+    """
+    left = end_runs(store, files, _CAUSE, "the service was restarted")
     while store.move_spectrum_to_file(files.save_spectrum):
         pass
     for run, path in files.streams().items():
@@ -32,17 +35,20 @@ def recover(store: Store, files: RecordingFiles) -> None:
             _log.error("unknown_stream", path=str(files.put_aside(path, "unknown")))
             continue
         _bring_in(store, files, run, path)
+    return left
 
 
-def end_runs(store: Store, files: RecordingFiles, sweep_cause: str, campaign_cause: str) -> None:
-    """Store that nothing runs: to be called while nothing does."""
+def end_runs(store: Store, files: RecordingFiles, sweep_cause: str, campaign_cause: str) -> tuple[int, ...]:
+    """Store that nothing runs: to be called while nothing does. The campaigns that ran."""
     for sweep in store.sweeps_in(SweepState.RUNNING):
         run = Run(sweep.campaign_id, sweep.number, sweep.attempt)
         break_off(store, files, run, SweepEvent.INTERRUPT, sweep_cause, _facts(run))
         _log.warning("recovered", campaign=run.campaign_id, sweep=run.number)
-    for campaign in store.campaigns_in(CampaignState.RUNNING, CampaignState.PAUSING):
+    ran = store.campaigns_in(CampaignState.RUNNING, CampaignState.PAUSING)
+    for campaign in ran:
         store.move_campaign(campaign.id, campaign_move(CampaignEvent.TROUBLE), campaign_cause)
         _log.info("campaign", campaign=campaign.id, happened=CampaignEvent.TROUBLE.value, cause=campaign_cause)
+    return tuple(campaign.id for campaign in ran)
 
 
 def break_off(

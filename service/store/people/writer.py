@@ -1,12 +1,14 @@
 """Writes the audit from a thread of its own: who asks waits, if at all, without holding the event loop or a thread.
 
 One writer, one transaction for all that waits: a flood of requests is no flood of transactions beside the lease.
+A stop happens whether the database takes its entry or not, so its entry is kept and written as soon as that does.
 Whose key it was that came with a stop is looked up here: the stop itself waits for no database.
 """
 
 import queue
 import threading
 from concurrent.futures import Future, wait
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
@@ -23,13 +25,21 @@ _log = structlog.get_logger(__name__)
 
 _MOST_WAITING = 2000
 _AT_ONCE = 100
+_AGAIN = 1.0  # s until the database is asked again to take what it refused
 
 
 class NotAudited(SweepidError):
     """The audit cannot be written, so nothing is done either (API: 503)."""
 
 
-_Item = tuple[Entry | None, str, "Future[int]"]  # with a key; None: only waits for those before it
+@dataclass(frozen=True, eq=False)
+class _Item:
+    """An entry with the key that came with it (see `put`); None only waits for those before it. `kept`: see `keep`."""
+
+    entry: Entry | None
+    key: str
+    kept: bool = False
+    future: "Future[int]" = field(default_factory=lambda: Future[int]())
 
 
 class AuditWriter:
@@ -39,6 +49,7 @@ class AuditWriter:
         self.store = store
         self._keys = keys
         self._waiting: queue.Queue[_Item | None] = queue.Queue()
+        self._refused: list[_Item] = []  # kept ones that the database has not taken, oldest first
         self._thread = threading.Thread(target=self._write, name="audit", daemon=True)
 
     def __enter__(self) -> Self:
@@ -61,40 +72,65 @@ class AuditWriter:
 
         `key`: whose it is becomes the entry's actor, with the role.
         """
-        future: Future[int] = Future()
-        if self._waiting.qsize() >= _MOST_WAITING or not self._thread.is_alive():
-            future.set_exception(NotAudited("more waits for the audit than it takes"))
-            _log.error("not_audited", entry=None if entry is None else dict(entry), reason="too much waits")
+        return self._queue(_Item(entry, key))
+
+    def keep(self, entry: Entry, key: str = "") -> "Future[int]":
+        """As `put`, for what was done without asking: one that the database refuses is written when it takes it.
+
+        `happened` of the entry is now, `at` is when it was written.
+        """
+        return self._queue(_Item({"happened": now().isoformat(), **entry}, key, kept=True))
+
+    def _queue(self, item: _Item) -> "Future[int]":
+        waiting = self._waiting.qsize() + len(self._refused)
+        if waiting >= _MOST_WAITING or not self._thread.is_alive():
+            self._give_up(item, "more waits for the audit than it takes")
         else:
-            self._waiting.put((entry, key, future))
-        return future
+            self._waiting.put(item)
+        return item.future
 
     def _write(self) -> None:
-        while (first := self._waiting.get()) is not None:
-            items, ended = [first], False
-            while len(items) < _AT_ONCE and not self._waiting.empty():
-                item = self._waiting.get()
-                if item is None:
-                    ended = True
-                    break
-                items.append(item)
-            self._append([item for item in items if item[2].set_running_or_notify_cancel()])
-            if ended:
-                return
+        ended = False
+        while not ended:
+            items, ended = self._next()
+            self._append([*self._refused, *(item for item in items if item.future.set_running_or_notify_cancel())])
+        for item in self._refused:
+            self._give_up(item, "the service ended before the database took it")
+
+    def _next(self) -> tuple[list[_Item], bool]:
+        """What waits, and whether the end is reached. Nothing after a while in which refused ones wait."""
+        items: list[_Item] = []
+        try:
+            found = self._waiting.get(timeout=_AGAIN if self._refused else None)
+        except queue.Empty:
+            return items, False
+        while found is not None:
+            items.append(found)
+            if len(items) >= _AT_ONCE or self._waiting.empty():
+                return items, False
+            found = self._waiting.get()
+        return items, True
 
     def _append(self, items: list[_Item]) -> None:
         if not items:
             return
         try:
-            number = self.store.append([self._named(entry, key) for entry, key, _ in items if entry is not None])
+            number = self.store.append([self._named(each.entry, each.key) for each in items if each.entry is not None])
         except SQLAlchemyError as error:
-            for entry, _, future in items:
-                _log.error("not_audited", entry=None if entry is None else dict(entry), reason=type(error).__name__)
-                future.set_exception(NotAudited(f"the audit cannot be written: {type(error).__name__}"))
+            self._refused = [item for item in items if item.kept]
+            for item in items:
+                if not item.kept:
+                    self._give_up(item, f"the audit cannot be written: {type(error).__name__}")
             return
-        for entry, _, future in items:
-            future.set_result(number)
-            number += entry is not None
+        self._refused = []
+        for item in items:
+            item.future.set_result(number)
+            number += item.entry is not None
+
+    @staticmethod
+    def _give_up(item: _Item, why: str) -> None:
+        _log.error("not_audited", entry=None if item.entry is None else dict(item.entry), reason=why)
+        item.future.set_exception(NotAudited(why))
 
     def _named(self, entry: Entry, key: str) -> Entry:
         found = self._keys.find(key) if key else None

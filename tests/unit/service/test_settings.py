@@ -51,6 +51,14 @@ def test_beyond_this_computer_somebody_asks_who_it_is(host: str) -> None:
     Settings(host=host, trusted_network=True).check_reach()
 
 
+@pytest.mark.parametrize("wrong", ["*", "10.0.0.1/8", "proxy.example", "[]"])
+def test_proxies_are_addresses_or_networks(tmp_path: Path, wrong: str) -> None:
+    file = tmp_path / "service.yaml"
+    file.write_text(f"trusted_proxies: {wrong}" if wrong == "[]" else f"trusted_proxies: ['{wrong}']")
+    with pytest.raises(BadInput, match="trusted_proxies"):
+        load_settings(file)
+
+
 def test_a_file_that_was_named_must_be_there(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="cannot be read"):
         load_settings(tmp_path / "none.yaml")

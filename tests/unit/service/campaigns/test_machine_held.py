@@ -10,7 +10,7 @@ from sqlalchemy import text
 from sqlalchemy.exc import OperationalError
 from structlog.testing import capture_logs
 
-from service.application import tell_watch
+from service.application import tell_own_stop
 from service.errors import Conflict, NotFound
 from service.execution import sweep_executor
 from service.execution.second_stop import watching
@@ -169,7 +169,7 @@ async def test_a_stop_of_the_host_watch_is_in_the_audit(bench: Bench) -> None:
     await bench.machine.connect()
     store = AuditStore(bench.database)
     with AuditWriter(store, KeyStore(bench.database)) as audit:
-        async with watching(bench.machine, partial(tell_watch, audit)):
+        async with watching(bench.machine, partial(tell_own_stop, audit)):
             assert bench.drive.tell is not None
             bench.drive.tell("another host is there")
         await bench.machine.noted()

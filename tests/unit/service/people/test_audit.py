@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError
+from structlog.testing import capture_logs
 
 from service.cli.people.audit import export_audit
 from service.cli.people.people import add_key, list_keys
@@ -107,6 +108,32 @@ def test_the_writer_tells_what_it_could_not_write(own: Database) -> None:
     assert last.result(0) == 11  # what waits is written before the end
     with pytest.raises(NotAudited):
         writer.put({}).result(0)
+
+
+def test_what_is_kept_is_written_as_soon_as_the_database_takes_it(own: Database) -> None:
+    store = AuditStore(own)
+    with AuditWriter(store, KeyStore(own)) as writer:
+        tamper(own, "ALTER TABLE audit RENAME TO gone")
+        first, refused = writer.keep({"event": "stop", "why": "first"}), writer.put({})
+        with pytest.raises(NotAudited):
+            refused.result(30)
+        second = writer.keep({"event": "stop", "why": "second"})
+        with own.write() as session:
+            session.execute(text("ALTER TABLE gone RENAME TO audit"))
+        assert (first.result(30), second.result(30)) == (6, 7)
+    entries = [one.entry for one in store.documents(after=5)]
+    assert [entry["why"] for entry in entries] == ["first", "second"]
+    assert all(str(entry["happened"]) <= str(entry["at"]) for entry in entries)
+    assert verify(store.links())[0] == 7
+
+
+def test_what_the_database_does_not_take_before_the_end_is_in_the_log(own: Database) -> None:
+    with capture_logs() as logs, AuditWriter(AuditStore(own), KeyStore(own)) as writer:
+        tamper(own, "ALTER TABLE audit RENAME TO gone")
+        never = writer.keep({"event": "stop", "why": "smoke"})
+    with pytest.raises(NotAudited, match="the service ended"):
+        never.result(0)
+    assert [log["entry"]["why"] for log in logs if log["event"] == "not_audited"] == ["smoke"]
 
 
 def command(*arguments: str) -> subprocess.CompletedProcess[str]:

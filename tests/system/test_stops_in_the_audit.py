@@ -1,0 +1,136 @@
+"""What stops moving axes and latches nothing is in the audit with its cause, also where the database was not there."""
+
+import signal
+import sqlite3
+from collections.abc import Iterator
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+import yaml
+
+from service.client import ServiceClient
+from service.people.chain import verify
+from service.store.database import open_database
+from service.store.people.audit import AuditStore
+from tests.system.rest_bench import Service, VirtualMachine, add_plan, serving, until, virtual_machine
+
+LEASE_TIME = 4.0  # s: the machine stands after half of it without a renewal
+MISSED_CYCLES = 20  # of 8 ms: far fewer than a suspension of `SUSPENDED` brings
+SUSPENDED = 0.5  # s, shorter than the drives wait for their host
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Iterator[VirtualMachine]:
+    with virtual_machine(tmp_path, 4.0) as machine:
+        profile = yaml.safe_load(machine.profile.read_text("utf-8"))
+        profile["bus"]["missed_cycles"] = MISSED_CYCLES
+        machine.profile.write_text(yaml.safe_dump(profile), "utf-8")
+        yield machine
+
+
+@pytest.fixture
+def service(tmp_path: Path, machine: VirtualMachine) -> Iterator[Service]:
+    with serving(tmp_path, machine.profile, LEASE_TIME) as service:
+        yield service
+
+
+def moving(client: ServiceClient, machine: VirtualMachine, modes: str = "drive_side") -> int:
+    campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=1, modes=modes))["id"])
+    client.start(campaign)
+    until(lambda: any(axis["velocity"] != 0 for axis in machine.axes().values()), "it moves")
+    return campaign
+
+
+def stops(service: Service) -> list[dict[str, Any]]:
+    """Entries of stops that the service tells of itself; the chain holds."""
+    with open_database(f"sqlite:///{service.data / 'sweepid.sqlite'}") as database:
+        store = AuditStore(database)
+        verify(store.links())
+        return [one.entry for one in store.documents(limit=1000) if one.entry["event"] == "stop"]
+
+
+def locked(service: Service) -> sqlite3.Connection:
+    connection = sqlite3.connect(service.data / "sweepid.sqlite", timeout=30, isolation_level=None)
+    connection.execute("BEGIN IMMEDIATE")
+    return connection
+
+
+def test_the_end_of_the_service(service: Service, machine: VirtualMachine) -> None:
+    with ServiceClient(service.url) as client:
+        campaign = moving(client, machine)
+    service.running().send_signal(signal.SIGTERM)
+    assert service.end() == 0
+    assert machine.stands()
+    (entry,) = stops(service)
+    assert (entry["way"], entry["actor"]) == ("end of the service", "end of the service")
+    assert entry["why"] == f"the service ended by SIGTERM, and campaign {campaign} was under way"
+
+
+def test_the_end_of_a_service_that_moves_nothing_is_no_stop(service: Service) -> None:
+    service.running().send_signal(signal.SIGTERM)
+    assert service.end() == 0
+    assert stops(service) == []
+
+
+def test_a_service_that_was_killed_is_told_by_the_next(service: Service, machine: VirtualMachine) -> None:
+    with ServiceClient(service.url) as client:
+        campaign = moving(client, machine)
+    service.kill()
+    service.start()
+    (entry,) = stops(service)
+    assert (entry["way"], entry["why"]) == (f"campaign {campaign}", "the service before this one ended without a word")
+
+
+def test_a_lease_that_the_locked_database_does_not_renew(service: Service, machine: VirtualMachine) -> None:
+    with ServiceClient(service.url) as client:
+        campaign = moving(client, machine)
+        with closing(locked(service)):
+            until(machine.stands, "the axes stand")
+            until(lambda: "lease" in client.drives()["held"], "and it says why")
+        until(lambda: client.campaign(campaign)["state"] == "paused", "paused")
+        until(lambda: stops(service), "written as soon as the database takes it")
+    (entry,) = stops(service)
+    assert entry["way"] == "lease"
+    assert "the machine's lease could not be renewed: " in str(entry["why"])
+    assert str(entry["happened"]) <= str(entry["at"])
+
+
+def test_a_lease_that_another_has_taken(service: Service, machine: VirtualMachine) -> None:
+    with ServiceClient(service.url) as client:
+        moving(client, machine)
+        with ExitStack() as stack:
+            other = stack.enter_context(closing(locked(service)))
+            other.execute("UPDATE lease SET owner = 'another'")
+            other.execute("COMMIT")
+        until(machine.stands, "the axes stand")
+        until(lambda: stops(service), "it is told")
+    (entry,) = stops(service)
+    assert (entry["way"], entry["why"]) == ("lease", "another service has taken the machine; restart this one")
+
+
+def test_set_points_that_came_too_late(service: Service, machine: VirtualMachine) -> None:
+    with ServiceClient(service.url) as client:
+        plan = add_plan(client, axes=["joint_1"], poses=1, modes="host_streamed")
+        campaign = int(client.add_campaign(plan)["id"])
+        client.start(campaign)
+
+        def sweeps() -> bool:
+            axis = machine.axes()["joint_1"]
+            return bool(axis["mode"] == 9 and axis["velocity"] != 0) or client.campaign(campaign)["state"] == "paused"
+
+        until(sweeps, "its sweep is under way, or has broken off for what is to be seen here")
+        process = psutil.Process(service.running().pid)
+        process.suspend()
+        with pytest.raises(psutil.TimeoutExpired):
+            process.wait(SUSPENDED)
+        process.resume()
+        until(lambda: client.campaign(campaign)["state"] == "paused", "paused")
+        until(lambda: stops(service), "it is told")
+        cause = client.campaign(campaign)["cause"]
+        assert client.stops() == []  # nothing is latched
+    (entry,) = stops(service)
+    assert (entry["way"], entry["why"]) == (f"campaign {campaign}", cause)
+    assert "deadlines of 8 ms were missed" in cause
