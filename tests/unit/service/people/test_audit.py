@@ -11,7 +11,7 @@ from sqlalchemy import text
 from sqlalchemy.exc import IntegrityError
 
 from service.cli.people.audit import export_audit
-from service.cli.people.people import add_key, list_keys
+from service.cli.people.people import add_key, list_people
 from service.errors import BadInput, Conflict
 from service.people.chain import FIRST, AuditBroken, canonical, read_head, sha256, verify
 from service.people.permissions import LOCAL
@@ -130,7 +130,7 @@ def test_the_commands(own: Database, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert json.loads(lines[-1]["entry"])["event"] == "key added"
     assert key not in (tmp_path / "audit.jsonl").read_text()
     capsys.readouterr()
-    list_keys(data_dir=tmp_path)
+    list_people(data_dir=tmp_path)
     listed = json.loads(capsys.readouterr().out)
     assert (listed["name"], listed["role"], listed["trouble"]) == ("anna", "operator", "")
     tamper(own, "UPDATE audit SET entry = replace(entry, 'p2', 'p9') WHERE number = 3")
