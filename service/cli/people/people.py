@@ -9,6 +9,7 @@ import typer
 
 from service.cli.people.named import ROLES, Name, name_of, role_of
 from service.cli.people.opened import Config, DataDir, opened, shell_entry
+from service.cli.people.sessions import revoke_session, sessions
 from service.cli.people.users import add_user, change_password, disable_user
 from service.store.people.keys import KeyStore
 from service.store.people.users import UserStore
@@ -19,6 +20,8 @@ people = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Users an
 people.command("add-user")(add_user)
 people.command("change-password")(change_password)
 people.command("disable-user")(disable_user)
+people.command("sessions")(sessions)
+people.command("revoke-session")(revoke_session)
 
 
 @people.command("add-key")

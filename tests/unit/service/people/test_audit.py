@@ -146,6 +146,8 @@ def test_without_a_login_it_is_local(tmp_path: Path, profile: Path) -> None:
         assert foreign.status_code == 403
         stopped = http.get("/api/v1/stop").json()["port"]
         http.post(f"http://127.0.0.1:{stopped}/stop", params={"by": "anna", "why": "here"})
+        nobody = http.post("/api/v1/login", json={"name": "anna", "password": "a horse and a battery"})
+        assert (nobody.status_code, "login: false" in nobody.text) == (409, True)
         items = http.get("/api/v1/audit").json()["items"]
     assert [(one["entry"]["event"], one["entry"]["actor"]) for one in items[:3]] == [
         ("request", LOCAL),
@@ -155,7 +157,7 @@ def test_without_a_login_it_is_local(tmp_path: Path, profile: Path) -> None:
     assert "evil.example" in items[2]["entry"]["why"]
     with open_database(f"sqlite:///{tmp_path / 'data' / 'sweepid.sqlite'}") as database:
         links = list(AuditStore(database).links())
-    assert verify(links)[0] == 4
+    assert verify(links)[0] == 5
     by_the_stop_process = json.loads(links[3][1])
     assert {name: by_the_stop_process[name] for name in ("event", "way", "by", "actor", "address")} == {
         **{"event": "stop", "way": "stop process", "by": "anna"},
