@@ -40,6 +40,7 @@ Route = tuple[str, str]  # method and path
 _API = "/api/v1"
 _V, _O, _E, _A = Role
 STOP: Route = ("POST", f"{_API}/stop")
+LOGIN: Route = ("POST", f"{_API}/login")
 
 _CALLS: dict[Route, Role | None] = {
     ("POST", "/robots"): _E,
@@ -87,6 +88,8 @@ _CALLS: dict[Route, Role | None] = {
     ("POST", "/stop/reset"): _O,
     ("GET", "/audit"): _A,
     ("GET", "/me"): _V,
+    ("POST", "/login"): None,
+    ("POST", "/logout"): _V,
     ("GET", "/health/live"): None,
     ("GET", "/health/ready"): None,
     ("GET", "/openapi.json"): None,
