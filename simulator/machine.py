@@ -113,7 +113,8 @@ class Machine:
 
         def whole(part: Array, locked: Array) -> Array:
             """Columns of all joints: `part` of the driven ones, `locked` (n,) of the others."""
-            columns = np.tile(locked, (len(setpoints), 1))
+            columns = np.empty((len(setpoints), len(locked)))
+            columns[:] = locked
             columns[:, driven] = part
             return columns
 
