@@ -11,7 +11,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 
@@ -45,5 +44,7 @@ class Channel:
             older = delayed[: len(signal)]
             signal = older + (1 - self._part) * (delayed[1 : len(signal) + 1] - older) if self._part else older
         if self._smoothing:
+            from scipy.signal import lfilter  # half a second that a machine without smoothing need not wait for
+
             signal, self._state = lfilter([self._now, self._before], [1.0, -self._keep], signal, axis=0, zi=self._state)
         return signal

@@ -72,6 +72,7 @@ class DriveTrains:
         self._mobility = self._step / (inertia + half)  # velocity gained per N m in one step
         self._stick = self._mobility * self._coulomb
         gravity = [axis.gravity for axis in axes]
+        self._each: dict[int, Train[float]] = {}  # rows of it in floats, as far as they were asked for
         self._train = Train(
             reckoning=ARRAYS,
             mobility=tuple(self._mobility),
@@ -184,9 +185,10 @@ class DriveTrains:
         if len(free) > FEW or any(effect is not None for effect in effects):
             return None
         cogging = None if self._cogging is None else self._cogging.alone
+        self._each |= {row: self._train.alone(row) for row in free if row not in self._each}
         return {
             row: TrainAlone(
-                self._train.alone(row),
+                self._each[row],
                 self._step,
                 tuple(self.position[:, row].tolist()),
                 tuple(self.velocity[:, row].tolist()),

@@ -101,16 +101,20 @@ class Machine:
             raise ValueError(f"set-points {setpoints.shape} must be (cycles, {len(self.joints)})")
         driven = list(self._driven)
         pose = self.positions()
-        if np.abs(pose - self._loaded).max() > _MOVED:  # an axis' own motion changes nothing for itself
-            self._load_pose(pose)
         free = self._plant.trains.free
+        shift = np.abs(pose - self._loaded)
+        if np.count_nonzero(free) == 1:  # an axis' own motion changes nothing for itself
+            shift[self._driven[int(free.argmax())]] = 0.0
+        if shift.max() > _MOVED:
+            self._load_pose(pose)
         torque = None if injected is None else injected[:, driven] * free
         clean = self._plant.advance(setpoints[:, driven] * free, torque)
         measured = measure(clean, self.scenario.measurement, self._rated, self._random)
 
         def whole(part: Array, locked: Array) -> Array:
             """Columns of all joints: `part` of the driven ones, `locked` (n,) of the others."""
-            columns = np.tile(locked, (len(setpoints), 1))
+            columns = np.empty((len(setpoints), len(locked)))
+            columns[:] = locked
             columns[:, driven] = part
             return columns
 

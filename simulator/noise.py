@@ -20,7 +20,10 @@ def measure(
     def noisy(values: Array, rms: float | Array) -> Array:
         if not np.any(rms):
             return values
-        return values + rms * np.stack([stream.standard_normal(len(values)) for stream in random], axis=1)
+        noise = np.empty_like(values)
+        for row, stream in enumerate(random):
+            noise[:, row] = stream.standard_normal(len(values))
+        return values + rms * noise
 
     effort = noisy(samples.effort, measurement.effort_noise * rated_effort)
     if measurement.effort_resolution:

@@ -9,11 +9,10 @@ again. What has no memory needs no steps between samples, and is computed for ma
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline, PPoly
-from scipy.signal import lfilter
 
 from simulator.channel import Channel
 from simulator.drive_train import DriveTrains
@@ -22,6 +21,9 @@ from simulator.effects.friction import FrictionLaw
 from simulator.effects.ripples import KnownRipples, Ripples, cogging
 from simulator.moving_axis import MovingAxis
 from simulator.scenario import CYCLE, STEP, Measurement
+
+if TYPE_CHECKING:  # else a virtual machine, which replays nothing, would load SciPy
+    from scipy.interpolate import CubicSpline, PPoly
 
 Array = NDArray[np.float64]
 
@@ -54,7 +56,9 @@ class Motion:
         return position(here), velocity(ahead), acceleration(ahead)
 
     @cached_property
-    def _splines(self) -> tuple[CubicSpline, CubicSpline, PPoly]:
+    def _splines(self) -> "tuple[CubicSpline, CubicSpline, PPoly]":
+        from scipy.interpolate import CubicSpline
+
         since = self.time - self.time[0]
         velocity = CubicSpline(since, self.velocity)
         return CubicSpline(since, self.position), velocity, velocity.derivative()
@@ -159,6 +163,8 @@ def _friction(law: FrictionLaw, velocity: Array, transmitted: Array, position: A
 
 def _cooling(gained: Array, keep: Array, start: Array) -> Array:
     """``T[n] = keep T[n - 1] + gained[n]`` (steps, rows)."""
+    from scipy.signal import lfilter
+
     path = np.empty_like(gained)
     for one in np.unique(keep):
         alike = keep == one

@@ -14,6 +14,7 @@ from drivers.errors import BadProfile, DriveError
 from service.errors import BadInput, SweepidError
 
 GROUP = "sweepid.commands"
+_VERSION = "--version"
 _OWN = (
     ("demo", "service.cli.demo:demo"),
     ("serve", "service.cli.serve:serve"),
@@ -26,8 +27,8 @@ _OWN = (
     ("plan", "service.cli.campaign.plan:plan"),
     ("plan-trajectories", "service.cli.campaign.plan_trajectories:plan_trajectories"),
     ("measure", "service.cli.campaign.measure:measure"),
-    ("import", "service.cli.campaign.bundles:import_bundle"),
-    ("export", "service.cli.campaign.bundles:export_bundle"),
+    ("import", "service.cli.campaign.import_bundle:import_bundle"),
+    ("export", "service.cli.campaign.export_bundle:export_bundle"),
     ("report", "service.cli.campaign.report:report"),
     ("check", "service.cli.recordings.check:check"),
     ("identify", "service.cli.recordings.identify:identify"),
@@ -57,7 +58,7 @@ def main() -> None:
 def build(arguments: list[str]) -> typer.Typer:
     """The commands: our own and those that installed packages bring by entry point.
 
-    Only the one that is called is loaded (`plan` needs no simulator); all of them for the overview.
+    Only the one that is called is loaded (`plan` needs no simulator); all for the overview, none for the version.
     """
     application = typer.Typer(
         add_completion=False, no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
@@ -65,7 +66,7 @@ def build(arguments: list[str]) -> typer.Typer:
     application.callback()(_overview)
     entries = {name: EntryPoint(name, value, GROUP) for name, value in _OWN}
     entries |= {entry.name: entry for entry in entry_points(group=GROUP)}
-    called = next((name for name in arguments[:1] if name in entries), None)
+    called = next((name for name in arguments[:1] if name in (*entries, _VERSION)), None)
     for name, entry in entries.items():
         if called in (None, name):
             command: object = entry.load()
@@ -84,7 +85,7 @@ def _tell_version(wanted: bool) -> None:
 
 def _overview(
     told: Annotated[
-        bool, typer.Option("--version", help="Print the version.", callback=_tell_version, is_eager=True)
+        bool, typer.Option(_VERSION, help="Print the version.", callback=_tell_version, is_eager=True)
     ] = False,
 ) -> None:
     """Measures the inertia of a robot's axes through its own drives and tells where its model is wrong."""

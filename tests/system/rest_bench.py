@@ -189,11 +189,13 @@ def add_plan(client: ServiceClient, **wanted: object) -> int:
 
 
 def until(condition: Callable[[], object], what: str, patience: float = PATIENCE) -> None:
-    deadline = time.monotonic() + patience
+    """Looks rarely for what takes long: each look is a request to a service that leads a machine meanwhile."""
+    began = time.monotonic()
     while not condition():
-        if time.monotonic() > deadline:
+        waited = time.monotonic() - began
+        if waited > patience:
             raise TimeoutError(f"{what}: not within {patience} s")
-        time.sleep(0.02)
+        time.sleep(min(max(waited / 50, 0.02), 0.1))
 
 
 def run(*arguments: str, url: str) -> subprocess.CompletedProcess[str]:

@@ -1,4 +1,4 @@
-"""`sweepid import BUNDLE` and `sweepid export CAMPAIGN DIR`: bundles into and out of the service."""
+"""`sweepid import BUNDLE`: a bundle into the service."""
 
 import asyncio
 import sys
@@ -40,23 +40,6 @@ def import_bundle(
             lines = [f"not checked: {error}"]
         for line in lines:
             typer.echo(line, err=True)
-
-
-def export_bundle(
-    campaign: Annotated[int, typer.Argument(min=1, help="Number of a campaign.")],
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to write; must be empty or not exist.")],
-    url: Url = DEFAULT_URL,
-) -> None:
-    """Write the recorded sweeps of a campaign as a bundle. Prints the folder."""
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise BadInput(str(folder), "exists already and is not an empty folder")
-    with ServiceClient(url) as client, tempfile.TemporaryDirectory() as temporary:
-        archive = Path(temporary) / "bundle.zip"
-        with waiting("the service packs the recordings"):
-            client.export_bundle(campaign, archive)
-        with zipfile.ZipFile(archive) as content:
-            content.extractall(folder)
-    sys.stdout.write(f"{folder}\n")
 
 
 def found(source: Path, folder: Path) -> list[str]:
