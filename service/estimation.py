@@ -1,7 +1,6 @@
 """From recorded sweeps to the estimate's document: the same for the service's worker and for `sweepid identify`."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from service.geometry.collision import reachable
 from service.identification import Estimate, Spectrum, as_document, identify, spectrum
@@ -19,6 +18,7 @@ from service.identification.spectra.noise_response import NoiseSpectrum, has_ref
 from service.recording import Sweep
 from service.results import estimate as results
 from service.results.combination import Combination
+from service.results.identified.spectrum import AnySpectrum
 from service.robot import Robot
 
 SweepSpectrum = Spectrum | NoiseSpectrum | AxisTrack
@@ -31,11 +31,13 @@ def sweep_spectrum(robot: Robot, sweep: Sweep) -> SweepSpectrum:
     return noise_spectrum(robot, sweep) if has_reference(sweep) else spectrum(robot, sweep)
 
 
-def spectrum_from(document: dict[str, Any]) -> SweepSpectrum:
+def spectrum_from(document: AnySpectrum) -> SweepSpectrum:
     """The inverse of `to_document` of any kind."""
     if "harmonics" in document:
         return AxisTrack.from_document(document)
-    return (NoiseSpectrum if "reference" in document else Spectrum).from_document(document)
+    if "reference" in document:
+        return NoiseSpectrum.from_document(document)
+    return Spectrum.from_document(document)
 
 
 def estimate_document(

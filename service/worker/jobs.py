@@ -22,6 +22,7 @@ from service.identification.estimates.analysis_document import analyses_from
 from service.identification.estimates.torque_gain import KnownMass
 from service.recording import Sweep, SweepSpec
 from service.results.analysis import read_analyses
+from service.results.identified.spectrum import AnySpectrum
 from service.results.revision import KnownModel, StoredModel
 from service.robot import RobotDescription, build_robot
 from service.store.files.columns import read_columns
@@ -81,7 +82,7 @@ class Job:
 class Result:
     """`to_document()` of the sweep's spectrum and `estimate_document` with it."""
 
-    spectrum: dict[str, JsonValue]
+    spectrum: AnySpectrum
     estimate: dict[str, JsonValue]
 
 

@@ -21,7 +21,7 @@ EDGES = {
 """Rooms (or files) of the service where JSON has no type yet or no more, and why."""
 
 LEFT = {
-    ".": 3,
+    ".": 2,
     "campaigns": 2,
     "cli": 6,
     "cli/campaign": 1,
@@ -33,8 +33,6 @@ LEFT = {
     "execution": 5,
     "execution/recording": 8,
     "geometry": 5,
-    "identification/motion": 2,
-    "identification/spectra": 4,
     "jobs": 4,
     "people": 1,
     "planning": 7,
