@@ -32,7 +32,6 @@ LEFT = {
     "diagnosis_loop": 2,
     "execution": 5,
     "execution/recording": 8,
-    "geometry": 5,
     "jobs": 4,
     "people": 1,
     "planning": 7,
