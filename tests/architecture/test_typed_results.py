@@ -30,8 +30,6 @@ LEFT = {
     "cli/recordings": 9,
     "demo": 1,
     "diagnosis_loop": 2,
-    "execution": 5,
-    "execution/recording": 8,
     "jobs": 4,
     "people": 1,
     "planning": 7,

@@ -27,7 +27,7 @@ from service.cli.recordings.identify import read_effects
 from service.configuration import read_robot, read_text
 from service.diagnosis.start import started_from
 from service.errors import BadInput
-from service.execution.recording.recorder import UnreadableStream, read_stream
+from service.execution.recording.recorder import read_stream
 from service.export import identified_model
 from service.export.load import load_of
 from service.export.sheet import check_sheet, sheet
@@ -46,6 +46,7 @@ from service.sinumerik.document import Given
 from service.store.files.bundle import write_bundle
 from service.store.files.columns import read_columns
 from service.store.files.intake import read_from
+from service.store.files.stream import UnreadableStream
 from service.traces.trace_import import import_trace
 from service.urdf import read_chain
 from simulator.drive.dictionary import Dictionary
