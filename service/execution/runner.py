@@ -257,7 +257,7 @@ class Runner:
         except NotFound:
             return ""
         joints = {command.joint for command in compiled.commands.values()}
-        return confidence_reached(estimate.document, joints, compiled.base_parameters, compiled.confidence)
+        return confidence_reached(estimate.content, joints, compiled.base_parameters, compiled.confidence)
 
     async def _move(
         self,

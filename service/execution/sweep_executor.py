@@ -11,7 +11,6 @@ from functools import partial
 from typing import ParamSpec, TypeVar
 
 import structlog
-from pydantic import JsonValue
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import CommunicationLost, SweepInterrupted
@@ -27,9 +26,10 @@ from service.execution.recording.recovery import break_off, end_runs
 from service.execution.under_way import UnderWay, travels
 from service.planning.compiled_plan import CompiledPlan
 from service.recording import SweepSpec
+from service.results.identified.manifest import Facts
 from service.safety.noise_motion import Command
 from service.store.database import refusal
-from service.store.documents import EventKind, NewRecording, SweepDocument
+from service.store.documents import NewRecording, SweepDocument
 from service.store.files.recordings import RecordingFiles, Run
 from service.store.store import Store
 from service.tasks.ending import to_its_end
@@ -47,7 +47,7 @@ class _Begun:
     sweep: SweepDocument
     run: Run
     command: Command
-    facts: dict[str, JsonValue]
+    facts: Facts
 
 
 class SweepExecutor:
@@ -117,8 +117,10 @@ class SweepExecutor:
             last = self._files.last_attempt(planned.campaign_id, planned.number)
             sweep = self._store.begin_sweep(planned.campaign_id, planned.number, sweep_move(SweepEvent.BEGIN), last)
             run = Run(sweep.campaign_id, sweep.number, sweep.attempt)
-            facts: dict[str, JsonValue] = {
-                **asdict(run),
+            facts: Facts = {
+                "campaign_id": run.campaign_id,
+                "number": run.number,
+                "attempt": run.attempt,
                 "spec": sweep.spec.model_dump(mode="json"),
                 "drives": [asdict(identity) for identity in self._machine.identities],
             }
@@ -196,10 +198,11 @@ class SweepExecutor:
         here = _pose_of(status, sweep, compiled)
         there = CheckMove(joint, way, {each: axis.position for each, axis in status.items()}, units)
         _log.info("check_move", campaign=sweep.campaign_id, sweep=sweep.number, axis=joint, way=way, unit=units[joint])
-        told: dict[str, JsonValue] = {"number": sweep.number, "axis": joint, "way": way, "unit": units[joint]}
         self.check_move = there
         try:
-            await asyncio.to_thread(self._store.add_event, sweep.campaign_id, EventKind.CHECK_MOVE, told)
+            await asyncio.to_thread(
+                self._store.add_check_move, sweep.campaign_id, sweep.number, joint, way, units[joint]
+            )
             async with motion.moving(joint, here, there.target, velocity) as go:
                 await make(go, there, self._machine.status)
                 reached = {each: axis.position for each, axis in (await self._machine.status()).items()}

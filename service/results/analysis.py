@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pydantic import JsonValue
 
 from service.results.effect import Value
-from service.results.part import Part
+from service.results.part import Document, Part
 
 
 class Figure(Part):
@@ -55,7 +55,7 @@ class PoseClass(Part):
     sweep_frequency: float
 
 
-class AxisAnalysis(Part):
+class AxisAnalysis(Document):
     """The drive train with its covariance, classes of poses, and the poses that were measured."""
 
     drive_train: dict[str, Value]
@@ -68,6 +68,6 @@ class AxisAnalysis(Part):
 Analyses = Mapping[str, AxisAnalysis]  # by joint
 
 
-def as_json(analyses: Analyses) -> dict[str, JsonValue]:
-    """What was read, as mathematics takes it."""
-    return {joint: axis.model_dump(mode="json", exclude_unset=True) for joint, axis in analyses.items()}
+def read_analyses(document: Mapping[str, JsonValue], place: str) -> Analyses:
+    """From JSON by joint; BadInput names place and field."""
+    return {joint: AxisAnalysis.read(axis, f"{place}.{joint}") for joint, axis in document.items()}

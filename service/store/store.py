@@ -328,10 +328,11 @@ class Store:
 
     # outbox
 
-    def add_event(self, campaign_id: int, kind: EventKind, data: dict[str, JsonValue]) -> None:
-        """Tell of something that changes nothing in the store."""
+    def add_check_move(self, campaign_id: int, number: int, axis: str, way: float, unit: str) -> None:
+        """Tell that an axis is about to make its check move before the sweep `number`: `way` in `unit`, rad (m)."""
+        data: dict[str, JsonValue] = {"number": number, "axis": axis, "way": way, "unit": unit}
         with self._database.write() as session:
-            session.add(t.EventRow(campaign_id=campaign_id, kind=kind, data=data))
+            session.add(t.EventRow(campaign_id=campaign_id, kind=EventKind.CHECK_MOVE, data=data))
 
     def events(self, after: int, campaign_id: int | None = None, limit: int = 100) -> tuple[EventDocument, ...]:
         """Events of one campaign (with the machine's stops) or of all."""

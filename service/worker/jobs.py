@@ -8,7 +8,7 @@ kept here: the durable job is the row of the sweep or of the diagnosis.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, cast
+from typing import Protocol, TypeVar
 
 from pydantic import JsonValue
 
@@ -21,6 +21,9 @@ from service.identification.axis.known_effects import known_effects
 from service.identification.estimates.analysis_document import analyses_from
 from service.identification.estimates.torque_gain import KnownMass
 from service.recording import Sweep, SweepSpec
+from service.results.analysis import read_analyses
+from service.results.identified.spectrum import AnySpectrum
+from service.results.revision import KnownModel, StoredModel
 from service.robot import RobotDescription, build_robot
 from service.store.files.columns import read_columns
 from service.store.files.spectra import SpectrumFile, read_spectrum
@@ -67,19 +70,19 @@ class Job:
         robot = build_robot(self.robot, self.urdf_text)
         new = sweep_spectrum(robot, Sweep(self.spec, read_columns(self.path)))
         earlier = [spectrum_from(read_spectrum(file)) for file in self.earlier]
-        analyses = analyses_from(cast("dict[str, Any]", self.analyses))
+        analyses = analyses_from(read_analyses(self.analyses, "analysis"))
         known = None
         if self.model is not None:
-            model = cast("dict[str, Any]", self.model)
-            known = known_effects(model, robot.joints, model["source"])
-        return Result(new.to_document(), estimate_document(robot, [*earlier, new], analyses, known=known))
+            source = StoredModel.model_validate(self.model["source"])
+            known = known_effects(KnownModel.read(self.model, "model"), robot.joints, source)
+        return Result(new.to_document(), estimate_document(robot, [*earlier, new], analyses, known=known).as_json())
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
     """`to_document()` of the sweep's spectrum and `estimate_document` with it."""
 
-    spectrum: dict[str, JsonValue]
+    spectrum: AnySpectrum
     estimate: dict[str, JsonValue]
 
 

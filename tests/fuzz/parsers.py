@@ -27,8 +27,9 @@ from service.cli.recordings.identify import read_effects
 from service.configuration import read_robot, read_text
 from service.diagnosis.start import started_from
 from service.errors import BadInput
-from service.execution.recording.recorder import UnreadableStream, read_stream
+from service.execution.recording.recorder import read_stream
 from service.export import identified_model
+from service.export.load import load_of
 from service.export.sheet import check_sheet, sheet
 from service.export.sheet_text import as_markdown
 from service.geometry.cell import read_cell
@@ -37,12 +38,15 @@ from service.maker_urdf.check import check_urdf
 from service.maker_urdf.draft import side_file_text
 from service.maker_urdf.packages import Packages
 from service.paths.control import read_control
+from service.results.estimate import Estimate
+from service.results.identified.payload import Payload
 from service.robot import Robot
 from service.settings import load_settings
 from service.sinumerik.document import Given
 from service.store.files.bundle import write_bundle
 from service.store.files.columns import read_columns
 from service.store.files.intake import read_from
+from service.store.files.stream import UnreadableStream
 from service.traces.trace_import import import_trace
 from service.urdf import read_chain
 from simulator.drive.dictionary import Dictionary
@@ -88,13 +92,15 @@ def _maker(path: Path, work: Path) -> None:
 def _estimate(path: Path, work: Path) -> None:
     document = read_document(path)
     identified_model(_robot(), document, str(path))
-    made = sheet(_robot(), document, str(path))
+    made = sheet(_robot(), Estimate.read(document, str(path)), str(path))
     as_markdown(made)
     check_sheet(made, str(path))
 
 
 def _payload(path: Path, work: Path) -> None:
-    as_markdown(sheet(_robot(), json.loads(seeds.estimate()), "estimate"), read_document(path))
+    load = load_of(Payload.read(read_document(path), "--payload"))
+    estimate = Estimate.read(json.loads(seeds.estimate()), "estimate")
+    as_markdown(sheet(_robot(), estimate, "estimate"), load)
 
 
 def _trace(path: Path, work: Path) -> None:

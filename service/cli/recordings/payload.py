@@ -33,7 +33,7 @@ def payload_of(before: Bundle, after: Bundle, place: str, gains: Path | None = N
     if (before.robot.description, before.robot.urdf_text) != (after.robot.description, after.robot.urdf_text):
         raise BadInput(place, f"was not measured on the same robot {before.robot.name} as the bundle before")
     found = payload(before.robot, before.sweeps, after.sweeps, read_gains(gains) if gains else None)
-    return payload_document(before.robot, found)
+    return payload_document(before.robot, found).as_json()
 
 
 def _print(document: dict[str, Any], console: Console) -> None:

@@ -5,42 +5,28 @@ missing end the sweep; what came before them is kept and marked partial. The str
 complete recording the channels are put right (`service.channels`), in a partial one they are as they came.
 """
 
-import os
-from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
-import pyarrow as pa
-from pydantic import JsonValue
 
 from drivers.ports import ChannelTiming, SampleBlock
 from service.channels import align, noise_gain
 from service.errors import SweepidError
 from service.execution.recording.plausibility import check_channels
 from service.recording import Recording, SweepSpec
+from service.results.identified.manifest import Channels, Facts
 from service.safety.noise_motion import Command
 from service.store.documents import NewRecording, RecordingState
 from service.store.files.recordings import RecordingFiles, Run
-
-# pyarrow ships without types
-_arrow = cast(Any, pa)
-
-Facts = Mapping[str, JsonValue]
+from service.store.files.stream import SampleStream, damaged, read_blocks
 
 _COLUMNS = ("time", "effort", "velocity", "position", "velocity_setpoint")
 _EXTRA = ("load_position", "excitation_effort")  # where the drive has them
-# what Arrow makes of a page that a power cut left zeroed or half-written
-_TORN = (_arrow.ArrowException, OSError, ValueError, TypeError, MemoryError)
 
 
 class SamplesMissing(SweepidError):
     """The drive's samples have a gap, are no numbers, or end before the measured window does."""
-
-
-class UnreadableStream(SweepidError):
-    """What is left of a stream makes no recording: its head is damaged, not only its end."""
 
 
 class Gapless:
@@ -75,12 +61,8 @@ class Recorder:
 
     def __init__(self, path: Path, command: Command) -> None:
         self._command = command
-        self._file = path.open("xb")
-        self._writer: Any = None
+        self._stream = SampleStream(path)
         self._written = Gapless()
-        # Arrow's first conversion imports pandas where that is installed: up to a second in which the thread that
-        # streams set-points is held up. Do it before anything moves.
-        _arrow.array(np.empty(0))
 
     def write(self, block: SampleBlock) -> None:
         """Append a block; SamplesMissing, and nothing written, if it does not follow on the last one written."""
@@ -88,12 +70,7 @@ class Recorder:
             return
         self._written.check(block)
         names = (*_COLUMNS, *(name for name in _EXTRA if getattr(block, name) is not None))
-        batch = _arrow.RecordBatch.from_pydict({"index": block.index} | {name: getattr(block, name) for name in names})
-        if self._writer is None:
-            self._writer = _arrow.ipc.new_stream(self._file, batch.schema)
-        self._writer.write_batch(batch)
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        self._stream.write({"index": block.index, **{name: getattr(block, name) for name in names}})
         self._written.add(block)
 
     def check_complete(self) -> None:
@@ -102,8 +79,8 @@ class Recorder:
         _check_window(self._command, last, last / max(self._written.samples - 1, 1))
 
     def close(self) -> None:
-        """Close the file. Without an end mark: a stream that is cut off is as readable, and a full disk takes none."""
-        self._file.close()
+        """Close the file."""
+        self._stream.close()
 
 
 def read_stream(path: Path) -> tuple[Recording, float] | None:
@@ -111,36 +88,18 @@ def read_stream(path: Path) -> tuple[Recording, float] | None:
 
     None if it holds fewer than two samples; UnreadableStream if what it holds are no samples.
     """
-    batches: list[Any] = []
-    with path.open("rb") as file:
-        try:
-            reader = _arrow.ipc.open_stream(file)
-            while True:
-                batch = reader.read_next_batch()
-                batch.validate(full=True)  # Arrow believes lengths that a damaged batch tells, and dies of them
-                batches.append(batch)
-        except StopIteration:
-            pass
-        except _TORN:
-            pass  # the torn end: expected after a crash, and everything before it is whole
-    if sum(len(batch) for batch in batches) < 2:
+    columns = read_blocks(path)
+    if columns is None:
         return None
     try:
-        return _joined(batches)
-    except (*_TORN, LookupError) as error:
-        raise UnreadableStream(f"{path.name} is damaged: {type(error).__name__}: {error}") from error
-
-
-def _joined(batches: list[Any]) -> tuple[Recording, float]:
-    """The samples of all batches, and the drive's time of the first, s."""
-    table = _arrow.Table.from_batches(batches)
-    columns = {name: np.array(table.column(name).to_numpy()) for name in table.column_names if name != "index"}
-    start = float(columns["time"][0])
-    columns["time"] = columns["time"] - start
-    load = columns.get("load_position")
-    if load is not None and not np.isfinite(load).all():
-        del columns["load_position"]
-    return Recording(**columns), start
+        start = float(columns["time"][0])
+        columns["time"] = columns["time"] - start
+        load = columns.get("load_position")
+        if load is not None and not np.isfinite(load).all():
+            del columns["load_position"]
+        return Recording(**columns), start
+    except (LookupError, TypeError, ValueError) as error:
+        raise damaged(path, error) from error
 
 
 def finish(
@@ -165,8 +124,8 @@ def finish(
         _check_window(command, start + float(recording.time[-1]), 1 / rate)
         spec = spec.model_copy(update={"measure_from": spec.measure_from - cut})
         recording = replace(recording, time=recording.time - cut)
-    facts = {**facts, "spec": spec.model_dump(mode="json"), "channels": _correction(timing, rate)}
-    return spec, files.save(path.with_suffix(".parquet"), recording, RecordingState.COMPLETE, facts)
+    told: Facts = {**facts, "spec": spec.model_dump(mode="json"), "channels": _correction(timing, rate)}
+    return spec, files.save(path.with_suffix(".parquet"), recording, RecordingState.COMPLETE, told)
 
 
 def salvage(files: RecordingFiles, run: Run, facts: Facts) -> NewRecording | None:
@@ -178,8 +137,8 @@ def salvage(files: RecordingFiles, run: Run, facts: Facts) -> NewRecording | Non
     found = read_stream(path) if path.exists() else None
     if found is None:
         return None
-    facts = {**facts, "channels": {"corrected": False}}
-    return files.save(path.with_suffix(".parquet"), found[0], RecordingState.PARTIAL, facts)
+    told: Facts = {**facts, "channels": {"corrected": False}}
+    return files.save(path.with_suffix(".parquet"), found[0], RecordingState.PARTIAL, told)
 
 
 def _check_window(command: Command, last: float, period: float) -> None:
@@ -188,7 +147,7 @@ def _check_window(command: Command, last: float, period: float) -> None:
         raise SamplesMissing(f"{command.joint}: samples end at {last:.4f} s, window at {end:.4f} s")
 
 
-def _correction(timing: ChannelTiming, rate: float) -> dict[str, JsonValue]:
+def _correction(timing: ChannelTiming, rate: float) -> Channels:
     """What was done to the channels: s, and by how much their white noise grew."""
     if timing == ChannelTiming():
         return {"corrected": False}

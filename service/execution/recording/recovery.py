@@ -3,17 +3,17 @@
 After a restart, and where the database refused it when it was due. Nothing moves by any of it.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import structlog
-from pydantic import JsonValue
 
 from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.errors import BadInput, NotFound
-from service.execution.recording.recorder import UnreadableStream, salvage
+from service.execution.recording.recorder import salvage
+from service.results.identified.manifest import Facts
 from service.store.documents import CampaignState, SweepState
 from service.store.files.recordings import RecordingFiles, Run
+from service.store.files.stream import UnreadableStream
 from service.store.store import Store
 
 _log = structlog.get_logger(__name__)
@@ -51,9 +51,7 @@ def end_runs(store: Store, files: RecordingFiles, sweep_cause: str, campaign_cau
     return tuple(campaign.id for campaign in ran)
 
 
-def break_off(
-    store: Store, files: RecordingFiles, run: Run, event: SweepEvent, cause: str, facts: Mapping[str, JsonValue]
-) -> None:
+def break_off(store: Store, files: RecordingFiles, run: Run, event: SweepEvent, cause: str, facts: Facts) -> None:
     """End a run that did not come to its end; what came of its samples is kept as a partial recording."""
     try:
         recording = salvage(files, run, {**facts, "cause": cause})
@@ -81,7 +79,7 @@ def _bring_in(store: Store, files: RecordingFiles, run: Run, path: Path) -> None
     path.unlink()
 
 
-def _facts(run: Run) -> dict[str, JsonValue]:
+def _facts(run: Run) -> Facts:
     return {"campaign": run.campaign_id, "sweep": run.number}
 
 

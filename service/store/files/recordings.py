@@ -11,7 +11,6 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,7 @@ from pydantic import JsonValue
 
 from service.errors import BadInput
 from service.recording import Recording
+from service.results.identified.manifest import Facts
 from service.store.documents import NewRecording, RecordingDocument, RecordingState, SpectrumRecord
 from service.store.files.columns import read_columns, write_columns
 from service.store.files.placing import place, place_folder, place_new
@@ -119,9 +119,7 @@ class RecordingFiles:
     def path(self, document: RecordingDocument) -> Path:
         return self._root / document.path
 
-    def save(
-        self, path: Path, recording: Recording, state: RecordingState, facts: Mapping[str, JsonValue]
-    ) -> NewRecording:
+    def save(self, path: Path, recording: Recording, state: RecordingState, facts: Facts) -> NewRecording:
         """Write a recording (Parquet) and its manifest with `facts`. OSError if the disk does not take it.
 
         What lies there already is never overwritten: the new one then has a number after its name.

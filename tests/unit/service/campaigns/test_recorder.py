@@ -18,7 +18,6 @@ from service.execution.recording.plausibility import ImplausibleChannels
 from service.execution.recording.recorder import (
     Recorder,
     SamplesMissing,
-    UnreadableStream,
     finish,
     read_stream,
     salvage,
@@ -27,6 +26,7 @@ from service.recording import SweepSpec
 from service.store.documents import RecordingState
 from service.store.files.columns import read_columns
 from service.store.files.recordings import RecordingFiles, Run
+from service.store.files.stream import UnreadableStream
 
 ROOT = Path(__file__).parents[4]
 RUN = Run(campaign_id=1, number=3, attempt=1)
