@@ -26,7 +26,6 @@ LEFT = {
     "cli": 6,
     "cli/campaign": 1,
     "cli/exports": 2,
-    "cli/people": 1,
     "cli/recordings": 10,
     "demo": 1,
     "diagnosis_loop": 2,
@@ -41,7 +40,6 @@ LEFT = {
     "identification/payloads": 1,
     "identification/spectra": 4,
     "jobs": 4,
-    "people": 1,
     "planning": 7,
     "report": 4,
 }
