@@ -40,7 +40,6 @@ LEFT = {
     "identification/payloads": 1,
     "identification/spectra": 4,
     "jobs": 4,
-    "planning": 7,
     "report": 4,
 }
 """What is left elsewhere, folder by folder. It may only become less: say so here when it does."""
