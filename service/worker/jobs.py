@@ -21,6 +21,7 @@ from service.identification.axis.known_effects import known_effects
 from service.identification.estimates.analysis_document import analyses_from
 from service.identification.estimates.torque_gain import KnownMass
 from service.recording import Sweep, SweepSpec
+from service.results.analysis import Analyses, as_json
 from service.robot import RobotDescription, build_robot
 from service.store.files.columns import read_columns
 from service.store.files.spectra import SpectrumFile, read_spectrum
@@ -56,7 +57,7 @@ class Job:
     spec: SweepSpec
     path: Path
     earlier: tuple[SpectrumFile, ...]
-    analyses: dict[str, JsonValue]  # "analysis" of the campaign that the plan names, {} if it names none
+    analyses: Analyses  # of the campaign that the plan names, {} if it names none
     model: dict[str, JsonValue] | None = None  # "axes" of the robot's model, and its "source"; None: it has none yet
 
     @property
@@ -67,7 +68,7 @@ class Job:
         robot = build_robot(self.robot, self.urdf_text)
         new = sweep_spectrum(robot, Sweep(self.spec, read_columns(self.path)))
         earlier = [spectrum_from(read_spectrum(file)) for file in self.earlier]
-        analyses = analyses_from(cast("dict[str, Any]", self.analyses))
+        analyses = analyses_from(as_json(self.analyses))
         known = None
         if self.model is not None:
             model = cast("dict[str, Any]", self.model)

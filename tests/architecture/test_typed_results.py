@@ -22,7 +22,6 @@ EDGES = {
 
 LEFT = {
     ".": 7,
-    "campaigns": 2,
     "cli": 6,
     "cli/campaign": 1,
     "cli/exports": 2,
