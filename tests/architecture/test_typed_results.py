@@ -22,11 +22,9 @@ EDGES = {
 
 LEFT = {
     ".": 7,
-    "cli": 6,
-    "cli/campaign": 1,
-    "cli/exports": 2,
+    "cli": 4,
+    "cli/exports": 1,
     "cli/recordings": 10,
-    "demo": 1,
     "diagnosis_loop": 2,
     "execution": 5,
     "execution/recording": 8,
