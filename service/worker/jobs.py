@@ -8,7 +8,7 @@ kept here: the durable job is the row of the sweep or of the diagnosis.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar, cast
+from typing import Protocol, TypeVar
 
 from pydantic import JsonValue
 
@@ -23,6 +23,7 @@ from service.identification.estimates.torque_gain import KnownMass
 from service.recording import Sweep, SweepSpec
 from service.results.analysis import Analyses, as_json
 from service.robot import RobotDescription, build_robot
+from service.store.diagnosis_documents import ModelDocument
 from service.store.files.columns import read_columns
 from service.store.files.spectra import SpectrumFile, read_spectrum
 
@@ -58,7 +59,7 @@ class Job:
     path: Path
     earlier: tuple[SpectrumFile, ...]
     analyses: Analyses  # of the campaign that the plan names, {} if it names none
-    model: dict[str, JsonValue] | None = None  # "axes" of the robot's model, and its "source"; None: it has none yet
+    model: ModelDocument | None = None  # the robot's; None: it has none yet
 
     @property
     def priority(self) -> int:
@@ -71,8 +72,8 @@ class Job:
         analyses = analyses_from(as_json(self.analyses))
         known = None
         if self.model is not None:
-            model = cast("dict[str, Any]", self.model)
-            known = known_effects(model, robot.joints, model["source"])
+            source = {"id": self.model.id, "revision": self.model.revision}
+            known = known_effects(self.model.document, robot.joints, source)
         return Result(new.to_document(), estimate_document(robot, [*earlier, new], analyses, known=known))
 
 

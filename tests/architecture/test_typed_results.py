@@ -24,7 +24,6 @@ LEFT = {
     "cli": 4,
     "cli/exports": 1,
     "cli/recordings": 3,
-    "diagnosis_loop": 2,
     "execution": 5,
     "execution/recording": 8,
     "export": 13,
@@ -35,7 +34,6 @@ LEFT = {
     "identification/motion": 2,
     "identification/payloads": 1,
     "identification/spectra": 4,
-    "jobs": 4,
     "report": 4,
 }
 """What is left elsewhere, folder by folder. It may only become less: say so here when it does."""
