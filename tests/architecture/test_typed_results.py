@@ -20,7 +20,7 @@ EDGES = {
 """Rooms (or files) of the service where JSON has no type yet or no more, and why."""
 
 LEFT = {
-    ".": 7,
+    ".": 5,
     "cli": 4,
     "cli/exports": 1,
     "cli/recordings": 3,
