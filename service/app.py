@@ -9,7 +9,7 @@ from fastapi.routing import APIRoute
 
 from service.api import events, health, metrics, robots
 from service.api.campaign import bundles, campaigns, plans, sweeps
-from service.api.declared import DeclaredApi
+from service.api.declared.application import DeclaredApi
 from service.api.gate import BUNDLE_LIMIT, ROBOT_LIMIT, Gate
 from service.api.machine import drives, live, stop
 from service.api.people import audit, login, me

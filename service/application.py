@@ -30,7 +30,7 @@ from service.jobs.reporting import Reporting
 from service.people.chain import Entry
 from service.people.keys import masked
 from service.planning.compiled_plan import compile_plan, planned_sweeps
-from service.safety.robot_and_machine import DriveAxis, drive_axes
+from service.safety.robot_and_machine import DriveAxis, DriveProfile
 from service.settings import Settings
 from service.stop_process.handle import StopProcess
 from service.store.checks import CheckStore
@@ -161,7 +161,7 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
             _log.info("effects_of_other_packages", packages=brought)
         profile = load_profile(settings.drive)
         port = open_drive(profile, settings.drive.parent)
-        axes = drive_axes(profile, port.joints)
+        axes = DriveProfile.model_validate(profile).of(port.joints)
         settings.data_dir.mkdir(parents=True, exist_ok=True)
         database = stack.enter_context(open_database(settings.url))
         api_keys = KeyStore(database)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar, cast, get_args
+from typing import Protocol, TypeVar, cast, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -21,6 +21,12 @@ _NO_VALUE = (ValueError, LookupError, AttributeError)
 MOST_ALIASES = 20  # aliases of aliases grow with a power of their number
 
 
+class _Events(Protocol):
+    """What PyYAML's stubs leave without a type."""
+
+    def get_event(self) -> yaml.Event: ...
+
+
 class _Loader(yaml.SafeLoader):
     """PyYAML's safe loader, for files that somebody else may have written."""
 
@@ -29,7 +35,7 @@ class _Loader(yaml.SafeLoader):
         self._aliases = 0
 
     def get_event(self) -> yaml.Event:
-        event = cast(yaml.Event, cast(Any, super()).get_event())
+        event = cast("_Events", super()).get_event()
         self._aliases += isinstance(event, yaml.AliasEvent)
         if self._aliases > MOST_ALIASES:
             raise yaml.YAMLError(f"more than {MOST_ALIASES} aliases")
@@ -106,8 +112,7 @@ def _keys(kind: object, seen: set[object]) -> Iterator[str]:
         for name, field in kind.model_fields.items():
             yield name
             yield from _keys(field.annotation, seen)
-    inside: tuple[Any, ...] = get_args(kind)
-    for part in inside:
+    for part in cast("tuple[object, ...]", get_args(kind)):
         yield from _keys(part, seen)
 
 

@@ -9,6 +9,8 @@ router = APIRouter(prefix="/health", tags=["health"])
 
 
 class Live(BaseModel):
+    """The process answers."""
+
     alive: bool
 
 

@@ -1,16 +1,13 @@
 """Which initial analysis stands behind a campaign: the one that its plan names."""
 
-from pydantic import JsonValue
-
 from service.errors import BadInput, NotFound
+from service.results.analysis import Analyses
 from service.store.documents import CampaignDocument
 from service.store.store import Store
 
-Analyses = dict[str, JsonValue]
-
 
 def analysis_behind(store: Store, campaign: CampaignDocument) -> Analyses:
-    """By joint, as the estimate's document has it; {} for a campaign whose plan names none, or that has no plan."""
+    """By joint; {} for a campaign whose plan names none, or that has no plan."""
     if campaign.plan_id is None:
         return {}
     request = store.plan(campaign.plan_id).document.get("request")
@@ -21,9 +18,9 @@ def analysis_behind(store: Store, campaign: CampaignDocument) -> Analyses:
 def latest_analysis(store: Store, campaign_id: int) -> Analyses:
     """The initial analysis that a campaign came to; BadInput (field `analysis`) if it has none."""
     try:
-        found = store.estimate(campaign_id).document.get("analysis")
+        found = store.estimate(campaign_id).content.analysis
     except NotFound as error:
         raise BadInput("analysis", str(error)) from None
-    if not isinstance(found, dict) or not found:
+    if not found:
         raise BadInput("analysis", f"campaign {campaign_id} has no noise runs or stepped sines that were identified")
     return found

@@ -8,10 +8,8 @@ from collections import deque
 from collections.abc import AsyncGenerator, Generator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any, cast
 
 import numpy as np
-import pyarrow as pa
 import structlog
 from numpy.typing import NDArray
 from sqlalchemy.exc import SQLAlchemyError
@@ -27,9 +25,6 @@ Array = NDArray[np.float64]
 
 RETRY = 2.0  # s until a database that refused is asked again
 
-# pyarrow ships without types
-_arrow = cast(Any, pa)
-
 
 @dataclass(frozen=True, slots=True)
 class LiveBlock:
@@ -42,18 +37,6 @@ class LiveBlock:
     effort: Array
     velocity: Array
     position: Array
-
-    def to_arrow(self) -> bytes:
-        """An Arrow IPC stream of one record batch; campaign, sweep and joint stand in the schema's metadata."""
-        names = ("time", "effort", "velocity", "position")
-        batch = _arrow.RecordBatch.from_arrays([_arrow.array(getattr(self, name)) for name in names], list(names))
-        batch = batch.replace_schema_metadata(
-            {"campaign": str(self.campaign_id), "sweep": str(self.number), "joint": self.joint}
-        )
-        sink = _arrow.BufferOutputStream()
-        with _arrow.ipc.new_stream(sink, batch.schema) as writer:
-            writer.write_batch(batch)
-        return cast(bytes, sink.getvalue().to_pybytes())
 
 
 class LiveQueue:

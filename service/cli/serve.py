@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from socket import socket
 from types import FrameType
-from typing import Annotated, Any
+from typing import Annotated
 
 import structlog
 import typer
@@ -140,9 +140,8 @@ class _Server(uvicorn.Server):
                 signal.signal(hang_up, self.handle_exit)
             port = self.servers[0].sockets[0].getsockname()[1]
             host = f"[{self.config.host}]" if ":" in self.config.host else self.config.host
-            ready: dict[str, Any] = {"ready": True, "url": f"http://{host}:{port}", "port": port, "pid": os.getpid()}
-            ready["stop_port"] = self._stop_process.port
-            sys.stdout.write(json.dumps(ready) + "\n")
+            ready = {"ready": True, "url": f"http://{host}:{port}", "port": port, "pid": os.getpid()}
+            sys.stdout.write(json.dumps(ready | {"stop_port": self._stop_process.port}) + "\n")
             sys.stdout.flush()
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:

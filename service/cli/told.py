@@ -1,10 +1,12 @@
 """The signals that end a program, for one that has to stop a machine first."""
 
 import signal
+from collections.abc import Callable
 from types import FrameType
-from typing import Any, Self
+from typing import Self
 
 _SIGNALS = {"SIGINT": "Ctrl-C", "SIGTERM": "SIGTERM", "SIGHUP": "the terminal was lost"}
+_Handler = Callable[[int, FrameType | None], object] | int | signal.Handlers | None  # as `signal.signal` has it
 
 
 class Told:
@@ -15,7 +17,7 @@ class Told:
 
     def __init__(self) -> None:
         self.by = ""
-        self._before: dict[signal.Signals, Any] = {}
+        self._before: dict[signal.Signals, _Handler] = {}
 
     def __enter__(self) -> Self:
         for name in _SIGNALS:

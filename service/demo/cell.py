@@ -5,8 +5,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.client import Json, ServiceClient
-from service.demo.processes import drive_profile, running
+from service.client import ServiceClient
+from service.demo.processes import Ready, drive_profile, running
 from service.robot import Robot
 
 PROFILE = Path("config/drives/virtual-max100.yaml")
@@ -17,7 +17,7 @@ SPEED_FACTOR = "20"  # of the virtual machine's moves and drive-side sweeps
 class VirtualCell:
     """`machine` is what it printed when it was ready."""
 
-    machine: Json
+    machine: Ready
     client: ServiceClient
     robot_id: int
 
@@ -27,8 +27,8 @@ def virtual_cell(folder: Path, robot: Robot, scenario: Path, *options: str) -> G
     """Machine and service, started and, whatever happens, ended; they write into `folder`. `options` of the machine."""
     drive = ("drive", "--scenario", str(scenario), "--port", "0", "--speed-factor", SPEED_FACTOR, *options)
     with running(drive, folder / "drive.log") as machine:
-        profile = drive_profile(PROFILE, int(machine["port"]), folder / "drives.yaml")
+        profile = drive_profile(PROFILE, machine.port, folder / "drives.yaml")
         serve = ("serve", "--port", "0", "--data-dir", str(folder / "data"), "--drive", str(profile))
-        with running(serve, folder / "serve.log") as service, ServiceClient(service["url"]) as client:
+        with running(serve, folder / "serve.log") as service, ServiceClient(service.url) as client:
             stored = client.add_robot(robot.description.model_dump(mode="json"), robot.urdf_text)
             yield VirtualCell(machine, client, int(stored["id"]))

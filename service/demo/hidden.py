@@ -88,7 +88,7 @@ def find_hidden(folder: Path, robot: Robot, cell: Cell, seed: int, screen: Scree
     folder.mkdir(exist_ok=True)
     screen.doing("starting a machine that hides something")
     with virtual_cell(folder, robot, SCENARIO, "--seed", str(seed), "--hide", str(seed)) as machine:
-        joint = str(machine.machine["hidden_in"])
+        joint = machine.machine.hidden_in
         diagnosis, experiments = _diagnosed(machine, joint, cell, screen)
         model = _accepted(machine.client, diagnosis, joint)
     return Found(joint, diagnosis["document"], experiments, model, _truth(seed))

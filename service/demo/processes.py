@@ -1,6 +1,5 @@
 """The processes of the demo: `sweepid drive` and `sweepid serve` on free loopback ports, ended whatever happens."""
 
-import json
 import os
 import subprocess
 import sys
@@ -8,14 +7,12 @@ import threading
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, cast
 
 import yaml
+from pydantic import BaseModel, ConfigDict
 
-from service.configuration import read_text
+from service.configuration import read_yaml
 from service.errors import SweepidError
-
-Json = dict[str, Any]
 
 _MAIN = "from service.cli import main; main()"
 _START = 60.0  # s until a process must be ready
@@ -24,6 +21,29 @@ _END = 20.0  # s to end by itself once told to
 
 class ProcessFailed(SweepidError):
     """A process of the demo did not start; its log says why."""
+
+
+class Ready(BaseModel):
+    """The line of a process that is ready: `url` of the service, `hidden_in` the joint of a machine that hides."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+    port: int
+    url: str = ""
+    hidden_in: str = ""
+
+
+class _Bus(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="allow")
+    host: str
+    port: int
+
+
+class _Profile(BaseModel):
+    """Of a drive profile what the demo changes; the rest stays as it is."""
+
+    model_config = ConfigDict(frozen=True, extra="allow")
+    eds: Path
+    bus: _Bus
 
 
 def command(*arguments: str) -> list[str]:
@@ -37,19 +57,21 @@ def environment() -> dict[str, str]:
 
 
 @contextmanager
-def running(arguments: Sequence[str], log: Path) -> Generator[Json]:
+def running(arguments: Sequence[str], log: Path) -> Generator[Ready]:
     """A process that prints one JSON line when it is ready; gives that line. Its other words go to `log`.
 
     Ctrl-C in the terminal does not reach it: it ends after its clients, in the order in which the blocks are left.
     """
-    detached: Json = (
-        {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
-        if sys.platform == "win32"
-        else {"start_new_session": True}
-    )
+    group = subprocess.CREATE_NEW_PROCESS_GROUP if sys.platform == "win32" else 0
     with log.open("w", encoding="utf-8") as words:
         process = subprocess.Popen(
-            command(*arguments), stdout=subprocess.PIPE, stderr=words, text=True, env=environment(), **detached
+            command(*arguments),
+            stdout=subprocess.PIPE,
+            stderr=words,
+            text=True,
+            env=environment(),
+            creationflags=group,
+            start_new_session=sys.platform != "win32",
         )
         try:
             yield _ready(process, arguments[0], log)
@@ -59,14 +81,14 @@ def running(arguments: Sequence[str], log: Path) -> Generator[Json]:
 
 def drive_profile(template: Path, port: int, path: Path) -> Path:
     """Write the drive profile `template` for a virtual machine at a port of this host; gives its path."""
-    profile = cast("Json", yaml.safe_load(read_text(template)))
-    profile["bus"] |= {"host": "127.0.0.1", "port": port}
-    profile["eds"] = str((template.parent / profile["eds"]).resolve())
-    path.write_text(yaml.safe_dump(profile, sort_keys=False), encoding="utf-8")
+    profile = read_yaml(template, _Profile)
+    bus = profile.bus.model_copy(update={"host": "127.0.0.1", "port": port})
+    here = profile.model_copy(update={"bus": bus, "eds": (template.parent / profile.eds).resolve()})
+    path.write_text(yaml.safe_dump(here.model_dump(mode="json"), sort_keys=False), encoding="utf-8")
     return path
 
 
-def _ready(process: "subprocess.Popen[str]", name: str, log: Path) -> Json:
+def _ready(process: "subprocess.Popen[str]", name: str, log: Path) -> Ready:
     patience = threading.Timer(_START, process.kill)
     patience.start()
     try:
@@ -75,7 +97,7 @@ def _ready(process: "subprocess.Popen[str]", name: str, log: Path) -> Json:
         patience.cancel()
         patience.join()
     try:
-        return cast("Json", json.loads(line))
+        return Ready.model_validate_json(line)
     except ValueError:
         raise ProcessFailed(f"sweepid {name} did not start within {_START:.0f} s; see {log}") from None
 

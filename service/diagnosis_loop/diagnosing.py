@@ -13,7 +13,6 @@ from dataclasses import asdict
 from functools import partial
 
 import structlog
-from pydantic import JsonValue
 
 from service.diagnosis import compose
 from service.diagnosis.fit.parameters import Parameter
@@ -22,6 +21,7 @@ from service.diagnosis_loop.starting import Start, latest_estimate
 from service.errors import BadInput, Conflict, NotFound
 from service.identification.estimates.torque_gain import KnownMass
 from service.jobs.open_jobs import OpenJobs
+from service.results.diagnosis import Diagnosis
 from service.results.effect import Value
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis.model_revisions import ModelStore
@@ -128,15 +128,16 @@ class Diagnosing:
             if failed or document is None:
                 await self._fail(diagnosis, "; ".join(str(error) for error in failed), document)
                 return
-            await asyncio.to_thread(self._diagnoses.finish, diagnosis.id, document)
+            await asyncio.to_thread(self._diagnoses.finish, diagnosis.id, document.as_json())
             _log.info("diagnosis", diagnosis=diagnosis.id)
         except (BadInput, Conflict) as error:
             await self._fail(diagnosis, str(error), None)
 
-    async def _fail(self, diagnosis: DiagnosisEntry, cause: str, document: dict[str, JsonValue] | None) -> None:
+    async def _fail(self, diagnosis: DiagnosisEntry, cause: str, document: Diagnosis | None) -> None:
         """What the other axes came to is kept."""
         _log.error("diagnosis_failed", diagnosis=diagnosis.id, cause=cause)
-        await asyncio.to_thread(self._diagnoses.fail, diagnosis.id, cause, document)
+        kept = None if document is None else document.as_json()
+        await asyncio.to_thread(self._diagnoses.fail, diagnosis.id, cause, kept)
 
     async def _axis(self, diagnosis_id: int, job: DiagnosisJob) -> None:
         try:
@@ -200,12 +201,12 @@ class Diagnosing:
             at = None if at.parent is None else self._diagnoses.diagnosis(at.parent)
         return None
 
-    def _composed(self, diagnosis: DiagnosisEntry) -> dict[str, JsonValue] | None:
+    def _composed(self, diagnosis: DiagnosisEntry) -> Diagnosis | None:
         """Of the axes that have a result."""
         results = self._diagnoses.results(diagnosis.id)
         robot = self._store.robot(diagnosis.robot_id).build()
         done = {joint: results[joint] for joint in diagnosis.axes if joint in results}
-        return compose(robot, done) if done else None
+        return Diagnosis.read(compose(robot, done), f"diagnosis {diagnosis.id}") if done else None
 
 
 def _parameter(value: Value) -> Parameter:

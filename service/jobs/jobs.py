@@ -10,7 +10,6 @@ from collections import defaultdict
 from functools import partial
 
 import structlog
-from pydantic import JsonValue
 
 from service.campaigns.linked_analysis import analysis_behind
 from service.campaigns.linked_campaign import campaign_beside
@@ -18,7 +17,6 @@ from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, 
 from service.errors import BadInput
 from service.jobs.open_jobs import OpenJobs
 from service.store.diagnosis.model_revisions import ModelStore
-from service.store.diagnosis_documents import ModelDocument
 from service.store.documents import CampaignState, RecordingDocument, SweepDocument, SweepState
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
@@ -104,10 +102,5 @@ class Jobs:
             path=self._files.path(recording).absolute(),
             earlier=tuple(map(self._files.spectrum, (*others, *self._store.spectra(sweep.campaign_id)))),
             analyses=analysis_behind(self._store, beside or campaign),
-            model=None if model is None else _known(model),
+            model=model,
         )
-
-
-def _known(model: ModelDocument) -> dict[str, JsonValue]:
-    """What an estimate needs of a model revision: the effects of each axis, and which revision it was."""
-    return {"axes": model.document["axes"], "source": {"id": model.id, "revision": model.revision}}

@@ -2,13 +2,12 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import Any, cast
 
-from pydantic import JsonValue
+from pydantic import BaseModel, ConfigDict
 
 from service.campaigns.linked_campaign import campaign_beside
 from service.errors import Conflict, NotFound
@@ -26,6 +25,26 @@ from service.store.store import Store
 from service.worker import RecordedSweep, ReportJob
 
 CONVERGENCE = 100  # revisions whose parameters are drawn, at most
+
+
+class _Identity(BaseModel):
+    """What a drive told of itself."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+    joint: str
+    address: str
+    vendor: int
+    product: int
+    revision: int
+    serial: int
+    dictionary_sha256: str
+
+
+class _Manifest(BaseModel):
+    """Of a recording's manifest what the report shows; an imported one has no drives."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+    drives: tuple[_Identity, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -75,7 +94,7 @@ class Reporting:
                 ),
                 ("report", f"{_time(made)}, sweepid {version('sweepid')}"),
             ),
-            drives=_drives(self.files.manifest(one) for one in recordings),
+            drives=_drives(_Manifest.model_validate(self.files.manifest(one)) for one in recordings),
             check=None if checked is None else DataCheck.read(checked, f"data check of campaign {campaign_id}"),
             diagnosis=None if diagnosis is None else (diagnosis.id, diagnosis.found()),
             test_mass=None if mass is None else mass.mass,
@@ -169,16 +188,10 @@ def _listing(recordings: Sequence[RecordingDocument]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def _drives(manifests: Iterable[Mapping[str, JsonValue]]) -> tuple[Drive, ...]:
+def _drives(manifests: Iterable[_Manifest]) -> tuple[Drive, ...]:
     """Every identity that a drive told, and while how many sweeps."""
-    told: Counter[tuple[Any, ...]] = Counter()
-    for manifest in manifests:
-        for drive in cast("list[dict[str, Any]]", manifest.get("drives", [])):
-            told[tuple(drive[name] for name in _IDENTITY)] += 1
-    return tuple(Drive(*identity, sweeps=count) for identity, count in told.items())
-
-
-_IDENTITY = ("joint", "address", "vendor", "product", "revision", "serial", "dictionary_sha256")
+    told = Counter(drive for manifest in manifests for drive in manifest.drives)
+    return tuple(Drive(**drive.model_dump(), sweeps=count) for drive, count in told.items())
 
 
 def _time(at: datetime) -> str:

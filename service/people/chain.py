@@ -9,15 +9,14 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 
-from pydantic import JsonValue
-
 from service.errors import BadInput, SweepidError
 from service.people.keys import masked
 
 FIRST = "0" * 64
 """Stands before the first entry."""
 
-Entry = Mapping[str, JsonValue]
+Fact = str | int | float | list[int] | list[str] | None
+Entry = Mapping[str, Fact]  # flat: who, what, from where, and what came of it
 Link = tuple[int, str, str]  # number, canonical JSON, SHA-256
 Head = tuple[int, str]  # number and SHA-256 of the last link
 

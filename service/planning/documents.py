@@ -1,8 +1,8 @@
 """What a plan is asked for, and what it is."""
 
-from typing import Any, Literal, cast
+from typing import Literal, cast
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from drivers.ports import Sine as PortSine
 from drivers.ports import SweepCommand, SweepMode
@@ -52,10 +52,10 @@ class PlanRequest(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _one_budget(cls, given: Any) -> Any:
+    def _one_budget(cls, given: object) -> object:
         if not isinstance(given, dict):
             return given
-        fields = cast("dict[str, Any]", given)
+        fields = cast("dict[object, object]", given)
         named = [budget for budget in BUDGETS if fields.get(budget) is not None]
         if len(named) > 1:
             raise ValueError(f"{' and '.join(named)} are budgets: name one")
@@ -159,12 +159,10 @@ class PlanDocument(BaseModel):
     measurable: int  # of them free, with room for every sweep
     duration: float  # s
 
-    @model_validator(mode="before")
+    @field_validator("request", mode="before")
     @classmethod
-    def _stored(cls, given: Any) -> Any:
+    def _stored(cls, given: object) -> object:
         """A plan from before there was a criterion was made by the condition number."""
-        fields = cast("dict[str, Any]", given) if isinstance(given, dict) else {}
-        request = cast("dict[str, Any] | None", fields.get("request"))
-        if not isinstance(request, dict) or "criterion" in request:
-            return cast("object", given)
-        return {**fields, "request": {**request, "criterion": Criterion.CONDITION.value}}
+        if not isinstance(given, dict):
+            return given
+        return {"criterion": Criterion.CONDITION.value, **cast("dict[object, object]", given)}

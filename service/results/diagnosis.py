@@ -87,7 +87,6 @@ class AxisDiagnosis(Document):
     """
 
     verdict: Verdict
-    summary: str
     unit: str
     effects: tuple[Effect, ...]
     known: tuple[Effect, ...]
@@ -109,6 +108,7 @@ class AxisDiagnosis(Document):
     untestable: tuple[str, ...]
     data: tuple[Finding, ...] = ()
     visible_in: dict[str, tuple[str, ...]] = Field(default={})
+    summary: str
 
     @property
     def explained(self) -> bool:

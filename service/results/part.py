@@ -13,6 +13,10 @@ class Part(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="allow")
 
+    def as_json(self) -> dict[str, JsonValue]:
+        """What was read or made: keys that were not there stay away."""
+        return self.model_dump(mode="json", exclude_unset=True)
+
 
 class Document(Part):
     """A whole result as it is stored or written to a file.
@@ -39,7 +43,3 @@ class Document(Part):
             where = ".".join(str(key) for key in (place, *first["loc"]))
             more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
             raise BadInput(where, f"{first['msg']}{more}; give what this version of sweepid wrote") from None
-
-    def as_json(self) -> dict[str, JsonValue]:
-        """What was read: keys that were not there stay away."""
-        return self.model_dump(mode="json", exclude_unset=True)

@@ -5,11 +5,11 @@ that nobody checked. Pure: `COMPARED` is the table of what is compared.
 """
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import cast
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, OnErrorOmit, field_validator
 
 from service.robot import Robot
 
@@ -27,6 +27,23 @@ class DriveAxis(BaseModel):
     position_limits: tuple[float, float] | None = None  # rad (m)
     velocity_limit: float | None = None  # rad/s (m/s)
     effort_limit: float | None = None  # N m (N)
+
+
+class DriveProfile(BaseModel):
+    """What a drive profile says of its axes; entries of an adapter with other words are left out."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+    axes: tuple[OnErrorOmit[DriveAxis], ...] = ()
+
+    @field_validator("axes", mode="before")
+    @classmethod
+    def _entries(cls, given: object) -> object:
+        return cast("object", given) if isinstance(given, list) else ()
+
+    def of(self, joints: Sequence[str]) -> tuple[DriveAxis, ...]:
+        """In the order of a machine's `joints`; of one that has no entry nothing is known but its name."""
+        entries = {axis.joint: axis for axis in self.axes}
+        return tuple(entries.get(joint, DriveAxis(joint=joint)) for joint in joints)
 
 
 @dataclass(frozen=True)
@@ -108,19 +125,6 @@ COMPARED = (
         _at_most(1e-2),
     ),
 )
-
-
-def drive_axes(profile: Mapping[str, object], joints: Sequence[str]) -> tuple[DriveAxis, ...]:
-    """The axes of a machine, in the order of its `joints`, with what its profile says of them under `axes`."""
-    told = profile.get("axes")
-    entries: dict[str, DriveAxis] = {}
-    for entry in cast("list[object]", told) if isinstance(told, list) else []:
-        try:
-            axis = DriveAxis.model_validate(entry)
-        except ValidationError:  # of an adapter with other words
-            continue
-        entries[axis.joint] = axis
-    return tuple(entries.get(joint, DriveAxis(joint=joint)) for joint in joints)
 
 
 def differences(

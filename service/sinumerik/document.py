@@ -1,11 +1,10 @@
-"""What a file of the control tells of its axis, as JSON-able data: recording, frequency response, inertia.
+"""What a file of the control tells of its axis, as a document: recording, frequency response, inertia.
 
 A closed speed loop holds no torque: its inertia comes in kg m^2 only with the controller's gain, which a person gives
 or the file has among its parameters (p1460). Without it stands J/K, in s.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +13,17 @@ from service.errors import BadInput
 from service.identification.spectra.speed_loop import LoopFit, fit_closed_loop, fit_torque_response
 from service.sinumerik.measurement import Measurement
 from service.sinumerik.signals import GAIN, PARAMETERS, Quantity
+from service.sinumerik.told import (
+    ByControl,
+    Excitation,
+    LoopInertia,
+    MeasuredResponse,
+    OverGain,
+    Response,
+    ServoTuning,
+    Size,
+    SpeedController,
+)
 from service.sinumerik.tuning import Tuning
 
 Array = NDArray[np.float64]
@@ -33,42 +43,43 @@ class Given:
     gear_ratio: float | None = None
 
 
-def measurement_document(found: Measurement, given: Given, place: str) -> dict[str, Any]:
+def measurement_document(found: Measurement, given: Given, place: str) -> MeasuredResponse:
     """`inertia` by its time series and by its own spectrum; BadInput at `place` where neither shows one."""
     ways = {"time_series": _by_series(found, given, place), "spectrum": _by_spectrum(found, given, place)}
     closed = found.input.meaning.quantity is Quantity.SPEED_SETPOINT
     ratio = given.gear_ratio or found.motor_to_axis
     gain = (given.gain or found.parameters.get(GAIN)) if closed else 1.0
-    return {
-        "kind": "frequency response",
-        "version": found.version,
-        "axis": f"axis {found.axis}",
-        "measured_at": found.measured_at,
-        "input": found.input.meaning.name,
-        "output": found.output.meaning.name,
-        "excitation": {
-            "signal": f"PRBS of order {found.order}, one period of {len(found.output.series[0])} samples",
-            "sample_interval": found.sample_interval,
-            "bandwidth": found.bandwidth,
-            "amplitude": found.amplitude,
-            "unit": found.input.meaning.unit,
-            "offset": found.offset,
-            "offset_rpm": found.offset * 60 / (2 * np.pi),
-            "periods_averaged": found.periods,
-            "directions": len(found.output.series),
-        },
-        "motor_to_axis": ratio,
-        "torque_constant": found.torque_constant,
-        "parameters": {PARAMETERS[key]: value for key, value in found.parameters.items()},
-        "inertia": {way: _inertia(fit, gain, ratio, found.rotary) for way, fit in ways.items()},
-        "speed_controller_gain": gain if closed else None,
-        "cannot_tell": _unknown(found, gain),
-        "frequencies_too_high_percent": 100 * found.axis_error,
-        "unread": list(found.unread),
-    }
+    return MeasuredResponse(
+        kind="frequency response",
+        version=found.version,
+        axis=f"axis {found.axis}",
+        measured_at=found.measured_at,
+        input=found.input.meaning.name,
+        output=found.output.meaning.name,
+        excitation=Excitation(
+            signal=f"PRBS of order {found.order}, one period of {len(found.output.series[0])} samples",
+            sample_interval=found.sample_interval,
+            bandwidth=found.bandwidth,
+            amplitude=found.amplitude,
+            unit=found.input.meaning.unit,
+            offset=found.offset,
+            offset_rpm=found.offset * 60 / (2 * np.pi),
+            periods_averaged=found.periods,
+            directions=len(found.output.series),
+        ),
+        motor_to_axis=ratio,
+        torque_constant=found.torque_constant,
+        parameters={PARAMETERS[key]: value for key, value in found.parameters.items()},
+        inertia={way: _inertia(fit, gain, ratio, found.rotary) for way, fit in ways.items()},
+        speed_controller_gain=gain if closed else None,
+        cannot_tell=_unknown(found, gain),
+        frequencies_too_high_percent=100 * found.axis_error,
+        unread=found.unread,
+        frequency_response=_response(found),
+    )
 
 
-def tuning_document(found: Tuning, given: Given, place: str) -> dict[str, Any]:
+def tuning_document(found: Tuning, given: Given, place: str) -> ServoTuning:
     """The control's own inertia, and ours from its response, with a standard deviation."""
     plant, ratio = found.plant, given.gear_ratio or 1 / found.axis_per_motor
     good = np.ones(len(plant.frequency), dtype=bool) if plant.coherence is None else plant.coherence >= COHERENT
@@ -80,26 +91,27 @@ def tuning_document(found: Tuning, given: Given, place: str) -> dict[str, Any]:
         antiresonance=found.antiresonance,
         motor_inertia=found.motor_inertia,
     )
-    return {
-        "kind": "automatic servo tuning",
-        "version": found.version,
-        "axis": found.axis,
-        "measured_at": found.measured_at,
-        "motor_to_axis": ratio,
-        "inertia": {"response": _inertia(fit, 1.0, ratio, found.rotary)},
-        "by_control": {
-            "motor_inertia": found.motor_inertia,
-            "total_inertia": found.total_inertia,
-            "viscous_friction": found.friction,
-            "antiresonance": found.antiresonance,
-        },
-        "speed_controllers": [
-            {"gain": each.gain, "reset_time": each.reset_time, "reference_model": each.reference_model}
+    return ServoTuning(
+        kind="automatic servo tuning",
+        version=found.version,
+        axis=found.axis,
+        measured_at=found.measured_at,
+        motor_to_axis=ratio,
+        inertia={"response": _inertia(fit, 1.0, ratio, found.rotary)},
+        by_control=ByControl(
+            motor_inertia=found.motor_inertia,
+            total_inertia=found.total_inertia,
+            viscous_friction=found.friction,
+            antiresonance=found.antiresonance,
+        ),
+        speed_controllers=tuple(
+            SpeedController(gain=each.gain, reset_time=each.reset_time, reference_model=each.reference_model)
             for each in found.regulators
-        ],
-        "cannot_tell": ["dry friction and gravity: the response is of small motions about a speed"],
-        "unread": list(found.unread),
-    }
+        ),
+        cannot_tell=("dry friction and gravity: the response is of small motions about a speed",),
+        unread=found.unread,
+        frequency_response=_response(found),
+    )
 
 
 def response_table(found: Measurement | Tuning) -> dict[str, Array]:
@@ -116,6 +128,10 @@ def response_table(found: Measurement | Tuning) -> dict[str, Array]:
         "coherence": found.spectra.coherence,
         "frequency_in_file": found.spectra.frequency,
     }
+
+
+def _response(found: Measurement | Tuning) -> Response:
+    return Response.model_validate({name: column.tolist() for name, column in response_table(found).items()})
 
 
 def recording_table(found: Measurement) -> dict[str, Array]:
@@ -172,31 +188,32 @@ def _fit(found: Measurement, frequency: Array, response: Complex, given: Given, 
     return fit_torque_response(frequency, response, place)
 
 
-def _inertia(fit: LoopFit, gain: float | None, motor_to_axis: float, rotary: bool) -> dict[str, Any]:
-    scaled = None if gain is None else {"value": gain * fit.inertia, "std": gain * fit.inertia_std}
-    return {
-        "motor_side": scaled,
-        "axis_side": None if scaled is None else {name: motor_to_axis**2 * value for name, value in scaled.items()},
-        "axis_unit": "kg m^2" if rotary else "kg",
-        "over_gain": {"value": fit.inertia, "std": fit.inertia_std, "unit": "s"} if fit.delay is not None else None,
-        "delay": fit.delay,
-        "band": list(fit.band),
-        "lines": fit.lines,
-        "misfit_percent": 100 * fit.misfit,
-        "converged": fit.converged,
-        "ended": fit.ended,
-    }
+def _inertia(fit: LoopFit, gain: float | None, motor_to_axis: float, rotary: bool) -> LoopInertia:
+    motor = None if gain is None else Size(value=gain * fit.inertia, std=gain * fit.inertia_std)
+    squared = motor_to_axis**2
+    return LoopInertia(
+        motor_side=motor,
+        axis_side=None if motor is None else Size(value=squared * motor.value, std=squared * motor.std),
+        axis_unit="kg m^2" if rotary else "kg",
+        over_gain=None if fit.delay is None else OverGain(value=fit.inertia, std=fit.inertia_std, unit="s"),
+        delay=fit.delay,
+        band=fit.band,
+        lines=fit.lines,
+        misfit_percent=100 * fit.misfit,
+        converged=fit.converged,
+        ended=fit.ended,
+    )
 
 
-def _unknown(found: Measurement, gain: float | None) -> list[str]:
-    missing = [
+def _unknown(found: Measurement, gain: float | None) -> tuple[str, ...]:
+    missing = (
         "dry friction, gravity and offsets: the response is of small motions about a speed",
         "rotor and load apart: below the first antiresonance they move as one",
-    ]
+    )
     if gain is not None:
         return missing
     torque = (
         "inertia in kg m^2: a closed speed loop holds no torque, and the file not the gain of its controller "
         "(p1460, N m s/rad): give it as --speed-gain"
     )
-    return [torque, *missing]
+    return (torque, *missing)

@@ -21,10 +21,11 @@ from service.identification.axis.known_effects import known_effects
 from service.identification.estimates.analysis_document import analyses_from
 from service.identification.estimates.torque_gain import KnownMass
 from service.recording import Sweep, SweepSpec
-from service.results.analysis import read_analyses
+from service.results.analysis import Analyses
 from service.results.identified.spectrum import AnySpectrum
 from service.results.revision import KnownModel, StoredModel
 from service.robot import RobotDescription, build_robot
+from service.store.diagnosis_documents import ModelDocument
 from service.store.files.columns import read_columns
 from service.store.files.spectra import SpectrumFile, read_spectrum
 
@@ -59,8 +60,8 @@ class Job:
     spec: SweepSpec
     path: Path
     earlier: tuple[SpectrumFile, ...]
-    analyses: dict[str, JsonValue]  # "analysis" of the campaign that the plan names, {} if it names none
-    model: dict[str, JsonValue] | None = None  # "axes" of the robot's model, and its "source"; None: it has none yet
+    analyses: Analyses  # of the campaign that the plan names, {} if it names none
+    model: ModelDocument | None = None  # the robot's; None: it has none yet
 
     @property
     def priority(self) -> int:
@@ -70,11 +71,11 @@ class Job:
         robot = build_robot(self.robot, self.urdf_text)
         new = sweep_spectrum(robot, Sweep(self.spec, read_columns(self.path)))
         earlier = [spectrum_from(read_spectrum(file)) for file in self.earlier]
-        analyses = analyses_from(read_analyses(self.analyses, "analysis"))
+        analyses = analyses_from(self.analyses)
         known = None
         if self.model is not None:
-            source = StoredModel.model_validate(self.model["source"])
-            known = known_effects(KnownModel.read(self.model, "model"), robot.joints, source)
+            source = StoredModel(id=self.model.id, revision=self.model.revision)
+            known = known_effects(KnownModel.read(self.model.document, "model"), robot.joints, source)
         return Result(new.to_document(), estimate_document(robot, [*earlier, new], analyses, known=known).as_json())
 
 

@@ -24,7 +24,7 @@ SCATTER = 1.3  # standard deviations, RMS
 @pytest.mark.parametrize("number", ["04", "10", "11"])
 def test_named_effects_mend_the_inertia(number: str, shared: Path) -> None:
     bundle = read_bundle(shared / "data/foreign" / number)
-    model = model_document(bundle.robot, diagnose_bundle(bundle, None, number, twin=False))
+    model = model_document(bundle.robot, diagnose_bundle(bundle, None, number, twin=False).as_json())
     known = known_effects(KnownModel.read(model, "model"), bundle.robot.joints, ModelFile(file="model.json"))
     found = identify_bundle(bundle, None, number, known=known)
     assert all(effect.used for effect in found.effects)

@@ -28,7 +28,7 @@ def test_the_commands_lead_to_a_plan(tmp_path: Path) -> None:
     settings = tmp_path / "service.yaml"
     settings.write_text(f"{folders}drive: {drafts / 'drives/virtual-max100.yaml'}\n", "utf-8")
     with running(("serve", "--config", str(settings), "--port", "0"), tmp_path / "serve.log") as service:
-        told = run(f"{plan} --url {service['url']}", tmp_path)
+        told = run(f"{plan} --url {service.url}", tmp_path)
     assert "24 poses, 72 sweeps" in told.stderr
     document = json.loads((tmp_path / "plan.json").read_text("utf-8"))["document"]
     assert document["robot"] == "ur5"

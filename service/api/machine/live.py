@@ -6,14 +6,20 @@ them all.
 """
 
 import asyncio
+from typing import Any, cast
 
+import pyarrow as pa
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from starlette.concurrency import run_in_threadpool
 
 from service.api.dependencies import ApplicationOf, Id
+from service.campaigns.live import LiveBlock
 from service.errors import NotFound
 
 router = APIRouter(prefix="/campaigns/{campaign_id}/live", tags=["live"])
+
+# pyarrow ships without types
+_arrow = cast(Any, pa)
 
 _UNKNOWN_CAMPAIGN = 4404  # close code of our own: 4000 + the HTTP status
 
@@ -46,7 +52,19 @@ async def send_samples(socket: WebSocket, campaign_id: Id, application: Applicat
 async def _send(socket: WebSocket, campaign_id: int, application: ApplicationOf) -> None:
     with application.hub.subscribe(campaign_id) as queue:
         async for block in queue:
-            await socket.send_bytes(block.to_arrow())
+            await socket.send_bytes(message(block))
+
+
+def message(block: LiveBlock) -> bytes:
+    """The Arrow stream of one block."""
+    columns = {"time": block.time, "effort": block.effort, "velocity": block.velocity, "position": block.position}
+    batch = _arrow.RecordBatch.from_pydict(columns).replace_schema_metadata(
+        {"campaign": str(block.campaign_id), "sweep": str(block.number), "joint": block.joint}
+    )
+    sink = _arrow.BufferOutputStream()
+    with _arrow.ipc.new_stream(sink, batch.schema) as writer:
+        writer.write_batch(batch)
+    return cast(bytes, sink.getvalue().to_pybytes())
 
 
 async def _until_disconnect(socket: WebSocket) -> None:

@@ -20,8 +20,21 @@ from service.store.documents import LARGEST_ID, StopDocument
 router = APIRouter(prefix="/stop", tags=["stop"])
 
 _SHOWN = 100  # stops in an answer
+_UNCONFIRMED = Problem(
+    type="urn:sweepid:problem:stop-not-confirmed",
+    title="Service Unavailable",
+    status=503,
+    detail="stop not confirmed: joint_2: node 2 does not answer",
+    instance="/api/v1/stop",
+    confirmed=("joint_1",),
+    unconfirmed={"joint_2": "node 2 does not answer"},
+)
 _NOT_CONFIRMED: dict[int | str, dict[str, Any]] = {
-    503: {"model": Problem, "description": "latched, but axes did not confirm standstill: `unconfirmed`"}
+    503: {
+        "model": Problem,
+        "description": "latched, but axes did not confirm standstill: `unconfirmed`",
+        "content": {"application/json": {"examples": {"answer": {"value": _UNCONFIRMED.model_dump(mode="json")}}}},
+    }
 }
 _NOT_RELEASED: dict[int | str, dict[str, Any]] = {
     503: {"model": Problem, "description": "nothing released: the database or the audit does not take it"}

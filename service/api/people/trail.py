@@ -4,10 +4,10 @@ import asyncio
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 
-from pydantic import JsonValue
 from starlette.types import Scope
 
 from service.application import Application
+from service.people.chain import Entry, Fact
 from service.people.keys import masked
 from service.people.permissions import SOCKET, Role, Route
 from service.store.people.writer import NotAudited
@@ -38,14 +38,14 @@ class Trail:
     unwritten: bool = False
     key: str = ""
     session: int | None = None
-    told: dict[str, JsonValue] = field(default_factory=dict[str, JsonValue])
+    told: dict[str, Fact] = field(default_factory=dict[str, Fact])
     request: int | None = None
 
     @property
     def changes(self) -> bool:
         return self.method not in _READING
 
-    def entry(self, event: str, **told: JsonValue) -> dict[str, JsonValue]:
+    def entry(self, event: str, **told: Fact) -> Entry:
         return {
             "event": event,
             "actor": self.actor,
@@ -57,7 +57,7 @@ class Trail:
             **told,
         }
 
-    def outcome(self, status: int, why: str) -> dict[str, JsonValue]:
+    def outcome(self, status: int, why: str) -> Entry:
         return self.entry("outcome", status=status, why=masked(why)[:_LONGEST], request=self.request, **self.told)
 
 
@@ -72,7 +72,7 @@ def trail_of(scope: Scope) -> Trail:
     return scope[_TRAIL]
 
 
-def put(scope: Scope, entry: dict[str, JsonValue]) -> "Future[int]":
+def put(scope: Scope, entry: Entry) -> "Future[int]":
     """Waits for nothing. That of a stop is kept until the database takes it."""
     application: Application | None = getattr(scope["app"].state, "application", None)
     trail = trail_of(scope)

@@ -1,11 +1,11 @@
 """`sweepid measure PLAN`: run a plan through the service and watch it."""
 
-import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
+from pydantic import BaseModel, ConfigDict
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
@@ -13,6 +13,13 @@ from service.cli.address import DEFAULT_URL, Url
 from service.cli.told import Told
 from service.client import Json, ServiceClient
 from service.errors import BadInput, SweepidError
+
+
+class _PlanFile(BaseModel):
+    """What `sweepid plan --out` writes; only the number matters here."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+    id: int
 
 
 class NotCompleted(SweepidError):
@@ -55,11 +62,10 @@ def plan_number(plan: str) -> int:
     if plan.isascii() and plan.isdigit():
         return int(plan)
     try:
-        content: Any = json.loads(Path(plan).read_text(encoding="utf-8"))
-        return int(content["id"])
+        return _PlanFile.model_validate_json(Path(plan).read_text(encoding="utf-8")).id
     except OSError as error:
         raise BadInput(plan, f"neither the number of a plan nor a readable file: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
+    except ValueError:
         raise BadInput(plan, "is not a plan that `sweepid plan --out` wrote") from None
 
 

@@ -1,7 +1,7 @@
 """`sweepid export-path PLAN`: the sweeps of a plan as tables and part programs for a CNC without fieldbus."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -35,7 +35,7 @@ def export_path(
 
 
 def _read_plan(path: Path) -> PlanDocument:
-    text: Any = read_text(path)
+    text = read_text(path)
     try:
         return _PlanFile.model_validate_json(text).document
     except ValidationError as error:

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from pydantic import JsonValue
 from sqlalchemy import make_url
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.errors import BadInput
+from service.people.chain import Entry
 from service.settings import load_settings
 from service.store.database import Database, open_database
 
@@ -36,6 +36,6 @@ def opened(config: Path | None, data_dir: Path | None, make: bool = False) -> Ge
         raise BadInput(file.render_as_string(hide_password=True), reason) from None
 
 
-def shell_entry() -> dict[str, JsonValue]:
+def shell_entry() -> Entry:
     """Who is at the terminal, for the audit."""
     return {"actor": f"{getpass.getuser()} (shell)", "address": "shell"}

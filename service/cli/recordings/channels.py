@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -11,7 +11,32 @@ from rich.progress import track
 from service.cli.documents import JsonTo, put_json
 from service.errors import BadInput
 from service.identification.axis.channel_timing import ChannelLags, Lag, channel_lags
+from service.results.analysis import Figure
+from service.results.part import Part
 from service.store.files.bundle import Bundle, read_bundle
+
+
+class LagDocument(Part):
+    """Of a channel behind position, s; not `apart`: only the total is known."""
+
+    delay: Figure
+    smoothing: Figure
+    total: Figure
+    apart: bool
+
+
+class AxisChannels(Part):
+    """`free_resonance`, Hz, null where none was found."""
+
+    effort: LagDocument
+    velocity: LagDocument
+    free_resonance: float | None
+
+
+class Channels(Part):
+    """`sweepid channels --json`, by joint."""
+
+    axes: dict[str, AxisChannels]
 
 
 def channels(
@@ -21,7 +46,7 @@ def channels(
 ) -> None:
     """Measure how far effort and velocity lag behind position. Prints the lines for the drive profile."""
     found = measure_channels(read_bundle(bundle), axis, str(bundle))
-    if put_json({"axes": {joint: as_document(lags) for joint, lags in found.items()}}, json_to):
+    if put_json(Channels(axes={joint: as_document(lags) for joint, lags in found.items()}).as_json(), json_to):
         return
     for joint, lags in found.items():
         typer.echo(profile_lines(joint, lags))
@@ -54,19 +79,19 @@ def profile_lines(joint: str, lags: ChannelLags) -> str:
     return "\n".join(lines)
 
 
-def as_document(lags: ChannelLags) -> dict[str, Any]:
-    """JSON of one axis; s, and Hz for the resonance (null where none was found)."""
-    return {
-        "effort": _lag(lags.effort),
-        "velocity": _lag(lags.velocity),
-        "free_resonance": lags.resonance if math.isfinite(lags.resonance) else None,
-    }
+def as_document(lags: ChannelLags) -> AxisChannels:
+    """Of one axis."""
+    return AxisChannels(
+        effort=_lag(lags.effort),
+        velocity=_lag(lags.velocity),
+        free_resonance=lags.resonance if math.isfinite(lags.resonance) else None,
+    )
 
 
-def _lag(lag: Lag) -> dict[str, Any]:
-    return {
-        "delay": {"value": lag.delay, "std": lag.delay_std},
-        "smoothing": {"value": lag.smoothing, "std": lag.smoothing_std},
-        "total": {"value": lag.total, "std": lag.total_std},
-        "apart": lag.apart,
-    }
+def _lag(lag: Lag) -> LagDocument:
+    return LagDocument(
+        delay=Figure(value=lag.delay, std=lag.delay_std),
+        smoothing=Figure(value=lag.smoothing, std=lag.smoothing_std),
+        total=Figure(value=lag.total, std=lag.total_std),
+        apart=lag.apart,
+    )

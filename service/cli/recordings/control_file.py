@@ -1,8 +1,8 @@
 """What a Sinumerik measured of itself, on the terminal, as JSON and as tables."""
 
 import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import typer
@@ -20,6 +20,7 @@ from service.sinumerik.document import (
     tuning_document,
 )
 from service.sinumerik.members import read_members
+from service.sinumerik.told import LoopInertia, MeasuredResponse, Response, ServoTuning, Size
 
 Array = NDArray[np.float64]
 
@@ -29,25 +30,21 @@ SOME = 6  # unread members that stderr names; all of them stand in the JSON
 def import_control_file(path: Path, given: Given, out: Path | None, json_to: str | None) -> None:
     """Read, print or write; BadInput for what is not of the family."""
     root = read_members(path)
-    tables: dict[str, dict[str, Array]] = {}
     if root.kind == tuning.ROOT:
         measurement.check_family(root, tuning.ROOT)
         tuned = tuning.tuning_of(root)
-        document = tuning_document(tuned, given, str(path))
-        tables["frequency_response"] = response_table(tuned)
+        document, tables = tuning_document(tuned, given, str(path)), {"frequency_response": response_table(tuned)}
     else:
         measurement.check_family(root, measurement.ROOT)
         found = measurement.measurement_of(root)
         document = measurement_document(found, given, str(path))
         tables = {"frequency_response": response_table(found), "recording": recording_table(found)}
-    document["frequency_response"] = {name: values.tolist() for name, values in tables["frequency_response"].items()}
     if out is not None:
-        _write(out, as_json(document), tables)
-    unread: list[str] = document["unread"]
-    if unread:
+        _write(out, as_json(document.as_json()), tables)
+    if unread := document.unread:
         more = f" and {len(unread) - SOME} more (all in the JSON)" if len(unread) > SOME else ""
         typer.echo(f"{path}: members not read: {', '.join(unread[:SOME])}{more}", err=True)
-    if put_json(document, json_to):
+    if put_json(document.as_json(), json_to):
         return
     _print(document, Console())
 
@@ -65,49 +62,49 @@ def _write(out: Path, text: str, tables: dict[str, dict[str, Array]]) -> None:
         raise BadInput(str(out), f"cannot be written: {error.strerror or error}") from None
 
 
-def _print(document: dict[str, Any], console: Console) -> None:
+def _print(document: MeasuredResponse | ServoTuning, console: Console) -> None:
     def line(text: str) -> None:
         console.print(text, highlight=False, markup=False, soft_wrap=True)
 
-    line(f"{document['kind']} of {document['axis']}, {document['measured_at']}, version {document['version']}")
-    if "excitation" in document:
-        excitation = document["excitation"]
-        line(f"{document['output']} over {document['input']}")
+    line(f"{document.kind} of {document.axis}, {document.measured_at}, version {document.version}")
+    if isinstance(document, MeasuredResponse):
+        excitation = document.excitation
+        line(f"{document.output} over {document.input}")
         line(
-            f"{excitation['signal']}, {1e6 * excitation['sample_interval']:g} us apart, {excitation['directions']} "
-            f"directions; amplitude {excitation['amplitude']:.4g} {excitation['unit']} on "
-            f"{excitation['offset_rpm']:.4g} rpm, up to {excitation['bandwidth']:g} Hz"
+            f"{excitation.signal}, {1e6 * excitation.sample_interval:g} us apart, {excitation.directions} "
+            f"directions; amplitude {excitation.amplitude:.4g} {excitation.unit} on "
+            f"{excitation.offset_rpm:.4g} rpm, up to {excitation.bandwidth:g} Hz"
         )
-    for way, inertia in document["inertia"].items():
+    for way, inertia in document.inertia.items():
         line(f"by {way.replace('_', ' ')}: {_inertia(inertia)}")
-    if "by_control" in document:
-        line(f"the control's own: {document['by_control']['total_inertia']:.4g} kg m^2, without uncertainty")
-    _print_response(document["frequency_response"], line)
-    for what in document["cannot_tell"]:
+    if isinstance(document, ServoTuning):
+        line(f"the control's own: {document.by_control.total_inertia:.4g} kg m^2, without uncertainty")
+    _print_response(document.frequency_response, line)
+    for what in document.cannot_tell:
         line(f"not told: {what}")
 
 
-def _print_response(response: dict[str, list[float]], line: Any) -> None:
+def _print_response(response: Response, line: Callable[[str], None]) -> None:
     """A line an octave; the whole table is in the JSON."""
-    line("Hz, amplitude, phase in deg" + (", coherence" if "coherence" in response else ""))
-    frequency = np.array(response["frequency"])
-    values = np.array(response["re"]) + 1j * np.array(response["im"])
+    line("Hz, amplitude, phase in deg" + (", coherence" if response.coherence else ""))
+    frequency = np.array(response.frequency)
+    values = np.array(response.re) + 1j * np.array(response.im)
     first, last = np.log2(frequency[frequency > 0][0]), np.log2(frequency[-1])
     octaves = [2.0**power for power in range(math.ceil(first), math.ceil(last))]
     for k in dict.fromkeys(int(np.argmin(np.abs(frequency - octave))) for octave in octaves):
         phase = float(np.degrees(np.angle(values[k])))
-        coherence = f" {response['coherence'][k]:8.5f}" if "coherence" in response else ""
+        coherence = f" {response.coherence[k]:8.5f}" if response.coherence else ""
         line(f"{frequency[k]:9.2f} {abs(values[k]):10.5f} {phase:8.1f}{coherence}")
 
 
-def _inertia(inertia: dict[str, Any]) -> str:
-    low, high = inertia["band"]
-    where = f"from {inertia['lines']} lines of {low:.3g} to {high:.3g} Hz, misfit {inertia['misfit_percent']:.1f} %"
-    if inertia["motor_side"] is None:
-        over = inertia["over_gain"]
-        return f"J/K = {1e3 * over['value']:.4g} +- {1e3 * over['std']:.2g} ms {where}"
-    motor, axis = inertia["motor_side"], inertia["axis_side"]
-    return (
-        f"J = {motor['value']:.4g} +- {motor['std']:.2g} kg m^2 on the motor side, {axis['value']:.4g} +- "
-        f"{axis['std']:.2g} {inertia['axis_unit']} on the axis' {where}"
-    )
+def _inertia(inertia: LoopInertia) -> str:
+    low, high = inertia.band
+    where = f"from {inertia.lines} lines of {low:.3g} to {high:.3g} Hz, misfit {inertia.misfit_percent:.1f} %"
+    motor, axis, over = inertia.motor_side, inertia.axis_side, inertia.over_gain
+    if motor is not None and axis is not None:
+        return f"J = {_size(motor)} kg m^2 on the motor side, {_size(axis)} {inertia.axis_unit} on the axis' {where}"
+    return where if over is None else f"J/K = {_size(over, 1e3)} ms {where}"
+
+
+def _size(size: Size, scale: float = 1.0) -> str:
+    return f"{scale * size.value:.4g} +- {scale * size.std:.2g}"

@@ -1,13 +1,12 @@
 """`sweepid diagnose BUNDLE`: where model and measurement disagree, what is missing, and what to measure next."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 import yaml
-from pydantic import JsonValue
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -18,7 +17,7 @@ from service.diagnosis.start import CAD
 from service.errors import BadInput
 from service.report import diagnosis_page
 from service.report.gap_figures import measured, number
-from service.results.diagnosis import Diagnosis, RigidParameter
+from service.results.diagnosis import DiagnosedModel, Diagnosis, RigidParameter
 from service.results.effect import Effect
 from service.robot import Robot
 from service.store.files.bundle import Bundle, read_bundle
@@ -46,26 +45,25 @@ def diagnose(
 ) -> None:
     """Find where simulation and measurement disagree, and name the missing effect."""
     measured = read_bundle(bundle)
-    document = diagnose_bundle(measured, axis, str(bundle), known or (), estimate, twin=twin)
-    found = Diagnosis.read(document, str(bundle))
+    found = diagnose_bundle(measured, axis, str(bundle), known or (), estimate, twin=twin)
     if model is not None:
-        write_file(model, as_json(model_document(measured.robot, document)))
+        write_file(model, as_json(model_document(measured.robot, found.as_json())))
     if scenario is not None:
-        write_scenario(scenario, measured.robot, found.model.scenario)
+        write_scenario(scenario, measured.robot, found.model)
     if report is not None:
         write_file(report, diagnosis_page(found, f"Diagnosis of the robot {found.model.robot}", str(bundle)))
-    if put_json(document, json_to):
+    if put_json(found.as_json(), json_to):
         return
     print_diagnosis(found, Console())
 
 
-def write_scenario(path: Path, robot: Robot, scenario: Mapping[str, JsonValue]) -> None:
-    """A scenario that the virtual machine can load: with the robot's description and URDF beside it."""
+def write_scenario(path: Path, robot: Robot, model: DiagnosedModel) -> None:
+    """The model's scenario, which the virtual machine can load: with the robot's description and URDF beside it."""
     description = robot.description.model_dump(mode="json") | {"urdf": f"{path.stem}-robot.urdf"}
     files = {
         description["urdf"]: robot.urdf_text,
         f"{path.stem}-robot.yaml": yaml.safe_dump(description, sort_keys=False),
-        path.name: yaml.safe_dump({**scenario, "robot": f"{path.stem}-robot.yaml"}, sort_keys=False),
+        path.name: yaml.safe_dump({**model.scenario, "robot": f"{path.stem}-robot.yaml"}, sort_keys=False),
     }
     for name, text in files.items():
         write_file(path.parent / name, text)
@@ -79,7 +77,7 @@ def diagnose_bundle(
     estimate: Path | None = None,
     *,
     twin: bool = True,
-) -> dict[str, JsonValue]:
+) -> Diagnosis:
     """The document of all axes that were swept, or of one; BadInput if that leaves none.
 
     `estimate`: file of an estimate from which the rigid model starts; BadInput if it is of another robot.
@@ -100,7 +98,7 @@ def diagnose_bundle(
         diagnose_axis(robot, joint, bundle.sweeps, known={name: {} for name in known}, twin=twin)
         for joint in track(joints, "Axes", console=console, transient=True, disable=not console.is_terminal)
     ]
-    return as_document(bundle.robot, found)
+    return Diagnosis.read(as_document(bundle.robot, found), place)
 
 
 def print_diagnosis(document: Diagnosis, console: Console) -> None:

@@ -8,25 +8,25 @@ from service.configuration import read_yaml
 from service.identification.axis.nominal_priors import TorqueGain
 
 
-class _Figure(BaseModel):
+class Gain(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     value: float = Field(gt=0)
     std: float = Field(ge=0)
 
 
-class _Axis(BaseModel):
+class AxisGain(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    gain: _Figure
+    gain: Gain
     poses: int | None = None
     added_inertia: float | None = None
 
 
-class _Gains(BaseModel):
+class TorqueGains(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
-    axes: dict[str, _Axis] = Field(min_length=1)
+    axes: dict[str, AxisGain] = Field(min_length=1)
 
 
 def read_gains(path: Path) -> dict[str, TorqueGain]:
     """What `sweepid torque-gain --json` wrote, by joint."""
-    found = read_yaml(path, _Gains)  # JSON is YAML, too
+    found = read_yaml(path, TorqueGains)  # JSON is YAML, too
     return {joint: TorqueGain(axis.gain.value, axis.gain.std) for joint, axis in found.axes.items()}

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from service.cli.documents import JsonTo, put_json
+from service.cli.recordings.gains_file import AxisGain, Gain, TorqueGains
 from service.errors import BadInput
 from service.identification import spectrum
 from service.identification.axis.nominal_priors import TorqueGain
@@ -38,14 +39,10 @@ def torque_gain(
     )
     found = calibrate(read_bundle(before), read_bundle(after), body, str(after))
     axes = {
-        joint: {
-            "gain": {"value": one.gain.gain, "std": one.gain.std},
-            "poses": one.poses,
-            "added_inertia": one.added,
-        }
+        joint: AxisGain(gain=Gain(value=one.gain.gain, std=one.gain.std), poses=one.poses, added_inertia=one.added)
         for joint, one in found.items()
     }
-    if put_json({"axes": axes}, json_to):
+    if put_json(TorqueGains(axes=axes).model_dump(mode="json"), json_to):
         return
     _print(found)
 

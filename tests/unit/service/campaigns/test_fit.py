@@ -12,7 +12,7 @@ from service.geometry.cell import read_cell
 from service.planning.compiled_plan import compile_plan, planned_sweeps
 from service.planning.plan import PlanRequest, build_plan
 from service.robot import Robot, build_robot
-from service.safety.robot_and_machine import COMPARED, DriveAxis, differences, drive_axes
+from service.safety.robot_and_machine import COMPARED, DriveAxis, DriveProfile, differences
 from service.settings import Settings
 from service.store.database import open_database
 from service.store.documents import CampaignDocument
@@ -29,7 +29,7 @@ def robot() -> Robot:
 
 
 def axes_of(path: Path) -> tuple[DriveAxis, ...]:
-    return drive_axes(load_profile(path), JOINTS)
+    return DriveProfile.model_validate(load_profile(path)).of(JOINTS)
 
 
 def told(robot: Robot, axes: tuple[DriveAxis, ...], *moved: str) -> str:
@@ -97,8 +97,15 @@ def test_every_axis_that_differs_is_told_and_a_long_list_is_cut(robot: Robot) ->
 
 
 def test_a_profile_with_other_words_is_compared_by_its_joints() -> None:
-    assert drive_axes({"adapter": "other"}, ("a", "b")) == (DriveAxis(joint="a"), DriveAxis(joint="b"))
-    assert drive_axes({"axes": [{"joint": "a", "gear_ratio": "many"}, 3]}, ("a",)) == (DriveAxis(joint="a"),)
+    def axes(profile: dict[str, object], *joints: str) -> tuple[DriveAxis, ...]:
+        return DriveProfile.model_validate(profile).of(joints)
+
+    assert axes({"adapter": "other"}, "a", "b") == (DriveAxis(joint="a"), DriveAxis(joint="b"))
+    assert axes({"axes": {"a": {"joint": "a"}}}, "a") == (DriveAxis(joint="a"),)
+    assert axes({"axes": [{"joint": "a", "gear_ratio": "many"}, 3, {"joint": "b", "unit": "m"}]}, "a", "b") == (
+        DriveAxis(joint="a"),
+        DriveAxis(joint="b", unit="m"),
+    )
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from sqlalchemy import text
 from structlog.testing import capture_logs
 
 from drivers.ports import SampleBlock
+from service.api.machine.live import message
 from service.campaigns.live import EventFeed, LiveHub, thin
 from service.store.database import open_database
 from service.store.guards import StopLatch
@@ -73,7 +74,7 @@ def test_thinning_never_makes_samples(count: int, rate: float) -> None:
 
 
 def test_the_bytes_are_one_arrow_batch_with_its_place() -> None:
-    content = thin(4, 2, block(0), rate=100.0).to_arrow()
+    content = message(thin(4, 2, block(0), rate=100.0))
     with pa.ipc.open_stream(content) as reader:
         table = reader.read_all()
     assert table.column_names == ["time", "effort", "velocity", "position"]

@@ -60,4 +60,4 @@ def test_a_stiff_train_has_no_free_resonance() -> None:
     lag = Lag(5e-4, 1e-5, 0.0, 2e-4, 5e-4, 1e-5, apart=False)
     lags = ChannelLags(lag, lag, DriveTrain(58.0, 140.0, 60.0, 0.0, 1e-3), math.inf)
     assert profile_lines("joint_1", lags).startswith("# joint_1: no free resonance found\nchannels:\n")
-    assert as_document(lags)["free_resonance"] is None
+    assert as_document(lags).free_resonance is None

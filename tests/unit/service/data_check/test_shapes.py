@@ -25,8 +25,8 @@ pytestmark = pytest.mark.slow
 USES: dict[str, Callable[[Bundle], object]] = {
     "check": lambda bundle: findings_document(bundle.robot, bundle.sweeps, check(bundle.robot, bundle.sweeps)),
     "identify": lambda bundle: identify_bundle(bundle, None, "bundle"),
-    "diagnose": lambda bundle: diagnose_bundle(bundle, None, "bundle", twin=False),
-    "diagnose with its twin": lambda bundle: diagnose_bundle(bundle, None, "bundle"),
+    "diagnose": lambda bundle: diagnose_bundle(bundle, None, "bundle", twin=False).as_json(),
+    "diagnose with its twin": lambda bundle: diagnose_bundle(bundle, None, "bundle").as_json(),
 }
 
 CHANGES: dict[str, Callable[[Recording], Recording]] = {

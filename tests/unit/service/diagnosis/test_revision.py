@@ -15,6 +15,7 @@ from service.diagnosis.model.link_deviations import gravity, gravity_of_fit
 from service.diagnosis.model.scenario import axis_entry
 from service.diagnosis.model.twin import Run, torques, ways
 from service.diagnosis.rows.rigid import load_rows, nominal_load, nominal_parameters
+from service.results.diagnosis import DiagnosedModel
 from simulator import Motion, load_scenario, replay
 from simulator.moving_axis import moving_axis
 from simulator.rigid_body import RigidBody
@@ -59,7 +60,8 @@ def test_the_loaded_scenario_needs_the_torque_of_the_twin(tmp_path: Path) -> Non
     robot, sweeps, motion = measured()
     document = model_document(robot, {"axes": {JOINT: axis_of(JOINT, *names)}})
     assert [effect["effect"] for effect in document["axes"][JOINT]["effects"]] == list(names)
-    write_scenario(tmp_path / "twin.yaml", robot, document["scenario"])
+    told = DiagnosedModel(robot=robot.name, effects={}, scenario=document["scenario"])
+    write_scenario(tmp_path / "twin.yaml", robot, told)
     scenario = load_scenario(tmp_path / "twin.yaml")
     body = RigidBody(scenario)
     chosen = [0, 4]  # a sweep of each direction

@@ -5,7 +5,6 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ from service.sinumerik.base85 import decode
 from service.sinumerik.document import Given, measurement_document, response_table, tuning_document
 from service.sinumerik.measurement import Measurement, read_measurement
 from service.sinumerik.members import LARGEST
+from service.sinumerik.told import LoopInertia, Size, SpeedController
 from service.sinumerik.tuning import read_tuning
 from tests.control_file import DELAY, GAIN, INERTIA, TOTAL, Loop, array, base85, tuning_xml
 
@@ -29,8 +29,13 @@ def read(folder: Path, text: str) -> Measurement:
     return read_measurement(path)
 
 
-def inertia(found: Measurement, gain: float | None = None, reset_time: float | None = None) -> dict[str, Any]:
-    return measurement_document(found, Given(gain, reset_time), "loop.xml")["inertia"]
+def inertia(found: Measurement, gain: float | None = None, reset_time: float | None = None) -> dict[str, LoopInertia]:
+    return measurement_document(found, Given(gain, reset_time), "loop.xml").inertia
+
+
+def known(size: Size | None) -> Size:
+    assert size is not None
+    return size
 
 
 def test_numbers_in_base_85() -> None:
@@ -61,38 +66,38 @@ def test_torn_or_foreign_numbers_are_refused(text: str, reason: str) -> None:
 def test_a_hand_made_loop_gives_its_inertia(tmp_path: Path) -> None:
     found = inertia(read(tmp_path, Loop().xml()), GAIN)
     for way in found.values():
-        value, std = way["motor_side"]["value"], way["motor_side"]["std"]
+        value, std = known(way.motor_side).value, known(way.motor_side).std
         assert value == pytest.approx(INERTIA, rel=2e-3)  # the spectrum's frequencies are 0.15 % too high
         assert 0 < std < 0.01 * INERTIA
-        assert way["delay"] == pytest.approx(DELAY, rel=0.02)
-        assert way["converged"]
-        assert way["axis_side"]["value"] == pytest.approx(INERTIA * 628.3185307**2, rel=2e-3)
-    assert found["time_series"]["motor_side"]["value"] == pytest.approx(INERTIA, rel=5e-4)
+        assert way.delay == pytest.approx(DELAY, rel=0.02)
+        assert way.converged
+        assert known(way.axis_side).value == pytest.approx(INERTIA * 628.3185307**2, rel=2e-3)
+    assert known(found["time_series"].motor_side).value == pytest.approx(INERTIA, rel=5e-4)
 
 
 def test_a_gear_ratio_that_is_given_is_taken(tmp_path: Path) -> None:
     document = measurement_document(read(tmp_path, Loop().xml()), Given(gain=GAIN, gear_ratio=100.0), "loop.xml")
-    assert document["inertia"]["time_series"]["axis_side"]["value"] == pytest.approx(1e4 * INERTIA, rel=1e-3)
-    assert document["motor_to_axis"] == 100.0
+    assert known(document.inertia["time_series"].axis_side).value == pytest.approx(1e4 * INERTIA, rel=1e-3)
+    assert document.motor_to_axis == 100.0
 
 
 def test_an_integral_part_without_reference_model_is_told_apart_by_its_reset_time(tmp_path: Path) -> None:
     found = read(tmp_path, Loop(reset_time=0.02).xml())
-    assert inertia(found, GAIN, 0.02)["time_series"]["motor_side"]["value"] == pytest.approx(INERTIA, rel=1e-3)
+    assert known(inertia(found, GAIN, 0.02)["time_series"].motor_side).value == pytest.approx(INERTIA, rel=1e-3)
 
 
 def test_without_the_gain_there_is_no_inertia_in_kilogram_square_metres(tmp_path: Path) -> None:
     document = measurement_document(read(tmp_path, Loop().xml()), Given(), "loop.xml")
-    assert document["inertia"]["spectrum"]["motor_side"] is None
-    assert document["inertia"]["spectrum"]["over_gain"]["value"] == pytest.approx(INERTIA / GAIN, rel=2e-3)
-    assert "p1460" in document["cannot_tell"][0]
-    assert document["unread"] == ["TimeSeries/m_TimeVector.start", "ResponseTestCondition/m_dOfTheNextVersion"]
+    assert document.inertia["spectrum"].motor_side is None
+    assert known(document.inertia["spectrum"].over_gain).value == pytest.approx(INERTIA / GAIN, rel=2e-3)
+    assert "p1460" in document.cannot_tell[0]
+    assert document.unread == ("TimeSeries/m_TimeVector.start", "ResponseTestCondition/m_dOfTheNextVersion")
 
 
 def test_the_gain_in_the_file_is_taken(tmp_path: Path) -> None:
     document = measurement_document(read(tmp_path, Loop(with_gain=True).xml()), Given(), "loop.xml")
-    assert document["inertia"]["time_series"]["motor_side"]["value"] == pytest.approx(INERTIA, rel=1e-3)
-    assert document["speed_controller_gain"] == GAIN
+    assert known(document.inertia["time_series"].motor_side).value == pytest.approx(INERTIA, rel=1e-3)
+    assert document.speed_controller_gain == GAIN
 
 
 def test_a_tuning_file_gives_the_inertia_of_rotor_and_load(tmp_path: Path) -> None:
@@ -101,11 +106,11 @@ def test_a_tuning_file_gives_the_inertia_of_rotor_and_load(tmp_path: Path) -> No
         path.write_text(tuning_xml(seed=seed), encoding="latin-1")
         found = read_tuning(path)
         document = tuning_document(found, Given(), str(path))
-        one = document["inertia"]["response"]["motor_side"]
-        assert abs(one["value"] - TOTAL) < 3 * one["std"]
-        assert one["std"] < 0.02 * TOTAL
-    assert document["by_control"]["total_inertia"] == 0.14675
-    assert document["speed_controllers"] == [{"gain": 22.24, "reset_time": 0.035, "reference_model": True}]
+        one = known(document.inertia["response"].motor_side)
+        assert abs(one.value - TOTAL) < 3 * one.std
+        assert one.std < 0.02 * TOTAL
+    assert document.by_control.total_inertia == 0.14675
+    assert document.speed_controllers == (SpeedController(gain=22.24, reset_time=0.035, reference_model=True),)
     table = response_table(found)
     assert np.abs(table["re"] + 1j * table["im"])[0] == pytest.approx(1 / abs(0.4 + 2j * np.pi * 0.5 * TOTAL), rel=0.05)
     assert (table["coherence"] > 0.99).all()
@@ -223,16 +228,14 @@ def test_mutated_files_are_read_or_refused_in_a_sentence(tmp_path: Path) -> None
 def test_the_real_measurement_tells_the_same_by_series_and_spectrum(shared: Path) -> None:
     found = read_measurement(shared / REAL)
     document = measurement_document(found, Given(gain=0.8), REAL)
-    series, spectrum = (document["inertia"][way]["motor_side"] for way in ("time_series", "spectrum"))
-    print(
-        f"J at K = 0.8: {series['value']:.6f} +- {series['std']:.6f}, {spectrum['value']:.6f} +- {spectrum['std']:.6f}"
-    )
-    assert abs(series["value"] - spectrum["value"]) < min(series["std"], spectrum["std"])
-    assert 0 < max(series["std"], spectrum["std"]) < 0.05 * series["value"]
-    assert document["excitation"]["offset_rpm"] == pytest.approx(4.0)
-    assert document["excitation"]["sample_interval"] == 125e-6
-    assert (document["input"][:5], document["output"][:5]) == ("r0062", "r0061")
-    assert document["unread"]
+    series, spectrum = (known(document.inertia[way].motor_side) for way in ("time_series", "spectrum"))
+    print(f"J at K = 0.8: {series.value:.6f} +- {series.std:.6f}, {spectrum.value:.6f} +- {spectrum.std:.6f}")
+    assert abs(series.value - spectrum.value) < min(series.std, spectrum.std)
+    assert 0 < max(series.std, spectrum.std) < 0.05 * series.value
+    assert document.excitation.offset_rpm == pytest.approx(4.0)
+    assert document.excitation.sample_interval == 125e-6
+    assert (document.input[:5], document.output[:5]) == ("r0062", "r0061")
+    assert document.unread
 
 
 def test_the_spectra_of_the_control_are_those_of_its_series(shared: Path) -> None:

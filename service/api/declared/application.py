@@ -4,6 +4,7 @@ from typing import Any, cast
 
 from fastapi import FastAPI
 
+from service.api.declared.answers import complete
 from service.api.problem import MEDIA_TYPE, Problem
 from service.people.permissions import PERMISSIONS, Role
 
@@ -41,6 +42,7 @@ class DeclaredApi(FastAPI):
                     content = cast("dict[str, Any]", response.get("content", {}))
                     for media in [name for name, body in content.items() if body.get("schema") == _PROBLEM]:
                         content[MEDIA_TYPE] = content.pop(media)
+        complete(document)
         return document
 
 

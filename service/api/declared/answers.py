@@ -1,0 +1,71 @@
+"""Every answer of the OpenAPI document has a description and an example.
+
+`examples.json` has one answer a model, as a service gave it; pages and lists are made of it. A model without one stays
+without: a test names it.
+"""
+
+import json
+from importlib.resources import files
+from typing import Any
+
+Json = dict[str, Any]
+
+_EXAMPLES: Json = json.loads(files("service.api.declared").joinpath("examples.json").read_text("utf-8"))
+_UNTOLD = "Successful Response"  # FastAPI's word for an answer that nobody has described
+_MODELS = "#/components/schemas/"
+_TEXTS: dict[str, tuple[str, str]] = {
+    "application/vnd.apache.parquet": ("The recording's file, with the columns of a bundle.", "PAR1 and columns"),
+    "application/xml": ("The identified robot.", '<?xml version="1.0"?>\n<robot name="max100-class">...</robot>'),
+    "application/yaml": ("A YAML file.", "robot: max100-class-robot.yaml\n"),
+    "application/zip": ("The bundle: bundle.json, the robot's files and one recording a sweep.", "PK and files"),
+    "text/event-stream": (
+        "Events as they happen, until the connection ends.",
+        'id: 7\nevent: sweep\ndata: {"id":7,"campaign_id":1,"kind":"sweep","data":{"number":1,"state":"running",'
+        '"cause":"","axis":"joint_1","attempt":1},"at":"2026-11-23T12:00:00Z"}\n\n',
+    ),
+    "text/html": ("One page with figures, complete in one file.", '<!doctype html>\n<html lang="en">...</html>'),
+    "text/plain": ("Metrics in the text format of Prometheus.", "sweepid_machine_connected 1.0\n"),
+}
+"""What an answer is that no model describes, and how it begins."""
+
+
+def complete(document: Json) -> None:
+    """Describe the answers of an OpenAPI document, in place."""
+    examples: Json = document["components"].setdefault("examples", {})
+    for path in document["paths"].values():
+        for operation in path.values():
+            for status, response in operation["responses"].items():
+                for media, body in response.get("content", {}).items():
+                    schema = body.setdefault("schema", {"type": "string"})
+                    told, name = _described(document, schema, media)
+                    if response.get("description", _UNTOLD) == _UNTOLD:
+                        response["description"] = told
+                    example = _example(name, status, media)
+                    if example is not None and "examples" not in body:
+                        key = name if status in ("200", "201", "202", "default") else f"{name}_{status}"
+                        examples[key] = {"value": example}
+                        body["examples"] = {"answer": {"$ref": f"#/components/examples/{key}"}}
+
+
+def _described(document: Json, schema: Json, media: str) -> tuple[str, str]:
+    """What the answer is, and the name of its example."""
+    of = schema.get("items", schema).get("$ref", "").removeprefix(_MODELS)
+    if not of:
+        return _TEXTS.get(media, ("", ""))[0] or _UNTOLD, media.replace("/", ".")
+    page, item = of.startswith("Page_"), of.removeprefix("Page_").removesuffix("_")
+    told = " ".join(document["components"]["schemas"][item].get("description", _UNTOLD).split("\n\n")[0].split())
+    if page:
+        return f"Part of a list, oldest first. {told}", of
+    return (f"A list. {told}", f"List_{of}_") if "items" in schema else (told, of)
+
+
+def _example(name: str, status: str, media: str) -> Any:
+    """None where there is none."""
+    kind, _, of = name.removesuffix("_").partition("_")
+    if kind == "Page" and of in _EXAMPLES:
+        return {"items": [_EXAMPLES[of]], "next": None}
+    if kind == "List" and of in _EXAMPLES:
+        return [_EXAMPLES[of]]
+    if media in _TEXTS:
+        return _TEXTS[media][1]
+    return _EXAMPLES.get(f"{name}_{status}", _EXAMPLES.get(name))

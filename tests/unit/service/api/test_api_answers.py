@@ -1,0 +1,65 @@
+"""Every answer of the OpenAPI document has a schema, a description and an example; examples are what schemas say."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import jsonschema_rs
+import pytest
+
+from service.api.declared.answers import complete
+from service.app import create_app
+from service.settings import Settings
+
+Json = dict[str, Any]
+
+
+@pytest.fixture(scope="module")
+def document() -> Json:
+    return create_app(Settings()).openapi()
+
+
+def answers(document: Json) -> Iterator[tuple[str, Json, Json]]:
+    """Where it is, the answer, and its body in one media type."""
+    for path, operations in document["paths"].items():
+        for method, operation in operations.items():
+            for status, response in operation["responses"].items():
+                for media, body in response.get("content", {"nothing": {}}).items():
+                    yield f"{method.upper()} {path} {status} {media}", response, body
+
+
+def missing(document: Json) -> list[str]:
+    """The answers that lack something, and what."""
+    found: list[str] = []
+    for where, response, body in answers(document):
+        lacks = [name for name in ("schema", "examples") if not body.get(name)]
+        if response.get("description", "Successful Response") == "Successful Response":
+            lacks.append("description (the docstring of its model)")
+        found += [f"{where}: {', '.join(lacks)}"] if lacks else []
+    return found
+
+
+def test_every_answer_has_schema_description_and_example(document: Json) -> None:
+    assert next(iter(missing(document)), "") == ""
+
+
+def test_every_example_is_what_its_schema_says(document: Json) -> None:
+    checked: set[str] = set()
+    for where, _, body in answers(document):
+        if "json" not in where.rpartition(" ")[2]:
+            continue
+        told = body["examples"]["answer"]
+        name = told.get("$ref", "").rpartition("/")[2]
+        value = document["components"]["examples"][name]["value"] if name else told["value"]
+        schema = {**body["schema"], "components": document["components"]}
+        problem = next(iter(jsonschema_rs.Draft202012Validator(schema).iter_errors(value)), None)
+        assert problem is None, f"{where}, example {name}: {problem}"
+        checked.add(name)
+    assert checked
+
+
+def test_an_answer_without_example_is_found() -> None:
+    model: Json = {"type": "object"}
+    told: Json = {"description": "Successful Response", "content": {"application/json": {"schema": model}}}
+    document: Json = {"paths": {"/new": {"get": {"responses": {"200": told}}}}, "components": {"schemas": {}}}
+    complete(document)
+    assert missing(document) == ["GET /new 200 application/json: examples, description (the docstring of its model)"]
