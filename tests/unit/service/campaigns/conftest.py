@@ -56,6 +56,8 @@ class Bench:
     runner: Runner
     hub: LiveHub
     campaign: CampaignDocument
+    told: list[tuple[str, str]]
+    """Way and why of the stops that latched nothing."""
     compile_plan: Callable[[CampaignDocument], CompiledPlan]
     """What the runner asks; a test may put another in its place."""
 
@@ -112,7 +114,8 @@ async def open_bench(
         store, files, hub = Store(database), RecordingFiles(folder), LiveHub(100.0)
         drive = FormulaDrive(REACHED)
         latch = StopLatch(database)
-        machine = Machine(drive, latch, latch.latched())
+        told: list[tuple[str, str]] = []
+        machine = Machine(drive, latch, latch.latched(), tell=lambda way, why: told.append((way, why)))
         models = ModelStore(database)
         jobs = Taken(store, files, models) if worker is None else Jobs(store, files, worker, models)
         stack.push_async_callback(jobs.close)
@@ -132,7 +135,7 @@ async def open_bench(
             plan = store.add_plan(store.add_robot(robot).id, {})
             new = [NewSweep(spec=spec(n, pose), mode=SweepMode.DRIVE_SIDE) for n, pose in enumerate(POSES, 1)]
             campaigns = (store.add_campaign(plan.id, new),)
-        bench = Bench(store, database, files, drive, machine, jobs, runner, hub, campaigns[0], compile_plan)
+        bench = Bench(store, database, files, drive, machine, jobs, runner, hub, campaigns[0], told, compile_plan)
         yield bench
 
 
