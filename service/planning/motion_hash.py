@@ -2,9 +2,10 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
+from typing import cast
 
 from service.geometry.cell import Cell
 from service.settings import Settings
@@ -24,23 +25,19 @@ def motion_sha256(plan: PlanRecord, robot: RobotDocument, cell: Cell, settings: 
     return _sha256(content)
 
 
-def machine_sha256(profile: Mapping[str, object], base: Path) -> str:
+def machine_sha256(profile: object, base: Path) -> str:
     """Of a drive profile with the content of each file that it names (EDS, device map, registers), below `base`."""
-    files = {
-        text: hashlib.sha256((base / text).read_bytes()).hexdigest() for text in _texts(profile) if _file(base, text)
-    }
-    return _sha256({"profile": profile, "files": files})
+    named = [text for text in _texts(profile) if _file(base, text)]
+    return _sha256(profile, [hashlib.sha256((base / text).read_bytes()).hexdigest() for text in named])
 
 
 def _texts(value: object) -> Iterator[str]:
     if isinstance(value, str):
         yield value
-    elif isinstance(value, Mapping):
-        for each in value.values():  # pyright: ignore[reportUnknownVariableType]
-            yield from _texts(each)  # pyright: ignore[reportUnknownArgumentType]
-    elif isinstance(value, list | tuple):
-        for each in value:  # pyright: ignore[reportUnknownVariableType]
-            yield from _texts(each)  # pyright: ignore[reportUnknownArgumentType]
+    elif isinstance(value, Mapping | list | tuple):
+        parts = cast("Iterable[object]", value.values() if isinstance(value, Mapping) else value)
+        for part in parts:
+            yield from _texts(part)
 
 
 def _file(base: Path, text: str) -> bool:
@@ -50,6 +47,6 @@ def _file(base: Path, text: str) -> bool:
         return False
 
 
-def _sha256(content: Mapping[str, object]) -> str:
+def _sha256(*content: object) -> str:
     """In the order that the content has: keys of a profile may be of several types, which have none."""
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()
