@@ -8,12 +8,17 @@ unexport PYTHONDONTWRITEBYTECODE  # else every process that a test starts compil
 
 FUZZ ?=  # more words for the fuzzing, as: make fuzz FUZZ='--seed 7 --cpu 60 --parser trace'
 
+SOAK ?=  # more words for the soak, as: make soak SOAK="--seed 7 --minutes 30"
+
 SEED ?=  # of an order that test-random printed, to have it again
 
-.PHONY: demo test test-fast test-random test-vcan test-drives test-compose fuzz check format lock sbom audit openapi clean
+.PHONY: demo docs test test-fast test-random test-vcan test-drives test-compose fuzz soak check format lock sbom audit openapi clean
 
 demo: $(READY)  ## measure, identify and report a virtual robot
 	$(BIN)/sweepid demo --out demo-out
+
+docs: $(READY)  ## the documents as a site, docs/_build/index.html; warnings are errors
+	$(BIN)/sphinx-build -q -n -W --keep-going docs docs/_build
 
 test: check  ## all checks, then all tests
 	$(BIN)/python -m pytest -n 3 --dist loadscope --durations 40  # two wait for machines, one reckons
@@ -33,6 +38,9 @@ test-drives: $(READY)  ## the contract suite on every drive and bus, those alike
 test-compose: $(READY)  ## start docker-compose.yml for real and measure in it; with an engine of its own where none runs
 	tests/compose/run sh -c 'docker-compose build && $(BIN)/python -m pytest --color=no tests/compose'
 
+soak: $(READY)  ## everything that goes wrong, 20 times each at random moments of real campaigns, on each bus; hours
+	for way in canopen canopen-streamed modbus; do $(BIN)/python -m tests.soak $$way $(SOAK) || exit 1; done
+
 fuzz: $(READY)  ## what no program wrote, given to every parser of files from outside; 600 s of CPU, fails on a finding
 	$(BIN)/python -m tests.fuzz $(FUZZ)
 
@@ -49,7 +57,7 @@ format: $(READY)  ## put the code into its form
 	$(BIN)/ruff format .
 
 lock: $(READY)  ## resolve the dependencies anew, for all platforms
-	$(BIN)/uv pip compile pyproject.toml --group dev --universal --python-version 3.11 --generate-hashes \
+	$(BIN)/uv pip compile pyproject.toml --extra pdf --group dev --universal --python-version 3.11 --generate-hashes \
 		--no-emit-index-url --no-header --quiet --output-file requirements.lock
 
 sbom: $(READY)  ## what sweepid is made of, as CycloneDX 1.6: sbom.json
@@ -63,7 +71,7 @@ openapi: $(READY)  ## write docs/reference/openapi.json
 	$(BIN)/python -m service.api.openapi
 
 clean:  ## forget the environment and what was made
-	rm -rf .venv demo-out sbom.json
+	rm -rf .venv demo-out docs/_build sbom.json
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "sweepid needs Python 3.11 or newer")'

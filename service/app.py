@@ -12,13 +12,15 @@ from service.api.campaign import approvals, bundles, campaigns, plans, sweeps
 from service.api.declared import DeclaredApi
 from service.api.gate import BUNDLE_LIMIT, ROBOT_LIMIT, Gate
 from service.api.machine import drives, live, stop
-from service.api.people import audit, me
+from service.api.people import audit, login, me
 from service.api.people.access import Access
 from service.api.people.audited import Audited
+from service.api.people.password_check import PasswordCheck
 from service.api.problem import Problem, install_problem_handlers
 from service.api.results import diagnoses, estimates, model_revisions, models, reports
 from service.application import Application, open_application
 from service.hmi.pages import add_pages
+from service.people.guesses import Guesses
 from service.settings import Settings
 from service.stop_process.handle import StopProcess
 
@@ -42,6 +44,7 @@ _ROUTERS = (
     stop.router,
     audit.router,
     me.router,
+    login.router,
     health.router,
 )
 
@@ -72,9 +75,9 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
     add_pages(app, None if stop_process is None else stop_process.port)
     install_problem_handlers(app)
     limits = {f"{PREFIX}{bundles.BUNDLES}": BUNDLE_LIMIT, f"{PREFIX}{robots.router.prefix}": ROBOT_LIMIT}
-    app.add_middleware(
-        Access, login=settings.login, wrong_keys=settings.wrong_keys
-    )  # the last one that is added meets a request first
+    guesses = Guesses(settings.wrong_keys)
+    app.state.password_check = PasswordCheck(guesses, settings.wrong_keys)
+    app.add_middleware(Access, login=settings.login, guesses=guesses)  # the last one added meets a request first
     app.add_middleware(Gate, hosts=hosts, stop_path=f"{PREFIX}{stop.router.prefix}", limits=limits)
     app.add_middleware(Audited)
     return app

@@ -53,6 +53,8 @@ from service.store.files.recordings import RecordingFiles
 from service.store.guards import MachineLease, StopLatch
 from service.store.people.audit import AuditStore
 from service.store.people.keys import KeyStore
+from service.store.people.sessions import SessionStore
+from service.store.people.users import UserStore
 from service.store.people.writer import AuditWriter
 from service.store.requests import IdempotencyKeys
 from service.store.store import Store
@@ -86,6 +88,8 @@ class Application:
     stop_process: StopProcess | None
     audit: AuditWriter
     api_keys: KeyStore
+    users: UserStore
+    sessions: SessionStore
     approvals: Approvals
     machine_sha256: str  # of the drive profile with its files, as they are used
     lost: str
@@ -175,7 +179,8 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
         settings.data_dir.mkdir(parents=True, exist_ok=True)
         database = stack.enter_context(open_database(settings.url))
         api_keys = KeyStore(database)
-        audit = stack.enter_context(AuditWriter(AuditStore(database), api_keys))
+        users, sessions = UserStore(database), SessionStore(database, settings.session_idle, settings.session_longest)
+        audit = stack.enter_context(AuditWriter(AuditStore(database), api_keys, sessions))
         store, files, keys = Store(database), RecordingFiles(settings.data_dir), IdempotencyKeys(database)
 
         lost = await asyncio.to_thread(claim_folder, settings.data_dir, database)
@@ -242,7 +247,7 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
         yield Application(
             *(settings, axes, store, files, keys, machine, runner, jobs, worker, hub, feed),
             *(diagnoses, models, diagnosing, experiments, checks, checking, stop_process, audit),
-            *(api_keys, approvals, machine_hash, lost),
+            *(api_keys, users, sessions, approvals, machine_hash, lost),
         )
 
 

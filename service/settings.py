@@ -30,6 +30,8 @@ class Settings(BaseSettings):
     allowed_hosts: tuple[HostName, ...] = ()  # names it answers to besides this computer's own; see `answers_to`
     login: bool = False  # who is it? False: whoever reaches the service is "local" with all rights
     wrong_keys: int = Field(default=10, ge=1, le=10000)  # that an address may show in a minute
+    session_idle: float = Field(default=8 * 3600.0, ge=60)  # s without a request until a person logs in again
+    session_longest: float = Field(default=24 * 3600.0, ge=60)  # s, the same in any case
     trusted_network: bool = False  # without login, beyond this computer: something else lets only trusted ones in
     behind_proxy: bool = False  # True: X-Forwarded-For and -Proto of `trusted_proxies` are believed; else of nobody
     trusted_proxies: tuple[IPvAnyNetwork, ...] = Field(default=_THIS_COMPUTER, min_length=1)

@@ -24,6 +24,7 @@ from simulator.drive_train import DriveTrains
 from simulator.moving_axis import MovingAxis, moving_axis
 from simulator.rigid_body import RigidBody
 from simulator.scenario import Scenario
+from simulator.train_step import TrainAlone
 
 Array = NDArray[np.float64]
 
@@ -117,7 +118,7 @@ class CoupledTrains(DriveTrains):
         step, velocity = self._step, self.velocity
         now = 1.5 * velocity[-1] - 0.5 * self._before  # velocities are half a step old
         self._before = velocity[-1].copy()
-        if np.count_nonzero(self.free) < 2 or not self._scenario.coupled:
+        if not self._touching():
             self._answering = None
             super().step(effort)
             return
@@ -141,6 +142,18 @@ class CoupledTrains(DriveTrains):
         velocity[:] = 0.0
         velocity.reshape(-1)[moving] = new
         self.position[:] += step * velocity
+
+    def alone(self) -> dict[int, TrainAlone] | None:
+        """As for single axes, while none feels another."""
+        return None if self._touching() else super().alone()
+
+    def take_back(self, row: int, alone: TrainAlone) -> None:
+        """As for single axes."""
+        super().take_back(row, alone)
+        self._before[row], self._answering = alone.before, None
+
+    def _touching(self) -> bool:
+        return self._scenario.coupled and int(np.count_nonzero(self.free)) > 1
 
     def _answer(self, inertia: Array) -> _Masses:
         """Of this step: those of some steps ago while they may stand."""

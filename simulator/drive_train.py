@@ -19,8 +19,11 @@ from simulator.effects.bristles import Bristles
 from simulator.effects.friction import friction_law, viscous
 from simulator.effects.ripples import KnownRipples, Ripples, cogging, gear_error
 from simulator.moving_axis import MovingAxis
+from simulator.train_step import ARRAYS, Geared, Rubbing, Train, TrainAlone
 
 Array = NDArray[np.float64]
+
+FEW = 5  # rows that cost less one by one than together
 
 
 class DriveTrains:
@@ -36,13 +39,11 @@ class DriveTrains:
         self.position = np.zeros((masses, rows))
         self.velocity = np.zeros((masses, rows))
         self.free = np.zeros(rows)  # 1 where the brake is open
-        self._force = np.zeros((masses, rows))
         self._damped = np.zeros(rows)  # speed that the spring's damping took from the load in the last step
         self._step = step
 
         self._stiffness = np.array([spring.stiffness for spring in springs])
         self._hardening = np.array([spring.hardening for spring in springs])
-        self._hardens = bool(self._hardening.any())
         self.damping = np.array([spring.damping for spring in springs])
         self._gap = np.array([spring.backlash / 2 for spring in springs])
         self._has_gap = bool(self._gap.any())
@@ -69,29 +70,38 @@ class DriveTrains:
         inertia = self._masses(np.array([[axis.motor_inertia for axis in axes], self._load_inertia]))
         half = self._step * self._viscous / 2
         self._mobility = self._step / (inertia + half)  # velocity gained per N m in one step
-        self._keep = (inertia - half) / (inertia + half)
         self._stick = self._mobility * self._coulomb
-        self._slip = -self._stick
-        self._drag = self._dragged(np.ones(len(axes))) if self.elastic else np.zeros_like(inertia)
         gravity = [axis.gravity for axis in axes]
-        self._gravity = np.array([np.hypot(g.cosine, g.sine) for g in gravity])
-        self._gravity_phase = np.array([np.arctan2(g.cosine, g.sine) for g in gravity])
-        self._gravity_constant = np.array([g.constant for g in gravity])
+        self._train = Train(
+            reckoning=ARRAYS,
+            mobility=tuple(self._mobility),
+            keep=tuple((inertia - half) / (inertia + half)),
+            stick=tuple(self._stick),
+            slip=tuple(-self._stick),
+            drag=self._dragged(np.ones(len(axes))) if self.elastic else None,
+            stiffness=self._stiffness if self.elastic else np.zeros(len(axes)),
+            hardening=self._hardening if self._hardening.any() else None,
+            gap=self._gap if self._has_gap else None,
+            hose=self._hose if self._has_hose else None,
+            hose_rest=self._hose_rest,
+            gravity_amplitude=np.array([np.hypot(g.cosine, g.sine) for g in gravity]),
+            gravity_phase=np.array([np.arctan2(g.cosine, g.sine) for g in gravity]),
+            gravity_constant=np.array([g.constant for g in gravity]),
+        )
 
     def _masses(self, values: Array) -> Array:
         """(motor and load, rows) -> one row of values for each mass."""
         return values if self.elastic else values.sum(axis=0, keepdims=True)
 
-    def _dragged(self, lever: Array) -> Array:
-        """Speed (2, rows) that the motor loses and the load gains per sum of old and new speed of the spring."""
+    def _dragged(self, lever: Array) -> tuple[Array, Array]:
+        """Speed, (rows,) each, that the motor loses and the load gains per sum of old and new speed of the spring."""
         drag, motor, load = self.damping / 2, lever * self._mobility[0], self._mobility[1]
         impulse = drag / (1 + drag * (lever * motor + load))
-        return np.array([motor * impulse, -load * impulse])
+        return motor * impulse, -load * impulse
 
     def gravity(self) -> Array:
         """Torque of gravity and hose on the load at its present position, (rows,) N m."""
-        torque = self._gravity * np.sin(self.position[-1] + self._gravity_phase) + self._gravity_constant
-        return torque + self.hose_torque() if self._has_hose else torque
+        return self._train.gravity(self.position[-1])
 
     def holding_torque(self) -> Array:
         """What the loads need to stand where they are, (rows,) N m."""
@@ -103,10 +113,8 @@ class DriveTrains:
 
     def twist(self) -> Array:
         """How far the springs are wound, rad (rows,): nothing while the teeth are off both flanks."""
-        twist = self.position[0] - self.position[1]
-        if self.gear_error is not None:
-            twist = twist + self.gear_error.at(self.position[0])
-        return twist - np.minimum(np.maximum(twist, -self._gap), self._gap) if self._has_gap else twist
+        ahead = None if self.gear_error is None else self.gear_error.at(self.position[0])
+        return self._train.twist(self.position[0], self.position[1], ahead)
 
     def engaged(self) -> Array:
         """1.0 where the teeth touch, (rows,)."""
@@ -114,8 +122,7 @@ class DriveTrains:
 
     def spring_torque(self) -> Array:
         """Torque of the springs alone, without their damping, (rows,) N m."""
-        twist = self.twist()
-        return (self._stiffness + self._hardening * (twist * twist) if self._hardens else self._stiffness) * twist
+        return self._train.spring(self.twist())
 
     def damping_torque(self) -> Array:
         """Torque (rows,) N m that the springs' damping handed to the load in the last step."""
@@ -149,40 +156,48 @@ class DriveTrains:
 
     def step(self, effort: Array) -> None:
         """Advance every row by one step under motor torque `effort` (rows,), N m."""
-        force, position, velocity = self._force, self.position, self.velocity
-        motor = self.motor_torque(effort)
-        lever, drag = 1.0, self._drag
-        if self.gear_error is not None:
-            lever = self.lever()
-            drag = self._dragged(lever)
-        drift = lever * velocity[0] - velocity[-1]
-        if self.elastic:
-            spring = self.spring_torque()
-            np.subtract(motor, lever * spring, out=force[0])
-            np.subtract(spring, self.gravity(), out=force[1])
-        else:
-            np.subtract(motor, self.gravity(), out=force[0])
+        position, velocity = self.position, self.velocity
+        motor, geared, appended, rubbing = self.motor_torque(effort), self._geared(), None, None
         if self.appendages is not None:
-            force[-1] -= self.appendages.step(position[-1], velocity[-1])
-        stick, slip = self._stick, self._slip
+            appended = self.appendages.step(position[-1], velocity[-1])
         if self.friction is not None:
             forward, backward, more = self.rub()
-            stick, slip = self._mobility * forward, -self._mobility * backward
-            force -= more
-        velocity *= self._keep
-        force *= self._mobility
-        velocity += force
-        if self.elastic:
-            drift += lever * velocity[0]
-            drift -= velocity[1]
-            if self._has_gap:
-                drift *= self.engaged()
-            self._damped = drag[1] * drift
-            velocity[0] -= drag[0] * drift
-            velocity[1] -= self._damped
-        velocity -= np.minimum(np.maximum(velocity, slip), stick)
-        velocity *= self.free
+            rubbing = Rubbing(self._mobility * forward, -self._mobility * backward, more)
+        masses, damped = self._train.step(position, velocity, motor, geared, appended, rubbing)
+        if damped is not None:
+            self._damped = damped
+        for mass, speed in enumerate(masses):
+            np.multiply(speed, self.free, out=velocity[mass])
         position += self._step * velocity
+
+    def _geared(self) -> Geared[Array] | None:
+        """How the gears turn just now, where one does not turn true."""
+        if self.gear_error is None:
+            return None
+        lever = self.lever()
+        return Geared(self.gear_error.at(self.position[0]), lever, self._dragged(lever))
+
+    def alone(self) -> dict[int, TrainAlone] | None:
+        """The rows whose brake is open, each to be stepped by itself and then taken back; None: not in this state."""
+        effects = (self.friction, self.gear_error, self._bristles, self.appendages)
+        free = np.flatnonzero(self.free).tolist()
+        if len(free) > FEW or any(effect is not None for effect in effects):
+            return None
+        cogging = None if self._cogging is None else self._cogging.alone
+        return {
+            row: TrainAlone(
+                self._train.alone(row),
+                self._step,
+                tuple(self.position[:, row].tolist()),
+                tuple(self.velocity[:, row].tolist()),
+                None if cogging is None else cogging(row),
+            )
+            for row in free
+        }
+
+    def take_back(self, row: int, alone: TrainAlone) -> None:
+        """The state of a row that was stepped by itself."""
+        self.position[:, row], self.velocity[:, row], self._damped[row] = alone.position, alone.velocity, alone.damped
 
     def motor_torque(self, effort: Array) -> Array:
         """What is left of `effort` (rows,) N m after cogging and bristles."""

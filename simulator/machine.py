@@ -80,7 +80,7 @@ class Machine:
         self.scenario.driven(joint)
         if not limit >= 0:
             raise ScenarioError(f"joint {joint}: torque limit {limit} N m is negative")
-        self._plant.effort_limit[self._row[joint]] = limit
+        self._plant.loop.limit[self._row[joint]] = limit
 
     def positions(self) -> Array:
         """Motor positions referred to the joints, (n,) rad."""

@@ -6,8 +6,9 @@ is the mean over the same instants of the cycle, so any linear relation between 
 samples too; unless the scenario says that effort or motor speed reach the drive's samples late, smoothed or falsified.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,8 @@ from simulator.channel import Channel
 from simulator.drive_train import DriveTrains
 from simulator.moving_axis import MovingAxis
 from simulator.scenario import CYCLE, STEP, Measurement, SpeedControl
+from simulator.speed_loop import SpeedLoop
+from simulator.train_step import ARRAYS, Masses, Value
 
 Array = NDArray[np.float64]
 
@@ -43,11 +46,10 @@ class Plant:
     def __init__(self, axes: Sequence[MovingAxis], controls: Sequence[SpeedControl], measurement: Measurement) -> None:
         rows = len(axes)
         self.trains = DriveTrains(axes, STEP)
-        self.effort_limit = np.array([c.effort_limit for c in controls])
-        self._gain, self._reset = np.zeros((2, rows))
+        limit = np.array([c.effort_limit for c in controls])
+        self.loop = SpeedLoop(np.zeros(rows), np.zeros(rows), limit, np.zeros(rows), ARRAYS)
         for row, control in enumerate(controls):
             self.tune(row, control.gain, control.reset_time)
-        self._integral = np.zeros(rows)
         self._setpoint = np.zeros(rows)
         self._injected = np.zeros(rows)
         self._recorded_gain = np.array([axis.train.effort_gain for axis in axes])
@@ -57,13 +59,13 @@ class Plant:
 
     def tune(self, row: int, gain: float, reset_time: float) -> None:
         """Other speed control of a row, N m s/rad and s; its torque of this moment stays."""
-        self._gain[row] = gain
-        self._reset[row] = gain * STEP / reset_time
+        self.loop.gain[row] = gain
+        self.loop.reset[row] = gain * STEP / reset_time
 
     def release(self, row: int) -> None:
         """Open the brake of a standing row with the torque that holds gravity."""
-        self._integral[row] = self.trains.settle(row)
-        self._effort.restart(row, self._integral[row])
+        self.loop.integral[row] = holding = self.trains.settle(row)
+        self._effort.restart(row, holding)
         self._velocity.restart(row, 0.0)
         self._setpoint[row] = self._injected[row] = 0.0
         self.trains.free[row] = 1.0
@@ -95,18 +97,24 @@ class Plant:
         injected = np.zeros((steps, rows)) if torques is None else _straight(self._injected, torques)
         self._injected = injected[-1].copy()
 
-        trains, masses = self.trains, len(self.trains.position)
-        effort = np.empty((steps, rows))
-        position = np.empty((steps, masses, rows))
+        masses = len(self.trains.position)
+        effort, position = np.zeros((steps, rows)), np.empty((steps, masses, rows))
         velocity = np.empty((steps + 1, masses, rows))
-        velocity[0] = trains.velocity
-        for n in range(steps):
-            effort[n] = torque = self._control(wanted[n], trains.velocity[0], injected[n])
-            position[n] = trains.position
-            trains.step(torque)
-            velocity[n + 1] = trains.velocity
+        velocity[0] = self.trains.velocity
+        alone = self.trains.alone()
+        if alone is None:
+            _run(self.loop, self.trains, wanted, injected, effort, position, velocity[1:])
+        else:
+            position[:], velocity[1:] = self.trains.position, self.trains.velocity  # of brakes that are closed
+            for row, train in alone.items():
+                loop, nothing = self.loop.alone(row), [None] * steps
+                parts: tuple[list[Any], ...] = (nothing[:], nothing[:], nothing)
+                _run(loop, train, wanted[:, row].tolist(), injected[:, row].tolist(), *parts)
+                effort[:, row], position[:, :, row], velocity[1:, :, row] = parts
+                self.loop.integral[row] = loop.integral
+                self.trains.take_back(row, train)
         velocity = (velocity[1:] + velocity[:-1]) / 2
-        limited = np.abs(effort) >= self.effort_limit
+        limited = np.abs(effort) >= self.loop.limit
         return Samples(
             effort=_means(self._effort.pass_on(effort)) * self._recorded_gain + self._recorded_offset,
             velocity=_means(self._velocity.pass_on(velocity[:, 0])),
@@ -118,19 +126,34 @@ class Plant:
             torque_limited=limited.reshape(cycles, SUBSTEPS, rows).max(axis=1),
         )
 
-    def _control(self, setpoint: Array, velocity: Array, injected: Array) -> Array:
-        """PI and injected torque within the limit; the integrator gives way while it holds (back-calculation)."""
-        error = setpoint - velocity
-        integral = self._integral
-        integral += self._reset * error
-        wanted = self._gain * error
-        wanted += integral
-        wanted += injected
-        effort = np.minimum(np.maximum(wanted, -self.effort_limit), self.effort_limit)
-        integral += effort
-        integral -= wanted
-        effort *= self.trains.free
-        return effort
+
+class _Train(Protocol[Value]):
+    """`DriveTrains`, or one of their rows alone."""
+
+    @property
+    def position(self) -> Masses[Value]: ...
+    @property
+    def velocity(self) -> Masses[Value]: ...
+    @property
+    def free(self) -> Value: ...
+    def step(self, effort: Value) -> None: ...
+
+
+def _run(
+    loop: SpeedLoop[Value],
+    train: _Train[Value],
+    wanted: Iterable[Value],
+    injected: Iterable[Value],
+    effort: Any,
+    position: Any,
+    velocity: Any,
+) -> None:
+    """Step by step to the set-points `wanted`; the last three take torque and position before, velocity after each."""
+    for n, (setpoint, torque) in enumerate(zip(wanted, injected, strict=True)):
+        effort[n] = given = loop.effort(setpoint, train.velocity[0], torque) * train.free
+        position[n] = train.position
+        train.step(given)
+        velocity[n] = train.velocity
 
 
 def _straight(before: Array, values: Array) -> Array:

@@ -16,6 +16,7 @@ from canopen.sdo.client import SdoClient
 
 from drivers.canopen import frames
 from drivers.canopen.profile import BusProfile
+from drivers.canopen.socketcand import SocketcandBus
 from drivers.canopen.strangers import Strangers
 from drivers.cia402.host_watch import HostWatch
 from drivers.errors import CommunicationLost, ConnectionFailed
@@ -240,7 +241,7 @@ def _open(profile: BusProfile) -> can.BusABC:
         if profile.interface == "socketcand":
             # python-can retries a refused connection for 10 s in a busy loop; ask first.
             socket.create_connection((profile.host, profile.port), timeout=3.0).close()
-            options |= {"host": profile.host, "port": profile.port, "tcp_tune": True}
+            return SocketcandBus(profile.channel, profile.host, profile.port, tcp_tune=True)
         interface = can.Bus(**options)  # pyright: ignore[reportArgumentType]
         if isinstance(interface, SocketcanBus):
             interface.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)

@@ -125,20 +125,19 @@ def _check_map(profile: _Content, device_map: DeviceMap) -> None:
 def _check_eds(profile: _Content, eds: Path) -> None:
     """BadProfile unless the EDS is for the devices of the profile (CiA 306, section DeviceInfo).
 
-    Some makers leave vendor and product out there; the drives themselves say them at connect.
+    Some makers leave vendor or product out there; the drives themselves say them at connect.
     """
     parser = ConfigParser(interpolation=None, strict=False)
     try:
         parser.read(eds, encoding="utf-8")
         device = parser["DeviceInfo"]
-        if not device.keys() & {"vendornumber", "productnumber"}:
-            return
-        found = (int(device["VendorNumber"], 0), int(device["ProductNumber"], 0))
+        found = {key: int(device[f"{key}Number"], 0) for key in ("Vendor", "Product") if f"{key}number" in device}
     except (ConfigError, KeyError, ValueError) as error:
         raise BadProfile(f"eds: {eds} has no usable section DeviceInfo: {error}") from None
     for axis in profile.axes:
-        if found != (axis.identity.vendor, axis.identity.product):
+        given = {"Vendor": axis.identity.vendor, "Product": axis.identity.product}
+        if found != {key: given[key] for key in found}:
+            told = ", ".join(f"{key.lower()} {number:08X}h" for key, number in found.items())
             raise BadProfile(
-                f"eds: {eds} is for vendor {found[0]:08X}h, product {found[1]:08X}h; {axis.joint} is "
-                f"{axis.identity.vendor:08X}h, {axis.identity.product:08X}h"
+                f"eds: {eds} is for {told}; {axis.joint} is {given['Vendor']:08X}h, {given['Product']:08X}h"
             )

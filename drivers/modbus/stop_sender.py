@@ -4,7 +4,7 @@ import select
 import socket
 import struct
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from drivers.cia402 import states
 from drivers.errors import ConnectionFailed, NotReady
@@ -14,6 +14,8 @@ from drivers.modbus.registers import RegisterMap
 
 CONNECT_TIMEOUT = 0.5  # s
 ANSWER_TIMEOUT = 0.03  # s for a unit, before the next is told
+LATE_ANSWER = 0.1  # s for a unit that did not answer then, and is told again after all others
+INSISTENCE = 0.5  # s in all for such units
 _HEAD = struct.Struct(">HHHB")  # transaction, protocol 0, length of the rest, unit: Modbus messaging on TCP/IP V1.0b
 
 
@@ -38,17 +40,26 @@ class ModbusStopSender:
         time.sleep(within)
 
     def send(self) -> Mapping[str, str]:
-        """One unit after the other, for many a server drops a request that comes before it has answered the last."""
+        """One unit after the other, for many a server drops a request that comes before it has answered the last.
+
+        Where a unit was slow the next may not have been heard: all that have not answered are told again.
+        """
         try:
             with socket.create_connection((self._line.host, self._line.port), CONNECT_TIMEOUT) as line:
                 line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                answered = set[int]()
+                answers = _Answers(line)
                 for unit, request in self._requests.items():
                     line.sendall(request)
-                    answered |= _answers(line, unit)
+                    answers.wait_for([unit], ANSWER_TIMEOUT)
+                answers.wait_for(self._requests, LATE_ANSWER)
+                until = time.monotonic() + INSISTENCE
+                while time.monotonic() < until and (missing := self._requests.keys() - answers.words.keys()):
+                    for unit in missing:
+                        line.sendall(self._requests[unit])
+                        answers.wait_for([unit], LATE_ANSWER)
         except OSError as error:
             raise ConnectionFailed(f"Modbus {self._line.place}: {error}") from None
-        return {joint: "" if unit in answered else "did not answer" for unit, joint in self._joints.items()}
+        return {joint: answers.words.get(unit, "did not answer") for unit, joint in self._joints.items()}
 
     def insist(self) -> None:
         self.send()
@@ -57,18 +68,29 @@ class ModbusStopSender:
         """Nothing is held open."""
 
 
-def _answers(line: socket.socket, unit: int) -> set[int]:
-    """The units that took the word, of those that answer until `unit` has or its time is over."""
-    taken, deadline, data = set[int](), time.monotonic() + ANSWER_TIMEOUT, b""
-    while (left := deadline - time.monotonic()) > 0 and select.select([line], [], [], left)[0]:
-        more = line.recv(4096)
-        if not more:
-            raise OSError("closed by the drives")
-        data += more
-        while len(data) > _HEAD.size and len(data) >= 6 + (head := _HEAD.unpack_from(data))[2]:
-            if data[_HEAD.size] == WRITE:
-                taken.add(head[0])
-            if head[0] == unit:
-                return taken
-            data = data[6 + head[2] :]
-    return taken
+class _Answers:
+    """What has come on a line so far: `words` by unit, empty where the unit took the stop."""
+
+    def __init__(self, line: socket.socket) -> None:
+        self.words: dict[int, str] = {}
+        self._line = line
+        self._data = b""
+
+    def wait_for(self, units: Collection[int], seconds: float) -> None:
+        """Read until all of these have answered, or the time is over; OSError if the drives close the line."""
+        deadline = time.monotonic() + seconds
+        while not self.words.keys() >= set(units):
+            left = deadline - time.monotonic()
+            if left <= 0 or not select.select([self._line], [], [], left)[0]:
+                return
+            more = self._line.recv(4096)
+            if not more:
+                raise OSError("closed by the drives")
+            self._read(self._data + more)
+
+    def _read(self, data: bytes) -> None:
+        while len(data) > _HEAD.size and len(data) >= (whole := 6 + _HEAD.unpack_from(data)[2]):
+            unit, function = _HEAD.unpack_from(data)[0], data[_HEAD.size]
+            self.words[unit] = "" if function == WRITE else "refused the stop"
+            data = data[whole:]
+        self._data = data

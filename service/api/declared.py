@@ -16,17 +16,25 @@ _KEY = {
 }
 
 
+_SESSION = {
+    "type": "apiKey",
+    "in": "cookie",
+    "name": "sweepid-8642",
+    "description": "a session, which POST /login opens; its cookie bears the number of the port",
+}
+
+
 class DeclaredApi(FastAPI):
     """FastAPI declares every model as `application/json`; problems are sent as something else."""
 
     def openapi(self) -> dict[str, Any]:
         document = super().openapi()
-        document["components"].setdefault("securitySchemes", {})["key"] = _KEY
+        document["components"].setdefault("securitySchemes", {}).update(key=_KEY, session=_SESSION)
         for where, path in cast("dict[str, dict[str, Any]]", document["paths"]).items():
             for method, operation in path.items():
                 needed = PERMISSIONS.get((method.upper(), where))
                 if needed is not None:
-                    operation["security"] = [{}, {"key": []}]  # none where the service has no login
+                    operation["security"] = [{}, {"key": []}, {"session": []}]  # none where the service has no login
                     operation["x-least-role"] = needed.word
                     operation["responses"] |= _refusals(needed)
                 for response in operation["responses"].values():

@@ -56,7 +56,7 @@ class Gate:
         if self._hosts and _parts(f"//{host}")[0] not in self._hosts:
             return f"host {host!r} is not this service; it answers to {', '.join(sorted(self._hosts))}"
         origin = headers.get("origin")
-        if origin is not None and _parts(origin)[1] != host:
+        if origin is not None and not from_own_page(headers):
             return f"sent by a page of {origin}, not of {host}"
         return ""
 
@@ -67,6 +67,11 @@ class Gate:
             await send({"type": "websocket.close", "code": 1008, "reason": detail[:120]})
             return
         await problem_response(Request(scope), status, name, detail)(scope, receive, send)
+
+
+def from_own_page(headers: Headers) -> bool:
+    """Whether a browser says that a page of this very service sends it; False where nobody says so."""
+    return _parts(headers.get("origin", ""))[1] == headers.get("host", "") != ""
 
 
 def _parts(address: str) -> tuple[str | None, str]:

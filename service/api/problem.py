@@ -49,7 +49,19 @@ _METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
 _LIMITS = ("gt", "ge", "lt", "le", "min_length", "max_length", "expected", "multiple_of")
 _LONGEST_VALUE = 200
 _LONGEST_TEXT = 2000
+_SECRET = "/login"  # nothing that was sent there is told: it may be a password, in whichever field
 _MOST_ERRORS = 8  # told of a request: an answer must not grow with what was sent
+
+
+class Refused(Exception):
+    """Becomes the problem `name`, with these headers."""
+
+    def __init__(self, status: HTTPStatus, name: str, detail: str, headers: Mapping[str, str] | None = None) -> None:
+        super().__init__(detail)
+        self.status, self.name, self.detail, self.headers = status, name, detail, headers
+
+    def response(self, request: Request) -> Response:
+        return problem_response(request, self.status, self.name, self.detail, headers=self.headers)
 
 
 class FieldProblem(BaseModel):
@@ -101,6 +113,7 @@ def install_problem_handlers(app: FastAPI) -> None:
     """Turn every exception that leaves a route into a problem."""
     app.add_exception_handler(SweepidError, _on_known_error)
     app.add_exception_handler(DriveError, _on_known_error)
+    app.add_exception_handler(Refused, _on_refused)
     app.add_exception_handler(RequestValidationError, _on_invalid_request)
     app.add_exception_handler(HTTPException, _on_http_error)
     app.add_exception_handler(Exception, _on_unknown_error)
@@ -113,9 +126,16 @@ def _on_known_error(request: Request, error: Exception) -> Response:
     return problem_response(request, status, _kebab(type(error).__name__), str(error), errors, headers)
 
 
+def _on_refused(request: Request, error: Exception) -> Response:
+    if not isinstance(error, Refused):
+        raise error
+    return error.response(request)
+
+
 def _on_invalid_request(request: Request, error: Exception) -> Response:
     details: Sequence[ErrorDetails] = error.errors() if isinstance(error, RequestValidationError) else ()
-    errors = tuple(_field_problem(detail) for detail in details[:_MOST_ERRORS])
+    told = not request.url.path.endswith(_SECRET)
+    errors = tuple(_field_problem(detail, told) for detail in details[:_MOST_ERRORS])
     first = errors[0]
     given = "" if first.value is None else f" (given: {first.value})"
     more = f"; {len(details)} errors, the first {_MOST_ERRORS} are told" if len(details) > _MOST_ERRORS else ""
@@ -148,7 +168,8 @@ def _on_unknown_error(request: Request, error: Exception) -> Response:
     return problem_response(request, status, "internal-error", f"{type(error).__name__}; see the service's log")
 
 
-def _field_problem(detail: ErrorDetails) -> FieldProblem:
+def _field_problem(detail: ErrorDetails, told: bool) -> FieldProblem:
+    """`told`: whether what was given may be."""
     where, *path = detail["loc"] or ("body",)
     path = [part for part in path if not str(part).startswith(TAG)]
     escaped = [str(part).replace("~", "~0").replace("/", "~1") for part in path]
@@ -160,7 +181,7 @@ def _field_problem(detail: ErrorDetails) -> FieldProblem:
     return FieldProblem(
         pointer=_cut(pointer, _LONGEST_VALUE),
         reason=_cut(detail["msg"], _LONGEST_VALUE),
-        value=_shown(detail["input"]),
+        value=_shown(detail["input"]) if told else None,
         limit=limit,
     )
 

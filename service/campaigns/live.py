@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.ports import SampleBlock
-from service.store.database import Database
+from service.store.database import Database, refusal
 from service.store.documents import EventDocument
 from service.store.store import Store
 
@@ -166,7 +166,7 @@ class EventFeed:
                 try:
                     events = await asyncio.to_thread(self._store.events, after, campaign_id)
                 except SQLAlchemyError as refused:
-                    _log.warning("events_not_read", after=after, reason=str(refused))
+                    _log.warning("events_not_read", after=after, reason=refusal(refused))
                     with suppress(TimeoutError):
                         await asyncio.wait_for(news.wait(), RETRY)
                     continue

@@ -15,6 +15,7 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.errors import Conflict, NotFound, NotNow
+from service.store.database import refusal
 from service.store.documents import StopDocument
 from service.store.guards import StopLatch
 
@@ -127,7 +128,7 @@ class Holds:
             try:
                 hold.document = await apart(self._latch.latch, told.by, told.why, told.at)
             except SQLAlchemyError as error:
-                _log.error("stop_not_noted_yet", by=told.by, why=told.why, reason=type(error).__name__)
+                _log.error("stop_not_noted_yet", by=told.by, why=told.why, reason=refusal(error))
                 return False
             self._ids[told.id] = hold.document.id
             if len(self._ids) > _MOST_NAMES:

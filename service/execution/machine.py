@@ -22,6 +22,7 @@ from drivers.ports import (
 from service.errors import Conflict
 from service.execution.holds import Hold, Holds, apart
 from service.execution.motion import Bounds, Motion
+from service.store.database import refusal
 from service.store.documents import StopDocument
 from service.store.guards import LeaseLost, MachineLease, StopLatch
 from service.tasks.ending import to_its_end
@@ -319,7 +320,7 @@ class Machine:
             try:
                 attempt.result()
             except SQLAlchemyError as error:  # also a full pool, a broken file: it must not end the watch
-                _log.warning("lease_not_renewed", reason=str(error))
+                _log.warning("lease_not_renewed", reason=refusal(error))
                 await self._check_renewed(renewed, lease_time, late)
             else:
                 renewed, late = begun, 0.0

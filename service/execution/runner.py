@@ -22,6 +22,7 @@ from service.execution.sweep_executor import SweepExecutor, cause_of
 from service.execution.under_way import UnderWay
 from service.jobs.jobs import Jobs
 from service.planning.compiled_plan import CompiledPlan
+from service.store.database import refusal
 from service.store.documents import CampaignDocument, CampaignState, SweepState
 from service.store.store import StaleVersion, Store, SweepMove
 from service.tasks.ending import to_its_end
@@ -274,7 +275,7 @@ class Runner:
             except SQLAlchemyError as refused:
                 refusals += 1
                 if refusals == 1:
-                    _log.error("end_not_stored", cause=self._untold, reason=str(refused))
+                    _log.error("end_not_stored", cause=self._untold, reason=refusal(refused))
             if not wait:
                 return
             await asyncio.sleep(RETRY)

@@ -28,6 +28,7 @@ from service.execution.under_way import UnderWay, travels
 from service.planning.compiled_plan import CompiledPlan
 from service.recording import SweepSpec
 from service.safety.noise_motion import Command
+from service.store.database import refusal
 from service.store.documents import EventKind, NewRecording, SweepDocument
 from service.store.files.recordings import RecordingFiles, Run
 from service.store.store import Store
@@ -299,6 +300,8 @@ def cause_of(machine: Machine, error: BaseException) -> str:
         cause = machine.held
     elif isinstance(error, asyncio.CancelledError):
         cause = str(error) or "cancelled"
+    elif isinstance(error, SQLAlchemyError):
+        cause = refusal(error)
     else:
         cause = f"{type(error).__name__}: {error}"
     return "; ".join([cause, *getattr(error, "__notes__", ())])

@@ -10,6 +10,8 @@ from contextlib import nullcontext
 import structlog
 from sqlalchemy.exc import OperationalError
 
+from service.store.database import refusal
+
 _log = structlog.get_logger(__name__)
 
 _AGAIN = 2.0  # s
@@ -57,7 +59,7 @@ class OpenJobs:
             try:
                 await do()
             except (OperationalError, OSError) as error:  # locked, full, read-only: none of it stays so
-                reason = str(error).partition("\n")[0]
+                reason = refusal(error) if isinstance(error, OperationalError) else str(error).partition("\n")[0]
                 _log.warning("job_waits", job=name, reason=reason)
                 self._troubles[name] = reason
                 await asyncio.sleep(_AGAIN)

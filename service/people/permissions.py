@@ -42,6 +42,7 @@ _V, _O, _E, _A = Role
 STOP: Route = ("POST", f"{_API}/stop")
 SIGN_OF_LIFE: Route = ("POST", f"{_API}/campaigns/{{campaign_id}}/sign_of_life")
 """Changes nothing, and comes several times a minute: it is not in the audit, but its absence is."""
+LOGIN: Route = ("POST", f"{_API}/login")
 
 _CALLS: dict[Route, Role | None] = {
     ("POST", "/robots"): _E,
@@ -92,6 +93,8 @@ _CALLS: dict[Route, Role | None] = {
     ("POST", "/stop/reset"): _O,
     ("GET", "/audit"): _A,
     ("GET", "/me"): _V,
+    ("POST", "/login"): None,
+    ("POST", "/logout"): _V,
     ("GET", "/health/live"): None,
     ("GET", "/health/ready"): None,
     ("GET", "/openapi.json"): None,

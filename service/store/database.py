@@ -8,11 +8,19 @@ from pathlib import Path
 from alembic import command
 from alembic.config import Config
 from sqlalchemy import Connection, Engine, create_engine, event, make_url
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 from sqlalchemy.orm import Session
 from sqlalchemy.pool import ConnectionPoolEntry
 
 BUSY_TIMEOUT = 30.0  # s to wait for another writer
 MIGRATIONS = Path(__file__).parent / "migrations"
+
+
+def refusal(error: SQLAlchemyError) -> str:
+    """Why the database did not do it, in its own words, without the statement and what belongs to it."""
+    own = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
+    reason = str(own).partition("\n")[0] if own.args else ""
+    return f"the database refused: {reason or type(own).__name__}"
 
 
 class Database:

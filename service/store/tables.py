@@ -280,6 +280,31 @@ class ApiKeyRow(Base):
     revoked_at: Mapped[datetime | None]
 
 
+class UserRow(Base):
+    """A person. `password`: argon2's hash; None where somebody else says who it is."""
+
+    __tablename__ = "user_account"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(String(100), unique=True)
+    role: Mapped[str] = mapped_column(String(16))
+    password: Mapped[str | None] = mapped_column(String(255))
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    disabled_at: Mapped[datetime | None]
+
+
+class SessionRow(Base):
+    """A browser in which a person is logged in. `sha256`: of what its cookie has."""
+
+    __tablename__ = "user_session"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    user_id: Mapped[int] = mapped_column(ForeignKey("user_account.id"))
+    sha256: Mapped[str] = mapped_column(String(64), unique=True)
+    address: Mapped[str] = mapped_column(String(100))
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    seen_at: Mapped[datetime] = mapped_column(default=now)
+    ended_at: Mapped[datetime | None]
+
+
 class AuditRow(Base):
     """Append-only, a trigger refuses the rest. `entry` is canonical JSON; `sha256` is in `service.people.chain`."""
 

@@ -1,6 +1,7 @@
 """What repeats with the motor's angle: sums of ``amplitude sin(order * motor angle + phase)``."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from math import sin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,12 @@ class Ripples:
     def at(self, position: Array) -> Array:
         """The sums (..., rows) at positions (..., rows), in the unit of the amplitudes."""
         return (self._amplitude * np.sin(self._order * position[..., None, :] + self._phase)).sum(axis=-2)
+
+    def alone(self, row: int) -> Callable[[float], float]:
+        """The sum of one row, in floats."""
+        terms = [part[:, row].tolist() for part in (self._amplitude, self._order, self._phase)]
+        waves = list(zip(*terms, strict=True))
+        return lambda position: sum([amplitude * sin(order * position + phase) for amplitude, order, phase in waves])
 
     def slope(self, position: Array) -> Array:
         """Their derivatives (..., rows) by the joint's angle."""

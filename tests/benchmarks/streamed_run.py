@@ -28,7 +28,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
@@ -74,39 +74,54 @@ async def measure(
     port: DrivePort, robot: Robot, joints: Sequence[str], seconds: float, rate: float
 ) -> list[sweeps.Run]:
     """Drive-side sweeps, `seconds` of host-streamed ones, drive-side sweeps again."""
-    starts = {True: {joint: sweeps.POSE[joint] for joint in joints}}
-    starts[False] = {joint: sweeps.POSE[joint] + sweeps.way(robot, joint) for joint in joints}
-    middle = {joint: (starts[True][joint] + starts[False][joint]) / 2 for joint in joints}
-    runs: list[sweeps.Run] = []
-
-    def command(joint: str, forward: bool, mode: SweepMode) -> SweepCommand:
-        return sweeps.command(robot, joint, starts[forward][joint], forward, mode, rate)
-
-    async def drive_side() -> None:
-        await sweeps.move(port, middle)
-        for joint in joints:
-            await sweeps.move(port, {joint: starts[True][joint]})
-            for number in range(DRIVE_SIDE):
-                forward = number % 2 == 0
-                commands = [command(joint, forward, SweepMode.DRIVE_SIDE)]
-                runs.append(await sweeps.run(port, robot, commands, sweeps.POSE | middle))
-            await sweeps.move(port, {joint: middle[joint]})
-            print(f"{joint}: {DRIVE_SIDE} drive-side sweeps", flush=True)
-
     await sweeps.move(port, sweeps.POSE)
-    await drive_side()
+    before = await drive_side(port, robot, joints, rate)
+    streamed = await host_streamed(port, robot, joints, seconds, rate)
+    return [*before, *streamed, *await drive_side(port, robot, joints, rate)]
+
+
+async def drive_side(port: DrivePort, robot: Robot, joints: Sequence[str], rate: float) -> list[sweeps.Run]:
+    """`DRIVE_SIDE` sweeps of one axis after the other, the others in the middle of their way."""
+    middle = {joint: sweeps.POSE[joint] + sweeps.way(robot, joint) / 2 for joint in joints}
+    runs: list[sweeps.Run] = []
+    await sweeps.move(port, middle)
+    for joint in joints:
+        await sweeps.move(port, {joint: sweeps.POSE[joint]})
+        for number in range(DRIVE_SIDE):
+            command = _command(robot, joint, number % 2 == 0, SweepMode.DRIVE_SIDE, rate)
+            runs.append(await sweeps.run(port, robot, [command], sweeps.POSE | middle))
+        await sweeps.move(port, {joint: middle[joint]})
+        print(f"{joint}: {DRIVE_SIDE} drive-side sweeps", flush=True)
+    return runs
+
+
+async def host_streamed(
+    port: DrivePort, robot: Robot, joints: Sequence[str], seconds: float, rate: float
+) -> list[sweeps.Run]:
+    """`seconds` of sweeps of all axes at once, there and back."""
+    middle = {joint: sweeps.POSE[joint] + sweeps.way(robot, joint) / 2 for joint in joints}
+    runs: list[sweeps.Run] = []
     streamed = 0.0
     while streamed < seconds:
         for first in DIRECTIONS[len(joints)]:
-            await sweeps.move(port, {joint: starts[way][joint] for joint, way in zip(joints, first, strict=True)})
+            ways = dict(zip(joints, first, strict=True))
+            await sweeps.move(port, {joint: _start(robot, joint, forward) for joint, forward in ways.items()})
             for directions in (first, tuple(not way for way in first)):
                 pairs = zip(joints, directions, strict=True)
-                commands = [command(joint, forward, SweepMode.HOST_STREAMED) for joint, forward in pairs]
+                commands = [_command(robot, *pair, SweepMode.HOST_STREAMED, rate) for pair in pairs]
                 runs.append(await sweeps.run(port, robot, commands, sweeps.POSE | middle))
                 streamed += commands[0].duration
                 print(_line(runs[-1], streamed), flush=True)
-    await drive_side()
     return runs
+
+
+def _start(robot: Robot, joint: str, forward: bool) -> float:
+    """Where a sweep begins, rad."""
+    return sweeps.POSE[joint] + (0.0 if forward else sweeps.way(robot, joint))
+
+
+def _command(robot: Robot, joint: str, forward: bool, mode: SweepMode, rate: float) -> SweepCommand:
+    return sweeps.command(robot, joint, _start(robot, joint, forward), forward, mode, rate)
 
 
 def _line(run: sweeps.Run, streamed: float) -> str:
@@ -127,11 +142,16 @@ def on_the_wire(frames: NDArray[np.void], run: sweeps.Run) -> dict[str, sweeps.I
 
 
 def report(
-    frames: NDArray[np.void], runs: list[sweeps.Run], joints: Sequence[str], robot: Robot, rate: float
+    frames: NDArray[np.void],
+    runs: list[sweeps.Run],
+    joints: Sequence[str],
+    robot: Robot,
+    rate: float,
+    seen: Callable[[NDArray[np.void], sweeps.Run], dict[str, sweeps.Indices]] = on_the_wire,
 ) -> dict[str, Any]:
-    """Everything there is to say; `passed` is the verdict."""
+    """Everything there is to say; `passed` is the verdict. `seen`: what the witness saw of a run."""
     streamed = [run for run in runs if run.mode is SweepMode.HOST_STREAMED]
-    wire = [on_the_wire(frames, run) for run in streamed]
+    wire = [seen(frames, run) for run in streamed]
     axes: dict[str, Any] = {}
     for joint in joints:
         delivered = [run.indices[joint] for run in streamed]
@@ -140,7 +160,7 @@ def report(
         axes[joint] = {
             "sweeps": len(streamed),
             "samples": _total(delivered),
-            "on_the_wire": _total([seen[joint] for seen in wire]),
+            "on_the_wire": _total([each[joint] for each in wire]),
             "complete": all(index.count == expected and index.gapless for index in delivered),
             "inertia": {"streamed": inertia.streamed, "drive_side": inertia.drive_side, "std_of_a_sweep": inertia.std}
             | {"std_of_difference": inertia.difference_std, "z": inertia.z}

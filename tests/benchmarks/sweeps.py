@@ -3,7 +3,7 @@
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import aclosing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ RAMP = SETTLE = 0.5  # s
 MOVING = RAMP + SETTLE + PERIOD * PERIODS  # s of the offset's full velocity
 TRAVEL = np.radians(4.0)
 SHARE = 0.28  # of the offset for each line; twice that and an elastic load still does not reverse
+WIDE = 0.3  # rad that a wide sweep travels: a line is then more than 20 steps of a Powerball's position
 VELOCITY = 0.5  # rad/s, of moves
 
 Array = NDArray[np.float64]
@@ -90,13 +91,12 @@ def count(index: NDArray[np.integer]) -> Indices:
 
 def command(robot: Robot, joint: str, start: float, forward: bool, mode: SweepMode, rate: float) -> SweepCommand:
     """A sweep of `joint` from `start`, rad."""
-    offset = _offset(robot, joint)
-    sines = tuple(Sine(f, SHARE * offset, phase) for f, phase in zip(LINES[joint], (0.0, -np.pi / 2), strict=True))
+    offset = _offset(robot, joint, TRAVEL)
     return SweepCommand(
         joint=joint,
         mode=mode,
         offset_velocity=offset if forward else -offset,
-        sines=sines,
+        sines=_sines(joint, offset),
         period=PERIOD,
         periods=PERIODS,
         ramp=RAMP,
@@ -108,9 +108,21 @@ def command(robot: Robot, joint: str, start: float, forward: bool, mode: SweepMo
     )
 
 
+def wide(robot: Robot, joint: str, start: float, mode: SweepMode, rate: float) -> SweepCommand:
+    """A forward sweep that turns further and faster."""
+    offset = _offset(robot, joint, WIDE)
+    return replace(
+        command(robot, joint, start, True, mode, rate),
+        offset_velocity=offset,
+        sines=_sines(joint, offset),
+        velocity_limit=0.2,
+        position_window=(start - 0.45, start + 0.45),
+    )
+
+
 def way(robot: Robot, joint: str) -> float:
     """From start to end of a forward sweep, rad."""
-    return _offset(robot, joint) * MOVING
+    return _offset(robot, joint, TRAVEL) * MOVING
 
 
 async def run(port: DrivePort, robot: Robot, commands: Sequence[SweepCommand], pose: Mapping[str, float]) -> Run:
@@ -160,11 +172,16 @@ def compare(robot: Robot, runs: Sequence[Run], joint: str) -> Comparison:
     )
 
 
-def _offset(robot: Robot, joint: str) -> float:
-    """The fastest offset within `TRAVEL` that keeps cogging off the lines (see `excitation`), rad/s."""
+def _sines(joint: str, offset: float) -> tuple[Sine, ...]:
+    phases = (0.0, -np.pi / 2)
+    return tuple(Sine(f, SHARE * offset, phase) for f, phase in zip(LINES[joint], phases, strict=True))
+
+
+def _offset(robot: Robot, joint: str, travel: float) -> float:
+    """The fastest offset within `travel`, rad, that keeps cogging off the lines (see `excitation`), rad/s."""
     axis = robot.axis(joint)
     step = 2 * np.pi / (axis.cogging_orders[0] * axis.gear_ratio * PERIOD * PERIODS)
-    return float(next(n for n in range(int(TRAVEL / MOVING / step), 0, -1) if n % PERIODS) * step)
+    return float(next(n for n in range(int(travel / MOVING / step), 0, -1) if n % PERIODS) * step)
 
 
 def _sweep(

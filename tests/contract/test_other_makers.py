@@ -14,15 +14,14 @@ import yaml
 
 from drivers.contract.bench import closing, column, consume
 from drivers.errors import LimitExceeded, SweepInterrupted
-from drivers.ports import AxisState, DrivePort, SampleBlock, Sine, SweepCommand, SweepMode
+from drivers.ports import AxisState, DrivePort, SampleBlock, SweepCommand, SweepMode
 from drivers.registry import open_drive
 from service.robot import Robot
-from tests.benchmarks.sweeps import LINES, MOVING, PERIOD, PERIODS, POSE, SHARE, Run, command, compare, move, robot, run
+from tests.benchmarks.sweeps import LINES, POSE, Run, command, compare, move, robot, run, wide
 from tests.contract.bench import AXIS, BENCHES, DRIVES, SYNC_PERIOD, in_one_process
 from tests.contract.makers import profile
 from tests.foreign_bench import bench
 
-TRAVEL = 0.3  # rad: a line is then more than 20 steps of a Powerball's position
 STEP = float(np.radians(1e-3))  # rad, of a Powerball's position
 WAYS = {
     "plain": "cyclic_velocity (60FFh)",
@@ -33,26 +32,12 @@ WAYS = {
 }
 
 
-def wide(robot: Robot, joint: str, mode: SweepMode, rate: float) -> SweepCommand:
-    """A sweep that turns further and faster than those of the benchmarks."""
-    axis, start = robot.axis(joint), POSE[joint]
-    step = 2 * np.pi / (axis.cogging_orders[0] * axis.gear_ratio * PERIOD * PERIODS)  # keeps cogging off the lines
-    offset = float(next(n for n in range(int(TRAVEL / MOVING / step), 0, -1) if n % PERIODS) * step)
-    return replace(
-        command(robot, joint, start, True, mode, rate),
-        offset_velocity=offset,
-        sines=tuple(Sine(f, SHARE * offset, phase) for f, phase in zip(LINES[joint], (0.0, -np.pi / 2), strict=True)),
-        velocity_limit=0.2,
-        position_window=(start - 0.45, start + 0.45),
-    )
-
-
 async def swept(port: DrivePort, robot: Robot, mode: SweepMode, rate: float) -> list[Run]:
     """One sweep of each axis."""
     runs: list[Run] = []
     for joint in LINES:
         await move(port, POSE)
-        runs.append(await run(port, robot, [wide(robot, joint, mode, rate)], POSE))
+        runs.append(await run(port, robot, [wide(robot, joint, POSE[joint], mode, rate)], POSE))
     return runs
 
 
@@ -136,7 +121,7 @@ async def test_a_stop_in_a_sweep_ends_where_the_axis_is(dictionary: str, by: str
             await port.enable(AXIS)
             await port.move_to(AXIS, 0.8, 0.5)
             running = port.run_sweep(
-                replace(wide(robot(), AXIS, SweepMode.HOST_STREAMED, 125.0), position_window=(0.5, 1.2))
+                replace(wide(robot(), AXIS, POSE[AXIS], SweepMode.HOST_STREAMED, 125.0), position_window=(0.5, 1.2))
             )
             for _ in range(8):
                 await anext(running)
@@ -163,7 +148,7 @@ async def test_cyclic_position_where_the_map_prefers_it(tmp_path: Path) -> None:
             assert port.capabilities.set_points == "cyclic_position (607Ah)"
             await port.enable(AXIS)
             blocks: list[SampleBlock] = []
-            command = replace(wide(robot(), AXIS, SweepMode.HOST_STREAMED, 125.0), periods=1)
+            command = replace(wide(robot(), AXIS, POSE[AXIS], SweepMode.HOST_STREAMED, 125.0), periods=1)
             await consume(port, command, blocks.append)
             assert column(blocks, "index").tolist() == list(range(round(command.duration / SYNC_PERIOD) + 1))
             travelled = column(blocks, "position")[-1] - column(blocks, "position")[0]

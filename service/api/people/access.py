@@ -4,9 +4,7 @@ With `login: false` everybody is `local` with all rights. A stop is asked nothin
 beginning cannot be written to the audit is refused, and so is, for a while, an address that showed too many wrong keys.
 """
 
-import math
 import time
-from collections.abc import Mapping
 from http import HTTPStatus
 
 from starlette.concurrency import run_in_threadpool
@@ -14,39 +12,31 @@ from starlette.datastructures import Headers
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from service.api.gate import from_own_page
+from service.api.people.refusals import too_many, unauthorized
+from service.api.people.shown import Shown, shown
 from service.api.people.trail import Trail, put, trail_of, written
-from service.api.problem import AGAIN, problem_response
+from service.api.problem import AGAIN, Refused
 from service.application import Application
-from service.people.guesses import WINDOW, Guesses
-from service.people.keys import bearer, key_sha256
-from service.people.permissions import LOCAL, PERMISSIONS, STOP, Permissions, Role
-from service.store.people.keys import KeyDocument
+from service.people.callers import Caller
+from service.people.guesses import Guesses
+from service.people.keys import key_sha256
+from service.people.permissions import LOCAL, LOGIN, PERMISSIONS, STOP, Permissions, Role
 from service.store.people.writer import NotAudited
 from service.store.tables import now
 
-_CHALLENGE = {"WWW-Authenticate": 'Bearer realm="sweepid"'}
 _ANYBODY = "anybody"
 _POLICY = 1008  # close code of WebSockets: policy violation
-
-
-class _Refused(Exception):
-    def __init__(self, status: HTTPStatus, name: str, detail: str, headers: Mapping[str, str] | None = None) -> None:
-        super().__init__(detail)
-        self.status, self.name, self.detail, self.headers = status, name, detail, headers
-
-
-def _unauthorized(detail: str) -> _Refused:
-    return _Refused(HTTPStatus.UNAUTHORIZED, "unauthorized", detail, _CHALLENGE)
 
 
 class Access:
     """ASGI middleware, inside of `Audited`."""
 
-    def __init__(self, app: ASGIApp, login: bool, wrong_keys: int) -> None:
-        """`wrong_keys`: how many an address may show in a minute."""
+    def __init__(self, app: ASGIApp, login: bool, guesses: Guesses) -> None:
+        """`guesses`: how many wrong keys an address may show."""
         self._app = app
         self._login = login
-        self._guesses = Guesses(wrong_keys)
+        self._guesses = guesses
         self._permissions = Permissions()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -57,7 +47,7 @@ class Access:
         trail.route = self._permissions.entry(trail.method, scope["path"])
         trail.stop = trail.route == STOP
         if trail.stop and self._login:
-            trail.key = _shown(scope)
+            trail.key = shown(scope).key
         try:
             if not self._login:
                 trail.actor, trail.role = LOCAL, Role.ADMIN
@@ -65,46 +55,47 @@ class Access:
                 trail.actor = _ANYBODY
             else:
                 await self._identify(scope, trail)
-            if trail.changes and not trail.stop:
+            if trail.changes and trail.route not in (STOP, LOGIN):  # a login's one entry tells what came of it
                 trail.request = await _begin(scope, trail)
-        except _Refused as refused:
+        except Refused as refused:
             await _answer(refused, scope, receive, send)
             return
         await self._app(scope, receive, send)
 
     async def _identify(self, scope: Scope, trail: Trail) -> None:
         needed = self._permissions.needed(trail.method, scope["path"])
-        given = _shown(scope)
-        if not given:
-            raise _unauthorized("no key: send Authorization: Bearer KEY")
+        given = shown(scope)
+        if not given.key:
+            raise unauthorized("no key: send Authorization: Bearer KEY, or log in")
+        if given.cookie and trail.changes and not from_own_page(Headers(scope=scope)):
+            detail = (
+                "sent with a session by no page of this service: a program sends a key, as Authorization: Bearer KEY"
+            )
+            raise Refused(HTTPStatus.FORBIDDEN, "foreign-request", detail)
         found = await self._find(scope["app"].state.application, given, trail)
         trail.actor, trail.role = found.name, found.role
         if trouble := found.trouble(now()):
-            raise _unauthorized(trouble)
+            raise unauthorized(trouble)
         if needed is not None and found.role < needed:
             detail = f"{trail.method} {scope['path']} needs {needed.word}; {found.name} is {found.role.word}"
-            raise _Refused(HTTPStatus.FORBIDDEN, "forbidden", detail)
+            raise Refused(HTTPStatus.FORBIDDEN, "forbidden", detail)
 
-    async def _find(self, application: Application, given: str, trail: Trail) -> KeyDocument:
-        shown, guesses = key_sha256(given), self._guesses
-        if wait := guesses.wait(trail.address, shown, time.monotonic()):
+    async def _find(self, application: Application, given: Shown, trail: Trail) -> Caller:
+        value, guesses = key_sha256(given.key), self._guesses
+        if wait := guesses.wait(trail.address, value, time.monotonic()):
             trail.hushed = not guesses.first_refusal(trail.address)
-            seconds = math.ceil(wait)
-            detail = (
-                f"too many wrong keys from {trail.address} within {WINDOW:g} s: no further one is looked at "
-                f"for {seconds} s; a stop needs none"
-            )
-            raise _Refused(HTTPStatus.TOO_MANY_REQUESTS, "too-many-wrong-keys", detail, {"Retry-After": str(seconds)})
-        found = None if shown is None else await run_in_threadpool(application.api_keys.find, given)
-        if found is None or shown is None:
+            raise too_many(f"wrong keys from {trail.address}", wait)
+        found: Caller | None = None
+        if given.cookie:
+            found = session = await run_in_threadpool(application.sessions.find, given.key)
+            trail.session = None if session is None else session.id
+        else:
+            found = await run_in_threadpool(application.api_keys.find, given.key)
+        if found is None or value is None:
             guesses.wrong(trail.address, time.monotonic())
-            raise _unauthorized("this key is not one of the service's")
-        guesses.opened(shown)
+            raise unauthorized(f"this {'session' if given.cookie else 'key'} is not one of the service's")
+        guesses.opened(value)
         return found
-
-
-def _shown(scope: Scope) -> str:
-    return bearer(Headers(scope=scope).get("authorization", ""))
 
 
 async def _begin(scope: Scope, trail: Trail) -> int:
@@ -113,12 +104,11 @@ async def _begin(scope: Scope, trail: Trail) -> int:
     except NotAudited as error:
         trail.unwritten = True
         detail = f"nothing was done, because {error}"
-        raise _Refused(HTTPStatus.SERVICE_UNAVAILABLE, "not-audited", detail, AGAIN) from None
+        raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, "not-audited", detail, AGAIN) from None
 
 
-async def _answer(refused: _Refused, scope: Scope, receive: Receive, send: Send) -> None:
+async def _answer(refused: Refused, scope: Scope, receive: Receive, send: Send) -> None:
     if scope["type"] == "websocket":
         await send({"type": "websocket.close", "code": _POLICY, "reason": refused.detail[:120]})
         return
-    answer = problem_response(Request(scope), refused.status, refused.name, refused.detail, headers=refused.headers)
-    await answer(scope, receive, send)
+    await refused.response(Request(scope))(scope, receive, send)

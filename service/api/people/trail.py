@@ -22,9 +22,9 @@ _READING = ("GET", "HEAD", "OPTIONS", SOCKET)
 class Trail:
     """One request. `route`: its entry in the table of permissions; `request`: number of the entry from before it.
 
-    `hushed`: one like it was told, and this one is not. `unwritten`: its beginning could not be written, so nothing was
-    done. `key`: shown with a stop, which waits for no look at it: who it belongs to is found out when the entry is
-    written. `told`: what a route adds to the outcome.
+    `session`: the number of the one that asks, if one does. `hushed`: one like it was told, and this one is not.
+    `unwritten`: its beginning could not be written, so nothing was done. `key`: shown with a stop, which waits for no
+    look at it: who it belongs to is found out when the entry is written. `told`: what a route adds to the outcome.
     """
 
     method: str
@@ -37,6 +37,7 @@ class Trail:
     hushed: bool = False
     unwritten: bool = False
     key: str = ""
+    session: int | None = None
     told: dict[str, JsonValue] = field(default_factory=dict[str, JsonValue])
     request: int | None = None
 

@@ -5,13 +5,14 @@ from datetime import datetime, timedelta
 from pydantic import BaseModel, ConfigDict
 from sqlalchemy import select
 
-from service.errors import Conflict, NotFound
+from service.errors import NotFound
 from service.people.chain import Entry
 from service.people.keys import key_sha256, new_key
 from service.people.permissions import Role
 from service.store import tables as t
 from service.store.database import Database
 from service.store.people.audit import append
+from service.store.people.names import check_free
 
 
 class KeyDocument(BaseModel):
@@ -42,8 +43,7 @@ class KeyStore:
         """The new key, which nobody can ask for again. Conflict where the name was given before."""
         key = new_key()
         with self._database.write(quiet=True) as session:
-            if session.scalar(select(t.ApiKeyRow).where(t.ApiKeyRow.name == name)) is not None:
-                raise Conflict(f"there is or was a key of {name}; a name is given once, so that the audit is clear")
+            check_free(session, name)
             made = t.now()
             row = t.ApiKeyRow(name=name, role=role.word, sha256=key_sha256(key), expires_at=made + valid)
             session.add(row)

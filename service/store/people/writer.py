@@ -16,9 +16,9 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.errors import SweepidError
+from service.people.callers import Callers
 from service.people.chain import Entry
 from service.store.people.audit import AuditStore
-from service.store.people.keys import KeyStore
 from service.store.tables import now
 
 _log = structlog.get_logger(__name__)
@@ -45,9 +45,10 @@ class _Item:
 class AuditWriter:
     """A context."""
 
-    def __init__(self, store: AuditStore, keys: KeyStore) -> None:
+    def __init__(self, store: AuditStore, *callers: Callers) -> None:
+        """`callers`: where whose key it was is looked up."""
         self.store = store
-        self._keys = keys
+        self._callers = callers
         self._waiting: queue.Queue[_Item | None] = queue.Queue()
         self._refused: list[_Item] = []  # kept ones that the database has not taken, oldest first
         self._thread = threading.Thread(target=self._write, name="audit", daemon=True)
@@ -133,7 +134,8 @@ class AuditWriter:
         item.future.set_exception(NotAudited(why))
 
     def _named(self, entry: Entry, key: str) -> Entry:
-        found = self._keys.find(key) if key else None
-        if found is None or found.trouble(now()):
-            return entry
-        return {**entry, "actor": found.name, "role": found.role.word}
+        for callers in self._callers if key else ():
+            found = callers.find(key)
+            if found is not None and not found.trouble(now()):
+                return {**entry, "actor": found.name, "role": found.role.word}
+        return entry

@@ -80,6 +80,16 @@ def test_unreadable_files(tmp_path: Path) -> None:
         load_profile(broken)
 
 
+def test_an_eds_may_tell_its_vendor_and_no_product(profile: dict[str, Any], tmp_path: Path) -> None:
+    """As some stacks write it."""
+    profile["eds"] = "other.eds"
+    (tmp_path / "other.eds").write_text("[DeviceInfo]\nVendorNumber=0x5357\n")
+    parse_profile(profile, tmp_path)
+    (tmp_path / "other.eds").write_text("[DeviceInfo]\nVendorNumber=0x5358\n")
+    with pytest.raises(BadProfile, match=r"is for vendor 00005358h; joint_1 is 00005357h, 00000402h"):
+        parse_profile(profile, tmp_path)
+
+
 def test_an_eds_that_is_none_is_refused(profile: dict[str, Any], tmp_path: Path) -> None:
     profile["eds"] = "other.eds"
     for content in ("", "no section", "[DeviceInfo]\nVendorNumber=x\nProductNumber=1\n"):

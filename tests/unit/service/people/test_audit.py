@@ -12,7 +12,7 @@ from sqlalchemy.exc import IntegrityError
 from structlog.testing import capture_logs
 
 from service.cli.people.audit import export_audit
-from service.cli.people.people import add_key, list_keys
+from service.cli.people.people import add_key, list_people
 from service.errors import BadInput, Conflict
 from service.people.chain import FIRST, AuditBroken, canonical, read_head, sha256, verify
 from service.people.permissions import LOCAL
@@ -157,7 +157,7 @@ def test_the_commands(own: Database, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert json.loads(lines[-1]["entry"])["event"] == "key added"
     assert key not in (tmp_path / "audit.jsonl").read_text()
     capsys.readouterr()
-    list_keys(data_dir=tmp_path)
+    list_people(data_dir=tmp_path)
     listed = json.loads(capsys.readouterr().out)
     assert (listed["name"], listed["role"], listed["trouble"]) == ("anna", "operator", "")
     tamper(own, "UPDATE audit SET entry = replace(entry, 'p2', 'p9') WHERE number = 3")
@@ -173,6 +173,8 @@ def test_without_a_login_it_is_local(tmp_path: Path, profile: Path) -> None:
         assert foreign.status_code == 403
         stopped = http.get("/api/v1/stop").json()["port"]
         http.post(f"http://127.0.0.1:{stopped}/stop", params={"by": "anna", "why": "here"})
+        nobody = http.post("/api/v1/login", json={"name": "anna", "password": "a horse and a battery"})
+        assert (nobody.status_code, "login: false" in nobody.text) == (409, True)
         items = http.get("/api/v1/audit").json()["items"]
     assert [(one["entry"]["event"], one["entry"]["actor"]) for one in items[:3]] == [
         ("request", LOCAL),
@@ -182,7 +184,7 @@ def test_without_a_login_it_is_local(tmp_path: Path, profile: Path) -> None:
     assert "evil.example" in items[2]["entry"]["why"]
     with open_database(f"sqlite:///{tmp_path / 'data' / 'sweepid.sqlite'}") as database:
         links = list(AuditStore(database).links())
-    assert verify(links)[0] == 4
+    assert verify(links)[0] == 5
     by_the_stop_process = json.loads(links[3][1])
     assert {name: by_the_stop_process[name] for name in ("event", "way", "by", "actor", "address")} == {
         **{"event": "stop", "way": "stop process", "by": "anna"},

@@ -8,7 +8,7 @@ import pytest
 from fastapi import FastAPI
 
 from service.app import create_app
-from service.people.permissions import PERMISSIONS, SOCKET, STOP, Permissions, Role, Route, page
+from service.people.permissions import LOGIN, PERMISSIONS, SOCKET, STOP, Permissions, Role, Route, page
 from service.settings import Settings
 
 PAGE = Path("docs/reference/permissions.md")
@@ -41,11 +41,11 @@ def test_a_route_without_an_entry_would_be_found() -> None:
     assert set(routes_of(app.routes)) - set(PERMISSIONS) == {("PUT", "/new")}
 
 
-def test_stop_and_health_need_nobody() -> None:
+def test_stop_login_and_health_need_nobody() -> None:
     assert PERMISSIONS[STOP] is None
     assert {PERMISSIONS["GET", f"/api/v1/health/{word}"] for word in ("live", "ready")} == {None}
     free = {path for (method, path), role in PERMISSIONS.items() if role is None and method != "GET"}
-    assert free == {STOP[1]}
+    assert free == {STOP[1], LOGIN[1]}
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,12 @@ import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import create_engine, select, text
-from sqlalchemy.exc import IntegrityError
+from sqlalchemy.exc import IntegrityError, OperationalError
+from sqlalchemy.exc import TimeoutError as NoConnection
 
 from service.robot import Robot
 from service.store import tables as t
-from service.store.database import Database, open_database
+from service.store.database import Database, open_database, refusal
 from service.store.store import Store
 
 
@@ -53,3 +54,11 @@ def test_a_transaction_that_fails_leaves_nothing(database: Database) -> None:
 def test_the_folder_of_the_database_is_made(tmp_path: Path) -> None:
     with open_database(f"sqlite:///{tmp_path / 'new' / 'x.sqlite'}") as database:
         assert Store(database).campaigns() == ()
+
+
+def test_a_refusal_is_told_without_the_statement(url: str) -> None:
+    with open_database(url) as database, pytest.raises(OperationalError) as refused, database.write() as session:
+        session.execute(text("UPDATE no_table SET secret = 1"))
+    assert refusal(refused.value) == "the database refused: no such table: no_table"
+    assert refusal(NoConnection("all of the pool are taken")) == "the database refused: all of the pool are taken"
+    assert refusal(NoConnection()) == "the database refused: TimeoutError"

@@ -1,0 +1,20 @@
+"""The refusals of who asks."""
+
+import math
+from http import HTTPStatus
+
+from service.api.problem import Refused
+from service.people.guesses import WINDOW
+
+_CHALLENGE = {"WWW-Authenticate": 'Bearer realm="sweepid"'}
+
+
+def unauthorized(detail: str) -> Refused:
+    return Refused(HTTPStatus.UNAUTHORIZED, "unauthorized", detail, _CHALLENGE)
+
+
+def too_many(what: str, wait: float) -> Refused:
+    """`wait`: s until the next one is looked at."""
+    seconds = math.ceil(wait)
+    detail = f"too many {what} within {WINDOW:g} s: no further one is looked at for {seconds} s; a stop needs none"
+    return Refused(HTTPStatus.TOO_MANY_REQUESTS, "too-many-wrong-keys", detail, {"Retry-After": str(seconds)})

@@ -1,0 +1,41 @@
+"""What the commands of `people` take: names, roles, passwords."""
+
+import getpass
+import sys
+from typing import Annotated
+
+import typer
+
+from service.errors import BadInput
+from service.people.permissions import LOCAL, Role
+
+ROLES = {role.word: role for role in Role}
+Name = Annotated[str, typer.Argument(metavar="NAME", help="A person or a program.")]
+
+_TAKEN = (LOCAL, "anybody", "unknown")  # the audit means somebody else by them
+_LONGEST_NAME = 100
+
+
+def name_of(given: str) -> str:
+    """A name that may be given. BadInput."""
+    name = given.strip()
+    if name in _TAKEN or not name.isprintable() or not 1 <= len(name) <= _LONGEST_NAME:
+        raise BadInput("NAME", f"{name[:_LONGEST_NAME]!r} is not a name: 1 to {_LONGEST_NAME} printable characters")
+    return name
+
+
+def role_of(word: str) -> Role:
+    """BadInput."""
+    if word not in ROLES:
+        raise BadInput("--role", f"{word!r} is not one of {', '.join(ROLES)}")
+    return ROLES[word]
+
+
+def password_for(name: str) -> str:
+    """Asked for twice at a terminal, else the first line of stdin: no argument, which every process can read."""
+    if not sys.stdin.isatty():
+        return sys.stdin.readline().removesuffix("\n")
+    password = getpass.getpass(f"Password of {name}: ")
+    if getpass.getpass("Once more: ") != password:
+        raise BadInput("password", "the two are not the same; nothing was changed")
+    return password

@@ -1,0 +1,37 @@
+"""`sweepid people`: those that log in with a password."""
+
+import sys
+from typing import Annotated
+
+import typer
+
+from service.cli.people.named import ROLES, Name, name_of, password_for, role_of
+from service.cli.people.opened import Config, DataDir, opened, shell_entry
+from service.store.people.users import UserStore
+
+
+def add_user(
+    name: Name,
+    role: Annotated[str, typer.Option(help=f"What the person may: {', '.join(ROLES)}.")],
+    config: Config = None,
+    data_dir: DataDir = None,
+) -> None:
+    """Add a person, with a password: asked for at the terminal, or the first line of stdin."""
+    name, what = name_of(name), role_of(role)
+    with opened(config, data_dir, make=True) as database:
+        added = UserStore(database).add(name, what, password_for(name), shell_entry())
+    sys.stdout.write(f"{added.name}\n")
+
+
+def change_password(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
+    """Set another password, and end the person's sessions."""
+    with opened(config, data_dir) as database:
+        changed = UserStore(database).change_password(name, password_for(name), shell_entry())
+    sys.stdout.write(f"{changed.name}\n")
+
+
+def disable_user(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
+    """From now on nobody logs in by this name, for good, and its sessions are over."""
+    with opened(config, data_dir) as database:
+        disabled = UserStore(database).disable(name, shell_entry())
+    sys.stdout.write(f"{disabled.name}\n")

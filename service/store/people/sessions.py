@@ -1,0 +1,107 @@
+"""Sessions of people in browsers: opened by a password, over after a while, ended before. The audit has them."""
+
+from datetime import datetime, timedelta
+
+from pydantic import BaseModel, ConfigDict
+from sqlalchemy import delete, select, update
+
+from service.errors import NotFound
+from service.people.chain import Entry
+from service.people.keys import key_sha256, new_key
+from service.people.permissions import Role
+from service.store import tables as t
+from service.store.database import Database
+from service.store.people.audit import append
+from service.store.people.users import UserDocument, user_document
+
+_SEEN_EVERY = timedelta(minutes=1)  # a page asks once a second; not each request writes
+
+
+class SessionDocument(BaseModel):
+    """A session without what its cookie has. `name` and `role` are the person's, as they are now."""
+
+    model_config = ConfigDict(frozen=True)
+    id: int
+    name: str
+    role: Role
+    address: str
+    created_at: datetime
+    seen_at: datetime
+    expires_at: datetime
+    ended_at: datetime | None
+    disabled: str
+
+    def trouble(self, at: datetime) -> str:
+        """Why it opens nothing at that time; empty if it does."""
+        if self.disabled or self.ended_at is not None:
+            return self.disabled or f"the session of {self.name} was ended: log in again"
+        return f"the session of {self.name} is over: log in again" if at >= self.expires_at else ""
+
+
+class SessionStore:
+    """Every method is one transaction and blocks. `entry`: of the audit, who does it and from where."""
+
+    def __init__(self, database: Database, idle: float, longest: float) -> None:
+        """s until a session is over: without a request, and in any case."""
+        self._database = database
+        self._idle, self._longest = timedelta(seconds=idle), timedelta(seconds=longest)
+
+    def open(self, user: UserDocument, entry: Entry) -> tuple[SessionDocument, str]:
+        """The new session, and what its cookie shows, which nobody can ask for again. Forgets those long over."""
+        token, address, at = new_key(), str(entry["address"])[:100], t.now()
+        with self._database.write(quiet=True) as session:
+            session.execute(delete(t.SessionRow).where(t.SessionRow.created_at < at - self._longest))
+            row = t.SessionRow(user_id=user.id, sha256=key_sha256(token), address=address, created_at=at, seen_at=at)
+            session.add(row)
+            session.flush()
+            append(session, [{**entry, "event": "logged in", "session": row.id}])
+            return self._document(row, session.get_one(t.UserRow, user.id)), token
+
+    def find(self, key: str) -> SessionDocument | None:
+        """Those that are over too. A request of a session keeps it from being idle."""
+        value = key_sha256(key)
+        if value is None:
+            return None
+        of_it = select(t.SessionRow, t.UserRow).join(t.UserRow).where(t.SessionRow.sha256 == value)
+        with self._database.read() as session:
+            documents = [self._document(row, user) for row, user in session.execute(of_it)]
+        document = next(iter(documents), None)
+        at = t.now()
+        if document is not None and not document.trouble(at) and at - document.seen_at >= _SEEN_EVERY:
+            with self._database.write(quiet=True) as session:
+                session.execute(update(t.SessionRow).where(t.SessionRow.id == document.id).values(seen_at=at))
+        return document
+
+    def end(self, session_id: int, entry: Entry) -> SessionDocument:
+        """At once; again changes nothing. NotFound."""
+        with self._database.write(quiet=True) as session:
+            row = session.get(t.SessionRow, session_id)
+            if row is None:
+                raise NotFound(f"no session {session_id}; `sweepid people sessions` tells which there are")
+            user = session.get_one(t.UserRow, row.user_id)
+            if row.ended_at is None:
+                row.ended_at = t.now()
+                append(session, [{**entry, "event": "session ended", "session": row.id, "user": user.name}])
+            return self._document(row, user)
+
+    def all(self) -> tuple[SessionDocument, ...]:
+        """Those that open something, oldest first."""
+        every = select(t.SessionRow, t.UserRow).join(t.UserRow).order_by(t.SessionRow.id)
+        with self._database.read() as session:
+            documents = [self._document(row, user) for row, user in session.execute(every)]
+        at = t.now()
+        return tuple(document for document in documents if not document.trouble(at))
+
+    def _document(self, row: t.SessionRow, user: t.UserRow) -> SessionDocument:
+        whose = user_document(user)
+        return SessionDocument(
+            id=row.id,
+            name=whose.name,
+            role=whose.role,
+            address=row.address,
+            created_at=row.created_at,
+            seen_at=row.seen_at,
+            expires_at=min(row.created_at + self._longest, row.seen_at + self._idle),
+            ended_at=row.ended_at,
+            disabled=whose.trouble,
+        )

@@ -1,0 +1,244 @@
+"""What goes wrong on a shop floor, and what people do, each to be done at any moment of a campaign and undone.
+
+The twelve faults of a machine hall (bus-off, lost or doubled PDO, drive fault, suspended host, full disk, power cut,
+two clients, wrong axis or pose, emergency stop, identity of another drive, killed worker; a step of the clock cannot be
+made without the whole computer), data that cannot be written, and commands that cross one another.
+"""
+
+import os
+import random
+import signal
+import sqlite3
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, suppress
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import httpx
+import psutil
+
+from service.client import ServiceClient, ServiceProblem, ServiceUnreachable
+from tests.system.rest_bench import PATIENCE, Service, VirtualMachine
+
+AXIS, OTHER = "joint_1", "joint_3"
+CAN, MODBUS = "CAN", "Modbus"
+EVERYWHERE = frozenset({CAN, MODBUS})
+
+
+class Bench(Protocol):
+    """What disturbances may lay hands on."""
+
+    machine: VirtualMachine
+    service: Service
+    client: ServiceClient
+    plan: int
+    campaign: int
+    chance: random.Random
+
+
+Act = Callable[[Bench], None]
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """`ends`: whatever happens, nothing may move afterwards until a person acts; else the service decides."""
+
+    name: str
+    make: Act
+    undo: tuple[Act, ...] = ()
+    ends: bool = True
+    only: frozenset[str] = field(default=EVERYWHERE)
+
+
+def _order(name: str, **fields: object) -> Act:
+    def act(bench: Bench) -> None:
+        reply = bench.machine.order(name, **fields)
+        assert reply["ok"], reply
+
+    return act
+
+
+def _moving(bench: Bench) -> str:
+    """An axis that has energy, or the first."""
+    return next((joint for joint, axis in bench.machine.axes().items() if axis["energised"]), AXIS)
+
+
+def _drive_fault(bench: Bench) -> None:
+    _order("fault", joint=_moving(bench), code=0x7305)(bench)
+
+
+def _glitch(bench: Bench) -> None:
+    _order("glitch", joint=_moving(bench), revolutions=50.0)(bench)
+
+
+def _lost_pdo(bench: Bench) -> None:
+    _order("drop_tpdos", joint=AXIS, count=1)(bench)
+
+
+def _doubled_pdo(bench: Bench) -> None:
+    _order("duplicate_tpdos", joint=AXIS, count=20)(bench)
+
+
+def _no_more_drops(bench: Bench) -> None:
+    _order("drop_tpdos", joint=AXIS, count=0)(bench)
+    _order("duplicate_tpdos", joint=AXIS, count=0)(bench)
+
+
+def _other_drive(bench: Bench) -> None:
+    """Power fails; when it returns another drive is in the cabinet."""
+    bench.machine.power_off()
+    bench.machine.power_on()
+    _order("identity", joint=AXIS, product=0x0999)(bench)
+    with suppress(ServiceProblem):
+        bench.client.connect()
+        raise AssertionError("a drive of another product was connected")
+
+
+def _swapped(bench: Bench) -> None:
+    """Power fails; when it returns two drives have changed places."""
+    bench.machine.power_off()
+    bench.machine.power_on()
+    _order("swap", joint=AXIS, **{"with": "joint_2"})(bench)
+    with suppress(ServiceProblem):
+        bench.client.connect()
+        raise AssertionError("drives that have changed places were connected")
+
+
+def _power_cut(bench: Bench) -> None:
+    bench.machine.power_off()
+    time.sleep(bench.chance.uniform(0.0, 1.0))
+
+
+def _killed(bench: Bench) -> None:
+    bench.service.kill()
+
+
+def _restart(bench: Bench) -> None:
+    bench.service.start()
+    bench.client = ServiceClient(bench.service.url)
+
+
+def _ended_kindly(bench: Bench) -> None:
+    bench.service.running().send_signal(bench.chance.choice([signal.SIGTERM, signal.SIGINT, signal.SIGHUP]))
+    assert bench.service.end() == 0, bench.service.log()[-2000:]
+
+
+def _suspended(bench: Bench) -> None:
+    """For less than the drives wait for their host, or for longer."""
+    process = psutil.Process(bench.service.running().pid)
+    process.suspend()
+    time.sleep(bench.chance.choice([bench.chance.uniform(0.05, 1.0), bench.chance.uniform(4.0, 6.0)]))
+    process.resume()
+
+
+def _worker_killed(bench: Bench) -> None:
+    for worker in bench.service.workers():
+        with suppress(psutil.NoSuchProcess):
+            worker.kill()
+
+
+def _full_disk(bench: Bench) -> None:
+    """No file of the service grows beyond some length: each write there fails, at whatever place it happens to be."""
+    length = bench.chance.choice([0, 4096, 100_000, 1_000_000])
+    for process in _family(bench):
+        with suppress(psutil.NoSuchProcess):
+            process.rlimit(psutil.RLIMIT_FSIZE, (length, psutil.RLIM_INFINITY))
+    time.sleep(bench.chance.uniform(0.2, 5.0))
+
+
+def _room_again(bench: Bench) -> None:
+    for process in _family(bench):
+        with suppress(psutil.NoSuchProcess):
+            process.rlimit(psutil.RLIMIT_FSIZE, (psutil.RLIM_INFINITY, psutil.RLIM_INFINITY))
+
+
+def _family(bench: Bench) -> list[psutil.Process]:
+    service = psutil.Process(bench.service.running().pid)
+    return [service, *service.children(recursive=True)]
+
+
+def _locked(bench: Bench) -> None:
+    """Another program holds the database."""
+    (file,) = bench.service.data.glob("sweepid.sqlite")
+    with closing(sqlite3.connect(file, timeout=PATIENCE, isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        time.sleep(bench.chance.choice([bench.chance.uniform(0.1, 2.0), bench.chance.uniform(8.0, 12.0)]))
+        other.execute("ROLLBACK")
+
+
+def _stopped(bench: Bench) -> None:
+    """503 tells that a drive did not confirm; the stop holds all the same."""
+    with suppress(ServiceProblem):
+        bench.client.stop("Ada", "soak")
+
+
+def _paused(bench: Bench) -> None:
+    with suppress(ServiceProblem):  # it is over already
+        bench.client.pause(bench.campaign)
+
+
+def _crossing(bench: Bench) -> None:
+    """Four clients at once want something else each."""
+
+    def wanting(what: int) -> None:
+        with ServiceClient(bench.service.url) as client, suppress(ServiceProblem):
+            if what == 0:
+                client.start(int(client.add_campaign(bench.plan)["id"]))
+            elif what == 1:
+                client.resume(bench.campaign, repeat=True)
+            elif what == 2:
+                client.connect()
+            else:
+                client.acknowledge(AXIS)
+
+    with ThreadPoolExecutor(4) as clients:
+        list(clients.map(wanting, range(4)))
+
+
+def _stop_process_killed(bench: Bench) -> None:
+    for process in psutil.Process(bench.service.running().pid).children():
+        with suppress(psutil.NoSuchProcess):
+            if "service.stop_process" in process.cmdline():
+                os.kill(process.pid, signal.SIGKILL)
+
+
+def _power_on(bench: Bench) -> None:
+    bench.machine.power_on()
+
+
+def _connected(bench: Bench) -> None:
+    with suppress(ServiceProblem, ServiceUnreachable, httpx.HTTPError):
+        bench.client.connect()
+
+
+DISTURBANCES = (
+    Disturbance("drive fault", _drive_fault),
+    Disturbance("fault of another axis", _order("fault", joint=OTHER, code=0x4310)),
+    Disturbance("emergency stop", _order("emergency_stop", on=True), (_order("emergency_stop", on=False),)),
+    Disturbance(
+        "limit switch", _order("limit", joint=AXIS, on=True), (_order("limit", joint=AXIS, on=False),), ends=False
+    ),
+    Disturbance("wrong position", _glitch, ends=False),
+    Disturbance(
+        "silent node", _order("silence", joint=AXIS, on=True), (_order("silence", joint=AXIS, on=False),), ends=False
+    ),
+    Disturbance("reboot of a node", _order("reboot", joint=AXIS), ends=False),
+    Disturbance("bus-off", _order("bus_off"), (_order("bus_on"),), only=frozenset({CAN})),
+    Disturbance("lost PDO", _lost_pdo, (_no_more_drops,), ends=False, only=frozenset({CAN})),
+    Disturbance("doubled PDO", _doubled_pdo, (_no_more_drops,), ends=False, only=frozenset({CAN})),
+    Disturbance("power cut of the drives", _power_cut, (_power_on,)),
+    Disturbance("another drive after a power cut", _other_drive, (_order("identity", joint=AXIS, product=0x0402),)),
+    Disturbance("drives swapped in a power cut", _swapped, (_order("swap", joint=AXIS, **{"with": "joint_2"}),)),
+    Disturbance("service killed", _killed, (_restart,)),
+    Disturbance("service told to end", _ended_kindly, (_restart,)),
+    Disturbance("service suspended", _suspended, ends=False),
+    Disturbance("workers killed", _worker_killed, ends=False),
+    Disturbance("stop process killed", _stop_process_killed, ends=False),
+    Disturbance("disk full", _full_disk, (_room_again,), ends=False),
+    Disturbance("database locked", _locked, ends=False),
+    Disturbance("STOP", _stopped),
+    Disturbance("pause", _paused, ends=False),  # what moves comes to its end first
+    Disturbance("clients that cross one another", _crossing, ends=False),
+)

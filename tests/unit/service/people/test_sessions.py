@@ -1,0 +1,300 @@
+"""A person logs in with a password, has a session in a cookie, and loses it: over real HTTP, without a machine."""
+
+import sqlite3
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from datetime import timedelta
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+from typing import Any
+
+import httpx
+import pytest
+from sqlalchemy import text
+
+from service.cli.people.sessions import revoke_session, sessions
+from service.people.permissions import Role
+from service.store.database import Database, open_database
+from service.store.people.audit import AuditStore
+from service.store.people.sessions import SessionStore
+from service.store.people.users import UserStore
+from tests.unit.service.api.conftest import serving
+from tests.unit.service.people.conftest import calling
+
+pytestmark = pytest.mark.slow
+
+WHO = {"actor": "test", "address": "test"}
+PASSWORD = "a horse and a battery"
+WRONG = "not the horse of anna"
+START = "/api/v1/campaigns/987654/start"
+DAY = 24 * 3600.0
+
+
+@pytest.fixture(scope="module")
+def users(database: Database) -> UserStore:
+    store = UserStore(database)
+    for role in Role:
+        store.add(f"person-{role.word}", role, PASSWORD, WHO)
+    return store
+
+
+@pytest.fixture
+def person(users: UserStore, request: pytest.FixtureRequest) -> str:
+    """An operator of this test's own."""
+    return users.add(f"op {request.node.name}"[:100], Role.OPERATOR, PASSWORD, WHO).name
+
+
+def log_in(http: httpx.Client, name: str, password: str = PASSWORD) -> httpx.Response:
+    return http.post("/api/v1/login", json={"name": name, "password": password})
+
+
+@pytest.fixture
+def since(database: Database) -> Callable[[], list[dict[str, Any]]]:
+    """What the audit has since the test began."""
+    store = AuditStore(database)
+    before = len(store.documents(0, 100000))
+    return lambda: [dict(one.entry) for one in store.documents(before, 100000)]
+
+
+def test_a_session_from_login_to_logout(
+    url: str, person: str, since: Callable[[], list[dict[str, Any]]], folder: Path
+) -> None:
+    with calling(url, None) as http:
+        assert http.get("/api/v1/me").status_code == 401
+        logged_in = log_in(http, person)
+        assert logged_in.status_code == 200, logged_in.text
+        told = {"login": True, "name": person, "role": "operator", "session": True}
+        assert {name: logged_in.json()[name] for name in told} == told
+        (cookie,) = http.cookies.jar
+        assert cookie.name == f"sweepid-{httpx.URL(url).port}"
+        assert logged_in.headers["set-cookie"].partition(";")[2].lower().replace(" ", "").split(";") == [
+            "httponly",
+            f"max-age={int(DAY)}",
+            "path=/",
+            "samesite=strict",
+        ]
+        assert http.get("/api/v1/me").json() == logged_in.json()
+        assert http.post(START, headers={"Origin": url}).status_code == 404
+        assert http.post("/api/v1/logout", headers={"Origin": url}).status_code == 200
+        assert not list(http.cookies.jar)
+        http.cookies.set(cookie.name, str(cookie.value))  # who kept it
+        refused = http.get("/api/v1/me")
+        assert (refused.status_code, refused.json()["detail"]) == (
+            401,
+            f"the session of {person} was ended: log in again",
+        )
+    entries = since()
+    assert [(one["event"], one["actor"], one.get("status")) for one in entries[1:]] == [
+        ("logged in", person, None),
+        ("request", person, None),
+        ("outcome", person, 404),
+        ("request", person, None),
+        ("session ended", person, None),
+        ("outcome", person, 200),
+        ("outcome", person, 401),
+    ]
+    stored = b"".join(path.read_bytes() for path in (folder / "data").glob("sweepid.sqlite*"))
+    stored += (folder / "service.log").read_bytes()
+    assert str(cookie.value).removeprefix("sweepid-").encode() not in stored
+    assert PASSWORD.encode() not in stored
+
+
+@pytest.mark.parametrize("origin", [None, "http://evil.example", "null", "http://127.0.0.1:1"])
+def test_a_change_with_a_session_must_come_from_our_page(url: str, person: str, origin: str | None) -> None:
+    headers = {} if origin is None else {"Origin": origin}
+    with calling(url, None) as http:
+        log_in(http, person)
+        refused = http.post(START, headers=headers)
+        assert (refused.status_code, refused.json()["type"]) == (403, "urn:sweepid:problem:foreign-request")
+        stopped = http.post("/api/v1/stop", headers=headers)  # refused to no page; and there is no machine
+        assert stopped.json()["type"] == "urn:sweepid:problem:stop-not-confirmed"
+
+
+def test_a_session_may_what_the_person_may_now(url: str, person: str, database: Database) -> None:
+    with calling(url, None) as http:
+        log_in(http, person)
+        assert http.get("/api/v1/audit").status_code == 403
+        with database.write() as session:
+            session.execute(text("UPDATE user_account SET role = 'admin' WHERE name = :name"), {"name": person})
+        assert http.get("/api/v1/audit").status_code == 200
+
+
+def test_a_key_stands_above_a_session(url: str, person: str, keys: dict[str, str]) -> None:
+    with calling(url, keys["viewer"]) as http:
+        log_in(http, person)
+        assert http.get("/api/v1/me").json()["name"] == "the-viewer"
+        refused = http.post("/api/v1/logout")
+        assert (refused.status_code, "revoke-key" in refused.text) == (409, True)
+
+
+def test_a_stop_with_a_session_bears_the_name(
+    url: str, person: str, keys: dict[str, str], since: Callable[[], list[dict[str, Any]]]
+) -> None:
+    with calling(url, None) as http, calling(url, keys["admin"]) as admin:
+        log_in(http, person)
+        http.post("/api/v1/stop", headers={"Origin": url})
+        admin.get("/api/v1/audit")  # waits until it is written
+    assert [one["actor"] for one in since() if one["route"] == "/api/v1/stop"] == [person]
+
+
+def test_who_is_disabled_or_gets_another_password_is_out(url: str, person: str, users: UserStore) -> None:
+    with calling(url, None) as http:
+        log_in(http, person)
+        users.change_password(person, WRONG, WHO)
+        assert "was ended" in http.get("/api/v1/me").json()["detail"]
+        assert log_in(http, person, WRONG).status_code == 200
+        assert http.get("/api/v1/me").status_code == 200
+        users.disable(person, WHO)
+        assert f"{person} was disabled on" in http.get("/api/v1/me").json()["detail"]
+        assert log_in(http, person, WRONG).json()["detail"] == "name or password is wrong"
+
+
+def test_the_limits_of_a_session(database: Database, users: UserStore) -> None:
+    store = SessionStore(database, idle=3600, longest=DAY)
+    user = users.all()[0]
+    session, token = store.open(user, WHO)
+    assert session.expires_at - session.created_at == timedelta(seconds=3600)
+    assert session.trouble(session.expires_at - timedelta(seconds=1)) == ""
+    assert session.trouble(session.expires_at) == f"the session of {user.name} is over: log in again"
+
+    def at(seen: timedelta, created: timedelta) -> str:
+        """Trouble now, of a session that was seen and created so long ago."""
+        with database.write() as one:
+            now = session.created_at.replace(tzinfo=None)
+            values = {"seen": str(now - seen), "created": str(now - created), "id": session.id}
+            one.execute(text("UPDATE user_session SET seen_at = :seen, created_at = :created WHERE id = :id"), values)
+        found = store.find(token)
+        assert found is not None
+        return found.trouble(session.created_at)
+
+    minutes, hours = (lambda n: timedelta(minutes=n)), (lambda n: timedelta(hours=n))
+    assert at(minutes(59), minutes(59)) == ""
+    renewed = store.find(token)  # the look before was a use
+    assert renewed is not None
+    assert renewed.seen_at >= session.seen_at
+    assert "is over" in at(minutes(61), minutes(61))
+    assert at(minutes(1), hours(23)) == ""
+    assert "is over" in at(minutes(1), hours(24))
+    assert session.id not in [one.id for one in store.all()]
+    at(hours(25), hours(25))
+    store.open(user, WHO)
+    assert store.find(token) is None  # forgotten
+
+
+def test_sessions_are_told_and_revoked(url: str, person: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with calling(url, None) as http:
+        log_in(http, person)
+        sessions(data_dir=folder / "data")
+        (line,) = [line for line in capsys.readouterr().out.splitlines() if person in line]
+        told = httpx.Response(200, text=line).json()
+        assert (told["role"], told["address"]) == ("operator", "127.0.0.1")
+        revoke_session(told["id"], data_dir=folder / "data")
+        assert http.get("/api/v1/me").status_code == 401
+        sessions(data_dir=folder / "data")
+        assert person not in capsys.readouterr().out
+
+
+def test_an_unknown_name_has_the_same_answer_after_the_same_time(url: str, person: str) -> None:
+    """By the medians of 7 attempts each, of which one may take twice the other: a hash is some 50 times a look."""
+    seconds: dict[str, list[float]] = {person: [], "nobody here": []}
+    answers: set[str] = set()
+    with calling(url, None) as http:
+        for _ in range(7):
+            for name, taken in seconds.items():
+                began = perf_counter()
+                refused = log_in(http, name, WRONG)
+                taken.append(perf_counter() - began)
+                answers.add(refused.text)
+                assert refused.status_code == 401
+    assert len(answers) == 1
+    known, unknown = (median(taken) for taken in seconds.values())
+    assert 0.5 < known / unknown < 2
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {"name": PASSWORD, "pasword": PASSWORD},
+        {"name": [PASSWORD], "password": 5},
+        {"name": PASSWORD * 10, "password": PASSWORD},
+        PASSWORD,
+        {"name": "anna", "password": [PASSWORD]},
+    ],
+)
+def test_a_password_in_the_wrong_place_is_told_nowhere(
+    url: str, body: object, since: Callable[[], list[dict[str, Any]]]
+) -> None:
+    with calling(url, None) as http:
+        refused = http.post("/api/v1/login", json=body)
+    assert refused.status_code == 422
+    assert PASSWORD not in refused.text
+    assert PASSWORD not in str(since())
+
+
+def test_who_guesses_passwords_is_refused_by_address_and_by_name(tmp_path: Path, profile: Path) -> None:
+    with (
+        serving(tmp_path, profile, login=True, wrong_keys=3) as url,
+        open_database(f"sqlite:///{tmp_path / 'data' / 'sweepid.sqlite'}") as database,
+        calling(url, None, "127.0.0.2") as guesser,
+        calling(url, None, "127.0.0.3") as other,
+        calling(url, None, "127.0.0.4") as at_home,
+    ):
+        store = UserStore(database)
+        for name in ("anna", "berta"):
+            store.add(name, Role.OPERATOR, PASSWORD, WHO)
+        before = len(AuditStore(database).documents())
+        assert log_in(at_home, "anna").status_code == 200
+        assert [log_in(guesser, name, WRONG).status_code for name in ("anna", "no such", "anna")] == [401] * 3
+        for name in ("anna", "berta"):
+            refused = log_in(guesser, name)
+            assert (refused.status_code, refused.json()["type"]) == (429, "urn:sweepid:problem:too-many-wrong-keys")
+            assert 0 < int(refused.headers["retry-after"]) <= 60
+        assert log_in(other, "anna", WRONG).status_code == 401
+        assert "wrong passwords for this name" in log_in(other, "anna").json()["detail"]
+        assert log_in(other, "berta").status_code == 200
+        assert log_in(at_home, "anna").status_code == 200  # who was here before is not locked out
+        entries = [one.entry for one in AuditStore(database).documents(before)]
+    assert [(one["event"], one["actor"], one.get("status")) for one in entries] == [
+        ("logged in", "anna", None),
+        ("outcome", "anna", 401),
+        ("outcome", "anybody", 401),
+        ("outcome", "anna", 401),
+        ("outcome", "anybody", 429),  # and the next one is not told
+        ("outcome", "anna", 401),
+        ("outcome", "anybody", 429),
+        ("logged in", "berta", None),
+        ("logged in", "anna", None),
+    ]
+
+
+def test_many_passwords_at_once_hold_up_nobody(url: str, keys: dict[str, str]) -> None:
+    """40 at once, of which few wait; meanwhile the service answers others."""
+    with ThreadPoolExecutor(40) as crowd, calling(url, None) as http, calling(url, keys["viewer"]) as viewer:
+
+        def attempt(_: int) -> int:
+            return httpx.post(
+                f"{url}/api/v1/login", json={"name": "nobody", "password": WRONG}, timeout=60, trust_env=False
+            ).status_code
+
+        attempts = [crowd.submit(attempt, number) for number in range(40)]
+        assert http.get("/api/v1/health/live").status_code == 200
+        assert viewer.get("/api/v1/robots").status_code == 200
+        statuses = [one.result(120) for one in attempts]
+    assert set(statuses) <= {401, 429}
+    assert statuses.count(401) >= 1
+    assert statuses.count(429) >= 1
+
+
+def test_who_cannot_be_audited_is_not_logged_in(url: str, person: str, folder: Path) -> None:
+    with closing(sqlite3.connect(folder / "data" / "sweepid.sqlite", timeout=30)) as beside, calling(url, None) as http:
+        beside.execute("ALTER TABLE audit RENAME TO gone")
+        try:
+            assert log_in(http, person).status_code >= 500
+        finally:
+            beside.execute("ALTER TABLE gone RENAME TO audit")
+        assert not list(http.cookies.jar)
+        assert beside.execute(
+            "SELECT count(*) FROM user_session JOIN user_account u ON u.id = user_id WHERE u.name = ?", (person,)
+        ).fetchone() == (0,)
