@@ -12,7 +12,7 @@ SOAK ?=  # more words for the soak, as: make soak SOAK="--seed 7 --minutes 30"
 
 SEED ?=  # of an order that test-random printed, to have it again
 
-.PHONY: demo docs test test-fast test-random test-vcan test-drives test-compose fuzz soak check format lock openapi clean
+.PHONY: demo docs test test-fast test-random test-vcan test-drives test-compose fuzz soak check format lock sbom audit openapi clean
 
 demo: $(READY)  ## measure, identify and report a virtual robot
 	$(BIN)/sweepid demo --out demo-out
@@ -60,11 +60,18 @@ lock: $(READY)  ## resolve the dependencies anew, for all platforms
 	$(BIN)/uv pip compile pyproject.toml --extra pdf --group dev --universal --python-version 3.11 --generate-hashes \
 		--no-emit-index-url --no-header --quiet --output-file requirements.lock
 
+sbom: $(READY)  ## what sweepid is made of, as CycloneDX 1.6: sbom.json
+	$(BIN)/cyclonedx-py environment $(BIN)/python --pyproject pyproject.toml --mc-type application --sv 1.6 \
+		--output-reproducible --of JSON -o sbom.json
+
+audit: $(READY)  ## known vulnerabilities of what the lock names; needs the network, so it is not part of make test
+	$(BIN)/pip-audit --require-hashes --disable-pip -r requirements.lock
+
 openapi: $(READY)  ## write docs/reference/openapi.json
 	$(BIN)/python -m service.api.openapi
 
 clean:  ## forget the environment and what was made
-	rm -rf .venv demo-out docs/_build
+	rm -rf .venv demo-out docs/_build sbom.json
 
 $(READY): requirements.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "sweepid needs Python 3.11 or newer")'

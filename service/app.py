@@ -8,7 +8,7 @@ from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 
 from service.api import events, health, metrics, robots
-from service.api.campaign import bundles, campaigns, plans, sweeps
+from service.api.campaign import approvals, bundles, campaigns, plans, sweeps
 from service.api.declared.application import DeclaredApi
 from service.api.gate import BUNDLE_LIMIT, ROBOT_LIMIT, Gate
 from service.api.machine import drives, live, stop
@@ -29,6 +29,7 @@ _ENDED = "the service ended"
 _ROUTERS = (
     robots.router,
     plans.router,
+    approvals.router,
     campaigns.router,
     sweeps.router,
     estimates.router,

@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,20 +20,24 @@ from service.diagnosis_loop.acceptance import accept_model
 from service.diagnosis_loop.diagnosing import Diagnosing
 from service.diagnosis_loop.experiments import Experiments
 from service.errors import Conflict
+from service.execution.approvals import Approvals
 from service.execution.machine import Machine
 from service.execution.recording.recovery import recover
 from service.execution.runner import Runner
 from service.execution.second_stop import listening, watching
 from service.execution.sweep_executor import SweepExecutor
+from service.geometry.cell import read_cell
 from service.jobs.checking import Checking
 from service.jobs.jobs import Jobs
 from service.jobs.reporting import Reporting
 from service.people.chain import Entry
 from service.people.keys import masked
-from service.planning.compiled_plan import compile_plan, planned_sweeps
+from service.planning.compiled_plan import compile_plan, plan_of, planned_sweeps
+from service.planning.motion_hash import machine_sha256, motion_sha256
 from service.safety.robot_and_machine import DriveAxis, DriveProfile
 from service.settings import Settings
 from service.stop_process.handle import StopProcess
+from service.store.approvals import ApprovalStore
 from service.store.checks import CheckStore
 from service.store.database import open_database
 from service.store.diagnosis.diagnoses import DiagnosisStore
@@ -85,6 +90,8 @@ class Application:
     api_keys: KeyStore
     users: UserStore
     sessions: SessionStore
+    approvals: Approvals
+    machine_sha256: str  # of the drive profile with its files, as they are used
     lost: str
     """Why nothing may be stored, because the database is not the one of the data folder; empty if it is."""
 
@@ -110,6 +117,12 @@ class Application:
         self._check_database()
         plan = await asyncio.to_thread(self.store.plan, plan_id)
         return await asyncio.to_thread(self.store.add_campaign, plan_id, planned_sweeps(plan))
+
+    def motion_sha256(self, plan_id: int) -> str:
+        """Of all that decides what a plan moves now (see `motion_hash`); blocks."""
+        plan = self.store.plan(plan_id)
+        cell = read_cell(self.settings.cells_dir / f"{plan_of(plan).request.cell}.yaml")
+        return motion_sha256(plan, self.store.robot(plan.robot_id), cell, self.settings, self.machine_sha256)
 
     async def import_bundle(self, source: Path, limits: Limits = LIMITS) -> CampaignDocument:
         """A campaign of the sweeps of a bundle (folder or zip), which are then identified. BadInput: nothing is stored.
@@ -162,6 +175,7 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
         profile = load_profile(settings.drive)
         port = open_drive(profile, settings.drive.parent)
         axes = DriveProfile.model_validate(profile).of(port.joints)
+        machine_hash = machine_sha256(profile, settings.drive.parent)
         settings.data_dir.mkdir(parents=True, exist_ok=True)
         database = stack.enter_context(open_database(settings.url))
         api_keys = KeyStore(database)
@@ -204,7 +218,9 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
         stack.push_async_callback(jobs.close)
         executor = SweepExecutor(store, files, machine, hub)
         stack.callback(executor.close)
-        runner = Runner(store, machine, executor, jobs, partial(compile_plan, store, settings, axes))
+        approvals = Approvals(ApprovalStore(database), settings.approval, timedelta(hours=settings.approval_valid))
+        compiling = partial(compile_plan, store, settings, axes, machine_hash)
+        runner = Runner(store, machine, executor, jobs, compiling, approvals)
         stack.push_async_callback(runner.close)
 
         diagnosing = Diagnosing(store, diagnoses, models, files, worker)
@@ -231,7 +247,7 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
         yield Application(
             *(settings, axes, store, files, keys, machine, runner, jobs, worker, hub, feed),
             *(diagnoses, models, diagnosing, experiments, checks, checking, stop_process, audit),
-            *(api_keys, users, sessions, lost),
+            *(api_keys, users, sessions, approvals, machine_hash, lost),
         )
 
 

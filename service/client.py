@@ -84,6 +84,14 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
     def plan(self, plan_id: int) -> Json:
         return self._get(f"/plans/{plan_id}")
 
+    def approvals(self, plan_id: int) -> Json:
+        """`needed`, `missing`, `sha256` of what the plan moves now, and who approved it (`items`)."""
+        return self._get(f"/plans/{plan_id}/approvals")
+
+    def approve(self, plan_id: int, sha256: str, approved_by: str | None = None) -> Json:
+        """Approve the motion with this hash. `approved_by`: where the service asks nobody who he is."""
+        return self._post(f"/plans/{plan_id}/approvals", {"sha256": sha256, "approved_by": approved_by})
+
     # -- campaigns
     def add_campaign(self, plan_id: int) -> Json:
         return self._post("/campaigns", {"plan_id": plan_id})
@@ -95,17 +103,27 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
     def campaign(self, campaign_id: int) -> Json:
         return self._get(f"/campaigns/{campaign_id}")
 
-    def start(self, campaign_id: int) -> Json:
-        """Connects the drives first where they are not. Asks before where the stop is, for then it may be too late."""
+    def start(self, campaign_id: int, attended: float | None = None) -> Json:
+        """Connects the drives first where they are not. Asks before where the stop is, for then it may be too late.
+
+        `attended`: s from one `sign_of_life` to the next, or the campaign is paused.
+        """
         self._find_stop()
-        return self._post(f"/campaigns/{campaign_id}/start", timeout=_LONG_TIMEOUT)
+        return self._post(f"/campaigns/{campaign_id}/start", _attended(attended), timeout=_LONG_TIMEOUT)
+
+    def sign_of_life(self, campaign_id: int) -> Json | None:
+        """Somebody looks after the machine; None where the campaign waits for no such sign."""
+        response = self._send("POST", f"/campaigns/{campaign_id}/sign_of_life")
+        _check(response)
+        return cast("Json | None", response.json())
 
     def pause(self, campaign_id: int) -> Json:
         return self._post(f"/campaigns/{campaign_id}/pause")
 
-    def resume(self, campaign_id: int, repeat: bool = False) -> Json:
+    def resume(self, campaign_id: int, repeat: bool = False, attended: float | None = None) -> Json:
+        """`attended` as of `start`."""
         self._find_stop()
-        return self._post(f"/campaigns/{campaign_id}/resume", {"repeat": repeat})
+        return self._post(f"/campaigns/{campaign_id}/resume", {"repeat": repeat, **_attended(attended)})
 
     def abort(self, campaign_id: int, why: str) -> Json:
         return self._post(f"/campaigns/{campaign_id}/abort", {"why": why})
@@ -332,6 +350,10 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
                 f"no service at {self._url}: start it with `sweepid serve`, or name another with --url or SWEEPID_URL"
             )
         return ServiceUnreachable(f"{self._url}: {error or type(error).__name__}")
+
+
+def _attended(within: float | None) -> Json:
+    return {} if within is None else {"attended": {"within_s": within}}
 
 
 def _check(response: httpx.Response) -> None:

@@ -35,6 +35,8 @@ class Settings(BaseSettings):
     trusted_network: bool = False  # without login, beyond this computer: something else lets only trusted ones in
     behind_proxy: bool = False  # True: X-Forwarded-For and -Proto of `trusted_proxies` are believed; else of nobody
     trusted_proxies: tuple[IPvAnyNetwork, ...] = Field(default=_THIS_COMPUTER, min_length=1)
+    approval: bool = False  # True: an engineer approves a plan before a campaign of it starts, with login another one
+    approval_valid: float = Field(default=8.0, gt=0, le=720)  # h for which an approval holds
     port: int = Field(default=8642, ge=0, le=65535)  # 0: any free port
     stop_port: int | None = Field(default=None, ge=0, le=65535)  # of the stop process; None: one above `port`
     dask_scheduler: str | None = None  # e.g. tcp://host:8786; None: one worker process of our own

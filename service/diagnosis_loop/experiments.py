@@ -74,6 +74,8 @@ class Experiments:
     ) -> CampaignDocument:
         """Plan the next experiment of an axis, and start its campaign. The diagnosis goes on when that is completed.
 
+        With the setting `approval` the campaign stays planned: its plan wants an approval of its own, and then a start.
+
         Conflict or DriveError where the machine is not free, `test_mass` is missing or not wanted (BadInput), or the
         diagnosis is not done or has its experiment already: nothing is stored, nothing moves.
         """
@@ -96,6 +98,8 @@ class Experiments:
                 plan.model_dump(mode="json"),
                 [NewSweep(spec=sweep.spec, mode=sweep.mode) for sweep in plan.sweeps],
             )
+        if self._settings.approval:  # the second step is a start by a person, once the plan is approved
+            return campaign
         try:
             return await self._runner.start(campaign.id)
         except (SweepidError, DriveError) as error:

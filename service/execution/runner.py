@@ -4,6 +4,7 @@ import asyncio
 import time
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
+from functools import partial
 from types import MappingProxyType
 
 import structlog
@@ -12,6 +13,8 @@ from sqlalchemy.exc import SQLAlchemyError
 from drivers.errors import DriveError
 from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.errors import Conflict, NotFound, SweepidError
+from service.execution.approvals import Approvals
+from service.execution.attendance import Attendance
 from service.execution.check_move import CheckMove
 from service.execution.machine import Machine
 from service.execution.stop_criterion import confidence_reached
@@ -40,13 +43,15 @@ class Runner:
         executor: SweepExecutor,
         jobs: Jobs,
         compile_plan: Callable[[CampaignDocument], CompiledPlan],
+        approvals: Approvals,
     ) -> None:
         """`compile_plan` reads the plan of a campaign (blocking; BadInput or Conflict if it cannot be run here)."""
         self._store, self._machine, self._executor, self._jobs = store, machine, executor, jobs
-        self._compile = compile_plan
+        self._compile, self._approvals = compile_plan, approvals
         self._commands = asyncio.Lock()  # one command at a time; `Machine.stop` does not wait for it
         self._task: asyncio.Task[None] | None = None
         self._running: int | None = None
+        self._attendance: Attendance | None = None  # of the campaign that runs
         self._origins: dict[int, float] = {}  # starts of campaigns on the monotonic clock, s
         self._untold = ""  # why the last campaign broke off, until the store has it; nothing moves while it has not
 
@@ -54,6 +59,11 @@ class Runner:
     def running(self) -> int | None:
         """The campaign that owns the machine, or None."""
         return self._running
+
+    @property
+    def attendance(self) -> Attendance | None:
+        """The sign of life that the running campaign waits for, or None."""
+        return self._attendance
 
     @property
     def untold(self) -> str:
@@ -70,9 +80,16 @@ class Runner:
         """What the campaign that owns the machine moves now and next, or None."""
         return self._executor.under_way
 
-    async def start(self, campaign_id: int, if_version: int | None = None) -> CampaignDocument:
-        """planned -> running. Conflict while another campaign runs, the machine is stopped or does not answer."""
-        return await self._launch(campaign_id, CampaignEvent.START, if_version, repeat=False)
+    async def start(
+        self, campaign_id: int, if_version: int | None = None, by: str = "", attended: float | None = None
+    ) -> CampaignDocument:
+        """planned -> running. Conflict while another campaign runs, the machine is stopped or does not answer, or the
+        plan is not approved where that is wanted.
+
+        `by`: who starts it, where the service knows. `attended`: s within which `sign_of_life` must come, again and
+        again, or the axes stop and the campaign is paused; None: nobody waits for any.
+        """
+        return await self._launch(campaign_id, CampaignEvent.START, if_version, by, attended, repeat=False)
 
     async def pause(self, campaign_id: int, if_version: int | None = None) -> CampaignDocument:
         """running -> pausing; paused when the present sweep is over."""
@@ -82,15 +99,30 @@ class Runner:
                 self._store.move_campaign, campaign_id, campaign_move(CampaignEvent.PAUSE), "", if_version
             )
 
-    async def resume(self, campaign_id: int, if_version: int | None = None, repeat: bool = False) -> CampaignDocument:
+    async def resume(
+        self,
+        campaign_id: int,
+        if_version: int | None = None,
+        repeat: bool = False,
+        by: str = "",
+        attended: float | None = None,
+    ) -> CampaignDocument:
         """paused -> running with the next planned sweep; `repeat` first puts failed and interrupted sweeps back.
 
-        Takes back a pause that was asked for (pausing -> running), too.
+        Takes back a pause that was asked for (pausing -> running), too, as it was started. Conflict as `start`.
         """
         if self._running == campaign_id:
             async with self._commands:
                 return await asyncio.to_thread(self._store.move_campaign, campaign_id, _take_back_pause, "", if_version)
-        return await self._launch(campaign_id, CampaignEvent.RESUME, if_version, repeat)
+        return await self._launch(campaign_id, CampaignEvent.RESUME, if_version, by, attended, repeat)
+
+    def sign_of_life(self, campaign_id: int) -> Attendance | None:
+        """Somebody is there; what is left of it now, None where nobody waits for it. Conflict if it does not run."""
+        if self._running != campaign_id:
+            raise Conflict(f"campaign {campaign_id} does not run")
+        if self._attendance is not None:
+            self._attendance.renew()
+        return self._attendance
 
     async def abort(self, campaign_id: int, why: str, if_version: int | None = None) -> CampaignDocument:
         """Stop the present sweep now and give the campaign up; sweeps not run become skipped."""
@@ -137,14 +169,21 @@ class Runner:
         self._machine.check_may_move()
 
     async def _launch(
-        self, campaign_id: int, event: CampaignEvent, if_version: int | None, repeat: bool
+        self,
+        campaign_id: int,
+        event: CampaignEvent,
+        if_version: int | None,
+        by: str,
+        attended: float | None,
+        repeat: bool,
     ) -> CampaignDocument:
         async with self._commands:
             await self._check_idle()
             campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
             campaign_move(event)(campaign.state)
-            await self._check_machine()
             compiled = await asyncio.to_thread(self._compile, campaign)
+            await asyncio.to_thread(self._approvals.check, campaign.plan_id, compiled.sha256, by)
+            await self._check_machine()
             again = sweep_move(SweepEvent.REPEAT)
             campaign = await asyncio.to_thread(
                 self._store.move_campaign,
@@ -157,7 +196,13 @@ class Runner:
             self._running = campaign_id
             self._task = asyncio.create_task(self._run(campaign, compiled), name=f"campaign {campaign_id}")
             self._task.add_done_callback(self._ended)
+            if attended is not None:
+                self._attendance = Attendance(attended, partial(self._missed, self._task, campaign_id))
             return campaign
+
+    def _missed(self, task: asyncio.Task[None], campaign_id: int, cause: str) -> None:
+        task.cancel(cause)
+        self._machine.broke_off(f"campaign {campaign_id}", cause)
 
     async def _end_task(self, why: str) -> None:
         if self._task is not None and not self._task.done():
@@ -166,6 +211,9 @@ class Runner:
 
     def _ended(self, task: asyncio.Task[None]) -> None:
         self._running = None
+        if self._attendance is not None:
+            self._attendance.end()
+            self._attendance = None
         if not task.cancelled() and (error := task.exception()) is not None:
             _log.error("campaign_broke_off", task=task.get_name(), exc_info=error)
 

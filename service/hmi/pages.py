@@ -10,6 +10,7 @@ from fastapi.responses import FileResponse
 _SCRIPTS = (
     "api",
     "app",
+    "approval",
     "axes",
     "commands",
     "diagnosis",

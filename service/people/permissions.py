@@ -28,7 +28,7 @@ class Role(IntEnum):
 MEANING = {
     Role.VIEWER: "reads everything but the audit",
     Role.OPERATOR: "runs plans that are stored, connects drives, acknowledges faults, releases stops",
-    Role.ENGINEER: "stores robots, plans and bundles, begins diagnoses and their experiments, accepts models",
+    Role.ENGINEER: "stores robots, plans and bundles, approves plans, begins diagnoses and experiments, accepts models",
     Role.ADMIN: "reads the audit",
 }
 LOCAL = "local"
@@ -40,6 +40,8 @@ Route = tuple[str, str]  # method and path
 _API = "/api/v1"
 _V, _O, _E, _A = Role
 STOP: Route = ("POST", f"{_API}/stop")
+SIGN_OF_LIFE: Route = ("POST", f"{_API}/campaigns/{{campaign_id}}/sign_of_life")
+"""Changes nothing, and comes several times a minute: it is not in the audit, but its absence is."""
 LOGIN: Route = ("POST", f"{_API}/login")
 
 _CALLS: dict[Route, Role | None] = {
@@ -49,10 +51,13 @@ _CALLS: dict[Route, Role | None] = {
     ("POST", "/plans"): _E,
     ("GET", "/plans"): _V,
     ("GET", "/plans/{plan_id}"): _V,
+    ("POST", "/plans/{plan_id}/approvals"): _E,
+    ("GET", "/plans/{plan_id}/approvals"): _V,
     ("POST", "/campaigns"): _O,
     ("GET", "/campaigns"): _V,
     ("GET", "/campaigns/{campaign_id}"): _V,
     ("POST", "/campaigns/{campaign_id}/start"): _O,
+    ("POST", "/campaigns/{campaign_id}/sign_of_life"): _O,
     ("POST", "/campaigns/{campaign_id}/pause"): _O,
     ("POST", "/campaigns/{campaign_id}/resume"): _O,
     ("POST", "/campaigns/{campaign_id}/abort"): _O,
@@ -99,6 +104,7 @@ _PAGES = (  # public files without data
     "/diagnosis",
     "/api.js",
     "/app.js",
+    "/approval.js",
     "/axes.js",
     "/commands.js",
     "/diagnosis.js",

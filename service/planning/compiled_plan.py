@@ -7,6 +7,7 @@ from service.errors import Conflict
 from service.geometry.cell import read_cell
 from service.planning.analysis.documents import AnalysisPlan
 from service.planning.diagnosis.documents import DiagnosisPlan, ExperimentPlan
+from service.planning.motion_hash import motion_sha256
 from service.planning.plan import PlanDocument
 from service.planning.trajectories.documents import TrajectoryPlan
 from service.robot import Robot
@@ -39,6 +40,7 @@ class CompiledPlan:
     trajectories: tuple[tuple[int, ...], ...] = ()  # numbers of the sweeps that run at once
     confidence: float | None = None  # percent, at which the campaign may end (`enough`); None: all sweeps are wanted
     base_parameters: int = 0  # that the plan is about
+    sha256: str = ""  # of all that decides what moves (`motion_hash`); "": not known, which nobody can have approved
 
     def due(self, sweeps: Sequence[SweepDocument]) -> list[SweepDocument]:
         """The next planned sweep with the others of its trajectory; empty if none is left.
@@ -80,16 +82,16 @@ def _moved(plan: Plan) -> set[str]:
 
 
 def compile_plan(
-    store: Store, settings: Settings, axes: Sequence[DriveAxis], campaign: CampaignDocument
+    store: Store, settings: Settings, axes: Sequence[DriveAxis], machine: str, campaign: CampaignDocument
 ) -> CompiledPlan:
-    """The compiled plan of a campaign; BadInput for a bad cell file.
+    """The compiled plan of a campaign; BadInput for a bad cell file. `machine`: the hash of the drive profile.
 
     Conflict for a campaign without plan, and for one that is for another robot than the machine of the `axes`.
     """
     if campaign.plan_id is None:
         raise Conflict(f"campaign {campaign.id} was imported and cannot be run")
-    plan = plan_of(store.plan(campaign.plan_id))
-    robot = store.robot(campaign.robot_id).build()
+    record, origin = store.plan(campaign.plan_id), store.robot(campaign.robot_id)
+    plan, robot = plan_of(record), origin.build()
     other = other_machine(robot, campaign.robot_id, settings, axes, _moved(plan))
     if other:
         raise Conflict(f"campaign {campaign.id} is for another machine: {other}")
@@ -108,4 +110,5 @@ def compile_plan(
         trajectories=plan.at_once if isinstance(plan, TrajectoryPlan) else (),
         confidence=plan.request.confidence if isinstance(plan, PlanDocument) else None,
         base_parameters=len(plan.base_parameters) if isinstance(plan, PlanDocument) else 0,
+        sha256=motion_sha256(record, origin, cell, settings, machine),
     )

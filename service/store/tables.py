@@ -76,6 +76,18 @@ class PlanRow(Base):
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 
+class ApprovalRow(Base):
+    """Append-only."""
+
+    __tablename__ = "approval"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    plan_id: Mapped[int] = mapped_column(ForeignKey("plan.id"), index=True)
+    sha256: Mapped[str] = mapped_column(String(64))  # of all that decides what the plan moves
+    approved_by: Mapped[str]
+    at: Mapped[datetime]
+    expires_at: Mapped[datetime]
+
+
 class CampaignRow(Base):
     __tablename__ = "campaign"
     id: Mapped[int] = mapped_column(primary_key=True)

@@ -7,10 +7,13 @@ from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
+from service.api.campaign.approvals import who_asks
 from service.api.campaign.progress import Progress, StepView, planned_times, progress, steps
 from service.api.dependencies import After, ApplicationOf, Id, IfMatch, Limit, Page, set_etag
 from service.api.idempotent import IdempotentRoute
+from service.api.people.trail import trail_of
 from service.application import Application
+from service.execution.attendance import Attendance
 from service.execution.check_move import CheckMove
 from service.results.check import DataCheck
 from service.store.documents import LARGEST_ID, CampaignDocument
@@ -23,10 +26,27 @@ class NewCampaign(BaseModel):
     plan_id: int = Field(ge=1, le=LARGEST_ID)
 
 
-class Resume(BaseModel):
-    """`repeat`: failed and interrupted sweeps are measured once more."""
+class Attended(BaseModel):
+    """Somebody shows a sign of life at least every so many seconds, or the axes stop and the campaign is paused."""
 
     model_config = ConfigDict(extra="forbid")
+    within_s: float = Field(ge=1, le=3600)
+
+
+class Start(BaseModel):
+    """`attended`: null where nobody waits for a sign of life."""
+
+    model_config = ConfigDict(extra="forbid")
+    attended: Attended | None = None
+
+    @property
+    def within(self) -> float | None:
+        return None if self.attended is None else self.attended.within_s
+
+
+class Resume(Start):
+    """`repeat`: failed and interrupted sweeps are measured once more."""
+
     repeat: bool = False
 
 
@@ -43,16 +63,25 @@ class CheckMoveView(BaseModel):
     unit: str
 
 
+class AttendedView(BaseModel):
+    """`left_s`: until the campaign is paused."""
+
+    within_s: float
+    left_s: float
+
+
 class CampaignView(CampaignDocument):
     """A campaign with its progress, what moves now (`motion`, with what follows in this sweep) and what was found.
 
     `check_move`: the one that it makes at this moment.
+    `attended`: while it runs and was started so.
     `data_check` as `sweepid check --json` gives it; null until the campaign is over and was checked.
     """
 
     progress: Progress
     motion: tuple[StepView, ...]
     check_move: CheckMoveView | None
+    attended: AttendedView | None
     data_check: DataCheck | None
 
 
@@ -79,10 +108,26 @@ async def get_campaign(campaign_id: Id, response: Response, application: Applica
 
 @router.post("/{campaign_id}/start")
 async def start_campaign(
-    campaign_id: Id, response: Response, application: ApplicationOf, version: IfMatch
+    campaign_id: Id,
+    request: Request,
+    response: Response,
+    application: ApplicationOf,
+    version: IfMatch,
+    start: Start | None = None,
 ) -> CampaignView:
-    """Begin to move and measure."""
-    return await _answer(application, await application.runner.start(campaign_id, version), response)
+    """Begin to move and measure. 409 with the reason, also where the plan needs an approval and has none that holds."""
+    by, within = who_asks(request, application), (start or Start()).within
+    trail_of(request.scope).told = {"attended": within}
+    return await _answer(application, await application.runner.start(campaign_id, version, by, within), response)
+
+
+@router.post("/{campaign_id}/sign_of_life")
+async def show_life(campaign_id: Id, application: ApplicationOf) -> AttendedView | None:
+    """Somebody looks after the machine; null where nobody waits for it. 409 if the campaign does not run.
+
+    Needs neither audit nor database, but to look at the key: a campaign ends by silence alone.
+    """
+    return _attended(application.runner.sign_of_life(campaign_id))
 
 
 @router.post("/{campaign_id}/pause")
@@ -95,11 +140,18 @@ async def pause_campaign(
 
 @router.post("/{campaign_id}/resume")
 async def resume_campaign(
-    campaign_id: Id, response: Response, application: ApplicationOf, version: IfMatch, resume: Resume | None = None
+    campaign_id: Id,
+    request: Request,
+    response: Response,
+    application: ApplicationOf,
+    version: IfMatch,
+    resume: Resume | None = None,
 ) -> CampaignView:
-    """Go on with the next planned sweep."""
-    repeat = resume is not None and resume.repeat
-    return await _answer(application, await application.runner.resume(campaign_id, version, repeat), response)
+    """Go on with the next planned sweep. 409 as for a start."""
+    wanted, by = resume or Resume(), who_asks(request, application)
+    trail_of(request.scope).told = {"attended": wanted.within}
+    campaign = await application.runner.resume(campaign_id, version, wanted.repeat, by, wanted.within)
+    return await _answer(application, campaign, response)
 
 
 @router.post("/{campaign_id}/abort")
@@ -122,8 +174,13 @@ def view(application: Application, campaign: CampaignDocument) -> CampaignView:
         progress=progress(campaign.state, application.store.sweeps(campaign.id), times, under_way),
         motion=steps(under_way, check_move),
         check_move=_check_move(check_move),
+        attended=_attended(application.runner.attendance) if owns else None,
         data_check=None if checked is None else DataCheck.read(checked, f"data check of campaign {campaign.id}"),
     )
+
+
+def _attended(attendance: Attendance | None) -> AttendedView | None:
+    return None if attendance is None else AttendedView(within_s=attendance.within, left_s=attendance.left)
 
 
 def _check_move(move: CheckMove | None) -> CheckMoveView | None:

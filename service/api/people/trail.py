@@ -9,7 +9,7 @@ from starlette.types import Scope
 from service.application import Application
 from service.people.chain import Entry, Fact
 from service.people.keys import masked
-from service.people.permissions import SOCKET, Role, Route
+from service.people.permissions import SIGN_OF_LIFE, SOCKET, Role, Route
 from service.store.people.writer import NotAudited
 
 _TRAIL = "sweepid.trail"  # in the scope
@@ -43,7 +43,7 @@ class Trail:
 
     @property
     def changes(self) -> bool:
-        return self.method not in _READING
+        return self.method not in _READING and self.route != SIGN_OF_LIFE
 
     def entry(self, event: str, **told: Fact) -> Entry:
         return {

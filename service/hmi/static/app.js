@@ -1,6 +1,7 @@
 // The operator's page: campaigns and their estimates.
 
 import { address, all, call, get, Refused } from "./api.js";
+import { showApproval, watchApproval } from "./approval.js";
 import { showAxes, watchAxes } from "./axes.js";
 import { showCommands, watchCommands } from "./commands.js";
 import { byId, choices, complain, duration, element, number, row, tell } from "./elements.js";
@@ -90,23 +91,20 @@ async function showOrdered() {
   const sweeps = waits ? await get(`/campaigns/${id}/sweeps`) : [];
   const due = again ? ["planned", "failed", "interrupted"] : ["planned"];
   const left = plan?.document.sweeps.filter((_, k) => due.includes(sweeps[k]?.state)) ?? [];
+  const seconds = progress.remaining + (again ? progress.repeat : 0);
+  await showApproval(plan, left, seconds);
+  nowCommands();
   byId("ordered").hidden = !left.length;
-  tell("takes", left.length ? `takes ${duration(progress.remaining + (again ? progress.repeat : 0))}` : "");
+  tell("takes", left.length ? `takes ${duration(seconds)}` : "");
   const shown = `${plan?.id}/${command}/${left.length}`;
   if (!left.length || byId("motion").dataset.shown === shown) return;
   tell("ordered-title", `What ${command} will move`);
-  const seconds = progress.remaining + (again ? progress.repeat : 0);
   showMotion(byId("motion"), { ...plan.document, sweeps: left, duration: seconds }, units);
   byId("motion").dataset.shown = shown;
 }
 
 async function command(run) {
-  try {
-    await run();
-    complain(null);
-  } catch (error) {
-    complain(error);
-  }
+  await Promise.resolve().then(run).then(() => complain(null), complain);
   await refresh();
 }
 
@@ -172,6 +170,7 @@ const refresh = refresher(async () => {
 });
 
 watchAxes(command);
+watchApproval(command);
 byId("campaigns").addEventListener("change", () => showCampaign().catch(complain));
 byId("repeat").addEventListener("change", () => campaign && showOrdered().catch(complain));
 watchCommands(

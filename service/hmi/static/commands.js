@@ -1,5 +1,6 @@
 // Start, Pause, Resume and Abort: what cannot work is dead, with the reason beside it.
 
+import { unapproved } from "./approval.js";
 import { byId, tell } from "./elements.js";
 import { mayNot } from "./login.js";
 
@@ -29,6 +30,7 @@ function whyNot(name, campaign, machine, owner) {
   if (name === "pause" || name === "abort" || campaign.state === "pausing") return "";
   if (owner && owner.id !== campaign.id) return `campaign ${owner.id} runs`;
   if (!machine) return "no word of the machine";
+  if (unapproved()) return unapproved();
   if (machine.stop.latched) return "the machine is stopped: release it first";
   const faulty = machine.drives.axes.filter((axis) => axis.fault).map((axis) => axis.joint);
   if (faulty.length > 2) return "acknowledge the axes first";

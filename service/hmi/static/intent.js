@@ -65,6 +65,9 @@ function ofCampaign(campaign, diagnoses, units) {
   if (campaign.motion.length) parts.push(`: ${inWords(campaign.motion, units)}`);
   parts.push(campaign.state === "pausing" ? "; it holds after this sweep. " : ". ");
   if (remaining) parts.push(`About ${duration(remaining)} left. `);
+  if (campaign.attended) {
+    parts.push(`It stops when nobody shows a sign of life for ${campaign.attended.within_s} s; this page shows one while it is seen. `);
+  }
   const asking = diagnoses.find((one) => one.experiment?.campaign_id === campaign.id);
   if (asking?.unattended) {
     parts.push(`It belongs to diagnosis ${asking.id}, which runs alone: the next experiment may start by itself.`);

@@ -1,8 +1,9 @@
 // The campaign that moves the machine, asked once a second while it does: its steps are shorter than its events.
 
-import { get } from "./api.js";
+import { call, get } from "./api.js";
 import { byId, tell } from "./elements.js";
 import { showIntent } from "./intent.js";
+import { mayNot } from "./login.js";
 import { unitsOf } from "./motion.js";
 
 const STATES = ["running", "pausing"];
@@ -35,7 +36,15 @@ async function draw() {
   if (campaign && !moves) owner = null;
   showIntent(...lists, moves ? campaign : undefined, moves ? await unitsOf(campaign.robot_id) : null);
   showCheckMove(moves ? campaign.check_move : null);
+  if (moves) showLife(campaign);
   return moves ? campaign : undefined;
+}
+
+// who sees this page looks after the machine; without, the axes stop
+function showLife({ id, attended }) {
+  if (!attended || document.hidden || mayNot("POST /campaigns/{campaign_id}/sign_of_life")) return;
+  if (attended.left_s > (2 / 3) * attended.within_s) return;
+  call("POST", `/campaigns/${id}/sign_of_life`, undefined, {}, PATIENCE).catch(() => {}); // the state tells what comes of it
 }
 
 function showCheckMove(move) {

@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from drivers.ports import Sine, SweepCommand, SweepMode
 from service.campaigns.live import LiveHub
 from service.configuration import read_robot
+from service.execution.approvals import Approvals
 from service.execution.machine import Machine
 from service.execution.runner import Runner
 from service.execution.sweep_executor import SweepExecutor
@@ -21,6 +23,7 @@ from service.recording import Sine as SpecSine
 from service.recording import SweepSpec
 from service.robot import Robot
 from service.safety.envelope import Envelope
+from service.store.approvals import ApprovalStore
 from service.store.database import Database, open_database
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.documents import CampaignDocument, NewSweep, SpectrumRecord, SweepDocument
@@ -53,6 +56,8 @@ class Bench:
     runner: Runner
     hub: LiveHub
     campaign: CampaignDocument
+    told: list[tuple[str, str]]
+    """Way and why of the stops that latched nothing."""
     compile_plan: Callable[[CampaignDocument], CompiledPlan]
     """What the runner asks; a test may put another in its place."""
 
@@ -109,7 +114,8 @@ async def open_bench(
         store, files, hub = Store(database), RecordingFiles(folder), LiveHub(100.0)
         drive = FormulaDrive(REACHED)
         latch = StopLatch(database)
-        machine = Machine(drive, latch, latch.latched())
+        told: list[tuple[str, str]] = []
+        machine = Machine(drive, latch, latch.latched(), tell=lambda way, why: told.append((way, why)))
         models = ModelStore(database)
         jobs = Taken(store, files, models) if worker is None else Jobs(store, files, worker, models)
         stack.push_async_callback(jobs.close)
@@ -120,15 +126,22 @@ async def open_bench(
             commands = {sweep.number: command(sweep) for sweep in store.sweeps(campaign.id)}
             return CompiledPlan(robot.joints, commands, envelope, move_velocity=0.1, pose_tolerance=2e-3)
 
-        runner = Runner(store, machine, executor, jobs, lambda campaign: bench.compile_plan(campaign))
+        runner = Runner(
+            store, machine, executor, jobs, lambda campaign: bench.compile_plan(campaign), nobody_needed(database)
+        )
         stack.push_async_callback(runner.close)
         campaigns = store.campaigns()
         if not campaigns:
             plan = store.add_plan(store.add_robot(robot).id, {})
             new = [NewSweep(spec=spec(n, pose), mode=SweepMode.DRIVE_SIDE) for n, pose in enumerate(POSES, 1)]
             campaigns = (store.add_campaign(plan.id, new),)
-        bench = Bench(store, database, files, drive, machine, jobs, runner, hub, campaigns[0], compile_plan)
+        bench = Bench(store, database, files, drive, machine, jobs, runner, hub, campaigns[0], told, compile_plan)
         yield bench
+
+
+def nobody_needed(database: Database) -> Approvals:
+    """No plan needs an approval."""
+    return Approvals(ApprovalStore(database), needed=False, valid=timedelta(hours=8))
 
 
 class Taken(Jobs):

@@ -127,8 +127,8 @@ def test_a_campaign_for_another_machine_has_no_course(planned: tuple[Store, Sett
     """`compile_plan` is asked at every start and resume."""
     store, settings, campaign = planned
     with pytest.raises(Conflict) as refusal:
-        compile_plan(store, settings, axes_of(PROFILES[0]), campaign)
+        compile_plan(store, settings, axes_of(PROFILES[0]), "", campaign)
     said = str(refusal.value)
     assert said.startswith(f"campaign {campaign.id} is for another machine: joint_6 gear ratio: robot max100-class")
     assert f"has 60, drive profile {PROFILES[0]} has 101" in said
-    assert "joint_1" in compile_plan(store, settings, axes_of(PROFILES[0])[:3], campaign).joints
+    assert "joint_1" in compile_plan(store, settings, axes_of(PROFILES[0])[:3], "", campaign).joints

@@ -23,7 +23,7 @@ from service.robot import Robot
 from service.safety.envelope import Envelope
 from service.safety.trajectory_motion import commanded_motion, path_of
 from service.store.documents import CampaignDocument, CampaignState, NewSweep, RecordingState, SweepState
-from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench, Taken
+from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench, Taken, nobody_needed
 from tests.unit.service.campaigns.formula_drive import FormulaDrive
 from tests.unit.service.campaigns.small_arm import small_arm
 
@@ -174,7 +174,7 @@ async def campaign(bench: Bench, envelope_of_max100: Envelope) -> AsyncIterator[
     joints = tuple(f"joint_{number}" for number in range(1, 7))
     compiled = CompiledPlan(joints, commands, envelope_of_max100, 0.1, 2e-3, trajectories=((1, 2),))
     executor = SweepExecutor(bench.store, bench.files, bench.machine, bench.hub)
-    runner = Runner(bench.store, bench.machine, executor, bench.jobs, lambda _: compiled)
+    runner = Runner(bench.store, bench.machine, executor, bench.jobs, lambda _: compiled, nobody_needed(bench.database))
     yield runner, campaign
     await runner.close()
     executor.close()

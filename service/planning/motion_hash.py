@@ -1,0 +1,52 @@
+"""One hash of all that decides what a plan moves: whoever approved it approved this and nothing else."""
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import cast
+
+from service.geometry.cell import Cell
+from service.settings import Settings
+from service.store.documents import PlanRecord, RobotDocument
+
+
+def motion_sha256(plan: PlanRecord, robot: RobotDocument, cell: Cell, settings: Settings, machine: str) -> str:
+    """Of plan, robot, cell, tolerance, program and `machine` (see `machine_sha256`), hexadecimal."""
+    content = {
+        "plan": plan.document,
+        "robot": robot.sha256,
+        "cell": cell.model_dump(mode="json"),
+        "pose_tolerance": settings.pose_tolerance,
+        "machine": machine,
+        "program": version("sweepid"),
+    }
+    return _sha256(content)
+
+
+def machine_sha256(profile: object, base: Path) -> str:
+    """Of a drive profile with the content of each file that it names (EDS, device map, registers), below `base`."""
+    named = [text for text in _texts(profile) if _file(base, text)]
+    return _sha256(profile, [hashlib.sha256((base / text).read_bytes()).hexdigest() for text in named])
+
+
+def _texts(value: object) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping | list | tuple):
+        parts = cast("Iterable[object]", value.values() if isinstance(value, Mapping) else value)
+        for part in parts:
+            yield from _texts(part)
+
+
+def _file(base: Path, text: str) -> bool:
+    try:
+        return (base / text).is_file()
+    except (OSError, ValueError):  # too long for a name, or with a zero byte
+        return False
+
+
+def _sha256(*content: object) -> str:
+    """In the order that the content has: keys of a profile may be of several types, which have none."""
+    return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()

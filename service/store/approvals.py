@@ -1,0 +1,65 @@
+"""Who approved which plan, by the hash of all that decides what it moves, and for how long."""
+
+from datetime import datetime, timedelta
+
+from pydantic import BaseModel, ConfigDict
+from sqlalchemy import select
+
+from service.store import rows
+from service.store import tables as t
+from service.store.database import Database
+
+
+class ApprovalDocument(BaseModel):
+    """One approval; `sha256` is that of the motion which was approved."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    id: int
+    plan_id: int
+    sha256: str
+    approved_by: str
+    at: datetime
+    expires_at: datetime
+
+    def trouble(self, sha256: str, at: datetime) -> str:
+        """Why it does not hold for that motion at that time; empty if it does."""
+        who = f"the approval by {self.approved_by} of {self.at:%Y-%m-%d %H:%M} UTC"
+        if self.sha256 != sha256:
+            return f"{who} is void: robot, cell, drives, settings or program have changed since"
+        if not self.at <= at:
+            return f"{who} lies in the future: the computer's clock was set back"
+        return f"{who} expired at {self.expires_at:%Y-%m-%d %H:%M} UTC" if at >= self.expires_at else ""
+
+
+class ApprovalStore:
+    """Every method is one transaction and blocks, as in `service.store.store`."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def add(self, plan_id: int, sha256: str, approved_by: str, valid: timedelta) -> ApprovalDocument:
+        """NotFound for no plan."""
+        with self._database.write(quiet=True) as session:
+            rows.get(session, t.PlanRow, plan_id, "plan")
+            at = t.now()
+            row = t.ApprovalRow(plan_id=plan_id, sha256=sha256, approved_by=approved_by, at=at, expires_at=at + valid)
+            session.add(row)
+            session.flush()
+            return _document(row)
+
+    def of_plan(self, plan_id: int) -> tuple[ApprovalDocument, ...]:
+        """The newest first, a hundred at most."""
+        query = select(t.ApprovalRow).where(t.ApprovalRow.plan_id == plan_id).order_by(t.ApprovalRow.id.desc())
+        with self._database.read() as session:
+            return tuple(_document(row) for row in session.scalars(query.limit(100)))
+
+
+def _document(row: t.ApprovalRow) -> ApprovalDocument:
+    return ApprovalDocument(
+        id=row.id,
+        plan_id=row.plan_id,
+        sha256=row.sha256,
+        approved_by=row.approved_by,
+        at=row.at,
+        expires_at=row.expires_at,
+    )

@@ -1,0 +1,47 @@
+"""With `approval: true` the page says what waits for whom, and its button approves what it names."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from service.client import ServiceClient
+from tests.browser.browsing import WITHOUT_BROWSER, browsing
+from tests.browser.looking import faint, small
+from tests.system.rest_bench import PATIENT_LEASE, Service, add_plan, serving
+from tests.unit.service.api.conftest import profile  # noqa: F401 - no machine
+
+pytestmark = WITHOUT_BROWSER
+
+
+@pytest.fixture
+def service(tmp_path: Path, profile: Path) -> Iterator[Service]:  # noqa: F811
+    with serving(tmp_path, profile, PATIENT_LEASE, approval=True) as service:
+        yield service
+
+
+@pytest.fixture
+def page(service: Service) -> Iterator[Page]:
+    with browsing(service.url) as page:
+        yield page
+
+
+def test_a_plan_is_approved_where_it_is_shown(service: Service, page: Page) -> None:
+    with ServiceClient(service.url) as client:
+        plan = add_plan(client, axes=["joint_1"], poses=1)
+        client.add_campaign(plan)
+        why = f"an engineer must approve plan {plan} first: nobody has"
+        expect(page.locator("#why-start")).to_have_text(why)
+        expect(page.locator("#start")).to_be_disabled()
+        expect(page.locator("#approve-why")).to_have_text(why)
+        count = len(client.plan(plan)["document"]["sweeps"])
+        approve = page.locator("#approve-it")
+        expect(approve).to_contain_text(f"Approve: joint_1, {count} sweep")
+        assert (faint(page), small(page)) == ([], [])
+        page.locator("#approve-by").fill("Ada")
+        approve.click()
+        expect(page.locator("#approve")).to_be_hidden()
+        expect(page.locator("#start")).to_be_enabled()
+        (given,) = client.approvals(plan)["items"]
+        assert (given["approved_by"], given["void"]) == ("Ada", "")

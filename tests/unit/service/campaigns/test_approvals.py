@@ -1,0 +1,132 @@
+"""With the setting `approval` nothing of a plan moves that nobody approved, and not what has changed since."""
+
+import asyncio
+import dataclasses
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+import yaml
+from sqlalchemy import text
+
+from drivers.registry import load_profile
+from service.errors import BadInput, Conflict, NotFound
+from service.execution.approvals import Approvals
+from service.execution.runner import Runner
+from service.execution.sweep_executor import SweepExecutor
+from service.geometry.cell import Box, Cell
+from service.planning.motion_hash import machine_sha256, motion_sha256
+from service.settings import Settings
+from service.store.approvals import ApprovalStore
+from service.store.documents import CampaignState
+from tests.unit.service.campaigns.conftest import ROOT, TIMEOUT, Bench, until
+
+HASH, OTHER = "a" * 64, "b" * 64
+HOURS = timedelta(hours=8)
+
+
+class Asked:
+    """The bench's runner, as with `approval: true`."""
+
+    def __init__(self, bench: Bench, sha256: str = HASH) -> None:
+        self.sha256 = sha256
+        self.approvals = Approvals(ApprovalStore(bench.database), needed=True, valid=HOURS)
+        executor = SweepExecutor(bench.store, bench.files, bench.machine, bench.hub)
+        self.close = executor.close
+        self.runner = Runner(
+            bench.store,
+            bench.machine,
+            executor,
+            bench.jobs,
+            lambda campaign: dataclasses.replace(bench.compile_plan(campaign), sha256=self.sha256),
+            self.approvals,
+        )
+
+
+async def test_a_start_and_a_resume_want_an_approval_that_holds(bench: Bench) -> None:
+    asked, plan = Asked(bench), bench.campaign.plan_id or 0
+    with pytest.raises(Conflict, match=rf"an engineer must approve plan {plan} first: nobody has"):
+        await asked.runner.start(bench.campaign.id)
+    assert (bench.drive.trace, bench.store.campaign(bench.campaign.id).state) == ([], CampaignState.PLANNED)
+
+    asked.approvals.add(plan, HASH, HASH, "ada")
+    await asked.runner.start(bench.campaign.id)
+    await until(lambda: bool(bench.drive.trace))
+    stop = await bench.machine.stop("berta", "enough")
+    await asyncio.wait_for(asked.runner.finished(), TIMEOUT)
+    await bench.machine.reset_stop("berta", [stop.id])
+    moved = list(bench.drive.trace)
+    asked.sha256 = OTHER
+    with pytest.raises(Conflict, match=r"by ada of .* is void: robot, cell, drives, settings or program have changed"):
+        await asked.runner.resume(bench.campaign.id, repeat=True)
+    assert bench.drive.trace == moved
+    assert bench.store.campaign(bench.campaign.id).state is CampaignState.PAUSED
+
+    asked.sha256 = HASH
+    await asked.runner.resume(bench.campaign.id, repeat=True)
+    await asyncio.wait_for(asked.runner.finished(), TIMEOUT)
+    assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
+    await asked.runner.close()
+    asked.close()
+
+
+def test_four_eyes_where_the_service_knows_who_starts(bench: Bench) -> None:
+    approvals, plan = Asked(bench).approvals, bench.campaign.plan_id or 0
+    approvals.add(plan, HASH, HASH, "ada")
+    assert approvals.missing(plan, HASH, "ada") == (
+        f"plan {plan} is approved by ada alone: another one must approve it, or start it"
+    )
+    assert approvals.missing(plan, HASH, "berta") == ""
+    assert approvals.missing(plan, HASH) == ""  # nobody is asked who he is
+    approvals.add(plan, HASH, HASH, "berta")
+    assert approvals.missing(plan, HASH, "ada") == ""
+
+
+@pytest.mark.parametrize(
+    ("shifted", "reason"), [("-8 hours", "expired at"), ("+1 hours", "lies in the future: the computer's clock")]
+)
+def test_an_approval_holds_for_its_time(bench: Bench, shifted: str, reason: str) -> None:
+    approvals, plan = Asked(bench).approvals, bench.campaign.plan_id or 0
+    approvals.add(plan, HASH, HASH, "ada")
+    with bench.database.write() as session:
+        session.execute(
+            text("UPDATE approval SET at = datetime(at, :by), expires_at = datetime(expires_at, :by)"), {"by": shifted}
+        )
+    assert reason in approvals.missing(plan, HASH)
+
+
+def test_what_nobody_looked_at_is_not_approved(bench: Bench) -> None:
+    approvals, plan = Asked(bench).approvals, bench.campaign.plan_id or 0
+    with pytest.raises(Conflict, match=f"look again \\({HASH}\\)"):
+        approvals.add(plan, OTHER, HASH, "ada")
+    with pytest.raises(BadInput, match="approved_by"):
+        approvals.add(plan, HASH, HASH, "")
+    with pytest.raises(NotFound):
+        approvals.add(plan + 1, HASH, HASH, "ada")
+    assert approvals.of_plan(plan) == ()
+    assert "nobody has" in approvals.missing(plan, "")
+
+
+def test_all_that_decides_what_moves_is_in_the_hash(bench: Bench, tmp_path: Path) -> None:
+    plan, settings, cell = bench.store.plan(bench.campaign.plan_id or 0), Settings(), Cell(name="empty")
+    robot = bench.store.robot(plan.robot_id)
+    heavier = robot.model_copy(update={"urdf_text": robot.urdf_text.replace('mass value="', 'mass value="1')})
+    assert heavier.urdf_text != robot.urdf_text
+    (tmp_path / "a.eds").write_text("1")
+    (tmp_path / "axis.yaml").write_text(yaml.safe_dump({"eds": "a.eds", "axes": [{"joint": "j", 1: 2}]}))
+    profile = load_profile(ROOT / "config" / "drives" / "virtual-max100.yaml")
+    small = yaml.safe_load((tmp_path / "axis.yaml").read_text())
+    machine = machine_sha256(small, tmp_path)
+    box = Box(name="fence", center=(0.0, 0.0, 0.0), size=(1.0, 1.0, 1.0))
+    hashes = {
+        motion_sha256(plan, robot, cell, settings, machine),
+        motion_sha256(plan, heavier, cell, settings, machine),
+        motion_sha256(plan.model_copy(update={"document": {"poses": 1}}), robot, cell, settings, machine),
+        motion_sha256(plan, robot, cell.model_copy(update={"boxes": (box,)}), settings, machine),
+        motion_sha256(plan, robot, cell, settings.model_copy(update={"pose_tolerance": 0.1}), machine),
+        motion_sha256(plan, robot, cell, settings, machine_sha256(profile, ROOT / "config" / "drives")),
+    }
+    (tmp_path / "a.eds").write_text("2")  # a file that the profile names
+    hashes.add(motion_sha256(plan, robot, cell, settings, machine_sha256(small, tmp_path)))
+    assert len(hashes) == 7
+    assert motion_sha256(plan, robot, cell, settings, machine) in hashes
