@@ -13,7 +13,9 @@ from service.report.drawing import (
     MEASURED,
     PAPER,
     REFERENCE,
+    Drawn,
     Figure,
+    Part,
     colours,
     degrees,
     figure,
@@ -169,7 +171,7 @@ def curve(robot: Robot, axis: Axis) -> Figure:
 
 def residuals(axes: Sequence[Axis]) -> Figure:
     """Measured against identified model, percent, sweep by sweep with two standard deviations."""
-    traces: list[Figure] = []
+    traces: list[Part] = []
     for axis, colour, symbol in zip(axes, colours(len(axes)), symbols(len(axes)), strict=True):
         percent = 100 / axis.identified
         traces.append(
@@ -218,11 +220,12 @@ def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> Figure:
     """Each base parameter over the number of sweeps, with a band of two standard deviations: small multiples."""
     columns = 3
     rows = -(-len(names) // columns)
-    traces: list[Figure] = []
-    layout: Figure = {
+    traces: list[Part] = []
+    annotations: list[Drawn] = []
+    layout: dict[str, Drawn] = {
         "height": 50 + 175 * rows,
         "showlegend": False,
-        "annotations": [],
+        "annotations": annotations,
         "margin": {"l": 20, "r": 0, "t": 25, "b": 20},
     }
     for k, name in enumerate(names):
@@ -264,7 +267,7 @@ def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> Figure:
             "anchor": f"x{number}",
             "nticks": 4,
         }
-        layout["annotations"].append(
+        annotations.append(
             {
                 "text": _short(name),
                 "hovertext": name,
@@ -328,7 +331,7 @@ def in_frequency(sweep: Sweep) -> Figure:
     shown = (frequency > 0) & (frequency <= 20.0)
     lines = [sine.frequency for sine in spec.sines]
     excited = shown & (np.abs(frequency[:, None] - np.array([lines])).min(axis=1) < 1e-6)
-    traces: list[Figure] = []
+    traces: list[Part] = []
     for name, samples, factor, colour, y in (
         ("velocity", recording.velocity, 1e3, IDENTIFIED, "y"),
         ("effort", recording.effort, 1.0, MEASURED, "y2"),
