@@ -1,23 +1,13 @@
 """The vocabulary of the figures: colours, lines, points, scales; as plotly.js wants them."""
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import TypedDict
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Drawn = str | float | None | Sequence["Drawn"] | Mapping[str, "Drawn"]  # what plotly.js takes
-Part = Mapping[str, Drawn]  # a trace, a scale, an annotation
-
-
-class Figure(TypedDict):
-    """As plotly.js takes it; the layout has a "height", px."""
-
-    data: Sequence[Part]
-    layout: Part
-
+Figure = dict[str, Any]
 
 MEASURED, IDENTIFIED, REFERENCE, PAPER = "#c2410c", "#1d4ed8", "#94a3b8", "#7c3aed"
 AXIS_COLOURS = ("#1d4ed8", "#0f766e", "#b45309", "#7c3aed", "#be123c", "#475569")
@@ -26,35 +16,26 @@ GRID = "#e2e8f0"
 DECADES = {"type": "log", "dtick": 1, "exponentformat": "power"}
 
 
-def line(name: str, x: Drawn, y: Array, colour: str, dash: str = "solid", width: float = 1.8) -> Part:
+def line(name: str, x: Any, y: Array, colour: str, dash: str = "solid", width: float = 1.8) -> Figure:
     """A curve."""
     style = {"color": colour, "dash": dash, "width": width}
     return {"type": "scatter", "mode": "lines", "name": name, "x": x, "y": rounded(y), "line": style}
 
 
-def points(
-    name: str, x: Drawn, y: Array, colour: str, error: Array | None = None, symbol: str = "circle", size: float = 7
-) -> Part:
+def points(name: str, x: Any, y: Array, colour: str, error: Array | None = None, symbol: str = "circle") -> Figure:
     """Markers, with error bars of half length `error` where given."""
-    marker: dict[str, Drawn] = {"size": size, "color": colour, "symbol": symbol}
+    marker: Figure = {"size": 7, "color": colour, "symbol": symbol}
     if symbol.endswith("open"):
         marker["line"] = {"width": 1.8, "color": colour}
-    trace: dict[str, Drawn] = {
-        "type": "scatter",
-        "mode": "markers",
-        "name": name,
-        "x": x,
-        "y": rounded(y),
-        "marker": marker,
-    }
+    trace: Figure = {"type": "scatter", "mode": "markers", "name": name, "x": x, "y": rounded(y), "marker": marker}
     if error is not None:
         trace["error_y"] = {"array": rounded(error), "color": colour, "thickness": 1.1, "width": 3}
     return trace
 
 
-def figure(traces: Sequence[Part], layout: Part) -> Figure:
+def figure(traces: list[Figure], layout: Figure) -> Figure:
     """Traces and layout in the report's look."""
-    base: Part = {
+    base: Figure = {
         "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#334155"},
         "paper_bgcolor": "white",
         "plot_bgcolor": "white",
@@ -62,10 +43,10 @@ def figure(traces: Sequence[Part], layout: Part) -> Figure:
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
         "hoverlabel": {"font": {"family": "system-ui, sans-serif"}},
     }
-    return {"data": traces, "layout": {**base, **layout}}
+    return {"data": traces, "layout": base | layout}
 
 
-def scale(title: str, zeroline: bool = False) -> Part:
+def scale(title: str, zeroline: bool = False) -> Figure:
     """An axis of a figure."""
     return {
         "title": {"text": title, "standoff": 8},
@@ -95,7 +76,7 @@ def degrees(angles: Array) -> list[float]:
     return [round(math.degrees(angle), 3) for angle in angles]
 
 
-def rounded(values: Array, decimals: int | None = None) -> list[Drawn]:
+def rounded(values: Array, decimals: int | None = None) -> Any:
     """Nested lists with 6 significant digits (or so many decimals); None for NaN, which JSON does not have."""
     values = np.asarray(values, dtype=float)
     if values.ndim > 1:

@@ -13,9 +13,7 @@ from service.report.drawing import (
     MEASURED,
     PAPER,
     REFERENCE,
-    Drawn,
     Figure,
-    Part,
     colours,
     degrees,
     figure,
@@ -171,7 +169,7 @@ def curve(robot: Robot, axis: Axis) -> Figure:
 
 def residuals(axes: Sequence[Axis]) -> Figure:
     """Measured against identified model, percent, sweep by sweep with two standard deviations."""
-    traces: list[Part] = []
+    traces: list[Figure] = []
     for axis, colour, symbol in zip(axes, colours(len(axes)), symbols(len(axes)), strict=True):
         percent = 100 / axis.identified
         traces.append(
@@ -220,12 +218,11 @@ def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> Figure:
     """Each base parameter over the number of sweeps, with a band of two standard deviations: small multiples."""
     columns = 3
     rows = -(-len(names) // columns)
-    traces: list[Part] = []
-    annotations: list[Drawn] = []
-    layout: dict[str, Drawn] = {
+    traces: list[Figure] = []
+    layout: Figure = {
         "height": 50 + 175 * rows,
         "showlegend": False,
-        "annotations": annotations,
+        "annotations": [],
         "margin": {"l": 20, "r": 0, "t": 25, "b": 20},
     }
     for k, name in enumerate(names):
@@ -267,7 +264,7 @@ def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> Figure:
             "anchor": f"x{number}",
             "nticks": 4,
         }
-        annotations.append(
+        layout["annotations"].append(
             {
                 "text": _short(name),
                 "hovertext": name,
@@ -331,7 +328,7 @@ def in_frequency(sweep: Sweep) -> Figure:
     shown = (frequency > 0) & (frequency <= 20.0)
     lines = [sine.frequency for sine in spec.sines]
     excited = shown & (np.abs(frequency[:, None] - np.array([lines])).min(axis=1) < 1e-6)
-    traces: list[Part] = []
+    traces: list[Figure] = []
     for name, samples, factor, colour, y in (
         ("velocity", recording.velocity, 1e3, IDENTIFIED, "y"),
         ("effort", recording.effort, 1.0, MEASURED, "y2"),

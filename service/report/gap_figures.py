@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.report.drawing import IDENTIFIED, Drawn, Figure, Part, figure, line, rounded, scale
+from service.report.drawing import IDENTIFIED, Figure, figure, line, rounded, scale
 from service.results.cell import Bin, Cell
 from service.results.diagnosis import AxisDiagnosis, Rival
 from service.results.effect import Value
@@ -32,15 +32,13 @@ def gap_map(axis: AxisDiagnosis) -> Figure | None:
     heights = [20 * max(len(panel.labels) for panel in line) + 62 for line in lines]
     floor = axis.gap.noise_floor_rms
     largest = max(max(cell.rms for cell in axis.where), floor or 0.0)
-    annotations: list[Drawn] = []
-    shapes: list[Drawn] = []
-    layout: dict[str, Drawn] = {
+    layout: Figure = {
         "height": sum(heights) + 70,
         "margin": {"l": 10, "r": 10, "t": 40, "b": 30},
         "barmode": "overlay",
         "meta": {"width": 960},  # px; names of bins beside three panels want it
-        "annotations": annotations,
-        "shapes": shapes,
+        "annotations": [],
+        "shapes": [],
     }
     traces = _keys(axis)
     top, number = 1.0, 0
@@ -70,11 +68,11 @@ def gap_map(axis: AxisDiagnosis) -> Figure | None:
                 "tickfont": {"size": 11},
                 "showgrid": False,
             }
-            annotations.append(_title(panel.title, left, top - share * 23 / height))
+            layout["annotations"].append(_title(panel.title, left, top - share * 23 / height))
             if panel.with_floor and floor is not None:
-                shapes.append(_upright(tail, floor))
+                layout["shapes"].append(_upright(tail, floor))
         top -= share
-    annotations.append(_title(f"bars: RMS of the repeatable gap in {axis.unit}", 1.0, 0.0, right=True))
+    layout["annotations"].append(_title(f"bars: RMS of the repeatable gap in {axis.unit}", 1.0, 0.0, right=True))
     return figure(traces, layout)
 
 
@@ -91,7 +89,7 @@ class _Panel:
             "hovertemplate": "%{y}: %{x:.3g} before, significance %{customdata}<extra></extra>",
             "width": 0.72,
         }
-        self.traces: list[Part] = [{**shown, **before}]
+        self.traces = [shown | before]
         if after:
             left = {
                 "x": rounded(np.array([cell.rms_after for cell in cells])),
@@ -99,7 +97,7 @@ class _Panel:
                 "hovertemplate": "%{y}: %{x:.3g} after<extra></extra>",
                 "width": 0.3,
             }
-            self.traces.append({**shown, **left})
+            self.traces.append(shown | left)
 
 
 def _panel(name: str, cells: Sequence[Cell], after: bool) -> _Panel:
@@ -120,10 +118,10 @@ def _label(one: Bin, size: float) -> str:
     return ends if one.parts is None else f"{ends}/{one.parts}"
 
 
-def _keys(axis: AxisDiagnosis) -> list[Part]:
+def _keys(axis: AxisDiagnosis) -> list[Figure]:
     """What the legend shows; the bars themselves stand in many panels."""
-    bar: Part = {"type": "bar", "x": [None], "y": [None]}
-    keys: list[Part] = [
+    bar: Figure = {"type": "bar", "x": [None], "y": [None]}
+    keys: list[Figure] = [
         {**bar, "name": "before", "marker": {"color": BEFORE}},
         {**bar, "name": "before, not significant", "marker": {"color": QUIET}},
     ]
@@ -320,7 +318,7 @@ def _short(value: float, size: float) -> str:
     return f"{0.0 if abs(value) < 1e-3 * size else value:.3g}"
 
 
-def _title(text: str, left: float, top: float, right: bool = False) -> Part:
+def _title(text: str, left: float, top: float, right: bool = False) -> Figure:
     return {
         "text": text,
         "x": left,
@@ -335,7 +333,7 @@ def _title(text: str, left: float, top: float, right: bool = False) -> Part:
     }
 
 
-def _upright(tail: str, place: float, colour: str = FLOOR) -> Part:
+def _upright(tail: str, place: float, colour: str = FLOOR) -> Figure:
     return {
         "type": "line",
         "xref": f"x{tail}",

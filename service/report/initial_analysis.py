@@ -13,9 +13,7 @@ from service.report.drawing import (
     IDENTIFIED,
     MEASURED,
     REFERENCE,
-    Drawn,
     Figure,
-    Part,
     figure,
     line,
     points,
@@ -31,14 +29,15 @@ _LIGHT, _HEAVY = np.array([14, 165, 233]), np.array([124, 45, 18])  # colours of
 
 def amplitude_responses(analysis: AxisAnalysis) -> Figure:
     """Fig. 1a: velocity over effort in every pose, measured (dots) and fitted (lines), from light to heavy."""
-    traces: list[Part] = []
+    traces: list[Figure] = []
     poses = sorted(analysis.poses, key=lambda pose: pose.fit.inertia.value)
     for number, pose in enumerate(poses):
         share = number / max(len(poses) - 1, 1)
         colour = "#" + "".join(f"{int(value):02x}" for value in (1 - share) * _LIGHT + share * _HEAVY)
         frequency = pose.response.frequency
         name = f"J = {pose.fit.inertia.value:.0f} kg m²"
-        measured = points(name, rounded(frequency), 1 / np.abs(pose.response.impedance), colour, size=4)
+        measured = points(name, rounded(frequency), 1 / np.abs(pose.response.impedance), colour)
+        measured["marker"]["size"] = 4
         fine = _fine(frequency)
         fitted = line(name, rounded(fine), 1 / np.abs(_fitted(analysis, pose, fine)), colour, width=1.2)
         traces += [{**measured, "showlegend": False}, fitted]
@@ -56,20 +55,13 @@ def ideal_frequencies(analysis: AxisAnalysis) -> Figure:
     """Fig. 1b in every pose: apparent inertia |Z|/ω, its asymptotes, and the ideal frequency between their ends."""
     poses = sorted(analysis.poses, key=lambda pose: pose.fit.inertia.value)
     rows = -(-len(poses) // COLUMNS)
-    traces: list[Part] = []
-    annotations: list[Drawn] = []
-    shapes: list[Drawn] = []
-    layout: dict[str, Drawn] = {
-        "height": 40 + 290 * rows,
-        "showlegend": False,
-        "annotations": annotations,
-        "shapes": shapes,
-    }
+    traces: list[Figure] = []
+    layout: Figure = {"height": 40 + 290 * rows, "showlegend": False, "annotations": [], "shapes": []}
     for k, pose in enumerate(poses):
         number = "" if k == 0 else str(k + 1)
         row, column = divmod(k, COLUMNS)
         left, top, width, height = column / COLUMNS, 1 - row / rows, 1 / COLUMNS, 1 / rows
-        here: Part = {"xaxis": f"x{number}", "yaxis": f"y{number}"}
+        here: Figure = {"xaxis": f"x{number}", "yaxis": f"y{number}"}
         ends = _ends(pose)
         traces += [{**trace, **here} for trace in _one_pose(analysis, pose, ends)]
         layout[f"xaxis{number}"] = {
@@ -86,7 +78,7 @@ def ideal_frequencies(analysis: AxisAnalysis) -> Figure:
             "domain": [top - 0.8 * height, top - 0.12 * height],
             "anchor": f"x{number}",
         }
-        annotations.append(
+        layout["annotations"].append(
             {
                 "text": f"J = {pose.fit.inertia.value:.0f} kg m², ideal {_ideal(pose, '.2g')} Hz → "
                 f"{pose.fit.sweep_frequency:.0f} Hz",
@@ -100,7 +92,7 @@ def ideal_frequencies(analysis: AxisAnalysis) -> Figure:
                 "font": {"size": 12, "color": "#0f172a"},
             }
         )
-        shapes += [
+        layout["shapes"] += [
             _upright(number, frequency, colour)
             for frequency, colour in (
                 (pose.fit.corner.value, REFERENCE),
@@ -147,11 +139,12 @@ def _ideal(pose: PoseAnalysis, digits: str) -> str:
 _LOG = {"type": "log", "tickvals": [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40]}
 
 
-def _one_pose(analysis: AxisAnalysis, pose: PoseAnalysis, ends: tuple[float, float]) -> list[Part]:
+def _one_pose(analysis: AxisAnalysis, pose: PoseAnalysis, ends: tuple[float, float]) -> list[Figure]:
     frequency, read = pose.response.frequency, pose.asymptotes
     omega = 2 * np.pi * frequency
     fine = np.geomspace(ends[0], ends[1], 400)
-    measured = points("measured", rounded(frequency), np.abs(pose.response.impedance) / omega, MEASURED, size=3.5)
+    measured = points("measured", rounded(frequency), np.abs(pose.response.impedance) / omega, MEASURED)
+    measured["marker"]["size"] = 3.5
     level = np.array([ends[0], read.locked_rotor.value])
     friction = np.array([ends[0], max(3 * read.corner.value, 3 * ends[0])])
     return [
@@ -182,7 +175,7 @@ def _fine(frequency: Array) -> Array:
     return np.geomspace(float(frequency[0]), float(frequency[-1]), 300)
 
 
-def _upright(number: str, frequency: float, colour: str) -> Part:
+def _upright(number: str, frequency: float, colour: str) -> Figure:
     return {
         "type": "line",
         "xref": f"x{number}",
