@@ -1,7 +1,6 @@
 """From recorded sweeps to the estimate's document: the same for the service's worker and for `sweepid identify`."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from service.geometry.collision import reachable
 from service.identification import Estimate, Spectrum, as_document, identify, spectrum
@@ -11,11 +10,15 @@ from service.identification.axis.nominal_priors import TorqueGain
 from service.identification.estimates.analysis_document import analyses_document
 from service.identification.estimates.combination import combine, inertias_of
 from service.identification.estimates.combination_document import combination_document
+from service.identification.estimates.document import nothing_known
 from service.identification.estimates.initial_analysis import analyse
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.trajectory_record import AxisTrack, axis_track, runs_at_once, trajectories
 from service.identification.spectra.noise_response import NoiseSpectrum, has_reference, noise_spectrum
 from service.recording import Sweep
+from service.results import estimate as results
+from service.results.combination import Combination
+from service.results.identified.spectrum import AnySpectrum
 from service.robot import Robot
 
 SweepSpectrum = Spectrum | NoiseSpectrum | AxisTrack
@@ -28,11 +31,13 @@ def sweep_spectrum(robot: Robot, sweep: Sweep) -> SweepSpectrum:
     return noise_spectrum(robot, sweep) if has_reference(sweep) else spectrum(robot, sweep)
 
 
-def spectrum_from(document: dict[str, Any]) -> SweepSpectrum:
+def spectrum_from(document: AnySpectrum) -> SweepSpectrum:
     """The inverse of `to_document` of any kind."""
     if "harmonics" in document:
         return AxisTrack.from_document(document)
-    return (NoiseSpectrum if "reference" in document else Spectrum).from_document(document)
+    if "reference" in document:
+        return NoiseSpectrum.from_document(document)
+    return Spectrum.from_document(document)
 
 
 def estimate_document(
@@ -42,7 +47,7 @@ def estimate_document(
     gains: Mapping[str, TorqueGain] | None = None,
     known: KnownEffects | None = None,
     motions: Sequence[FreeMotion] = (),
-) -> dict[str, Any]:
+) -> results.Estimate:
     """Identify, and compare with the nominal model over the poses of the workspace that the robot can take.
 
     The initial analysis of noise runs and stepped sines among the `spectra` stands in "analysis"; it is the prior of
@@ -59,13 +64,10 @@ def estimate_document(
     estimate = None
     if any(sweep.spec.shows_inertia for sweep in sweeps):
         estimate = identify(robot, sweeps, {**(analyses or {}), **own}, gains or {}, known)
-    return {
-        **_document(robot, estimate),
-        "analysis": analyses_document(own),
-        "combination": _combination(
-            robot, estimate, [each for each in spectra if isinstance(each, AxisTrack)], motions, gains or {}
-        ),
-    }
+    tracks = [each for each in spectra if isinstance(each, AxisTrack)]
+    combination = _combination(robot, estimate, tracks, motions, gains or {})
+    also = {"analysis": analyses_document(own), "combination": combination}
+    return _document(robot, estimate).model_copy(update=also)
 
 
 def _combination(
@@ -74,27 +76,15 @@ def _combination(
     tracks: Sequence[AxisTrack],
     motions: Sequence[FreeMotion],
     gains: Mapping[str, TorqueGain],
-) -> dict[str, Any] | None:
+) -> Combination | None:
     records = trajectories(robot, tracks)
     if not records and not motions:
         return None
     return combination_document(combine(robot, inertias_of(estimate) if estimate else (), records, motions, gains))
 
 
-def _document(robot: Robot, estimate: Estimate | None) -> dict[str, Any]:
-    """Of the sweeps. While only noise and standstill were recorded, nothing is known: a document without axes."""
+def _document(robot: Robot, estimate: Estimate | None) -> results.Estimate:
+    """Of the sweeps alone."""
     if estimate is None:
-        nothing: dict[str, Any] = {"links": {}, "motor_inertias": {}}
-        return {
-            "axes": {},
-            "base_parameters": [],
-            "base": {"locked": {}, "covariance": []},
-            "symbols": {},
-            "condition_number": None,
-            "standard_parameters": nothing,
-            "physical": {"deviation_in_std": None},
-            "suspect": [],
-            "effects": [],
-            "model": None,
-        }
+        return nothing_known()
     return as_document(estimate, reachable(robot, estimate.poses, estimate.workspace))

@@ -1,7 +1,7 @@
 """The files of an identified robot: URDF, MJCF, YAML, and the side file with which sweepid reads it again."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import yaml
 
@@ -10,6 +10,8 @@ from service.export.mjcf import as_mjcf
 from service.export.model import Body, IdentifiedModel
 from service.export.urdf import as_urdf
 from service.robot import INERTIAL_NAMES
+
+Yaml = str | float | None | Sequence["Yaml"] | Mapping[str, "Yaml"]
 
 URDF = "model.urdf"
 
@@ -56,8 +58,14 @@ def as_yaml(model: IdentifiedModel) -> str:
             "gravity": model.robot.gravity.tolist(),
             "joints": joints,
             "links": {body.link: _link(body) for body in model.bodies},
-            "base_parameters": [parameter.model_dump() for parameter in model.base_parameters],
-            "symbols": {name: symbol.model_dump() for name, symbol in model.symbols.items()},
+            "base_parameters": [
+                {"name": one.name, "symbolic": one.symbolic, "value": one.value, "std": one.std}
+                for one in model.base_parameters
+            ],
+            "symbols": {
+                name: {"value": one.value, "unit": one.unit, "meaning": one.meaning}
+                for name, one in model.symbols.items()
+            },
             "deviation_in_std": model.deviation_in_std,
         }
     )
@@ -78,7 +86,7 @@ def as_side_file(model: IdentifiedModel) -> str:
     return _dump(description.model_dump(mode="json"))
 
 
-def _link(body: Body) -> dict[str, Any]:
+def _link(body: Body) -> Yaml:
     return {
         "mass": body.mass,
         "centre_of_mass": body.centre.tolist(),
@@ -87,5 +95,5 @@ def _link(body: Body) -> dict[str, Any]:
     }
 
 
-def _dump(content: dict[str, Any]) -> str:
+def _dump(content: Yaml) -> str:
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)

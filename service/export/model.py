@@ -1,61 +1,17 @@
 """The robot with the parameters that an estimate found: what all exported files are written from."""
 
-from collections.abc import Mapping
+import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, ValidationError
 
-from service.configuration import bad_field
 from service.errors import BadInput
+from service.results.estimate import BaseParameter, Estimate, EstimatedAxis, StandardParameters, Symbol
 from service.robot import INERTIAL_NAMES, Robot
 from service.urdf import inertia_matrix
 
 Array = NDArray[np.float64]
-
-
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
-
-
-class _Sweep(_Part):
-    viscous_friction: float
-
-
-class _Axis(_Part):
-    inertia: tuple[_Sweep, ...]
-
-
-class _Standard(_Part):
-    links: dict[str, dict[str, float]]
-    motor_inertias: dict[str, float]
-
-
-class BaseParameter(_Part):
-    """As in the estimate; `std` null where the data do not determine it."""
-
-    name: str
-    symbolic: str
-    value: float
-    std: float | None
-
-
-class Symbol(_Part):
-    value: float
-    unit: str
-    meaning: str
-
-
-class _Estimate(_Part):
-    """What an export needs of the document of `sweepid identify --json`."""
-
-    axes: dict[str, _Axis]
-    standard_parameters: _Standard
-    base_parameters: tuple[BaseParameter, ...]
-    symbols: dict[str, Symbol]
-    physical: dict[str, float | None]
 
 
 @dataclass(frozen=True)
@@ -82,36 +38,43 @@ class IdentifiedModel:
     deviation_in_std: float
 
 
-def identified_model(robot: Robot, document: Mapping[str, Any], place: str = "estimate") -> IdentifiedModel:
-    """The robot as an estimate's document has it; BadInput where that is of another robot or identified nothing."""
-    try:
-        found = _Estimate.model_validate(document)
-    except ValidationError as error:
-        raise bad_field(place, error) from None
-    deviation = found.physical.get("deviation_in_std")
+def identified_model(robot: Robot, document: object, place: str = "estimate") -> IdentifiedModel:
+    """`model_of` what was stored or read from a file; BadInput where it is no estimate."""
+    return model_of(robot, Estimate.read(document, place), place)
+
+
+def model_of(robot: Robot, found: Estimate, place: str = "estimate") -> IdentifiedModel:
+    """The robot as an estimate has it; BadInput where that is of another robot, identified nothing or is not finite."""
+    deviation = found.physical.deviation_in_std
     if not found.axes or deviation is None:
         raise BadInput(place, "identified nothing: there was no sweep that shows inertia")
     for joint in found.axes:
         robot.index(joint)
+    for one in found.base_parameters:
+        _finite(one.value, f"{place} base_parameters {one.name}")
+        _finite(one.std or 0.0, f"{place} base_parameters {one.name} std")
+    for name, symbol in found.symbols.items():
+        _finite(symbol.value, f"{place} symbols {name}")
     standard = found.standard_parameters
     return IdentifiedModel(
         robot=robot,
         bodies=tuple(_body(standard, joint.link, place) for joint in robot.chain.joints),
         motor_inertias=np.array([_motor(standard, joint, place) for joint in robot.joints]),
-        friction=tuple(_friction(found.axes.get(joint)) for joint in robot.joints),
+        friction=tuple(_friction(found.axes.get(joint), f"{place} axes {joint}") for joint in robot.joints),
         base_parameters=found.base_parameters,
         symbols=found.symbols,
-        deviation_in_std=deviation,
+        deviation_in_std=_finite(deviation, f"{place} physical deviation_in_std"),
     )
 
 
-def _body(standard: _Standard, link: str, place: str) -> Body:
+def _body(standard: StandardParameters, link: str, place: str) -> Body:
+    place = f"{place} standard_parameters"
     values = standard.links.get(link)
     if values is None or set(values) != set(INERTIAL_NAMES):
-        raise BadInput(f"{place} standard_parameters", f"has not the ten parameters of link {link}")
+        raise BadInput(place, f"has not the ten parameters of link {link}")
     if values["m"] <= 0:
-        raise BadInput(f"{place} standard_parameters", f"mass of link {link} is {values['m']} kg, must exceed 0")
-    return body(link, np.array([values[name] for name in INERTIAL_NAMES]))
+        raise BadInput(place, f"mass of link {link} is {values['m']} kg, must exceed 0")
+    return body(link, np.array([_finite(values[name], f"{place} {link} {name}") for name in INERTIAL_NAMES]))
 
 
 def body(link: str, parameters: Array) -> Body:
@@ -122,13 +85,25 @@ def body(link: str, parameters: Array) -> Body:
     return Body(link, mass, centre, about, parameters)
 
 
-def _motor(standard: _Standard, joint: str, place: str) -> float:
+def _motor(standard: StandardParameters, joint: str, place: str) -> float:
     value = standard.motor_inertias.get(f"Jm({joint})")
     if value is None:
         raise BadInput(f"{place} standard_parameters", f"has no motor inertia of joint {joint}")
-    return value
+    return _finite(value, f"{place} standard_parameters Jm({joint})")
 
 
-def _friction(axis: _Axis | None) -> float | None:
+def _friction(axis: EstimatedAxis | None, place: str) -> float | None:
     """Noise can make a friction of nearly nothing negative, which would drive the joint."""
-    return None if axis is None else max(float(np.median([sweep.viscous_friction for sweep in axis.inertia])), 0.0)
+    if axis is None:
+        return None
+    told = [sweep.viscous_friction for sweep in axis.inertia if sweep.viscous_friction is not None]
+    if not told or len(told) < len(axis.inertia):
+        raise BadInput(place, "has a sweep without viscous_friction, or no sweep at all")
+    return max(float(np.median([_finite(value, f"{place} viscous_friction") for value in told])), 0.0)
+
+
+def _finite(value: float, place: str) -> float:
+    """What is read from outside may hold NaN and Infinity, which JSON does not know."""
+    if not math.isfinite(value):
+        raise BadInput(place, f"{value} is not a finite number")
+    return value

@@ -1,13 +1,10 @@
 """A sheet as a page for people: which value goes where in which control, and what is left out and why."""
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
-from service.export.load import Load, read_load
+from service.export.load import Array, Load
 from service.export.mjcf import quaternion
-
-Document = Mapping[str, Any]
+from service.results.identified.sheet import AxisSheet, Sheet
 
 _NO_LOAD = (
     "Left out. An estimate of the robot tells combinations of the links' parameters, not the mass, centre and inertia "
@@ -15,28 +12,27 @@ _NO_LOAD = (
 )
 
 
-def as_markdown(sheet: Document, payload: Document | None = None) -> str:
-    """The page. `payload`: of `sweepid payload --json`; BadInput where it lacks a number that a control needs."""
-    load = None if payload is None else read_load(payload)
+def as_markdown(sheet: Sheet, load: Load | None = None) -> str:
+    """The page; `load`: what was mounted on the last link, where it was measured."""
     parts = [
-        f"# Dynamics of {sheet['robot']} for its control",
-        f"Source: {sheet['source']}. Fingerprint: `{sheet['fingerprint']}`. All standard deviations include that of "
+        f"# Dynamics of {sheet.robot} for its control",
+        f"Source: {sheet.source}. Fingerprint: `{sheet.fingerprint}`. All standard deviations include that of "
         "the torque constants.",
         "## What differs from CAD",
         _table(
             ("axis", "CAD", "identified", "± std", "lowest ... highest", "differs by"),
             [
                 (
-                    axis["joint"],
-                    _with_unit(axis["cad"], axis),
-                    _with_unit(axis["identified"], axis),
-                    _with_unit(axis["std"], axis),
-                    f"{axis['lowest']:.4g} ... {axis['highest']:.4g}",
-                    f"{100 * (axis['identified'] / axis['cad'] - 1):+.1f} %, {axis['differs_in_std']:+.1f} std"
-                    if axis["cad"] > 0
+                    axis.joint,
+                    _with_unit(axis.cad, axis),
+                    _with_unit(axis.identified, axis),
+                    _with_unit(axis.std, axis),
+                    f"{axis.lowest:.4g} ... {axis.highest:.4g}",
+                    f"{100 * (axis.identified / axis.cad - 1):+.1f} %, {axis.differs_in_std:+.1f} std"
+                    if axis.cad > 0
                     else "-",
                 )
-                for axis in sheet["axes"]
+                for axis in sheet.axes
             ],
         ),
         "Medians over the measured poses, the motor included. Between poses the inertia goes from the lowest to the "
@@ -57,13 +53,12 @@ def as_markdown(sheet: Document, payload: Document | None = None) -> str:
     return "\n\n".join(parts)
 
 
-def _validity(sheet: Document) -> str:
+def _validity(sheet: Sheet) -> str:
     lines = ["Valid for the robot as it was measured, with everything that was mounted on it then."]
-    if sheet["poses"] is None:
+    if sheet.poses is None:
         lines.append("Which poses were measured, the estimate does not tell: make the sheet of the bundle.")
-    measured: dict[str, dict[str, tuple[float, float]]] = sheet["poses"] or {}
-    for joint, ranges in measured.items():
-        kinds = {axis["joint"]: axis["kind"] for axis in sheet["axes"]}
+    for joint, ranges in (sheet.poses or {}).items():
+        kinds = {axis.joint: axis.kind for axis in sheet.axes}
         told = ", ".join(f"{name} {_position(low, high, kinds.get(name))}" for name, (low, high) in ranges.items())
         lines.append(f"- {joint} was measured with {told}.")
     return "\n".join(lines)
@@ -76,7 +71,7 @@ def _position(low: float, high: float, kind: str | None) -> str:
     return f"{low * factor:.4g} ... {high * factor:.4g} {unit}"
 
 
-def _sinumerik(sheet: Document) -> str:
+def _sinumerik(sheet: Sheet) -> str:
     """Values of the axis machine data that torque feed-forward takes."""
     return "\n\n".join(
         [
@@ -91,7 +86,7 @@ def _sinumerik(sheet: Document) -> str:
     )
 
 
-def _beckhoff(sheet: Document) -> str:
+def _beckhoff(sheet: Sheet) -> str:
     return "\n\n".join(
         [
             "Total inertia at the motor, kg m². For an AX5000 it is the J_tot of which, with the motor's torque "
@@ -105,12 +100,12 @@ def _beckhoff(sheet: Document) -> str:
     )
 
 
-def _inertias(sheet: Document, name: str) -> str:
+def _inertias(sheet: Sheet, name: str) -> str:
     """On the motor's side, of every axis that has one."""
     rows = [
-        (axis["joint"], f"{axis['motor']:.5g}", f"{axis['motor_std']:.2g}", _span(axis))
-        for axis in sheet["axes"]
-        if not axis["left_out"]
+        (axis.joint, f"{axis.motor:.5g}", f"{axis.motor_std:.2g}", _span(axis))
+        for axis in sheet.axes
+        if not axis.left_out
     ]
     return _table(("axis", name, "± std", "lowest ... highest"), rows)
 
@@ -151,7 +146,7 @@ def _abb(load: Load) -> str:
     )
 
 
-def _zyx(rotation: Any) -> tuple[float, float, float]:
+def _zyx(rotation: Array) -> tuple[float, float, float]:
     """KUKA's A, B, C, deg: about Z, then the new Y, then the new X."""
     b = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
     a = math.atan2(rotation[1, 0], rotation[0, 0])
@@ -159,16 +154,16 @@ def _zyx(rotation: Any) -> tuple[float, float, float]:
     return math.degrees(a), math.degrees(b), math.degrees(c)
 
 
-def _left_out(sheet: Document) -> list[str]:
-    return [f"Left out: {axis['joint']}, {axis['left_out']}." for axis in sheet["axes"] if axis["left_out"]]
+def _left_out(sheet: Sheet) -> list[str]:
+    return [f"Left out: {axis.joint}, {axis.left_out}." for axis in sheet.axes if axis.left_out]
 
 
-def _span(axis: Document) -> str:
-    return f"{axis['motor_lowest']:.4g} ... {axis['motor_highest']:.4g}"
+def _span(axis: AxisSheet) -> str:
+    return f"{axis.motor_lowest:.4g} ... {axis.motor_highest:.4g}"
 
 
-def _with_unit(value: float, axis: Document) -> str:
-    return f"{value:.4g} {'kg' if axis['kind'] == 'prismatic' else 'kg m²'}"
+def _with_unit(value: float, axis: AxisSheet) -> str:
+    return f"{value:.4g} {'kg' if axis.kind == 'prismatic' else 'kg m²'}"
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:

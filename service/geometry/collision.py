@@ -14,21 +14,18 @@ Inertial parameters play no part here and are dropped from the model, so a URDF 
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from typing import Any, cast
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import BadInput
 from service.geometry.cell import Cell
+from service.geometry.engine import Model, engine
 from service.geometry.hull import collision_meshes, read_hull
 from service.robot import Robot
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-_mujoco = cast(Any, mujoco)  # a binary module without type stubs
 
 
 class CollisionChecker:
@@ -38,7 +35,7 @@ class CollisionChecker:
         """BadInput where a shape cannot be read, a mesh has no hull, or the cell names an unknown link."""
         self._clearance = cell.clearance
         self._model = _compile(robot, cell)
-        self._data = _mujoco.MjData(self._model)
+        self._data = engine.MjData(self._model)
         self._address = [int(self._model.joint(name).qposadr[0]) for name in robot.joints]
         self._step = np.array([cell.clearance / reach for reach in _reaches(robot, self._model)])
 
@@ -55,8 +52,8 @@ class CollisionChecker:
         free = np.ones(len(qpos), dtype=bool)
         for i, q in enumerate(qpos):
             data.qpos[:] = q
-            _mujoco.mj_kinematics(model, data)
-            _mujoco.mj_collision(model, data)
+            engine.mj_kinematics(model, data)
+            engine.mj_collision(model, data)
             # MuJoCo reports pairs closer than the sum of both margins; the clearance is the nearer limit
             if data.ncon and data.contact.dist.min() < clearance:
                 free[i] = False
@@ -68,8 +65,8 @@ class CollisionChecker:
         bodies: set[tuple[int, int]] = set()
         for q in np.atleast_2d(poses):
             data.qpos[self._address] = q
-            _mujoco.mj_kinematics(model, data)
-            _mujoco.mj_collision(model, data)
+            engine.mj_kinematics(model, data)
+            engine.mj_collision(model, data)
             if data.ncon:
                 near = data.contact.geom[data.contact.dist < self._clearance]
                 bodies.update(map(tuple, model.geom_bodyid[near].tolist()))
@@ -123,11 +120,11 @@ def reachable(robot: Robot, stood: Array, poses: Array) -> Array:
     return poses[checker.collision_free(poses)]
 
 
-def _compile(robot: Robot, cell: Cell) -> Any:
+def _compile(robot: Robot, cell: Cell) -> Model:
     place = f"robot {robot.name} urdf"
     text, hulls = _shapes_only(robot.urdf_text, place)
     try:
-        spec = _mujoco.MjSpec.from_string(text)
+        spec = engine.MjSpec.from_string(text)
     except ValueError as error:
         raise BadInput(place, f"collision shapes cannot be read: {_line(error)}") from None
     for mesh in spec.meshes:
@@ -135,12 +132,12 @@ def _compile(robot: Robot, cell: Cell) -> Any:
     links = {str(body.name) for body in spec.bodies}
     if cell.floor is not None:
         spec.worldbody.add_geom(
-            name="cell floor", type=_mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, cell.floor]
+            name="cell floor", type=engine.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, cell.floor]
         )
     for box in cell.boxes:
         spec.worldbody.add_geom(
             name=f"cell {box.name}",
-            type=_mujoco.mjtGeom.mjGEOM_BOX,
+            type=engine.mjtGeom.mjGEOM_BOX,
             size=[edge / 2 for edge in box.size],
             pos=list(box.center),
             quat=[np.cos(box.yaw / 2), 0, 0, np.sin(box.yaw / 2)],
@@ -202,7 +199,7 @@ def _standing_links(urdf: str) -> list[str]:
     return standing
 
 
-def _reaches(robot: Robot, model: Any) -> list[float]:
+def _reaches(robot: Robot, model: Model) -> list[float]:
     """For each joint a bound on the distance from its axis to any point of the links beyond it, m.
 
     Lengths of all joint offsets added up plus the farthest shape of each link. A prismatic joint moves
@@ -227,12 +224,12 @@ def _reaches(robot: Robot, model: Any) -> list[float]:
     return reaches
 
 
-def _welded(model: Any, body: int) -> list[int]:
+def _welded(model: Model, body: int) -> list[int]:
     """A moving body and the bodies fixed to it."""
     return [b for b in range(model.nbody) if model.body_weldid[b] == body]
 
 
-def _geom_reach(model: Any, geom: int, own: list[int]) -> float:
+def _geom_reach(model: Model, geom: int, own: list[int]) -> float:
     """Bound on the distance of a geom's points from the frame of the moving body it is fixed to, m."""
     reach = float(np.linalg.norm(model.geom_pos[geom]) + model.geom_rbound[geom])
     body = int(model.geom_bodyid[geom])

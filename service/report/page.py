@@ -10,7 +10,7 @@ from service.report import figures, initial_analysis
 from service.report.content import Axis, Content, axes_of
 from service.report.diagnosis import diagnosis_section
 from service.report.html import Page
-from service.results.analysis import Analyses, as_json
+from service.results.analysis import Analyses
 from service.robot import Robot
 
 
@@ -47,7 +47,7 @@ def render_analysis(robot: Robot, analysis: Analyses) -> str:
 
 def analysis_section(page: Page, robot: Robot, analysis: Analyses) -> None:
     """Of the initial analysis of an estimate; nothing where it is empty."""
-    analyses = analyses_from(as_json(analysis))
+    analyses = analyses_from(analysis)
     if not analyses:
         return
     page.add(
@@ -165,7 +165,7 @@ def _parameters(page: Page, content: Content) -> None:
             entry.name if entry.symbolic is None else entry.symbolic,
             f"{entry.value:.5g}",
             "–" if entry.std is None else f"{entry.std:.2g}",
-            not_for_use(entry.model_dump()),
+            not_for_use(entry),
         ]
         for entry in content.estimate.base_parameters
     ]

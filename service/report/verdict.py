@@ -34,7 +34,7 @@ def verdict(
 
 
 def _estimate(estimate: Estimate) -> tuple[str, str]:
-    shares = {joint: share_of_value(axis.model_dump()) for joint, axis in estimate.axes.items()}
+    shares = {joint: share_of_value(axis) for joint, axis in estimate.axes.items()}
     if not shares:
         return OPEN, "No inertia of an axis by itself was identified, only what is told below"
     unsure = [joint for joint, share in shares.items() if not share <= UNSURE]

@@ -1,5 +1,6 @@
-"""What results are, as frozen models: diagnosis, experiment, model revision, data check, estimate, initial analysis.
+"""What results are, as frozen models: estimate, diagnosis, experiment, model revision, data check, payload, sheet.
 
-A result is made and stored as JSON, and its JSON is the format. A model reads it where it leaves mathematics or store,
-so that whoever uses a result has names and types. Nothing is stored from a model: what was read stays as it was.
+Estimate, payload and sheet are made as models, and their JSON is what is written and stored. Diagnosis and data check
+make JSON, which a model reads where it leaves mathematics or store. Either way the JSON is the format: a model gives
+back what it read, key by key.
 """

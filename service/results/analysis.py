@@ -2,10 +2,8 @@
 
 from collections.abc import Mapping
 
-from pydantic import JsonValue
-
 from service.results.effect import Value
-from service.results.part import Part
+from service.results.part import Document, Part
 
 
 class Figure(Part):
@@ -55,7 +53,7 @@ class PoseClass(Part):
     sweep_frequency: float
 
 
-class AxisAnalysis(Part):
+class AxisAnalysis(Document):
     """The drive train with its covariance, classes of poses, and the poses that were measured."""
 
     drive_train: dict[str, Value]
@@ -66,8 +64,3 @@ class AxisAnalysis(Part):
 
 
 Analyses = Mapping[str, AxisAnalysis]  # by joint
-
-
-def as_json(analyses: Analyses) -> dict[str, JsonValue]:
-    """What was read, as mathematics takes it."""
-    return {joint: axis.model_dump(mode="json", exclude_unset=True) for joint, axis in analyses.items()}

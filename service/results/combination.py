@@ -20,6 +20,13 @@ class CombinedParameter(Part):
     reason: str
 
 
+class EffortNoise(Part):
+    """Of an effort harmonic, N m (N), model error included; `scatter` of the periods alone, null with single ones."""
+
+    harmonic: float
+    scatter: float | None
+
+
 class FreeMotionAxis(Part):
     """What free motion leaves of an axis' effort, N m (N): in the fit, held out, and between equal motions."""
 
@@ -35,6 +42,6 @@ class Combination(Part):
     base_parameters: tuple[CombinedParameter, ...]
     became_identifiable: tuple[str, ...] = ()
     trajectories: tuple[tuple[str, ...], ...] = ()
-    noise: dict[str, dict[str, float]] = Field(default={})
+    noise: dict[str, EffortNoise] = Field(default={})
     free_motions: tuple[tuple[str, ...], ...] = ()
     free_motion_axes: dict[str, FreeMotionAxis] = Field(default={})

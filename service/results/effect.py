@@ -1,17 +1,19 @@
 """Effects of an axis, and the axis beside them: in diagnoses and in the models that people accept from them."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, JsonValue
+from pydantic import Field, JsonValue, Strict
 
 from service.results.part import Part
+
+Number = Annotated[float, Strict()]  # neither the text of one nor true
 
 
 class Value(Part):
     """A number with one standard deviation (null: not known) and its unit."""
 
-    value: float
-    std: float | None
+    value: Number
+    std: Number | None
     unit: str = ""
 
 
@@ -27,7 +29,7 @@ class Effect(Part):
     physics: str = ""
     source: str = ""
     parameters: dict[str, Value]
-    covariance: tuple[tuple[float, ...], ...] = ()
+    covariance: tuple[tuple[Number, ...], ...] = ()
     evidence: dict[str, float | None] = Field(default={})
     scenario_entry: str | None = None
     scenario: dict[str, JsonValue] | None = None

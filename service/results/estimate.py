@@ -1,11 +1,12 @@
 """An estimate: `sweepid identify --json`, and each revision of a campaign's."""
 
-from pydantic import Field, JsonValue
+from pydantic import Field
 
 from service.results.analysis import AxisAnalysis
 from service.results.combination import Combination
 from service.results.effect import Value
 from service.results.part import Document, Part
+from service.results.revision import ModelSource
 
 
 class ResponseLine(Part):
@@ -59,12 +60,20 @@ class CramerRao(Part):
     std_over_bound: float
 
 
+class DistortedLine(Part):
+    """Amplitudes at a frequency, Hz: N m (N)."""
+
+    frequency: float
+    noise_std: float
+    distortion_std: float
+
+
 class Distortion(Part):
     """Noise and nonlinear distortion of the effort, N m (N), over realisations of the sweeps."""
 
     realisations: int
     poses: int
-    effort: tuple[dict[str, float], ...]
+    effort: tuple[DistortedLine, ...]
 
 
 class Spread(Part):
@@ -74,6 +83,13 @@ class Spread(Part):
     worst: float
 
 
+class TorqueGain(Part):
+    """Effort of the drive over true effort."""
+
+    value: float
+    std: float
+
+
 class EstimatedAxis(Part):
     """What is known of one axis; null is what its sweeps cannot tell."""
 
@@ -81,7 +97,7 @@ class EstimatedAxis(Part):
     rmse_percent: Rmse
     drive_train: dict[str, Value] | None = None
     load_motion: str = "motor_encoder"
-    torque_gain: Value = Value(value=1.0, std=0.0)
+    torque_gain: TorqueGain = TorqueGain(value=1.0, std=0.0)
     distortion: Distortion | None = None
     effects_moved_in_std: float | None = None
     confidence_percent: float | None = None
@@ -151,7 +167,7 @@ class UsedEffect(Part):
 class Estimate(Document):
     """Axes by joint, base parameters, the initial analysis and the combination with trajectories.
 
-    `model`: from which model the effects are: {"id", "revision"} or {"file"}, null where none is known.
+    `model`: from which model the effects are, null where none is known.
     """
 
     axes: dict[str, EstimatedAxis]
@@ -163,6 +179,6 @@ class Estimate(Document):
     physical: Physical = Physical(deviation_in_std=None)
     suspect: tuple[Suspect, ...] = ()
     effects: tuple[UsedEffect, ...] = ()
-    model: dict[str, JsonValue] | None = None
+    model: ModelSource | None = None
     analysis: dict[str, AxisAnalysis] = Field(default={})
     combination: Combination | None = None

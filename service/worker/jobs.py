@@ -21,7 +21,9 @@ from service.identification.axis.known_effects import known_effects
 from service.identification.estimates.analysis_document import analyses_from
 from service.identification.estimates.torque_gain import KnownMass
 from service.recording import Sweep, SweepSpec
-from service.results.analysis import Analyses, as_json
+from service.results.analysis import Analyses
+from service.results.identified.spectrum import AnySpectrum
+from service.results.revision import KnownModel, StoredModel
 from service.robot import RobotDescription, build_robot
 from service.store.diagnosis_documents import ModelDocument
 from service.store.files.columns import read_columns
@@ -69,19 +71,19 @@ class Job:
         robot = build_robot(self.robot, self.urdf_text)
         new = sweep_spectrum(robot, Sweep(self.spec, read_columns(self.path)))
         earlier = [spectrum_from(read_spectrum(file)) for file in self.earlier]
-        analyses = analyses_from(as_json(self.analyses))
         known = None
         if self.model is not None:
-            source = {"id": self.model.id, "revision": self.model.revision}
-            known = known_effects(self.model.document, robot.joints, source)
-        return Result(new.to_document(), estimate_document(robot, [*earlier, new], analyses, known=known))
+            source = StoredModel(id=self.model.id, revision=self.model.revision)
+            known = known_effects(KnownModel.read(self.model.document, "model"), robot.joints, source)
+        analyses = analyses_from(self.analyses)
+        return Result(new.to_document(), estimate_document(robot, [*earlier, new], analyses, known=known).as_json())
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
     """`to_document()` of the sweep's spectrum and `estimate_document` with it."""
 
-    spectrum: dict[str, JsonValue]
+    spectrum: AnySpectrum
     estimate: dict[str, JsonValue]
 
 

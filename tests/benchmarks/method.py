@@ -19,7 +19,7 @@ from service.geometry.cell import read_cell
 from service.geometry.collision import CollisionChecker
 from service.identification import Estimate, identify
 from service.identification.design.pose_selection import select_poses
-from service.identification.estimates.document import rmse_percent
+from service.identification.estimates.axis_document import rmse_percent
 from service.identification.model.base_parameters import base_parameters, joint_ranges
 from service.identification.model.regressor import lock
 from service.robot import Robot

@@ -29,6 +29,7 @@ from service.diagnosis.start import started_from
 from service.errors import BadInput
 from service.execution.recording.recorder import UnreadableStream, read_stream
 from service.export import identified_model
+from service.export.load import load_of
 from service.export.sheet import check_sheet, sheet
 from service.export.sheet_text import as_markdown
 from service.geometry.cell import read_cell
@@ -37,6 +38,8 @@ from service.maker_urdf.check import check_urdf
 from service.maker_urdf.draft import side_file_text
 from service.maker_urdf.packages import Packages
 from service.paths.control import read_control
+from service.results.estimate import Estimate
+from service.results.identified.payload import Payload
 from service.robot import Robot
 from service.settings import load_settings
 from service.sinumerik.document import Given
@@ -86,15 +89,17 @@ def _maker(path: Path, work: Path) -> None:
 
 
 def _estimate(path: Path, work: Path) -> None:
-    document = read_document(path)
-    identified_model(_robot(), document, str(path))
-    made = sheet(_robot(), document, str(path))
+    estimate = read_document(path, Estimate)
+    identified_model(_robot(), estimate.as_json(), str(path))
+    made = sheet(_robot(), estimate, str(path))
     as_markdown(made)
     check_sheet(made, str(path))
 
 
 def _payload(path: Path, work: Path) -> None:
-    as_markdown(sheet(_robot(), json.loads(seeds.estimate()), "estimate"), read_document(path))
+    load = load_of(read_document(path, Payload, "--payload"))
+    estimate = Estimate.read(json.loads(seeds.estimate()), "estimate")
+    as_markdown(sheet(_robot(), estimate, "estimate"), load)
 
 
 def _trace(path: Path, work: Path) -> None:
@@ -200,7 +205,7 @@ PARSERS: Mapping[str, Parser] = {
     ),
     "estimate": Parser(_documents, _estimate),
     "start of a diagnosis": Parser(
-        _documents, lambda path, _: started_from(_robot(), read_document(path), "x", str(path))
+        _documents, lambda path, _: started_from(_robot(), read_document(path, Estimate).as_json(), "x", str(path))
     ),
     "payload": Parser(lambda: [seeds.one("payload.json", seeds.payload())], _payload),
     "model": Parser(lambda: [seeds.one("model.json", seeds.model())], lambda path, _: read_effects(path, _robot())),

@@ -137,7 +137,7 @@ def estimate() -> bytes:
         write_bundle(
             Path(folder) / "b", read_robot(CONFIG / "robots/max100-class.yaml"), [sweep(number) for number in (1, 2, 3)]
         )
-        return json.dumps(identify_bundle(read_bundle(Path(folder) / "b"), None, "bundle")).encode()
+        return json.dumps(identify_bundle(read_bundle(Path(folder) / "b"), None, "bundle").as_json()).encode()
 
 
 @functools.cache
@@ -155,11 +155,19 @@ def payload() -> bytes:
     known = {"value": 12.0, "std": 0.1, "std_total": 0.3, "excited": True}
     inertia = {"Ixx": 0.3, "Ixy": 0.01, "Ixz": 0.0, "Iyy": 0.4, "Iyz": 0.0, "Izz": 0.2}
     document = {
+        "link": "link_6",
         "frame": "joint_6",
         "mass": known,
         "center": {name: known | {"value": 0.1} for name in "xyz"},
         "inertia": {name: known | {"value": value} for name, value in inertia.items()},
-        "physical": {"nearest": {"mass": 12.0, "center": [0.01, 0.0, 0.15], "inertia": inertia}},
+        "parameters": {"names": ["m"], "values": [12.0], "covariance": [[0.01]], "covariance_total": [[0.09]]},
+        "physical": {
+            "consistent": True,
+            "deviation_in_std": 0.0,
+            "nearest": {"mass": 12.0, "center": [0.01, 0.0, 0.15], "inertia": inertia},
+        },
+        "evidence": [{"axis": "joint_6", "from": "sweeps"}],
+        "sentences": [],
     }
     return json.dumps(document).encode()
 

@@ -26,7 +26,7 @@ def test_no_spring_is_needed(scenario: str) -> None:
         )
         assert np.sqrt(np.mean(z**2)) < 1.5
         assert abs(error.mean()) < 0.4
-    document = as_document(estimate, estimate.workspace)
+    document = as_document(estimate, estimate.workspace).as_json()
     assert document["suspect"] == []
     for joint in AXES:
         axis = document["axes"][joint]

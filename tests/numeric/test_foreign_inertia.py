@@ -14,6 +14,7 @@ from service.cli.recordings.diagnose import diagnose_bundle
 from service.cli.recordings.identify import identify_bundle
 from service.diagnosis import model_document
 from service.identification.axis.known_effects import known_effects
+from service.results.revision import KnownModel, ModelFile
 from service.store.files.bundle import read_bundle
 
 MEDIAN, MOST = 0.003, 0.01  # of J: error of a single sweep, median and 95th percentile
@@ -24,14 +25,14 @@ SCATTER = 1.3  # standard deviations, RMS
 def test_named_effects_mend_the_inertia(number: str, shared: Path) -> None:
     bundle = read_bundle(shared / "data/foreign" / number)
     model = model_document(bundle.robot, diagnose_bundle(bundle, None, number, twin=False).as_json())
-    known = known_effects(model, bundle.robot.joints, {"file": "model.json"})
+    known = known_effects(KnownModel.read(model, "model"), bundle.robot.joints, ModelFile(file="model.json"))
     found = identify_bundle(bundle, None, number, known=known)
-    assert all(effect["used"] for effect in found["effects"])
+    assert all(effect.used for effect in found.effects)
     truth = json.loads((shared / "data/foreign/truth.json").read_text())[number]
     true = dict(zip((sweep.spec.id for sweep in bundle.sweeps), truth["J_true"], strict=True))
-    rows = found["axes"][truth["axis"]]["inertia"]
-    error = np.array([row["value"] / true[row["sweep"]] - 1 for row in rows])
-    std = np.array([row["std"] / true[row["sweep"]] for row in rows])
+    rows = found.axes[truth["axis"]].inertia
+    error = np.array([row.value / true[row.sweep] - 1 for row in rows])
+    std = np.array([row.std / true[row.sweep] for row in rows])
     assert np.median(np.abs(error)) < MEDIAN
     assert np.quantile(np.abs(error), 0.95) < MOST
     assert np.sqrt(np.mean((error / std) ** 2)) < SCATTER

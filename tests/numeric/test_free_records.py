@@ -19,7 +19,7 @@ def test_what_the_spring_does_to_a_rigid_fit_is_in_the_deviation() -> None:
     spectra = [spectrum(campaign.robot, sweep) for sweep in (*campaign.sweeps, *told)]
     estimate = identify(campaign.robot, spectra)
     truth = dict(zip((sweep.spec.id for sweep in told), campaign.truth("joint_1"), strict=True))
-    entries = as_document(estimate, estimate.workspace)["axes"]["joint_1"]["inertia"]
+    entries = as_document(estimate, estimate.workspace).as_json()["axes"]["joint_1"]["inertia"]
     records = [entry for entry in entries if entry["sweep"] in truth]
     z = [(entry["value"] - truth[entry["sweep"]]) / entry["std"] for entry in records]
     error = [100 * (entry["value"] / truth[entry["sweep"]] - 1) for entry in records]

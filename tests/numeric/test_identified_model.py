@@ -22,7 +22,7 @@ def estimate() -> Estimate:
 
 @pytest.fixture(scope="module")
 def document(estimate: Estimate) -> dict[str, object]:
-    return as_document(estimate, estimate.workspace[:50])
+    return as_document(estimate, estimate.workspace[:50]).as_json()
 
 
 @pytest.fixture(scope="module")

@@ -78,7 +78,7 @@ def stated(plan: PlanDocument, direct_encoder: bool) -> float:
         recordings = [replace(one, load_position=None, load_velocity=None) for one in recordings]
     robot = max100()
     sweeps = [Sweep(planned.spec, recording) for planned, recording in zip(plan.sweeps, recordings, strict=True)]
-    document = estimate_document(robot, [spectrum(robot, sweep) for sweep in sweeps])
+    document = estimate_document(robot, [spectrum(robot, sweep) for sweep in sweeps]).as_json()
     return max(document["axes"][joint]["confidence_percent"] for joint in AXES)
 
 

@@ -41,7 +41,7 @@ def test_a_wrong_pose_is_named(campaign: SimulatedCampaign) -> None:
     pose = (*spec.pose[:2], spec.pose[2] + 0.4, *spec.pose[3:])
     sweeps[5] = replace(sweeps[5], spec=spec.model_copy(update={"pose": pose}))
     estimate = _identify(campaign, sweeps)
-    (suspect,) = as_document(estimate, estimate.workspace)["suspect"]
+    (suspect,) = as_document(estimate, estimate.workspace).as_json()["suspect"]
     assert (suspect["axis"], suspect["sweep"]) == ("joint_1", spec.id)
     assert "standard deviations from what the other sweeps say of its pose" in suspect["why"]
     assert suspect["weight"] < 0.05
@@ -66,7 +66,7 @@ def test_a_torque_spike_is_named(campaign: SimulatedCampaign) -> None:
 
 def test_held_out_poses_are_predicted_as_promised(campaign: SimulatedCampaign) -> None:
     estimate = _identify(campaign, list(campaign.sweeps))
-    document = as_document(estimate, estimate.workspace)
+    document = as_document(estimate, estimate.workspace).as_json()
     z = np.concatenate([held_out.error / held_out.std for held_out in estimate.held_out.values()])
     # 48 sweeps, independent but for the parameters they share
     assert 0.7 < np.sqrt(np.mean(z**2)) < 1.4

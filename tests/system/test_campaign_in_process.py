@@ -124,7 +124,7 @@ async def test_a_campaign_from_plan_to_estimate_and_bundle(application: Applicat
             assert sweep["value"] > 0
     await application.export_bundle(campaign.id, tmp_path / "bundle")
     bundle = read_bundle(tmp_path / "bundle")
-    offline = estimate_document(bundle.robot, [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps])
+    offline = estimate_document(bundle.robot, [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps]).as_json()
     assert offline == estimate.document
     imported = await application.import_bundle(tmp_path / "bundle")
     assert imported.plan_id is None
@@ -183,7 +183,7 @@ async def test_axes_that_move_at_once_are_identified_together(application: Appli
     assert found["Fc(joint_5)"]["value"] == pytest.approx(23, rel=0.1)
     assert not found["Fc(joint_1)"]["identified"]
     await application.export_bundle(campaign.id, tmp_path / "bundle")
-    offline = identify_bundle(read_bundle(tmp_path / "bundle"), None, "bundle")
+    offline = identify_bundle(read_bundle(tmp_path / "bundle"), None, "bundle").as_json()
     assert offline["axes"] == {}
     assert offline["combination"]["trajectories"] == estimate["combination"]["trajectories"] == [["0001", "0002"]]
     parts = {parameter["name"]: parameter for parameter in offline["combination"]["base_parameters"]}

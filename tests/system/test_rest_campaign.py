@@ -101,7 +101,7 @@ def test_a_worker_that_is_killed_in_the_middle_changes_nothing(
     exported = run("export", str(campaign), str(tmp_path / "bundle"), url=service.url)
     assert (exported.returncode, exported.stderr) == (0, "")
     bundle = read_bundle(tmp_path / "bundle")
-    offline = estimate_document(bundle.robot, [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps])
+    offline = estimate_document(bundle.robot, [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps]).as_json()
     worst = max(differences(latest["document"], offline), key=lambda found: found[1])
     assert worst[1] <= 1e-9, worst
 

@@ -22,7 +22,7 @@ from service.planning.diagnosis.plan import build_diagnosis_plan
 from service.planning.plan import PlanRequest, build_plan
 from service.planning.trajectories.documents import TrajectoryRequest
 from service.planning.trajectories.plan import build_trajectory_plan
-from service.results.analysis import as_json
+from service.results.analysis import Analyses
 from service.results.described import JsonOf
 from service.store.documents import PlanRecord
 
@@ -81,8 +81,8 @@ def add_plan(
     elif isinstance(wanted, DiagnosisRequest):
         document = build_diagnosis_plan(robot, wanted, cell)
     else:
-        found = {} if wanted.analysis is None else latest_analysis(application.store, wanted.analysis)
-        document = build_plan(robot, wanted, cell, analyses_from(as_json(found)))
+        analysed: Analyses = {} if wanted.analysis is None else latest_analysis(application.store, wanted.analysis)
+        document = build_plan(robot, wanted, cell, analyses_from(analysed))
     plan = application.store.add_plan(wanted.robot_id, document.model_dump(mode="json"))
     response.headers["Location"] = str(request.url_for("get_plan", plan_id=plan.id))
     return plan

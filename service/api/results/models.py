@@ -5,7 +5,7 @@ from enum import StrEnum
 from fastapi import APIRouter, Response
 
 from service.api.dependencies import ApplicationOf, Id
-from service.export import identified_model, model_files
+from service.export import model_files, model_of
 
 router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["estimates"])
 
@@ -31,7 +31,7 @@ def get_model(campaign_id: Id, ending: ModelFile, application: ApplicationOf) ->
     """404 until the first sweep is identified; 422 while none of them shows inertia."""
     robot = application.store.robot(application.store.campaign(campaign_id).robot_id).build()
     estimate = application.store.estimate(campaign_id)
-    model = identified_model(robot, estimate.document, f"estimate {estimate.revision} of campaign {campaign_id}")
+    model = model_of(robot, estimate.content, f"estimate {estimate.revision} of campaign {campaign_id}")
     name = f"model.{ending.value}"
     disposition = {"Content-Disposition": f'attachment; filename="campaign-{campaign_id}-{name}"'}
     return Response(model_files(model)[name], media_type=_TYPES[ending], headers=disposition)

@@ -1,7 +1,7 @@
 """Where an export takes its estimate from: a bundle, or the file that `sweepid identify --json` wrote."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -9,6 +9,7 @@ from service.cli.documents import read_document
 from service.cli.recordings.identify import identify_bundle
 from service.configuration import read_robot
 from service.errors import BadInput
+from service.results.estimate import Estimate
 from service.robot import Robot
 from service.store.files.bundle import Bundle, read_bundle
 
@@ -23,11 +24,11 @@ Source = Annotated[
 SideFile = Annotated[Path | None, typer.Option("--robot", help="Side file of the robot, for an ESTIMATE.")]
 
 
-def read_estimate(source: Path, side_file: Path | None) -> tuple[Robot, dict[str, Any], Bundle | None]:
-    """Robot, document of the estimate, and the bundle that it was made of here; None: it was read from a file."""
+def read_estimate(source: Path, side_file: Path | None) -> tuple[Robot, Estimate, Bundle | None]:
+    """Robot, estimate, and the bundle that it was made of here; None: it was read from a file."""
     if source.is_dir():
         bundle = read_bundle(source)
         return bundle.robot, identify_bundle(bundle, None, str(source)), bundle
     if side_file is None:
         raise BadInput("--robot", "is needed with an estimate, which holds neither geometry nor gears of the robot")
-    return read_robot(side_file), read_document(source), None
+    return read_robot(side_file), read_document(source, Estimate), None

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from service.cli.exports.estimates import SideFile, Source, read_estimate
-from service.export import identified_model, write_model
+from service.export import model_of, write_model
 
 
 def export_model(
@@ -15,8 +15,8 @@ def export_model(
     robot: SideFile = None,
 ) -> None:
     """Write the identified robot as model.urdf, model.xml (MJCF), model.yaml and robot.yaml (side file)."""
-    known, document, _ = read_estimate(source, robot)
-    model = identified_model(known, document, str(source))
+    known, estimate, _ = read_estimate(source, robot)
+    model = model_of(known, estimate, str(source))
     write_model(folder, model)
     if model.deviation_in_std:
         typer.echo(

@@ -7,8 +7,10 @@ import typer
 
 from service.cli.documents import JsonTo, put_json, read_document
 from service.cli.exports.estimates import SideFile, Source, read_estimate
+from service.export.load import load_of
 from service.export.sheet import sheet
 from service.export.sheet_text import as_markdown
+from service.results.identified.payload import Payload
 
 
 def export_sheet(
@@ -20,9 +22,10 @@ def export_sheet(
     json_to: JsonTo = None,
 ) -> None:
     """Tell the identified inertias as the values that controls take, with uncertainty and the place to type them."""
-    known, document, bundle = read_estimate(source, robot)
+    known, estimate, bundle = read_estimate(source, robot)
     poses = None if bundle is None else {sweep.spec.id: sweep.spec.pose for sweep in bundle.sweeps}
-    made = sheet(known, document, str(source), poses)
-    text = as_markdown(made, read_document(payload) if payload else None)
+    made = sheet(known, estimate, str(source), poses)
+    load = None if payload is None else load_of(read_document(payload, Payload, "--payload"))
+    text = as_markdown(made, load)
     if not put_json(made, json_to):
         typer.echo(text)

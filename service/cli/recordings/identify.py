@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from pydantic import JsonValue
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -25,9 +24,10 @@ from service.identification.motion.trajectory_record import runs_at_once
 from service.identification.spectra.noise_response import has_reference
 from service.recording import Sweep
 from service.report import content_of, render, render_analysis, used_sweeps
-from service.results.analysis import Analyses, as_json
+from service.results.analysis import Analyses
 from service.results.effect import Value
 from service.results.estimate import BaseParameter, Estimate, EstimatedAxis, Rmse
+from service.results.revision import KnownModel, ModelFile
 from service.robot import Robot
 from service.store.files.bundle import Bundle, read_bundle
 
@@ -50,17 +50,16 @@ def identify(
 ) -> None:
     """Identify a robot from the sweeps of a bundle."""
     measured = read_bundle(bundle)
-    document = identify_bundle(
+    found = identify_bundle(
         measured,
         axis,
         str(bundle),
         read_gains(gains) if gains else None,
         read_effects(model, measured.robot) if model else None,
     )
-    found = Estimate.read(document, str(bundle))
     if report is not None:
         write_file(report, _report(measured, found, str(bundle)))
-    if put_json(document, json_to):
+    if put_json(found, json_to):
         return
     print_estimate(found, Console())
 
@@ -71,7 +70,7 @@ def identify_bundle(
     place: str,
     gains: Mapping[str, TorqueGain] | None = None,
     known: KnownEffects | None = None,
-) -> dict[str, JsonValue]:
+) -> Estimate:
     """The estimate as in DESIGN.md, of all sweeps or of those of one joint; BadInput if that leaves none."""
     if axis is not None:
         bundle.robot.index(axis)
@@ -108,9 +107,9 @@ def _report(bundle: Bundle, found: Estimate, place: str) -> str:
 
 def read_effects(path: Path, robot: Robot) -> KnownEffects:
     """What `sweepid diagnose --model` wrote; BadInput names the file."""
-    document = read_document(path)
+    model = read_document(path, KnownModel, f"{path}: model")
     try:
-        return known_effects(document, robot.joints, {"file": path.name})
+        return known_effects(model, robot.joints, ModelFile(file=path.name))
     except BadInput as error:
         raise BadInput(f"{path}: {error.place}", error.reason) from None
 
@@ -169,7 +168,7 @@ def _print_analysis(analysis: Analyses, console: Console) -> None:
     table = Table(title="Initial analysis; in brackets by asymptotes")
     for name in ("axis", "pose in rad", "J", "locked rotor, Hz", "friction below, Hz", "ideal, Hz", "sweep, Hz"):
         table.add_column(name, justify="left" if name in ("axis", "pose in rad") else "right")
-    for joint, axis in analyses_from(as_json(analysis)).items():
+    for joint, axis in analyses_from(analysis).items():
         for pose in axis.poses:
             fit, read = pose.fit, pose.asymptotes
             locked_rotor, ideal = _both(fit.locked_rotor, read.locked_rotor), _both(fit.frequency, read.frequency)

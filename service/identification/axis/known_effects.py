@@ -3,18 +3,19 @@ r"""What a robot is known to have beside its rigid body: effects that a diagnosi
 The document is a model revision's, or what `sweepid diagnose --model` writes: by joint the effects with their
 parameters (value, std, unit) and, where it is told, their covariance in the same order, and whether torques are as
 recorded or true. What is not a number is refused. Effects of other names, or without a parameter that is needed, take
-no part; the estimate's document tells them (`effects_document`).
+no part; the estimate tells them (`axis_document.used_effects`).
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import BadInput
+from service.results.effect import Effect
+from service.results.revision import KnownModel, ModelSource
 
 Array = NDArray[np.float64]
 
@@ -87,61 +88,45 @@ class KnownAxis:
 
 @dataclass(frozen=True)
 class KnownEffects:
-    """All axes by joint, and where they come from: {"revision": 3, ...} or {"file": ...}; {} where nothing is known."""
+    """All axes by joint, and which model they come from; None where nothing is known."""
 
     axes: Mapping[str, KnownAxis] = field(default_factory=dict[str, KnownAxis])
-    source: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    source: ModelSource | None = None
 
     def of(self, joint: str) -> KnownAxis:
         return self.axes.get(joint, KnownAxis())
 
 
-def known_effects(document: Mapping[str, Any], joints: Sequence[str], source: Mapping[str, Any]) -> KnownEffects:
-    """From a model's document; BadInput names joint, effect and parameter of what cannot be read."""
-    axes = document.get("axes")
-    if not isinstance(axes, dict):
-        raise BadInput("model", 'has no "axes"; give what `sweepid diagnose --model` writes')
+def known_effects(model: KnownModel, joints: Sequence[str], source: ModelSource) -> KnownEffects:
+    """Of a model; BadInput names joint, effect and parameter of what cannot be used."""
     found: dict[str, KnownAxis] = {}
-    for joint, axis in cast("dict[str, Any]", axes).items():
-        if joint not in joints:
-            raise BadInput(f"model.axes.{joint}", f"is not a joint of the robot, {', '.join(joints)} are")
+    for joint, axis in model.axes.items():
         place = f"model.axes.{joint}"
-        effects = _mapping(axis, place).get("effects", [])
-        if not isinstance(effects, list):
-            raise BadInput(f"{place}.effects", "is not a list")
-        fit = axis.get("fit")
-        true_torque = isinstance(fit, dict) and cast("dict[str, Any]", fit).get("torques") == "true"
-        known = tuple(_effect(one, f"{place}.effects") for one in cast("list[Any]", effects))
-        found[joint] = KnownAxis(known, true_torque)
+        if joint not in joints:
+            raise BadInput(place, f"is not a joint of the robot, {', '.join(joints)} are")
+        effects = tuple(_effect(effect, f"{place}.effects.{effect.effect}") for effect in axis.effects)
+        found[joint] = KnownAxis(effects, axis.fit.torques == "true")
     return KnownEffects(found, source)
 
 
-def _effect(document: Any, place: str) -> KnownEffect:
-    effect = _mapping(document, place)
-    name = effect.get("effect")
-    if not isinstance(name, str):
-        raise BadInput(place, 'has an entry without "effect"')
-    place = f"{place}.{name}"
+def _effect(told: Effect, place: str) -> KnownEffect:
     values: dict[str, float] = {}
     std: list[float] = []
-    units: dict[str, str] = {}
-    for parameter, told in _mapping(effect.get("parameters"), f"{place}.parameters").items():
-        entry = _mapping(told, f"{place}.{parameter}")
-        values[parameter] = _number(entry.get("value"), f"{place}.{parameter}.value")
-        std.append(_number(entry.get("std"), f"{place}.{parameter}.std"))
-        units[parameter] = str(entry.get("unit", ""))
+    for name, one in told.parameters.items():
+        values[name] = _number(one.value, f"{place}.{name}.value")
+        std.append(_number(one.std, f"{place}.{name}.std"))
         if std[-1] < 0:
-            raise BadInput(f"{place}.{parameter}.std", f"{std[-1]} is below 0")
-    return KnownEffect(name, values, _covariance(effect.get("covariance"), np.array(std), f"{place}.covariance"), units)
+            raise BadInput(f"{place}.{name}.std", f"{std[-1]} is below 0")
+    units = {name: one.unit for name, one in told.parameters.items()}
+    return KnownEffect(told.effect, values, _covariance(told.covariance, np.array(std), f"{place}.covariance"), units)
 
 
-def _covariance(told: Any, std: Array, place: str) -> Array:
+def _covariance(told: Sequence[Sequence[float]], std: Array, place: str) -> Array:
     """With the standard deviations as told, and the correlations of the covariance if it is one of these parameters."""
     correlation = np.eye(len(std))
-    try:
-        given = np.array(told, dtype=float) if isinstance(told, list) and told else np.zeros((0, 0))
-    except (ValueError, TypeError, OverflowError):
-        raise BadInput(place, "is not a matrix of numbers") from None
+    if len({len(row) for row in told}) > 1:
+        raise BadInput(place, "has rows of different lengths")
+    given = np.array(told, dtype=np.float64)
     if given.size and given.shape == correlation.shape and np.all(np.isfinite(given)) and np.all(np.diag(given) > 0):
         scale = np.sqrt(np.diag(given))
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
@@ -152,17 +137,7 @@ def _covariance(told: Any, std: Array, place: str) -> Array:
     return correlation * np.outer(std, std)
 
 
-def _mapping(value: Any, place: str) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise BadInput(place, "is not an object")
-    return cast("dict[str, Any]", value)
-
-
-def _number(value: Any, place: str) -> float:
-    try:
-        number = math.nan if isinstance(value, bool) or not isinstance(value, int | float) else float(value)
-    except OverflowError:  # a whole number of more than 308 digits
-        number = math.inf
-    if not math.isfinite(number):
-        raise BadInput(place, f"{repr(value)[:40]} is not a finite number")
-    return number
+def _number(value: float | None, place: str) -> float:
+    if value is None or not math.isfinite(value):
+        raise BadInput(place, f"{value} is not a finite number")
+    return value

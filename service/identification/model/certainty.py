@@ -1,30 +1,29 @@
 """How certain a number of an estimate must be to be used."""
 
 import math
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
+
+from service.results.estimate import BaseParameter, EstimatedAxis
 
 UNSURE = 0.25  # of the value: with a larger standard deviation it is not for use
 
 
-def share_of_value(axis: Mapping[str, Any]) -> float:
+def share_of_value(axis: EstimatedAxis) -> float:
     """Standard deviation of an axis' inertia over its value, that of the torque constant included.
 
-    `axis` of the estimate's document: of the model over the workspace where it is known, else the median of the sweeps.
+    Of the model over the workspace where it is known, else the median of the sweeps.
     """
-    confidence, gain = axis.get("confidence_percent"), axis.get("torque_gain", {"value": 1.0, "std": 0.0})
-    if confidence is not None:
-        share = float(confidence) / 100
+    if axis.confidence_percent is not None:
+        share = axis.confidence_percent / 100
     else:
-        share = float(np.median([sweep["std"] / abs(sweep["value"]) for sweep in axis["inertia"]]))
-    return math.hypot(share, gain["std"] / gain["value"])
+        share = float(np.median([sweep.std / abs(sweep.value) for sweep in axis.inertia]))
+    gain = axis.torque_gain
+    return math.hypot(share, (gain.std or 0.0) / gain.value)
 
 
-def not_for_use(parameter: Mapping[str, Any]) -> str:
-    """Why the value of a base parameter (entry of the estimate's document) should not be used, or ""."""
-    value, std = parameter["value"], parameter["std"]
-    if std is None:
+def not_for_use(parameter: BaseParameter) -> str:
+    """Why the value of a base parameter should not be used, or ""."""
+    if parameter.std is None:
         return "not identified"
-    return "too uncertain" if std > UNSURE * abs(value) else ""
+    return "too uncertain" if parameter.std > UNSURE * abs(parameter.value) else ""

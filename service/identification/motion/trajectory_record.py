@@ -9,7 +9,6 @@ X_h = 1/N sum_n x_n exp(-2 pi i h n P / N) as in `frequency_response`; X_0 is th
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,9 @@ from service.errors import BadInput
 from service.identification.model.inverse_dynamics import Motion
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Complex, window
+from service.identification.spectra.pairs import from_pairs, pairs
 from service.recording import Sweep, SweepSpec
+from service.results.identified.spectrum import TrackDocument
 from service.robot import Robot
 
 Array = NDArray[np.float64]
@@ -45,25 +46,25 @@ class AxisTrack:
     def joint(self) -> str:
         return self.spec.axis
 
-    def to_document(self) -> dict[str, Any]:
-        """As JSON-able data; floats survive exactly."""
+    def to_document(self) -> TrackDocument:
+        """For a file; floats survive exactly."""
         return {
             "spec": self.spec.model_dump(mode="json"),
-            "harmonics": _pairs(self.effort),
-            "position": _pairs(self.position),
-            "load_position": None if self.load_position is None else _pairs(self.load_position),
+            "harmonics": pairs(self.effort),
+            "position": pairs(self.position),
+            "load_position": None if self.load_position is None else pairs(self.load_position),
             "noise": self.noise,
         }
 
     @classmethod
-    def from_document(cls, document: dict[str, Any]) -> "AxisTrack":
+    def from_document(cls, document: TrackDocument) -> "AxisTrack":
         """The inverse of `to_document`."""
         load = document["load_position"]
         return cls(
             spec=SweepSpec.model_validate(document["spec"]),
-            effort=_complex(document["harmonics"]),
-            position=_complex(document["position"]),
-            load_position=None if load is None else _complex(load),
+            effort=from_pairs(document["harmonics"]),
+            position=from_pairs(document["position"]),
+            load_position=None if load is None else from_pairs(load),
             noise=document["noise"],
         )
 
@@ -190,11 +191,3 @@ def in_time(harmonics: Complex, samples: int) -> Array:
     kept = harmonics[: samples // 2]
     spectrum[: len(kept)] = kept
     return np.fft.irfft(spectrum * samples, samples)
-
-
-def _pairs(values: Complex) -> list[list[float]]:
-    return [[value.real, value.imag] for value in values.tolist()]
-
-
-def _complex(pairs: list[list[float]]) -> Complex:
-    return np.array([complex(re, im) for re, im in pairs], dtype=complex)

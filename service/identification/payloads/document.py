@@ -1,53 +1,49 @@
-"""A payload as JSON-able data: what `sweepid payload --json` writes."""
-
-from typing import Any
+"""A payload as the document that `sweepid payload --json` writes."""
 
 import numpy as np
 
 from service.identification.payloads.payload import Payload, body_of
+from service.results.identified import payload as results
 from service.robot import INERTIAL_NAMES, Robot
 
 CENTER = ("x", "y", "z")
+TENSOR = INERTIAL_NAMES[4:]
 
 
-def payload_document(robot: Robot, found: Payload) -> dict[str, Any]:
-    """SI, in the frame of the last joint; `inertia` about the centre of mass. What was not excited has value null."""
-    figures = [
-        {
-            "value": float(value) if excited else None,
-            "std": float(std) if excited else None,
-            "std_total": float(total) if excited else None,
-            "excited": bool(excited),
-        }
+def payload_document(robot: Robot, found: Payload) -> results.Payload:
+    """SI, in the frame of the last joint; `inertia` about the centre of mass. What was not excited has value None."""
+    figures = tuple(
+        results.Figure(
+            value=float(value) if excited else None,
+            std=float(std) if excited else None,
+            std_total=float(total) if excited else None,
+            excited=bool(excited),
+        )
         for value, std, total, excited in zip(
             found.body, found.body_std, found.body_std_total, found.excited, strict=True
         )
-    ]
-    near = body_of(found.nearest)
-    return {
-        "link": robot.chain.joints[-1].link,
-        "frame": robot.joints[-1],
-        "mass": figures[0],
-        "center": dict(zip(CENTER, figures[1:4], strict=True)),
-        "inertia": dict(zip(INERTIAL_NAMES[4:], figures[4:], strict=True)),
-        "parameters": {
-            "names": list(INERTIAL_NAMES),
-            "values": found.parameters.tolist(),
-            "covariance": found.covariance.tolist(),
-            "covariance_total": found.covariance_total.tolist(),
-        },
-        "physical": {
-            "consistent": found.physical,
-            "deviation_in_std": found.deviation,
-            "nearest": {
-                "mass": float(near[0]),
-                "center": near[1:4].tolist(),
-                "inertia": dict(zip(INERTIAL_NAMES[4:], near[4:].tolist(), strict=True)),
-            },
-        },
-        "evidence": [{"axis": each.joint, "from": each.source} for each in found.evidence],
-        "sentences": sentences(found),
-    }
+    )
+    mass, x, y, z, *tensor = body_of(found.nearest).tolist()
+    return results.Payload(
+        link=robot.chain.joints[-1].link,
+        frame=robot.joints[-1],
+        mass=figures[0],
+        center=dict(zip(CENTER, figures[1:4], strict=True)),
+        inertia=dict(zip(TENSOR, figures[4:], strict=True)),
+        parameters=results.Parameters(
+            names=tuple(INERTIAL_NAMES),
+            values=tuple(found.parameters.tolist()),
+            covariance=tuple(map(tuple, found.covariance.tolist())),
+            covariance_total=tuple(map(tuple, found.covariance_total.tolist())),
+        ),
+        physical=results.Physical(
+            consistent=found.physical,
+            deviation_in_std=found.deviation,
+            nearest=results.Body(mass=mass, center=(x, y, z), inertia=dict(zip(TENSOR, tensor, strict=True))),
+        ),
+        evidence=tuple(results.Evidence(axis=each.joint, source=each.source) for each in found.evidence),
+        sentences=tuple(sentences(found)),
+    )
 
 
 def sentences(found: Payload) -> list[str]:
@@ -55,9 +51,7 @@ def sentences(found: Payload) -> list[str]:
     told: list[str] = []
     if not abs(found.parameters[0]) > 3 * np.sqrt(found.covariance[0, 0]) and found.excited[0]:
         told.append(f"No mass shows: {found.body[0]:.3g} kg, standard deviation {found.body_std[0]:.2g} kg.")
-    missing = [
-        name for name, seen in zip(("mass", *CENTER, *INERTIAL_NAMES[4:]), found.excited, strict=True) if not seen
-    ]
+    missing = [name for name, seen in zip(("mass", *CENTER, *TENSOR), found.excited, strict=True) if not seen]
     if missing:
         told.append(f"The motions do not excite {', '.join(missing)}: these stay unknown.")
     if not found.physical:

@@ -20,13 +20,14 @@ sample turn alike, so it is the DFT of all but the last sample with their mean i
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import BadInput
+from service.identification.spectra.pairs import from_pairs, pairs
 from service.recording import Array, Recording, Sweep, SweepSpec
+from service.results.identified.spectrum import SpectrumDocument
 from service.robot import Axis, Robot
 
 Complex = NDArray[np.complex128]
@@ -63,22 +64,22 @@ class Spectrum:
         """All regressors of one name, (r', b)."""
         return self.regressors[[k for k, own in enumerate(self.names) if own == name]]
 
-    def to_document(self) -> dict[str, Any]:
-        """As JSON-able data; floats survive exactly."""
+    def to_document(self) -> SpectrumDocument:
+        """For a file; floats survive exactly."""
         return {
             "spec": self.spec.model_dump(mode="json"),
             "samples": self.samples,
             "frequency": self.frequency.tolist(),
             "line": self.line.tolist(),
-            "effort": _pairs(self.effort),
-            "velocity": _pairs(self.velocity),
+            "effort": pairs(self.effort),
+            "velocity": pairs(self.velocity),
             "names": list(self.names),
-            "regressors": [_pairs(row) for row in self.regressors],
-            "load_velocity": None if self.load_velocity is None else _pairs(self.load_velocity),
+            "regressors": [pairs(row) for row in self.regressors],
+            "load_velocity": None if self.load_velocity is None else pairs(self.load_velocity),
         }
 
     @classmethod
-    def from_document(cls, document: dict[str, Any]) -> "Spectrum":
+    def from_document(cls, document: SpectrumDocument) -> "Spectrum":
         """The inverse of `to_document`."""
         bins = len(document["frequency"])
         load = document.get("load_velocity")  # spectra stored before there was one do not have the key
@@ -87,11 +88,11 @@ class Spectrum:
             samples=document["samples"],
             frequency=np.array(document["frequency"]),
             line=np.array(document["line"], dtype=bool),
-            effort=_complex(document["effort"]),
-            velocity=_complex(document["velocity"]),
+            effort=from_pairs(document["effort"]),
+            velocity=from_pairs(document["velocity"]),
             names=tuple(document["names"]),
-            regressors=np.array([_complex(row) for row in document["regressors"]]).reshape(-1, bins),
-            load_velocity=None if load is None else _complex(load),
+            regressors=np.array([from_pairs(row) for row in document["regressors"]]).reshape(-1, bins),
+            load_velocity=None if load is None else from_pairs(load),
         )
 
 
@@ -250,11 +251,3 @@ def _signals(
 
 def ripple_orders(axis: Axis) -> tuple[float, ...]:
     return tuple(sorted({*axis.cogging_orders, *axis.transmission_orders}))
-
-
-def _pairs(values: Complex) -> list[list[float]]:
-    return [[value.real, value.imag] for value in values.tolist()]
-
-
-def _complex(pairs: list[list[float]]) -> Complex:
-    return np.array([complex(re, im) for re, im in pairs], dtype=complex)

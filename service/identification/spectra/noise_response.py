@@ -31,14 +31,15 @@ makes the same of them, r being the commanded sine.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import BadInput
 from service.identification.spectra.frequency_response import Spectrum, ripple_orders, window
+from service.identification.spectra.pairs import from_pairs, pairs
 from service.recording import Array, Sweep, SweepSpec
+from service.results.identified.spectrum import NoiseDocument
 from service.robot import Axis, Robot
 
 Complex = NDArray[np.complex128]
@@ -59,21 +60,26 @@ class NoiseSpectrum:
     effort: Complex  # (p, b)
     velocity: Complex  # (p, b)
 
-    def to_document(self) -> dict[str, Any]:
-        """As JSON-able data; floats survive exactly."""
+    def to_document(self) -> NoiseDocument:
+        """For a file; floats survive exactly."""
         return {
             "spec": self.spec.model_dump(mode="json"),
             "frequency": self.frequency.tolist(),
-            **{name: _pairs(getattr(self, name)) for name in ("reference", "effort", "velocity")},
+            "reference": [pairs(row) for row in self.reference],
+            "effort": [pairs(row) for row in self.effort],
+            "velocity": [pairs(row) for row in self.velocity],
         }
 
     @classmethod
-    def from_document(cls, document: dict[str, Any]) -> "NoiseSpectrum":
+    def from_document(cls, document: NoiseDocument) -> "NoiseSpectrum":
         """The inverse of `to_document`."""
         return cls(
             SweepSpec.model_validate(document["spec"]),
             np.array(document["frequency"]),
-            *(_complex(document[name]) for name in ("reference", "effort", "velocity")),
+            *(
+                np.array([from_pairs(row) for row in rows])
+                for rows in (document["reference"], document["effort"], document["velocity"])
+            ),
         )
 
 
@@ -269,11 +275,3 @@ def _without_gravity_and_ripple(sweep: Spectrum) -> tuple[Complex, float]:
     rest = values - rows @ factors
     noise = 2 * float(rest @ rest) / (len(values) - rows.shape[1])
     return sweep.effort - factors @ signals, noise
-
-
-def _pairs(values: Complex) -> list[list[list[float]]]:
-    return [[[value.real, value.imag] for value in row] for row in values.tolist()]
-
-
-def _complex(rows: list[list[list[float]]]) -> Complex:
-    return np.array([[complex(re, im) for re, im in row] for row in rows], dtype=np.complex128)

@@ -5,14 +5,16 @@ A spectrum is written once, when its sweep is identified; every later estimate o
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import JsonValue
 
 from service.errors import BadInput
+from service.results.identified.spectrum import AnySpectrum
 
-Document = dict[str, JsonValue]
+Document = AnySpectrum | Mapping[str, JsonValue]  # the latter as an older database holds it
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +31,7 @@ def encode_spectrum(document: Document) -> tuple[bytes, str]:
     return content, hashlib.sha256(content).hexdigest()
 
 
-def read_spectrum(file: SpectrumFile) -> Document:
+def read_spectrum(file: SpectrumFile) -> AnySpectrum:
     """The document; BadInput if the file is not there as it was written."""
     try:
         content = file.path.read_bytes()

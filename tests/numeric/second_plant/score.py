@@ -74,7 +74,7 @@ def diagnosed(path: Path, *, inertia: bool, paper: bool = False) -> dict[str, An
 
 def _inertia(bundle: Bundle, joint: str, path: Path) -> list[dict[str, Any]]:
     try:
-        found = identify_bundle(bundle, joint, str(path))["axes"][joint]["inertia"]
+        found = identify_bundle(bundle, joint, str(path)).as_json()["axes"][joint]["inertia"]
     except Exception as error:  # noqa: BLE001 - the same
         return [{"error": f"{type(error).__name__}: {error}"}]
     return [{key: one[key] for key in ("sweep", "value", "std")} for one in found]

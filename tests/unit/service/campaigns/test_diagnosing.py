@@ -348,7 +348,7 @@ def identified(
 ) -> None:
     """The estimate of a campaign, as if it had come with its last sweep."""
     sweeps = campaign_bundle(bench.store, bench.files, campaign).sweeps
-    document = estimate_document(robot, [sweep_spectrum(robot, sweep) for sweep in sweeps]) | (change or {})
+    document = estimate_document(robot, [sweep_spectrum(robot, sweep) for sweep in sweeps]).as_json() | (change or {})
     last = bench.store.sweeps(campaign)[-1]
     assert bench.store.add_estimate(last, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, document) is not None
     if over:

@@ -15,6 +15,7 @@ from service.estimation import estimate_document
 from service.execution.recording.recovery import recover
 from service.identification import spectrum
 from service.identification.axis.known_effects import known_effects
+from service.results.revision import KnownModel, StoredModel
 from service.robot import Robot
 from service.safety.envelope import Envelope
 from service.store import tables as t
@@ -50,7 +51,7 @@ async def test_every_sweep_gives_one_revision_whatever_happens_to_the_worker(
         estimates = bench.store.estimates(bench.campaign.id)
         bundle = campaign_bundle(bench.store, bench.files, bench.campaign.id)
     assert [(e.revision, e.number) for e in estimates] == [(n, n) for n in range(1, len(POSES) + 1)]
-    offline = estimate_document(bundle.robot, [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps])
+    offline = estimate_document(bundle.robot, [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps]).as_json()
     assert estimates[-1].document == offline
 
 
@@ -74,9 +75,9 @@ async def test_the_newest_accepted_model_enters_new_estimates_and_is_told(
     assert (effect["axis"], effect["effect"], effect["used"]) == ("joint_1", "measurement_delay", True)
     assert effect["parameters"]["delay"] == {"value": 2e-3, "std": pytest.approx(1e-5), "unit": "SI"}
     spectra = [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps]
-    known = known_effects(told, bundle.robot.joints, source)
-    assert document == estimate_document(bundle.robot, spectra, known=known)
-    assert document["axes"] != estimate_document(bundle.robot, spectra)["axes"]
+    known = known_effects(KnownModel.read(told, "model"), bundle.robot.joints, StoredModel(**source))
+    assert document == estimate_document(bundle.robot, spectra, known=known).as_json()
+    assert document["axes"] != estimate_document(bundle.robot, spectra).as_json()["axes"]
 
 
 async def test_what_is_recorded_and_not_identified_is_taken_up_by_the_next_process(

@@ -38,7 +38,7 @@ async def test_origin_drives_and_one_sweep_come_from_what_was_recorded(bench: Be
     await bench.runner.start(bench.campaign.id)
     await bench.runner.finished()
     bundle = campaign_bundle(bench.store, bench.files, 1)
-    document = estimate_document(robot, [spectrum(robot, sweep) for sweep in bundle.sweeps])
+    document = estimate_document(robot, [spectrum(robot, sweep) for sweep in bundle.sweeps]).as_json()
     identify(bench, document)
     diagnoses = DiagnosisStore(bench.database)
     for joint in ("joint_1", "joint_2"):

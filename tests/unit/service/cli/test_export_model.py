@@ -54,7 +54,7 @@ def test_what_cannot_be_exported_is_told(bundle: Path, side_file: Path, tmp_path
     for arguments, reason in (
         (["no.json", "out"], "--robot: is needed with an estimate"),
         (["no.json", "out", "--robot", str(side_file)], "no.json: is not a JSON object"),
-        (["other.json", "out", "--robot", str(side_file)], "other.json axes: Field required"),
+        (["other.json", "out", "--robot", str(side_file)], "other.json.axes: Field required"),
         (["missing.json", "out", "--robot", str(side_file)], "missing.json: cannot be read"),
         ([str(bundle), "."], "exists already and is not an empty folder"),
     ):

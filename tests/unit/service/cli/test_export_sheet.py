@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from service.errors import BadInput
+from service.export.load import Load, load_of
 from service.export.sheet import check_sheet, fingerprint
 from service.export.sheet_text import as_markdown
+from service.results.identified.payload import Payload
+from service.results.identified.sheet import Sheet
 from tests.command import sweepid
 from tests.unit.service.cli.test_export_model import side_file
 from tests.unit.service.cli.test_identify import INERTIA, bundle
@@ -21,35 +24,36 @@ GEAR = 100.0
 
 
 @pytest.fixture
-def made(bundle: Path, tmp_path: Path) -> tuple[dict, str]:
+def made(bundle: Path, tmp_path: Path) -> tuple[Sheet, str]:
     path = tmp_path / "sheet.json"
     done = sweepid("export-sheet", str(bundle), "--json", str(path))
     assert (done.returncode, done.stderr) == (0, "")
-    return json.loads(path.read_text("utf-8")), done.stdout
+    return read(path), done.stdout
 
 
-def test_the_truth_comes_out_on_the_side_of_the_motor(made: tuple[dict, str]) -> None:
+def test_the_truth_comes_out_on_the_side_of_the_motor(made: tuple[Sheet, str]) -> None:
     sheet, text = made
-    (axis,) = sheet["axes"]
-    assert axis["identified"] == pytest.approx(TOTAL, rel=0.01)
-    assert axis["cad"] == pytest.approx(6.0)
-    assert axis["motor"] == pytest.approx(axis["identified"] / GEAR**2)
-    assert axis["motor_std"] / axis["motor"] == pytest.approx(0.05, rel=0.3)  # the torque constant's prior rules
+    (axis,) = sheet.axes
+    assert axis.identified == pytest.approx(TOTAL, rel=0.01)
+    assert axis.cad == pytest.approx(6.0)
+    assert axis.motor == pytest.approx(axis.identified / GEAR**2)
+    assert axis.motor_std / axis.motor == pytest.approx(0.05, rel=0.3)  # the torque constant's prior rules
     typed = re.search(r"\| j1 \| ([0-9.e-]+) \|", text.partition("MD32650 |")[2])
     assert typed
     assert float(typed[1]) == pytest.approx(TOTAL / GEAR**2, rel=0.01)
     for words in ("MD32620", "S-0-0348", "export-model", "Valid for the robot as it was measured", "± std"):
         assert words in text
-    assert sheet["poses"]["j1"].keys() == {"j1", "j2"}
+    assert sheet.poses is not None
+    assert sheet.poses["j1"].keys() == {"j1", "j2"}
     assert "- j1 was measured with j1 " in text
 
 
-def test_a_load_is_not_made_of_an_estimate(made: tuple[dict, str]) -> None:
+def test_a_load_is_not_made_of_an_estimate(made: tuple[Sheet, str]) -> None:
     assert made[1].count("Left out. An estimate of the robot tells combinations") == 2  # KUKA, ABB
 
 
-def test_a_load_that_was_measured_stands_in_the_words_of_kuka_and_abb(made: tuple[dict, str]) -> None:
-    text = as_markdown(made[0], payload())
+def test_a_load_that_was_measured_stands_in_the_words_of_kuka_and_abb(made: tuple[Sheet, str]) -> None:
+    text = as_markdown(made[0], load(payload()))
     assert "| 12 ± 0.3 | 10, 0, 150 | " in text
     inertia = re.search(r"loaddata measured := \[12,\[10,0,150\],\[(.*?)\],(.*?)\];", text)
     assert inertia
@@ -76,51 +80,66 @@ def payload() -> dict:
 
     names = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
     inertia = dict(zip(names, TENSOR[np.triu_indices(3)].tolist(), strict=True))
+    numbers = {"names": [], "values": [], "covariance": [], "covariance_total": []}
+    near = {"mass": 12.0, "center": [0.01, 0.0, 0.15], "inertia": inertia}
     return {
+        "link": "link_6",
         "frame": "joint_6",
         "mass": known(12.0),
         "center": {"x": known(0.01), "y": known(0.0), "z": known(0.15)},
         "inertia": {name: known(value) for name, value in inertia.items()},
-        "physical": {"nearest": {"mass": 12.0, "center": [0.01, 0.0, 0.15], "inertia": inertia}},
+        "parameters": numbers,
+        "physical": {"consistent": True, "deviation_in_std": 0.0, "nearest": near},
+        "evidence": [{"axis": "joint_6", "from": "sweeps"}],
+        "sentences": [],
     }
 
 
-def test_a_load_is_read_by_name_whatever_the_order(made: tuple[dict, str]) -> None:
+def load(document: dict) -> Load:
+    return load_of(Payload.read(document, "--payload"))
+
+
+def read(path: Path) -> Sheet:
+    return Sheet.read(json.loads(path.read_text("utf-8")), str(path))
+
+
+def test_a_load_is_read_by_name_whatever_the_order(made: tuple[Sheet, str]) -> None:
     """`sweepid payload` writes xx, xy, yy, xz, yz, zz."""
     turned = payload()
     near = turned["physical"]["nearest"]
     near["inertia"] = {name: near["inertia"][name] for name in ("Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")}
-    assert as_markdown(made[0], turned) == as_markdown(made[0], payload())
+    assert as_markdown(made[0], load(turned)) == as_markdown(made[0], load(payload()))
 
 
 @pytest.mark.parametrize("given", [{}, {"mass": None}, {"mass": {"value": 1, "std_total": 1}, "frame": "f"}])
-def test_what_is_no_load_is_refused(made: tuple[dict, str], given: dict) -> None:
+def test_what_is_no_load_is_refused(given: dict) -> None:
     with pytest.raises(BadInput, match="--payload"):
-        as_markdown(made[0], given)
+        load(given)
 
 
-def test_a_load_that_is_known_in_part_is_refused(made: tuple[dict, str]) -> None:
+def test_a_load_that_is_known_in_part_is_refused() -> None:
     known = payload()
     known["inertia"]["Izz"]["value"] = None
     with pytest.raises(BadInput, match="--payload: does not know Izz"):
-        as_markdown(made[0], known)
+        load(known)
 
 
 def test_the_fingerprint_is_that_of_the_result_and_tells_what_was_altered(
-    made: tuple[dict, str], bundle: Path, side_file: Path, tmp_path: Path
+    made: tuple[Sheet, str], bundle: Path, side_file: Path, tmp_path: Path
 ) -> None:
     sheet, text = made
-    assert sheet["fingerprint"] in text
+    assert sheet.fingerprint in text
     check_sheet(sheet, "sheet")
     estimate, again = tmp_path / "estimate.json", tmp_path / "again.json"
     assert sweepid("identify", str(bundle), "--json", str(estimate)).returncode == 0
     done = sweepid("export-sheet", str(estimate), "--robot", str(side_file), "--json", str(again))
     assert done.returncode == 0, done.stderr
-    assert fingerprint(json.loads(again.read_text("utf-8"))) == sheet["fingerprint"]
+    assert fingerprint(read(again)) == sheet.fingerprint
     assert "make the sheet of the bundle" in done.stdout  # for its poses
-    sheet["axes"][0]["motor"] *= 1.01
+    (axis,) = sheet.axes
+    altered = sheet.model_copy(update={"axes": (axis.model_copy(update={"motor": 1.01 * axis.motor}),)})
     with pytest.raises(BadInput, match="was altered"):
-        check_sheet(sheet, "sheet")
+        check_sheet(altered, "sheet")
 
 
 def test_what_no_body_can_have_and_what_is_hardly_known_is_not_for_use(

@@ -152,8 +152,9 @@ def test_a_broken_bundle_is_told_by_file_and_sweep(bundle: Path) -> None:
 
 def test_a_locked_rotor_above_the_band_is_told_as_such() -> None:
     written = StringIO()
-    document = stored("analysis") | {"analysis": analyses_document({"swing": analysis(train=STIFF)})}
-    print_estimate(Estimate.read(document, "estimate"), Console(file=written, width=200))
+    analyses = analyses_document({"swing": analysis(train=STIFF)})
+    found = Estimate.read(stored("analysis"), "estimate").model_copy(update={"analysis": analyses})
+    print_estimate(found, Console(file=written, width=200))
     rows = [line for line in written.getvalue().splitlines() if "swing" in line]
     assert len(rows) == 4
     for row in rows:

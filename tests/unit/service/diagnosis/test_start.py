@@ -55,7 +55,7 @@ def estimate(robot: Robot) -> dict[str, Any]:
         robot, JOINT, poses(1, 12), blocks=("forward_slow", "backward_slow"), sample_rate=RATE, revisit=False
     )
     sweeps = following(robot, JOINT, designed, load=machine(robot), seed=5)
-    return estimate_document(robot, [sweep_spectrum(robot, sweep) for sweep in sweeps])
+    return estimate_document(robot, [sweep_spectrum(robot, sweep) for sweep in sweeps]).as_json()
 
 
 def diagnosed(robot: Robot, measured: Robot) -> Mapping[str, Any]:

@@ -38,8 +38,12 @@ def random_robot() -> Callable[[int], Robot]:
 def estimate_of(robot: Robot, links: np.ndarray, motors: np.ndarray) -> dict[str, Any]:
     """What `sweepid identify --json` would hold of links (n, 10) and motors (n,); the first axis was measured."""
     joints = robot.chain.joints
+    sweep = {"sweep": "1", "value": 9.0, "std": 0.1, "reference": 9.0, "identified": 9.0, "paper_value": None}
+    rmse = dict.fromkeys(("reference_measured", "identified_measured", "reference_identified"), 1.0)
+    sweeps = [sweep | {"viscous_friction": friction} for friction in (150.0, 151.0)]
     return {
-        "axes": {robot.joints[0]: {"inertia": [{"viscous_friction": 150.0}, {"viscous_friction": 151.0}]}},
+        "axes": {robot.joints[0]: {"inertia": sweeps, "rmse_percent": rmse}},
+        "condition_number": 3.0,
         "base_parameters": [{"name": "m(a)", "symbolic": "m(a)", "value": 1.0, "std": None}],
         "symbols": {"l1": {"value": 0.5, "unit": "m", "meaning": "from a to b"}},
         "standard_parameters": {

@@ -20,6 +20,7 @@ from tests.unit.service.export.conftest import estimate_of
 
 _mujoco = cast(Any, mujoco)  # a binary module without type stubs
 
+RMSE = dict.fromkeys(("reference_measured", "identified_measured", "reference_identified"), 1.0)
 MOTORS = np.array([60.0, 70.0, 20.0, 4.0, 0.0, 2.0])
 
 
@@ -125,10 +126,14 @@ def test_quaternions_at_every_angle() -> None:
     ("change", "reason"),
     [
         ({"axes": {}}, "identified nothing"),
-        ({"axes": {"joint_9": {"inertia": []}}}, "joint_9: unknown joint"),
+        ({"axes": {"joint_9": {"inertia": [], "rmse_percent": RMSE}}}, "joint_9: unknown joint"),
         ({"standard_parameters": {"links": {}, "motor_inertias": {}}}, "ten parameters of link link_1"),
-        ({"physical": {}}, "identified nothing"),
-        ({"base_parameters": [{"name": "a"}]}, "base_parameters.0.symbolic"),
+        ({"physical": {"deviation_in_std": None}}, "identified nothing"),
+        ({"base_parameters": [{"name": "a"}]}, "base_parameters.0.value"),
+        (
+            {"base_parameters": [{"name": "a", "value": float("nan"), "std": 1.0}]},
+            "base_parameters a: nan is not a finite",
+        ),
     ],
 )
 def test_an_estimate_of_something_else_is_refused(

@@ -3,6 +3,7 @@
 from typing import Any
 
 from service.identification.axis.known_effects import KnownEffects, known_effects
+from service.results.revision import KnownModel, StoredModel
 
 Told = dict[str, tuple[float, float]]  # parameter: value, std
 
@@ -28,4 +29,9 @@ def model(torques: str = "recorded", **axes: dict[str, Told]) -> dict[str, Any]:
 
 def known(torques: str = "recorded", **axes: dict[str, Told]) -> KnownEffects:
     """The same, read."""
-    return known_effects(model(torques, **axes), tuple(axes), {"revision": 1})
+    return read(model(torques, **axes), *axes)
+
+
+def read(document: dict[str, Any], *joints: str) -> KnownEffects:
+    """Of these joints."""
+    return known_effects(KnownModel.read(document, "model"), joints, StoredModel(id=7, revision=1))

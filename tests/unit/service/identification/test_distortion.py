@@ -201,10 +201,12 @@ def test_cubic_friction_in_a_speed_loop(robot: Robot) -> None:
 
 def test_the_document_tells_both_parts(robot: Robot) -> None:
     estimate = identify(robot, prescribed(robot, POSES[:6], 3, 5, QUADRATIC))
-    axis = as_document(estimate, estimate.workspace)["axes"]["swing"]
-    assert (axis["distortion"]["realisations"], axis["distortion"]["poses"]) == (3, 6)
-    assert {entry["frequency"] for entry in axis["distortion"]["effort"]} >= {2.0, 3.0, 4.0, 5.0, 6.0}
-    for sweep in axis["inertia"]:
-        for line in sweep["frequency_response"]:
-            assert line["std"] == pytest.approx(np.hypot(line["noise_std"], line["distortion_std"]))
-            assert line["noise_std"] > 0
+    axis = as_document(estimate, estimate.workspace).axes["swing"]
+    assert axis.distortion is not None
+    assert (axis.distortion.realisations, axis.distortion.poses) == (3, 6)
+    assert {entry.frequency for entry in axis.distortion.effort} >= {2.0, 3.0, 4.0, 5.0, 6.0}
+    for line in (line for sweep in axis.inertia for line in sweep.frequency_response):
+        assert line.noise_std is not None
+        assert line.distortion_std is not None
+        assert line.noise_std > 0
+        assert line.std == pytest.approx(np.hypot(line.noise_std, line.distortion_std))

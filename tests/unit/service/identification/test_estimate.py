@@ -51,7 +51,7 @@ def _spectra(robot: Robot, poses: list[tuple[float, float]]) -> list[Spectrum]:
 
 def _document(robot: Robot, spectra: list[Spectrum]) -> dict[str, Any]:
     estimate = identify(robot, spectra)
-    return as_document(estimate, estimate.workspace)
+    return as_document(estimate, estimate.workspace).as_json()
 
 
 POSES = [(0.0, -1.2), (0.0, -0.5), (0.0, 0.1), (0.0, 0.7), (0.0, 1.3)]
@@ -90,9 +90,9 @@ def test_too_few_poses_are_told(robot: Robot) -> None:
 
 def test_standard_parameters_reproduce_the_base_parameters(robot: Robot) -> None:
     estimate = identify(robot, _spectra(robot, POSES))
-    standard = as_document(estimate, estimate.workspace)["standard_parameters"]
-    values = [value for link in standard["links"].values() for value in link.values()]
-    parameters = np.array(values + list(standard["motor_inertias"].values()))
+    standard = as_document(estimate, estimate.workspace).standard_parameters
+    values = [value for link in standard.links.values() for value in link.values()]
+    parameters = np.array(values + list(standard.motor_inertias.values()))
     np.testing.assert_allclose(estimate.base.combination @ parameters, estimate.solution.values, rtol=1e-6, atol=1e-6)
 
 

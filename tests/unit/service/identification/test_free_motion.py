@@ -75,8 +75,8 @@ def test_an_estimate_of_single_axes_refuses_them() -> None:
     spectra = [sweep_spectrum(robot(), one) for one in both]
     with pytest.raises(BadInput, match="moved while"):
         estimate_document(robot(), spectra)
-    assert estimate_document(robot(), spectra, motions=free_motions(robot(), both))["axes"] == {}
-    assert set(estimate_document(robot(), spectra[:1])["axes"]) == {"joint_1"}
+    assert estimate_document(robot(), spectra, motions=free_motions(robot(), both)).axes == {}
+    assert set(estimate_document(robot(), spectra[:1]).axes) == {"joint_1"}
 
 
 def test_a_record_in_which_nothing_moves_is_refused() -> None:

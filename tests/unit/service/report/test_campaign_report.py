@@ -14,7 +14,7 @@ from service.report import CampaignReport, Content, Drive, content_of, render_ca
 from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict
 from service.results.check import DataCheck, Finding
 from service.results.diagnosis import Diagnosis
-from service.results.estimate import Estimate
+from service.results.estimate import BaseParameter, Estimate
 from service.robot import Robot
 from tests.stored import documents
 from tests.stored.documents import axis_document, stored
@@ -122,7 +122,7 @@ def test_an_effect_that_the_estimate_took_into_account_is_none_that_it_lacks() -
     [(4.0, 1.0, ""), (-4.0, 1.01, "too uncertain"), (0.0, 0.1, "too uncertain"), (4.0, None, "not identified")],
 )
 def test_parameters_that_are_not_for_use(value: float, std: float | None, why: str) -> None:
-    assert not_for_use({"value": value, "std": std}) == why
+    assert not_for_use(BaseParameter(name="m", value=value, std=std)) == why
 
 
 def test_without_a_known_workspace_nothing_is_drawn_beyond_what_was_measured(max100: Robot) -> None:

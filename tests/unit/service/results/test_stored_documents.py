@@ -14,6 +14,8 @@ from service.results.check import DataCheck
 from service.results.diagnosis import AxisDiagnosis, Diagnosis, Verdict
 from service.results.estimate import Estimate
 from service.results.experiment import TEST_MASS
+from service.results.identified.payload import Payload
+from service.results.identified.sheet import Sheet
 from service.results.part import Document
 from service.results.revision import ModelRevision
 from tests.stored.documents import stored
@@ -27,6 +29,8 @@ KINDS: dict[str, type[Document]] = {
     "estimate": Estimate,
     "estimate-free-motion": Estimate,
     "model": ModelRevision,
+    "payload": Payload,
+    "sheet": Sheet,
 }
 LATER = {  # keys of an axis that documents of before did not have
     "part",
@@ -90,6 +94,15 @@ def test_older_documents_are_read() -> None:
     found = AxisDiagnosis.read(older, "axis")
     assert (found.started_from, found.gap.cross_validated, found.fit.torques) == ("cad", False, "recorded")
     assert canonical(found.as_json()) == canonical(older)
+
+
+def test_trajectories_of_single_periods_have_no_scatter() -> None:
+    document = stored("estimate-free-motion")
+    document["combination"]["noise"] = {"joint_1": {"harmonic": 0.5, "scatter": None}}
+    found = Estimate.read(document, "estimate")
+    assert found.combination is not None
+    assert found.combination.noise["joint_1"].scatter is None
+    assert found.as_json() == document
 
 
 def test_keys_that_nobody_described_are_kept() -> None:
