@@ -15,6 +15,7 @@ from service.identification.motion.trajectory_record import runs_at_once
 from service.report import CampaignReport, Drive, example_of, used_sweeps
 from service.results.check import DataCheck
 from service.results.estimate import Estimate
+from service.results.revision import ModelFile
 from service.store.checks import CheckStore
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis_documents import DiagnosisDocument
@@ -142,9 +143,10 @@ def spread(last: int) -> Sequence[int]:
 
 def _model(estimate: Estimate) -> str:
     source = estimate.model
-    if not source:
+    if source is None:
         return "rigid body of the robot document; no accepted effects"
-    return f"revision {source['revision']} (number {source['id']}), its effects taken into account"
+    told = f"file {source.file}" if isinstance(source, ModelFile) else f"revision {source.revision} (number {source.id})"
+    return f"{told}, its effects taken into account"
 
 
 def _campaign(campaign: CampaignDocument) -> str:
