@@ -145,7 +145,9 @@ def _model(estimate: Estimate) -> str:
     source = estimate.model
     if source is None:
         return "rigid body of the robot document; no accepted effects"
-    told = f"file {source.file}" if isinstance(source, ModelFile) else f"revision {source.revision} (number {source.id})"
+    told = (
+        f"file {source.file}" if isinstance(source, ModelFile) else f"revision {source.revision} (number {source.id})"
+    )
     return f"{told}, its effects taken into account"
 
 
