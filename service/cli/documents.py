@@ -1,24 +1,27 @@
 """Results as files, as JSON on stdout, and back again from a file."""
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, TypeVar, cast
 
 import typer
+from pydantic import BaseModel
 
 from service.configuration import read_text
 from service.errors import BadInput
+from service.results.part import Document
+
+Kind = TypeVar("Kind", bound=Document)
 
 JsonTo = Annotated[str | None, typer.Option("--json", help="Write JSON here; - is stdout.", metavar="FILE")]
 
 
-def as_json(document: Mapping[str, Any]) -> str:
+def as_json(document: BaseModel) -> str:
     """For people and programs; what is not a finite number is an error of ours."""
-    return json.dumps(document, indent=2, allow_nan=False)
+    return json.dumps(document.model_dump(mode="json", exclude_unset=True), indent=2, allow_nan=False)
 
 
-def put_json(document: Mapping[str, Any], json_to: str | None) -> bool:
+def put_json(document: BaseModel, json_to: str | None) -> bool:
     """Write a result to a file (None: to none) or, for -, to stdout: True, and nothing else may be written there."""
     if json_to == "-":
         typer.echo(as_json(document))
@@ -35,8 +38,8 @@ def write_file(path: Path, text: str) -> None:
         raise BadInput(str(path), f"cannot be written: {error.strerror or error}") from None
 
 
-def read_document(path: Path) -> dict[str, Any]:
-    """What another command wrote with `--json`; BadInput if the file holds no JSON object."""
+def read_document(path: Path, kind: type[Kind], place: str = "") -> Kind:
+    """What another command wrote with `--json`; BadInput (within the file at `place`) if the file does not hold it."""
     try:
         document: object = json.loads(read_text(path))
     except ValueError as error:
@@ -45,4 +48,4 @@ def read_document(path: Path) -> dict[str, Any]:
         raise BadInput(str(path), "cannot be read as JSON: nested too deeply") from None
     if not isinstance(document, dict):
         raise BadInput(str(path), "is not a JSON object")
-    return cast("dict[str, Any]", document)
+    return kind.read(cast("object", document), place or str(path))

@@ -2,8 +2,6 @@
 
 from collections.abc import Mapping
 
-from pydantic import JsonValue
-
 from service.results.effect import Value
 from service.results.part import Document, Part
 
@@ -66,8 +64,3 @@ class AxisAnalysis(Document):
 
 
 Analyses = Mapping[str, AxisAnalysis]  # by joint
-
-
-def read_analyses(document: Mapping[str, JsonValue], place: str) -> Analyses:
-    """From JSON by joint; BadInput names place and field."""
-    return {joint: AxisAnalysis.read(axis, f"{place}.{joint}") for joint, axis in document.items()}

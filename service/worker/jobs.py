@@ -71,11 +71,11 @@ class Job:
         robot = build_robot(self.robot, self.urdf_text)
         new = sweep_spectrum(robot, Sweep(self.spec, read_columns(self.path)))
         earlier = [spectrum_from(read_spectrum(file)) for file in self.earlier]
-        analyses = analyses_from(self.analyses)
         known = None
         if self.model is not None:
             source = StoredModel(id=self.model.id, revision=self.model.revision)
             known = known_effects(KnownModel.read(self.model.document, "model"), robot.joints, source)
+        analyses = analyses_from(self.analyses)
         return Result(new.to_document(), estimate_document(robot, [*earlier, new], analyses, known=known).as_json())
 
 

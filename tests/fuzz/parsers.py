@@ -90,15 +90,15 @@ def _maker(path: Path, work: Path) -> None:
 
 
 def _estimate(path: Path, work: Path) -> None:
-    document = read_document(path)
-    identified_model(_robot(), document, str(path))
-    made = sheet(_robot(), Estimate.read(document, str(path)), str(path))
+    estimate = read_document(path, Estimate)
+    identified_model(_robot(), estimate.as_json(), str(path))
+    made = sheet(_robot(), estimate, str(path))
     as_markdown(made)
     check_sheet(made, str(path))
 
 
 def _payload(path: Path, work: Path) -> None:
-    load = load_of(Payload.read(read_document(path), "--payload"))
+    load = load_of(read_document(path, Payload, "--payload"))
     estimate = Estimate.read(json.loads(seeds.estimate()), "estimate")
     as_markdown(sheet(_robot(), estimate, "estimate"), load)
 
@@ -206,7 +206,7 @@ PARSERS: Mapping[str, Parser] = {
     ),
     "estimate": Parser(_documents, _estimate),
     "start of a diagnosis": Parser(
-        _documents, lambda path, _: started_from(_robot(), read_document(path), "x", str(path))
+        _documents, lambda path, _: started_from(_robot(), read_document(path, Estimate).as_json(), "x", str(path))
     ),
     "payload": Parser(lambda: [seeds.one("payload.json", seeds.payload())], _payload),
     "model": Parser(lambda: [seeds.one("model.json", seeds.model())], lambda path, _: read_effects(path, _robot())),

@@ -81,8 +81,8 @@ def add_plan(
     elif isinstance(wanted, DiagnosisRequest):
         document = build_diagnosis_plan(robot, wanted, cell)
     else:
-        found: Analyses = {} if wanted.analysis is None else latest_analysis(application.store, wanted.analysis)
-        document = build_plan(robot, wanted, cell, analyses_from(found))
+        analysed: Analyses = {} if wanted.analysis is None else latest_analysis(application.store, wanted.analysis)
+        document = build_plan(robot, wanted, cell, analyses_from(analysed))
     plan = application.store.add_plan(wanted.robot_id, document.model_dump(mode="json"))
     response.headers["Location"] = str(request.url_for("get_plan", plan_id=plan.id))
     return plan

@@ -31,4 +31,4 @@ def read_estimate(source: Path, side_file: Path | None) -> tuple[Robot, Estimate
         return bundle.robot, identify_bundle(bundle, None, str(source)), bundle
     if side_file is None:
         raise BadInput("--robot", "is needed with an estimate, which holds neither geometry nor gears of the robot")
-    return read_robot(side_file), Estimate.read(read_document(source), str(source)), None
+    return read_robot(side_file), read_document(source, Estimate), None

@@ -25,7 +25,7 @@ def export_sheet(
     known, estimate, bundle = read_estimate(source, robot)
     poses = None if bundle is None else {sweep.spec.id: sweep.spec.pose for sweep in bundle.sweeps}
     made = sheet(known, estimate, str(source), poses)
-    load = None if payload is None else load_of(Payload.read(read_document(payload), "--payload"))
+    load = None if payload is None else load_of(read_document(payload, Payload, "--payload"))
     text = as_markdown(made, load)
-    if not put_json(made.as_json(), json_to):
+    if not put_json(made, json_to):
         typer.echo(text)

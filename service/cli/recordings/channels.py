@@ -46,7 +46,7 @@ def channels(
 ) -> None:
     """Measure how far effort and velocity lag behind position. Prints the lines for the drive profile."""
     found = measure_channels(read_bundle(bundle), axis, str(bundle))
-    if put_json(Channels(axes={joint: as_document(lags) for joint, lags in found.items()}).as_json(), json_to):
+    if put_json(Channels(axes={joint: as_document(lags) for joint, lags in found.items()}), json_to):
         return
     for joint, lags in found.items():
         typer.echo(profile_lines(joint, lags))

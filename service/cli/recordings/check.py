@@ -11,6 +11,7 @@ from rich.table import Table
 from service.cli.documents import JsonTo, put_json
 from service.data_check import Finding, findings_document
 from service.data_check import check as check_data
+from service.results.check import DataCheck
 from service.store.files.bundle import read_bundle
 
 
@@ -21,7 +22,8 @@ def check(
     """Tell what is wrong with recordings and robot file, before any physics."""
     measured = read_bundle(bundle)
     findings = check_data(measured.robot, measured.sweeps)
-    if put_json(findings_document(measured.robot, measured.sweeps, findings), json_to):
+    document = findings_document(measured.robot, measured.sweeps, findings)
+    if put_json(DataCheck.read(document, str(bundle)), json_to):
         return
     print_findings(findings, len(measured.sweeps), Console())
 

@@ -40,11 +40,11 @@ def import_control_file(path: Path, given: Given, out: Path | None, json_to: str
         document = measurement_document(found, given, str(path))
         tables = {"frequency_response": response_table(found), "recording": recording_table(found)}
     if out is not None:
-        _write(out, as_json(document.as_json()), tables)
+        _write(out, as_json(document), tables)
     if unread := document.unread:
         more = f" and {len(unread) - SOME} more (all in the JSON)" if len(unread) > SOME else ""
         typer.echo(f"{path}: members not read: {', '.join(unread[:SOME])}{more}", err=True)
-    if put_json(document.as_json(), json_to):
+    if put_json(document, json_to):
         return
     _print(document, Console())
 

@@ -19,6 +19,8 @@ from service.report import diagnosis_page
 from service.report.gap_figures import measured, number
 from service.results.diagnosis import DiagnosedModel, Diagnosis, RigidParameter
 from service.results.effect import Effect
+from service.results.estimate import Estimate
+from service.results.revision import ModelRevision
 from service.robot import Robot
 from service.store.files.bundle import Bundle, read_bundle
 
@@ -47,12 +49,12 @@ def diagnose(
     measured = read_bundle(bundle)
     found = diagnose_bundle(measured, axis, str(bundle), known or (), estimate, twin=twin)
     if model is not None:
-        write_file(model, as_json(model_document(measured.robot, found.as_json())))
+        write_file(model, as_json(ModelRevision.read(model_document(measured.robot, found.as_json()), str(bundle))))
     if scenario is not None:
         write_scenario(scenario, measured.robot, found.model)
     if report is not None:
         write_file(report, diagnosis_page(found, f"Diagnosis of the robot {found.model.robot}", str(bundle)))
-    if put_json(found.as_json(), json_to):
+    if put_json(found, json_to):
         return
     print_diagnosis(found, Console())
 
@@ -84,7 +86,7 @@ def diagnose_bundle(
     """
     robot = bundle.robot
     if estimate is not None:
-        document = read_document(estimate)
+        document = read_document(estimate, Estimate).as_json()
         source = f"{estimate.name}, sha256 {hashlib.sha256(estimate.read_bytes()).hexdigest()}"
         robot = started_from(robot, document, source, str(estimate))
     if axis is not None:

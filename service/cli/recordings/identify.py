@@ -59,7 +59,7 @@ def identify(
     )
     if report is not None:
         write_file(report, _report(measured, found, str(bundle)))
-    if put_json(found.as_json(), json_to):
+    if put_json(found, json_to):
         return
     print_estimate(found, Console())
 
@@ -107,9 +107,9 @@ def _report(bundle: Bundle, found: Estimate, place: str) -> str:
 
 def read_effects(path: Path, robot: Robot) -> KnownEffects:
     """What `sweepid diagnose --model` wrote; BadInput names the file."""
-    document = read_document(path)
+    model = read_document(path, KnownModel, f"{path}: model")
     try:
-        return known_effects(KnownModel.read(document, "model"), robot.joints, ModelFile(file=path.name))
+        return known_effects(model, robot.joints, ModelFile(file=path.name))
     except BadInput as error:
         raise BadInput(f"{path}: {error.place}", error.reason) from None
 

@@ -1,7 +1,7 @@
 """`sweepid payload BEFORE AFTER`: mass, centre and inertia of what was mounted on the last link in between."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -12,6 +12,7 @@ from service.cli.recordings.gains_file import read_gains
 from service.errors import BadInput
 from service.identification.payloads.document import payload_document
 from service.identification.payloads.payload import payload
+from service.results.identified.payload import Payload
 from service.store.files.bundle import Bundle, read_bundle
 
 
@@ -28,25 +29,25 @@ def payload_command(
     _print(document, Console())
 
 
-def payload_of(before: Bundle, after: Bundle, place: str, gains: Path | None = None) -> dict[str, Any]:
+def payload_of(before: Bundle, after: Bundle, place: str, gains: Path | None = None) -> Payload:
     """The document; BadInput where the bundles are not of one robot or have no motion in common."""
     if (before.robot.description, before.robot.urdf_text) != (after.robot.description, after.robot.urdf_text):
         raise BadInput(place, f"was not measured on the same robot {before.robot.name} as the bundle before")
     found = payload(before.robot, before.sweeps, after.sweeps, read_gains(gains) if gains else None)
-    return payload_document(before.robot, found).as_json()
+    return payload_document(before.robot, found)
 
 
-def _print(document: dict[str, Any], console: Console) -> None:
-    table = Table(title=f"Payload on {document['link']}, in the frame of {document['frame']}, SI")
+def _print(document: Payload, console: Console) -> None:
+    table = Table(title=f"Payload on {document.link}, in the frame of {document.frame}, SI")
     table.add_column("")
     for name in ("value", "std", "std with torque constants"):
         table.add_column(name, justify="right")
-    rows = [("mass", document["mass"])]
-    rows += [(f"center {name}", figure) for name, figure in document["center"].items()]
-    rows += [(f"{name} about the center", figure) for name, figure in document["inertia"].items()]
+    rows = [("mass", document.mass)]
+    rows += [(f"center {name}", figure) for name, figure in document.center.items()]
+    rows += [(f"{name} about the center", figure) for name, figure in document.inertia.items()]
     for name, figure in rows:
-        sizes = (f"{figure[key]:.4g}" if figure["excited"] else "-" for key in ("value", "std", "std_total"))
+        sizes = ("-" if size is None else f"{size:.4g}" for size in (figure.value, figure.std, figure.std_total))
         table.add_row(name, *sizes)
     console.print(table)
-    for sentence in document["sentences"]:
+    for sentence in document.sentences:
         console.print(sentence)

@@ -42,7 +42,7 @@ def torque_gain(
         joint: AxisGain(gain=Gain(value=one.gain.gain, std=one.gain.std), poses=one.poses, added_inertia=one.added)
         for joint, one in found.items()
     }
-    if put_json(TorqueGains(axes=axes).model_dump(mode="json"), json_to):
+    if put_json(TorqueGains(axes=axes), json_to):
         return
     _print(found)
 

@@ -7,6 +7,7 @@ import pytest
 from service.cli.campaign.measure import plan_number
 from service.cli.documents import read_document
 from service.errors import BadInput
+from service.results.estimate import Estimate
 
 
 @pytest.mark.parametrize(
@@ -22,7 +23,7 @@ def test_what_is_no_document(text: str, told: str, tmp_path: Path) -> None:
     path = tmp_path / "estimate.json"
     path.write_text(text, "utf-8")
     with pytest.raises(BadInput, match=told):
-        read_document(path)
+        read_document(path, Estimate)
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, '{"id": Infinity}', '{"id": null}', "7"])

@@ -12,7 +12,7 @@ from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.estimates.analysis_document import analyses_document, analyses_from
 from service.identification.spectra.axis_inertia import DriveTrain, impedance
 from service.identification.spectra.noise_response import Response
-from service.results.analysis import read_analyses
+from service.results import analysis as results
 
 TRAIN = DriveTrain(58.0, 300.0, 150.0, 1 / 7.4e5, 1.2e-3)
 LOADS = (140.0, 200.0, 330.0, 600.0)
@@ -106,7 +106,8 @@ def test_documents_keep_the_prior_exactly() -> None:
     given = {"swing": analysis()}
     document = analyses_document(given)
     text = json.dumps({joint: axis.as_json() for joint, axis in document.items()}, allow_nan=False)
-    back = analyses_from(read_analyses(json.loads(text), "analysis"))
+    read = {joint: results.AxisAnalysis.read(axis, joint) for joint, axis in json.loads(text).items()}
+    back = analyses_from(read)
     assert np.array_equal(back["swing"].mean, given["swing"].mean)
     assert np.array_equal(back["swing"].covariance, given["swing"].covariance)
     assert back["swing"].classes == given["swing"].classes
