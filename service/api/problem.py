@@ -20,6 +20,7 @@ from starlette.routing import Match
 
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady
 from service.errors import BadInput, Conflict, EnvelopeViolation, NotFound, SweepidError
+from service.report import NoPdf
 from service.store.people.audit import AuditUnreadable
 from service.store.people.writer import NotAudited
 from service.store.requests import KeyReused
@@ -42,6 +43,7 @@ _STATUS: tuple[tuple[type[Exception], HTTPStatus], ...] = (
     (NotAudited, HTTPStatus.SERVICE_UNAVAILABLE),
     (AuditUnreadable, HTTPStatus.SERVICE_UNAVAILABLE),
     (DriveError, HTTPStatus.BAD_GATEWAY),
+    (NoPdf, HTTPStatus.NOT_IMPLEMENTED),
 )
 _METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
 _LIMITS = ("gt", "ge", "lt", "le", "min_length", "max_length", "expected", "multiple_of")
