@@ -10,10 +10,12 @@ FUZZ ?=  # more words for the fuzzing, as: make fuzz FUZZ='--seed 7 --cpu 60 --p
 
 SEED ?=  # of an order that test-random printed, to have it again
 
-.PHONY: demo docs test test-fast test-random test-vcan test-drives test-compose fuzz check format lock openapi clean
+.PHONY: demo venv docs test test-fast test-random test-vcan test-drives test-compose fuzz check format lock openapi clean
 
 demo: $(READY)  ## measure, identify and report a virtual robot
 	$(BIN)/sweepid demo --out demo-out
+
+venv: $(READY)  ## .venv with all that is needed; every other target does it as well
 
 docs: $(READY)  ## the documents as a site, docs/_build/index.html; warnings are errors
 	$(BIN)/sphinx-build -q -n -W --keep-going docs docs/_build

@@ -20,7 +20,7 @@ def bundle_page(bundle: Bundle, found: Estimate, place: str) -> Page:
     subtitle = f"Identified from {len(specs) or len(sweeps)} sweeps of the bundle {place}."
     findings = check(bundle.robot, bundle.sweeps)
     report = CampaignReport(
-        title=f"The robot {bundle.robot.name}",
+        title=f"Inertias of the robot {bundle.robot.name}",
         subtitle=subtitle,
         origin=(("robot", bundle.robot.name), ("bundle", place), ("report", made_now())),
         drives=(),

@@ -11,7 +11,7 @@ TEXT, AXIS = "#334155", "#94a3b8"
 _WIDE = 0.56  # width of a letter, on the average, as a share of its size
 
 
-def element(name: str, content: str = "", **attributes: str | float | None) -> str:
+def element(name: str, content: str = "", /, **attributes: str | float | None) -> str:
     """An element; `_` in names of attributes stands for `-`, None leaves one out. `content` is markup."""
     told = "".join(
         f' {key.replace("_", "-")}="{escape(value) if isinstance(value, str) else f"{value:.5g}"}"'

@@ -80,8 +80,8 @@ def bars(trace: Figure, x: Scale, y: Scale, offset: float, breadth: float) -> It
         a, b = sorted((across.place(middle - breadth / 2), across.place(middle + breadth / 2)))
         low, high = sorted((zero, end))
         box = (low, a, high - low, b - a) if lying else (a, low, b - a, high - low)
-        colour = look["color"][k] if isinstance(look["color"], (list, tuple)) else look["color"]
-        yield rectangle(box, colour)
+        colours: str | Sequence[str] = look["color"]
+        yield rectangle(box, colours if isinstance(colours, str) else colours[k])
         if hatched:
             yield rectangle(box, HATCHED)
         if told is not None and lying:

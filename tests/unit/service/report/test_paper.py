@@ -2,6 +2,7 @@
 
 import io
 import re
+import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 from pypdf import PdfReader
 
 from service.configuration import read_robot
-from service.report import campaign_page, diagnosis_page, estimate_page
+from service.report import NoPdf, campaign_page, diagnosis_page, estimate_page
 from service.report.drawing import DECADES, figure, line, points, scale
 from service.report.figures import convergence, in_frequency, in_time
 from service.report.paper.plot import svg
@@ -19,6 +20,7 @@ from service.report.paper.scales import round_steps, scale_of
 from service.results.diagnosis import Diagnosis
 from service.robot import Robot
 from tests.stored.documents import stored
+from tests.unit.service.report.pango import WITHOUT_PANGO
 from tests.unit.service.report.test_campaign_report import report
 from tests.unit.service.report.test_report import content, sweep
 
@@ -43,11 +45,13 @@ def pages(max100: Robot) -> list[str]:
     return [" ".join(page.extract_text().split()) for page in read.pages]
 
 
+@WITHOUT_PANGO
 def test_the_first_page_has_verdict_people_hashes_and_serial_numbers(pages: list[str]) -> None:
     for words in ("Contradicted.", "cannot be trusted", "Ada <ada>", "cd" * 32, "4711", "not told", "Contents"):
         assert words in pages[0]
 
 
+@WITHOUT_PANGO
 def test_contents_lead_to_the_pages_they_tell(pages: list[str]) -> None:
     told = re.findall(r"(Base parameters|One sweep|Check of the data)[ .]*(\d+)", pages[0])
     assert len(told) == 3
@@ -55,6 +59,7 @@ def test_contents_lead_to_the_pages_they_tell(pages: list[str]) -> None:
         assert heading in pages[int(number) - 1]
 
 
+@WITHOUT_PANGO
 def test_pages_and_figures_are_numbered(pages: list[str]) -> None:
     assert [page.count(f"{k} / {len(pages)}") for k, page in enumerate(pages, start=1)] == [1] * len(pages)
     numbers = re.findall(r"Figure (\d+)\.", " ".join(pages))
@@ -63,6 +68,7 @@ def test_pages_and_figures_are_numbered(pages: list[str]) -> None:
     assert "Figure 1. Inertia of the axes over the poses: joint_1 over joint_2 and joint_3" in " ".join(pages)
 
 
+@WITHOUT_PANGO
 def test_words_of_the_figures_are_text(pages: list[str]) -> None:
     """Read by whoever searches the file, or has it read aloud."""
     whole = " ".join(pages)
@@ -70,6 +76,7 @@ def test_words_of_the_figures_are_text(pages: list[str]) -> None:
         assert words in whole
 
 
+@WITHOUT_PANGO
 @pytest.mark.parametrize("name", ["diagnosis-named", "diagnosis-open"])
 def test_a_diagnosis_on_paper(name: str) -> None:
     document = Diagnosis.read(stored(name), name)
@@ -78,6 +85,12 @@ def test_a_diagnosis_on_paper(name: str) -> None:
     for axis in document.axes.values():
         assert axis.summary.split(".", maxsplit=1)[0] in text
     assert "noise floor" in text
+
+
+def test_where_pdf_cannot_be_made_it_is_told_what_to_install(max100: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "weasyprint", None)  # as where the extra is not installed
+    with pytest.raises(NoPdf, match=r"install sweepid\[pdf\] and the system's Pango"):
+        estimate_page(content(max100)).pdf()
 
 
 def test_tables_alone(max100: Robot) -> None:
