@@ -32,9 +32,8 @@ def report(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Write a report: verdict, origin, figures, tables and findings. Prints the files."""
-    wanted: list[tuple[Form, Path]] = [
-        (form, path) for form, path in (("html", file), ("pdf", pdf), ("json", tables)) if path is not None
-    ]
+    places: dict[Form, Path | None] = {"html": file, "pdf": pdf, "json": tables}
+    wanted = [(form, path) for form, path in places.items() if path is not None]
     if not wanted:
         raise BadInput("FILE", "is missing: name a file, or one with --pdf, or a folder with --tables")
     with waiting("drawing the report"):

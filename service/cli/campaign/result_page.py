@@ -2,7 +2,7 @@
 
 import hashlib
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from service.cli.documents import read_document
 from service.cli.recordings.bundle_page import bundle_page, made_now
@@ -32,7 +32,9 @@ def result_page(path: Path) -> Page:
 
 def _is_diagnosis(document: dict[str, Any]) -> bool:
     axes = document.get("axes")
-    return isinstance(axes, dict) and any(isinstance(axis, dict) and "verdict" in axis for axis in axes.values())
+    if not isinstance(axes, dict):
+        return False
+    return any(isinstance(axis, dict) and "verdict" in axis for axis in cast("dict[str, Any]", axes).values())
 
 
 def _estimate_page(found: Estimate, path: Path) -> Page:
