@@ -32,8 +32,9 @@ def report(
     url: Url = DEFAULT_URL,
 ) -> None:
     """Write a report: verdict, origin, figures, tables and findings. Prints the files."""
-    places: dict[Form, Path | None] = {"html": file, "pdf": pdf, "json": tables}
-    wanted = [(form, path) for form, path in places.items() if path is not None]
+    forms: tuple[Form, ...] = ("html", "pdf", "json")
+    places = zip(forms, (file, pdf, tables), strict=True)
+    wanted: list[tuple[Form, Path]] = [(form, path) for form, path in places if path is not None]
     if not wanted:
         raise BadInput("FILE", "is missing: name a file, or one with --pdf, or a folder with --tables")
     with waiting("drawing the report"):
