@@ -12,10 +12,12 @@ SOAK ?=  # more words for the soak, as: make soak SOAK="--seed 7 --minutes 30"
 
 SEED ?=  # of an order that test-random printed, to have it again
 
-.PHONY: demo docs test test-fast test-random test-vcan test-drives test-compose fuzz soak check format lock sbom audit openapi clean
+.PHONY: demo venv docs test test-fast test-random test-vcan test-drives test-compose fuzz soak check format lock sbom audit openapi clean
 
 demo: $(READY)  ## measure, identify and report a virtual robot
 	$(BIN)/sweepid demo --out demo-out
+
+venv: $(READY)  ## .venv with all that is needed; every other target does it as well
 
 docs: $(READY)  ## the documents as a site, docs/_build/index.html; warnings are errors
 	$(BIN)/sphinx-build -q -n -W --keep-going docs docs/_build

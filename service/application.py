@@ -34,6 +34,7 @@ from service.people.chain import Entry
 from service.people.keys import masked
 from service.planning.compiled_plan import compile_plan, plan_of, planned_sweeps
 from service.planning.motion_hash import machine_sha256, motion_sha256
+from service.report import Form, NoPdf
 from service.safety.robot_and_machine import DriveAxis, DriveProfile
 from service.settings import Settings
 from service.stop_process.handle import StopProcess
@@ -59,7 +60,7 @@ from service.store.people.writer import AuditWriter
 from service.store.requests import IdempotencyKeys
 from service.store.store import Store
 from service.tasks.background import Background
-from service.worker import Worker, open_worker
+from service.worker import Worker, Written, open_worker
 
 _log = structlog.get_logger(__name__)
 
@@ -147,10 +148,15 @@ class Application:
         self.files.take_over(work, saved.folder)
         return import_campaign(self.store, self.files, saved)
 
-    async def campaign_report(self, campaign_id: int) -> str:
-        """One HTML file, drawn by the worker; Conflict while nothing is identified."""
+    async def campaign_report(self, campaign_id: int, form: Form) -> str | bytes:
+        """Drawn by the worker; Conflict while nothing is identified, NoPdf where PDF cannot be made."""
         reporting = Reporting(self.store, self.diagnoses, self.checks, self.files)
-        return await self.worker.run(await asyncio.to_thread(reporting.job, campaign_id))
+        return _made(await self.worker.run(await asyncio.to_thread(reporting.job, campaign_id, form)))
+
+    async def diagnosis_report(self, diagnosis_id: int, form: Form) -> str | bytes:
+        """The same of a diagnosis; Conflict until it is done."""
+        reporting = Reporting(self.store, self.diagnoses, self.checks, self.files)
+        return _made(await self.worker.run(await asyncio.to_thread(reporting.of_diagnosis, diagnosis_id, form)))
 
     def _check_database(self) -> None:
         if self.lost:
@@ -159,6 +165,12 @@ class Application:
     def accept_model(self, diagnosis_id: int, axes: Sequence[str] | None, accepted_by: str) -> ModelDocument:
         """A diagnosis becomes the next revision of its robot's model (see `acceptance`); blocks."""
         return accept_model(self.store, self.diagnoses, self.models, diagnosis_id, axes, accepted_by)
+
+
+def _made(written: Written) -> str | bytes:
+    if isinstance(written, NoPdf):
+        raise written
+    return written
 
 
 @asynccontextmanager

@@ -139,9 +139,9 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         """The latest revision."""
         return self._get(f"/campaigns/{campaign_id}/estimates/latest")
 
-    def campaign_report(self, campaign_id: int) -> str:
-        """One HTML page."""
-        return self._text(f"/campaigns/{campaign_id}/report")
+    def campaign_report(self, campaign_id: int, ending: str = "html") -> bytes:
+        """One page, as `html` or `pdf`; its tables as `json`."""
+        return self._file(f"/campaigns/{campaign_id}/report{'' if ending == 'html' else f'.{ending}'}")
 
     # -- diagnoses
     def add_diagnosis(
@@ -186,9 +186,9 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         wanted = {"axis": axis, "approved_by": approved_by, "test_mass": test_mass, "cell": cell}
         return self._post(f"/diagnoses/{diagnosis_id}/experiment", wanted, timeout=_LONG_TIMEOUT)
 
-    def diagnosis_report(self, diagnosis_id: int) -> str:
-        """One HTML page."""
-        return self._text(f"/diagnoses/{diagnosis_id}/report.html")
+    def diagnosis_report(self, diagnosis_id: int, ending: str = "html") -> bytes:
+        """One page, as `html` or `pdf`; its tables as `json`."""
+        return self._file(f"/diagnoses/{diagnosis_id}/report.{ending}")
 
     def accept_model(self, diagnosis_id: int, accepted_by: str, axes: Sequence[str] | None = None) -> Json:
         """Take the named effects into the robot's model."""
@@ -203,7 +203,7 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
 
     def model_scenario(self, model_id: int) -> str:
         """YAML of the scenario that a virtual machine runs on."""
-        return self._text(f"/models/{model_id}/scenario.yaml")
+        return self._file(f"/models/{model_id}/scenario.yaml").decode()
 
     # -- the machine
     def ready(self) -> Json:
@@ -318,11 +318,11 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         _check(response)
         return cast("Json", response.json())
 
-    def _text(self, path: str) -> str:
-        """What is no JSON."""
+    def _file(self, path: str) -> bytes:
+        """What is no JSON document."""
         response = self._send("GET", path, timeout=_LONG_TIMEOUT)
         _check(response)
-        return response.text
+        return response.content
 
     def _all(self, path: str) -> list[Json]:
         items: list[Json] = []

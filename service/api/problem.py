@@ -20,6 +20,7 @@ from starlette.routing import Match
 
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady
 from service.errors import BadInput, Conflict, EnvelopeViolation, NotFound, NotNow, SweepidError
+from service.report import NoPdf
 from service.store.people.audit import AuditUnreadable
 from service.store.people.writer import NotAudited
 from service.store.requests import KeyReused
@@ -43,6 +44,7 @@ _STATUS: tuple[tuple[type[Exception], HTTPStatus], ...] = (
     (NotAudited, HTTPStatus.SERVICE_UNAVAILABLE),
     (AuditUnreadable, HTTPStatus.SERVICE_UNAVAILABLE),
     (DriveError, HTTPStatus.BAD_GATEWAY),
+    (NoPdf, HTTPStatus.NOT_IMPLEMENTED),
 )
 AGAIN = {"Retry-After": "5"}  # s, of what may be sent again as it is
 _METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")

@@ -30,10 +30,10 @@ def put_json(document: BaseModel, json_to: str | None) -> bool:
     return json_to == "-"
 
 
-def write_file(path: Path, text: str) -> None:
-    """Write a result where a person asked for it; BadInput if that cannot be."""
+def write_file(path: Path, content: str | bytes) -> None:
+    """Write a result where a person asked for it, text with an end of line; BadInput if that cannot be."""
     try:
-        path.write_text(text + "\n", encoding="utf-8")
+        path.write_bytes(content if isinstance(content, bytes) else f"{content}\n".encode())
     except OSError as error:
         raise BadInput(str(path), f"cannot be written: {error.strerror or error}") from None
 

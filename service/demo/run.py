@@ -19,7 +19,7 @@ from service.demo.truth import compare
 from service.errors import BadInput
 from service.geometry.cell import read_cell
 from service.planning.plan import PlanRequest, workspace_grid
-from service.report import Content, axes_of, content_of, render
+from service.report import Content, axes_of, content_of, estimate_page
 from service.results.estimate import Estimate
 from service.store.files.bundle import Bundle, read_bundle
 
@@ -87,7 +87,7 @@ def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> Outcome:
     )
     content = replace(content, subtitle=subtitle, truth=truth, truth_columns=columns, diagnosis=found.diagnosis)
     report = out / "report.html"
-    report.write_text(render(content), encoding="utf-8")
+    report.write_text(estimate_page(content).html(), encoding="utf-8")
     (out / "estimate.json").write_text(json.dumps(revisions[-1]["document"], indent=2) + "\n", encoding="utf-8")
     (out / "diagnosis.json").write_text(json.dumps(found.document, indent=2) + "\n", encoding="utf-8")
     return Outcome(content, found, report, out / "bundle")

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict
 from service.campaigns.linked_campaign import campaign_beside
 from service.errors import Conflict, NotFound
 from service.identification.motion.trajectory_record import runs_at_once
-from service.report import CampaignReport, Drive, example_of, used_sweeps
+from service.report import CampaignReport, Drive, Form, example_of, used_sweeps
 from service.results.check import DataCheck
 from service.results.estimate import Estimate
 from service.results.revision import ModelFile
@@ -22,7 +22,7 @@ from service.store.diagnosis_documents import DiagnosisDocument
 from service.store.documents import CampaignDocument, EstimateDocument, RecordingDocument, SweepDocument, SweepState
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
-from service.worker import RecordedSweep, ReportJob
+from service.worker import DiagnosisReportJob, RecordedSweep, ReportJob
 
 CONVERGENCE = 100  # revisions whose parameters are drawn, at most
 
@@ -56,7 +56,7 @@ class Reporting:
     checks: CheckStore
     files: RecordingFiles
 
-    def job(self, campaign_id: int) -> ReportJob:
+    def job(self, campaign_id: int, form: Form) -> ReportJob:
         """The report of a campaign with its latest estimate; Conflict while it has none, or one that tells nothing."""
         campaign = self.store.campaign(campaign_id)
         estimate = self._estimate(campaign)
@@ -100,7 +100,7 @@ class Reporting:
             test_mass=None if mass is None else mass.mass,
         )
         return ReportJob(
-            key=f"report-{campaign_id}-{estimate.revision}-{made.isoformat()}",
+            key=f"report-{form}-{campaign_id}-{estimate.revision}-{made.isoformat()}",
             robot=robot.description,
             urdf_text=robot.urdf_text,
             report=report,
@@ -110,6 +110,30 @@ class Reporting:
             revisions=tuple(
                 self.store.base_parameters(campaign_id, spread(estimate.revision)).items() if specs else ()
             ),
+            form=form,
+        )
+
+    def of_diagnosis(self, diagnosis_id: int, form: Form) -> DiagnosisReportJob:
+        """The report of a diagnosis; Conflict until it is done."""
+        diagnosis = self.diagnoses.diagnosis(diagnosis_id)
+        found = diagnosis.found()
+        robot = self.store.robot(diagnosis.robot_id)
+        campaigns = ", ".join(str(number) for number in diagnosis.campaigns)
+        made = datetime.now(UTC)
+        finished = "" if diagnosis.finished_at is None else _time(diagnosis.finished_at)
+        return DiagnosisReportJob(
+            key=f"diagnosis-report-{form}-{diagnosis_id}-{made.isoformat()}",
+            diagnosis=found,
+            title=f"Diagnosis {diagnosis_id} of {robot.name}",
+            subtitle=f"Campaigns {campaigns}",
+            origin=(
+                ("robot", f"{robot.name}, number {robot.id} of this service"),
+                ("robot document", f"SHA-256 {robot.sha256}"),
+                ("evidence", f"campaigns {campaigns}"),
+                ("diagnosis", f"number {diagnosis_id}, {finished}"),
+                ("report", f"{_time(made)}, sweepid {version('sweepid')}"),
+            ),
+            form=form,
         )
 
     def _estimate(self, campaign: CampaignDocument) -> EstimateDocument:

@@ -1,4 +1,5 @@
-"""The report of a campaign: verdict, origin, what was identified, what the data's check and a diagnosis found."""
+"""The report of a campaign, a bundle or an estimate: verdict, origin, what was identified, what the data's check and a
+diagnosis found."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,13 +8,12 @@ from html import escape
 from service.report.content import Content
 from service.report.diagnosis import diagnosis_section, findings
 from service.report.html import Page
-from service.report.page import analysis_section, estimate_sections
+from service.report.page import analysis_section, estimate_sections, parameters_section
 from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict
 from service.results.check import DataCheck
 from service.results.combination import Combination
 from service.results.diagnosis import Diagnosis
 from service.results.estimate import Estimate, Suspect
-from service.robot import Robot
 
 _LOOK = {CONFIRMED: "none", OPEN: "ambiguous", CONTRADICTED: "unknown"}  # of the card; the word stands in it
 
@@ -48,32 +48,32 @@ class CampaignReport:
     test_mass: float | None = None
 
 
-def render_campaign(report: CampaignReport, robot: Robot, estimate: Estimate, content: Content | None) -> str:
-    """One HTML file. `content`: None where the estimate has no inertia of an axis by itself."""
-    page = Page()
-    page.add(f"<h1>{escape(report.title)}</h1>", f'<p class="lead">{escape(report.subtitle)}</p>')
+def campaign_page(report: CampaignReport, joints: Sequence[str], estimate: Estimate, content: Content | None) -> Page:
+    """`content`: None where the estimate has no inertia of an axis by itself, or its sweeps are not at hand."""
+    page = Page(report.title, report.subtitle)
     found = verdict(estimate, report.check, report.diagnosis, report.test_mass)
     page.add(
         f'<div class="card {_LOOK[found.standing]}"><p class="verdict"><b>{found.standing}.</b> '
         f"{escape(found.sentence)}</p></div>"
     )
     _origin(page, report)
+    page.first_page_ends()
     if content is not None:
         estimate_sections(page, content)
     else:
-        analysis_section(page, robot, estimate.analysis)
+        analysis_section(page, joints, estimate.analysis)
+        _tables(page, estimate)
     if estimate.combination is not None:
         _combination(page, estimate.combination)
     _suspects(page, estimate.suspect)
     _check(page, report.check)
     if report.diagnosis is not None:
         diagnosis_section(page, report.diagnosis[1])
-    return page.html(report.title)
+    return page
 
 
 def _origin(page: Page, report: CampaignReport) -> None:
-    page.add("<h2>Origin</h2>")
-    page.facts_table(report.origin)
+    page.origin(report.origin)
     page.add("<h3>Drives</h3>")
     if not report.drives:
         page.add("<p>Not recorded: the sweeps were imported, or measured without a fieldbus.</p>")
@@ -91,6 +91,32 @@ def _origin(page: Page, report: CampaignReport) -> None:
             for one in report.drives
         ],
     )
+
+
+def _tables(page: Page, estimate: Estimate) -> None:
+    """What an estimate says of the axes where nothing can be drawn; nothing where it says nothing."""
+    if not estimate.axes:
+        return
+    page.add("<h2>Inertia of the axes, sweep by sweep</h2>", "<p>kg m² (kg); reference: the CAD model.</p>")
+    rows = [
+        [joint, one.sweep, f"{one.value:.5g}", f"{one.std:.2g}", f"{one.identified:.5g}", f"{one.reference:.5g}"]
+        for joint, axis in estimate.axes.items()
+        for one in axis.inertia
+    ]
+    page.table(["axis", "sweep", "measured", "± std", "identified", "reference"], rows)
+    page.add(
+        "<h2>How well the models fit</h2>", "<p>Root-mean-square error in percent, as in Table 1 of the paper.</p>"
+    )
+    fits = [
+        [
+            joint,
+            *(f"{size:.2f}" for size in (fit.reference_measured, fit.identified_measured, fit.reference_identified)),
+        ]
+        for joint, fit in ((joint, axis.rmse_percent) for joint, axis in estimate.axes.items())
+    ]
+    head = ["axis", "reference − measurement", "identified − measurement", "reference − identified, workspace"]
+    page.table(head, fits)
+    parameters_section(page, estimate)
 
 
 def _combination(page: Page, combination: Combination) -> None:
@@ -127,7 +153,9 @@ def _suspects(page: Page, suspects: Sequence[Suspect]) -> None:
 def _check(page: Page, check: DataCheck | None) -> None:
     page.add("<h2>Check of the data</h2>")
     if check is None:
-        page.add("<p>Not made yet: it follows when the campaign is over.</p>")
+        page.add(
+            "<p>Not made yet: the service makes it when a campaign is over, <code>sweepid check</code> of a bundle.</p>"
+        )
     elif not check.findings:
         page.add("<p>Nothing found.</p>")
     else:

@@ -43,14 +43,16 @@ def figures_of(axis: AxisDiagnosis) -> dict[str, Figure]:
     return {name: figure for name, figure in made.items() if figure is not None}
 
 
-def diagnosis_page(document: Diagnosis, title: str, subtitle: str = "") -> str:
-    """One HTML file."""
-    page = Page()
-    page.add(f"<h1>{escape(title)}</h1>", f'<p class="lead">{escape(subtitle)}</p>')
+def diagnosis_page(document: Diagnosis, title: str, subtitle: str = "", origin: Sequence[tuple[str, str]] = ()) -> Page:
+    """A report of a diagnosis alone. `origin`: what, and what is known of it, in order."""
+    page = Page(title, subtitle)
+    if origin:
+        page.add(*(f"<p><b>{escape(axis.summary)}</b></p>" for axis in document.axes.values()))
+        page.origin(origin)
     for joint, axis in document.axes.items():
         page.add(f"<h2>{escape(joint)}</h2>")
         _axis(page, joint, axis)
-    return page.html(title)
+    return page
 
 
 def diagnosis_section(page: Page, document: Diagnosis) -> None:

@@ -1,11 +1,18 @@
-"""One HTML file: tables as HTML, figures drawn by the plotly.js of the installed wheel, inlined."""
+"""A report, to be written as one HTML file (figures drawn by the plotly.js of the installed wheel, inlined), as PDF
+(figures as SVG), or as its tables alone."""
 
 import json
+import re
 from collections.abc import Iterable, Sequence
-from html import escape
+from html import escape, unescape
 from importlib.resources import files
+from typing import Literal
 
 from service.report.drawing import Figure
+from service.report.paper.document import paper_html
+from service.report.paper.pdf import pdf_of
+
+Form = Literal["html", "pdf", "json"]
 
 _STYLE = """
 :root { color-scheme: light; }
@@ -96,36 +103,57 @@ Promise.all(Object.entries(figures).map(draw)).then(() => { document.documentEle
 
 
 class Page:
-    """Collects the body and the figures."""
+    """Collects title, body, figures and tables."""
 
-    def __init__(self) -> None:
-        self._body: list[str] = []
-        self._figures: dict[str, Figure] = {}
+    def __init__(self, title: str, lead: str = "") -> None:
+        self._title = title
+        self._parts: list[str | Figure] = [f"<h1>{escape(title)}</h1>"]
+        if lead:
+            self._parts.append(f'<p class="lead">{escape(lead)}</p>')
+        self._tables: list[dict[str, object]] = []
+        self._section = ["", ""]
+        self._first = len(self._parts)  # so many parts stand before the contents of the PDF
 
     def add(self, *parts: str) -> None:
         """Markup as it is: escape what comes from elsewhere."""
-        self._body += parts
+        for part in parts:
+            if part.startswith("<h2>"):
+                self._section = [_plain(part), ""]
+            elif part.startswith("<h3>"):
+                self._section[1] = _plain(part)
+            self._parts.append(part)
+
+    def origin(self, facts: Iterable[tuple[str, str]]) -> None:
+        """Where all of it comes from: the end of the first page, unless more is told of it."""
+        self.add("<h2>Origin</h2>")
+        self.facts_table(facts)
+        self.first_page_ends()
+
+    def first_page_ends(self) -> None:
+        """What follows comes after the contents, where there are any."""
+        self._first = len(self._parts)
 
     def figure(self, figure: Figure) -> None:
         """A figure of its layout's height."""
-        name = f"figure-{len(self._figures) + 1}"
-        self._figures[name] = figure
-        self._body.append(
-            f'<div class="card"><div id="{name}" style="height:{figure["layout"]["height"]}px"></div></div>'
-        )
+        self._parts.append(figure)
 
     def facts(self, facts: Iterable[tuple[str, str]]) -> None:
         """Large values with their names beneath."""
+        facts = list(facts)
         cells = "".join(f"<div><b>{escape(value)}</b><span>{escape(name)}</span></div>" for value, name in facts)
-        self._body.append(f'<div class="facts">{cells}</div>')
+        self._parts.append(f'<div class="facts">{cells}</div>')
+        self._tell_table(["", "value"], [(name, value) for value, name in facts])
 
     def facts_table(self, facts: Iterable[tuple[str, str]]) -> None:
         """Names and what is told of them, which may be long."""
+        facts = list(facts)
         rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(told)}</td></tr>" for name, told in facts)
-        self._body.append(f'<div class="card"><table class="told"><tbody>{rows}</tbody></table></div>')
+        self._parts.append(f'<div class="card"><table class="told"><tbody>{rows}</tbody></table></div>')
+        self._tell_table(["", "value"], facts)
 
     def table(self, head: Iterable[str], rows: Iterable[Sequence[str]], first: str = "") -> None:
         """Plain text in rows; `first`: CSS class of the first column."""
+        head, rows = list(head), list(rows)
         top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
         body = "".join(
             f'<tr><td class="{first}">{escape(row[0])}</td>'
@@ -134,25 +162,57 @@ class Page:
             for row in rows
         )
         table = f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
-        self._body.append(f'<div class="card scroll">{table}</div>')
+        self._parts.append(f'<div class="card scroll">{table}</div>')
+        self._tell_table(head, rows)
 
-    def html(self, title: str) -> str:
+    def written(self, form: Form) -> str | bytes:
+        """The report in one of its forms; NoPdf where PDF cannot be made."""
+        match form:
+            case "html":
+                return self.html()
+            case "pdf":
+                return self.pdf()
+            case "json":
+                return json.dumps({"title": self._title, "tables": self._tables}, indent=2, ensure_ascii=False)
+
+    def html(self) -> str:
         """The file; about 5 MB, nearly all of it plotly.js."""
+        figures: dict[str, Figure] = {}
+        body: list[str] = []
+        for part in self._parts:
+            if isinstance(part, str):
+                body.append(part)
+                continue
+            name = f"figure-{len(figures) + 1}"
+            figures[name] = part
+            body.append(f'<div class="card"><div id="{name}" style="height:{part["layout"]["height"]}px"></div></div>')
         # "</" would end the script element early; JSON may escape the slash
-        data = json.dumps(self._figures, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
+        data = json.dumps(figures, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
         return "\n".join(
             (
                 "<!doctype html>",
                 '<html lang="en"><head><meta charset="utf-8">',
                 '<meta name="viewport" content="width=device-width, initial-scale=1">',
-                f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body><main>",
-                *self._body,
+                f"<title>{escape(self._title)}</title><style>{_STYLE}</style></head><body><main>",
+                *body,
                 "</main>",
                 f"<script>{plotly_js()}</script>",
                 f'<script type="application/json" id="figures">{data}</script>',
                 f"<script>{_SCRIPT}</script></body></html>",
             )
         )
+
+    def pdf(self) -> bytes:
+        """A4, with contents and numbered figures; NoPdf where it cannot be made."""
+        return pdf_of(paper_html(self._title, self._parts[: self._first], self._parts[self._first :]))
+
+    def _tell_table(self, head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+        section = ": ".join(part for part in self._section if part) or self._title
+        self._tables.append({"section": section, "head": list(head), "rows": [list(row) for row in rows]})
+
+
+def _plain(markup: str) -> str:
+    return unescape(re.sub(r"<[^>]*>", "", markup))
 
 
 def plotly_js() -> str:

@@ -11,42 +11,40 @@ from service.report.content import Axis, Content, axes_of
 from service.report.diagnosis import diagnosis_section
 from service.report.html import Page
 from service.results.analysis import Analyses
+from service.results.estimate import Estimate
 from service.robot import Robot
 
 
-def render(content: Content) -> str:
-    """The whole report; deterministic for equal content. About 5 MB, nearly all of it plotly.js."""
-    page = Page()
-    page.add(f"<h1>{escape(content.title)}</h1>", f'<p class="lead">{escape(content.subtitle)}</p>')
+def estimate_page(content: Content) -> Page:
+    """The whole report; deterministic for equal content."""
+    page = Page(content.title, content.subtitle)
     estimate_sections(page, content)
     if content.diagnosis is not None:
         diagnosis_section(page, content.diagnosis)
-    return page.html(content.title)
+    return page
 
 
 def estimate_sections(page: Page, content: Content) -> None:
     """All that an estimate tells, from the facts to the base parameters."""
     axes = axes_of(content)
     _facts(page, content, axes)
-    analysis_section(page, content.robot, content.estimate.analysis)
+    analysis_section(page, content.robot.joints, content.estimate.analysis)
     _inertias(page, content, axes)
     _accuracy(page, content, axes)
     _convergence(page, content)
     _example(page, content)
-    _parameters(page, content)
+    parameters_section(page, content.estimate)
 
 
-def render_analysis(robot: Robot, analysis: Analyses) -> str:
+def analysis_page(robot: Robot, analysis: Analyses) -> Page:
     """A report of an initial analysis alone."""
-    title = f"Initial analysis of the robot {robot.name}"
-    page = Page()
-    page.add(f"<h1>{escape(title)}</h1>")
-    analysis_section(page, robot, analysis)
-    return page.html(title)
+    page = Page(f"Initial analysis of the robot {robot.name}")
+    analysis_section(page, robot.joints, analysis)
+    return page
 
 
-def analysis_section(page: Page, robot: Robot, analysis: Analyses) -> None:
-    """Of the initial analysis of an estimate; nothing where it is empty."""
+def analysis_section(page: Page, joints: Sequence[str], analysis: Analyses) -> None:
+    """Of the initial analysis of an estimate, in the order of `joints`; nothing where it is empty."""
     analyses = analyses_from(analysis)
     if not analyses:
         return
@@ -61,11 +59,11 @@ def analysis_section(page: Page, robot: Robot, analysis: Analyses) -> None:
         page.figure(initial_analysis.amplitude_responses(axis))
         page.add(
             "<p>The same as an apparent inertia, pose by pose. Dashed: the asymptotes of inertia and friction. Dotted: "
-            "the corner, the ideal frequency (blue) and the locked-rotor frequency of the fit.</p>"
+            "the corner, the ideal frequency (blue, in the middle) and the locked-rotor frequency of the fit.</p>"
         )
         page.figure(initial_analysis.ideal_frequencies(axis))
     page.add("<p>Both ways side by side, with one standard deviation: by the fit, in brackets by the asymptotes.</p>")
-    page.table(*initial_analysis.table(analyses, robot.joints))
+    page.table(*initial_analysis.table(analyses, joints))
 
 
 def _facts(page: Page, content: Content, axes: Sequence[Axis]) -> None:
@@ -154,7 +152,8 @@ def _example(page: Page, content: Content) -> None:
         page.figure(figures.in_frequency(content.example))
 
 
-def _parameters(page: Page, content: Content) -> None:
+def parameters_section(page: Page, estimate: Estimate) -> None:
+    """The base parameters, and which of them are not for use."""
     page.add(
         "<h2>Base parameters</h2>",
         "<p>The combinations of inertial parameters that the inertias determine; kg, kg m and kg m², each about its "
@@ -167,7 +166,7 @@ def _parameters(page: Page, content: Content) -> None:
             "–" if entry.std is None else f"{entry.std:.2g}",
             not_for_use(entry),
         ]
-        for entry in content.estimate.base_parameters
+        for entry in estimate.base_parameters
     ]
     page.table(["parameter", "value", "± std", "not for use"], rows, "name")
     if any(row[-1] for row in rows):
@@ -175,7 +174,7 @@ def _parameters(page: Page, content: Content) -> None:
             f"<p>Not for use: a value whose standard deviation is more than {100 * UNSURE:.0f} % of it, or that the "
             "data tell no better than the CAD model does, which then stands here.</p>"
         )
-    for symbol, of in content.estimate.symbols.items():
+    for symbol, of in estimate.symbols.items():
         page.add(f'<p class="note">{escape(symbol)} = {of.value:.5g} {escape(of.unit)}, {escape(of.meaning)}</p>')
     page.add(
         '<p class="note">Standard deviations are conditional on the torque constants: a torque constant that is wrong '

@@ -5,12 +5,13 @@ from contextlib import asynccontextmanager
 
 from service.worker.jobs import CheckJob, DiagnosisJob, Job, RecordedSweep, Result, Work
 from service.worker.process import WorkerProcess
-from service.worker.report_job import ReportJob
+from service.worker.report_job import DiagnosisReportJob, ReportJob, Written
 from service.worker.worker import JobFailed, Worker, WorkerLost, work
 
 __all__ = [
     "CheckJob",
     "DiagnosisJob",
+    "DiagnosisReportJob",
     "Job",
     "JobFailed",
     "RecordedSweep",
@@ -19,6 +20,7 @@ __all__ = [
     "Work",
     "Worker",
     "WorkerLost",
+    "Written",
     "open_worker",
     "work",
 ]

@@ -1,11 +1,12 @@
-"""The report of a campaign, drawn in the worker: it takes seconds that would delay set-points."""
+"""Reports, drawn in the worker: they take seconds that would delay set-points."""
 
 from dataclasses import dataclass
 
 from pydantic import JsonValue, TypeAdapter
 
 from service.recording import SweepSpec
-from service.report import CampaignReport, content_of, render_campaign
+from service.report import CampaignReport, Form, NoPdf, Page, campaign_page, content_of, diagnosis_page
+from service.results.diagnosis import Diagnosis
 from service.results.estimate import BaseParameter, Estimate
 from service.robot import RobotDescription, build_robot
 from service.worker.jobs import RecordedSweep
@@ -15,7 +16,7 @@ _PARAMETERS = TypeAdapter(tuple[BaseParameter, ...])
 
 @dataclass(frozen=True, slots=True)
 class ReportJob:
-    """One HTML file of an estimate.
+    """Of an estimate.
 
     `specs`: of the sweeps whose inertia it has, none where it has no axis; `example` is one of them. `revisions`:
     number and "base_parameters" of estimates on the way.
@@ -29,12 +30,13 @@ class ReportJob:
     specs: tuple[SweepSpec, ...]
     example: RecordedSweep | None
     revisions: tuple[tuple[int, JsonValue], ...]
+    form: Form
 
     @property
     def priority(self) -> int:
         return 0
 
-    def __call__(self) -> str:
+    def __call__(self) -> "Written":
         robot = build_robot(self.robot, self.urdf_text)
         content = None
         if self.example is not None:
@@ -47,4 +49,34 @@ class ReportJob:
                 self.report.subtitle,
                 revisions=[(number, _PARAMETERS.validate_python(found)) for number, found in self.revisions],
             )
-        return render_campaign(self.report, robot, self.estimate, content)
+        return _written(campaign_page(self.report, robot.joints, self.estimate, content), self.form)
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisReportJob:
+    """Of a diagnosis. `origin`: what, and what is known of it."""
+
+    key: str
+    diagnosis: Diagnosis
+    title: str
+    subtitle: str
+    origin: tuple[tuple[str, str], ...]
+    form: Form
+
+    @property
+    def priority(self) -> int:
+        return 0
+
+    def __call__(self) -> "Written":
+        return _written(diagnosis_page(self.diagnosis, self.title, self.subtitle, self.origin), self.form)
+
+
+Written = str | bytes | NoPdf
+"""A report, or why there is none in its form."""
+
+
+def _written(page: Page, form: Form) -> Written:
+    try:
+        return page.written(form)
+    except NoPdf as error:
+        return error

@@ -6,7 +6,7 @@ import pytest
 from playwright.sync_api import Page
 
 from service.configuration import read_robot
-from service.report import render
+from service.report import estimate_page
 from tests.browser.browsing import WITHOUT_BROWSER, browsing
 from tests.unit.service.report.test_report import content, sweep
 
@@ -22,7 +22,7 @@ _CUT = """() => [...document.querySelectorAll(".main-svg, .printed, table, .fact
 def file(root: Path, tmp_path: Path) -> Path:
     robot = read_robot(root / "config" / "robots" / "max100-class.yaml")
     file = tmp_path / "report.html"
-    file.write_text(render(content(robot, example=sweep())), encoding="utf-8")
+    file.write_text(estimate_page(content(robot, example=sweep())).html(), encoding="utf-8")
     return file
 
 

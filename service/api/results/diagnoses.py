@@ -17,7 +17,7 @@ from service.api.idempotent import IdempotentRoute
 from service.diagnosis_loop.starting import Start
 from service.errors import Conflict
 from service.planning.diagnosis.documents import CELL_NAME
-from service.report.diagnosis import diagnosis_figures, diagnosis_page
+from service.report.diagnosis import diagnosis_figures
 from service.report.drawing import Figure
 from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, DiagnosisEntry, ModelDocument
 from service.store.documents import LARGEST_ID, PlanRecord
@@ -108,21 +108,6 @@ def get_diagnosis(diagnosis_id: Id, application: ApplicationOf) -> DiagnosisDocu
 def get_diagnosis_figures(diagnosis_id: Id, application: ApplicationOf) -> Figures:
     """409 until the diagnosis is done."""
     return Figures(axes=diagnosis_figures(application.diagnoses.diagnosis(diagnosis_id).found()))
-
-
-@router.get(
-    "/{diagnosis_id}/report.html",
-    response_class=Response,
-    responses={200: {"content": {"text/html": {"schema": {"type": "string"}}}}},
-)
-def get_diagnosis_report(diagnosis_id: Id, application: ApplicationOf) -> Response:
-    """One file that needs no network. 409 until the diagnosis is done."""
-    diagnosis = application.diagnoses.diagnosis(diagnosis_id)
-    found = diagnosis.found()
-    robot = application.store.robot(diagnosis.robot_id)
-    campaigns = ", ".join(str(number) for number in diagnosis.campaigns)
-    page = diagnosis_page(found, f"Diagnosis {diagnosis_id} of {robot.name}", f"Campaigns {campaigns}")
-    return Response(page, media_type="text/html")
 
 
 @router.post("/{diagnosis_id}/plan", status_code=201, response_model=PlanView)

@@ -1,17 +1,61 @@
-"""The report of a campaign: one page to read, print and keep."""
+"""Reports of campaigns and diagnoses: one page to read, print and keep, as PDF, or their tables alone."""
+
+from enum import StrEnum
+from typing import Any
 
 from fastapi import APIRouter, Response
 
 from service.api.dependencies import ApplicationOf, Id
+from service.report import Form
 
-router = APIRouter(prefix="/campaigns/{campaign_id}/report", tags=["reports"])
+router = APIRouter(tags=["reports"])
 
 
-@router.get(
-    "",
-    response_class=Response,
-    responses={200: {"content": {"text/html": {"schema": {"type": "string"}}}}},
-)
+class ReportFile(StrEnum):
+    """By the file's ending: for paper (A4), or all tables of the report, by section, as text."""
+
+    PDF = "pdf"
+    JSON = "json"
+
+
+_HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {"schema": {"type": "string"}}}}}
+_FILES: dict[int | str, dict[str, Any]] = {
+    200: {
+        "content": {
+            "application/pdf": {"schema": {"type": "string", "format": "binary"}},
+            "application/json": {"schema": {"type": "object"}},
+        }
+    }
+}
+_FORMS: dict[ReportFile, Form] = {ReportFile.PDF: "pdf", ReportFile.JSON: "json"}
+
+
+@router.get("/campaigns/{campaign_id}/report", response_class=Response, responses=_HTML)
 async def get_campaign_report(campaign_id: Id, application: ApplicationOf) -> Response:
     """One file that needs no network, of the latest estimate. 409 until a sweep is identified."""
-    return Response(await application.campaign_report(campaign_id), media_type="text/html")
+    return Response(await application.campaign_report(campaign_id, "html"), media_type="text/html")
+
+
+@router.get("/campaigns/{campaign_id}/report.{ending}", response_class=Response, responses=_FILES)
+async def get_campaign_report_file(campaign_id: Id, ending: ReportFile, application: ApplicationOf) -> Response:
+    """409 until a sweep is identified; 501 where the service cannot make PDF."""
+    written = await application.campaign_report(campaign_id, _FORMS[ending])
+    return _file(written, ending, f"campaign-{campaign_id}")
+
+
+@router.get("/diagnoses/{diagnosis_id}/report.html", response_class=Response, responses=_HTML)
+async def get_diagnosis_report(diagnosis_id: Id, application: ApplicationOf) -> Response:
+    """One file that needs no network. 409 until the diagnosis is done."""
+    return Response(await application.diagnosis_report(diagnosis_id, "html"), media_type="text/html")
+
+
+@router.get("/diagnoses/{diagnosis_id}/report.{ending}", response_class=Response, responses=_FILES)
+async def get_diagnosis_report_file(diagnosis_id: Id, ending: ReportFile, application: ApplicationOf) -> Response:
+    """409 until the diagnosis is done; 501 where the service cannot make PDF."""
+    written = await application.diagnosis_report(diagnosis_id, _FORMS[ending])
+    return _file(written, ending, f"diagnosis-{diagnosis_id}")
+
+
+def _file(written: str | bytes, ending: ReportFile, name: str) -> Response:
+    disposition = {"Content-Disposition": f'attachment; filename="{name}-report.{ending.value}"'}
+    return Response(written, media_type=f"application/{ending.value}", headers=disposition)

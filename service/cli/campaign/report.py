@@ -1,4 +1,4 @@
-"""`sweepid report CAMPAIGN FILE`: the report of a campaign of the service, as one page."""
+"""`sweepid report OF`: what is known of a campaign, a diagnosis, a bundle or a result, to read, print and keep."""
 
 import sys
 from pathlib import Path
@@ -7,18 +7,51 @@ from typing import Annotated
 import typer
 
 from service.cli.address import DEFAULT_URL, Url
+from service.cli.campaign.result_page import result_page
+from service.cli.campaign.tables import write_tables
 from service.cli.documents import write_file
 from service.cli.waiting import waiting
 from service.client import ServiceClient
+from service.errors import BadInput
+from service.report import Form
 
 
 def report(
-    campaign: Annotated[int, typer.Argument(min=1, help="Number of a campaign.")],
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="HTML file to write.")],
+    of: Annotated[
+        str,
+        typer.Argument(
+            metavar="CAMPAIGN|BUNDLE|RESULT",
+            help="Number of a campaign, directory of a bundle, or file of `identify --json` or `diagnose --json`.",
+            show_default=False,
+        ),
+    ],
+    file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="HTML file to write.")] = None,
+    pdf: Annotated[Path | None, typer.Option(help="Write it as PDF (A4), too.", metavar="FILE")] = None,
+    tables: Annotated[Path | None, typer.Option(help="Write its tables here, CSV and JSON.", metavar="DIR")] = None,
+    diagnosis: Annotated[bool, typer.Option("--diagnosis", help="The number is that of a diagnosis.")] = False,
     url: Url = DEFAULT_URL,
 ) -> None:
-    """Write the report of a campaign: verdict, origin, figures, tables and findings. Prints the file."""
-    with ServiceClient(url) as client, waiting("the service draws the report"):
-        page = client.campaign_report(campaign)
-    write_file(file, page)
-    sys.stdout.write(f"{file}\n")
+    """Write a report: verdict, origin, figures, tables and findings. Prints the files."""
+    forms: tuple[Form, ...] = ("html", "pdf", "json")
+    places = zip(forms, (file, pdf, tables), strict=True)
+    wanted: list[tuple[Form, Path]] = [(form, path) for form, path in places if path is not None]
+    if not wanted:
+        raise BadInput("FILE", "is missing: name a file, or one with --pdf, or a folder with --tables")
+    with waiting("drawing the report"):
+        if of.isdecimal():
+            written = _of_service(int(of), diagnosis, [form for form, _ in wanted], url)
+        else:
+            page = result_page(Path(of))
+            written = [page.written(form) for form, _ in wanted]
+    for (form, path), content in zip(wanted, written, strict=True):
+        if form == "json":
+            write_tables(path, content)
+        else:
+            write_file(path, content)
+        sys.stdout.write(f"{path}\n")
+
+
+def _of_service(number: int, diagnosis: bool, forms: list[Form], url: str) -> list[str | bytes]:
+    with ServiceClient(url) as client:
+        drawn = client.diagnosis_report if diagnosis else client.campaign_report
+        return [drawn(number, form) for form in forms]

@@ -53,7 +53,7 @@ def diagnose(
     if scenario is not None:
         write_scenario(scenario, measured.robot, found.model)
     if report is not None:
-        write_file(report, diagnosis_page(found, f"Diagnosis of the robot {found.model.robot}", str(bundle)))
+        write_file(report, diagnosis_page(found, f"Diagnosis of the robot {found.model.robot}", str(bundle)).html())
     if put_json(found, json_to):
         return
     print_diagnosis(found, Console())

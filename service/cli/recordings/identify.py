@@ -10,6 +10,7 @@ from rich.progress import track
 from rich.table import Table
 
 from service.cli.documents import JsonTo, put_json, read_document, write_file
+from service.cli.recordings.bundle_page import bundle_page
 from service.cli.recordings.combination import print_combination
 from service.cli.recordings.gains_file import read_gains
 from service.cli.waiting import waiting
@@ -23,7 +24,6 @@ from service.identification.motion.free_motion import at_once, free_motions
 from service.identification.motion.trajectory_record import runs_at_once
 from service.identification.spectra.noise_response import has_reference
 from service.recording import Sweep
-from service.report import content_of, render, render_analysis, used_sweeps
 from service.results.analysis import Analyses
 from service.results.effect import Value
 from service.results.estimate import BaseParameter, Estimate, EstimatedAxis, Rmse
@@ -58,7 +58,7 @@ def identify(
         read_effects(model, measured.robot) if model else None,
     )
     if report is not None:
-        write_file(report, _report(measured, found, str(bundle)))
+        write_file(report, bundle_page(measured, found, str(bundle)).html())
     if put_json(found, json_to):
         return
     print_estimate(found, Console())
@@ -89,20 +89,6 @@ def identify_bundle(
     ]
     with waiting("estimating"):
         return estimate_document(bundle.robot, spectra, gains=gains, known=known, motions=motions)
-
-
-def _report(bundle: Bundle, found: Estimate, place: str) -> str:
-    """HTML. BadInput if there is nothing to report."""
-    if not found.axes:
-        if not found.analysis:
-            raise BadInput(
-                place, "has neither sweeps that show the inertia of one axis nor an initial analysis to report"
-            )
-        return render_analysis(bundle.robot, found.analysis)
-    sweeps = {sweep.spec.id: sweep for sweep in bundle.sweeps}
-    specs = used_sweeps(found, [sweep.spec for sweep in bundle.sweeps])
-    subtitle = f"Identified from {len(specs)} sweeps of the bundle {place}."
-    return render(content_of(bundle.robot, found, specs, lambda spec: sweeps[spec.id], subtitle))
 
 
 def read_effects(path: Path, robot: Robot) -> KnownEffects:

@@ -144,7 +144,7 @@ def test_it_is_shown_as_figures_and_as_a_page(client: ServiceClient, http: httpx
     figures = http.get(f"/diagnoses/{named['id']}/figures").json()["axes"]["joint_1"]
     assert {"map", "gap_by_pose", "example"} <= set(figures)
     assert all({"data", "layout"} <= set(figure) for figure in figures.values())
-    page = client.diagnosis_report(named["id"])
+    page = client.diagnosis_report(named["id"]).decode()
     assert page.startswith("<!doctype html>")
     assert "coulomb" in page
 

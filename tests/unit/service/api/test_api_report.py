@@ -1,16 +1,20 @@
 """The report of a campaign over HTTP and by the command; no machine answers, so nothing can move."""
 
 import hashlib
+import io
+import json
 import re
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from pypdf import PdfReader
 
 from service.client import ServiceClient
 from tests.command import sweepid
 from tests.unit.service.api.test_api_bundles import packed
+from tests.unit.service.report.pango import WITHOUT_PANGO
 
 PLAN: dict[str, Any] = {
     "cell": "workshop",
@@ -75,6 +79,23 @@ def list_told(data: Path, body: str) -> list[Path]:
     raise AssertionError(f"no folder of recordings has the list {told[1]}")
 
 
+@WITHOUT_PANGO
+def test_the_report_as_pdf(http: httpx.Client, campaign: int) -> None:
+    answer = http.get(f"/campaigns/{campaign}/report.pdf")
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "application/pdf")
+    text = " ".join(" ".join(page.extract_text() for page in PdfReader(io.BytesIO(answer.content)).pages).split())
+    for words in ("no diagnosis was made of it", "Origin", "Figure 1. Inertia of the axes", "sweepid 0."):
+        assert words in text
+
+
+def test_the_tables_of_the_report(http: httpx.Client, campaign: int) -> None:
+    answer = http.get(f"/campaigns/{campaign}/report.json")
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "application/json")
+    sections = [table["section"] for table in answer.json()["tables"]]
+    assert {"Origin", "How well the models fit", "Base parameters"} <= set(sections)
+    assert http.get(f"/campaigns/{campaign}/report.docx").status_code == 422
+
+
 def test_what_has_nothing_to_report_is_refused_in_one_line(http: httpx.Client, url: str, tmp_path: Path) -> None:
     robot = next(one["id"] for one in http.get("/robots").json()["items"] if one["name"] == "max100-class")
     plan = http.post("/plans", json=PLAN | {"robot_id": robot})
@@ -97,6 +118,11 @@ def test_the_command_writes_the_page(url: str, campaign: int, tmp_path: Path) ->
     done = sweepid("report", str(campaign), str(file), "--url", url)
     assert (done.returncode, done.stdout, done.stderr) == (0, f"{file}\n", "")
     assert file.read_text("utf-8").startswith("<!doctype html>")
+    tables = tmp_path / "tables"
+    done = sweepid("report", str(campaign), "--tables", str(tables), "--url", url)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"{tables}\n", "")
+    assert (tables / "01-origin.csv").read_text("utf-8").startswith(",value\nrobot,")
+    assert json.loads((tables / "tables.json").read_text("utf-8"))["tables"][0]["section"] == "Origin"
     done = sweepid("report", str(campaign), str(tmp_path / "no" / "report.html"), "--url", url)
     assert (done.returncode, done.stdout) == (2, "")
     assert "cannot be written: No such file" in done.stderr

@@ -32,9 +32,9 @@ def identify(bench: Bench, document: dict[str, Any], campaign_id: int = 1) -> No
 
 async def test_origin_drives_and_one_sweep_come_from_what_was_recorded(bench: Bench, robot: Robot) -> None:
     with pytest.raises(NotFound, match="campaign 99 does not exist"):
-        reporting(bench).job(99)
+        reporting(bench).job(99, "html")
     with pytest.raises(Conflict, match=r"campaign 1 \(planned\) has no identified sweep yet"):
-        reporting(bench).job(1)
+        reporting(bench).job(1, "html")
     await bench.runner.start(bench.campaign.id)
     await bench.runner.finished()
     bundle = campaign_bundle(bench.store, bench.files, 1)
@@ -46,7 +46,7 @@ async def test_origin_drives_and_one_sweep_come_from_what_was_recorded(bench: Be
         diagnoses.finish(number, diagnosis_document())
     diagnoses.add(NewDiagnosis(robot_id=1, campaigns=(1,), axes=("joint_3",)))  # waits
 
-    job = reporting(bench).job(1)
+    job = reporting(bench).job(1, "html")
     assert [(one.joint, one.address, one.serial, one.sweeps) for one in job.report.drives] == [
         (f"joint_{n}", f"node {n}", n, len(POSES)) for n in (1, 2, 3)
     ]
@@ -65,7 +65,7 @@ async def test_origin_drives_and_one_sweep_come_from_what_was_recorded(bench: Be
 
     path = bench.files.path(bench.store.recording(1, 1))
     path.with_suffix(".json").unlink()
-    assert [one.sweeps for one in reporting(bench).job(1).report.drives] == [3, 3, 3]
+    assert [one.sweeps for one in reporting(bench).job(1, "html").report.drives] == [3, 3, 3]
 
 
 async def test_who_approved_an_experiment_and_its_test_mass_are_told(bench: Bench, robot: Robot) -> None:
@@ -78,7 +78,7 @@ async def test_who_approved_an_experiment_and_its_test_mass_are_told(bench: Benc
     bench.store.begin_sweep(campaign.id, 1, sweep_move(SweepEvent.BEGIN))
     bench.store.end_sweep(campaign.id, 1, sweep_move(SweepEvent.RECORD))
     identify(bench, stored("estimate-free-motion"), campaign.id)
-    job = reporting(bench).job(campaign.id)
+    job = reporting(bench).job(campaign.id, "html")
     assert dict(job.report.origin)["ordered by"] == "Ada, who approved it as the experiment of a diagnosis"
     assert (job.report.test_mass, job.report.drives, job.example) == (20.0, (), None)
 
@@ -88,7 +88,7 @@ async def test_an_estimate_that_tells_nothing_is_refused(bench: Bench) -> None:
     bench.store.end_sweep(1, 1, sweep_move(SweepEvent.RECORD))
     identify(bench, {"axes": {}, "analysis": {}, "combination": None})
     with pytest.raises(Conflict, match="none of its identified sweeps shows an inertia, there is nothing to report"):
-        reporting(bench).job(1)
+        reporting(bench).job(1, "html")
 
 
 def test_the_revisions_that_are_drawn_are_few_and_end_with_the_last() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from service.configuration import read_robot
 from service.identification.model.certainty import not_for_use
-from service.report import CampaignReport, Content, Drive, content_of, render_campaign
+from service.report import CampaignReport, Content, Drive, campaign_page, content_of
 from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict
 from service.results.check import DataCheck, Finding
 from service.results.diagnosis import Diagnosis
@@ -166,7 +166,7 @@ def text_of(page: str) -> str:
 
 def test_the_page_begins_with_verdict_and_origin(max100: Robot) -> None:
     drawn: Content = content(max100)
-    page = render_campaign(report(), max100, drawn.estimate, drawn)
+    page = campaign_page(report(), max100.joints, drawn.estimate, drawn).html()
     text = text_of(page)
     order = [
         text.index(words)
@@ -184,13 +184,13 @@ def test_the_page_begins_with_verdict_and_origin(max100: Robot) -> None:
         )
     ]
     assert order == sorted(order)
-    assert render_campaign(report(), max100, drawn.estimate, drawn) == page
+    assert campaign_page(report(), max100.joints, drawn.estimate, drawn).html() == page
 
 
 def test_a_campaign_without_an_inertia_has_what_there_is(max100: Robot) -> None:
     one = {"name": "m(link_6)", "value": 12.0, "std": None, "identified": False, "reason": "not excited", "source": ""}
     document = estimate(axes={}, combination={"base_parameters": [one]})
-    text = text_of(render_campaign(report(drives=(), check=None), max100, document, None))
+    text = text_of(campaign_page(report(drives=(), check=None), max100.joints, document, None).html())
     assert "m(link_6) 12 – not excited not identified" in text
     assert "Not recorded: the sweeps were imported" in text
     assert "Not confirmed. No inertia of an axis by itself" in text

@@ -8,7 +8,7 @@ import pytest
 
 from service.identification.axis.ideal_frequency import AxisAnalysis
 from service.identification.estimates.analysis_document import analyses_document
-from service.report import render_analysis
+from service.report import analysis_page
 from service.report.initial_analysis import amplitude_responses, ideal_frequencies, table
 from tests.unit.service.campaigns.small_arm import small_arm
 from tests.unit.service.identification.test_ideal_frequency import FREQUENCY, LOADS, STIFF, analysis
@@ -55,7 +55,7 @@ def test_what_lies_above_the_band_is_not_told_to_a_tenth() -> None:
 
 
 def test_the_page_holds_two_figures_an_axis(found: AxisAnalysis) -> None:
-    page = render_analysis(small_arm(), analyses_document({"j1": found}))
+    page = analysis_page(small_arm(), analyses_document({"j1": found})).html()
     data = re.search(r'<script type="application/json" id="figures">(.*?)</script>', page, re.DOTALL)
     assert data is not None
     assert len(json.loads(data[1])) == 2

@@ -11,7 +11,7 @@ import pytest
 from service.configuration import read_robot
 from service.identification.model.regressor import axis_rows, lock
 from service.recording import Recording, Sine, Sweep, SweepSpec
-from service.report import Content, Row, axes_of, render
+from service.report import Content, Row, axes_of, estimate_page
 from service.report.content import revision
 from service.results.estimate import BaseParameter, Estimate
 from service.robot import INERTIAL_NAMES, Robot
@@ -104,13 +104,13 @@ def test_models_of_the_estimate(max100: Robot) -> None:
 
 
 def test_table_1_is_that_of_the_estimate(max100: Robot) -> None:
-    page = render(content(max100))
+    page = estimate_page(content(max100)).html()
     for label, figure in (("reference model − measurement", 9), ("identified model − measurement", 0.5)):
         assert f"{label}</td>" + 3 * f"<td>{figure:.2f}</td>" in page
 
 
 def test_one_file_that_loads_nothing(max100: Robot) -> None:
-    page = render(content(max100))
+    page = estimate_page(content(max100)).html()
     markup = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
     assert not re.search(r"\b(src|href)\s*=", markup)
     assert re.findall(r"<script[^>]*>", page) == [
@@ -119,12 +119,12 @@ def test_one_file_that_loads_nothing(max100: Robot) -> None:
         "<script>",
     ]
     assert "Robot &lt;1&gt;" in page
-    assert render(content(max100)) == page
+    assert estimate_page(content(max100)).html() == page
 
 
 def test_surface_and_points_as_in_the_papers_figure_2(max100: Robot) -> None:
     report = content(max100)
-    surface = figures(render(report))["figure-1"]["data"]
+    surface = figures(estimate_page(report).html())["figure-1"]["data"]
     assert [trace["type"] for trace in surface] == ["surface", "surface", "scatter3d"]
     assert surface[0]["x"] == pytest.approx([-28.648, 0.0, 28.648])
     assert np.shape(surface[0]["z"]) == (2, 3)
@@ -136,7 +136,7 @@ def test_surface_and_points_as_in_the_papers_figure_2(max100: Robot) -> None:
 def test_a_pose_that_is_not_free_leaves_a_hole(max100: Robot) -> None:
     whole = content(max100)
     report = content(max100, workspace=whole.workspace[1:])
-    assert figures(render(report))["figure-1"]["data"][0]["z"][0][0] is None
+    assert figures(estimate_page(report).html())["figure-1"]["data"][0]["z"][0][0] is None
 
 
 def test_convergence_starts_where_the_parameter_is_determined(max100: Robot) -> None:
@@ -146,13 +146,13 @@ def test_convergence_starts_where_the_parameter_is_determined(max100: Robot) -> 
     base = content(max100)
     estimate = base.estimate.model_copy(update={"base_parameters": step(0.1)})
     steps = [revision(step(std), ["a"], n) for n, std in enumerate((None, 1e6, 0.5, 0.1), start=1)]
-    page = render(content(max100, estimate=estimate, revisions=tuple(steps)))
+    page = estimate_page(content(max100, estimate=estimate, revisions=tuple(steps))).html()
     lines = [t for f in figures(page).values() for t in f["data"] if t.get("name") == "a"]
     assert [trace["x"] for trace in lines] == [[3, 4]]
 
 
 def test_example_sweep_in_time_and_frequency(max100: Robot) -> None:
-    found = figures(render(content(max100, example=sweep())))
+    found = figures(estimate_page(content(max100, example=sweep())).html())
     excited = [t for f in found.values() for t in f["data"] if t.get("name") == "velocity, excited"]
     assert excited[0]["x"] == [2.0]
     assert excited[0]["y"] == pytest.approx([4.0], rel=1e-3)  # mrad/s
@@ -162,7 +162,9 @@ def test_truth_and_what_is_not_determined(max100: Robot) -> None:
     base = content(max100)
     unknown = (BaseParameter(name="</script>", value=1.0, std=None),)
     estimate = base.estimate.model_copy(update={"condition_number": None, "base_parameters": unknown})
-    page = render(content(max100, estimate=estimate, truth_columns=AXES, truth=(Row("ours", ("0.1", "0.2", "0.3")),)))
+    page = estimate_page(
+        content(max100, estimate=estimate, truth_columns=AXES, truth=(Row("ours", ("0.1", "0.2", "0.3")),))
+    ).html()
     assert "<td>0.3</td>" in page
     assert page.count("</script>") == 3
     assert "&lt;/script&gt;" in page

@@ -1,0 +1,55 @@
+"""The report of what lies in files: a bundle, or what another command wrote with `--json`."""
+
+import hashlib
+from pathlib import Path
+from typing import Any, cast
+
+from service.cli.documents import read_document
+from service.cli.recordings.bundle_page import bundle_page, made_now
+from service.cli.recordings.identify import identify_bundle
+from service.errors import BadInput
+from service.report import CampaignReport, Page, campaign_page, diagnosis_page
+from service.results.diagnosis import Diagnosis
+from service.results.estimate import Estimate
+from service.store.files.bundle import read_bundle
+
+
+def result_page(path: Path) -> Page:
+    """Of a bundle (then identified and checked), an estimate, an initial analysis or a diagnosis; BadInput if none."""
+    if path.is_dir():
+        bundle = read_bundle(path)
+        found = Estimate.read(identify_bundle(bundle, None, str(path)), str(path))
+        return bundle_page(bundle, found, str(path))
+    document = read_document(path)
+    if _is_diagnosis(document):
+        found = Diagnosis.read(document, str(path))
+        robot = found.model.robot
+        return diagnosis_page(found, f"Diagnosis of the robot {robot}", str(path), (("robot", robot), *_origin(path)))
+    if not any(document.get(key) for key in ("axes", "analysis", "combination")):
+        raise BadInput(str(path), "is no result of `sweepid identify --json` or `sweepid diagnose --json`")
+    return _estimate_page(Estimate.read(document, str(path)), path)
+
+
+def _is_diagnosis(document: dict[str, Any]) -> bool:
+    axes = document.get("axes")
+    if not isinstance(axes, dict):
+        return False
+    return any(isinstance(axis, dict) and "verdict" in axis for axis in cast("dict[str, Any]", axes).values())
+
+
+def _estimate_page(found: Estimate, path: Path) -> Page:
+    """Tables alone: what the figures are drawn of are the sweeps, which a result does not have."""
+    report = CampaignReport(
+        title="Estimate" if found.axes or found.combination else "Initial analysis",
+        subtitle=f"Of the file {path.name}, without its sweeps.",
+        origin=tuple(_origin(path)),
+        drives=(),
+        check=None,
+        diagnosis=None,
+    )
+    return campaign_page(report, sorted(found.analysis), found, None)
+
+
+def _origin(path: Path) -> list[tuple[str, str]]:
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return [("file", str(path)), ("content", f"SHA-256 {digest}"), ("report", made_now())]
