@@ -320,8 +320,8 @@ class CanopenDevice:
 
     def _settle_rest(self) -> None:
         """Zero for what the drive would add to the set-points: it keeps what anybody wrote last."""
-        added = {"velocity_offset"} | ({"target_velocity"} if self.way is Way.VELOCITY_OFFSET else set())
-        present = tuple((self._map.entry(name), 0) for name in added - self._map.missing.keys() - {self.way.target})
+        added = [name for name in ("velocity_offset", "target_velocity") if name not in self._map.missing]
+        present = tuple((self._map.entry(name), 0) for name in added if name != self.way.target)
         configuration.settle(self.sdo, present)
 
     def _choose_way(self) -> Way | None:
