@@ -12,6 +12,7 @@ from canopen.objectdictionary import datatypes
 from tests.commission_bench import DRIVES, OWN, Cabinet
 
 BOTH = (OWN, "epos4")
+KINDS = (*BOTH, "gold", "plain")
 Change = Callable[[dict[str, Any], Path], dict[str, Any]]
 
 
@@ -126,7 +127,8 @@ def both(*changes: Change) -> Change:
 
 I16, I8 = datatypes.INTEGER16, datatypes.INTEGER8
 ALL = ("joint_1", "joint_2")  # what is wrong with map or machine is wrong with each
-EPOS4_ONLY, OWN_ONLY = ("epos4",), (OWN,)
+EPOS4_ONLY, OWN_ONLY, GOLD_ONLY = ("epos4",), (OWN,), ("gold",)
+WITH_GEAR = ("gold", "plain")  # in whose dictionaries 6091h is
 
 CASES = [
     # who
@@ -211,6 +213,11 @@ CASES = [
         axis(gear_ratio=-171.0, position_limits=[-2.96, 2.0]),
         kinds=EPOS4_ONLY,
     ),
+    Case("polarity of position", {"polarity"}, holds(0x607E, 0, 0x80), kinds=GOLD_ONLY),
+    Case("polarity of velocity", {"polarity"}, holds(0x607E, 0, 0x40), kinds=GOLD_ONLY),
+    Case("polarity of both", {"polarity"}, holds(0x607E, 0, 0xC0), kinds=GOLD_ONLY),
+    Case("gear ratio in the drive", {"gear"}, holds(0x6091, 1, 171), kinds=WITH_GEAR),
+    Case("gear ratio of shaft to motor", {"gear"}, holds(0x6091, 2, 2), kinds=WITH_GEAR),
     Case("gear too high", {"velocity-limit", "position-limits"}, change=axis(gear_ratio=342.0)),
     Case("gear too low", {"effort-limit", "limit"}, change=axis(gear_ratio=17.1), kinds=OWN_ONLY),
     Case("gear too low", {"effort-limit"}, change=axis(gear_ratio=1.71), kinds=EPOS4_ONLY),
@@ -248,6 +255,8 @@ CASES = [
     Case(
         "mapping refused", {"mapping-refused"}, all_of(holds(0x1A00, 2, 0x60770010), unmappable(0x606C)), kinds=OWN_ONLY
     ),
+    Case("mapping of the target refused", {"mapping-refused"}, unmappable(0x60FF), kinds=(*EPOS4_ONLY, *WITH_GEAR)),
+    Case("mapping of the position refused", {"mapping-refused"}, unmappable(0x6064), kinds=(*EPOS4_ONLY, *WITH_GEAR)),
     Case("mapping read-only", {"mapping-refused"}, all_of(holds(0x1A00, 0, 0), read_only(0x1A00, 0))),
     Case("transmission type refused", {"mapping-refused"}, all_of(holds(0x1800, 2, 255), read_only(0x1800, 2))),
     Case("a PDO that is not there", {"pdos"}, gone(0x1801, 1)),

@@ -82,6 +82,7 @@ class CanopenDevice:
         self.codec = codec(self.profile, self._map.units, self._rated_torque, self._read)
         way = self._choose_way()
         self.way = way or self.way
+        self._streaming_mode = self.way.mode(self._supported_modes())
         self._pdos = configuration.pdos(self._map, self.way, self.profile.node)
         self._pdos_mapped = configuration.configure_pdos(self.sdo, self._pdos, self._map, self.profile.node)
         needed = (measuring.KIND, measuring.SEED, speed_control.COMMISSIONED_RESET_TIME)
@@ -203,10 +204,12 @@ class CanopenDevice:
 
     def prepare_streaming(self) -> Start:
         """In the mode that follows set-points, at set-point zero, or at the position where the axis is."""
-        follows_velocity = self.way is Way.CYCLIC_VELOCITY
-        position = None if follows_velocity else int(self._read("position"))
+        position = int(self._read("position")) if self.way.positions else None
+        self._settle_rest()
         self.sdo.settle(self._map.entry(self.way.target), position or 0)
-        self.set_mode(self.way.mode)
+        if self._streaming_mode is None:
+            raise WrongConfiguration(f"{self.place}: 6502h has no mode for {self.way.value}")
+        self.set_mode(self._streaming_mode)
         counter = self.sdo.integer(self._map.entry("sample_counter")) if self._map.samples == "counter" else None
         return Start(counter, position, FOLLOW if self.way is Way.INTERPOLATED_POSITION else 0)
 
@@ -315,15 +318,30 @@ class CanopenDevice:
             return False
         return True
 
+    def _settle_rest(self) -> None:
+        """Zero for what the drive would add to the set-points: it keeps what anybody wrote last."""
+        added = [name for name in ("velocity_offset", "target_velocity") if name not in self._map.missing]
+        present = tuple((self._map.entry(name), 0) for name in added if name != self.way.target)
+        configuration.settle(self.sdo, present)
+
     def _choose_way(self) -> Way | None:
         """The first way of the map that the drive supports."""
+        modes = self._supported_modes()
+        able = (way for way in self._map.excitation if way.mode(modes) is not None)
+        return next((way for way in able if way is not Way.VELOCITY_OFFSET or self._has_target(way)), None)
+
+    def _has_target(self, way: Way) -> bool:
+        """An optional object that 6502h says nothing of."""
+        return self._has(self._map.entry(way.target))
+
+    def _supported_modes(self) -> int | None:
+        """6502h; None where the drive has it not: the mode's read-back tells."""
         if "supported_modes" in self._map.missing:
-            return self._map.excitation[0]
+            return None
         try:
-            modes = self.sdo.integer(self._map.entry("supported_modes"))
+            return self.sdo.integer(self._map.entry("supported_modes"))
         except ObjectAbsent:
-            return self._map.excitation[0]  # optional object; the mode's read-back tells
-        return next((way for way in self._map.excitation if modes >> (way.mode - 1) & 1), None)
+            return None
 
     def _history(self) -> int:
         try:

@@ -55,6 +55,7 @@ STANDARD: dict[str, Entry] = {
     "increments": objects.INCREMENTS,
     "motor_revolutions": objects.MOTOR_REVOLUTIONS,
     "velocity_unit": objects.VELOCITY_UNIT,
+    "velocity_offset": objects.VELOCITY_OFFSET,
     "interpolated_position": objects.INTERPOLATED_POSITION,
     "cycle_value": objects.CYCLE_VALUE,
     "cycle_exponent": objects.CYCLE_EXPONENT,
@@ -68,7 +69,7 @@ NEEDED = frozenset(  # without these there is no moving and no measuring at all
 TOLD = {  # how the objects that a TPDO carries lie in it
     "statusword": "u16", "velocity": "i32", "torque": "i16", "current": "i16", "position": "i32",
     "sample_counter": "u32", "target_velocity": "i32", "target_position": "i32", "interpolated_position": "i32",
-    "controlword": "u16",
+    "velocity_offset": "i32", "controlword": "u16",
 }  # fmt: skip
 
 # Revolutions a second in one raw unit; None: by an object or by the encoder.
@@ -84,22 +85,35 @@ OtherSpeed = Literal["velocity", "increments/s", "rev/min", "1e-3 rev/min", "1e-
 
 
 class Way(Enum):
-    """How the set-points of a streamed sweep enter the drive: mode of operation, and the object that takes them."""
+    """How the set-points of a streamed sweep enter the drive: mode of operation, and the object that takes them.
+
+    `VELOCITY_OFFSET` adds to a profile of the drive's own that stands still (60FFh = 0): past its ramps, and with
+    standstill as what is left without it.
+    """
 
     CYCLIC_VELOCITY = "cyclic_velocity"
     CYCLIC_POSITION = "cyclic_position"
     INTERPOLATED_POSITION = "interpolated_position"
+    VELOCITY_OFFSET = "velocity_offset"
 
     @property
-    def mode(self) -> Mode:
-        return Mode[self.name]
+    def positions(self) -> bool:
+        """Whether the host sends positions, and otherwise velocities."""
+        return self in (Way.CYCLIC_POSITION, Way.INTERPOLATED_POSITION)
 
     @property
     def target(self) -> str:
         """Name of the object in the map."""
-        return {Mode.CYCLIC_VELOCITY: "target_velocity", Mode.CYCLIC_POSITION: "target_position"}.get(
-            self.mode, "interpolated_position"
-        )
+        return {Way.CYCLIC_VELOCITY: "target_velocity", Way.CYCLIC_POSITION: "target_position"}.get(self, self.value)
+
+    def mode(self, supported: int | None) -> Mode | None:
+        """The mode to take of those `supported` (6502h; None: nobody tells); None where the drive has none for it."""
+        for mode in (
+            (Mode.CYCLIC_VELOCITY, Mode.PROFILE_VELOCITY) if self is Way.VELOCITY_OFFSET else (Mode[self.name],)
+        ):
+            if supported is None or supported >> (mode - 1) & 1:
+                return mode
+        return None
 
 
 class ObjectPlace(Frozen):
@@ -208,7 +222,7 @@ class DeviceMap(Frozen):
         for kind, numbers in (("RPDO", receive), ("TPDO", transmit)):
             if len(set(numbers)) < len(numbers) or not set(numbers) <= {1, 2, 3, 4}:
                 raise ValueError(f"pdos: {kind} {numbers} must each be different, 1 to 4")
-        if pdos.stop is None and set(self.excitation) - {Way.CYCLIC_VELOCITY}:
+        if pdos.stop is None and any(way.positions for way in self.excitation):
             raise ValueError("pdos.stop: a drive that follows positions is stopped by a controlword without a target")
 
     def entry(self, name: str) -> Entry:

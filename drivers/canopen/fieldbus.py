@@ -14,7 +14,6 @@ from drivers.canopen.bcm import set_point_source
 from drivers.canopen.bus import Bus
 from drivers.canopen.bus_load import check_bus_load
 from drivers.canopen.device import CanopenDevice
-from drivers.canopen.device_map import Way
 from drivers.canopen.host_sweep import HostSweep
 from drivers.canopen.profile import CanopenProfile
 from drivers.canopen.stop_sender import CanopenStopSender
@@ -200,7 +199,7 @@ def _check_resolution(device: CanopenDevice, command: SweepCommand) -> None:
                 f"{STEPS_OF_A_SINE} steps of the drive's velocity unit of {speed:.3g} {unit}/s"
             )
         amplitude = sine.amplitude / (2 * math.pi * sine.frequency)
-        if device.way is not Way.CYCLIC_VELOCITY and 0 < amplitude < STEPS_OF_A_POSITION * place:
+        if device.way.positions and 0 < amplitude < STEPS_OF_A_POSITION * place:
             raise LimitExceeded(
                 f"{device.place}: a sine of {amplitude:.3g} {unit} at {sine.frequency:g} Hz has fewer than "
                 f"{STEPS_OF_A_POSITION} steps of the drive's position unit of {place:.3g} {unit}"

@@ -96,6 +96,7 @@ class StreamedAxis:
         self._syncs = 0  # sent since the counter was read
         self._first = sys.maxsize  # of them, before the sweep's first
         self._number = -1  # of the last sample
+        self._over = False  # no sample is wanted any more
         self._fresh: list[Sample] = []
 
     @property
@@ -209,8 +210,10 @@ class StreamedAxis:
         self.silent = 0
         velocity = float(self._request.codec.velocity(sample.velocity))
         self._standing = self._standing + 1 if abs(velocity) <= self._request.axis.standstill_velocity else 0
-        self._number = sample.index - self._first
-        if 0 <= self._number <= self.last:
+        before, self._number = self._number, sample.index - self._first
+        # in a stop sequence the host waits for no answer: behind its first gap are answers that came late
+        self._over |= self.stop_sequence.stage is not StopStage.RUN and self._number > before + 1
+        if 0 <= self._number <= self.last and not self._over:
             self._fresh.append(sample)
 
     def _watch(self, statusword: int, velocity: int, torque: int, position: int) -> Trouble | None:

@@ -49,6 +49,7 @@ class Mode(IntEnum):
     """Modes of operation, 6060h."""
 
     PROFILE_POSITION = 1
+    PROFILE_VELOCITY = 3
     INTERPOLATED_POSITION = 7
     CYCLIC_POSITION = 8
     CYCLIC_VELOCITY = 9

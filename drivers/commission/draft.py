@@ -130,7 +130,7 @@ def _pdos(dictionary: Dictionary, able: Sequence[Way]) -> str:
     parts = [f"set_point: {receive[0]}"]
     if len(receive) > 1:
         parts.append(f"stop: {receive[1]}")
-    elif set(able) - {Way.CYCLIC_VELOCITY}:
+    elif any(way.positions for way in able):
         parts.append(f"stop: {_open('a second RPDO, or cyclic_velocity alone')}")
     parts += [f"state: {transmit[0]}", f"place: {transmit[1]}"]
     if not dictionary.objects[0x13FF + receive[0], 1].writable:

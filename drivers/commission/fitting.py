@@ -18,9 +18,7 @@ def ways(dictionary: Dictionary) -> tuple[Way, ...]:
     """The ways of excitation that the dictionary has objects for and whose mode it does not rule out (6502h)."""
     plain = DeviceMap()
     modes = dictionary.value(SUPPORTED_MODES.index)
-    return tuple(
-        way for way in Way if _has(dictionary, plain, way.target) and (not modes or modes >> (way.mode - 1) & 1)
-    )
+    return tuple(way for way in Way if _has(dictionary, plain, way.target) and way.mode(modes or None) is not None)
 
 
 def _fits(dictionary: Dictionary, device_map: DeviceMap) -> bool:

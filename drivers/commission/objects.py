@@ -61,7 +61,7 @@ def _wanted(node: Node, name: str) -> bool:
 
 _ONLY_WITH = {
     "current", "rated_current", "increments", "motor_revolutions", "velocity_unit", "interpolated_position",
-    "target_velocity", "sample_counter", "torque",
+    "target_velocity", "velocity_offset", "sample_counter", "torque",
 }  # fmt: skip
 
 

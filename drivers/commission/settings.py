@@ -51,7 +51,7 @@ def way_of(node: Node) -> tuple[Way | None, list[Row]]:
         rows.append(
             node.row("no-profile-position", False, f"6502h is {modes:08X}h: the drive cannot move to a position")
         )
-    there = [way for way in node.map.excitation if modes is None or modes >> (way.mode - 1) & 1]
+    there = [way for way in node.map.excitation if way.mode(modes) is not None]
     way = there[0] if there else None
     wanted = ", ".join(each.value for each in node.map.excitation)
     if way is None:

@@ -67,6 +67,10 @@ delivered, and J must agree with the drive-side sweeps; "wire" is what the witne
 machine do not feel each other (`coupled: false`), so J of axes that move together can be compared with that of an axis
 alone; on a real arm their coupling shows, and wants the inverse dynamics of six-axes trajectories.
 
+Drives other than `virtual` are nodes of makers' dictionaries without a counter (`tests/benchmarks/uncounted_run.py`):
+their samples belong to the SYNC before them, the host waits with the next SYNC for their answers, and "wire" counts the
+answers between two SYNCs. J drive-side is the virtual drive's before the same plant. {others}
+
 {rows}
 """
 
@@ -74,7 +78,7 @@ BUS_HEAD = ("bus", "set-points by", "load", "cycles", "missed", "late: median", 
 BUS_HEAD += ("SYNC to SYNC off: p99", "worst", "sample after SYNC: median", "p99", "worst")
 BUS_HEAD += ("samples", "lost, doubled, misordered")
 J_HEAD = ("bus", "set-points by", "J idle", "z", "J loaded", "z", "J drive-side: idle, loaded", "std of the difference")
-LONG_HEAD = ("bus", "set-points by", "minutes", "Hz", "busy processes", "axis", "sweeps", "samples")
+LONG_HEAD = ("bus", "drive", "set-points by", "minutes", "Hz", "busy processes", "axis", "sweeps", "samples")
 LONG_HEAD += ("lost, doubled, misordered", "on the wire", "J streamed", "J drive-side", "z", "verdict")
 
 
@@ -99,6 +103,7 @@ def page() -> str:
     runs = {path.stem: json.loads(path.read_text("utf-8")) for path in sorted(RESULTS.glob("*.json"))}
     short = {(name, load): runs[f"{name}-{load}"] for name in CASES for load in LOADS if f"{name}-{load}" in runs}
     long = [run for name, run in runs.items() if name.startswith("long-")]
+    rows = [row for run in long for row in _long(run)]
     pairs = [(short[name, "idle"], short[name, "loaded"]) for name in CASES if (name, "loaded") in short]
     host = next(run for run in short.values() if not run["guest"])
     return TEXT.format(
@@ -107,7 +112,7 @@ def page() -> str:
         kernel=host["kernel"],
         punctuality=_table(BUS_HEAD, [_punctuality(run, load) for (_, load), run in short.items()]),
         inertia=_table(J_HEAD, [_inertia(*pair) for pair in pairs]),
-        long_runs=LONG.format(rows=_table(LONG_HEAD, [row for run in long for row in _long(run)])) if long else "",
+        long_runs=LONG.format(rows=_table(LONG_HEAD, rows), others=_others(long)) if rows else "",
     )
 
 
@@ -138,7 +143,9 @@ def _inertia(idle: dict[str, Any], loaded: dict[str, Any]) -> Row:
 def _long(run: dict[str, Any]) -> list[Row]:
     return [
         (
-            *_who(run),
+            BUSES[run["bus"]],
+            run.get("drive", "virtual"),
+            SOURCES[run["set_points"]["source"]],
             f"{run['streamed'] / 60:g}",
             f"{run['rate']:g}",
             str(run["busy"]),
@@ -154,6 +161,14 @@ def _long(run: dict[str, Any]) -> list[Row]:
         )
         for joint, axis in run["axes"].items()
     ]
+
+
+def _others(runs: Sequence[dict[str, Any]]) -> str:
+    """What else the computer did during the runs that noted it."""
+    loads = [f"{run['drive']} {run['load']:.0f}" for run in runs if "load" in run]
+    return (
+        f"Others worked on the same computer meanwhile; load average at the end: {', '.join(loads)}." if loads else ""
+    )
 
 
 def _faults(samples: dict[str, int]) -> str:

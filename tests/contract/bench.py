@@ -24,6 +24,7 @@ from simulator.machine import Machine
 from simulator.scenario import load_scenario
 from simulator.virtual_drive import VirtualDrive
 from tests.contract import makers
+from tests.durand_nodes.bench import machine as durand_machine
 from tests.foreign_bench import bench as foreign_bench
 
 ROOT = Path(__file__).parents[2]
@@ -157,6 +158,13 @@ def _foreign(bench: Bench, dictionary: str, bus: str = "virtual") -> Iterator[Vi
         yield Virtual(bench, makers.profile(dictionary, foreign, DRIVES), foreign.control_port)
 
 
+@contextmanager
+def _durand(bench: Bench, modes: str) -> Iterator[Virtual]:
+    """Nodes of a stack that neither this project nor python-canopen made, before a plant of their own."""
+    with durand_machine(modes) as durand:
+        yield Virtual(bench, durand.profile, durand.control_port, durand.process)
+
+
 def _over_modbus_tcp(bench: Bench) -> AbstractContextManager[Virtual]:
     options = ("--fieldbus", "modbus-tcp", "--registers", str(REGISTERS / "virtual-high-first.yaml"), "--port", "0")
     name = "virtual-max100-modbus-tcp"
@@ -174,6 +182,7 @@ BOTH, DRIVE_SIDE = frozenset(SweepMode), frozenset({SweepMode.DRIVE_SIDE})
 STREAMED = BOTH - DRIVE_SIDE
 ORDERS = frozenset({"fault", "emergency_stop", "silence", "limit", "glitch", "saturate", "reboot", "swap", "identity"})
 FOREIGN_ORDERS = ORDERS | {"emcy", "drop_tpdos", "bus_off"}
+DURAND_ORDERS = frozenset({"fault", "emergency_stop", "silence", "identity", "drop_tpdos", "reboot"})
 CAN_ORDERS = ORDERS | {"emcy", "drop_tpdos", "duplicate_tpdos", "delay_tpdos", "freeze_counter", "bus_off"}
 LASTING: dict[str, dict[str, object]] = {  # what takes an order back
     "silence": {"on": False},
@@ -210,6 +219,13 @@ def _other_maker(dictionary: str, bus: str = "virtual", **more: Any) -> Bench:
     )  # fmt: skip
 
 
+def _independent(modes: str, **more: Any) -> Bench:
+    return Bench(
+        adapter="durand", modes=STREAMED, orders=DURAND_ORDERS, exclusive=True, effort=2500.0,
+        machine=partial(_durand, modes=modes), **more,
+    )  # fmt: skip
+
+
 STEPS = 5.01  # of the position unit in an amplitude, with what a conversion rounds
 
 BENCHES: dict[str, Bench] = {
@@ -222,6 +238,7 @@ BENCHES: dict[str, Bench] = {
     "gold-virtual": _other_maker("gold", alike=True),
     "simpliq-virtual": _other_maker("simpliq", least_sine=STEPS * math.tau / (8192 * 171), alike=True),  # axis 1's gear
     "powerball-virtual": _other_maker("powerball", least_sine=STEPS * math.radians(1e-3), alike=True),
+    "durand-csv": _independent("csv"),
     "modbus-tcp": _modbus(_over_modbus_tcp),
     "modbus-rtu": _modbus(_over_modbus_rtu, exclusive=True),
 }

@@ -92,7 +92,7 @@ def test_a_profile_without_a_map_means_the_virtual_drive() -> None:
         ({"pdos": {"stop": 2, "unused_rpdos": [2]}}, r"RPDO \[1, 2, 2\] must each be different"),
         ({"pdos": {"stop": 5}}, "pdos.stop: .*less than or equal to 4.*given: 5"),
         ({"pdos": {}, "excitation": ["cyclic_position"]}, "stopped by a controlword without a target"),
-        ({"excitation": ["velocity_offset"]}, "excitation.0: .*given: 'velocity_offset'"),
+        ({"excitation": ["torque_offset"]}, "excitation.0: .*given: 'torque_offset'"),
         ({"units": {"velocity": "mph"}}, "units.velocity: .*given: 'mph'"),
         ({"colour": "red"}, "colour: Extra inputs"),
     ],
@@ -154,3 +154,22 @@ def test_a_stop_never_tells_a_position() -> None:
     for path in DEVICES:
         device_map = load_device_map(path)
         assert device_map.pdos.stop is not None or set(device_map.excitation) == {Way.CYCLIC_VELOCITY}
+
+
+@pytest.mark.parametrize(
+    ("way", "supported", "mode"),
+    [
+        (Way.CYCLIC_VELOCITY, 0x100, 9),
+        (Way.CYCLIC_VELOCITY, 0x005, None),
+        (Way.VELOCITY_OFFSET, 0x105, 9),
+        (Way.VELOCITY_OFFSET, 0x005, 3),
+        (Way.VELOCITY_OFFSET, 0x041, None),
+        (Way.VELOCITY_OFFSET, None, 9),
+    ],
+)
+def test_a_way_takes_the_best_mode_that_the_drive_has(way: Way, supported: int | None, mode: int | None) -> None:
+    assert way.mode(supported) == mode
+
+
+def test_the_velocity_offset_is_the_last_choice_of_a_plain_drive() -> None:
+    assert load_device_map(CONFIG / "devices" / "plain-402.yaml").excitation[-1] is Way.VELOCITY_OFFSET
