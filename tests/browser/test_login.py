@@ -1,4 +1,4 @@
-"""With `login: true` the pages ask for a key, keep it for their tab, let each do what the role may; STOP is free."""
+"""With `login: true` the pages ask for a password or a key, let each do what the role may; STOP is free."""
 
 import shutil
 import subprocess
@@ -13,6 +13,7 @@ from service.client import ServiceClient
 from service.people.permissions import Role
 from service.store.database import open_database
 from service.store.people.keys import KeyStore
+from service.store.people.users import UserStore
 from tests.browser.browsing import WITHOUT_BROWSER, browsing
 from tests.browser.looking import faint, small
 from tests.system.rest_bench import (
@@ -149,3 +150,37 @@ def test_a_key_that_is_revoked_ends_the_page(service: Service, keys: dict[str, s
     subprocess.run(command, capture_output=True, timeout=120, check=True)
     expect(page.locator("#login-why")).to_contain_text("the key of the-operator was revoked on")
     expect(page.locator("main")).to_be_hidden()
+
+
+def test_a_person_logs_in_with_a_password_and_out(service: Service, page: Page) -> None:
+    name, password = "Anna Blume", "a horse and a battery"
+    with open_database(f"sqlite:///{service.data / 'sweepid.sqlite'}") as database:
+        UserStore(database).add(name, Role.OPERATOR, password, {"actor": "test"})
+    why, who = page.locator("#login-why"), page.locator("#me-who")
+    page.get_by_role("button", name="Log in").click()
+    expect(why).to_have_text("name and password, or a key")
+    for typed, answer in (("not the horse of anna", "name or password is wrong"), (password, None)):
+        page.get_by_label("Name", exact=True).fill(name)
+        page.get_by_label("Password").fill(typed)
+        page.get_by_role("button", name="Log in").click()
+        if answer:
+            expect(why).to_have_text(answer)
+    expect(who).to_have_text(f"{name}, operator")
+    expect(page.locator("#login")).to_be_hidden()
+    assert page.evaluate("document.cookie") == ""  # no script reads it
+    with page.context.expect_page() as other:  # another tab is the same browser
+        page.evaluate("open(location.href, '_blank', 'noopener')")
+    expect(other.value.locator("#me-who")).to_have_text(f"{name}, operator")
+    other.value.close()
+    page.get_by_role("button", name="STOP").click()
+    expect(page.locator("#held-by")).to_contain_text(f"Stopped by {name} (operator page): stop button")
+    with page.expect_response("**/stop/reset") as released:
+        page.get_by_role("button", name="I looked at the machine: release").click()
+    assert released.value.status == 200
+    page.get_by_role("button", name="Log out").click()
+    expect(page.locator("#login")).to_be_visible()
+    expect(why).to_contain_text("no key")
+    page.get_by_role("button", name="STOP").click()  # without anybody
+    with ServiceClient(service.url, keys_of(service)["viewer"]) as viewer:
+        until(lambda: "operator page" in [stop["by"] for stop in viewer.stops()], "a latched stop of nobody's")
+    assert page.context.cookies() == []
