@@ -120,6 +120,7 @@ async def _lifespan(app: FastAPI) -> AsyncGenerator[None, None]:
     async with open_application(app.state.settings, app.state.stop_process) as application:
         app.state.application = application
         yield
+        app.state.password_check.close()
 
 
 def _operation_id(route: APIRoute) -> str:
