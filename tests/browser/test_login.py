@@ -7,7 +7,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Response, expect
 
 from service.client import ServiceClient
 from service.people.permissions import Role
@@ -26,6 +26,8 @@ from tests.system.rest_bench import (
     virtual_machine,
 )
 from tests.unit.service.api.conftest import bundle, profile, robot  # noqa: F401 - three sweeps, and no machine
+from tests.unit.service.api.conftest import serving as serving_alone
+from tests.unit.service.people.conftest import certificate
 
 pytestmark = WITHOUT_BROWSER
 
@@ -184,3 +186,23 @@ def test_a_person_logs_in_with_a_password_and_out(service: Service, page: Page) 
     with ServiceClient(service.url, keys_of(service)["viewer"]) as viewer:
         until(lambda: "operator page" in [stop["by"] for stop in viewer.stops()], "a latched stop of nobody's")
     assert page.context.cookies() == []
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl here to make a certificate")
+def test_by_tls_the_page_stops_by_both_ways(tmp_path: Path, profile: Path) -> None:  # noqa: F811
+    pem, key = (str(path) for path in certificate(tmp_path, "cell7"))
+    with (
+        serving_alone(tmp_path, profile, login=True, tls_certificate=pem, tls_key=key) as url,
+        browsing(url, any_certificate=True) as page,
+    ):
+        expect(page.locator("#login")).to_be_visible()
+        with (
+            page.expect_response(f"{url}/api/v1/stop?*") as service,
+            page.expect_response(of_the_stop_process) as beside,
+        ):
+            page.get_by_role("button", name="STOP").click()
+        assert (service.value.status, beside.value.status) == (503, 503)  # there is no machine
+
+
+def of_the_stop_process(answer: Response) -> bool:
+    return answer.url.startswith("https:") and "/api/" not in answer.url and "/stop?" in answer.url

@@ -3,7 +3,6 @@
 import shutil
 import socket
 import ssl
-import subprocess
 from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
@@ -21,6 +20,7 @@ from service.store.database import open_database
 from service.store.people.keys import KeyStore
 from service.store.people.users import UserStore
 from tests.unit.service.api.conftest import serving
+from tests.unit.service.people.conftest import certificate
 
 pytestmark = [
     pytest.mark.slow,
@@ -29,27 +29,6 @@ pytestmark = [
 
 PASSWORD = "a horse and a battery"
 LINE = "https://line.example"
-
-
-def certificate(folder: Path, name: str, *options: str) -> tuple[Path, Path]:
-    """A self-signed one for this computer, and its key."""
-    pem, key = folder / f"{name}.pem", folder / f"{name}.key"
-    words = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-days", "2", "-subj", "/CN=cell7"]
-    names = ["-addext", "subjectAltName=IP:127.0.0.1,DNS:localhost"]
-    command = [
-        "openssl",
-        "req",
-        "-x509",
-        *words,
-        *names,
-        *(options or ("-nodes",)),
-        "-out",
-        str(pem),
-        "-keyout",
-        str(key),
-    ]
-    subprocess.run(command, check=True, capture_output=True, timeout=60)
-    return pem, key
 
 
 @pytest.fixture(scope="module")
