@@ -5,6 +5,7 @@ import socket
 import ssl
 from collections.abc import Iterator
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 
 import httpx
@@ -19,6 +20,7 @@ from service.settings import Settings
 from service.store.database import open_database
 from service.store.people.keys import KeyStore
 from service.store.people.users import UserStore
+from tests.system.rest_bench import until
 from tests.unit.service.api.conftest import serving
 from tests.unit.service.people.conftest import certificate
 
@@ -98,11 +100,15 @@ def test_the_stop_process_takes_both(http: httpx.Client, trusting: ssl.SSLContex
             f"{scheme}://127.0.0.1:{port}/stop", params={"by": by}, verify=trusting, timeout=30, trust_env=False
         )
         assert answer.json()["type"] == "urn:sweepid:problem:stop-not-confirmed"  # there is no machine
-        assert by in [stop["by"] for stop in http.get("/api/v1/stop").json()["stops"]]
+        until(partial(_stopped_by, http, by), f"a stop {by}")  # the service hears of it by a pipe
     for words in (b"\x16\x03\x01\x00\x05hello", b"\x16", b"\x15\x03", b""):  # what breaks off ends nothing
         with socket.create_connection(("127.0.0.1", port), timeout=30) as broken:
             broken.sendall(words)
     assert httpx.get(f"https://127.0.0.1:{port}/stop", verify=trusting, timeout=30, trust_env=False).status_code == 200
+
+
+def _stopped_by(http: httpx.Client, by: str) -> bool:
+    return by in [stop["by"] for stop in http.get("/api/v1/stop").json()["stops"]]
 
 
 def test_a_page_of_an_origin_that_is_listed_calls_with_a_key(http: httpx.Client, folder: Path) -> None:
