@@ -6,6 +6,7 @@ from importlib.metadata import version
 
 from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
+from starlette.middleware.cors import CORSMiddleware
 
 from service.api import events, health, metrics, robots
 from service.api.campaign import approvals, bundles, campaigns, plans, sweeps
@@ -78,8 +79,18 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
     guesses = Guesses(settings.wrong_keys)
     app.state.password_check = PasswordCheck(guesses, settings.wrong_keys)
     app.add_middleware(Access, login=settings.login, guesses=guesses)  # the last one added meets a request first
-    app.add_middleware(Gate, hosts=hosts, stop_path=f"{PREFIX}{stop.router.prefix}", limits=limits)
+    app.add_middleware(
+        Gate, hosts=hosts, stop_path=f"{PREFIX}{stop.router.prefix}", limits=limits, origins=settings.cors_origins
+    )
     app.add_middleware(Audited)
+    if settings.cors_origins:  # without cookies: other pages send keys
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=settings.cors_origins,
+            allow_methods=("GET", "POST", "PUT", "DELETE"),
+            allow_headers=("Authorization", "Content-Type", "If-Match", "Idempotency-Key", "Last-Event-ID"),
+            expose_headers=("ETag", "Location", "Retry-After"),
+        )
     return app
 
 
@@ -111,6 +122,7 @@ async def _lifespan(app: FastAPI) -> AsyncGenerator[None, None]:
     async with open_application(app.state.settings, app.state.stop_process) as application:
         app.state.application = application
         yield
+        app.state.password_check.close()
 
 
 def _operation_id(route: APIRoute) -> str:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import ssl
 import time
 import uuid
 from collections.abc import Generator, Iterator, Sequence
@@ -50,10 +51,13 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         key = os.environ.get("SWEEPID_KEY", "").strip() if key is None else key
         self._url = url
         self._stop_url = ""  # of the stop process, once it is known
+        # the certificates of this computer, or those of SSL_CERT_FILE
+        self._tls = ssl.create_default_context() if url.startswith("https:") else True
         self._http = httpx.Client(
             base_url=f"{url.rstrip('/')}/api/v1",
             timeout=_TIMEOUT,
             trust_env=False,
+            verify=self._tls,
             headers={"Authorization": f"Bearer {key}"} if key else None,
         )
 
@@ -235,7 +239,7 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         words = {"by": by, "why": why, "press": str(uuid.uuid4())}
         if self._stop_url:
             with suppress(httpx.TransportError):
-                httpx.post(self._stop_url, params=words, timeout=_STOP_TIMEOUT, trust_env=False)
+                httpx.post(self._stop_url, params=words, timeout=_STOP_TIMEOUT, trust_env=False, verify=self._tls)
         response = self._send("POST", "/stop", params=words)
         _check(response)
         return cast("Json", response.json())
@@ -251,7 +255,8 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
     def _find_stop(self) -> None:
         with suppress(ServiceUnreachable, ServiceProblem):  # what follows tells
             port = self._get("/stop")["port"]
-            self._stop_url = "" if port is None else f"http://{self._http.base_url.host}:{port}/stop"
+            url = self._http.base_url
+            self._stop_url = "" if port is None else f"{url.scheme}://{url.host}:{port}/stop"
 
     # -- bundles
     def import_bundle(self, archive: Path) -> Json:

@@ -1,5 +1,6 @@
 """Settings of the service: ``config/service.yaml``, overridden by the environment (``SWEEPID_DATA_DIR`` ...)."""
 
+import ssl
 from ipaddress import ip_address, ip_network
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,6 +15,9 @@ _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _THIS_COMPUTER = (ip_network("127.0.0.1"), ip_network("::1"))
 
 HostName = Annotated[str, StringConstraints(to_lower=True, pattern=r"^([A-Za-z0-9_.-]+|[0-9A-Fa-f:.]+)$")]
+
+
+Origin = Annotated[str, StringConstraints(to_lower=True, pattern=r"^https?://[^/\s*]+$")]
 
 
 class Settings(BaseSettings):
@@ -32,8 +36,11 @@ class Settings(BaseSettings):
     wrong_keys: int = Field(default=10, ge=1, le=10000)  # that an address may show in a minute
     session_idle: float = Field(default=8 * 3600.0, ge=60)  # s without a request until a person logs in again
     session_longest: float = Field(default=24 * 3600.0, ge=60)  # s, the same in any case
+    tls_certificate: Path | None = None  # PEM, with those above it; of service and stop process
+    tls_key: Path | None = None  # PEM, without a password
+    cors_origins: tuple[Origin, ...] = ()  # whose pages may call the API with a key, e.g. https://cell7.example
     trusted_network: bool = False  # without login, beyond this computer: something else lets only trusted ones in
-    behind_proxy: bool = False  # True: X-Forwarded-For and -Proto of `trusted_proxies` are believed; else of nobody
+    behind_proxy: bool = False  # a proxy ends TLS; X-Forwarded-For and -Proto are believed of `trusted_proxies`
     trusted_proxies: tuple[IPvAnyNetwork, ...] = Field(default=_THIS_COMPUTER, min_length=1)
     approval: bool = False  # True: an engineer approves a plan before a campaign of it starts, with login another one
     approval_valid: float = Field(default=8.0, gt=0, le=720)  # h for which an approval holds
@@ -60,14 +67,41 @@ class Settings(BaseSettings):
 
     def check_reach(self) -> None:
         """BadInput where others could reach a service that asks nobody who he is."""
-        if self.login or self.trusted_network or _is_loopback(self.host):
+        if self.trusted_network or _is_loopback(self.host):
+            return
+        if self.login:
+            if self.tls is None and not self.behind_proxy:
+                raise BadInput(
+                    "host",
+                    f"{self.host!r} is not this computer alone, and without TLS others can read passwords and keys; "
+                    "set `tls_certificate` and `tls_key`, or, where a proxy before it ends TLS, `behind_proxy: true` "
+                    "(SWEEPID_BEHIND_PROXY=true)",
+                )
             return
         raise BadInput(
             "host",
             f"{self.host!r} is not this computer alone, and without `login: true` whoever reaches it may move the "
-            "machine; set `login: true` (SWEEPID_LOGIN=true) and add keys with `sweepid people add-key`, or, where "
+            "machine; set `login: true` (SWEEPID_LOGIN=true) and add people with `sweepid people add-user`, or, where "
             "something else lets only trusted ones in, `trusted_network: true` (SWEEPID_TRUSTED_NETWORK=true)",
         )
+
+    @property
+    def tls(self) -> tuple[Path, Path] | None:
+        """Certificate and key; None: HTTP without TLS."""
+        certificate, key = self.tls_certificate, self.tls_key
+        return None if certificate is None or key is None else (certificate, key)
+
+    def check_tls(self) -> None:
+        """BadInput where one of certificate and key is missing, or the two cannot be used."""
+        if (self.tls_certificate is None) != (self.tls_key is None):
+            missing = "tls_key" if self.tls_key is None else "tls_certificate"
+            raise BadInput(missing, "is missing: TLS needs `tls_certificate` and `tls_key`")
+        if self.tls is not None:
+            try:
+                tls_context(*self.tls)
+            except OSError as error:
+                files = " and ".join(str(path) for path in self.tls)
+                raise BadInput("tls_certificate", f"{files} cannot be used: {error.strerror or error}") from None
 
     @property
     def stop_listens_at(self) -> int:
@@ -92,6 +126,13 @@ class Settings(BaseSettings):
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """The environment stands above the file, which `load_settings` hands in."""
         return env_settings, init_settings
+
+
+def tls_context(certificate: Path, key: Path) -> ssl.SSLContext:
+    """Of a server. OSError where a file cannot be read, is no PEM, needs a password, or the two do not fit."""
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    context.load_cert_chain(certificate, key, password=lambda: "")  # else it asks for one at the terminal
+    return context
 
 
 def _is_loopback(host: str) -> bool:

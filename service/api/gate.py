@@ -24,12 +24,18 @@ BUNDLE_LIMIT = 512 * 2**20
 class Gate:
     """ASGI middleware. `hosts`: host names that the service answers to; empty: any."""
 
-    def __init__(self, app: ASGIApp, hosts: Sequence[str], stop_path: str, limits: Mapping[str, int]) -> None:
-        """`limits`: bytes of a body by path, where it may be larger than `BODY_LIMIT`."""
+    def __init__(
+        self, app: ASGIApp, hosts: Sequence[str], stop_path: str, limits: Mapping[str, int], origins: Sequence[str] = ()
+    ) -> None:
+        """`origins`: whose pages may send requests, beside its own.
+
+        `limits`: bytes of a body by path, where it may be larger than `BODY_LIMIT`.
+        """
         self._app = app
         self._hosts = frozenset(hosts)
         self._stop_path = stop_path
         self._limits = dict(limits)
+        self._origins = frozenset(origins)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
@@ -56,7 +62,7 @@ class Gate:
         if self._hosts and _parts(f"//{host}")[0] not in self._hosts:
             return f"host {host!r} is not this service; it answers to {', '.join(sorted(self._hosts))}"
         origin = headers.get("origin")
-        if origin is not None and not from_own_page(headers):
+        if origin is not None and origin.lower() not in self._origins and not from_own_page(headers):
             return f"sent by a page of {origin}, not of {host}"
         return ""
 

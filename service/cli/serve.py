@@ -26,6 +26,7 @@ from service.stop_process.handle import StopProcess
 
 _log = structlog.get_logger(__name__)
 
+_ONLY_TLS = ("Strict-Transport-Security", "max-age=31536000")
 _GRACE = 3  # s for requests under way when the service is told to end
 # with the default of 5 ms a busy thread delays the thread of the set-points by more than a cycle
 _SWITCH_INTERVAL = 1e-3  # s
@@ -42,6 +43,7 @@ def serve(
     options = {"host": host, "port": port, "data_dir": data_dir, "drive": drive}
     given = {name: value for name, value in options.items() if value is not None}
     settings = load_settings(config).model_copy(update=given)
+    settings.check_tls()
     settings.check_reach()
     configure_logs(settings.log_level)
     logs = HeldBack()
@@ -54,7 +56,7 @@ def serve(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _end)
     try:
-        with StopProcess(settings.drive, settings.host, settings.stop_listens_at) as stop_process:
+        with StopProcess(settings.drive, settings.host, settings.stop_listens_at, settings.tls) as stop_process:
             _serve(settings, stop_process, logs)
     finally:
         logs.let_through()
@@ -63,6 +65,7 @@ def serve(
 def _serve(settings: Settings, stop_process: StopProcess, logs: HeldBack) -> None:
     app = create_app(settings, settings.answers_to, stop_process)
     started = _Startup(app)
+    certificate, key = settings.tls or (None, None)
     server = _Server(
         app,
         stop_process,
@@ -78,6 +81,9 @@ def _serve(settings: Settings, stop_process: StopProcess, logs: HeldBack) -> Non
             ws="websockets-sansio",
             proxy_headers=settings.behind_proxy,  # by default uvicorn believes whoever calls from this computer
             forwarded_allow_ips=[str(network) for network in settings.trusted_proxies],
+            ssl_certfile=certificate,
+            ssl_keyfile=key,
+            headers=[] if certificate is None else [_ONLY_TLS],
         ),
     )
     try:
@@ -140,7 +146,8 @@ class _Server(uvicorn.Server):
                 signal.signal(hang_up, self.handle_exit)
             port = self.servers[0].sockets[0].getsockname()[1]
             host = f"[{self.config.host}]" if ":" in self.config.host else self.config.host
-            ready = {"ready": True, "url": f"http://{host}:{port}", "port": port, "pid": os.getpid()}
+            scheme = "https" if self.config.is_ssl else "http"
+            ready = {"ready": True, "url": f"{scheme}://{host}:{port}", "port": port, "pid": os.getpid()}
             sys.stdout.write(json.dumps(ready | {"stop_port": self._stop_process.port}) + "\n")
             sys.stdout.flush()
 

@@ -42,7 +42,7 @@ _HEADERS = {
 
 def add_pages(app: FastAPI, stop_port: int | None) -> None:
     """``/``, ``/diagnosis`` and the files that they load. They may speak to this service and to the stop's port."""
-    stop = "" if stop_port is None else f" http://*:{stop_port}"
+    stop = "" if stop_port is None else f" http://*:{stop_port} https://*:{stop_port}"
     headers = _HEADERS | {"Content-Security-Policy": f"{_POLICY}{stop}"}
     plotly = Path(str(files("plotly").joinpath("package_data", "plotly.min.js")))
     pages = {

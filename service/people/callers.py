@@ -15,6 +15,11 @@ class Caller(Protocol):
     @property
     def role(self) -> Role: ...
 
+    @property
+    def scopes(self) -> tuple[str, ...] | None:
+        """What it is limited to, within its role; None: nothing but that."""
+        ...
+
     def trouble(self, at: datetime) -> str:
         """Why it opens nothing at that time; empty if it does."""
         ...

@@ -1,12 +1,11 @@
 """Who may do what: one table, from each route to the least role that it needs. Pure.
 
-`docs/reference/permissions.md` is generated from it (``python -m service.people.permissions > FILE``). A test fails
+`docs/reference/permissions.md` is generated from it (``python -m service.people.page > FILE``). A test fails
 when a route has no entry here, or an entry no route; of a path that is not here only a viewer hears that there is
 nothing.
 """
 
 import re
-import sys
 from enum import IntEnum
 
 from starlette.routing import compile_path
@@ -37,14 +36,14 @@ SOCKET = "WEBSOCKET"
 """Stands for the method of a WebSocket."""
 
 Route = tuple[str, str]  # method and path
-_API = "/api/v1"
+API = "/api/v1"
 _V, _O, _E, _A = Role
-STOP: Route = ("POST", f"{_API}/stop")
-SIGN_OF_LIFE: Route = ("POST", f"{_API}/campaigns/{{campaign_id}}/sign_of_life")
+STOP: Route = ("POST", f"{API}/stop")
+SIGN_OF_LIFE: Route = ("POST", f"{API}/campaigns/{{campaign_id}}/sign_of_life")
 """Changes nothing, and comes several times a minute: it is not in the audit, but its absence is."""
-LOGIN: Route = ("POST", f"{_API}/login")
+LOGIN: Route = ("POST", f"{API}/login")
 
-_CALLS: dict[Route, Role | None] = {
+CALLS: dict[Route, Role | None] = {
     ("POST", "/robots"): _E,
     ("GET", "/robots"): _V,
     ("GET", "/robots/{robot_id}"): _V,
@@ -126,16 +125,11 @@ _PAGES = (  # public files without data
     "/plotly.min.js",
 )
 PERMISSIONS: dict[Route, Role | None] = {
-    **{(method, f"{_API}{path}"): role for (method, path), role in _CALLS.items()},
+    **{(method, f"{API}{path}"): role for (method, path), role in CALLS.items()},
     ("GET", "/metrics"): _V,
     **{("GET", page): None for page in _PAGES},
 }
 """The least role by method and path; None: nobody needs to be anybody."""
-
-
-def beyond(role: Role) -> dict[str, str]:
-    """What the API keeps from a role: the least role by "METHOD /path" below its prefix."""
-    return {f"{method} {path}": needed.word for (method, path), needed in _CALLS.items() if needed and needed > role}
 
 
 class Permissions:
@@ -152,38 +146,3 @@ class Permissions:
         asked = "GET" if method == "HEAD" else method
         fitting = [route for route, pattern in self._patterns if route[0] == asked and pattern.match(path)]
         return max(fitting, key=lambda route: PERMISSIONS[route] or 0, default=None)
-
-    def needed(self, method: str, path: str) -> Role | None:
-        entry = self.entry(method, path)
-        return Role.VIEWER if entry is None else PERMISSIONS[entry]
-
-
-def page() -> str:
-    """The reference page, as Markdown."""
-    rows = [f"| `{method}` | `{path}` | {_word(role)} |" for (method, path), role in PERMISSIONS.items()]
-    lines = [
-        "# Permissions",
-        "",
-        "Generated from the table in `service/people/permissions.py`. It holds with the setting `login: true`;",
-        "without it whoever reaches the service is `local` and may do everything:",
-        "[Let others in](../how-to/let-others-in.md).",
-        "",
-        "| role | may, beside what those above it may |",
-        "|---|---|",
-        *(f"| {role.word} | {MEANING[role]} |" for role in Role),
-        "",
-        "STOP needs nobody, here and at the port of the stop process.",
-        "",
-        "| method | path | least role |",
-        "|---|---|---|",
-        *rows,
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _word(role: Role | None) -> str:
-    return "nobody needed" if role is None else role.word
-
-
-if __name__ == "__main__":
-    sys.stdout.write(page())

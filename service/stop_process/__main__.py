@@ -1,8 +1,9 @@
-"""``python -m service.stop_process PROFILE HOST PORT``: started by `sweepid serve`, ends with it."""
+"""``python -m service.stop_process PROFILE HOST PORT [CERTIFICATE KEY]``: started by `sweepid serve`, ends with it."""
 
 import json
 import os
 import signal
+import ssl
 import sys
 import threading
 from dataclasses import asdict
@@ -17,9 +18,9 @@ _telling = threading.Lock()
 
 
 def main() -> None:
-    profile, host, port = sys.argv[1:]
+    profile, host, port, *tls = sys.argv[1:]
     try:
-        listener = Listener(host, int(port), lambda wanted: _stop(bus, wanted), lambda: _status(bus))
+        listener = Listener(host, int(port), lambda wanted: _stop(bus, wanted), lambda: _status(bus), _context(tls))
     except OSError as error:
         _tell({"error": f"cannot listen at {host}:{port} for the stop: {error.strerror or error}"})
         raise SystemExit(1) from None
@@ -27,6 +28,20 @@ def main() -> None:
     _tell({"port": listener.port, "pid": os.getpid()})
     threading.Thread(target=_obey, args=[bus], name="stop-orders", daemon=True).start()
     listener.serve()
+
+
+def _context(tls: list[str]) -> ssl.SSLContext | None:
+    """None where the files are unusable by now: a stop without TLS is one too."""
+    if not tls:
+        return None
+    certificate, key = tls
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
+        context.load_cert_chain(certificate, key, password=lambda: "")
+    except OSError as error:
+        sys.stderr.write(f"the stop process speaks no TLS: {error}\n")
+        return None
+    return context
 
 
 def _stop(bus: Bus, wanted: Request) -> Answer:

@@ -28,11 +28,15 @@ class StopNotStarted(SweepidError):
 
 
 class StopProcess:
-    """A context. `drive`: profile of the machine; the port is `port`, or any free one where that is 0."""
+    """A context. `drive`: profile of the machine; the port is `port`, or any free one where that is 0.
 
-    def __init__(self, drive: Path, host: str, port: int) -> None:
+    `tls`: certificate and key with which it speaks TLS too, to whom begins with it.
+    """
+
+    def __init__(self, drive: Path, host: str, port: int, tls: tuple[Path, Path] | None = None) -> None:
         self.port, self.trouble = port, "not started yet"
         self._drive, self._host = drive, host
+        self._tls = [str(path) for path in tls or ()]
         self._reading, self._writing = os.pipe()  # one for all processes: signals keep their way into it
         os.set_blocking(self._writing, False)
         self.ended = False
@@ -99,7 +103,8 @@ class StopProcess:
             _log.error("stop_process_not_told", reason=str(error))
 
     def _start(self) -> "subprocess.Popen[bytes]":
-        command = [sys.executable, "-P", "-m", "service.stop_process", str(self._drive), self._host, str(self.port)]
+        words = [str(self._drive), self._host, str(self.port), *self._tls]
+        command = [sys.executable, "-P", "-m", "service.stop_process", *words]
         # in a session of its own: what the terminal sends is for the service, which passes it on
         process: subprocess.Popen[bytes] = subprocess.Popen(
             command, stdin=self._reading, stdout=subprocess.PIPE, start_new_session=True

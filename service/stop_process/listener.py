@@ -1,17 +1,21 @@
 """The stop process' port: plain HTTP by hand, one thread, one route. Whoever reaches it may stop.
 
 A stop is carried out when its first line has come; no header and no body is waited for. A connection that says
-nothing is dropped when its time is over, or when others need its place.
+nothing is dropped when its time is over, or when others need its place. With a certificate it speaks TLS too, to whom
+begins with that: a page that came by HTTPS may send to nothing else.
 """
 
 import json
 import selectors
 import socket
+import ssl
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from urllib.parse import parse_qs, urlsplit
+
+from service.stop_process.secured import HANDSHAKE, Secured
 
 PATHS = ("/stop", "/api/v1/stop")
 LONGEST_LINE = 4096  # bytes of a request's first line
@@ -40,16 +44,24 @@ class _Connection:
     until: float
     received: bytearray = field(default_factory=bytearray)
     answered: bool = False
+    secured: Secured | None = None
 
 
 class Listener:
     """Listens at `host`:`port` (0: any free one) from here on; OSError where that is not possible."""
 
-    def __init__(self, host: str, port: int, stop: Callable[[Request], Answer], status: Callable[[], Answer]) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        stop: Callable[[Request], Answer],
+        status: Callable[[], Answer],
+        tls: ssl.SSLContext | None = None,
+    ) -> None:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self._listener = socket.create_server((host, port), family=family, backlog=1024)
         self._listener.setblocking(False)
-        self._stop, self._status = stop, status
+        self._stop, self._status, self._tls = stop, status, tls
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
         self._connections: dict[socket.socket, _Connection] = {}  # oldest first
@@ -90,10 +102,25 @@ class Listener:
         if not data:
             self._drop(connection)
         elif not connection.answered:
-            connection.received += data
+            try:
+                connection.received += self._opened(connection, data)
+            except OSError:  # ssl's errors are some of them
+                self._drop(connection)
+                return
             line, found, _ = bytes(connection.received).partition(b"\r\n")
             if found or len(line) > LONGEST_LINE:
                 self._answer(connection, line.decode("latin-1"))
+
+    def _opened(self, connection: _Connection, data: bytes) -> bytes:
+        """What the bytes of the wire say."""
+        begins = not connection.received and connection.secured is None
+        if begins and self._tls is not None and data.startswith(HANDSHAKE):
+            connection.secured = Secured(self._tls)
+        if connection.secured is None:
+            return data
+        said, reply = connection.secured.read(data)
+        connection.socket.send(reply)  # its few kB always fit into the empty buffer of a new connection
+        return said
 
     def _answer(self, connection: _Connection, line: str) -> None:
         """Then the rest that comes is read away: a connection closed with data unread would lose the answer."""
@@ -107,7 +134,8 @@ class Listener:
             f"Content-Length: {len(body)}\r\n\r\n"
         )
         with suppress(OSError):
-            connection.socket.send(head.encode() + body)
+            words = head.encode() + body
+            connection.socket.send(words if connection.secured is None else connection.secured.write(words))
             connection.socket.shutdown(socket.SHUT_WR)
 
     def _answer_to(self, line: str, address: str) -> Answer:

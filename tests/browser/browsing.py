@@ -17,11 +17,11 @@ WITHOUT_BROWSER = pytest.mark.skipif(
 
 
 @contextmanager
-def browsing(url: str) -> Iterator[Page]:
+def browsing(url: str, any_certificate: bool = False) -> Iterator[Page]:
     """The page at `url`; an error of its scripts fails the test."""
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET)
-        page = browser.new_page()
+        page = browser.new_page(ignore_https_errors=any_certificate)
         page.set_default_timeout(PATIENCE)
         expect.set_options(timeout=PATIENCE)
         errors: list[str] = []

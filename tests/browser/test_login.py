@@ -1,4 +1,4 @@
-"""With `login: true` the pages ask for a key, keep it for their tab, let each do what the role may; STOP is free."""
+"""With `login: true` the pages ask for a password or a key, let each do what the role may; STOP is free."""
 
 import shutil
 import subprocess
@@ -7,12 +7,13 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Response, expect
 
 from service.client import ServiceClient
 from service.people.permissions import Role
 from service.store.database import open_database
 from service.store.people.keys import KeyStore
+from service.store.people.users import UserStore
 from tests.browser.browsing import WITHOUT_BROWSER, browsing
 from tests.browser.looking import faint, small
 from tests.system.rest_bench import (
@@ -25,6 +26,8 @@ from tests.system.rest_bench import (
     virtual_machine,
 )
 from tests.unit.service.api.conftest import bundle, profile, robot  # noqa: F401 - three sweeps, and no machine
+from tests.unit.service.api.conftest import serving as serving_alone
+from tests.unit.service.people.conftest import certificate
 
 pytestmark = WITHOUT_BROWSER
 
@@ -149,3 +152,57 @@ def test_a_key_that_is_revoked_ends_the_page(service: Service, keys: dict[str, s
     subprocess.run(command, capture_output=True, timeout=120, check=True)
     expect(page.locator("#login-why")).to_contain_text("the key of the-operator was revoked on")
     expect(page.locator("main")).to_be_hidden()
+
+
+def test_a_person_logs_in_with_a_password_and_out(service: Service, page: Page) -> None:
+    name, password = "Anna Blume", "a horse and a battery"
+    with open_database(f"sqlite:///{service.data / 'sweepid.sqlite'}") as database:
+        UserStore(database).add(name, Role.OPERATOR, password, {"actor": "test"})
+    why, who = page.locator("#login-why"), page.locator("#me-who")
+    page.get_by_role("button", name="Log in").click()
+    expect(why).to_have_text("name and password, or a key")
+    for typed, answer in (("not the horse of anna", "name or password is wrong"), (password, None)):
+        page.get_by_label("Name", exact=True).fill(name)
+        page.get_by_label("Password").fill(typed)
+        page.get_by_role("button", name="Log in").click()
+        if answer:
+            expect(why).to_have_text(answer)
+    expect(who).to_have_text(f"{name}, operator")
+    expect(page.locator("#login")).to_be_hidden()
+    assert page.evaluate("document.cookie") == ""  # no script reads it
+    with page.context.expect_page() as other:  # another tab is the same browser
+        page.evaluate("open(location.href, '_blank', 'noopener')")
+    expect(other.value.locator("#me-who")).to_have_text(f"{name}, operator")
+    other.value.close()
+    page.get_by_role("button", name="STOP").click()
+    expect(page.locator("#held-by")).to_contain_text(f"Stopped by {name} (operator page): stop button")
+    with page.expect_response("**/stop/reset") as released:
+        page.get_by_role("button", name="I looked at the machine: release").click()
+    assert released.value.status == 200
+    page.get_by_role("button", name="Log out").click()
+    expect(page.locator("#login")).to_be_visible()
+    expect(why).to_contain_text("no key")
+    page.get_by_role("button", name="STOP").click()  # without anybody
+    with ServiceClient(service.url, keys_of(service)["viewer"]) as viewer:
+        until(lambda: "operator page" in [stop["by"] for stop in viewer.stops()], "a latched stop of nobody's")
+    assert page.context.cookies() == []
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl here to make a certificate")
+def test_by_tls_the_page_stops_by_both_ways(tmp_path: Path, profile: Path) -> None:  # noqa: F811
+    pem, key = (str(path) for path in certificate(tmp_path, "cell7"))
+    with (
+        serving_alone(tmp_path, profile, login=True, tls_certificate=pem, tls_key=key) as url,
+        browsing(url, any_certificate=True) as page,
+    ):
+        expect(page.locator("#login")).to_be_visible()
+        with (
+            page.expect_response(f"{url}/api/v1/stop?*") as service,
+            page.expect_response(of_the_stop_process) as beside,
+        ):
+            page.get_by_role("button", name="STOP").click()
+        assert (service.value.status, beside.value.status) == (503, 503)  # there is no machine
+
+
+def of_the_stop_process(answer: Response) -> bool:
+    return answer.url.startswith("https:") and "/api/" not in answer.url and "/stop?" in answer.url

@@ -22,6 +22,7 @@ from service.people.callers import Caller
 from service.people.guesses import Guesses
 from service.people.keys import key_sha256
 from service.people.permissions import LOCAL, LOGIN, PERMISSIONS, STOP, Permissions, Role
+from service.people.scopes import lacking
 from service.store.people.writer import NotAudited
 from service.store.tables import now
 
@@ -63,7 +64,6 @@ class Access:
         await self._app(scope, receive, send)
 
     async def _identify(self, scope: Scope, trail: Trail) -> None:
-        needed = self._permissions.needed(trail.method, scope["path"])
         given = shown(scope)
         if not given.key:
             raise unauthorized("no key: send Authorization: Bearer KEY, or log in")
@@ -73,11 +73,12 @@ class Access:
             )
             raise Refused(HTTPStatus.FORBIDDEN, "foreign-request", detail)
         found = await self._find(scope["app"].state.application, given, trail)
-        trail.actor, trail.role = found.name, found.role
+        trail.actor, trail.role, trail.scopes = found.name, found.role, found.scopes
         if trouble := found.trouble(now()):
             raise unauthorized(trouble)
-        if needed is not None and found.role < needed:
-            detail = f"{trail.method} {scope['path']} needs {needed.word}; {found.name} is {found.role.word}"
+        if needed := lacking(found.role, found.scopes, trail.route):
+            limited = "" if found.scopes is None else f", limited to {', '.join(found.scopes)}"
+            detail = f"{trail.method} {scope['path']} needs {needed}; {found.name} is {found.role.word}{limited}"
             raise Refused(HTTPStatus.FORBIDDEN, "forbidden", detail)
 
     async def _find(self, application: Application, given: Shown, trail: Trail) -> Caller:

@@ -43,7 +43,7 @@ async def log_in(credentials: Credentials, request: Request, response: Response,
         max_age=int(settings.session_longest),
         httponly=True,
         samesite="strict",
-        secure=request.url.scheme == "https",
+        secure=request.url.scheme == "https" or settings.behind_proxy,
     )
     return me_of(request, application)
 

@@ -6,7 +6,8 @@ from pydantic import BaseModel
 from service.api.dependencies import ApplicationOf
 from service.api.people.trail import trail_of
 from service.application import Application
-from service.people.permissions import Role, beyond
+from service.people.permissions import Role
+from service.people.scopes import beyond
 
 router = APIRouter(prefix="/me", tags=["people"])
 
@@ -14,7 +15,7 @@ router = APIRouter(prefix="/me", tags=["people"])
 class Me(BaseModel):
     """`login`: whether the service asks who it is; `session`: by a session, which can be logged out of.
 
-    `refused`: the least role by "METHOD /path" below ``/api/v1``.
+    `refused`: the least role, or "scope" and its word, by "METHOD /path" below ``/api/v1``.
     """
 
     login: bool
@@ -39,5 +40,5 @@ def me_of(request: Request, application: Application) -> Me:
         name=trail.actor,
         role=role.word,
         session=trail.session is not None,
-        refused=beyond(role),
+        refused=beyond(role, trail.scopes),
     )

@@ -1,7 +1,14 @@
-"""One password after the other, and not many wrong ones: each costs 64 MiB and some 0.1 s of all processors."""
+"""One password after the other, and not many wrong ones: each costs 64 MiB and some 0.1 s of all processors.
+
+They are reckoned by a thread that gives way to all others: the set-points of a moving axis are among those.
+"""
 
 import asyncio
+import os
+import sys
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 from starlette.concurrency import run_in_threadpool
 
@@ -20,7 +27,12 @@ class PasswordCheck:
         """`most`: wrong ones for a name within a minute."""
         self._of_addresses, self._of_names = of_addresses, Guesses(most)
         self._one = asyncio.Lock()
+        self._reckoning = ThreadPoolExecutor(1, thread_name_prefix="password", initializer=_give_way)
         self._waiting = 0
+
+    def close(self) -> None:
+        """Ends its thread, when the last password is reckoned."""
+        self._reckoning.shutdown()
 
     async def user(self, users: UserStore, name: str, password: str, trail: Trail) -> UserDocument:
         """Who that is, whose name the trail then has. Refused: the same words, after the same time, for a name that
@@ -45,7 +57,7 @@ class PasswordCheck:
             if wait := guesses.wait(place, here, now):
                 trail.hushed = not guesses.first_refusal(place)
                 raise too_many(what, wait)
-        user = await run_in_threadpool(users.check, name, password)
+        user = await asyncio.get_running_loop().run_in_executor(self._reckoning, users.check, name, password)
         if await run_in_threadpool(users.knows, name):  # what is no name may be a password in the wrong field
             trail.actor = name
         if user is None:
@@ -56,3 +68,9 @@ class PasswordCheck:
         self._of_names.opened(here)
         trail.actor, trail.role = user.name, user.role
         return user
+
+
+def _give_way() -> None:
+    """The threads that argon2 starts in this one do so as well. Elsewhere a thread has no priority of its own."""
+    if sys.platform == "linux":
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)

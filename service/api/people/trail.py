@@ -32,6 +32,7 @@ class Trail:
     address: str
     actor: str = "unknown"
     role: Role | None = None
+    scopes: tuple[str, ...] | None = None
     route: Route | None = None
     stop: bool = False
     hushed: bool = False

@@ -8,6 +8,7 @@ import typer
 
 from service.errors import BadInput
 from service.people.permissions import LOCAL, Role
+from service.people.scopes import SCOPES
 
 ROLES = {role.word: role for role in Role}
 Name = Annotated[str, typer.Argument(metavar="NAME", help="A person or a program.")]
@@ -29,6 +30,14 @@ def role_of(word: str) -> Role:
     if word not in ROLES:
         raise BadInput("--role", f"{word!r} is not one of {', '.join(ROLES)}")
     return ROLES[word]
+
+
+def scopes_of(words: list[str]) -> tuple[str, ...] | None:
+    """None where there are none: all that the role may. BadInput."""
+    for word in words:
+        if word not in SCOPES:
+            raise BadInput("--scope", f"{word!r} is not one of {', '.join(SCOPES)}")
+    return tuple(dict.fromkeys(words)) or None
 
 
 def password_for(name: str) -> str:

@@ -7,10 +7,11 @@ from typing import Annotated
 
 import typer
 
-from service.cli.people.named import ROLES, Name, name_of, role_of
+from service.cli.people.named import ROLES, Name, name_of, role_of, scopes_of
 from service.cli.people.opened import Config, DataDir, opened, shell_entry
 from service.cli.people.sessions import revoke_session, sessions
 from service.cli.people.users import add_user, change_password, disable_user
+from service.people.scopes import SCOPES
 from service.store.people.keys import KeyStore
 from service.store.people.users import UserStore
 from service.store.tables import now
@@ -29,13 +30,16 @@ def add_key(
     name: Name,
     role: Annotated[str, typer.Option(help=f"What the key opens: {', '.join(ROLES)}.")],
     days: Annotated[int, typer.Option(min=1, max=3650, help="After so many days it opens nothing.")] = 90,
+    scope: Annotated[
+        list[str] | None, typer.Option(help=f"Limit it to this, within the role, again for more: {', '.join(SCOPES)}.")
+    ] = None,
     config: Config = None,
     data_dir: DataDir = None,
 ) -> None:
     """Make a key and print it, once: only its hash is stored. To be sent as `Authorization: Bearer KEY`."""
-    name, what = name_of(name), role_of(role)
+    name, what, scopes = name_of(name), role_of(role), scopes_of(scope or [])
     with opened(config, data_dir, make=True) as database:
-        _, key = KeyStore(database).add(name, what, timedelta(days=days), shell_entry())
+        _, key = KeyStore(database).add(name, what, timedelta(days=days), shell_entry(), scopes)
     sys.stdout.write(f"{key}\n")
 
 

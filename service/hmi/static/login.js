@@ -3,7 +3,7 @@
 import { authorization, bearer, call, forget, get, keep, Refused } from "./api.js";
 import { byId, complain, element, tell } from "./elements.js";
 
-let me = null; // {login, name, role, refused}; null: not known yet
+let me = null; // {login, name, role, session, refused}; null: not known yet
 let refusal = null; // why nobody is logged in
 
 let known;
@@ -46,20 +46,28 @@ export function askWho(error) {
 
 async function logIn(event) {
   event.preventDefault();
-  const key = byId("key").value;
+  const [name, password, key] = ["user", "password", "key"].map((id) => byId(id).value);
+  if (!key && !(name && password)) return tell("login-why", "name and password, or a key");
+  forget(); // of what opens no longer
   try {
-    await call("GET", "/me", undefined, bearer(key));
+    if (key) await call("GET", "/me", undefined, bearer(key));
+    else await call("POST", "/login", { name, password });
   } catch (error) {
     tell("login-why", error.message);
     return;
   }
-  keep(key);
+  if (key) keep(key);
   location.reload();
 }
 
-function logOut() {
-  forget();
-  location.reload();
+async function logOut() {
+  try {
+    if (me.session) await call("POST", "/logout");
+    forget();
+    location.reload();
+  } catch (error) {
+    complain(error);
+  }
 }
 
 // a link shows no key: what it leads to is fetched and saved
@@ -79,7 +87,7 @@ export function watchLogin() {
   byId("log-out").addEventListener("click", logOut);
   document.addEventListener("click", (click) => {
     const link = click.target.closest("a");
-    if (!me?.login || !link?.pathname.includes("/api/v1/")) return;
+    if (!me?.login || me.session || !link?.pathname.includes("/api/v1/")) return;
     click.preventDefault();
     save(link).catch(complain);
   });

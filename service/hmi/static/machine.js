@@ -67,7 +67,7 @@ export function inTrouble(drives, stop) {
 async function stop() {
   const press = `${Date.now()}-${Math.random()}`;
   const words = `/stop?by=${encodeURIComponent(presser())}&why=stop%20button&press=${press}`;
-  const beside = stopPort ? fetch(`http://${location.hostname}:${stopPort}${words}`, { method: "POST" }) : Promise.reject();
+  const beside = stopPort ? fetch(`${location.protocol}//${location.hostname}:${stopPort}${words}`, { method: "POST" }) : Promise.reject();
   const slow = setTimeout(async () => {
     const sent = await beside.then(({ ok }) => ok, () => false);
     complain(new Error(`STOP ${sent ? "SENT, NOT" : "NOT"} CONFIRMED YET: look at the machine, use the emergency stop`));

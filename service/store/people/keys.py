@@ -1,8 +1,9 @@
 """API keys: made, shown once, looked up by their hash, revoked. The audit has each change, in the same transaction."""
 
+from collections.abc import Sequence
 from datetime import datetime, timedelta
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, JsonValue
 from sqlalchemy import select
 
 from service.errors import NotFound
@@ -22,6 +23,7 @@ class KeyDocument(BaseModel):
     id: int
     name: str
     role: Role
+    scopes: tuple[str, ...] | None = None  # None: all that the role may
     created_at: datetime
     expires_at: datetime
     revoked_at: datetime | None
@@ -39,15 +41,23 @@ class KeyStore:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def add(self, name: str, role: Role, valid: timedelta, entry: Entry) -> tuple[KeyDocument, str]:
+    def add(
+        self, name: str, role: Role, valid: timedelta, entry: Entry, scopes: Sequence[str] | None = None
+    ) -> tuple[KeyDocument, str]:
         """The new key, which nobody can ask for again. Conflict where the name was given before."""
         key = new_key()
         with self._database.write(quiet=True) as session:
             check_free(session, name)
             made = t.now()
-            row = t.ApiKeyRow(name=name, role=role.word, sha256=key_sha256(key), expires_at=made + valid)
-            session.add(row)
-            append(session, [{**entry, "event": "key added", "key": name, "key_role": role.word}])
+            limited = None if scopes is None else list(scopes)
+            expires = made + valid
+            session.add(
+                row := t.ApiKeyRow(
+                    name=name, role=role.word, scopes=limited, sha256=key_sha256(key), expires_at=expires
+                )
+            )
+            told: dict[str, JsonValue] = {"key": name, "key_role": role.word}
+            append(session, [{**entry, "event": "key added", **told, **({"scopes": [*limited]} if limited else {})}])
             session.flush()
             return _document(row), key
 
@@ -81,6 +91,7 @@ def _document(row: t.ApiKeyRow) -> KeyDocument:
         id=row.id,
         name=row.name,
         role=Role[row.role.upper()],
+        scopes=None if row.scopes is None else tuple(row.scopes),
         created_at=row.created_at,
         expires_at=row.expires_at,
         revoked_at=row.revoked_at,

@@ -31,6 +31,10 @@ class SessionDocument(BaseModel):
     ended_at: datetime | None
     disabled: str
 
+    @property
+    def scopes(self) -> None:
+        """A person may all that the role may."""
+
     def trouble(self, at: datetime) -> str:
         """Why it opens nothing at that time; empty if it does."""
         if self.disabled or self.ended_at is not None:

@@ -47,8 +47,36 @@ def test_this_computer_alone_needs_no_login(host: str) -> None:
 def test_beyond_this_computer_somebody_asks_who_it_is(host: str) -> None:
     with pytest.raises(BadInput, match=r"(?s)^host: .*login: true.*trusted_network: true"):
         Settings(host=host).check_reach()
-    Settings(host=host, login=True).check_reach()
     Settings(host=host, trusted_network=True).check_reach()
+    with pytest.raises(BadInput, match=r"(?s)^host: .*tls_certificate.*behind_proxy: true"):
+        Settings(host=host, login=True).check_reach()
+    Settings(host=host, login=True, behind_proxy=True).check_reach()
+    Settings(host=host, login=True, tls_certificate=Path("a"), tls_key=Path("b")).check_reach()
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"tls_certificate": "a.pem"}, "^tls_key: is missing"),
+        ({"tls_key": "a.key"}, "^tls_certificate: is missing"),
+        (
+            {"tls_certificate": "none.pem", "tls_key": "none.key"},
+            "^tls_certificate: none.pem and none.key cannot be used",
+        ),
+    ],
+)
+def test_tls_needs_two_files_that_can_be_used(values: dict[str, Path], told: str) -> None:
+    with pytest.raises(BadInput, match=told):
+        Settings(**{name: Path(value) for name, value in values.items()}).check_tls()
+    Settings().check_tls()
+
+
+@pytest.mark.parametrize("origin", ["*", "https://*.example", "cell7.example", "https://cell7.example/", ""])
+def test_what_is_no_origin_is_refused(tmp_path: Path, origin: str) -> None:
+    file = tmp_path / "service.yaml"
+    file.write_text(f"cors_origins: ['{origin}']")
+    with pytest.raises(BadInput, match=r"cors_origins\.0"):
+        load_settings(file)
 
 
 @pytest.mark.parametrize("wrong", ["*", "10.0.0.1/8", "proxy.example", "[]"])

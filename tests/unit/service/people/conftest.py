@@ -1,5 +1,6 @@
 """A service that asks who it is, with a key of each role."""
 
+import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
@@ -62,3 +63,24 @@ def calling(url: str, key: str | None, address: str | None = None) -> Iterator[h
     way = httpx.HTTPTransport(local_address=address)
     with httpx.Client(base_url=url, headers=headers, timeout=30, trust_env=False, transport=way) as client:
         yield client
+
+
+def certificate(folder: Path, name: str, *options: str) -> tuple[Path, Path]:
+    """A self-signed one for this computer, and its key."""
+    pem, key = folder / f"{name}.pem", folder / f"{name}.key"
+    words = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-days", "2", "-subj", "/CN=cell7"]
+    names = ["-addext", "subjectAltName=IP:127.0.0.1,DNS:localhost"]
+    command = [
+        "openssl",
+        "req",
+        "-x509",
+        *words,
+        *names,
+        *(options or ("-nodes",)),
+        "-out",
+        str(pem),
+        "-keyout",
+        str(key),
+    ]
+    subprocess.run(command, check=True, capture_output=True, timeout=60)
+    return pem, key

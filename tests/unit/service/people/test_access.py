@@ -4,6 +4,7 @@ import re
 import sqlite3
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
+from datetime import timedelta
 from pathlib import Path
 from typing import Any, cast
 
@@ -108,6 +109,29 @@ def test_a_key_that_is_revoked_opens_nothing_at_once(url: str, keys: dict[str, s
         assert http.get("/api/v1/robots").status_code == 200
         store.revoke("short-lived", {"actor": "test"})
         assert http.get("/api/v1/robots").status_code == 401
+
+
+def test_a_key_is_limited_to_its_scopes(url: str, keys: dict[str, str], database: Database) -> None:
+    store, day = KeyStore(database), timedelta(days=1)
+    made, key = store.add("line-7", Role.OPERATOR, day, {"actor": "test"}, ["read", "measure"])
+    assert store.find(key) == made
+    assert made.scopes == ("read", "measure")
+    before = len(after(database))
+    with calling(url, key) as http:
+        assert http.get("/api/v1/robots").status_code == 200
+        assert http.post(START).status_code == 404
+        refused = http.post("/api/v1/stop/reset", json={"by": "line 7", "stops": [1]})
+        told = "POST /api/v1/stop/reset needs scope machine; line-7 is operator, limited to read, measure"
+        assert (refused.status_code, refused.json()["detail"]) == (403, told)
+        assert http.get("/metrics").status_code == 403
+        me = http.get("/api/v1/me").json()["refused"]
+        assert (me["POST /stop/reset"], me["POST /plans"]) == ("scope machine", "engineer")
+        assert "POST /campaigns" not in me
+        assert http.post("/api/v1/stop").json()["type"] == "urn:sweepid:problem:stop-not-confirmed"
+    assert [one.entry["why"] for one in after(database, before) if one.entry.get("status") == 403] == [
+        told,
+        "GET /metrics needs scope metrics; line-7 is operator, limited to read, measure",
+    ]
 
 
 def test_the_client_takes_its_key_from_the_environment(

@@ -149,6 +149,8 @@ def test_the_commands(own: Database, tmp_path: Path, capsys: pytest.CaptureFixtu
     for name, role in (("local", "viewer"), (" ", "viewer"), ("otto", "boss")):
         with pytest.raises(BadInput, match=r"^NAME: |^--role: "):
             add_key(name, role, 30, data_dir=tmp_path)
+    with pytest.raises(BadInput, match=r"^--scope: 'fly' is not one of read, "):
+        add_key("otto", "viewer", 30, ["read", "fly"], data_dir=tmp_path)
     with pytest.raises(Conflict, match="anna"):
         add_key("anna", "viewer", 30, data_dir=tmp_path)
     export_audit(tmp_path / "audit.jsonl", data_dir=tmp_path)

@@ -8,7 +8,9 @@ import pytest
 from fastapi import FastAPI
 
 from service.app import create_app
-from service.people.permissions import LOGIN, PERMISSIONS, SOCKET, STOP, Permissions, Role, Route, page
+from service.people.page import page
+from service.people.permissions import LOGIN, PERMISSIONS, SOCKET, STOP, Permissions, Role, Route
+from service.people.scopes import SCOPES, lacking, scope_of
 from service.settings import Settings
 
 PAGE = Path("docs/reference/permissions.md")
@@ -62,9 +64,38 @@ def test_stop_login_and_health_need_nobody() -> None:
     ],
 )
 def test_what_a_request_needs(method: str, path: str, role: Role | None) -> None:
-    assert Permissions().needed(method, path) is role
+    entry = Permissions().entry(method, path)
+    assert (Role.VIEWER if entry is None else PERMISSIONS[entry]) is role
+
+
+def test_each_route_that_needs_somebody_has_a_scope() -> None:
+    found = {route: scope_of(route) for route in PERMISSIONS}
+    assert {scope for scope in found.values() if scope} == set(SCOPES)
+    assert {route for route, scope in found.items() if scope is None and PERMISSIONS[route] is not None} == {
+        ("GET", "/api/v1/me"),
+        ("POST", "/api/v1/logout"),
+    }
+    assert scope_of(STOP) is None
+
+
+@pytest.mark.parametrize(
+    ("route", "role", "scopes", "needed"),
+    [
+        (("POST", "/api/v1/campaigns/{campaign_id}/start"), Role.OPERATOR, None, ""),
+        (("POST", "/api/v1/campaigns/{campaign_id}/start"), Role.OPERATOR, ("read", "measure"), ""),
+        (("POST", "/api/v1/campaigns/{campaign_id}/start"), Role.ADMIN, ("read",), "scope measure"),
+        (("POST", "/api/v1/campaigns/{campaign_id}/start"), Role.VIEWER, ("measure",), "operator"),
+        (("POST", "/api/v1/stop/reset"), Role.ADMIN, ("measure",), "scope machine"),
+        (("GET", "/metrics"), Role.VIEWER, ("metrics",), ""),
+        (("GET", "/api/v1/robots"), Role.VIEWER, ("metrics",), "scope read"),
+        (STOP, Role.VIEWER, ("metrics",), ""),
+        (None, Role.VIEWER, ("metrics",), "scope read"),
+    ],
+)
+def test_what_a_key_lacks(route: Route | None, role: Role, scopes: tuple[str, ...] | None, needed: str) -> None:
+    assert lacking(role, scopes, route) == needed
 
 
 def test_the_page_is_fresh(root: Path) -> None:
-    told = "run: python -m service.people.permissions > docs/reference/permissions.md"
+    told = "run: python -m service.people.page > docs/reference/permissions.md"
     assert (root / PAGE).read_text("utf-8") == page(), told

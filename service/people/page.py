@@ -1,0 +1,46 @@
+"""`docs/reference/permissions.md`, of the table: ``python -m service.people.page > FILE``."""
+
+import sys
+
+from service.people.permissions import MEANING, PERMISSIONS, Role
+from service.people.scopes import SCOPES, scope_of
+
+
+def page() -> str:
+    """The reference page, as Markdown."""
+    rows = [
+        f"| `{method}` | `{path}` | {_word(role)} | {scope_of((method, path)) or ''} |".replace("  |", " |")
+        for (method, path), role in PERMISSIONS.items()
+    ]
+    lines = [
+        "# Permissions",
+        "",
+        "Generated from the table in `service/people/permissions.py`. It holds with the setting `login: true`;",
+        "without it whoever reaches the service is `local` and may do everything:",
+        "[Let others in](../how-to/let-others-in.md).",
+        "",
+        "| role | may, beside what those above it may |",
+        "|---|---|",
+        *(f"| {role.word} | {MEANING[role]} |" for role in Role),
+        "",
+        "STOP needs nobody, here and at the port of the stop process.",
+        "",
+        "A key may be limited to scopes (`sweepid people add-key --scope WORD`), and then needs both role and scope.",
+        "",
+        "| scope | opens |",
+        "|---|---|",
+        *(f"| {scope} | {opens} |" for scope, opens in SCOPES.items()),
+        "",
+        "| method | path | least role | scope |",
+        "|---|---|---|---|",
+        *rows,
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _word(role: Role | None) -> str:
+    return "nobody needed" if role is None else role.word
+
+
+if __name__ == "__main__":
+    sys.stdout.write(page())
