@@ -26,9 +26,9 @@ class VirtualCell:
 def virtual_cell(folder: Path, robot: Robot, scenario: Path, *options: str) -> Generator[VirtualCell]:
     """Machine and service, started and, whatever happens, ended; they write into `folder`. `options` of the machine."""
     drive = ("drive", "--scenario", str(scenario), "--port", "0", "--speed-factor", SPEED_FACTOR, *options)
-    with running(drive, folder / "drive.log") as machine:
-        profile = drive_profile(PROFILE, machine.port, folder / "drives.yaml")
+    with running(drive, folder / "drive.log") as drives:
+        profile = drive_profile(PROFILE, drives.port, folder / "drives.yaml")
         serve = ("serve", "--port", "0", "--data-dir", str(folder / "data"), "--drive", str(profile))
         with running(serve, folder / "serve.log") as service, ServiceClient(service.url) as client:
             stored = client.add_robot(robot.description.model_dump(mode="json"), robot.urdf_text)
-            yield VirtualCell(machine, client, int(stored["id"]))
+            yield VirtualCell(drives, client, int(stored["id"]))

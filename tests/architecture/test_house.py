@@ -69,7 +69,9 @@ def test_the_lock_has_all_that_pyproject_asks_for(root: Path, project: dict[str,
     locked = {
         line.split("==")[0].split("[")[0] for line in lock_lines(root) if "==" in line and not line.startswith(" ")
     }
-    wanted = [*project["project"]["dependencies"], *project["dependency-groups"]["dev"]]
+    groups = project["dependency-groups"]
+    wanted = [*project["project"]["dependencies"], *project["project"]["optional-dependencies"]["pdf"]]
+    wanted += [each for group in groups.values() for each in group if isinstance(each, str)]
     names = {re.split(r"[^A-Za-z0-9-]", requirement)[0].lower() for requirement in wanted}
     assert names - locked == set(), "run: make lock"
 

@@ -2,18 +2,18 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from service.cli.address import DEFAULT_URL, Url
-from service.cli.campaign.result_page import result_page
 from service.cli.campaign.tables import write_tables
 from service.cli.documents import write_file
 from service.cli.waiting import waiting
 from service.client import ServiceClient
 from service.errors import BadInput
-from service.report import Form
+
+Form = Literal["html", "pdf", "json"]
 
 
 def report(
@@ -41,6 +41,10 @@ def report(
         if of.isdecimal():
             written = _of_service(int(of), diagnosis, [form for form, _ in wanted], url)
         else:
+            from service.cli.campaign.result_page import (
+                result_page,  # what reckons is loaded where there is something to
+            )
+
             page = result_page(Path(of))
             written = [page.written(form) for form, _ in wanted]
     for (form, path), content in zip(wanted, written, strict=True):

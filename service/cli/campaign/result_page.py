@@ -1,8 +1,10 @@
 """The report of what lies in files: a bundle, or what another command wrote with `--json`."""
 
 import hashlib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
+
+from pydantic import Field, JsonValue
 
 from service.cli.documents import read_document
 from service.cli.recordings.bundle_page import bundle_page, made_now
@@ -11,6 +13,7 @@ from service.errors import BadInput
 from service.report import CampaignReport, Page, campaign_page, diagnosis_page
 from service.results.diagnosis import Diagnosis
 from service.results.estimate import Estimate
+from service.results.part import Document, Part
 from service.store.files.bundle import read_bundle
 
 
@@ -18,23 +21,27 @@ def result_page(path: Path) -> Page:
     """Of a bundle (then identified and checked), an estimate, an initial analysis or a diagnosis; BadInput if none."""
     if path.is_dir():
         bundle = read_bundle(path)
-        found = Estimate.read(identify_bundle(bundle, None, str(path)), str(path))
-        return bundle_page(bundle, found, str(path))
-    document = read_document(path)
-    if _is_diagnosis(document):
-        found = Diagnosis.read(document, str(path))
+        return bundle_page(bundle, identify_bundle(bundle, None, str(path)), str(path))
+    some = read_document(path, _Some)
+    if any(axis.verdict is not None for axis in some.axes.values()):
+        found = read_document(path, Diagnosis)
         robot = found.model.robot
         return diagnosis_page(found, f"Diagnosis of the robot {robot}", str(path), (("robot", robot), *_origin(path)))
-    if not any(document.get(key) for key in ("axes", "analysis", "combination")):
+    if not (some.axes or some.analysis or some.combination):
         raise BadInput(str(path), "is no result of `sweepid identify --json` or `sweepid diagnose --json`")
-    return _estimate_page(Estimate.read(document, str(path)), path)
+    return _estimate_page(read_document(path, Estimate), path)
 
 
-def _is_diagnosis(document: dict[str, Any]) -> bool:
-    axes = document.get("axes")
-    if not isinstance(axes, dict):
-        return False
-    return any(isinstance(axis, dict) and "verdict" in axis for axis in cast("dict[str, Any]", axes).values())
+class _SomeAxis(Part):
+    verdict: JsonValue = None
+
+
+class _Some(Document):
+    """What tells which kind of result a file has."""
+
+    axes: Mapping[str, _SomeAxis] = Field(default={})
+    analysis: JsonValue = None
+    combination: JsonValue = None
 
 
 def _estimate_page(found: Estimate, path: Path) -> Page:

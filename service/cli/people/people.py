@@ -11,9 +11,10 @@ from service.cli.people.named import ROLES, Name, name_of, role_of, scopes_of
 from service.cli.people.opened import Config, DataDir, opened, shell_entry
 from service.cli.people.sessions import revoke_session, sessions
 from service.cli.people.users import add_user, change_password, disable_user
+from service.people.permissions import Role
 from service.people.scopes import SCOPES
-from service.store.people.keys import KeyStore
-from service.store.people.users import UserStore
+from service.store.people.keys import KeyDocument, KeyStore
+from service.store.people.users import UserDocument, UserStore
 from service.store.tables import now
 
 people = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Users and keys for the setting `login: true`.")
@@ -56,10 +57,11 @@ def list_people(config: Config = None, data_dir: DataDir = None) -> None:
     """One JSON line a user and a key; `trouble` says why it opens nothing."""
     with opened(config, data_dir) as database:
         for user in UserStore(database).all():
-            _tell({"kind": "user", **user.model_dump(mode="json"), "role": user.role.word, "trouble": user.trouble})
+            _tell("user", user, user.role, user.trouble)
         for key in KeyStore(database).all():
-            _tell({"kind": "key", **key.model_dump(mode="json"), "role": key.role.word, "trouble": key.trouble(now())})
+            _tell("key", key, key.role, key.trouble(now()))
 
 
-def _tell(told: dict[str, object]) -> None:
-    sys.stdout.write(f"{json.dumps(told)}\n")
+def _tell(kind: str, of: UserDocument | KeyDocument, role: Role, trouble: str) -> None:
+    line = {"kind": kind, **of.model_dump(mode="json"), "role": role.word, "trouble": trouble}
+    sys.stdout.write(f"{json.dumps(line)}\n")

@@ -33,5 +33,5 @@ def change_password(name: Name, config: Config = None, data_dir: DataDir = None)
 def disable_user(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
     """From now on nobody logs in by this name, for good, and its sessions are over."""
     with opened(config, data_dir) as database:
-        disabled = UserStore(database).disable(name, shell_entry())
+        disabled = UserStore(database).shut_out(name, shell_entry())
     sys.stdout.write(f"{disabled.name}\n")

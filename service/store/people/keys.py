@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from datetime import datetime, timedelta
 
-from pydantic import BaseModel, ConfigDict, JsonValue
+from pydantic import BaseModel, ConfigDict
 from sqlalchemy import select
 
 from service.errors import NotFound
-from service.people.chain import Entry
+from service.people.chain import Entry, Fact
 from service.people.keys import key_sha256, new_key
 from service.people.permissions import Role
 from service.store import tables as t
@@ -56,8 +56,8 @@ class KeyStore:
                     name=name, role=role.word, scopes=limited, sha256=key_sha256(key), expires_at=expires
                 )
             )
-            told: dict[str, JsonValue] = {"key": name, "key_role": role.word}
-            append(session, [{**entry, "event": "key added", **told, **({"scopes": [*limited]} if limited else {})}])
+            told: dict[str, Fact] = {"event": "key added", "key": name, "key_role": role.word}
+            append(session, [{**entry, **told, **({"scopes": limited} if limited else {})}])
             session.flush()
             return _document(row), key
 

@@ -64,7 +64,7 @@ class UserStore:
             append(session, [{**entry, "event": "password changed", "user": name}])
             return user_document(row)
 
-    def disable(self, name: str, entry: Entry) -> UserDocument:
+    def shut_out(self, name: str, entry: Entry) -> UserDocument:
         """At once, with all sessions; again changes nothing. NotFound."""
         with self._database.write(quiet=True) as session:
             row = _row(session, name)

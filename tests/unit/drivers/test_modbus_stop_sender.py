@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from drivers.errors import ConnectionFailed
-from drivers.modbus.profile import parse_profile
+from drivers.modbus.profile import RtuLine, TcpLine, parse_profile
 from drivers.modbus.registers import load_registers
 from drivers.modbus.stop_sender import ModbusStopSender
 from tests.unit.drivers.modbus_bank import Bank, Request, serving
@@ -15,10 +15,11 @@ ANYTHING = dict.fromkeys(range(0x10000), 0)
 UNITS = range(1, 7)
 
 
-def sender(root: Path, port: int) -> ModbusStopSender:
+def sender(root: Path, line: TcpLine | RtuLine) -> ModbusStopSender:
+    assert isinstance(line, TcpLine)
     file = root / "config" / "drives" / "virtual-max100-modbus-tcp.yaml"
     content = yaml.safe_load(file.read_text("utf-8"))
-    content["line"]["port"] = port
+    content["line"]["port"] = line.port
     profile = parse_profile(content, file.parent)
     return ModbusStopSender(profile, load_registers(profile.registers))
 
@@ -45,7 +46,7 @@ def test_every_unit_is_told_and_answers_that_come_late_count(root: Path) -> None
 
     bank = Bank("tcp", {unit: {} if unit == 4 else dict(ANYTHING) for unit in UNITS}, spoil)
     with serving(bank) as line:
-        told = sender(root, line.port).send()
+        told = sender(root, line).send()
     assert [request.unit for request in bank.requests][: len(UNITS)] == list(UNITS)
     assert {request.unit for request in bank.requests[len(UNITS) :]} == {6}  # told again, for it may not have heard
     assert {request.words[-1] for request in bank.requests} == {2}  # quick stop
@@ -55,9 +56,9 @@ def test_every_unit_is_told_and_answers_that_come_late_count(root: Path) -> None
 
 def test_a_line_that_the_drives_close_is_told(root: Path) -> None:
     with serving(Bank("tcp")) as line:
-        port = line.port
-    with pytest.raises(ConnectionFailed, match=f"127.0.0.1:{port}"):
-        sender(root, port).send()
+        closed = sender(root, line)
+    with pytest.raises(ConnectionFailed, match=line.place):
+        closed.send()
 
 
 def test_a_unit_that_lost_its_request_to_another_that_was_slow_is_told_again(root: Path) -> None:
@@ -68,7 +69,7 @@ def test_a_unit_that_lost_its_request_to_another_that_was_slow_is_told_again(roo
         return None if request.unit == 3 and heard.count(3) == 1 else frame
 
     with serving(Bank("tcp", {unit: dict(ANYTHING) for unit in UNITS}, spoil)) as line:
-        told = sender(root, line.port).send()
+        told = sender(root, line).send()
     assert heard[: len(UNITS)] == list(UNITS)
     assert set(heard[len(UNITS) :]) == {3}
     assert set(told.values()) == {""}

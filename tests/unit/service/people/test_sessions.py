@@ -146,7 +146,7 @@ def test_who_is_disabled_or_gets_another_password_is_out(url: str, person: str, 
         assert "was ended" in http.get("/api/v1/me").json()["detail"]
         assert log_in(http, person, WRONG).status_code == 200
         assert http.get("/api/v1/me").status_code == 200
-        users.disable(person, WHO)
+        users.shut_out(person, WHO)
         assert f"{person} was disabled on" in http.get("/api/v1/me").json()["detail"]
         assert log_in(http, person, WRONG).json()["detail"] == "name or password is wrong"
 

@@ -79,12 +79,12 @@ def test_users(own: Database) -> None:
     assert users.change_password("anna", OTHER, WHO) == anna
     assert users.check("anna", PASSWORD) is None
     assert users.check("anna", OTHER) == anna
-    disabled = users.disable("anna", WHO)
-    assert users.disable("anna", WHO) == disabled
+    disabled = users.shut_out("anna", WHO)
+    assert users.shut_out("anna", WHO) == disabled
     assert users.check("anna", OTHER) is None
     with pytest.raises(Conflict, match="anna was disabled on"):
         users.change_password("anna", PASSWORD, WHO)
-    for name in ("change_password", "disable"):
+    for name in ("change_password", "shut_out"):
         arguments = ("nobody", PASSWORD, WHO) if name == "change_password" else ("nobody", WHO)
         with pytest.raises(NotFound, match="no user nobody"):
             getattr(users, name)(*arguments)
