@@ -16,7 +16,7 @@ from drivers.contract.needs import needs
 from drivers.errors import CommunicationLost
 from drivers.ports import AxisState, SweepMode
 from drivers.registry import open_drive
-from tests.contract.bench import AXIS, DRIVES, ROOT, Virtual, sweep
+from tests.contract.bench import AXIS, DRIVES, ROOT, Virtual
 
 HOST = """
 import asyncio, json, sys
@@ -30,7 +30,7 @@ async def main() -> None:
     await port.enable("joint_1")
     turn = dict(
         joint="joint_1", offset_velocity=0.002, period=1.0, periods=200, ramp=0.5, settle=0.5, sample_rate=250.0,
-        velocity_limit=0.05, effort_limit=5000.0, position_window=(-2.0, 2.0),
+        velocity_limit=0.05, effort_limit=3000.0, position_window=(-2.0, 2.0),
     )
     if sys.argv[3] == "noise":
         run = port.run_noise(NoiseCommand(effort=30.0, lowest=1.0, highest=40.0, seed=3, softening=0.5, **turn))
@@ -120,7 +120,7 @@ async def test_a_machine_that_dies_is_lost_communication(mortal: Virtual, mode: 
     async with closing(mortal.open()) as port:
         await port.connect()
         await port.enable(AXIS)
-        command = await sweep(port, mode, periods=200, offset_velocity=0.002, sines=())
+        command = await mortal.bench.sweep(port, mode, periods=200, offset_velocity=0.002, sines=())
         process = mortal.process
         assert process is not None
         with pytest.raises(CommunicationLost):

@@ -85,7 +85,8 @@ class Machine:
     def _carried_out(self, request: dict[str, Any]) -> dict[str, Any]:
         drive, order = self.drives.get(request.get("joint", "")), request["order"]
         if order == "status":
-            return {"axes": {joint: _truth(each) for joint, each in self.drives.items()}}
+            syncs = max(each.syncs for each in self.drives.values())
+            return {"axes": {joint: _truth(each) for joint, each in self.drives.items()}, "sync_counter": syncs}
         if order == "emergency_stop":
             for each in self.drives.values():
                 each.press(request["on"], EMERGENCY_STOP)

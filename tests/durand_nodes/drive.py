@@ -37,6 +37,7 @@ class Drive:
         self._lagging = 0.0
         self._means = plant.position, 0.0, 0.0  # position, speed, effort over the time just gone by: what is told
         self._synced = -math.inf
+        self.syncs = 0
         self._now = 0.0
         self._heard: float | None = None  # the host's heartbeat
         self.node.sync.callbacks.add(self._sync)  # before all PDOs: they tell what is so at SYNC
@@ -66,6 +67,7 @@ class Drive:
     def _sync(self) -> None:
         led = self.led
         self._synced = self._now
+        self.syncs += 1
         if led:
             self._advance(round(self._od.read(0x1006, 0) * 1e-6 / STEP))
         self._tell()

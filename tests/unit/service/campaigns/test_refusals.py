@@ -167,7 +167,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
         disk.go.wait(TIMEOUT)
         sync(file)
 
-    monkeypatch.setattr("service.execution.recording.recorder.os.fsync", stall)
+    monkeypatch.setattr("service.store.files.stream.os.fsync", stall)
     yield disk
     disk.go.set()
 
@@ -228,7 +228,7 @@ async def test_a_disk_that_refuses_late_fails_the_sweep_at_standstill(
             raise OSError(28, "No space left on device")
         sync(file)
 
-    monkeypatch.setattr("service.execution.recording.recorder.os.fsync", refuse)
+    monkeypatch.setattr("service.store.files.stream.os.fsync", refuse)
     await bench.runner.start(1)
     await ran_out(bench)
     assert bench.drive.trace[-1] == "stop"

@@ -13,6 +13,7 @@ from service.errors import Conflict
 from service.store.documents import CampaignState, RecordingState, SweepDocument, SweepState
 from service.store.files.columns import read_columns
 from service.store.store import StaleVersion
+from tests.stored.documents import stored
 from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench, Taken, until, until_cancelled
 
 
@@ -80,11 +81,12 @@ async def test_one_axis_has_energy_at_a_time_and_only_to_move(bench: Bench) -> N
 
 def wants_confidence(bench: Bench, reached: list[float | None]) -> None:
     """The plan wants 1 %; the estimates, which come at once, have `reached` so many percent after each sweep."""
-    compile_plan = bench.compile_plan
+    known, compile_plan = stored("estimate"), bench.compile_plan
     bench.compile_plan = lambda campaign: dataclasses.replace(compile_plan(campaign), confidence=1.0, base_parameters=1)
 
     def identify(sweep: SweepDocument) -> None:
-        document = {"base_parameters": ["Izz"], "axes": {"joint_1": {"confidence_percent": reached.pop(0)}}}
+        axis = known["axes"]["joint_1"] | {"confidence_percent": reached.pop(0)}
+        document = known | {"base_parameters": known["base_parameters"][:1], "axes": {"joint_1": axis}}
         bench.store.add_estimate(sweep, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, document)
 
     bench.jobs.submit = identify
