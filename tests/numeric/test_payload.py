@@ -142,12 +142,15 @@ def test_sweeps_tell_the_payload(tmp_path: Path) -> None:
     for name, campaign in (("before", before), ("after", after)):
         write_bundle(tmp_path / name, campaign.robot, campaign.sweeps)
     bundles: list[Bundle] = [read_bundle(tmp_path / name) for name in ("before", "after")]
-    document = payload_of(*bundles, "after")
-    figures = [document["mass"], *document["center"].values(), *document["inertia"].values()]
+    found = payload_of(*bundles, "after")
+    figures = [found.mass, *found.center.values(), *found.inertia.values()]
     for figure, value in zip(figures, true, strict=True):
-        print(f"{figure['value']} +- {figure['std']}, true {value:.4f}")
-        if figure["excited"]:
-            assert figure["value"] == pytest.approx(value, abs=4 * figure["std"])
-    assert document["mass"]["std"] < 2.0
-    assert document["mass"]["std_total"] > document["mass"]["std"]
-    assert [each["axis"] for each in document["evidence"]] == ["joint_1", "joint_2", "joint_3"]
+        print(f"{figure.value} +- {figure.std}, true {value:.4f}")
+        if figure.excited:
+            assert figure.std is not None
+            assert figure.value == pytest.approx(value, abs=4 * figure.std)
+    assert found.mass.std is not None
+    assert found.mass.std_total is not None
+    assert found.mass.std < 2.0
+    assert found.mass.std_total > found.mass.std
+    assert [each.axis for each in found.evidence] == ["joint_1", "joint_2", "joint_3"]

@@ -100,6 +100,7 @@ def test_an_older_schema_is_backed_up_as_it_is(data: Path, tmp_path: Path) -> No
     """The backup before an upgrade is made with the new version."""
     with closing(sqlite3.connect(data / "sweepid.sqlite")) as old:
         old.executescript(
+            "DROP TABLE approval; DROP TABLE user_session; DROP TABLE user_account;"
             "DROP TABLE audit; DROP TABLE api_key; DROP TABLE spectrum_file; DROP TABLE identity;"
             "UPDATE alembic_version SET version_num = '0004'"
         )
