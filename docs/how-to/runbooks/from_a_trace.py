@@ -45,10 +45,10 @@ def from_a_trace(book: Runbook) -> Exit:
     estimate = given.out.with_name(f"{given.out.name}-estimate.json")
     write_file(estimate, as_json(document))
     for joint in axes:
-        inertia = document["axes"].get(joint, {}).get("inertia", ())
+        inertia = document.axes[joint].inertia if joint in document.axes else ()
         for sweep in inertia:
-            value = f"{sweep['value']:.5g} +- {sweep['std']:.2g} kg m2 (kg)"
-            book.step(f"{joint}, sweep {sweep['sweep']}", value, inertia=sweep)
+            value = f"{sweep.value:.5g} +- {sweep.std:.2g} kg m2 (kg)"
+            book.step(f"{joint}, sweep {sweep.sweep}", value, inertia=sweep.as_json())
         if not inertia:
             book.step(joint, "its sweeps tell no inertia")
             found = Exit.FAILED
