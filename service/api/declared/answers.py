@@ -14,6 +14,7 @@ _EXAMPLES: Json = json.loads(files("service.api.declared").joinpath("examples.js
 _UNTOLD = "Successful Response"  # FastAPI's word for an answer that nobody has described
 _MODELS = "#/components/schemas/"
 _TEXTS: dict[str, tuple[str, str]] = {
+    "application/pdf": ("The file: pages of A4, or the tables.", "%PDF and pages"),
     "application/vnd.apache.parquet": ("The recording's file, with the columns of a bundle.", "PAR1 and columns"),
     "application/xml": ("The identified robot.", '<?xml version="1.0"?>\n<robot name="max100-class">...</robot>'),
     "application/yaml": ("A YAML file.", "robot: max100-class-robot.yaml\n"),
@@ -49,7 +50,8 @@ def complete(document: Json) -> None:
 
 def _described(document: Json, schema: Json, media: str) -> tuple[str, str]:
     """What the answer is, and the name of its example."""
-    of = schema.get("items", schema).get("$ref", "").removeprefix(_MODELS)
+    some = schema.get("anyOf", [schema])[0]  # null beside it needs no word of its own
+    of = some.get("items", some).get("$ref", "").removeprefix(_MODELS)
     if not of:
         return _TEXTS.get(media, ("", ""))[0] or _UNTOLD, media.replace("/", ".")
     page, item = of.startswith("Page_"), of.removeprefix("Page_").removesuffix("_")

@@ -19,11 +19,13 @@ class ReportFile(StrEnum):
 
 
 _HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {"schema": {"type": "string"}}}}}
+_TABLE = {"section": "Estimate", "head": ["sweep", "J, kg m²"], "rows": [["0001", "642"]]}
+_TABLES = {"title": "Inertias of the robot max100-class", "tables": [_TABLE]}
 _FILES: dict[int | str, dict[str, Any]] = {
     200: {
         "content": {
             "application/pdf": {"schema": {"type": "string", "format": "binary"}},
-            "application/json": {"schema": {"type": "object"}},
+            "application/json": {"schema": {"type": "object"}, "examples": {"answer": {"value": _TABLES}}},
         }
     }
 }

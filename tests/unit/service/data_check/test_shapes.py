@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 
 USES: dict[str, Callable[[Bundle], object]] = {
     "check": lambda bundle: findings_document(bundle.robot, bundle.sweeps, check(bundle.robot, bundle.sweeps)),
-    "identify": lambda bundle: identify_bundle(bundle, None, "bundle"),
+    "identify": lambda bundle: identify_bundle(bundle, None, "bundle").as_json(),
     "diagnose": lambda bundle: diagnose_bundle(bundle, None, "bundle", twin=False).as_json(),
     "diagnose with its twin": lambda bundle: diagnose_bundle(bundle, None, "bundle").as_json(),
 }
