@@ -37,6 +37,8 @@ class Bench(Protocol):
     campaign: int
     chance: random.Random
 
+    def client_anew(self) -> None: ...
+
 
 Act = Callable[[Bench], None]
 
@@ -117,7 +119,7 @@ def _killed(bench: Bench) -> None:
 
 def _restart(bench: Bench) -> None:
     bench.service.start()
-    bench.client = ServiceClient(bench.service.url)
+    bench.client_anew()
 
 
 def _ended_kindly(bench: Bench) -> None:

@@ -101,6 +101,8 @@ class Walk:
     ) -> None:
         self.machine, self.service, self.chance = machine, service, chance
         self.client = ServiceClient(service.url)
+        self._closing = ExitStack()
+        self._closing.enter_context(self.client)
         self.tally = Tally()
         self.campaign = 0
         self.plan = add_plan(
@@ -108,6 +110,16 @@ class Walk:
         )
         self._way, self._watch, self._say = way, watch, say
         self._campaigns: list[int] = []
+
+    def __enter__(self) -> "Walk":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._closing.close()
+
+    def client_anew(self) -> None:
+        """Of a service that was started again, at another address."""
+        self.client = self._closing.enter_context(ServiceClient(self.service.url))
 
     def disturb(self, disturbance: Disturbance) -> None:
         """Once, at some moment of a run, and everything put right again."""
@@ -129,7 +141,9 @@ class Walk:
         if measured is not None:
             lost = self._lost(measured)
             self.tally.lost[disturbance.name] = max(self.tally.lost.get(disturbance.name, 0.0), lost)
-        self._report(disturbance, before)
+        if disturbance.ends and before["state"] == "running":
+            until(lambda: self._state()["state"] not in UNDER_WAY, f"{disturbance.name} ends the run")
+        self._report(disturbance)
 
     def finish(self) -> None:
         """Every campaign is measured to its end, and its data are what was promised."""
@@ -233,10 +247,8 @@ class Walk:
             return 0.0  # it goes on
         return 1000 * max(0, measured.samples - kept) / measured.per_second
 
-    def _report(self, disturbance: Disturbance, before: Json) -> None:
+    def _report(self, disturbance: Disturbance) -> None:
         after = self._state()
-        if before["state"] == "running" and disturbance.ends and after["state"] == "running":
-            self.tally.broken.append(f"{disturbance.name}: campaign {self.campaign} still runs")
         cause = f": {after['cause']}" if after["cause"] else ""
         self._say(f"{sum(self.tally.done.values()):4} {disturbance.name}: {after['state']}{cause}"[:160])
 
@@ -273,7 +285,8 @@ def walking(way: Way, folder: Path, seed: int, say: Callable[[str], None]) -> It
         machine = stack.enter_context(virtual_machine(folder, way.speed_factor, way.fieldbus))
         service = stack.enter_context(serving(folder, machine.profile, PATIENT_LEASE))
         watch = stack.enter_context(Watch(machine))
-        yield Walk(way, machine, service, watch, random.Random(seed), say), watch
+        walk = Walk(way, machine, service, watch, random.Random(seed), say)
+        yield stack.enter_context(walk), watch
 
 
 def of(way: Way) -> list[Disturbance]:

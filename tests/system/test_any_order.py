@@ -16,7 +16,7 @@ from tests.soak.watch import Watch
 from tests.system.rest_bench import VirtualMachine, until, virtual_machine
 from tests.system.virtual_bench import Host
 
-STEPS = 6
+STEPS = 3
 PROFILE_POSITION = 1  # 6060h
 
 
