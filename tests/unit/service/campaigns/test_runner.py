@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from drivers.errors import CommunicationLost, DriveFault
-from service.campaigns.session import SweepEvent, sweep_move
 from service.errors import Conflict
-from service.store.documents import CampaignState, RecordingState, SweepDocument, SweepState
+from service.store.documents import CampaignState, RecordingState, SweepState
 from service.store.files.columns import read_columns
 from service.store.store import StaleVersion
-from tests.stored.documents import stored
-from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench, Taken, until, until_cancelled
+from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, Taken, until, until_cancelled
 
 
 async def run_out(bench: Bench) -> None:
@@ -77,40 +75,6 @@ async def test_one_axis_has_energy_at_a_time_and_only_to_move(bench: Bench) -> N
             assert energised == {rest.split()[0]}
         elif what == "disable":
             energised.discard(rest)
-
-
-def wants_confidence(bench: Bench, reached: list[float | None]) -> None:
-    """The plan wants 1 %; the estimates, which come at once, have `reached` so many percent after each sweep."""
-    known, compile_plan = stored("estimate"), bench.compile_plan
-    bench.compile_plan = lambda campaign: dataclasses.replace(compile_plan(campaign), confidence=1.0, base_parameters=1)
-
-    def identify(sweep: SweepDocument) -> None:
-        axis = known["axes"]["joint_1"] | {"confidence_percent": reached.pop(0)}
-        document = known | {"base_parameters": known["base_parameters"][:1], "axes": {"joint_1": axis}}
-        bench.store.add_estimate(sweep, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, document)
-
-    bench.jobs.submit = identify
-
-
-async def test_a_campaign_ends_when_enough_is_known(bench: Bench) -> None:
-    wants_confidence(bench, [None, 0.8])
-    await bench.runner.start(bench.campaign.id)
-    await run_out(bench)
-    campaign = bench.store.campaign(bench.campaign.id)
-    why = "confidence of 1 % reached: J is known to 0.8 % over the workspace"
-    assert (campaign.state, campaign.cause) == (CampaignState.COMPLETED, why)
-    assert campaign.sweeps == {SweepState.IDENTIFIED: 2, SweepState.SKIPPED: 2}
-    assert bench.store.sweep(campaign.id, 3).cause == why
-    assert sum(entry.startswith("sweep") for entry in bench.drive.trace) == 2
-
-
-async def test_a_campaign_that_does_not_know_enough_runs_to_its_end(bench: Bench) -> None:
-    wants_confidence(bench, [None, 1.2, 1.1, 1.01])
-    await bench.runner.start(bench.campaign.id)
-    await run_out(bench)
-    campaign = bench.store.campaign(bench.campaign.id)
-    assert (campaign.state, campaign.cause) == (CampaignState.COMPLETED, "")
-    assert campaign.sweeps == {SweepState.IDENTIFIED: 4}
 
 
 async def test_a_drive_fault_stops_the_machine_and_waits_for_a_person(bench: Bench) -> None:
