@@ -10,9 +10,12 @@ FUZZ ?=  # more words for the fuzzing, as: make fuzz FUZZ='--seed 7 --cpu 60 --p
 
 SOAK ?=  # more words for the soak, as: make soak SOAK="--seed 7 --minutes 30"
 
+BENCH ?=  # more words for the benchmarks, as: make bench BENCH="--only wire service"
+
 SEED ?=  # of an order that test-random printed, to have it again
 
-.PHONY: demo venv docs test test-fast test-random test-vcan test-drives test-compose fuzz soak check format lock sbom audit openapi clean
+.PHONY: demo venv docs test test-fast test-random test-vcan test-drives test-compose fuzz soak bench check format lock sbom audit openapi clean
+.PHONY: check-style check-types check-tests-types check-arrows check-habits
 
 demo: $(READY)  ## measure, identify and report a virtual robot
 	$(BIN)/sweepid demo --out demo-out
@@ -23,7 +26,7 @@ docs: $(READY)  ## the documents as a site, docs/_build/index.html; warnings are
 	$(BIN)/sphinx-build -q -n -W --keep-going docs docs/_build
 
 test: check  ## all checks, then all tests
-	$(BIN)/python -m pytest -n 3 --dist loadscope --durations 40  # two wait for machines, one reckons
+	$(BIN)/python -m pytest -n 3 --dist loadscope --durations 40  # two wait for machines, one computes
 
 test-fast: $(READY)  ## unit and architecture tests that are not marked slow, in some two minutes
 	$(BIN)/python -m pytest -n 2 --dist loadscope -m "not slow" --durations 10 --durations-min 2 tests/unit tests/architecture
@@ -32,10 +35,12 @@ test-random: $(READY)  ## unit and architecture tests, the files and the tests i
 	$(BIN)/python -m pytest --random-order $(if $(strip $(SEED)),--random-order-seed $(strip $(SEED))) tests/unit tests/architecture
 
 test-vcan: $(READY)  ## what needs a real SocketCAN vcan0; in a guest (user-mode-linux) where the kernel has no CAN
+	$(BIN)/python -m tests.node_canopen.install  # the guest has no network
 	VCAN_TIMEOUT=1800 tests/vcan/run $(BIN)/python -m pytest --vcan --color=no tests/vcan tests/contract
 
 test-drives: $(READY)  ## the contract suite on every drive and bus, those alike to others included
 	$(BIN)/python -m pytest --every-drive tests/contract
+	VCAN_TIMEOUT=3600 tests/vcan/run $(BIN)/python -m pytest --vcan --every-drive --color=no tests/contract
 
 test-compose: $(READY)  ## start docker-compose.yml for real and measure in it; with an engine of its own where none runs
 	tests/compose/run sh -c 'docker-compose build && $(BIN)/python -m pytest --color=no tests/compose'
@@ -43,15 +48,29 @@ test-compose: $(READY)  ## start docker-compose.yml for real and measure in it; 
 soak: $(READY)  ## everything that goes wrong, 20 times each at random moments of real campaigns, on each bus; hours
 	for way in canopen canopen-streamed modbus; do $(BIN)/python -m tests.soak $$way $(SOAK) || exit 1; done
 
+bench: $(READY)  ## what it costs, beside what else could do the same: docs/reference/benchmarks.md; a quarter of an hour
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.benchmarks.bench $(BENCH)
+
 fuzz: $(READY)  ## what no program wrote, given to every parser of files from outside; 600 s of CPU, fails on a finding
 	$(BIN)/python -m tests.fuzz $(FUZZ)
 
-check: $(READY)  ## format, lint, types, import arrows, habits (repo-review; exceptions in pyproject.toml)
+check: $(READY)  ## format, lint, types, import arrows, habits (repo-review; exceptions in pyproject.toml), two at once
+	@$(MAKE) --no-print-directory --output-sync=target --jobs=2 check-tests-types check-types check-style check-arrows check-habits
+
+check-style:
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+
+check-types:
 	$(BIN)/basedpyright
+
+check-tests-types:
 	$(BIN)/basedpyright -p tests/pyrightconfig.json
+
+check-arrows:
 	$(BIN)/lint-imports
+
+check-habits:
 	$(BIN)/repo-review --show err .
 
 format: $(READY)  ## put the code into its form
@@ -59,7 +78,9 @@ format: $(READY)  ## put the code into its form
 	$(BIN)/ruff format .
 
 lock: $(READY)  ## resolve the dependencies anew, for all platforms
-	$(BIN)/uv pip compile pyproject.toml --extra pdf --group dev --universal --python-version 3.11 --generate-hashes \
+	$(BIN)/uv pip compile pyproject.toml --extra hdf5 --extra mcap --extra mdf4 --extra mqtt --extra oidc \
+		--extra opcua --extra otel --extra pdf --extra postgresql --extra s3 --group dev --universal \
+		--python-version 3.11 --generate-hashes \
 		--no-emit-index-url --no-header --quiet --output-file requirements.lock
 
 sbom: $(READY)  ## what sweepid is made of, as CycloneDX 1.6: sbom.json

@@ -1,1 +1,1 @@
-"""Talks to real drives, in SI units on the joint side. Knows nothing of robots or identification."""
+"""Interface to real drives, in SI units on the joint side. Contains nothing about robots or identification."""

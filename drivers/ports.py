@@ -1,23 +1,23 @@
-"""The one interface behind which every drive stands: SI units, joint side, names of joints.
+"""The common interface of all drives: SI units, joint side, names of joints.
 
-A `DrivePort` is one machine: all the axes that one connection reaches. An adapter is registered by entry point
-(group ``sweepid.drives``) as ``factory(profile: Mapping[str, object], base: Path) -> DrivePort``, files named in the
-profile being relative to `base`; `drivers.registry` loads it.
+A `DrivePort` is one machine: all axes that one connection reaches. An adapter is registered by entry point
+(group ``sweepid.drives``) as ``factory(profile: Mapping[str, object], base: Path) -> DrivePort``. File names in the
+profile are relative to `base`. `drivers.registry` loads the adapter.
 
-Rules that every adapter keeps (`drivers.contract` tests them):
+Rules for every adapter (tested by `drivers.contract`):
 
-- Nothing energises an axis but `enable`. A fault is cleared by `acknowledge` alone, and that never energises.
-- Leaving `run_sweep` or `run_noise` early, for whatever reason (error, ``aclose``, cancellation), stops the axis.
-- `stop` may be called at any time, from any task, and twice.
-- After a gap of the host's time, beside another host, or with an axis that gained or lost its energy by nobody here,
-  nothing is energised or moved until `allow`.
-- Whatever a drive cannot enforce itself is enforced here before the command is sent (`Capabilities`).
+- Only `enable` energises an axis. Only `acknowledge` clears a fault, and it never energises an axis.
+- Leaving `run_sweep` or `run_noise` early, for any reason (error, ``aclose``, cancellation), stops the axis.
+- `stop` may be called at any time, from any task, and more than once.
+- After a suspension of the host, with a second host on the bus, or after an axis was energised or de-energised by
+  something else, nothing is energised or moved until `allow` is called.
+- Limits that a drive cannot enforce itself are enforced here before the command is sent (`Capabilities`).
 """
 
 from collections.abc import AsyncGenerator, Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,48 +26,51 @@ Array = NDArray[np.float64]
 
 
 class SweepMode(Enum):
-    """Who generates the motion of a sweep."""
+    """Which side generates the motion of a sweep."""
 
     DRIVE_SIDE = "drive_side"
-    """The drive's measuring function: parameters in, samples of the drive's own clock out."""
+    """The drive's measuring function: it takes parameters and returns samples on the drive's own clock."""
     HOST_STREAMED = "host_streamed"
     """The host sends a velocity set-point every cycle (CiA 402 cyclic synchronous velocity)."""
 
 
 class AxisState(Enum):
-    """What an operator needs to know of an axis."""
+    """State of an axis as an operator needs it."""
 
-    UNKNOWN = "unknown"  # no word from the drive
+    UNKNOWN = "unknown"  # the drive does not answer
     DISABLED = "disabled"  # no torque, brake closed
     ENABLED = "enabled"  # in closed loop, at standstill unless commanded
     STOPPING = "stopping"  # quick stop or fault reaction under way
-    FAULT = "fault"  # waits for a person's acknowledgement
+    FAULT = "fault"  # until a person acknowledges it
 
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:
-    """What the machine behind a port really can do. Told honestly: what is False is done by the host or refused."""
+    """What the machine behind a port supports. False means that the host does it instead, or that it is refused."""
 
     sweep_modes: frozenset[SweepMode]
     load_encoder: bool  # `load_position` comes with the samples of drive-side sweeps
     velocity_limit_in_drive: bool
     effort_limit_in_drive: bool
     position_limits_in_drive: bool
-    host_watchdog_in_drive: bool  # the drive stops by itself when the host falls silent
-    set_point_timing: str  # "thread", "bcm" (the kernel's), "none"
-    simultaneous_axes: int  # that one `run_sweep` may move at once
+    host_watchdog_in_drive: bool  # the drive stops by itself when the host is silent
+    set_point_timing: str  # "thread" (host), "bcm" (kernel), "none"
+    simultaneous_axes: int  # maximum number of axes of one `run_sweep`
     torque_injection: bool = False  # `run_noise`: the drive's own torque noise, with its speed control softened
-    hears_other_hosts: bool = False  # False: a second host shows only by what it does to the axes
+    hears_other_hosts: bool = False  # False: a second host is detected only by its effect on the axes
     set_points: str = (
-        "none"  # what takes streamed set-points: "cyclic_velocity (60FFh)", "interpolated_position (60C1h)"
+        "none"  # object that receives streamed set-points: "cyclic_velocity (60FFh)", "interpolated_position (60C1h)"
     )
+    bus_bitrate: int | None = None  # bit/s; None: unknown, or not applicable to the fieldbus
+    bus_load: tuple[float, ...] = ()  # largest share used by a streamed sweep of 1, 2, ... axes
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelTiming:
-    """By how much the drive's channels lag behind the encoder's position, s; measured as in how-to/calibrate-channels.
+    """Delays of the drive's channels relative to the encoder position, s; measured as in how-to/calibrate-channels.
 
-    A port delivers samples as the drive gives them; who makes a recording of them puts the channels right.
+    A port delivers the samples as the drive reports them. The code that makes a recording of them corrects the
+    channels.
     """
 
     effort_delay: float = 0.0
@@ -78,10 +81,10 @@ class ChannelTiming:
 
 @dataclass(frozen=True, slots=True)
 class SetPointTiming:
-    """How punctual the set-points of one host-streamed sweep were; s.
+    """Punctuality of the set-points of one host-streamed sweep; s.
 
-    A thread is never early. The kernel can be: it is steered so that the mean keeps to the grid, and makes up for a
-    late stretch by an early one.
+    A thread is never early. The kernel can be early: it is controlled so that the mean stays on the grid, and it
+    compensates late cycles by early ones.
     """
 
     source: str  # "thread" or "bcm"
@@ -92,8 +95,30 @@ class SetPointTiming:
 
 
 @dataclass(frozen=True, slots=True)
+class BusTraffic:
+    """Number of frames on an open bus so far. `bits`: all frames without stuff bits. `bitrate` in bit/s, None if
+    unknown.
+    """
+
+    received: int
+    sent: int
+    bits: int
+    bitrate: int | None
+
+
+@runtime_checkable
+class ReportsTraffic(Protocol):
+    """A port or connection that counts frames. Optional for a port."""
+
+    @property
+    def bus_traffic(self) -> BusTraffic | None:
+        """The counts, or None while not connected."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
 class AxisIdentity:
-    """What the device says of itself; shown to the operator and stored with every recording."""
+    """Identity that the device reports; shown to the operator and stored with every recording."""
 
     joint: str
     address: str  # e.g. "node 1"
@@ -118,10 +143,10 @@ class AxisStatus:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A fault as the drive reports it."""
+    """A fault as reported by the drive."""
 
     joint: str
-    code: int  # CiA 402 error code (603Fh) or the maker's
+    code: int  # CiA 402 error code (603Fh) or manufacturer's code
     text: str
     emergency_stop: bool = False
 
@@ -139,10 +164,10 @@ class Sine:
 class SweepCommand:
     """One sweep of one axis from standstill to standstill.
 
-    Velocity set-point: ``e(t) (offset_velocity + sum of sines)`` with the envelope e rising as a raised cosine over
-    `ramp`, one during `settle` and the measured window of ``periods * period``, falling over another `ramp`.
-    The measured window starts at ``t0 = ramp + settle``. The limits are those of the envelope check on the
-    host; an adapter also puts them into the drive where the drive has them.
+    Velocity set-point: ``e(t) (offset_velocity + sum of sines)``. The envelope e rises as a raised cosine over
+    `ramp`, is one during `settle` and the measured window of ``periods * period``, and falls over another `ramp`.
+    The measured window starts at ``t0 = ramp + settle``. The limits are those of the envelope check on the host; an
+    adapter also writes them to the drive if the drive has objects for them.
     """
 
     joint: str
@@ -153,7 +178,7 @@ class SweepCommand:
     periods: int
     ramp: float  # s
     settle: float  # s
-    sample_rate: float  # Hz, wanted; the blocks' time column tells what was got
+    sample_rate: float  # Hz, requested; the time column of the blocks has the actual rate
     velocity_limit: float  # rad/s (m/s), absolute
     effort_limit: float  # N m (N), absolute
     position_window: tuple[float, float]  # rad (m), absolute joint positions never to be left
@@ -171,12 +196,12 @@ class SweepCommand:
 
 @dataclass(frozen=True, slots=True)
 class NoiseCommand:
-    """Pseudo-random torque on top of a slow turn, from standstill to standstill; the drive makes and records it.
+    """Pseudo-random torque during a slow motion, from standstill to standstill; generated and recorded by the drive.
 
     Velocity set-point ``e(t) offset_velocity`` and injected torque ``e(t) sum_k a sin(2 pi f_k t + phi_k)`` with the
-    envelope and times of `SweepCommand`. f_k is every multiple of 1/`period` in the band, a the same for all,
-    phi_k random by `seed`. While it runs, the gain of the drive's speed control is multiplied and its reset time
-    divided by `softening`; the drive's own values are restored whatever ends the run.
+    envelope and times of `SweepCommand`. f_k are all multiples of 1/`period` in the band, a is equal for all lines,
+    phi_k is random by `seed`. During the run the gain of the drive's speed control is multiplied, and its reset time
+    divided, by `softening`. The commissioned values are restored however the run ends.
     """
 
     joint: str
@@ -190,7 +215,7 @@ class NoiseCommand:
     softening: float  # above 0, at most 1
     ramp: float  # s
     settle: float  # s
-    sample_rate: float  # Hz, wanted
+    sample_rate: float  # Hz, requested
     velocity_limit: float  # rad/s (m/s), absolute
     effort_limit: float  # N m (N), absolute; of control and injection together
     position_window: tuple[float, float]  # rad (m), absolute joint positions never to be left
@@ -208,10 +233,10 @@ class NoiseCommand:
 
 @dataclass(frozen=True, slots=True)
 class SampleBlock:
-    """Consecutive samples of one sweep or noise run on the drive's clock; arrays of one length, joint side.
+    """Consecutive samples of one sweep or noise run on the drive's clock; arrays of equal length, joint side.
 
-    `index` counts the drive's samples from the start of the sweep; a jump means that samples were lost. Blocks
-    arrive in order; a block never overlaps the one before. `time` is index / rate of the drive's clock, s.
+    `index` counts the drive's samples from the start of the sweep; a jump means lost samples. Blocks arrive in order
+    and do not overlap. `time` is index / sample rate on the drive's clock, s.
     """
 
     joint: str
@@ -226,64 +251,67 @@ class SampleBlock:
 
 
 class StopSender(Protocol):
-    """A connection of its own to the same bus that can say one thing: stop. Needs no port, no answer, no event loop.
+    """An independent connection to the same bus that can only stop. Needs no port, no answer and no event loop.
 
-    Blocking, for one thread at a time but `send` and `insist`, which may be called from any.
+    Blocking. For one thread at a time, except `send` and `insist`, which may be called from any thread.
     """
 
     def open(self) -> None:
-        """ConnectionFailed where that is not possible. May be called again."""
+        """Open the connection; may be called again. Raises ConnectionFailed if that is not possible."""
         ...
 
     def listen(self, within: float) -> None:
-        """Take what comes for so many s; CommunicationLost once the connection is gone."""
+        """Receive for `within` s. Raises CommunicationLost if the connection is lost."""
         ...
 
     def send(self) -> Mapping[str, str]:
-        """The stop for every axis onto the wire; by joint, why it may not have been reached ("": it is there).
+        """Send the stop for every axis. Returns by joint why it may not have arrived ("": it arrived).
 
-        CommunicationLost, ConnectionFailed where nothing could be sent. The service may go on to talk to its drives.
+        Raises CommunicationLost or ConnectionFailed if nothing could be sent. The service may continue to use its
+        drives.
         """
         ...
 
     def insist(self) -> None:
-        """As `send`, and what makes the drives deaf to a host that goes on sending: where nobody takes over."""
+        """As `send`, and additionally make the drives ignore a host that continues to send; used if no service takes
+        over.
+        """
         ...
 
     def close(self) -> None:
-        """Safe to call twice."""
+        """Close the connection. May be called twice."""
         ...
 
 
 class DrivePort(Protocol):
-    """One machine. Every method raises a `drivers.errors.DriveError`; times out by itself; is safe to cancel."""
+    """One machine. Every method raises a `drivers.errors.DriveError`, has its own time-out and is safe to cancel."""
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The joints this port reaches, in the profile's order."""
+        """Joints of this port, in the order of the profile."""
         ...
 
     @property
     def capabilities(self) -> Capabilities:
-        """Known after `connect`."""
+        """Available after `connect`."""
         ...
 
     @property
     def channel_timing(self) -> Mapping[str, ChannelTiming]:
-        """By joint, from the profile; all zero where nothing was measured."""
+        """Delays by joint, from the profile; zero if they were not measured."""
         ...
 
     @property
     def set_point_timing(self) -> SetPointTiming | None:
-        """Of the last host-streamed sweep; None if the last sweep was the drive's own."""
+        """Punctuality of the last host-streamed sweep; None if the drive generated the last sweep."""
         ...
 
     async def connect(self) -> tuple[AxisIdentity, ...]:
-        """Open the bus, check every node's identity, configure and read back. Leaves every axis disabled."""
+        """Open the bus, check the identity of every node, configure it and read back. Leaves every axis disabled."""
         ...
 
     async def close(self) -> None:
-        """Disable every axis and release the bus. Safe to call twice, and after any error."""
+        """Disable every axis and release the bus. May be called twice, and after any error."""
         ...
 
     async def status(self) -> Mapping[str, AxisStatus]:
@@ -291,60 +319,64 @@ class DrivePort(Protocol):
         ...
 
     async def enable(self, *joints: str) -> None:
-        """Energise these axes at standstill; none is left enabled if one cannot be.
+        """Energise these axes at standstill. If one axis cannot be enabled, all of them are left disabled.
 
-        Refused while a fault is pending or any other axis is enabled; SweepInterrupted if it is stopped meanwhile.
+        Refused while a fault is pending or any other axis is enabled. Raises SweepInterrupted if stopped meanwhile.
         """
         ...
 
     async def disable(self, joint: str) -> None:
-        """Bring the axis to standstill and take its energy away."""
+        """Bring the axis to standstill and de-energise it."""
         ...
 
     async def move_to(self, joint: str, position: float, velocity: float) -> None:
-        """Move one enabled axis to `position` rad (m) at most at `velocity`; returns at standstill there."""
+        """Move one enabled axis to `position`, rad (m), at most at `velocity`, rad/s (m/s); returns at standstill
+        there.
+        """
         ...
 
     def run_sweep(self, *commands: SweepCommand) -> AsyncGenerator[SampleBlock, None]:
-        """Run one sweep on an enabled axis, yielding samples as they come; ends at standstill.
+        """Run one sweep on an enabled axis and yield samples as they arrive; ends at standstill.
 
-        Several commands, one an axis and all host-streamed with the same times, move their axes at once on one clock;
-        whatever ends one of them ends all.
+        Several commands (one per axis, all host-streamed with the same times) move their axes together on one clock.
+        If one of them ends early, all end.
         """
         ...
 
     def run_noise(self, command: NoiseCommand) -> AsyncGenerator[SampleBlock, None]:
         """Inject torque noise on one enabled axis: as a drive-side `run_sweep`, with `excitation_effort`.
 
-        NotReady where `Capabilities.torque_injection` is False.
+        Raises NotReady if `Capabilities.torque_injection` is False.
         """
         ...
 
     def watch(self, tell: Callable[[str], None] | None) -> None:
-        """`tell` is given, from any thread and at once, why nothing is energised or moved any more until `allow`."""
+        """`tell` receives at once, from any thread, the reason why nothing is energised or moved until `allow`."""
         ...
 
     def allow(self) -> None:
-        """A person looked at the machine. Nothing moves by this."""
+        """A person has checked the machine. This call causes no motion."""
         ...
 
     def halt(self) -> None:
-        """Tell every axis to stop by what needs no answer, at once. From any thread; waits for nothing, never raises.
+        """Send every axis a stop that needs no answer, at once. From any thread; does not wait and never raises.
 
-        Whether they do, `stop` finds out.
+        `stop` then confirms whether the axes stopped.
         """
         ...
 
     async def stop(self) -> tuple[str, ...]:
         """Stop every axis now: `halt`, then the stop sequence, axis by axis, to standstill without energy.
 
-        Gives the joints that confirmed it: all of them, or none where it is not connected. Never raises for an axis
-        already still; StopNotConfirmed names those that did not answer.
+        Returns the joints that confirmed it: all of them, or none if the port is not connected. Does not raise for
+        an axis that already stands. StopNotConfirmed names the axes that did not answer.
         """
         ...
 
     def stop_sender(self) -> "StopSender":
-        """For a process beside this one. NotReady says why there cannot be one: a bus that has one owner."""
+        """For a separate process. Raises NotReady with the reason if there cannot be one, e.g. a bus with a single
+        owner.
+        """
         ...
 
     async def faults(self) -> tuple[Fault, ...]:
@@ -352,5 +384,5 @@ class DrivePort(Protocol):
         ...
 
     async def acknowledge(self, joint: str) -> None:
-        """Clear the fault of one axis after a person looked. The axis stays disabled."""
+        """Clear the fault of one axis after a person has checked it. The axis stays disabled."""
         ...

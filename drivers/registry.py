@@ -1,4 +1,4 @@
-"""Finds drive adapters by entry point: whoever installs a package with a ``sweepid.drives`` entry brings a drive."""
+"""Finds drive adapters by entry point: a package with a ``sweepid.drives`` entry adds an adapter."""
 
 from collections.abc import Callable, Mapping
 from importlib.metadata import entry_points
@@ -15,7 +15,7 @@ Factory = Callable[[Mapping[str, object], Path], DrivePort]
 
 
 def load_profile(path: Path) -> dict[str, object]:
-    """A drive profile from a YAML file; BadProfile names the file and the reason."""
+    """Read a drive profile from a YAML file. BadProfile names the file and the reason."""
     try:
         return dict(read_mapping(path, "adapter"))
     except BadProfile as error:
@@ -25,11 +25,12 @@ def load_profile(path: Path) -> dict[str, object]:
 def open_drive(profile: Mapping[str, object], base: Path) -> DrivePort:
     """The port of a profile's machine, not yet connected. Files named in the profile are relative to `base`.
 
-    BadProfile if the key ``adapter`` names no registered adapter, or the adapter refuses the profile.
+    Raises BadProfile if the key ``adapter`` does not name a registered adapter, or if the adapter refuses the
+    profile.
     """
     adapters = {entry.name: entry for entry in entry_points(group=GROUP)}
     name = profile.get("adapter")
     if not isinstance(name, str) or name not in adapters:
-        raise BadProfile(f"adapter: {name!r} is not known; installed are {', '.join(sorted(adapters)) or 'none'}")
+        raise BadProfile(f"adapter: {name!r} is unknown; installed: {', '.join(sorted(adapters)) or 'none'}")
     factory = cast("Factory", adapters[name].load())
     return factory(profile, base)

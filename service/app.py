@@ -8,20 +8,24 @@ from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 from starlette.middleware.cors import CORSMiddleware
 
-from service.api import events, health, metrics, robots
-from service.api.campaign import approvals, bundles, campaigns, plans, sweeps
+from service.api import events, health, robots
+from service.api.campaign import approvals, bundles, campaigns, pictures, plans, sweeps
 from service.api.declared.application import DeclaredApi
 from service.api.gate import BUNDLE_LIMIT, ROBOT_LIMIT, Gate
+from service.api.logged import Logged
 from service.api.machine import drives, live, stop
-from service.api.people import audit, login, me
+from service.api.metrics import route as metrics
+from service.api.people import audit, login, me, oidc
 from service.api.people.access import Access
-from service.api.people.audited import Audited
+from service.api.people.audit_middleware import AuditMiddleware
+from service.api.people.oidc_login import open_oidc
 from service.api.people.password_check import PasswordCheck
 from service.api.problem import Problem, install_problem_handlers
-from service.api.results import diagnoses, estimates, model_revisions, models, reports
+from service.api.read_only import ReadOnly
+from service.api.results import diagnoses, estimates, fleet, jobs, model_revisions, models, reports
 from service.application import Application, open_application
 from service.hmi.pages import add_pages
-from service.people.guesses import Guesses
+from service.people.rate_limit import Guesses
 from service.settings import Settings
 from service.stop_process.handle import StopProcess
 
@@ -30,6 +34,7 @@ _ENDED = "the service ended"
 _ROUTERS = (
     robots.router,
     plans.router,
+    pictures.router,
     approvals.router,
     campaigns.router,
     sweeps.router,
@@ -37,6 +42,8 @@ _ROUTERS = (
     reports.router,
     models.router,
     diagnoses.router,
+    fleet.router,
+    jobs.router,
     model_revisions.router,
     bundles.router,
     events.router,
@@ -46,14 +53,15 @@ _ROUTERS = (
     audit.router,
     me.router,
     login.router,
+    oidc.router,
     health.router,
 )
 
 
 def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: StopProcess | None = None) -> FastAPI:
-    """Its lifespan owns the `Application` behind it. `hosts`: host names it answers to, empty: any.
+    """The FastAPI application; its lifespan owns the `Application`. `hosts`: accepted host names, empty: any.
 
-    `stop_process` runs already, and belongs to who started it.
+    `stop_process` is already running and belongs to the caller.
     """
     app = DeclaredApi(
         title="sweepid",
@@ -78,11 +86,15 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
     limits = {f"{PREFIX}{bundles.BUNDLES}": BUNDLE_LIMIT, f"{PREFIX}{robots.router.prefix}": ROBOT_LIMIT}
     guesses = Guesses(settings.wrong_keys)
     app.state.password_check = PasswordCheck(guesses, settings.wrong_keys)
-    app.add_middleware(Access, login=settings.login, guesses=guesses)  # the last one added meets a request first
+    app.state.oidc = open_oidc(settings.oidc, guesses)
+    if settings.no_machine:
+        app.add_middleware(ReadOnly)
+    app.add_middleware(Access, login=settings.login, guesses=guesses)  # the last one handles a request first
     app.add_middleware(
         Gate, hosts=hosts, stop_path=f"{PREFIX}{stop.router.prefix}", limits=limits, origins=settings.cors_origins
     )
-    app.add_middleware(Audited)
+    app.add_middleware(AuditMiddleware)
+    app.add_middleware(Logged)
     if settings.cors_origins:  # without cookies: other pages send keys
         app.add_middleware(
             CORSMiddleware,
@@ -95,7 +107,7 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
 
 
 def end_streams(app: FastAPI) -> None:
-    """End what never ends by itself (event streams, live samples), so that the server can shut down."""
+    """End all streams without an end (event streams, live samples), so that the server can shut down."""
     application: Application | None = getattr(app.state, "application", None)
     if application is not None:
         application.feed.close()
@@ -103,17 +115,17 @@ def end_streams(app: FastAPI) -> None:
 
 
 async def end_motion(app: FastAPI) -> None:
-    """The machine at standstill, and moved no more: before anything of the service is waited for."""
+    """Bring the machine to a final standstill, before the service waits for anything."""
     application: Application | None = getattr(app.state, "application", None)
-    if application is not None:
+    if application is not None and application.cell is not None:
         application.machine.end(_ENDED)
         await application.runner.close()
 
 
 def halt(app: FastAPI, why: str) -> None:
-    """Tell every axis to stop; nothing moves any more. `why` the service ends."""
+    """Stop every axis; no motion is possible afterwards. `why`: reason for the end of the service."""
     application: Application | None = getattr(app.state, "application", None)
-    if application is not None:
+    if application is not None and application.cell is not None:
         application.machine.end(f"{_ENDED} by {why}")
 
 

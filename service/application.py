@@ -1,117 +1,153 @@
 """The composition root: builds store, machine, runner, worker and hub from the settings, and owns their lifetimes."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import dataclass
-from datetime import timedelta
-from functools import partial
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import structlog
 
 from drivers.errors import DriveError
 from drivers.registry import load_profile, open_drive
+from service.campaigns.estimate_quality import Quality, quality_of
+from service.campaigns.fleet_history import FleetHistory
 from service.campaigns.live import EventFeed, LiveHub
+from service.campaigns.planned_time import PlannedTime, planned_times
+from service.cell import Cell, WithCell
 from service.configuration import read_robot
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis_loop.acceptance import accept_model
 from service.diagnosis_loop.diagnosing import Diagnosing
 from service.diagnosis_loop.experiments import Experiments
-from service.errors import Conflict
+from service.errors import BadInput, Conflict
 from service.execution.approvals import Approvals
+from service.execution.external_stops import listening, watching
 from service.execution.machine import Machine
 from service.execution.recording.recovery import recover
 from service.execution.runner import Runner
-from service.execution.second_stop import listening, watching
 from service.execution.sweep_executor import SweepExecutor
+from service.fleet.document import Fleet
+from service.fleet.survey import Rules
 from service.geometry.cell import read_cell
+from service.jobs.batches import Batches
 from service.jobs.checking import Checking
 from service.jobs.jobs import Jobs
-from service.jobs.reporting import Reporting
-from service.people.chain import Entry
+from service.jobs.recording_uploads import RecordingUploads
+from service.jobs.reporting import Reporting, of_fleet
+from service.people.audit_chain import Entry
 from service.people.keys import masked
 from service.planning.compiled_plan import compile_plan, plan_of, planned_sweeps
 from service.planning.motion_hash import machine_sha256, motion_sha256
+from service.publishing.following import Following
+from service.publishing.publisher import Publisher
+from service.publishing.state import Configuration
 from service.report import Form, NoPdf
 from service.safety.robot_and_machine import DriveAxis, DriveProfile
 from service.settings import Settings
 from service.stop_process.handle import StopProcess
 from service.store.approvals import ApprovalStore
 from service.store.checks import CheckStore
-from service.store.database import open_database
+from service.store.database import Database, open_database
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import ModelDocument
 from service.store.documents import CampaignDocument
-from service.store.files.apart import LIMITS, Limits, read_apart
 from service.store.files.bundle import write_bundle
 from service.store.files.data_folder import claim_folder
 from service.store.files.exchange import campaign_bundle, import_campaign
 from service.store.files.intake import SavedBundle, take_in
+from service.store.files.isolated_reader import LIMITS, Limits, read_isolated
 from service.store.files.recordings import RecordingFiles
 from service.store.guards import MachineLease, StopLatch
+from service.store.objects.moves import MoveStore
+from service.store.objects.object_store import check_usable
 from service.store.people.audit import AuditStore
+from service.store.people.external import ExternalUsers
 from service.store.people.keys import KeyStore
 from service.store.people.sessions import SessionStore
 from service.store.people.users import UserStore
 from service.store.people.writer import AuditWriter
+from service.store.plant.batches import BatchStore
+from service.store.plant.fleet import FleetStore
+from service.store.plant.machines import PlantStore
 from service.store.requests import IdempotencyKeys
 from service.store.store import Store
 from service.tasks.background import Background
+from service.telemetry import traced
 from service.worker import Worker, Written, open_worker
+from service.worker.transfers import Transfers
 
 _log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
-class Application:
-    """Everything that `sweepid serve` is made of."""
+class Application(WithCell):
+    """All parts of `sweepid serve`. `cell`: None for a service that only reads the data of the plant."""
 
     settings: Settings
-    drive_axes: tuple[DriveAxis, ...]  # as the profile has them
     store: Store
     files: RecordingFiles
     keys: IdempotencyKeys
-    machine: Machine
-    runner: Runner
-    jobs: Jobs
     worker: Worker
     hub: LiveHub
     feed: EventFeed
     diagnoses: DiagnosisStore
     models: ModelStore
-    diagnosing: Diagnosing
-    experiments: Experiments
     checks: CheckStore
-    checking: Checking
-    stop_process: StopProcess | None
     audit: AuditWriter
     api_keys: KeyStore
     users: UserStore
     sessions: SessionStore
-    approvals: Approvals
-    machine_sha256: str  # of the drive profile with its files, as they are used
-    lost: str
-    """Why nothing may be stored, because the database is not the one of the data folder; empty if it is."""
+    external_users: ExternalUsers
+    fleet_history: FleetHistory
+    plant: PlantStore
+    batches: BatchStore
+    cell: Cell | None
+
+    @cached_property
+    def planned_times(self) -> Callable[[int], tuple[PlannedTime, ...]]:
+        """Planned times by plan number; a stored plan never changes, so each is read once. Blocks."""
+
+        @lru_cache(maxsize=8)
+        def times(plan_id: int) -> tuple[PlannedTime, ...]:
+            return planned_times(self.store.plan(plan_id))
+
+        return times
+
+    @cached_property
+    def qualities(self) -> Callable[[], dict[str, Quality]]:
+        """Quality of the latest estimate of each robot, by name; revisions never change, so each is read once. Blocks.
+
+        An estimate of another version is omitted, with an entry in the log.
+        """
+
+        @lru_cache(maxsize=256)
+        def of_revision(campaign_id: int, revision: int) -> Quality | None:
+            try:
+                return quality_of(self.store.estimate(campaign_id, revision))
+            except BadInput as error:
+                _log.warning("estimate_without_quality", campaign=campaign_id, revision=revision, reason=str(error))
+                return None
+
+        def latest() -> dict[str, Quality]:
+            newest = self.store.latest_estimates().items()
+            found = {name: of_revision(one.campaign_id, one.revision) for name, one in newest}
+            return {name: one for name, one in found.items() if one is not None}
+
+        return latest
 
     async def troubles(self) -> tuple[str, ...]:
-        """Why nothing can be measured now, or why what was measured is not identified; one line each."""
-        process = self.stop_process
-        found = [
-            self.lost,
-            "" if self.machine.connected else f"machine not connected: {self.machine.trouble or 'not tried yet'}",
-            self.machine.forbidden,
-            process.trouble if process is not None and process.ended else "",
-            await asyncio.to_thread(self.files.disk_trouble, self.settings.least_free_disk),
-            self.worker.trouble,
-            self.runner.untold,
-            *self.jobs.troubles,
-            *self.checking.troubles,
-            *self.diagnosing.troubles,
-        ]
-        return tuple(line for line in found if line)
+        """Reasons why no measurement or no identification is possible now; one line each.
+
+        Without a machine: the reason why no report can be drawn.
+        """
+        own = () if self.cell is None else await self.cell.troubles(self.files, self.settings.least_free_disk)
+        return tuple(line for line in (*own, self.worker.trouble) if line)
 
     async def add_campaign(self, plan_id: int) -> CampaignDocument:
         """A campaign of a stored plan, in state `planned`. Nothing moves until `runner.start`."""
@@ -120,23 +156,22 @@ class Application:
         return await asyncio.to_thread(self.store.add_campaign, plan_id, planned_sweeps(plan))
 
     def motion_sha256(self, plan_id: int) -> str:
-        """Of all that decides what a plan moves now (see `motion_hash`); blocks."""
+        """Hash of all data that determine the motion of a plan now (see `motion_hash`); blocks."""
         plan = self.store.plan(plan_id)
         cell = read_cell(self.settings.cells_dir / f"{plan_of(plan).request.cell}.yaml")
-        return motion_sha256(plan, self.store.robot(plan.robot_id), cell, self.settings, self.machine_sha256)
+        return motion_sha256(plan, self.store.robot(plan.robot_id), cell, self.settings, self.own.machine_sha256)
 
     async def import_bundle(self, source: Path, limits: Limits = LIMITS) -> CampaignDocument:
-        """A campaign of the sweeps of a bundle (folder or zip), which are then identified. BadInput: nothing is stored.
+        """A campaign of the sweeps of a bundle (folder or zip), to be identified. BadInput: nothing is stored.
 
-        It is read by another process: within `limits`, and no sample of it comes here.
+        Another process reads the bundle within `limits`; its samples are not loaded in this process.
         """
         self._check_database()
         with TemporaryDirectory(prefix="import-", dir=self.files.transfer()) as name:
             work = Path(name)
-            saved = SavedBundle.model_validate(await read_apart(take_in, (source, work), "bundle", limits))
+            saved = SavedBundle.model_validate(await read_isolated(take_in, (source, work), "bundle", limits))
             campaign = await asyncio.to_thread(self._add_imported, work, saved)
-        for sweep in await asyncio.to_thread(self.store.sweeps, campaign.id):
-            self.jobs.submit(sweep)
+        await self.jobs.submit_imported(campaign.id)
         return campaign
 
     async def export_bundle(self, campaign_id: int, folder: Path) -> None:
@@ -149,21 +184,31 @@ class Application:
         return import_campaign(self.store, self.files, saved)
 
     async def campaign_report(self, campaign_id: int, form: Form) -> str | bytes:
-        """Drawn by the worker; Conflict while nothing is identified, NoPdf where PDF cannot be made."""
+        """Drawn by the worker; Conflict if there is no result yet, NoPdf if PDF is not available."""
         reporting = Reporting(self.store, self.diagnoses, self.checks, self.files)
         return _made(await self.worker.run(await asyncio.to_thread(reporting.job, campaign_id, form)))
 
     async def diagnosis_report(self, diagnosis_id: int, form: Form) -> str | bytes:
-        """The same of a diagnosis; Conflict until it is done."""
+        """The report of a diagnosis; Conflict until it is finished."""
         reporting = Reporting(self.store, self.diagnoses, self.checks, self.files)
         return _made(await self.worker.run(await asyncio.to_thread(reporting.of_diagnosis, diagnosis_id, form)))
 
+    def fleet(self, name: str | None) -> Fleet:
+        """The present state of the robots of one type, or of all; blocks. NotFound."""
+        settings = self.settings
+        rules = Rules(settings.fleet_false_alarms, settings.fleet_campaigns, settings.remeasure_days)
+        return self.fleet_history.fleet(rules, datetime.now(UTC), name)
+
+    async def fleet_report(self, name: str | None, form: Form) -> str | bytes:
+        """The same as a report, drawn by the worker. NotFound; NoPdf if PDF is not available."""
+        return _made(await self.worker.run(of_fleet(await asyncio.to_thread(self.fleet, name), form)))
+
     def _check_database(self) -> None:
-        if self.lost:
-            raise Conflict(self.lost)
+        if self.own.lost:
+            raise Conflict(self.own.lost)
 
     def accept_model(self, diagnosis_id: int, axes: Sequence[str] | None, accepted_by: str) -> ModelDocument:
-        """A diagnosis becomes the next revision of its robot's model (see `acceptance`); blocks."""
+        """Make a diagnosis the next revision of its robot's model (see `acceptance`); blocks."""
         return accept_model(self.store, self.diagnoses, self.models, diagnosis_id, axes, accepted_by)
 
 
@@ -175,100 +220,176 @@ def _made(written: Written) -> str | bytes:
 
 @asynccontextmanager
 async def open_application(settings: Settings, stop_process: StopProcess | None = None) -> AsyncGenerator[Application]:
-    """Open everything; MachineTaken when another service owns the machine, BadInput or BadProfile for a bad file
+    """Open everything; MachineTaken if another service owns the machine, BadInput or BadProfile for an invalid file
     or an installed effect that cannot be used.
 
-    A machine that does not answer is no error here: the service starts, `machine.trouble` tells it, and connecting
-    is tried again on command. After a restart nothing moves (`recovery.recover`); connecting disables every axis.
+    A machine that does not answer is no error here: the service starts, `machine.trouble` has the reason, and a command
+    can connect again. After a restart nothing moves (`recovery.recover`); connecting disables every axis.
+    With the setting `no_machine` there is neither drive nor lease, and the service writes only the audit
+    and sessions of the plant.
     """
     async with AsyncExitStack() as stack:
+        stack.enter_context(traced(settings.traces, settings.machine_name))
         if brought := CATALOGUE.brought:
             _log.info("effects_of_other_packages", packages=brought)
-        profile = load_profile(settings.drive)
-        port = open_drive(profile, settings.drive.parent)
-        axes = DriveProfile.model_validate(profile).of(port.joints)
-        machine_hash = machine_sha256(profile, settings.drive.parent)
+        profile = None if settings.no_machine else load_profile(settings.drive)
+        port = None if profile is None else open_drive(profile, settings.drive.parent)
         settings.data_dir.mkdir(parents=True, exist_ok=True)
-        database = stack.enter_context(open_database(settings.url))
+        name = None if settings.no_machine else settings.machine_name
+        database = stack.enter_context(
+            open_database(settings.url, settings.database_password_file, name, migrated=not settings.no_machine)
+        )
         api_keys = KeyStore(database)
         users, sessions = UserStore(database), SessionStore(database, settings.session_idle, settings.session_longest)
         audit = stack.enter_context(AuditWriter(AuditStore(database), api_keys, sessions))
-        store, files, keys = Store(database), RecordingFiles(settings.data_dir), IdempotencyKeys(database)
-
-        lost = await asyncio.to_thread(claim_folder, settings.data_dir, database)
-        if lost:
-            _log.error("database_lost", reason=lost)
-        lease = MachineLease(database, settings.lease_time)
-        await asyncio.to_thread(lease.acquire)
-        stack.callback(lease.release)
-        latch = StopLatch(database)
-        order_stop = (lambda: None) if stop_process is None else stop_process.order
-        machine = Machine(port, latch, latch.latched(), order_stop, partial(tell_own_stop, audit))
-        stack.push_async_callback(machine.close)
-        stack.push_async_callback(port.close)
-        keeping = Background()
-        stack.push_async_callback(keeping.close)
-        keeping.begin("lease", machine.keep_lease(lease, settings.lease_time))
-        await stack.enter_async_context(watching(machine, partial(tell_own_stop, audit)))
-        if stop_process is not None:
-            await stack.enter_async_context(listening(stop_process, machine, partial(_tell_stop, audit)))
-
-        if not lost:
-            await asyncio.to_thread(files.clear_transfer)
-            for number in await asyncio.to_thread(recover, store, files):
-                tell_own_stop(audit, f"campaign {number}", "the service before this one ended without a word")
-        keys.release_unanswered()
-        for path in sorted(settings.robots_dir.glob("*.yaml")):
-            store.add_robot(read_robot(path))
+        store, keys = Store(database), IdempotencyKeys(database)
+        address = settings.recordings_store
+        transfers = None
+        if address is not None:
+            check_usable(address)
+            transfers = Transfers()
+            stack.push_async_callback(transfers.close)
+        files = RecordingFiles(settings.data_dir, address, None if transfers is None else transfers.fetch)
+        owned, keeping = None, Background()
+        if port is not None:
+            owned = await _own_machine(
+                stack, settings, database, partial(Machine, port), port.close, stop_process, audit, keeping
+            )
+            if not owned.lost:
+                await asyncio.to_thread(files.clear_transfer)
+                for number in await asyncio.to_thread(recover, store, files):
+                    tell_own_stop(audit, f"campaign {number}", "the previous service process ended without a shutdown")
+            keys.release_unanswered()
+            for path in sorted(settings.robots_dir.glob("*.yaml")):
+                store.add_robot(read_robot(path))
+        else:
+            stack.push_async_callback(keeping.close)
 
         feed, hub = EventFeed(store, database), LiveHub(settings.live_rate)
         stack.callback(feed.close)
+        keeping.begin("events of other services", feed.watch())
         stack.callback(hub.close)
-        worker = await stack.enter_async_context(open_worker(settings.dask_scheduler))
+        worker = await stack.enter_async_context(open_worker(settings.cluster, settings.traces, settings.machine_name))
         diagnoses, models = DiagnosisStore(database), ModelStore(database)
-        jobs = Jobs(store, files, worker, models)
-        stack.push_async_callback(jobs.close)
-        executor = SweepExecutor(store, files, machine, hub)
-        stack.callback(executor.close)
-        approvals = Approvals(ApprovalStore(database), settings.approval, timedelta(hours=settings.approval_valid))
-        compiling = partial(compile_plan, store, settings, axes, machine_hash)
-        runner = Runner(store, machine, executor, jobs, compiling, approvals)
-        stack.push_async_callback(runner.close)
-
-        diagnosing = Diagnosing(store, diagnoses, models, files, worker)
-        stack.push_async_callback(diagnosing.close)
-        experiments = Experiments(settings, store, diagnoses, runner, diagnosing)
-        stack.push_async_callback(experiments.close)
-        told = await asyncio.to_thread(store.last_event_id)
-        await diagnosing.recover()
-        await experiments.recover()
-        checks = CheckStore(database)
-        checking = Checking(store, checks, files, worker)
-        stack.push_async_callback(checking.close)
-        await checking.recover()
-        following = Background()
-        stack.push_async_callback(following.close)
-        following.begin("check of the data", checking.follow(feed, told))
-        following.begin("loop of the diagnoses", experiments.follow(feed, told))
-
-        await jobs.recover()
-        try:
-            await machine.connect()
-        except DriveError as error:
-            _log.warning("machine_not_connected", reason=str(error))
-        yield Application(
-            *(settings, axes, store, files, keys, machine, runner, jobs, worker, hub, feed),
-            *(diagnoses, models, diagnosing, experiments, checks, checking, stop_process, audit),
-            *(api_keys, users, sessions, approvals, machine_hash, lost),
+        application = Application(
+            *(settings, store, files, keys, worker, hub, feed, diagnoses, models, CheckStore(database), audit),
+            *(api_keys, users, sessions, ExternalUsers(database)),
+            *(FleetHistory(FleetStore(database)), PlantStore(database), BatchStore(database), None),
         )
+        if owned is not None and profile is not None:
+            axes = DriveProfile.model_validate(profile).of(owned.machine.joints)
+            sha256 = machine_sha256(profile, settings.drive.parent)
+            cell = await _open_cell(stack, application, database, owned, axes, sha256, transfers, stop_process)
+            application = replace(application, cell=cell)
+        yield application
+
+
+class _Owned(NamedTuple):
+    machine: Machine
+    lost: str
+
+
+async def _own_machine(
+    stack: AsyncExitStack,
+    settings: Settings,
+    database: Database,
+    make: Callable[..., Machine],
+    close_port: Callable[[], Awaitable[None]],
+    stop_process: StopProcess | None,
+    audit: AuditWriter,
+    keeping: Background,
+) -> _Owned:
+    """Take the data folder and the lease for this service; the machine is not connected yet.
+
+    `make` creates it from its latch, the active stops, and the callback for stops; `close_port` ends its connection.
+    """
+    lost = await asyncio.to_thread(claim_folder, settings.data_dir, database)
+    if lost:
+        _log.error("database_lost", reason=lost)
+    lease = MachineLease(database, settings.lease_time)
+    await asyncio.to_thread(lease.acquire)
+    stack.callback(lease.release)
+    latch = StopLatch(database)
+    order_stop = (lambda: None) if stop_process is None else stop_process.order
+    machine = make(latch, latch.latched(), order_stop, partial(tell_own_stop, audit))
+    stack.push_async_callback(machine.close)
+    stack.push_async_callback(close_port)
+    stack.push_async_callback(keeping.close)
+    keeping.begin("lease", machine.keep_lease(lease, settings.lease_time))
+    await stack.enter_async_context(watching(machine, partial(tell_own_stop, audit)))
+    if stop_process is not None:
+        await stack.enter_async_context(listening(stop_process, machine, partial(_tell_stop, audit)))
+    return _Owned(machine, lost)
+
+
+async def _open_cell(
+    stack: AsyncExitStack,
+    app: Application,
+    database: Database,
+    owned: _Owned,
+    axes: tuple[DriveAxis, ...],
+    sha256: str,
+    transfers: Transfers | None,
+    stop_process: StopProcess | None,
+) -> Cell:
+    """The parts that move the machine and compute; open jobs continue, and the machine is connected if it answers."""
+    settings, store, files, worker, machine = app.settings, app.store, app.files, app.worker, owned.machine
+    jobs = Jobs(store, files, worker, app.models)
+    stack.push_async_callback(jobs.close)
+    executor = SweepExecutor(store, files, machine, app.hub)
+    stack.callback(executor.close)
+    approvals = Approvals(ApprovalStore(database), settings.approval, timedelta(hours=settings.approval_valid))
+    runner = Runner(store, machine, executor, jobs, partial(compile_plan, store, settings, axes, sha256), approvals)
+    stack.push_async_callback(runner.close)
+
+    diagnosing = Diagnosing(store, app.diagnoses, app.models, files, worker)
+    stack.push_async_callback(diagnosing.close)
+    experiments = Experiments(settings, store, app.diagnoses, runner, diagnosing)
+    stack.push_async_callback(experiments.close)
+    told = await asyncio.to_thread(store.last_event_id)
+    await diagnosing.recover()
+    await experiments.recover()
+    checking = Checking(store, app.checks, files, worker)
+    stack.push_async_callback(checking.close)
+    await checking.recover()
+    batches = Batches(store, app.batches, app.models, files, worker)
+    stack.push_async_callback(batches.close)
+    await batches.recover()
+    following = Background()
+    stack.push_async_callback(following.close)
+    following.begin("check of the data", checking.follow(app.feed, told))
+    following.begin("loop of the diagnoses", experiments.follow(app.feed, told))
+    moving = None
+    if transfers is not None:
+        moving = RecordingUploads(MoveStore(database), files, settings, transfers)
+        if not owned.lost:
+            following.begin("move recordings", moving.follow())
+
+    publication = Configuration.of(settings)
+    publisher = None if publication is None else Publisher(publication)
+    if publisher is not None:
+        published = Following(store, machine, runner, settings.machine_name, publisher)
+        following.begin("publisher", publisher.run())
+        following.begin("publish the machine", published.look())
+        following.begin("publish events", published.follow(app.feed, told))
+
+    await jobs.recover()
+    try:
+        await machine.connect()
+    except DriveError as error:
+        _log.warning("machine_not_connected", reason=str(error))
+    return Cell(
+        *(axes, sha256, owned.lost, machine, jobs, executor, runner, approvals),
+        *(diagnosing, experiments, checking, batches, moving, publisher, stop_process),
+    )
 
 
 def _tell_stop(audit: AuditWriter, by: str, why: str, address: str) -> None:
-    """A stop by the port of the stop process, which asks nobody who he is: `by` is what he says."""
+    """A stop by the port of the stop process, which has no login: `by` is the name in the request."""
     told: Entry = {"actor": "anybody", "address": address, "by": masked(by), "why": masked(why)}
     audit.keep({"event": "stop", "way": "stop process", **told})
 
 
 def tell_own_stop(audit: AuditWriter, way: str, why: str) -> None:
-    """A stop by the service itself, which is nobody's: host watch, lease, end of the service, a campaign's trouble."""
+    """A stop by the service itself, without a user: host watch, lease, end of the service, a campaign's trouble."""
     audit.keep({"event": "stop", "way": way, "actor": way, "by": way, "why": masked(why)})

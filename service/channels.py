@@ -1,17 +1,17 @@
-r"""Puts the channels of a recording right: what a drive's filters and delays did to them is undone.
+r"""Corrects the channels of a recording: removes the filters and delays of the drive.
 
-A channel that the drive gives late and smoothed, Y = e^{-s tau} / (1 + s T) X, is
+For a channel with delay and smoothing in the drive, Y = e^{-s tau} / (1 + s T) X, the original is
 
     x(t) = y(t + tau) + T y'(t + tau).
 
-Both are taken from the polynomial through the 13 samples round t + tau (Lagrange), so the whole is one short filter
+Both are taken from the polynomial through the 13 samples around t + tau (Lagrange), so the result is one short filter
 with weights w_k over offsets k = -6 ... 6 from the sample nearest to t + tau, exact for polynomials of degree 12:
 
-    sum_k w_k k^j = f^j + (T/Ts) j f^(j-1),   j = 0 ... 12,   f = tau/Ts - (nearest whole number), Ts sample period.
+        sum_k w_k k^j = f^j + (T/Ts) j f^(j-1),   j = 0 ... 12,   f = tau/Ts - (nearest integer), Ts sample period.
 
-Below 20 Hz at 250 Hz its error is below 1e-6. White noise of a channel grows by `noise_gain`, 1.3 to 1.8 T/Ts where
-the time constant is longer than a sample; at a line it grows no more than the signal does. Samples at the ends, whose
-neighbours are missing, are cut from every column alike.
+Below 20 Hz at 250 Hz its error is below 1e-6. White noise of a channel is amplified by `noise_gain`, 1.3 to 1.8 T/Ts if
+the time constant is longer than a sample; at a line it is amplified no more than the signal. Samples at the ends with
+missing neighbours are removed from all columns.
 """
 
 from dataclasses import fields, replace
@@ -29,9 +29,9 @@ HALF = 6  # samples on either side
 
 
 def align(recording: Recording, timing: ChannelTiming) -> Recording:
-    """Effort and velocity of each row at the instant of its position; the very same object if nothing is to be done.
+    """Effort and velocity of each row at the time of its position; the same object if there is nothing to correct.
 
-    Kept samples keep their `time`, which therefore no longer starts at 0. BadInput where the recording is too short.
+    Remaining samples keep their `time`, so it no longer starts at 0. BadInput if the recording is too short.
     """
     if timing == ChannelTiming():
         return recording
@@ -61,16 +61,16 @@ def align(recording: Recording, timing: ChannelTiming) -> Recording:
 
 
 def noise_gain(delay: float, smoothing: float, rate: float) -> float:
-    """By how much the correction of a channel (s, s) multiplies the standard deviation of white noise, at `rate` Hz."""
+    """Factor of the standard deviation of white noise by the correction of a channel (s, s), at `rate` Hz."""
     if not (delay or smoothing):
         return 1.0
     return float(np.linalg.norm(_filter(delay * rate, smoothing * rate)[1]))
 
 
 def _filter(delay: float, smoothing: float) -> tuple[int, Array]:
-    """The sample nearest to t + tau and the weights of those round it; delay and smoothing in samples."""
+    """The sample nearest to t + tau and the weights of those around it; delay and smoothing in samples."""
     nearest = round(delay)
-    at = (delay - nearest) / HALF  # in units in which the offsets run from -1 to 1: the equations stay well-conditioned
+    at = (delay - nearest) / HALF  # in units with offsets from -1 to 1: well-conditioned
     power = np.arange(2 * HALF + 1)
     offsets = np.linspace(-1.0, 1.0, 2 * HALF + 1)
     slope = np.zeros_like(offsets)

@@ -5,11 +5,10 @@ import os
 import ssl
 import time
 import uuid
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self, cast
+from typing import Any, cast
 
 import httpx
 
@@ -21,7 +20,7 @@ _TIMEOUT = httpx.Timeout(30.0, connect=5.0)
 _LONG_TIMEOUT = httpx.Timeout(600.0, connect=5.0)  # planning many poses, large bundles
 _STOP_TIMEOUT = httpx.Timeout(3.0)
 _BAD_INPUT = 422  # HTTP status
-_OPEN_DIAGNOSIS = ("waiting", "running")
+_OPEN = ("waiting", "running")
 _SILENCE = 40.0  # s; an idle event stream carries a comment every 15 s
 _RECONNECT_FOR = 20.0  # s
 _RECONNECT_PAUSE = 0.5  # s
@@ -32,7 +31,7 @@ class ServiceUnreachable(SweepidError):
 
 
 class ServiceProblem(SweepidError):
-    """The service refused or failed; `status` and `detail` are those of its problem document."""
+    """The service rejected the request or failed; `status` and `detail` are those of its problem document."""
 
     def __init__(self, status: int, detail: str) -> None:
         super().__init__(detail)
@@ -41,13 +40,13 @@ class ServiceProblem(SweepidError):
 
 
 class ServiceClient(AbstractContextManager["ServiceClient"]):
-    """Every method raises `ServiceUnreachable`, `ServiceProblem` or, where the input was refused (422), `BadInput`.
+    """Every method raises `ServiceUnreachable`, `ServiceProblem` or, for rejected input (422), `BadInput`.
 
-    Commands carry an idempotency key of their own. Documents are returned as the API gives them.
+    Each command has its own idempotency key. Documents are returned as received from the API.
     """
 
     def __init__(self, url: str, key: str | None = None) -> None:
-        """`key`: who asks, where the service wants to know; None: that of the environment, SWEEPID_KEY."""
+        """`key`: for a service with login; None: that of the environment, SWEEPID_KEY."""
         key = os.environ.get("SWEEPID_KEY", "").strip() if key is None else key
         self._url = url
         self._stop_url = ""  # of the stop process, once it is known
@@ -61,12 +60,7 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
             headers={"Authorization": f"Bearer {key}"} if key else None,
         )
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._http.close()
 
     # -- robots and plans
@@ -81,19 +75,23 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         """One robot, with its URDF."""
         return self._get(f"/robots/{robot_id}")
 
+    def cells(self) -> list[str]:
+        """Names of the cells of the service."""
+        return list(self._get("/cells")["names"])
+
     def add_plan(self, request: Json, *, elsewhere: bool = False) -> Json:
-        """`elsewhere`: for another machine than the service's."""
+        """`elsewhere`: for another machine than that of the service."""
         return self._post(f"/plans{'?elsewhere=true' * elsewhere}", request, timeout=_LONG_TIMEOUT)
 
     def plan(self, plan_id: int) -> Json:
         return self._get(f"/plans/{plan_id}")
 
     def approvals(self, plan_id: int) -> Json:
-        """`needed`, `missing`, `sha256` of what the plan moves now, and who approved it (`items`)."""
+        """`needed`, `missing`, `sha256` of the present motion of the plan, and its approvals (`items`)."""
         return self._get(f"/plans/{plan_id}/approvals")
 
     def approve(self, plan_id: int, sha256: str, approved_by: str | None = None) -> Json:
-        """Approve the motion with this hash. `approved_by`: where the service asks nobody who he is."""
+        """Approve the motion with this hash. `approved_by`: name, required without login."""
         return self._post(f"/plans/{plan_id}/approvals", {"sha256": sha256, "approved_by": approved_by})
 
     # -- campaigns
@@ -108,15 +106,15 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         return self._get(f"/campaigns/{campaign_id}")
 
     def start(self, campaign_id: int, attended: float | None = None) -> Json:
-        """Connects the drives first where they are not. Asks before where the stop is, for then it may be too late.
+        """Connects the drives first if necessary. Reads the address of the stop before, while the service answers.
 
-        `attended`: s from one `sign_of_life` to the next, or the campaign is paused.
+        `attended`: s between two calls of `sign_of_life`; after a longer time the campaign is paused.
         """
         self._find_stop()
         return self._post(f"/campaigns/{campaign_id}/start", _attended(attended), timeout=_LONG_TIMEOUT)
 
     def sign_of_life(self, campaign_id: int) -> Json | None:
-        """Somebody looks after the machine; None where the campaign waits for no such sign."""
+        """Send a sign of life; None if the campaign requires none."""
         response = self._send("POST", f"/campaigns/{campaign_id}/sign_of_life")
         _check(response)
         return cast("Json | None", response.json())
@@ -125,7 +123,7 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         return self._post(f"/campaigns/{campaign_id}/pause")
 
     def resume(self, campaign_id: int, repeat: bool = False, attended: float | None = None) -> Json:
-        """`attended` as of `start`."""
+        """`attended` as in `start`."""
         self._find_stop()
         return self._post(f"/campaigns/{campaign_id}/resume", {"repeat": repeat, **_attended(attended)})
 
@@ -168,25 +166,18 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         return self._get(f"/diagnoses/{diagnosis_id}")
 
     def diagnosed(self, diagnosis_id: int) -> Json:
-        """The diagnosis once it is done or failed; waits for that."""
-        found = self.diagnosis(diagnosis_id)
-        if found["state"] in _OPEN_DIAGNOSIS:
-            for event in self.events(after=0):
-                if event["kind"] == "diagnosis" and event["data"]["diagnosis"] == diagnosis_id:
-                    found = self.diagnosis(diagnosis_id)
-                    if found["state"] not in _OPEN_DIAGNOSIS:
-                        break
-        return found
+        """Wait until the diagnosis is done or failed, and return it."""
+        return self._over("diagnosis", diagnosis_id, self.diagnosis)
 
     def plan_experiment(self, diagnosis_id: int, axis: str, cell: str | None = None) -> Json:
-        """The plan of an axis's next experiment, stored to be read."""
+        """The plan of an axis's next experiment, stored for reading."""
         wanted = {"axis": axis, "cell": cell}
         return self._post(f"/diagnoses/{diagnosis_id}/plan", wanted, timeout=_LONG_TIMEOUT)
 
     def approve_experiment(
         self, diagnosis_id: int, axis: str, approved_by: str, test_mass: Json | None = None, cell: str | None = None
     ) -> Json:
-        """Begin to measure the next experiment; the campaign. The diagnosis goes on when it is completed."""
+        """Start the next experiment; returns its campaign. The diagnosis continues when that is completed."""
         wanted = {"axis": axis, "approved_by": approved_by, "test_mass": test_mass, "cell": cell}
         return self._post(f"/diagnoses/{diagnosis_id}/experiment", wanted, timeout=_LONG_TIMEOUT)
 
@@ -195,7 +186,7 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         return self._file(f"/diagnoses/{diagnosis_id}/report.{ending}")
 
     def accept_model(self, diagnosis_id: int, accepted_by: str, axes: Sequence[str] | None = None) -> Json:
-        """Take the named effects into the robot's model."""
+        """Accept the named effects into the robot's model."""
         return self._post(f"/diagnoses/{diagnosis_id}/model", {"accepted_by": accepted_by, "axes": axes})
 
     def models(self, robot_id: int | None = None) -> list[Json]:
@@ -206,35 +197,64 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         return self._get(f"/models/{model_id}")
 
     def model_scenario(self, model_id: int) -> str:
-        """YAML of the scenario that a virtual machine runs on."""
+        """The scenario for a virtual machine, YAML."""
         return self._file(f"/models/{model_id}/scenario.yaml").decode()
+
+    def fleet(self, type_name: str | None = None) -> Json:
+        """Control charts, outliers and due dates of the robots of one type, or of all types."""
+        return self._get(f"/fleet{_of_type(type_name)}")
+
+    def fleet_report(self, type_name: str | None = None, ending: str = "html") -> bytes:
+        return self._file(f"/fleet/report{'' if ending == 'html' else f'.{ending}'}{_of_type(type_name)}")
+
+    # -- jobs
+    def add_job(self, campaigns: Sequence[int] | None = None) -> Json:
+        """Identify these campaigns again, or all of the service's machine; returns at once."""
+        return self._post("/jobs", {"campaigns": campaigns or None})
+
+    def jobs(self) -> list[Json]:
+        """All jobs, oldest first."""
+        return self._all("/jobs")
+
+    def job(self, job_id: int) -> Json:
+        return self._get(f"/jobs/{job_id}")
+
+    def job_over(self, job_id: int) -> Json:
+        """Wait until the job is done or cancelled, and return it."""
+        return self._over("batch", job_id, self.job)
+
+    def job_results(self, job_id: int) -> list[Json]:
+        return self._all(f"/jobs/{job_id}/results")
+
+    def cancel_job(self, job_id: int) -> Json:
+        return self._post(f"/jobs/{job_id}/cancel")
 
     # -- the machine
     def ready(self) -> Json:
-        """``{"ready", "causes"}``; not being ready is an answer, no error."""
+        """``{"ready", "causes"}``; not ready is a normal answer, no error."""
         response = self._send("GET", "/health/ready")
         if response.status_code not in (200, 503):
             _check(response)
         return cast("Json", response.json())
 
     def version(self) -> str:
-        """Of the service."""
+        """Version of the service."""
         return str(self._get("/openapi.json")["info"]["version"])
 
     def drives(self) -> Json:
         return self._get("/drives")
 
     def connect(self) -> Json:
-        """Connect the drives, or again after a loss; every axis is without energy afterwards."""
+        """Connect the drives, also after a loss; every axis is disabled afterwards."""
         return self._post("/drives/connect", timeout=_LONG_TIMEOUT)
 
     def acknowledge(self, joint: str) -> Json:
         return self._post(f"/drives/{joint}/acknowledge")
 
     def stop(self, by: str, why: str) -> Json:
-        """By the stop process first, where `start` or `resume` has asked for it, for the service may have no time.
+        """Uses the stop process first, if `start` or `resume` has read its address, because the service may be busy.
 
-        ServiceProblem (503) names the axes that did not confirm that they stand.
+        ServiceProblem (503) names the axes that did not confirm standstill.
         """
         words = {"by": by, "why": why, "press": str(uuid.uuid4())}
         if self._stop_url:
@@ -252,8 +272,19 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         """Release these stops."""
         return self._post("/stop/reset", {"by": by, "stops": list(stops)})
 
+    def _over(self, kind: str, number: int, read: Callable[[int], Json]) -> Json:
+        """Wait until `read` returns a finished object, which events of this kind report, and return it."""
+        found = read(number)
+        if found["state"] in _OPEN:
+            for event in self.events(after=0):
+                if event["kind"] == kind and event["data"][kind] == number:
+                    found = read(number)
+                    if found["state"] not in _OPEN:
+                        break
+        return found
+
     def _find_stop(self) -> None:
-        with suppress(ServiceUnreachable, ServiceProblem):  # what follows tells
+        with suppress(ServiceUnreachable, ServiceProblem):  # the following code reports the error
             port = self._get("/stop")["port"]
             url = self._http.base_url
             self._stop_url = "" if port is None else f"{url.scheme}://{url.host}:{port}/stop"
@@ -261,13 +292,8 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
     # -- bundles
     def import_bundle(self, archive: Path) -> Json:
         """Upload a zip file."""
-        response = self._send(
-            "POST",
-            "/bundles",
-            content=archive.read_bytes(),
-            headers={"Content-Type": "application/zip", "Idempotency-Key": str(uuid.uuid4())},
-            timeout=_LONG_TIMEOUT,
-        )
+        headers = {"Content-Type": "application/zip", "Idempotency-Key": str(uuid.uuid4())}
+        response = self._send("POST", "/bundles", content=archive.read_bytes(), headers=headers, timeout=_LONG_TIMEOUT)
         _check(response)
         return cast("Json", response.json())
 
@@ -286,11 +312,11 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
 
     # -- events
     def events(self, campaign_id: int | None = None, after: int = 0) -> Iterator[Json]:
-        """Events of a campaign (None: all there are) with an id above `after`, then new ones, for ever.
+        """Events of a campaign (None: all) with an id above `after`, then new ones, without end.
 
-        A lost connection is taken up again after the last event seen; `ServiceUnreachable` after 20 s without one.
+        A lost connection is reopened after the last event received; `ServiceUnreachable` after 20 s without one.
         """
-        lost: float | None = None  # since when there is no connection
+        lost: float | None = None  # time of the loss of the connection
         while True:
             reason = "the event stream ended"
             try:
@@ -319,15 +345,11 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
             yield response.iter_lines()
 
     def _get(self, path: str) -> Json:
-        response = self._send("GET", path)
-        _check(response)
-        return cast("Json", response.json())
+        return cast("Json", _check(self._send("GET", path)).json())
 
     def _file(self, path: str) -> bytes:
-        """What is no JSON document."""
-        response = self._send("GET", path, timeout=_LONG_TIMEOUT)
-        _check(response)
-        return response.content
+        """Content that is not a JSON document."""
+        return _check(self._send("GET", path, timeout=_LONG_TIMEOUT)).content
 
     def _all(self, path: str) -> list[Json]:
         items: list[Json] = []
@@ -352,18 +374,23 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
     def _unreachable(self, error: httpx.TransportError) -> ServiceUnreachable:
         if isinstance(error, httpx.ConnectError | httpx.ConnectTimeout):
             return ServiceUnreachable(
-                f"no service at {self._url}: start it with `sweepid serve`, or name another with --url or SWEEPID_URL"
+                f"no service at {self._url}: start it with `sweepid serve`, or give its address with "
+                "--url or SWEEPID_URL"
             )
         return ServiceUnreachable(f"{self._url}: {error or type(error).__name__}")
+
+
+def _of_type(name: str | None) -> str:
+    return "" if name is None else f"?{httpx.QueryParams(type=name)}"
 
 
 def _attended(within: float | None) -> Json:
     return {} if within is None else {"attended": {"within_s": within}}
 
 
-def _check(response: httpx.Response) -> None:
+def _check(response: httpx.Response) -> httpx.Response:
     if response.is_success:
-        return
+        return response
     if not response.headers.get("content-type", "").startswith("application/problem+json"):
         raise ServiceProblem(response.status_code, f"{response.url}: {response.status_code} {response.text[:200]}")
     problem = cast("Json", response.json())

@@ -1,4 +1,4 @@
-"""Reads the YAML files of ``config/`` into frozen pydantic models; one BadInput names what does not fit."""
+"""Reads the YAML files of ``config/`` into frozen pydantic models; BadInput names the invalid field."""
 
 from collections.abc import Iterator
 from difflib import get_close_matches
@@ -16,45 +16,70 @@ Model = TypeVar("Model", bound=BaseModel)
 LARGEST_YAML = 2**20  # bytes
 LARGEST_TEXT = 2**26  # bytes
 _MOST_TOLD = 12  # files
-# PyYAML's own for a value that is not of its tag (`2001-13-45`, `!!bool x`, 5000 digits), beside YAMLError
+# exceptions of PyYAML for a value that does not match its tag (`2001-13-45`, `!!bool x`, 5000 digits), except YAMLError
 _NO_VALUE = (ValueError, LookupError, AttributeError)
-MOST_ALIASES = 20  # aliases of aliases grow with a power of their number
+DEEPEST = 32  # levels of nesting; the files of `config` have 6
+MOST_CHARACTERS = 2**22  # with aliases expanded; a file may have 2**20 bytes
 
 
 class _Events(Protocol):
-    """What PyYAML's stubs leave without a type."""
+    """Types for the part of PyYAML that its stubs leave untyped."""
 
     def get_event(self) -> yaml.Event: ...
 
 
-class _Loader(yaml.SafeLoader):
-    """PyYAML's safe loader, for files that somebody else may have written."""
+class BoundedLoader(yaml.SafeLoader):
+    """PyYAML's safe loader, with limits that are checked at each event, before an object is built.
+
+    YAMLError: nested deeper than `DEEPEST`, an alias inside its own anchor, or aliases that expand to a text of more
+    than `MOST_CHARACTERS`. PyYAML itself accepts all of them, and processing of the result may then never end.
+    """
 
     def __init__(self, stream: str) -> None:
         super().__init__(stream)
-        self._aliases = 0
+        self._open: list[tuple[str | None, int]] = []  # anchor of each open collection, and the size before it
+        self._sizes: dict[str, int] = {}  # by anchor
+        self._size = 0  # characters, and one for each value
 
     def get_event(self) -> yaml.Event:
         event = cast("_Events", super()).get_event()
-        self._aliases += isinstance(event, yaml.AliasEvent)
-        if self._aliases > MOST_ALIASES:
-            raise yaml.YAMLError(f"more than {MOST_ALIASES} aliases")
+        if isinstance(event, yaml.AliasEvent):
+            if any(anchor == event.anchor for anchor, _ in self._open):
+                raise _refusal(f"alias *{event.anchor} is inside of its own anchor", event)
+            self._size += self._sizes.get(event.anchor, 0)
+        elif isinstance(event, yaml.ScalarEvent):
+            self._closed(event.anchor, self._size, 1 + len(event.value))
+        elif isinstance(event, yaml.CollectionStartEvent):
+            self._open.append((event.anchor, self._size))
+            if len(self._open) > DEEPEST:
+                raise _refusal(f"nested too deeply, limit {DEEPEST} levels", event)
+        elif isinstance(event, yaml.CollectionEndEvent):
+            self._closed(*self._open.pop(), 1)
+        if self._size > MOST_CHARACTERS:
+            raise _refusal(f"aliases stand for more than {MOST_CHARACTERS} characters", event)
         return event
+
+    def _closed(self, anchor: str | None, before: int, own: int) -> None:
+        self._size += own
+        if anchor is not None:
+            self._sizes[anchor] = self._size - before
+
+
+def _refusal(problem: str, event: yaml.Event) -> yaml.YAMLError:
+    return yaml.MarkedYAMLError(None, None, problem, event.start_mark)
 
 
 def read_yaml(path: Path, kind: type[Model]) -> Model:
     """The file as a `kind`; BadInput names file, field and value."""
     try:
-        content: object = yaml.load(read_text(path, LARGEST_YAML), Loader=_Loader)
+        content: object = yaml.load(read_text(path, LARGEST_YAML), Loader=BoundedLoader)
     except yaml.YAMLError as error:
         raise BadInput(str(path), f"not YAML: {' '.join(str(error).split())}") from None
-    except RecursionError:
-        raise BadInput(str(path), "not YAML of any use: nested too deeply") from None
     except _NO_VALUE as error:
         raise BadInput(str(path), f"not YAML: a value is not of its type: {error}") from None
     if isinstance(content, dict):
         for key in cast("dict[object, object]", content):
-            if not isinstance(key, str):  # settings take keys as keywords
+            if not isinstance(key, str):  # settings use keys as keyword arguments
                 raise BadInput(str(path), f"key {key!r} is not text")
     try:
         return kind.model_validate(content)
@@ -63,14 +88,14 @@ def read_yaml(path: Path, kind: type[Model]) -> Model:
 
 
 def read_robot(path: Path) -> Robot:
-    """A robot from its side file (``config/robots/*.yaml``) and the URDF that the file names, relative to itself."""
+    """A robot from its side file (``config/robots/*.yaml``) and the URDF in it, relative to the side file."""
     description = read_yaml(path, RobotDescription)
     urdf = path.parent / description.urdf
     return build_robot(description, read_text(urdf), str(path))
 
 
 def read_text(path: Path, largest: int = LARGEST_TEXT) -> str:
-    """The UTF-8 text of a file that a person named; BadInput if it cannot be read or has more than `largest` bytes."""
+    """The UTF-8 text of a user's file; BadInput if it cannot be read or has more than `largest` bytes."""
     try:
         with path.open("rb") as file:
             content = file.read(largest + 1)
@@ -86,12 +111,12 @@ def read_text(path: Path, largest: int = LARGEST_TEXT) -> str:
 
 
 def bad_field(place: str, error: ValidationError, kind: type[BaseModel] | None = None) -> BadInput:
-    """The first complaint of pydantic, with the path to the field and what stood there.
+    """The first error of pydantic, with the path to the field and its value.
 
-    `kind`: the model that the content did not fit; then a key that it does not know is told with the one meant.
+    `kind`: the model that did not accept the content; for an unknown key, the message then suggests a similar one.
     """
     errors = error.errors(include_url=False)
-    unknown = (one for one in errors if one["type"] == "extra_forbidden")  # tells more than the key that is missing
+    unknown = (one for one in errors if one["type"] == "extra_forbidden")  # more useful than a missing key
     first = errors[0] if kind is None else next(unknown, errors[0])
     field = ".".join(str(part) for part in first["loc"])
     given = repr(first["input"])
@@ -104,7 +129,7 @@ def bad_field(place: str, error: ValidationError, kind: type[BaseModel] | None =
 
 
 def _keys(kind: object, seen: set[object]) -> Iterator[str]:
-    """Of a model and of all models inside of it."""
+    """Keys of a model and of all models in it."""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         if kind in seen:
             return
@@ -117,7 +142,7 @@ def _keys(kind: object, seen: set[object]) -> Iterator[str]:
 
 
 def _beside(path: Path) -> str:
-    """The files that could have been meant: those of its folder with the same ending."""
+    """Files that the user may have meant: those in the same folder with the same suffix."""
     try:
         there = sorted(one.name for one in path.parent.iterdir() if one.suffix == path.suffix)
     except OSError:

@@ -1,12 +1,12 @@
-"""What the service tells a person who gave it something it cannot use, and what it raises inside."""
+"""The errors of the service: invalid input of a user, and internal errors."""
 
 
 class SweepidError(Exception):
-    """Base of all errors that the service raises on purpose."""
+    """Base of all errors that the service raises intentionally."""
 
 
 class BadInput(SweepidError):
-    """Something given from outside cannot be used; nothing of it was stored.
+    """External input cannot be used; no part of it was stored.
 
     `place` names the file, sweep or field, `reason` the value and the limit: ``f"{place}: {reason}"``.
     The CLI prints that line and exits with 2; the API answers 422 with `place` as the pointer.
@@ -19,15 +19,15 @@ class BadInput(SweepidError):
 
 
 class NotFound(SweepidError):
-    """A resource that was asked for by name does not exist (API: 404)."""
+    """A requested resource does not exist (API: 404)."""
 
 
 class Conflict(SweepidError):
-    """The command does not fit the present state, e.g. starting a campaign that runs (API: 409)."""
+    """The command is not possible in the present state, e.g. starting a campaign that runs (API: 409)."""
 
 
 class NotNow(SweepidError):
-    """Nothing was done, because what it needs does not answer now; the same may be sent again later (API: 503)."""
+    """Nothing was done, because a required part does not answer now; the request may be repeated later (API: 503)."""
 
 
 class EnvelopeViolation(SweepidError):

@@ -1,4 +1,4 @@
-"""From recorded sweeps to the estimate's document: the same for the service's worker and for `sweepid identify`."""
+"""From recorded sweeps to the document of the estimate, for the service's worker and for `sweepid identify`."""
 
 from collections.abc import Mapping, Sequence
 
@@ -25,14 +25,14 @@ SweepSpectrum = Spectrum | NoiseSpectrum | AxisTrack
 
 
 def sweep_spectrum(robot: Robot, sweep: Sweep) -> SweepSpectrum:
-    """What is kept of a sweep; BadInput where the record cannot hold it."""
+    """The stored spectrum of a sweep; BadInput if the record is shorter than the sweep."""
     if runs_at_once(sweep.spec):
         return axis_track(sweep)
     return noise_spectrum(robot, sweep) if has_reference(sweep) else spectrum(robot, sweep)
 
 
 def spectrum_from(document: AnySpectrum) -> SweepSpectrum:
-    """The inverse of `to_document` of any kind."""
+    """The inverse of `to_document` for all kinds."""
     if "harmonics" in document:
         return AxisTrack.from_document(document)
     if "reference" in document:
@@ -48,13 +48,13 @@ def estimate_document(
     known: KnownEffects | None = None,
     motions: Sequence[FreeMotion] = (),
 ) -> results.Estimate:
-    """Identify, and compare with the nominal model over the poses of the workspace that the robot can take.
+    """Identify, and compare with the nominal model over the poses of the workspace without self-collision.
 
-    The initial analysis of noise runs and stepped sines among the `spectra` stands in "analysis"; it is the prior of
-    its axes' drive trains, as are `analyses` of other campaigns for axes that have none here. `gains`: what a test mass
-    calibrated, by joint. `known`: effects of the robot's model, for the sweeps with lines. With trajectories of axes
-    that moved at once and free `motions`, "combination" is the joint estimate of sweeps and these; else it is null.
-    The spectra of sweeps that are in `motions` tell nothing of an axis alone and are left out.
+    The initial analysis of noise runs and stepped sines among the `spectra` becomes "analysis"; it is the prior of
+    its axes' drive trains, as are `analyses` of other campaigns for axes without one. `gains`: calibrated with a test
+    mass, by joint. `known`: effects of the robot's model, for the sweeps with lines. With trajectories of several axes
+    and free `motions`, "combination" is the joint estimate from sweeps and these; else it is null.
+    Spectra of sweeps in `motions` contain no information about a single axis and are ignored.
     """
     sweeps = [each for each in spectra if isinstance(each, Spectrum)]
     together = {id for motion in motions for id in motion.ids}
@@ -84,7 +84,7 @@ def _combination(
 
 
 def _document(robot: Robot, estimate: Estimate | None) -> results.Estimate:
-    """Of the sweeps alone."""
+    """The document of an estimate from sweeps alone."""
     if estimate is None:
         return nothing_known()
     return as_document(estimate, reachable(robot, estimate.poses, estimate.workspace))

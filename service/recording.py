@@ -1,4 +1,4 @@
-"""A sweep: what was commanded and what was recorded (BUNDLE format `sweepid-bundle/1`, section "sweeps")."""
+"""A sweep: commanded motion and recorded samples (BUNDLE format `sweepid-bundle/1`, section "sweeps")."""
 
 import re
 from dataclasses import dataclass
@@ -20,16 +20,16 @@ OPTIONAL_COLUMNS = ("velocity_setpoint", "excitation_effort", "load_velocity", "
 
 
 class SweepPurpose(Enum):
-    """What a sweep is for; the value is what a block that tells it begins with."""
+    """The purpose of a sweep; the value is the prefix of a block with this purpose."""
 
     INERTIA = "inertia"
     STEPPED_SINE = "stepped_sine"  # a few lines of a stepped sine, for a drive without torque injection
     WARM_UP = "warm_up"  # brings the gears to their working temperature
-    OTHER = "other"  # noise, standstill, or sines about standstill, where at each reversal dry friction is no constant
+    OTHER = "other"  # noise, standstill, or sines about standstill, where dry friction changes at each reversal
 
 
 def together(number: int, axes: int) -> str:
-    """The block of all sweeps of a trajectory; it says how many there are, so that none is taken for standing."""
+    """The block of all sweeps of a trajectory; it contains their number, so that none is taken for a single motion."""
     return f"trajectory {number} of {axes} axes"
 
 
@@ -56,7 +56,7 @@ class SweepSpec(BaseModel):
     excitation: Literal["multisine", "noise", "trajectory", "standstill"] = "multisine"
     sines: tuple[Sine, ...] = ()
     period: float | None = Field(default=None, gt=0)
-    periods: int | None = Field(default=None, ge=1, le=10**9)  # a file may say anything, and a float must hold it
+    periods: int | None = Field(default=None, ge=1, le=10**9)  # a file may contain any integer; a float must hold it
     measure_from: float = Field(default=0.0, ge=0)
     sample_rate: float = Field(gt=0)
     started_at: float = 0.0
@@ -65,12 +65,12 @@ class SweepSpec(BaseModel):
 
     @property
     def periodic(self) -> bool:
-        """True when a window of whole periods with known lines was measured."""
+        """True if a window of complete periods with known lines was measured."""
         return bool(self.sines) and self.period is not None and self.periods is not None
 
     @property
     def purpose(self) -> SweepPurpose:
-        """As a bundle tells it: by excitation and `block`, which has no other place to say so."""
+        """The purpose in a bundle: from excitation and `block`, because the format has no other field for it."""
         if self.block == SweepPurpose.WARM_UP.value:
             return SweepPurpose.WARM_UP
         if self.excitation == "trajectory":
@@ -82,25 +82,25 @@ class SweepSpec(BaseModel):
 
     @property
     def axes_at_once(self) -> int:
-        """Of how many axes the trajectory is whose part this sweep is, as its block tells; 1 for any other sweep."""
+        """Number of axes of the trajectory that contains this sweep, from its block; 1 for other sweeps."""
         found = _TOGETHER.fullmatch(self.block)
         return int(found[1]) if found else 1
 
     @property
     def shows_inertia(self) -> bool:
-        """True for sines and trajectories; noise, stepped sines, warm-up and standstill serve other ends than J."""
+        """True for sines and trajectories; noise, stepped sines, warm-up and standstill are not used for J."""
         return self.purpose is SweepPurpose.INERTIA
 
     @property
     def moves(self) -> bool:
-        """True where the axis follows a motion: not with torque noise, nor at standstill, where dry friction holds any
+        """True if the axis follows a motion; false for torque noise and for standstill, where dry friction can hold any
         torque within its limits.
         """
         return self.excitation in ("multisine", "trajectory")
 
     @property
     def stepped(self) -> bool:
-        """True for a few lines of a stepped sine, the initial analysis of a drive without torque injection."""
+        """True for some lines of a stepped sine, the initial analysis of a drive without torque injection."""
         return self.purpose is SweepPurpose.STEPPED_SINE
 
 
@@ -121,7 +121,7 @@ class Recording:
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """What was commanded together with what was recorded."""
+    """The commanded motion together with the recorded samples."""
 
     spec: SweepSpec
     recording: Recording

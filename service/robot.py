@@ -1,7 +1,7 @@
-"""The robot as the service knows it: a serial chain read from URDF, plus what URDF lacks (BUNDLE format, "robot").
+"""The robot: a serial chain read from URDF, with the data that URDF lacks (BUNDLE format, "robot").
 
-Frames. Moving joint k (0-based, URDF order) carries link k, whose frame is the joint's frame; fixed joints are folded
-away. With R_k, p_k the pose of frame k in the base and z_k its axis in base coordinates,
+Frames. Moving joint k (0-based, URDF order) carries link k, whose frame is the joint's frame; fixed joints are merged
+into it. With R_k, p_k the pose of frame k in the base and z_k its axis in base coordinates,
 
     R_k = R_{k-1} Rt_k rot(axis_k, q_k),   p_k = p_{k-1} + R_{k-1} pt_k            (revolute)
 
@@ -15,7 +15,7 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator
 
 from service.errors import BadInput
 from service.recording import Name
@@ -26,10 +26,15 @@ Array = NDArray[np.float64]
 INERTIAL_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 _LEAST_RATIO, _LARGEST_RATIO = 1e-6, 1e9
 Gravity = Annotated[float, Field(ge=-1e5, le=1e5)]
+Marking = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=100)]
+
+
+def _unsaid(value: object) -> bool:
+    return value is None
 
 
 class Axis(BaseModel):
-    """What the drive train of one joint is made of; SI on the joint side unless said otherwise."""
+    """The drive train of one joint; SI on the joint side unless stated otherwise."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     joint: Name
@@ -63,7 +68,7 @@ class Axis(BaseModel):
 
 
 class Prior(BaseModel):
-    """How far the nominal model may be off: one sigma, relative."""
+    """Uncertainty of the nominal model: one sigma, relative."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     inertia: float = Field(default=0.3, ge=1e-6, le=1e6)
@@ -74,7 +79,10 @@ class Prior(BaseModel):
 
 
 class RobotDescription(BaseModel):
-    """The "robot" object of a bundle: names, gravity in the base frame (m/s^2), axes in URDF order, prior."""
+    """The "robot" object of a bundle: names, gravity in the base frame (m/s^2), axes in URDF order, prior.
+
+    `serial` and `revision`: identification of one of several robots with that name, from the manufacturer.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     name: Name
@@ -82,11 +90,14 @@ class RobotDescription(BaseModel):
     gravity: tuple[Gravity, Gravity, Gravity] = (0.0, 0.0, -9.81)
     axes: tuple[Axis, ...] = Field(min_length=1)
     prior: Prior = Prior()
+    # omitted if empty: so the hashes of robots from older versions do not change
+    serial: Marking | None = Field(default=None, exclude_if=_unsaid)
+    revision: Marking | None = Field(default=None, exclude_if=_unsaid)
 
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """What an estimate knows of a robot beside its prior: combinations (r, 11 n) of the inertial parameters, links
+    """Knowledge of a robot from an estimate, besides the prior: combinations (r, 11 n) of inertial parameters, links
     first, then reflected motor inertias, with their covariance (r, r). `source`: which estimate.
     """
 
@@ -97,9 +108,9 @@ class Knowledge:
 
 @dataclass(frozen=True)
 class Robot:
-    """A described robot with its chain. Immutable; `urdf_text` is kept so that a bundle gets back what it gave.
+    """A described robot with its chain. Immutable; `urdf_text` is kept unchanged for the export to a bundle.
 
-    `knowledge`: of an estimate, whose values the URDF then holds; None: the URDF is CAD's.
+    `knowledge`: from an estimate, whose values the URDF then contains; None: the URDF is CAD's.
     """
 
     description: RobotDescription
@@ -134,7 +145,7 @@ class Robot:
         return np.array(self.description.gravity)
 
     def index(self, joint: str) -> int:
-        """Number of a joint in the pose; BadInput names the joints there are."""
+        """Number of a joint in the pose; BadInput lists the existing joints."""
         try:
             return self.joints.index(joint)
         except ValueError:
@@ -145,7 +156,7 @@ class Robot:
 
 
 def build_robot(description: RobotDescription, urdf_text: str, place: str = "robot") -> Robot:
-    """A robot whose axes are the chain's moving joints, in order; BadInput where they differ."""
+    """A robot whose axes are the chain's moving joints, in order; BadInput if they differ."""
     robot = Robot(description, urdf_text)
     moving = tuple(joint.name for joint in robot.chain.joints)
     if moving != robot.joints:

@@ -1,6 +1,6 @@
 """Reads a URDF into a serial chain: joint frames, limits and the links' ten inertial parameters.
 
-Shapes, transmissions and visuals are not looked at. Source: the URDF XML specification (ROS wiki, "urdf/XML");
+Shapes, transmissions and visuals are ignored. Source: the URDF XML specification (ROS wiki, "urdf/XML");
 rpy are fixed-axis angles, R = Rz(yaw) Ry(pitch) Rx(roll).
 """
 
@@ -17,17 +17,17 @@ from service.errors import BadInput
 
 Array = NDArray[np.float64]
 
-MOST_LINKS = 200  # a serial robot has some ten; the chain is walked recursively
+MOST_LINKS = 200  # a serial robot has about ten; the chain is read recursively
 MOST_ELEMENTS = 20_000
-DEEPEST = 50  # elements inside of each other; URDF has some six
+DEEPEST = 50  # levels of nested elements; URDF has about six
 LONGEST_NAME = 200
-LARGEST = 1e15  # of a number, SI; its square is a number still
+LARGEST = 1e15  # of a number, SI; its square does not overflow
 _CHOOSE = "only a serial chain can be measured, `sweepid robot check URDF --tip LINK` makes one of it"
 
 
 @dataclass(frozen=True)
 class Joint:
-    """One moving joint and the link it carries (fixed children folded in)."""
+    """One moving joint and the link it carries (fixed children included)."""
 
     name: str
     kind: Literal["revolute", "prismatic"]
@@ -50,8 +50,8 @@ class Chain:
 
 
 def read_chain(text: str, place: str = "urdf") -> Chain:
-    """The serial chain of a URDF; BadInput where it branches, has loops or lacks a number."""
-    _look_over(text, place)
+    """The serial chain of a URDF; BadInput if it branches, has loops or lacks a number."""
+    look_over(text, place)
     root = ET.fromstring(text)
     links = {element.get("name", ""): element for element in root.findall("link")}
     if len(links) > MOST_LINKS:
@@ -65,7 +65,7 @@ def read_chain(text: str, place: str = "urdf") -> Chain:
     _once([element.get("name", "") for element in root.findall("link")], place, "link {!r} occurs twice")
     _once([element.get("name", "") for element in joints], place, "joint {!r} occurs twice")
     carried = [_ref(element, "child", place) for element in joints]
-    _once(carried, place, "link {!r} is carried by two joints")
+    _once(carried, place, "link {!r} is the child of two joints")
     roots = [name for name in links if name not in carried]
     if len(roots) != 1:
         raise BadInput(place, f"needs one base link, has {len(roots)}: {roots}; {_CHOOSE}")
@@ -93,7 +93,7 @@ def read_chain(text: str, place: str = "urdf") -> Chain:
             moving_children += 1
             if moving_children > 1:
                 names = [one.get("name") for one in children[link] if one.get("type") != "fixed"]
-                raise BadInput(place, f"link {link!r} carries two moving joints or more, {names}; {_CHOOSE}")
+                raise BadInput(place, f"link {link!r} is the parent of two or more moving joints, {names}; {_CHOOSE}")
             chain.append(_joint(element, child, joint_rotation, joint_translation, place))
             inertial.append(np.zeros(10))
             walk(child, len(inertial) - 1, np.eye(3), np.zeros(3))
@@ -104,17 +104,15 @@ def read_chain(text: str, place: str = "urdf") -> Chain:
     return Chain(tuple(chain), np.array(inertial))
 
 
-def _look_over(text: str, place: str) -> None:
-    """BadInput for what is no XML, or larger than any robot, before anything is made of it."""
+def look_over(text: str, place: str) -> None:
+    """Check before parsing: BadInput for a text that is no XML, has a DOCTYPE, or is larger than any robot."""
     depth, count = 0, 0
 
     def begin(kind: str, attributes: Mapping[str, str]) -> None:
         nonlocal depth, count
         depth, count = depth + 1, count + 1
         if depth > DEEPEST or count > MOST_ELEMENTS:
-            raise BadInput(
-                place, f"has more than {MOST_ELEMENTS} elements, or more than {DEEPEST} inside of each other"
-            )
+            raise BadInput(place, f"has more than {MOST_ELEMENTS} elements, or is nested deeper than {DEEPEST}")
         name = attributes.get("name", "")
         if kind in ("link", "joint") and (len(name) > LONGEST_NAME or not name.isprintable()):
             raise BadInput(place, f"name {name[:20]!r} of a {kind} is longer than {LONGEST_NAME} or not printable")
@@ -126,7 +124,7 @@ def _look_over(text: str, place: str) -> None:
     def doctype(*_: object) -> None:
         raise BadInput(place, "declares a DOCTYPE; entities are not expanded")
 
-    parser = expat.ParserCreate(namespace_separator="}")  # as ElementTree does: a prefix must be bound
+    parser = expat.ParserCreate(namespace_separator="}")  # as in ElementTree: prefixes must be bound
     parser.StartDoctypeDeclHandler = doctype
     parser.StartElementHandler = begin
     parser.EndElementHandler = end
@@ -141,7 +139,7 @@ def transform_inertial(parameters: Array, rotation: Array, translation: Array) -
     mass, moment, inertia = parameters[0], parameters[1:4], inertia_matrix(parameters)
     moved = rotation @ moment
     cross = moved @ translation
-    # Huygens-Steiner about a frame that is not the centre of mass, c' = R mc:
+    # Huygens-Steiner for a frame that is not at the centre of mass, c' = R mc:
     # I_A = R I R' + 2 (c'.t) 1 - (c' t^T + t c'^T) + m (t.t 1 - t t^T)
     shifted = (
         rotation @ inertia @ rotation.T
@@ -181,7 +179,7 @@ def _joint(element: ET.Element, link: str, rotation: Array, translation: Array, 
     here = f"{place} joint {name}"
     kind = element.get("type")
     if kind not in ("revolute", "continuous", "prismatic"):
-        raise BadInput(here, f"type {kind!r} is not supported; revolute, continuous, prismatic or fixed is")
+        raise BadInput(here, f"type {kind!r} is not supported; use revolute, continuous, prismatic or fixed")
     mimic = element.find("mimic")
     if mimic is not None:
         raise BadInput(here, f"follows joint {mimic.get('joint')!r} (<mimic>) and has no drive of its own; {_CHOOSE}")

@@ -1,7 +1,7 @@
-"""A virtual machine tool: a plant that knows more physics than any fit, behind real fieldbus servers.
+"""A virtual machine tool: a plant with more physics than the identification models, behind real fieldbus servers.
 
-Public face for the service's twin (nothing else of this package may be imported by another room):
-`run_sweeps`, `run_trajectories`, `replay` with `warmth`, and their data types.
+Public interface for the service's twin (other top packages import nothing else from here): `run_sweeps`,
+`run_trajectories`, `replay` with `warmth`, and their data types.
 """
 
 from simulator.effects.thermal_order import Turn, warmth

@@ -1,7 +1,7 @@
-"""The drive cabinet behind any fieldbus: an axis a node, one machine, one clock.
+"""The drive cabinet behind any fieldbus: one axis per node, one machine, one clock.
 
-Whose clock? While an axis is in cyclic synchronous velocity, the fieldbus' is: it calls `advance`. Otherwise real
-time is, times `speed_factor` while something moves. Without any torque the machine stands.
+While an axis is in cyclic synchronous velocity, the fieldbus is the clock: it calls `advance`. Otherwise real time
+is the clock, multiplied by `speed_factor` during motion. Without any torque the machine stands.
 """
 
 from collections.abc import Mapping
@@ -17,23 +17,23 @@ from simulator.drive.measuring import Samples
 from simulator.drive.units import INCREMENTS, PER_MILLE, speed_unit
 from simulator.machine import AxisInfo, Machine
 
-_MOVING_CHUNK = (4, 16)  # cycles run at a time while something moves
-_HOLDING_CHUNK = 20  # cycles run at a time while nothing does
-_BACKLOG = 4  # chunks that may be made up for when the computer was busy
+_MOVING_CHUNK = (4, 16)  # cycles per call during motion
+_HOLDING_CHUNK = 20  # cycles per call at standstill
+_BACKLOG = 4  # chunks that may be caught up after the computer was busy
 _CONTROL = ((0x2140, 1), (0x2140, 2), (0x2140, 3), (0x2140, 4))
-_INSIDE = ((0x6072, 0), (0x6076, 0), (0x6080, 0), *_CONTROL)  # hold even where the EDS has no such object
+_INSIDE = ((0x6072, 0), (0x6076, 0), (0x6080, 0), *_CONTROL)  # used even if the EDS has no such object
 
 
 class Node(Protocol):
-    """An axis with its dictionary at the fieldbus."""
+    """An axis with its dictionary on the fieldbus."""
 
     @property
     def number(self) -> int:
-        """Node or unit id."""
+        """Node id or unit id."""
         ...
 
     def renumber(self, number: int) -> None:
-        """Another id, by another setting of its switches: the node boots with it. The device stays what it is."""
+        """Change the id, as by its address switches: the node boots with it. The device itself stays the same."""
 
     @property
     def axis(self) -> Axis: ...
@@ -45,10 +45,10 @@ class Node(Protocol):
         """Power-on or reset: torque off, dictionary as in EDS and nameplate."""
 
     def run(self, now: float) -> None:
-        """What falls due by `now`, s."""
+        """Process everything that is due at `now`, s."""
 
     def due(self, now: float) -> float:
-        """When `run` is wanted at the latest, s; infinity if nothing is pending."""
+        """Latest time at which `run` must be called, s; infinity if nothing is pending."""
         ...
 
 
@@ -56,12 +56,14 @@ AnyNode = TypeVar("AnyNode", bound=Node)
 
 
 class Cabinet(Generic[AnyNode]):
-    """`nodes` by joint, in the order of the machine's joints. ScenarioError for an EDS with units not in use."""
+    """`nodes` by joint, in the order of the machine's joints. Raises ScenarioError for an EDS with unsupported
+    units.
+    """
 
     def __init__(self, machine: Machine, nodes: Mapping[str, AnyNode], speed_factor: float) -> None:
         self._machine = machine
         self._speed_factor = speed_factor
-        self._time: float | None = None  # real time up to which the machine ran
+        self._time: float | None = None  # real time up to which the machine has run
         self.cycles = 0
         self.nodes = dict(nodes)
         limits = joint_limits(machine.scenario.robot.urdf)
@@ -84,7 +86,7 @@ class Cabinet(Generic[AnyNode]):
             node.boot()
 
     def run(self, now: float) -> None:
-        """Let machine and timers go on to `now`, by one chunk of cycles at most: call it again when `due`."""
+        """Advance machine and timers to `now`, at most by one chunk of cycles; call it again when `due`."""
         pace, chunk = self._pace()
         if pace == 0.0 or self._time is None:
             self._time = now
@@ -100,7 +102,7 @@ class Cabinet(Generic[AnyNode]):
         self.switch()
 
     def due(self, now: float) -> float:
-        """Seconds from `now` until `run` is wanted; infinity if never."""
+        """Seconds from `now` until `run` must be called; infinity if never."""
         pace, chunk = self._pace()
         next_chunk = inf
         if pace > 0.0:
@@ -114,12 +116,12 @@ class Cabinet(Generic[AnyNode]):
         self.switch()
 
     def status(self) -> dict[str, object]:
-        """What the control port tells: SI units of the joint side."""
+        """Status for the control port, in SI units on the joint side."""
         axes = {info.joint: self.axis_status(info, axis) for info, axis in self._axes}
         return {"axes": axes, "plant_time": self.cycles * self._machine.cycle}
 
     def axis_status(self, info: AxisInfo, axis: Axis) -> dict[str, object]:
-        """One axis of it."""
+        """Status of one axis."""
         return {
             "position": axis.position * tau / info.gear_ratio,
             "velocity": axis.speed * tau / info.gear_ratio,
@@ -133,7 +135,7 @@ class Cabinet(Generic[AnyNode]):
         }
 
     def advance(self, cycles: int) -> None:
-        """Run the machine for so many of its cycles."""
+        """Run the machine for `cycles` of its cycles."""
         setpoints = np.zeros((cycles, len(self._axes)))
         injected = np.zeros_like(setpoints) if any(axis.measuring.injecting for _, axis in self._axes) else None
         for k, (info, axis) in enumerate(self._axes):
@@ -161,13 +163,15 @@ class Cabinet(Generic[AnyNode]):
                 )
 
     def switch(self) -> None:
-        """Torque and brakes of the machine as the axes' states say: after whatever may have changed a state."""
+        """Set torque and brakes of the machine according to the states of the axes; call after any change of a
+        state.
+        """
         for info, axis in self._axes:
             if axis.energised != self._machine.energised(info.joint):
                 self._machine.energise(info.joint, axis.energised)
 
     def _pace(self) -> tuple[float, int]:
-        """(simulated seconds a real second, cycles a chunk)."""
+        """(simulated seconds per real second, cycles per chunk)."""
         axes = [axis for _, axis in self._axes if axis.energised]
         if not axes or any(axis.interpolating for axis in axes):
             return 0.0, 1
@@ -192,7 +196,7 @@ class Cabinet(Generic[AnyNode]):
 
 
 def _nameplate(info: AxisInfo, limits: Mapping[str, float], speed: float) -> dict[Key, Value]:
-    """Start values that depend on the motor; limits of the joint in rad, rad/s; `speed` units in 1 rev/s."""
+    """Initial values that depend on the motor; limits of the joint in rad, rad/s; `speed`: units per 1 rev/s."""
     turns = info.gear_ratio / tau
     ends = sorted((limits["lower"] * turns * INCREMENTS, limits["upper"] * turns * INCREMENTS))
     fastest = round(limits["velocity"] * abs(turns) * speed)

@@ -1,8 +1,12 @@
-"""Any python-can interface as the drive's bus, read by the owner's selector.
+"""Any python-can interface as the bus of the drives, read by the owner's selector.
 
-A kernel's bus has a file descriptor and is read as it is: each thread between a frame and its node costs a drive time.
+A kernel bus has a file descriptor and is read directly: each thread between a frame and its node would delay the
+drive.
 """
 
+import simulator.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
+
+# isort: split
 import selectors
 import socket
 from collections import deque
@@ -19,14 +23,14 @@ from simulator.canopen.node import Frame
 
 _log = structlog.get_logger(__name__)
 _BUS_OFF = 0x40  # SocketCAN's error class in the identifier of an error frame
-_RECEIVE_BUFFER = 1 << 22  # bytes: a real drive misses no SYNC because its computer was busy for a second
-_FORCED = 33  # SO_RCVBUFFORCE of Linux: beyond what the kernel allows, for who may
-_BATCH = 64  # frames taken at a time before timers have their turn
-_POLL = 0.1  # s, after which a reading thread looks whether it shall end
+_RECEIVE_BUFFER = 1 << 22  # bytes, so that no SYNC is lost while the computer is busy for a second
+_FORCED = 33  # SO_RCVBUFFORCE of Linux: exceeds the kernel's limit for privileged processes
+_BATCH = 64  # frames processed before the timers are served
+_POLL = 0.1  # s, interval at which a reading thread checks whether it must end
 
 
 class CanBus:
-    """`interface` and `channel` as python-can names them. Raises can.CanError (or OSError) if it cannot be opened."""
+    """`interface` and `channel` in the terms of python-can. Raises can.CanError (or OSError) if it cannot be opened."""
 
     def __init__(
         self, selector: selectors.BaseSelector, interface: str, channel: str, receive: Callable[[Frame], None]
@@ -44,23 +48,23 @@ class CanBus:
         selector.register(self._inbox.fileno(), selectors.EVENT_READ, self._deliver)
 
     def send(self, frame: Frame) -> None:
-        """Put a frame on the bus; a bus that does not take it (bus-off, queue full) loses it."""
+        """Send a frame; it is lost if the bus does not accept it (bus-off, queue full)."""
         if not self._off:
             self._put(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False))
 
     def switch_off(self, *, off: bool) -> None:
-        """Bus-off: an error frame says so, then no frame passes either way until it is on again."""
+        """Bus-off: sends an error frame, then no frame passes in either direction until it is switched on."""
         if off and not self._off:
             self._put(can.Message(arbitration_id=_BUS_OFF, data=bytes(8), is_error_frame=True))
         self._off = off
 
     def due(self, now: float) -> float:
-        """Nothing is ever kept back."""
+        """Infinity: nothing is buffered."""
         del now
         return float("inf")
 
     def run(self, now: float) -> None:
-        """Nothing is ever kept back."""
+        """Nothing to do: nothing is buffered."""
 
     def close(self) -> None:
         """Release the bus."""
@@ -96,7 +100,7 @@ class CanBus:
 
 
 class Inbox:
-    """The frames of a bus that no selector can wait for: a thread fetches them, a socket tells of them."""
+    """Frames of a bus that a selector cannot wait for: a thread receives them, and a socket signals them."""
 
     def __init__(self, bus: can.BusABC, name: str) -> None:
         self._bus = bus
@@ -113,9 +117,9 @@ class Inbox:
         return self._woken.fileno()
 
     def recv(self, _timeout: float) -> can.Message | None:
-        """The next frame, None if none waits; raises what ended the bus once its frames are out."""
+        """The next frame, None if there is none; after the last frame it raises the error that ended the bus."""
         with suppress(BlockingIOError):
-            self._woken.recv(1)  # a byte a frame
+            self._woken.recv(1)  # one byte per frame
         if self._messages:
             return self._messages.popleft()
         if self._error is not None:
@@ -143,7 +147,7 @@ class Inbox:
 
 
 def _widen(receiving: socket.socket) -> None:
-    """A receive buffer as large as the kernel grants."""
+    """Set the receive buffer to the largest size that the kernel allows."""
     receiving.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
     with suppress(OSError):  # needs CAP_NET_ADMIN
         receiving.setsockopt(socket.SOL_SOCKET, _FORCED, _RECEIVE_BUFFER)

@@ -1,5 +1,9 @@
 """`sweepid drive`: a virtual machine tool in a process of its own."""
 
+import simulator.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
+
+# isort: split
+import gc
 import json
 import logging
 import math
@@ -15,22 +19,22 @@ import typer
 
 from simulator.hidden import hide as hidden_in
 from simulator.machine import Machine
-from simulator.modbus.line import PTY
+from simulator.modbus.pty_pair import PTY
 from simulator.modbus.register_map import RegisterMapError, load_register_map
 from simulator.scenario import Scenario, ScenarioError, load_scenario
 from simulator.virtual_drive import Fieldbus, VirtualDrive
 
 
 def drive(
-    scenario: Annotated[Path, typer.Option(help="What the machine really is.")] = Path(
+    scenario: Annotated[Path, typer.Option(help="Scenario: true parameters of the machine.")] = Path(
         "config/scenarios/max100-full.yaml"
     ),
     eds: Annotated[Path, typer.Option(help="Object dictionary of the axes.")] = Path("config/eds/virtual-axis.eds"),
     foreign: Annotated[
         list[str] | None,
-        typer.Option(help="CANopen: EDS or DCF of another maker's drive, instead of --eds; JOINT=FILE for one axis."),
+        typer.Option(help="CANopen: EDS or DCF of another drive, replaces --eds; JOINT=FILE for one axis."),
     ] = None,
-    fieldbus: Annotated[Fieldbus, typer.Option(help="What the machine speaks.")] = Fieldbus.CANOPEN,
+    fieldbus: Annotated[Fieldbus, typer.Option(help="Fieldbus of the machine.")] = Fieldbus.CANOPEN,
     bus: Annotated[
         str, typer.Option(help="CANopen: socketcand (a server here) or a python-can interface.")
     ] = "socketcand",
@@ -39,28 +43,28 @@ def drive(
         "config/registers/virtual-high-first.yaml"
     ),
     device: Annotated[
-        str, typer.Option(help=f"Modbus RTU: serial device; {PTY} = a pseudo-terminal, told when ready.")
+        str, typer.Option(help=f"Modbus RTU: serial device; {PTY} = a pseudo-terminal, printed when ready.")
     ] = PTY,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Port of the socketcand or Modbus TCP server; 0 = a free one.")
     ] = 29536,
-    control_port: Annotated[int, typer.Option(min=0, max=65535, help="Port for faults to order; 0 = a free one.")] = 0,
+    control_port: Annotated[int, typer.Option(min=0, max=65535, help="Port for fault injection; 0 = a free one.")] = 0,
     speed_factor: Annotated[
-        float, typer.Option(min=0.01, help="Moves and measuring function against real time, as far as the CPU allows.")
+        float, typer.Option(min=0.01, help="Speed of moves and measuring function relative to real time.")
     ] = 20.0,
-    seed: Annotated[int, typer.Option(help="Of the measurement noise.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the measurement noise.")] = 0,
     hide: Annotated[
-        int | None, typer.Option(min=0, help="Seed of one effect to hide in the machine; `sweepid truth` tells it.")
+        int | None, typer.Option(min=0, help="Seed of one effect to hide in the machine; shown by `sweepid truth`.")
     ] = None,
     start_pose: Annotated[str, typer.Option(help="Joint positions, rad, comma separated.")] = "",
 ) -> None:
-    """Run a virtual machine: one CiA 402 drive an axis on CAN or Modbus. Ends on SIGTERM or Ctrl-C."""
+    """Run a virtual machine: one CiA 402 drive per axis on CAN or Modbus. Ends on SIGTERM or Ctrl-C."""
     structlog.configure(
         wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
         logger_factory=structlog.PrintLoggerFactory(sys.stderr),
     )
-    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # frames of whoever speaks badly are no news of ours
+    logging.getLogger("pymodbus").setLevel(logging.CRITICAL)  # invalid frames of others are not logged
     try:
         really, hidden = load_scenario(scenario), None
         if hide is not None:
@@ -98,6 +102,7 @@ def drive(
         ready["device"] = virtual.device
     if hidden is not None:
         ready["hidden_in"] = hidden.joint
+    gc.freeze()  # these objects live until the end; their collection would delay the drives
     typer.echo(json.dumps(ready))
     try:
         virtual.run()
@@ -122,7 +127,7 @@ def _machine(scenario: Scenario, seed: int, start_pose: str) -> Machine:
 
 
 def _foreign(joints: Sequence[str], options: Sequence[str]) -> dict[str, Path]:
-    """The file of each joint's drive: that of its own, else the one for all."""
+    """The file of each joint's drive: its own, otherwise the common one."""
     files: dict[str, Path] = {}
     for option in options:
         joint, equals, name = option.rpartition("=")

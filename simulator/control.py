@@ -1,11 +1,11 @@
-"""The control port: faults to order while the virtual machine runs, JSON lines over TCP, one reply a line."""
+"""The control port: fault injection while the virtual machine runs, JSON lines over TCP, one reply per line."""
 
 import json
 import selectors
 import socket
 from functools import partial
 
-from simulator.orders import AnyCabinet, Bus, Plant, carry_out
+from simulator.fault_orders import AnyCabinet, Bus, Plant, carry_out
 
 _LARGEST_LINE = 65536
 
@@ -25,7 +25,7 @@ class ControlServer:
         selector.register(self._listener, selectors.EVENT_READ, self._accept)
 
     def close(self) -> None:
-        """Drop every client and the port."""
+        """Disconnect every client and close the port."""
         for client in list(self._clients):
             self._drop(client)
         self._selector.unregister(self._listener)
@@ -33,7 +33,7 @@ class ControlServer:
 
     def _accept(self, _: int) -> None:
         client, _address = self._listener.accept()
-        client.settimeout(1.0)  # for replies; reading happens only when there is something
+        client.settimeout(1.0)  # for replies; data is read only when available
         self._clients[client] = bytearray()
         self._selector.register(client, selectors.EVENT_READ, partial(self._serve, client))
 

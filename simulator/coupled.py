@@ -2,7 +2,7 @@ r"""Drive trains that share one robot: every link feels the others (inertia, Cor
 
     Jm vm' = u - Ts - fm(vm) - cogging(qm)          M(ql) vl' = Ts - fl(vl) - h(ql, vl),      h from MuJoCo
 
-Leapfrog as in `drive_train`, with all friction and damping trapezoidal in one linear system for the new velocities
+Leapfrog as in `drive_train`, with all friction and damping trapezoidal in one linear system for the new velocities:
 
     (I + D step/2) v+ = (I - D step/2) v- + step force,     I = diag(Jm, M),   D = viscous and structural damping
 
@@ -30,19 +30,19 @@ Array = NDArray[np.float64]
 
 _mujoco = cast(Any, mujoco)  # a binary module without type stubs
 
-_ROUNDS = 4  # of the projected Jacobi iteration, a step
+_ROUNDS = 4  # of the projected Jacobi iteration per step
 _RELAXATION = 0.7
-_KEPT = 4  # steps for which the inertia matrix stands: one cycle of 1 ms, in which the pose hardly changes
+_KEPT = 4  # steps with a constant inertia matrix: one cycle of 1 ms, in which the pose hardly changes
 
 
 @dataclass(frozen=True, slots=True)
 class _Masses:
-    """What the masses (k,) that may move answer to a force with."""
+    """Response of the masses (k,) that may move to a force."""
 
-    free: Array  # the brakes this was made for
-    moving: NDArray[np.int_]  # their numbers among all masses
-    momentum: Array  # (k, k) inertia less half a step of damping
-    gain: Array  # (k, k) inverse of the inertia and half a step of damping
+    free: Array  # state of the brakes for which this was computed
+    moving: NDArray[np.int_]  # their indices among all masses
+    momentum: Array  # (k, k) inertia minus half a step of damping
+    gain: Array  # (k, k) inverse of inertia plus half a step of damping
     relax: Array  # (k,) of the projected Jacobi iteration
 
 
@@ -65,7 +65,7 @@ class Dynamics(RigidBody):
 
 
 class CoupledTrains(DriveTrains):
-    """The driven axes of one robot, one row each; the other joints and those whose brake is closed stand."""
+    """The driven axes of one robot, one row each. The other joints and those with a closed brake stand."""
 
     def __init__(self, scenario: Scenario, step: float) -> None:
         self._body = Dynamics(scenario)
@@ -79,18 +79,18 @@ class CoupledTrains(DriveTrains):
         motors = np.diag([axis.motor_inertia for axis in axes])
         self._mass = np.zeros(
             (self.velocity.size, self.velocity.size)
-        )  # of the motors; the links' changes with the pose
+        )  # of the motors; that of the links changes with the pose
         self._mass[:rows, :rows] = motors
         self._resistance = self._resist(self.damping, np.ones(rows))
         self._links = slice(self.velocity.size - rows, None)
-        self._before = self.velocity[-1].copy()  # of the load, a step ago
+        self._before = self.velocity[-1].copy()  # of the load, one step before
         self._impulse = np.zeros(self.velocity.size)
         self._answering: _Masses | None = None
         self._age = 0  # steps of the masses
         self._dry = step * np.stack([-self._coulomb.ravel(), self._coulomb.ravel()])  # impulses of plain friction
 
     def _resist(self, damping: Array, lever: Array) -> Array:
-        """Half a step of viscous friction and of the springs' `damping` (rows,), a matrix over all masses."""
+        """Half a step of viscous friction and of the `damping` (rows,) of the springs, a matrix over all masses."""
         resistance = np.diag(self._viscous.ravel())
         if self.elastic:
             both, across, load = (np.diag(damping * lever**power) for power in (2, 1, 0))
@@ -103,12 +103,14 @@ class CoupledTrains(DriveTrains):
         self.take_pose(pose)
 
     def take_pose(self, pose: Array) -> None:
-        """Take over the pose (all joints,) for what no state holds: joints without drive, and axes that move alone."""
+        """Take the pose (all joints,) of joints that have no state here: joints without drive, and axes that move
+        alone.
+        """
         self._standing[:] = pose
         self.load(self.axes)
 
     def settle(self, row: int) -> float:
-        """As for a single axis; what friction remembers of the row is forgotten."""
+        """As for a single axis; the friction state of the row is reset."""
         self._before[row] = 0.0
         self._impulse.reshape(self.velocity.shape)[:, row] = 0.0
         return super().settle(row)
@@ -116,7 +118,7 @@ class CoupledTrains(DriveTrains):
     def step(self, effort: Array) -> None:
         """Advance all rows by one step under motor torque `effort` (rows,), N m."""
         step, velocity = self._step, self.velocity
-        now = 1.5 * velocity[-1] - 0.5 * self._before  # velocities are half a step old
+        now = 1.5 * velocity[-1] - 0.5 * self._before  # velocities lag by half a step
         self._before = velocity[-1].copy()
         if not self._touching():
             self._answering = None
@@ -144,7 +146,7 @@ class CoupledTrains(DriveTrains):
         self.position[:] += step * velocity
 
     def alone(self) -> dict[int, TrainAlone] | None:
-        """As for single axes, while none feels another."""
+        """As for single axes, while no axis is coupled to another."""
         return None if self._touching() else super().alone()
 
     def take_back(self, row: int, alone: TrainAlone) -> None:
@@ -156,10 +158,10 @@ class CoupledTrains(DriveTrains):
         return self._scenario.coupled and int(np.count_nonzero(self.free)) > 1
 
     def _answer(self, inertia: Array) -> _Masses:
-        """Of this step: those of some steps ago while they may stand."""
+        """Masses of this step, reused for some steps if allowed."""
         self._age += 1
         masses = self._answering
-        changing = self._has_gap or self.gear_error is not None  # from step to step
+        changing = self._has_gap or self.gear_error is not None  # changes in every step
         stale = changing or self._age >= _KEPT
         if masses is None or stale or (masses.free != self.free).any():
             mass, drag = self._mass.copy(), self._resistance
@@ -175,7 +177,7 @@ class CoupledTrains(DriveTrains):
         return masses
 
     def _rub(self, velocity: Array, masses: _Masses, dry: Array) -> Array:
-        """Velocities (k,) of the moving masses after dry friction, impulses `dry` (2, k): least and most."""
+        """Velocities (k,) of the moving masses after dry friction with impulses `dry` (2, k): minimum and maximum."""
         least, most = dry
         impulse = np.minimum(np.maximum(self._impulse[masses.moving], least), most)
         rubbed = velocity - masses.gain @ impulse
@@ -198,11 +200,11 @@ class CoupledTrains(DriveTrains):
         return inertia, bias + self.hose_torque() if self._has_hose else bias
 
     def holding_torque(self) -> Array:
-        """As for single axes, gravity being that of the present pose of all joints."""
+        """As for single axes, with gravity in the present pose of all joints."""
         return self._dynamics(np.zeros(len(self._driven)))[1]
 
     @property
     def axes(self) -> Sequence[MovingAxis]:
-        """The driven axes in the present pose, each alone."""
+        """The driven axes in the present pose, each as a single axis."""
         pose = self._standing.tolist()
         return [moving_axis(self._scenario, self._body, joint, pose) for joint in self.joints]

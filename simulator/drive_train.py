@@ -14,16 +14,16 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.effects.appendages import Appendages
-from simulator.effects.bristles import Bristles
+from simulator.effects.attached_bodies import Appendages
 from simulator.effects.friction import friction_law, viscous
+from simulator.effects.lugre_friction import Bristles
 from simulator.effects.ripples import KnownRipples, Ripples, cogging, gear_error
 from simulator.moving_axis import MovingAxis
-from simulator.train_step import ARRAYS, Geared, Rubbing, Train, TrainAlone
+from simulator.train_step import ARRAYS, ExtraFriction, Geared, Train, TrainAlone
 
 Array = NDArray[np.float64]
 
-FEW = 5  # rows that cost less one by one than together
+FEW = 5  # up to this number of rows, stepping them one by one is faster
 
 
 class DriveTrains:
@@ -39,7 +39,7 @@ class DriveTrains:
         self.position = np.zeros((masses, rows))
         self.velocity = np.zeros((masses, rows))
         self.free = np.zeros(rows)  # 1 where the brake is open
-        self._damped = np.zeros(rows)  # speed that the spring's damping took from the load in the last step
+        self._damped = np.zeros(rows)  # speed change of the load by the spring's damping in the last step
         self._step = step
 
         self._stiffness = np.array([spring.stiffness for spring in springs])
@@ -61,20 +61,20 @@ class DriveTrains:
         self._bristles = Bristles([t.lugre for t in trains], step) if any(t.lugre for t in trains) else None
         appendages = [train.appendage for train in trains]
         self.appendages = Appendages(appendages, step) if any(appendages) else None
-        self._earlier = np.zeros(rows)  # speed of the load a step ago, as friction knows it
+        self._earlier = np.zeros(rows)  # speed of the load one step before, used by friction
         self.load(axes)
 
     def load(self, axes: Sequence[MovingAxis]) -> None:
-        """Take over inertia and gravity of another pose; the drive trains and their state stay."""
+        """Set inertia and gravity of another pose; the drive trains and their state are kept."""
         self._load_inertia = np.array([axis.load_inertia for axis in axes])
         inertia = self._masses(np.array([[axis.motor_inertia for axis in axes], self._load_inertia]))
         half = self._step * self._viscous / 2
-        self._mobility = self._step / (inertia + half)  # velocity gained per N m in one step
+        self._mobility = self._step / (inertia + half)  # velocity change per N m in one step
         self._stick = self._mobility * self._coulomb
         gravity = [axis.gravity for axis in axes]
-        self._each: dict[int, Train[float]] = {}  # rows of it in floats, as far as they were asked for
+        self._each: dict[int, Train[float]] = {}  # single rows in floats, created on request
         self._train = Train(
-            reckoning=ARRAYS,
+            arithmetic=ARRAYS,
             mobility=tuple(self._mobility),
             keep=tuple((inertia - half) / (inertia + half)),
             stick=tuple(self._stick),
@@ -105,49 +105,49 @@ class DriveTrains:
         return self._train.gravity(self.position[-1])
 
     def holding_torque(self) -> Array:
-        """What the loads need to stand where they are, (rows,) N m."""
+        """Torque to hold the loads at their positions, (rows,) N m."""
         return self.gravity()
 
     def hose_torque(self) -> Array:
-        """Torque (rows,) N m of the hoses' springs."""
+        """Torque (rows,) N m of the springs of the hoses."""
         return self._hose * (self.position[-1] - self._hose_rest)
 
     def twist(self) -> Array:
-        """How far the springs are wound, rad (rows,): nothing while the teeth are off both flanks."""
+        """Twist of the springs, rad (rows,): zero inside the backlash."""
         ahead = None if self.gear_error is None else self.gear_error.at(self.position[0])
         return self._train.twist(self.position[0], self.position[1], ahead)
 
     def engaged(self) -> Array:
-        """1.0 where the teeth touch, (rows,)."""
+        """1.0 if the teeth are in contact, (rows,)."""
         return (self.twist() != 0.0).astype(float) if self._has_gap else np.ones(len(self.free))
 
     def spring_torque(self) -> Array:
-        """Torque of the springs alone, without their damping, (rows,) N m."""
+        """Torque of the springs without their damping, (rows,) N m."""
         return self._train.spring(self.twist())
 
     def damping_torque(self) -> Array:
-        """Torque (rows,) N m that the springs' damping handed to the load in the last step."""
+        """Torque (rows,) N m of the springs' damping on the load in the last step."""
         return -self._damped / self._mobility[1]
 
     def lever(self) -> Array:
-        """How fast the gear turns for each rad/s of the motor, (rows,); what it takes, the motor feels times that."""
+        """Speed of the gear per rad/s of the motor, (rows,); its torque acts on the motor multiplied by this ratio."""
         return 1 + (np.zeros(len(self.free)) if self.gear_error is None else self.gear_error.slope(self.position[0]))
 
     def transmitted(self) -> Array:
-        """Torque (rows,) N m that the gear hands to the load; in a rigid train as of the last step's acceleration."""
+        """Torque (rows,) N m from gear to load; in a rigid train from the acceleration of the last step."""
         if self.elastic:
             return self.spring_torque()
         return self.gravity() + self._load_inertia * (self.velocity[-1] - self._earlier) / self._step
 
     def settle(self, row: int) -> float:
-        """Put the load of a standing row where the spring holds gravity; returns the torque the motor needs, N m."""
+        """Put the load of a standing row where the spring balances gravity. Returns the required motor torque, N m."""
         self.velocity[:, row] = self._earlier[row] = 0.0
         if self._bristles is not None:
             self._bristles.deflection[row] = 0.0
         if self.elastic:
             ahead = 0.0 if self.gear_error is None else float(self.gear_error.at(self.position[0])[row])
             twist = 0.0
-            for _ in range(30):  # contracts by gravity stiffness over spring stiffness, about 1e-2 a round
+            for _ in range(30):  # converges by gravity stiffness / spring stiffness, about 1e-2 per iteration
                 flank = np.sign(twist) * self._gap[row]
                 self.position[1, row] = self.position[0, row] + ahead - twist - flank
                 twist = self.holding_torque()[row] / (self._stiffness[row] + self._hardening[row] * twist**2)
@@ -158,13 +158,13 @@ class DriveTrains:
     def step(self, effort: Array) -> None:
         """Advance every row by one step under motor torque `effort` (rows,), N m."""
         position, velocity = self.position, self.velocity
-        motor, geared, appended, rubbing = self.motor_torque(effort), self._geared(), None, None
+        motor, geared, appended, extra_friction = self.motor_torque(effort), self._geared(), None, None
         if self.appendages is not None:
             appended = self.appendages.step(position[-1], velocity[-1])
         if self.friction is not None:
             forward, backward, more = self.rub()
-            rubbing = Rubbing(self._mobility * forward, -self._mobility * backward, more)
-        masses, damped = self._train.step(position, velocity, motor, geared, appended, rubbing)
+            extra_friction = ExtraFriction(self._mobility * forward, -self._mobility * backward, more)
+        masses, damped = self._train.step(position, velocity, motor, geared, appended, extra_friction)
         if damped is not None:
             self._damped = damped
         for mass, speed in enumerate(masses):
@@ -172,14 +172,16 @@ class DriveTrains:
         position += self._step * velocity
 
     def _geared(self) -> Geared[Array] | None:
-        """How the gears turn just now, where one does not turn true."""
+        """Present state of the gears, if any gear has a transmission error."""
         if self.gear_error is None:
             return None
         lever = self.lever()
         return Geared(self.gear_error.at(self.position[0]), lever, self._dragged(lever))
 
     def alone(self) -> dict[int, TrainAlone] | None:
-        """The rows whose brake is open, each to be stepped by itself and then taken back; None: not in this state."""
+        """The rows with an open brake, each to be stepped alone and then taken back; None if this is not
+        possible now.
+        """
         effects = (self.friction, self.gear_error, self._bristles, self.appendages)
         free = np.flatnonzero(self.free).tolist()
         if len(free) > FEW or any(effect is not None for effect in effects):
@@ -198,17 +200,17 @@ class DriveTrains:
         }
 
     def take_back(self, row: int, alone: TrainAlone) -> None:
-        """The state of a row that was stepped by itself."""
+        """Take the state of a row that was stepped alone."""
         self.position[:, row], self.velocity[:, row], self._damped[row] = alone.position, alone.velocity, alone.damped
 
     def motor_torque(self, effort: Array) -> Array:
-        """What is left of `effort` (rows,) N m after cogging and bristles."""
+        """`effort` (rows,) N m minus cogging and presliding friction."""
         if self._cogging is not None:
             effort = effort - self._cogging.at(self.position[0])
         return effort if self._bristles is None else effort - self._bristles.step(self.velocity[0])
 
     def friction_torque(self, transmitted: Array) -> Array:
-        """Friction (masses, rows) N m against the present motion; the dry part counts as zero at standstill."""
+        """Friction (masses, rows) N m against the present motion; dry friction counts as zero at standstill."""
         if self.friction is None:
             return self._viscous * self.velocity + self._coulomb * np.sign(self.velocity)
         more = self.friction.torque(self.velocity, transmitted, self.position[-1])

@@ -1,8 +1,8 @@
-"""`sweepid drive --hide SEED`: one effect that nobody is told of, chosen and sized by the seed, put into a scenario.
+"""`sweepid drive --hide SEED`: one effect, chosen and sized by the seed, that is added to a scenario and not disclosed.
 
-Only what sweeps alone can tell is hidden: no payload and no torque constant (a test mass decides), no warming (it takes
-hours), no play. The axis carries weight, so that every effect can show. Sizes are two to five hundredths of the rated
-effort.
+Only effects that sweeps alone can identify are hidden: no payload and no torque constant (they need a test mass), no
+warming (it takes hours), no backlash. The axis carries weight, so that every effect is visible. Sizes are 2 to 5 % of
+the rated effort.
 """
 
 from collections.abc import Callable
@@ -15,17 +15,17 @@ from numpy.typing import NDArray
 from simulator.rigid_body import RigidBody
 from simulator.scenario import Scenario, ScenarioError
 
-SIZE = (0.02, 0.05)  # largest torque of the effect over the rated effort
-CARRIES = 0.1  # gravity torque over the rated effort from which an axis carries weight
+SIZE = (0.02, 0.05)  # largest torque of the effect relative to the rated effort
+CARRIES = 0.1  # gravity torque relative to the rated effort above which an axis carries weight
 SLOW = 0.0105  # rad/s: 0.1 rev/min
-STIFF = 350.0  # Hz, locked rotor of the gears beside an elastic one
+STIFF = 350.0  # Hz, locked rotor of the other gears if one is elastic
 PROBE = 0.01  # m
 ELASTIC_BAND = 6.0  # Hz of the speed control of an elastic axis
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """What was hidden: parameters under the names that a diagnosis gives them, SI on the joint side."""
+    """The hidden effect: parameters with the names used by a diagnosis, SI on the joint side."""
 
     joint: str
     effect: str
@@ -34,7 +34,7 @@ class Hidden:
 
 @dataclass
 class _Machine:
-    """A scenario as nested data, to be changed; `size` in N m."""
+    """A scenario as nested data that can be changed; `size` in N m."""
 
     random: np.random.Generator
     scenario: Scenario
@@ -50,12 +50,12 @@ class _Machine:
         self.train["motor_friction"] |= parts
 
     def weight(self) -> float:
-        """Largest gravity torque about the axis over its own turn, N m, the others at zero."""
+        """Largest gravity torque about the axis over its revolution, N m, with the other joints at zero."""
         return _weight(self.scenario, self.joint)
 
 
 def hide(scenario: Scenario, seed: int) -> tuple[Scenario, Hidden]:
-    """The scenario with one effect more, and what that is; ScenarioError where no axis carries weight."""
+    """The scenario with one additional effect, and the effect. Raises ScenarioError if no axis carries weight."""
     random = np.random.default_rng(seed)
     joints = [
         joint for joint in scenario.axes if _weight(scenario, joint) > CARRIES * scenario.nominal(joint).rated_effort
@@ -94,7 +94,7 @@ def _load_dependent_friction(machine: _Machine) -> dict[str, float]:
 
 
 def _gravity_error(machine: _Machine) -> dict[str, float]:
-    """The centre of mass of the link behind the axis lies further out, or nearer, than CAD says."""
+    """The centre of mass of the link after the axis is further out, or nearer, than in CAD."""
     link = f"link_{machine.scenario.joints.index(machine.joint) + 1}"
     entry = machine.data["links"].setdefault(link, {})
     entry["shift"] = (PROBE, 0.0, 0.0)
@@ -139,7 +139,7 @@ def _presliding_hysteresis(machine: _Machine) -> dict[str, float]:
 
 
 def _joint_elasticity(machine: _Machine) -> dict[str, float]:
-    """Locked rotor at 9 to 13 Hz; the other axes get springs that nobody sees."""
+    """Locked rotor at 9 to 13 Hz; the other axes get springs that are not visible."""
     body, zero = RigidBody(machine.scenario), np.zeros(len(machine.scenario.joints))
     found = 0.0
     for joint, axis in machine.data["axes"].items():
@@ -170,7 +170,7 @@ def _pull(scenario: Scenario, joint: str) -> NDArray[np.float64]:
 
 
 def _weight(scenario: Scenario, joint: str) -> float:
-    """Largest gravity torque about the axis over its own turn, N m."""
+    """Largest gravity torque about the axis over its revolution, N m."""
     return float(np.hypot(*_pull(scenario, joint)))
 
 

@@ -1,6 +1,6 @@
-"""The live virtual machine: axes with brakes that take velocity set-points and give samples, one cycle a row.
+"""The live virtual machine: axes with brakes that receive velocity set-points and return samples, one row per cycle.
 
-While more than one brake is open, the axes feel each other (`coupled`).
+While more than one brake is open, the axes are coupled (`coupled`).
 """
 
 from dataclasses import dataclass
@@ -15,12 +15,12 @@ from simulator.scenario import CYCLE, STEP, Scenario, ScenarioError
 
 Array = NDArray[np.float64]
 
-_MOVED = 1e-3  # rad; further than that, inertia and gravity are taken anew
+_MOVED = 1e-3  # rad; after a larger motion, inertia and gravity are computed again
 
 
 @dataclass(frozen=True, slots=True)
 class AxisInfo:
-    """What the dictionary of an axis' drive is made of; joint side, motor inertia on the motor side."""
+    """Data for the dictionary of an axis' drive; joint side, motor inertia on the motor side."""
 
     joint: str
     gear_ratio: float
@@ -34,7 +34,9 @@ class AxisInfo:
 
 
 class Machine:
-    """Every joint of the robot, base to tip; all brakes closed and all positions zero at first. Not thread-safe."""
+    """Every joint of the robot, base to tip; initially all brakes are closed and all positions zero. Not
+    thread-safe.
+    """
 
     cycle = CYCLE
 
@@ -45,7 +47,7 @@ class Machine:
         self._driven = tuple(k for k, axis in enumerate(self.axes) if not axis.locked)
         self._row = {joint: row for row, joint in enumerate(scenario.joints[k] for k in self._driven)}
         self._pose = np.zeros(len(self.joints))
-        self._loaded = self._pose.copy()  # the pose whose inertia and gravity the plant has
+        self._loaded = self._pose.copy()  # the pose for which the plant has inertia and gravity
         self._trains = CoupledTrains(scenario, STEP)
         controls = [scenario.axes[joint].control for joint in self._row]
         self._plant = Plant(self._trains.axes, controls, scenario.measurement)
@@ -54,7 +56,7 @@ class Machine:
         self._random = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(len(self._driven))]
 
     def energise(self, joint: str, on: bool) -> None:
-        """Open the brake of a joint in closed loop at standstill, or close it; ScenarioError if it is locked."""
+        """Open the brake of a joint in closed loop at standstill, or close it. Raises ScenarioError if it is locked."""
         self.scenario.driven(joint)
         row = self._row[joint]
         if not on:
@@ -67,7 +69,7 @@ class Machine:
         return joint in self._row and bool(self._plant.trains.free[self._row[joint]])
 
     def set_position(self, joint: str, position: float) -> None:
-        """Put a braked joint elsewhere, rad: the start pose. ScenarioError if it is energised."""
+        """Set the start position of a braked joint, rad. Raises ScenarioError if it is energised."""
         self.scenario.nominal(joint)
         if self.energised(joint):
             raise ScenarioError(f"joint {joint}: cannot be put elsewhere while it is energised")
@@ -83,19 +85,22 @@ class Machine:
         self._plant.loop.limit[self._row[joint]] = limit
 
     def positions(self) -> Array:
-        """Motor positions referred to the joints, (n,) rad."""
+        """Motor positions on the joint side, (n,) rad."""
         self._pose[list(self._driven)] = self._plant.trains.position[0]
         return self._pose.copy()
 
     def tune(self, joint: str, gain: float, reset_time: float) -> None:
-        """Speed control of a joint, N m s/rad on the joint side and s, both above 0; ScenarioError if it is locked."""
+        """Set the speed control of a joint, N m s/rad on the joint side and s, both above 0. ScenarioError if it is
+        locked.
+        """
         self.scenario.driven(joint)
         self._plant.tune(self._row[joint], gain, reset_time)
 
     def advance(self, setpoints: Array, injected: Array | None = None) -> Samples:
-        """Run m cycles under velocity set-points (m, n) rad/s; measured samples (m, n). Braked joints stay put.
+        """Run m cycles with velocity set-points (m, n) rad/s; returns measured samples (m, n). Braked joints do not
+        move.
 
-        `injected` (m, n): torque on top of the speed controllers', N m on the joint side; none by default.
+        `injected` (m, n): torque added to that of the speed controllers, N m on the joint side; default none.
         """
         if setpoints.ndim != 2 or setpoints.shape[1] != len(self.joints):
             raise ValueError(f"set-points {setpoints.shape} must be (cycles, {len(self.joints)})")
@@ -103,7 +108,7 @@ class Machine:
         pose = self.positions()
         free = self._plant.trains.free
         shift = np.abs(pose - self._loaded)
-        if np.count_nonzero(free) == 1:  # an axis' own motion changes nothing for itself
+        if np.count_nonzero(free) == 1:  # the motion of an axis does not change its own inertia
             shift[self._driven[int(free.argmax())]] = 0.0
         if shift.max() > _MOVED:
             self._load_pose(pose)

@@ -1,4 +1,4 @@
-"""One axis of a scenario in one pose: everything the plant needs to know of it."""
+"""One axis of a scenario in one pose: all data that the plant needs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from simulator.scenario import DriveTrain, Scenario, ScenarioError
 
 @dataclass(frozen=True, slots=True)
 class MovingAxis:
-    """A row of the plant. Load inertia in kg m^2 about the joint, motor not counted."""
+    """A row of the plant. Load inertia in kg m^2 about the joint, without the motor."""
 
     train: DriveTrain
     gear_ratio: float  # motor revolutions per joint revolution
@@ -19,12 +19,12 @@ class MovingAxis:
 
     @property
     def motor_inertia(self) -> float:
-        """Reflected to the joint, kg m^2."""
+        """Motor inertia on the joint side, kg m^2."""
         return self.train.motor_inertia * self.gear_ratio**2
 
 
 def moving_axis(scenario: Scenario, body: RigidBody, joint: str, pose: Sequence[float]) -> MovingAxis:
-    """A joint with the whole robot in `pose` (n,) rad; ScenarioError if it is locked or the pose does not fit."""
+    """A joint with the robot in `pose` (n,) rad. Raises ScenarioError if it is locked or the pose does not fit."""
     if len(pose) != len(scenario.joints):
         raise ScenarioError(f"{joint}: pose has {len(pose)} positions, the robot {len(scenario.joints)} joints")
     driven, number = scenario.driven(joint), scenario.joints.index(joint)

@@ -1,4 +1,4 @@
-"""What a drive adds to the truth of each 1 ms sample: noise of current, speed and encoders, and steps of the torque."""
+"""Measurement errors of each 1 ms sample: noise of current, speed and encoders, and quantisation of the torque."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 def measure(
     samples: Samples, measurement: Measurement, rated_effort: Array, random: Sequence[np.random.Generator]
 ) -> Samples:
-    """Samples as the drive reports them; `rated_effort` (rows,) N m, one random stream a row."""
+    """Samples as reported by the drive; `rated_effort` (rows,) N m, one random stream per row."""
 
     def noisy(values: Array, rms: float | Array) -> Array:
         if not np.any(rms):

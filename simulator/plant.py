@@ -1,9 +1,9 @@
-"""The plant under cascade control: drive trains, PI speed controllers, and what happens within each 1 ms cycle.
+"""The plant under cascade control: drive trains, PI speed controllers, and the steps within each 1 ms cycle.
 
-A cycle has `SUBSTEPS` steps of control and mechanics. Set-point and injected torque run straight from the last cycle's
+A cycle has `SUBSTEPS` steps of control and mechanics. Set-point and injected torque are linear from the last cycle's
 value to the new one (the drive's fine interpolator; a staircase would alias into the torque). Every channel of a sample
-is the mean over the same instants of the cycle, so any linear relation between torque and motion holds between the
-samples too; unless the scenario says that effort or motor speed reach the drive's samples late, smoothed or falsified.
+is the mean over the same instants of the cycle, so any linear relation between torque and motion also holds between the
+samples, unless the scenario has delay, smoothing or errors of effort or motor speed.
 """
 
 from collections.abc import Iterable, Sequence
@@ -23,12 +23,12 @@ from simulator.train_step import ARRAYS, Masses, Value
 Array = NDArray[np.float64]
 
 SUBSTEPS = round(CYCLE / STEP)
-_CHUNK = 256  # cycles whose steps are kept before they are averaged
+_CHUNK = 256  # cycles whose steps are stored before they are averaged
 
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """One value a cycle, arrays (cycles, rows), joint side: N m, rad/s, rad."""
+    """One value per cycle, arrays (cycles, rows), joint side: N m, rad/s, rad."""
 
     effort: Array
     velocity: Array
@@ -58,12 +58,12 @@ class Plant:
         self._velocity = Channel(rows, STEP, measurement.velocity_delay, measurement.velocity_smoothing)
 
     def tune(self, row: int, gain: float, reset_time: float) -> None:
-        """Other speed control of a row, N m s/rad and s; its torque of this moment stays."""
+        """Change the speed control of a row, N m s/rad and s; its present torque is kept."""
         self.loop.gain[row] = gain
         self.loop.reset[row] = gain * STEP / reset_time
 
     def release(self, row: int) -> None:
-        """Open the brake of a standing row with the torque that holds gravity."""
+        """Open the brake of a standing row with the torque that balances gravity."""
         self.loop.integral[row] = holding = self.trains.settle(row)
         self._effort.restart(row, holding)
         self._velocity.restart(row, 0.0)
@@ -79,7 +79,7 @@ class Plant:
     def advance(self, setpoints: Array, injected: Array | None = None) -> Samples:
         """Run ``len(setpoints)`` cycles; set-points (cycles, rows) rad/s are reached at the end of their cycles.
 
-        So is the `injected` torque, N m, on top of the speed controller's; none by default.
+        The same applies to the `injected` torque, N m, which is added to that of the speed controller; default none.
         """
         parts = [
             self._chunk(setpoints[k : k + _CHUNK], None if injected is None else injected[k : k + _CHUNK])
@@ -105,7 +105,7 @@ class Plant:
         if alone is None:
             _run(self.loop, self.trains, wanted, injected, effort, position, velocity[1:])
         else:
-            position[:], velocity[1:] = self.trains.position, self.trains.velocity  # of brakes that are closed
+            position[:], velocity[1:] = self.trains.position, self.trains.velocity  # of rows with a closed brake
             for row, train in alone.items():
                 loop, nothing = self.loop.alone(row), [None] * steps
                 parts: tuple[list[Any], ...] = (nothing[:], nothing[:], nothing)
@@ -128,7 +128,7 @@ class Plant:
 
 
 class _Train(Protocol[Value]):
-    """`DriveTrains`, or one of their rows alone."""
+    """`DriveTrains`, or a single row of them."""
 
     @property
     def position(self) -> Masses[Value]: ...
@@ -148,7 +148,9 @@ def _run(
     position: Any,
     velocity: Any,
 ) -> None:
-    """Step by step to the set-points `wanted`; the last three take torque and position before, velocity after each."""
+    """Steps to the set-points `wanted`. The last three arrays get torque and position before, and velocity after each
+    step.
+    """
     for n, (setpoint, torque) in enumerate(zip(wanted, injected, strict=True)):
         effort[n] = given = loop.effort(setpoint, train.velocity[0], torque) * train.free
         position[n] = train.position

@@ -1,9 +1,9 @@
-"""The inverse run: recorded motor motion in, the torque that a drive would record for it out. No controller enters.
+"""The inverse simulation: from recorded motor motion to the torque that a drive would record. Without a controller.
 
-The motor is led along the recording, the load follows through its spring (the plant's own step, with a motor that
-nothing can disturb); then u = Jm a + fm(v) + cogging(q) + what the gear takes. Samples are means over cycles; every
-linear relation holds between means too, so they are taken as point values at the samples' instants and not averaged
-again. What has no memory needs no steps between samples, and is computed for many at once.
+The motor follows the recording and the load follows through its spring (the same step as in the plant, with a
+prescribed motor motion). Then u = Jm a + fm(v) + cogging(q) + torque of the gear. Samples are means over cycles.
+Every linear relation also holds between means, so they are used as point values at the samples' instants and not
+averaged again. Effects without memory need no steps between samples and are computed for many samples at once.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,30 +16,30 @@ from numpy.typing import NDArray
 
 from simulator.channel import Channel
 from simulator.drive_train import DriveTrains
-from simulator.effects.bristles import Bristles
 from simulator.effects.friction import FrictionLaw
+from simulator.effects.lugre_friction import Bristles
 from simulator.effects.ripples import KnownRipples, Ripples, cogging
 from simulator.moving_axis import MovingAxis
 from simulator.scenario import CYCLE, STEP, Measurement
 
-if TYPE_CHECKING:  # else a virtual machine, which replays nothing, would load SciPy
+if TYPE_CHECKING:  # otherwise a virtual machine would load SciPy without using it
     from scipy.interpolate import CubicSpline, PPoly
 
 Array = NDArray[np.float64]
 
 _IMMOVABLE = 1e18  # kg m^2
 _EXACT = Measurement()
-_AT_ONCE = 200_000  # values, so that nothing grows beyond the cache by much
-_WARMING = 0.25  # s, likewise, so that few rounds make friction agree with its warmth
-_SWING = 1.25  # rad that a load may swing in one step behind its led motor; 2 is where the leapfrog breaks
-_SETTLED = 1e-7  # of the friction: it agrees with the temperature
+_AT_ONCE = 200_000  # values per block, so that arrays stay near the size of the cache
+_WARMING = 0.25  # s per block, so that few iterations make friction and temperature agree
+_SWING = 1.25  # rad, phase of a load oscillation per step with prescribed motor; the leapfrog is unstable from 2
+_SETTLED = 1e-7  # relative change of the friction at which the iteration ends
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Recorded motion of a motor, referred to the joint: arrays (n,), s, rad, rad/s; n >= 4.
+    """Recorded motion of a motor on the joint side: arrays (n,), s, rad, rad/s; n >= 4.
 
-    A load behind a spring begins at the motor's speed, without acceleration: best from standstill.
+    A load with a spring begins at the motor's speed, without acceleration: preferably from standstill.
     """
 
     time: Array
@@ -47,8 +47,8 @@ class Motion:
     velocity: Array
 
     def at(self, grid: Array, late: float) -> tuple[Array, Array, Array]:
-        """Position, velocity and acceleration at times since the start, the speed as if recorded `late`, s; the end
-        lasts.
+        """Position, velocity and acceleration at times since the start, with the speed as if recorded `late`, s.
+        Constant after the end.
         """
         position, velocity, acceleration = self._splines
         end = float(self.time[-1] - self.time[0])
@@ -71,9 +71,9 @@ def replay(
 ) -> list[Array]:
     """Recorded torque (n,) N m at the samples of each motion, one axis each (all rigid or all elastic), in one pass.
 
-    Of `measurement`, one for all or one a row, delay and smoothing of the effort and delay of the speed count; there is
-    no noise. How warm a gear is at the start, its `MovingAxis` says. At standstill dry friction may take any torque
-    within its limits: there it counts as zero.
+    Of `measurement` (one for all, or one per row) delay and smoothing of the effort and delay of the speed are
+    applied; there is no noise. The initial temperature of a gear is in its `MovingAxis`. At standstill dry friction
+    may have any value within its limits; here it counts as zero.
     """
     measurements = [measurement] * len(axes) if isinstance(measurement, Measurement) else list(measurement)
     if not len(axes) == len(motions) == len(measurements):
@@ -92,7 +92,9 @@ def replay(
 
 
 def _step(axes: Sequence[MovingAxis]) -> float:
-    """s: that of the plant where something is quick, a longer one where loads but swing or nothing remembers."""
+    """Step in s: that of the plant for fast dynamics, a longer one if the loads only oscillate slowly or nothing has
+    memory.
+    """
     trains = [axis.train for axis in axes]
     if any(train.lugre or train.appendage for train in trains):
         return STEP
@@ -101,8 +103,8 @@ def _step(axes: Sequence[MovingAxis]) -> float:
 
 
 def _on_grid(motions: Sequence[Motion], late: Sequence[float], step: float) -> Array:
-    """Position, velocity and acceleration (3, steps, rows), the speed as much earlier as it was recorded `late`, s; a
-    shorter motion waits at its end.
+    """Position, velocity and acceleration (3, steps, rows), with the speed shifted earlier by `late`, s. A shorter
+    motion stays at its end.
     """
     different = {(id(motion), delay): motion for motion, delay in zip(motions, late, strict=True)}
     steps = max(round(float(m.time[-1] - m.time[0]) / step) for m in motions) + 1
@@ -116,7 +118,7 @@ def _on_grid(motions: Sequence[Motion], late: Sequence[float], step: float) -> A
 
 
 def _motor_torque(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceleration: Array) -> Array:
-    """What the motor itself takes but for friction that `effects.friction` knows, (steps, rows)."""
+    """Torque for the motor itself, without the friction in `effects.friction`, (steps, rows)."""
     torque = acceleration * np.array([axis.motor_inertia for axis in axes])
     ripple = cogging(axes)
     if ripple is not None:
@@ -130,7 +132,7 @@ def _motor_torque(axes: Sequence[MovingAxis], position: Array, velocity: Array, 
 
 
 def _rigid(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceleration: Array, step: float) -> Array:
-    """Friction, and what the motor gives to a load that follows at once, (steps, rows)."""
+    """Friction, and torque from the motor to a rigidly connected load, (steps, rows)."""
     trains = _led(axes, position[0], velocity[0], step)
     law = FrictionLaw([axis.train for axis in axes], [axis.warmth for axis in axes], step)
     damping = np.array([axis.train.hose.damping if axis.train.hose else 0.0 for axis in axes])
@@ -147,7 +149,9 @@ def _rigid(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceler
 
 
 def _friction(law: FrictionLaw, velocity: Array, transmitted: Array, position: Array) -> Array:
-    """Friction of motor and load together (steps, rows), N m, with the warmth that it makes itself; warms `law`."""
+    """Friction of motor and load together (steps, rows), N m, including its own heating; updates the temperature of
+    `law`.
+    """
     motion = (velocity[:, None], transmitted[:, None], position[:, None])
     start, torque = law.warmth, law.whole(*motion).sum(axis=1)
     while law.warms:
@@ -173,7 +177,7 @@ def _cooling(gained: Array, keep: Array, start: Array) -> Array:
 
 
 def _elastic(axes: Sequence[MovingAxis], position: Array, velocity: Array, acceleration: Array, step: float) -> Array:
-    """Friction of the motor, and what it gives to the spring, (steps, rows)."""
+    """Friction of the motor, and its torque on the spring, (steps, rows)."""
     trains = _led(axes, position[0], velocity[0], step)
     known = _known(trains.gear_error, position)
     if known is not None:
@@ -202,7 +206,7 @@ def _known(ripples: Ripples | KnownRipples | None, position: Array) -> KnownRipp
 
 
 def _led(axes: Sequence[MovingAxis], position: Array, velocity: Array, step: float) -> DriveTrains:
-    """The drive trains in balance at `position` and `velocity` (rows,), their motors led: nothing disturbs them."""
+    """The drive trains in balance at `position` and `velocity` (rows,), with prescribed motor motion."""
     bare = {"motor_inertia": _IMMOVABLE, "cogging": (), "lugre": None}
     trains = DriveTrains([replace(axis, train=axis.train.model_copy(update=bare)) for axis in axes], step)
     trains.free[:] = 1.0
@@ -214,14 +218,14 @@ def _led(axes: Sequence[MovingAxis], position: Array, velocity: Array, step: flo
 
 
 def _recorded(axis: MovingAxis, effort: Array, measurement: Measurement, step: float) -> Array:
-    """What the drive makes of the torque (steps,)."""
+    """Torque (steps,) as recorded by the drive."""
     channel = Channel(1, step, measurement.effort_delay, measurement.effort_smoothing)
     channel.restart(0, float(effort[0]))
     return channel.pass_on(effort[:, None])[:, 0] * axis.train.effort_gain + axis.train.effort_offset
 
 
 def _pieces(signal: Array, longest: int | None = None) -> Iterator[slice]:
-    """Steps in order, so many that work on all rows stays small, or the `longest`."""
+    """Slices of steps in order, limited by the number of values over all rows, or by `longest`."""
     steps, rows = signal.shape
     count = longest or max(1, _AT_ONCE // rows)
     return (slice(first, first + count) for first in range(0, steps, count))

@@ -1,8 +1,8 @@
-"""Inertia and gravity of the real links, from MuJoCo (no rigid-body code of this project is used in the plant).
+"""Inertia and gravity of the real links, from MuJoCo (the plant uses no rigid-body code of this project).
 
-The scenario's link inertials are written into the URDF text, MuJoCo compiles that; J_k(pose) is the diagonal of its
-joint-space inertia matrix. With the other joints held, gravity about revolute joint k is A cos q_k + B sin q_k: two
-evaluations of MuJoCo's bias force, at q_k = 0 and pi/2, give A and B exactly.
+The link inertials of the scenario are written into the URDF text, which MuJoCo compiles; J_k(pose) is the diagonal
+of its joint-space inertia matrix. With the other joints held, gravity about revolute joint k is A cos q_k + B sin
+q_k: two evaluations of MuJoCo's bias force, at q_k = 0 and pi/2, give A and B exactly.
 """
 
 import xml.etree.ElementTree as ET
@@ -51,7 +51,7 @@ class RigidBody:
             raise ScenarioError(f"scenario {scenario.name}: only revolute joints can be simulated")
 
     def inertia(self, pose: ArrayLike) -> Array:
-        """Load inertia about every joint in one pose (n,): (n,) kg m^2, motors not counted."""
+        """Load inertia about every joint in one pose (n,): (n,) kg m^2, without motors."""
         self._data.qpos[:] = pose
         _mujoco.mj_kinematics(self._model, self._data)
         _mujoco.mj_comPos(self._model, self._data)
@@ -60,7 +60,7 @@ class RigidBody:
         return np.diag(self._matrix).copy()
 
     def gravity(self, joint: int, pose: ArrayLike) -> Gravity:
-        """Gravity about joint number `joint` as a function of its own angle, the others held at `pose` (n,)."""
+        """Gravity about joint number `joint` as a function of its own angle, with the others held at `pose` (n,)."""
         turned = np.array(pose, dtype=float)
         turned[joint] = 0.0
         cosine = self._bias(turned)[joint]
@@ -79,7 +79,7 @@ class RigidBody:
 
 
 def real_urdf(scenario: Scenario) -> str:
-    """The robot's URDF with the inertials of the real links; collision and visual shapes left out."""
+    """The URDF of the robot with the inertials of the real links, without collision and visual shapes."""
     try:
         root = ET.fromstring(scenario.robot.urdf)
     except ET.ParseError as error:

@@ -1,7 +1,7 @@
-"""A scenario: what a virtual machine really is, as data (`config/scenarios/*.yaml`).
+"""A scenario: the true parameters of a virtual machine, as data (`config/scenarios/*.yaml`).
 
-It names a robot (the CAD model, `config/robots/*.yaml`) and says how the real one differs: other link inertials, drive
-trains with springs and friction, ripple, and what the measurement adds. SI on the joint side; `motor_inertia` and
+It names a robot (the CAD model, `config/robots/*.yaml`) and states how the real one differs: other link inertials,
+drive trains with springs and friction, ripple, and measurement errors. SI on the joint side; `motor_inertia` and
 `gear_ratio` are those of the robot file (motor side, motor revolutions per joint revolution).
 """
 
@@ -34,7 +34,7 @@ class _Data(BaseModel):
 
 
 class Stribeck(_Data):
-    """More dry friction at low speed: ``extra exp(-|v / velocity|^exponent)``; N m, rad/s."""
+    """Additional dry friction at low speed: ``extra exp(-|v / velocity|^exponent)``; N m, rad/s."""
 
     extra: Positive
     velocity: Positive
@@ -49,7 +49,9 @@ class PowerLaw(_Data):
 
 
 class Patch(_Data):
-    """More dry friction about one load position: ``coulomb`` N m at the centre, a raised cosine `width` to a side."""
+    """Additional dry friction about one load position: ``coulomb`` N m at the centre, a raised cosine of `width` on
+    each side.
+    """
 
     centre: float  # rad
     width: Positive  # rad
@@ -57,25 +59,27 @@ class Patch(_Data):
 
 
 class Friction(_Data):
-    """``viscous v + (coulomb + what is added to it) sign(v)``; N m s/rad, N m. The dry part sticks at v = 0."""
+    """``viscous v + (coulomb + further dry friction) sign(v)``; N m s/rad, N m. Dry friction sticks at v = 0."""
 
     viscous: NotNegative = 0.0
     coulomb: NotNegative = 0.0
-    backward_viscous: NotNegative | None = None  # at v < 0, where it differs
+    backward_viscous: NotNegative | None = None  # at v < 0, if it differs
     backward_coulomb: NotNegative | None = None
     stribeck: Stribeck | None = None
     power: PowerLaw | None = None
-    load_dependence: NotNegative = 0.0  # N m more for each N m that the gear transmits
+    load_dependence: NotNegative = 0.0  # N m per N m transmitted by the gear
     patch: Patch | None = None
 
     @property
     def plain(self) -> bool:
-        """Whether it is the same viscous and Coulomb friction always and everywhere."""
+        """Whether viscous and Coulomb friction are constant."""
         return self == Friction(viscous=self.viscous, coulomb=self.coulomb)
 
 
 class Warming(_Data):
-    """The gear warms by its own friction, ``C T' = P - C T / time_constant``, and rubs exp(-loss T) of the cold."""
+    """The gear is heated by its friction, ``C T' = P - C T / time_constant``; friction is exp(-loss T) of the cold
+    value.
+    """
 
     heat_capacity: Positive  # C, J/K
     time_constant: Positive  # s
@@ -138,12 +142,12 @@ class Appendage(_Data):
 
 
 class DriveTrain(_Data):
-    """What stands between the torque-forming current and the load of one joint. No spring = one rigid mass."""
+    """The components between torque-forming current and load of one joint. Without a spring: one rigid mass."""
 
     motor_inertia: Positive  # kg m^2 on the motor side
     motor_friction: Friction = Friction()
     load_friction: Friction = Friction()
-    warming: Warming | None = None  # of both frictions, but not of lugre
+    warming: Warming | None = None  # of motor and load friction, but not of lugre
     spring: Spring | None = None
     gear_error: tuple[GearError, ...] = ()
     cogging: tuple[Ripple, ...] = ()
@@ -175,7 +179,7 @@ class SpeedControl(_Data):
 
 
 class DrivenAxis(_Data):
-    """A joint that can move."""
+    """A joint with a drive."""
 
     train: DriveTrain
     control: SpeedControl
@@ -193,7 +197,9 @@ class AddedBody(_Data):
 
 
 class LinkDeviation(_Data):
-    """A real link against CAD: factors on mass and on inertia about the centre of mass, shift of that centre (m)."""
+    """A real link relative to CAD: factors on mass and on inertia about the centre of mass, shift of that centre
+    (m).
+    """
 
     mass: Positive = 1.0
     inertia: Positive = 1.0
@@ -202,13 +208,13 @@ class LinkDeviation(_Data):
 
 
 class Measurement(_Data):
-    """What the drive adds to the truth, as RMS of each 1 ms sample; effort relative to the rated effort."""
+    """Measurement errors, as RMS of each 1 ms sample; effort relative to the rated effort."""
 
     effort_noise: NotNegative = 0.0
     effort_resolution: NotNegative = 0.0  # quantisation step, relative
-    effort_delay: Delay = 0.0  # s, of effort against position
+    effort_delay: Delay = 0.0  # s, of effort relative to position
     effort_smoothing: Smoothing = 0.0  # s, time constant of the first-order low-pass of the torque-forming current
-    velocity_delay: Delay = 0.0  # s, of motor speed against position
+    velocity_delay: Delay = 0.0  # s, of motor speed relative to position
     velocity_smoothing: Smoothing = 0.0  # s, of motor speed
     velocity_noise: NotNegative = 0.0  # rad/s
     position_noise: NotNegative = 0.0  # rad, motor encoder
@@ -217,7 +223,7 @@ class Measurement(_Data):
 
 
 class NominalAxis(BaseModel):
-    """What the robot file says of an axis, as far as the plant and its drive need it."""
+    """Data of an axis in the robot file, as needed by the plant and its drive."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
     joint: str
@@ -228,7 +234,7 @@ class NominalAxis(BaseModel):
 
 
 class NominalRobot(BaseModel):
-    """The robot file with its URDF read in."""
+    """The robot file including its URDF."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
     name: str
@@ -244,7 +250,7 @@ class Scenario(_Data):
     robot: NominalRobot
     links: dict[str, LinkDeviation] = {}
     axes: dict[str, DrivenAxis] = Field(min_length=1)
-    coupled: bool = True  # axes that move at once feel each other; False: each as if the others stood
+    coupled: bool = True  # axes that move together are coupled; False: each as if the others stood
     measurement: Measurement = Measurement()
 
     @model_validator(mode="after")
@@ -262,14 +268,14 @@ class Scenario(_Data):
         return tuple(axis.joint for axis in self.robot.axes)
 
     def nominal(self, joint: str) -> NominalAxis:
-        """The robot file's entry of a joint; ScenarioError where there is none."""
+        """Entry of a joint in the robot file. Raises ScenarioError if there is none."""
         for axis in self.robot.axes:
             if axis.joint == joint:
                 return axis
         raise ScenarioError(f"scenario {self.name}: no joint {joint!r}; there are {', '.join(self.joints)}")
 
     def driven(self, joint: str) -> DrivenAxis:
-        """The drive of a joint; ScenarioError where the joint is unknown or locked."""
+        """The drive of a joint. Raises ScenarioError if the joint is unknown or locked."""
         if joint not in self.axes:
             raise ScenarioError(f"scenario {self.name}: joint {joint!r} cannot move; {', '.join(self.axes)} can")
         return self.axes[joint]
@@ -287,6 +293,10 @@ def load_scenario(path: Path) -> Scenario:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
+        if first["loc"][:1] == ("robot",):  # the error is in the robot file
+            name = place.removeprefix("robot.")
+            problem = f"{first['msg']}; a virtual machine needs every value of its robot file"
+            raise ScenarioError(f"{robot_path}: {name}: {problem}") from None
         raise ScenarioError(f"{path}: {place}: {first['msg']}") from None
 
 

@@ -28,14 +28,16 @@ _JOIN_DELAY = 0.02  # s; see _Client.joining
 
 
 class SentFrame(NamedTuple):
-    """What a client sends: a frame with 11 or (`extended`) 29 bits of identifier."""
+    """A frame from a client, with 11-bit or (`extended`) 29-bit identifier."""
 
     frame: Frame
     extended: bool
 
 
 def parse_send(identifier: str, length: str, data: Sequence[str]) -> SentFrame | None:
-    """The words of a ``send``: hex identifier (extended: more than 3 digits), length, as many bytes; None: no frame."""
+    """The words of a ``send``: hex identifier (extended: more than 3 digits), length, data bytes; None if it is no
+    frame.
+    """
     words = (identifier, length, *data)
     if not _IDENTIFIER.fullmatch(identifier) or not all(_BYTE.fullmatch(word) for word in words[1:]):
         return None
@@ -55,7 +57,7 @@ class _Client:
         self.opened = False
         self.raw = False
         self.joining = 0.0
-        """Until then frames are kept back: python-can takes what follows the last ``< ok >`` at once for an error."""
+        """Until then frames are buffered: python-can treats data directly after the last ``< ok >`` as an error."""
 
 
 class SocketcandServer:
@@ -75,29 +77,29 @@ class SocketcandServer:
         selector.register(self._listener, selectors.EVENT_READ, self._accept)
 
     def send(self, frame: Frame) -> None:
-        """Put a frame on the bus for every client."""
+        """Send a frame to every client."""
         if not self._off:
             self._broadcast(frame, None)
 
     def switch_off(self, *, off: bool) -> None:
-        """Bus-off: an error frame says so, then no frame passes either way until it is on again."""
+        """Bus-off: sends an error frame, then no frame passes in either direction until it is switched on."""
         if off and not self._off:
             self._tell(f"< error {_BUS_OFF} {time.time():.6f} >", None)
         self._off = off
 
     def close(self) -> None:
-        """Drop every client and the port."""
+        """Disconnect every client and close the port."""
         for client in list(self._clients):
             self._drop(client, "server closes")
         self._selector.unregister(self._listener)
         self._listener.close()
 
     def due(self, now: float) -> float:
-        """Seconds until kept back frames must be flushed; infinity if there are none."""
+        """Seconds until buffered frames must be sent; infinity if there are none."""
         return max(min((c.joining for c in self._clients if c.joining), default=float("inf")) - now, 0.0)
 
     def run(self, now: float) -> None:
-        """Flush what was kept back."""
+        """Send buffered frames."""
         for client in list(self._clients):
             if client.joining and now >= client.joining:
                 self._join(client)

@@ -1,4 +1,4 @@
-"""Sweeps and noise runs of a scenario in closed loop, in one vectorised pass: what a real machine would record."""
+"""Sweeps and noise runs of a scenario in closed loop, in one vectorised pass: recordings of a real machine."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -31,7 +31,7 @@ class SweepRun:
     ramp: float  # s
     settle: float  # s
     sample_rate: float = 1000.0  # Hz; 1000 divided by a whole number
-    started_at: float = 0.0  # s since the campaign began: how warm the gear is
+    started_at: float = 0.0  # s since the start of the campaign; sets the temperature of the gear
 
     @property
     def waveform(self) -> Waveform:
@@ -40,10 +40,10 @@ class SweepRun:
 
 @dataclass(frozen=True, slots=True)
 class NoiseRun:
-    """Torque noise on a slow turn from standstill at `pose` (all joints, rad), under softened speed control.
+    """Torque noise on a slow motion from standstill at `pose` (all joints, rad), with softened speed control.
 
-    Torque ``e(t) sum_k a sin(2 pi f_k t + phi_k)`` with the envelope e of `Waveform`: f_k every multiple of 1/period
-    in the band, equal amplitudes, phases by `seed`.
+    Torque ``e(t) sum_k a sin(2 pi f_k t + phi_k)`` with the envelope e of `Waveform`: f_k are all multiples of
+    1/period in the band, with equal amplitudes and phases by `seed`.
     """
 
     axis: str
@@ -59,7 +59,7 @@ class NoiseRun:
     ramp: float  # s
     settle: float  # s
     sample_rate: float = 1000.0  # Hz; 1000 divided by a whole number
-    started_at: float = 0.0  # s since the campaign began: how warm the gear is
+    started_at: float = 0.0  # s since the start of the campaign; sets the temperature of the gear
 
     @property
     def waveform(self) -> Waveform:
@@ -72,11 +72,11 @@ Run = SweepRun | NoiseRun
 def run_sweeps(scenario: Scenario, sweeps: Sequence[Run], seed: int) -> list[dict[str, Array]]:
     """Columns of every sweep as in a bundle: time, effort, velocity, position, velocity_setpoint and load_*.
 
-    A noise run has `excitation_effort` as well: the injected torque, N m, itself without noise and delay.
+    A noise run also has `excitation_effort`: the injected torque, N m, without noise and delay.
 
-    A sample is the mean over its cycle for all channels alike; `time` is sample number / rate, so the cycle's middle
-    lies half a sample later. Sweep i draws noise from child i of the seed. ScenarioError where a sweep does not fit.
-    A gear that warms is as warm as the sweeps before, by `started_at`, leave it.
+    A sample is the mean over its cycle for all channels; `time` is sample number / rate, so the middle of the cycle
+    is half a sample later. Sweep i uses noise of child i of the seed. Raises ScenarioError if a sweep does not fit.
+    The temperature of a gear follows from the earlier sweeps, by `started_at`.
     """
     if not sweeps:
         return []
@@ -103,7 +103,7 @@ def run_sweeps(scenario: Scenario, sweeps: Sequence[Run], seed: int) -> list[dic
 def _warm(
     axes: Sequence[MovingAxis], sweeps: Sequence[Run], setpoints: Array, cycles: Sequence[int]
 ) -> list[MovingAxis]:
-    """The axes as warm as their sweeps find them."""
+    """The axes with the temperature at the start of their sweeps."""
     warm = list(axes)
     for joint in {sweep.axis for sweep, axis in zip(sweeps, axes, strict=True) if axis.train.warming}:
         rows = [row for row, sweep in enumerate(sweeps) if sweep.axis == joint]
@@ -139,7 +139,7 @@ def _decimation(sweep: Run) -> int:
 
 
 def _cycles(sweep: Run) -> int:
-    """Whole samples that fit, in cycles."""
+    """Largest number of whole samples, in cycles."""
     block = _decimation(sweep)
     if block < 1 or abs(block * CYCLE * sweep.sample_rate - 1) > 1e-9:
         raise ScenarioError(

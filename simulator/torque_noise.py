@@ -16,8 +16,8 @@ def lines(lowest: float, highest: float, period: float) -> range:
 def torque_noise(rms: float, lowest: float, highest: float, period: float, seed: int, cycle: float) -> Array:
     """One period at the cycles 1, 2, ... (n,), in the unit of `rms`; n = period / cycle, to be repeated.
 
-    Phases come from NumPy's PCG64 by `seed`, line by line. ValueError where the period is not whole cycles, or no line
-    is in the band, or one is not below half the cycles' rate.
+    Phases are from NumPy's PCG64 by `seed`, line by line. Raises ValueError if the period is not a whole number of
+    cycles, no line is in the band, or a line is not below half the cycle rate.
     """
     count, band = round(period / cycle), lines(lowest, highest, period)
     if not math.isclose(count * cycle, period, rel_tol=1e-9):

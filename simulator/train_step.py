@@ -1,7 +1,7 @@
 """One step of the drive trains of `drive_train`, written once for two kinds of values.
 
-Arrays (rows,) step many rows together. Where few axes move, each is stepped alone in plain floats: one call of NumPy on
-three numbers costs more than ten operations on floats, and then a closed brake costs nothing.
+Arrays (rows,) step many rows together. If few axes move, each is stepped alone in plain floats: one NumPy call on
+three numbers costs more than ten float operations, and an axis with a closed brake then costs nothing.
 """
 
 import math
@@ -18,26 +18,26 @@ Each = TypeVar("Each", float, Array, covariant=True)
 
 
 class Masses(Protocol[Each]):
-    """A value of the motor, and [-1] one of the load; of a rigid train both are the same."""
+    """A value of the motor, and [-1] of the load; in a rigid train both are the same."""
 
     def __getitem__(self, mass: int, /) -> Each: ...
 
 
 @dataclass(frozen=True, slots=True)
-class Reckoning(Generic[Value]):
-    """What floats and arrays call by different names."""
+class Arithmetic(Generic[Value]):
+    """Functions with different names for floats and arrays."""
 
     sine: Callable[[Value], Value]
     within: Callable[[Value, Value, Value], Value]  # value, least, most
-    other_than_zero: Callable[[Value], Value]  # 1.0 where it is
+    other_than_zero: Callable[[Value], Value]  # 1.0 if it is not zero
 
 
 def _within(value: float, least: float, most: float) -> float:
     return least if value < least else most if value > most else value
 
 
-FLOATS: Reckoning[float] = Reckoning(math.sin, _within, lambda value: float(value != 0.0))
-ARRAYS: Reckoning[Array] = Reckoning(
+FLOATS: Arithmetic[float] = Arithmetic(math.sin, _within, lambda value: float(value != 0.0))
+ARRAYS: Arithmetic[Array] = Arithmetic(
     np.sin,
     lambda value, least, most: np.minimum(np.maximum(value, least), most),
     lambda value: (value != 0.0).astype(float),
@@ -45,8 +45,10 @@ ARRAYS: Reckoning[Array] = Reckoning(
 
 
 @dataclass(frozen=True, slots=True)
-class Rubbing(Generic[Value]):
-    """Friction beyond plain Coulomb and viscous, motor first: velocities it can take in a step, and N m beside."""
+class ExtraFriction(Generic[Value]):
+    """Friction in addition to Coulomb and viscous, motor first: maximum velocity changes in a step, and
+    additional N m.
+    """
 
     stick: Masses[Value]
     slip: Masses[Value]
@@ -55,21 +57,21 @@ class Rubbing(Generic[Value]):
 
 @dataclass(frozen=True, slots=True)
 class Geared(Generic[Value]):
-    """A gear that does not turn true, at this instant."""
+    """Present state of a gear with a transmission error."""
 
     ahead: Value  # rad of the joint
-    lever: Value  # how fast the gear turns for each rad/s of the motor
+    lever: Value  # speed of the gear per rad/s of the motor
     drag: tuple[Value, Value]  # as in `Train`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Train(Generic[Value]):
-    """What a step needs to know. Tuples hold motor and load, or the one mass of a rigid train; None: there is none."""
+    """Parameters of a step. Tuples hold motor and load, or the one mass of a rigid train; None: not present."""
 
-    reckoning: Reckoning[Value]
-    mobility: tuple[Value, ...]  # velocity gained per N m in one step
-    keep: tuple[Value, ...]  # share of the velocity that viscous friction leaves
-    stick: tuple[Value, ...]  # velocity that Coulomb friction can take in a step
+    arithmetic: Arithmetic[Value]
+    mobility: tuple[Value, ...]  # velocity change per N m in one step
+    keep: tuple[Value, ...]  # factor on the velocity by viscous friction
+    stick: tuple[Value, ...]  # maximum velocity change by Coulomb friction in a step
     slip: tuple[Value, ...]  # its negative
     drag: tuple[Value, Value] | None  # speed lost to the spring's damping per sum of its old and new; None: rigid
     stiffness: Value
@@ -85,7 +87,7 @@ class Train(Generic[Value]):
         """One row of many, in floats."""
 
         def of(value: Any) -> Any:
-            if value is None or isinstance(value, Reckoning):
+            if value is None or isinstance(value, Arithmetic):
                 return value and FLOATS
             return tuple(map(of, cast(Any, value))) if isinstance(value, tuple) else float(value[row])
 
@@ -93,15 +95,15 @@ class Train(Generic[Value]):
 
     def gravity(self, load: Value) -> Value:
         """Torque of gravity and hose on the load at its position, N m."""
-        torque = self.gravity_amplitude * self.reckoning.sine(load + self.gravity_phase) + self.gravity_constant
+        torque = self.gravity_amplitude * self.arithmetic.sine(load + self.gravity_phase) + self.gravity_constant
         return torque if self.hose is None else torque + self.hose * (load - self.hose_rest)
 
     def twist(self, motor: Value, load: Value, ahead: Value | None = None) -> Value:
-        """How far the spring is wound, rad: nothing while the teeth are off both flanks."""
+        """Twist of the spring, rad: zero inside the backlash."""
         twist = motor - load
         if ahead is not None:
             twist = twist + ahead
-        return twist if self.gap is None else twist - self.reckoning.within(twist, -self.gap, self.gap)
+        return twist if self.gap is None else twist - self.arithmetic.within(twist, -self.gap, self.gap)
 
     def spring(self, twist: Value) -> Value:
         """Torque of the spring alone, without its damping, N m."""
@@ -114,21 +116,22 @@ class Train(Generic[Value]):
         motor: Value,
         geared: Geared[Value] | None = None,
         appended: Value | None = None,
-        rubbing: Rubbing[Value] | None = None,
+        extra_friction: ExtraFriction[Value] | None = None,
     ) -> tuple[tuple[Value, ...], Value | None]:
-        """Velocities of the masses half a step on, and what of the load's the spring's damping took (rigid: None).
+        """Velocities of the masses half a step later, and the speed change of the load by the spring's damping (rigid:
+        None).
 
-        `motor`: torque left to the motor, N m; `appended`: what the load gives to what hangs at it.
+        `motor`: torque available to the motor, N m; `appended`: torque of the load on an attached body.
         """
         motor_speed, load_speed = velocity[0], velocity[-1]
-        gravity, within = self.gravity(position[-1]), self.reckoning.within
-        stick, slip = (self.stick, self.slip) if rubbing is None else (rubbing.stick, rubbing.slip)
+        gravity, within = self.gravity(position[-1]), self.arithmetic.within
+        stick, slip = (self.stick, self.slip) if extra_friction is None else (extra_friction.stick, extra_friction.slip)
         if self.drag is None:
             force = motor - gravity
             if appended is not None:
                 force = force - appended
-            if rubbing is not None:
-                force = force - rubbing.more[0]
+            if extra_friction is not None:
+                force = force - extra_friction.more[0]
             speed = motor_speed * self.keep[0] + force * self.mobility[0]
             return (speed - within(speed, slip[0], stick[0]),), None
         twist = self.twist(position[0], position[-1], None if geared is None else geared.ahead)
@@ -138,13 +141,13 @@ class Train(Generic[Value]):
         on_motor, on_load = motor - (spring if lever is None else lever * spring), spring - gravity
         if appended is not None:
             on_load = on_load - appended
-        if rubbing is not None:
-            on_motor, on_load = on_motor - rubbing.more[0], on_load - rubbing.more[1]
+        if extra_friction is not None:
+            on_motor, on_load = on_motor - extra_friction.more[0], on_load - extra_friction.more[1]
         motor_speed = motor_speed * self.keep[0] + on_motor * self.mobility[0]
         load_speed = load_speed * self.keep[1] + on_load * self.mobility[1]
         drift = drift + (motor_speed if lever is None else lever * motor_speed) - load_speed
         if self.gap is not None:
-            drift = drift * self.reckoning.other_than_zero(twist)
+            drift = drift * self.arithmetic.other_than_zero(twist)
         damped = drag[1] * drift
         motor_speed = motor_speed - drag[0] * drift
         load_speed = load_speed - damped
@@ -167,11 +170,11 @@ class TrainAlone:
     ) -> None:
         self.position, self.velocity = position, velocity
         self.damped, self.before = 0.0, velocity[-1]
-        """Of the last step: what the spring's damping took from the load's speed; that speed before it."""
+        """Last step: speed change of the load by the spring's damping; speed of the load before the step."""
         self._train, self._step, self._cogging = train, step, cogging
 
     def step(self, effort: float) -> None:
-        """Advance by one step under motor torque `effort`, N m."""
+        """Advance by one step with motor torque `effort`, N m."""
         motor = effort if self._cogging is None else effort - self._cogging(self.position[0])
         self.before = self.velocity[-1]
         self.velocity, damped = self._train.step(self.position, self.velocity, motor)

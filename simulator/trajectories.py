@@ -1,4 +1,4 @@
-"""Trajectories of a scenario: several axes of one robot swept at once, in closed loop, the links coupled."""
+"""Trajectories of a scenario: several axes of one robot swept together, in closed loop, with coupled links."""
 
 from collections.abc import Sequence
 
@@ -19,8 +19,8 @@ def run_trajectories(
 ) -> list[list[dict[str, Array]]]:
     """Columns of every sweep of every trajectory as in `run_sweeps`.
 
-    A trajectory is the sweeps of its axes: of one pose, one duration and one sample rate, each axis once. All other
-    axes stand behind their brakes. ScenarioError where the sweeps do not belong together.
+    A trajectory consists of the sweeps of its axes: one pose, one duration and one sample rate, each axis once. All
+    other axes stand with closed brakes. Raises ScenarioError if the sweeps do not belong together.
     """
     streams = np.random.SeedSequence(seed).spawn(len(trajectories))
     return [_run(scenario, sweeps, stream) for sweeps, stream in zip(trajectories, streams, strict=True)]
@@ -57,7 +57,7 @@ def _run(scenario: Scenario, sweeps: Sequence[SweepRun], stream: np.random.SeedS
 
 
 def _check(scenario: Scenario, sweeps: Sequence[SweepRun]) -> int:
-    """Cycles in a sample; ScenarioError unless the sweeps are one trajectory."""
+    """Cycles per sample. Raises ScenarioError unless the sweeps are one trajectory."""
     if not sweeps:
         raise ScenarioError("a trajectory needs at least one axis")
     first = sweeps[0]

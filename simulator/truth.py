@@ -1,4 +1,4 @@
-"""What identification is scored against: the real inertias of a virtual machine. Never read by the service."""
+"""True inertias of a virtual machine, used to score the identification. Never read by the service."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def true_inertia(scenario: Scenario, joint: str, poses: ArrayLike) -> Array:
-    """Total inertia about a joint, reflected motor inertia included, in poses (m, n): (m,) kg m^2."""
+    """Total inertia about a joint, including the motor inertia on the joint side, in poses (m, n): (m,) kg m^2."""
     poses = np.asarray(poses, dtype=float)
     if poses.ndim != 2 or poses.shape[1] != len(scenario.joints):
         raise ScenarioError(f"poses of shape {poses.shape} do not fit (m, {len(scenario.joints)})")
@@ -25,6 +25,6 @@ def true_inertia(scenario: Scenario, joint: str, poses: ArrayLike) -> Array:
 
 
 def truth(scenario_path: Path, poses: Sequence[Sequence[float]]) -> dict[str, list[float]]:
-    """Total inertia of every joint that can move, in every pose: {joint: [kg m^2, ...]}."""
+    """Total inertia of every joint with a drive, in every pose: {joint: [kg m^2, ...]}."""
     scenario = load_scenario(scenario_path)
     return {joint: true_inertia(scenario, joint, poses).tolist() for joint in scenario.axes}

@@ -1,4 +1,6 @@
-"""`sweepid truth SCENARIO`: what a virtual machine really is, as JSON on stdout: its inertias, or what it hides."""
+"""`sweepid truth SCENARIO`: true parameters of a virtual machine, as JSON on stdout: its inertias, or its hidden
+effect.
+"""
 
 import json
 from dataclasses import asdict
@@ -17,16 +19,18 @@ def truth(
     poses: Annotated[
         Path | None, typer.Option(help="JSON file: a list of poses, each the positions of all joints in rad.")
     ] = None,
-    hide: Annotated[int | None, typer.Option(min=0, help="The seed that `sweepid drive --hide` was given.")] = None,
+    hide: Annotated[int | None, typer.Option(min=0, help="Seed given to `sweepid drive --hide`.")] = None,
 ) -> None:
-    """Print {joint: [total inertia in kg m^2, one a pose]}, or of a seed the axis, effect and parameters it hides."""
+    """Print {joint: [total inertia in kg m^2, one per pose]}, or for a seed the axis, effect and parameters that it
+    hides.
+    """
     try:
         if hide is not None and poses is None:
             found: object = asdict(hidden_in(load_scenario(scenario), hide)[1])
         elif poses is not None and hide is None:
             found = true_inertias(scenario, _read_poses(poses))
         else:
-            raise ScenarioError("one of --poses and --hide says what to tell")
+            raise ScenarioError("give exactly one of --poses and --hide")
     except ScenarioError as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(2) from None

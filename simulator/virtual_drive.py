@@ -1,4 +1,4 @@
-"""The process around the cabinet: one thread that owns machine, nodes and sockets and takes things in order."""
+"""The process around the cabinet: one thread that owns machine, nodes and sockets and handles events in order."""
 
 import selectors
 import socket
@@ -6,19 +6,22 @@ import time
 from collections.abc import Mapping
 from enum import Enum
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from simulator.canopen.line import CanLine
 from simulator.control import ControlServer
 from simulator.machine import Machine
-from simulator.modbus.line import PTY, ModbusLine
+from simulator.modbus.pty_pair import PTY
 from simulator.modbus.register_map import RegisterMap
-from simulator.modbus.server import SerialLine, TcpLine
+
+if TYPE_CHECKING:
+    from simulator.modbus.line import ModbusLine
 
 _LONGEST_WAIT = 1.0  # s
 
 
 class Fieldbus(Enum):
-    """What the virtual machine speaks."""
+    """Fieldbus of the virtual machine."""
 
     CANOPEN = "canopen"
     MODBUS_TCP = "modbus-tcp"
@@ -26,12 +29,12 @@ class Fieldbus(Enum):
 
 
 class VirtualDrive:
-    """A machine on a fieldbus, and its control port at `host`. `run` blocks until `stop`; `close` afterwards.
+    """A machine on a fieldbus, and its control port at `host`. `run` blocks until `stop`; call `close` afterwards.
 
-    CANopen: socketcand at `host`:`port`, or any other python-can interface `bus` with its `channel`. Modbus, by the
-    map `registers`: TCP at `host`:`port`, RTU at the serial `device` ("pty": a pseudo-terminal made here). `eds` by
-    joint: drives of other makers, on CANopen alone. Raises OSError or can.CanError if line or port cannot be opened,
-    ScenarioError for an EDS that this drive cannot have.
+    CANopen: socketcand at `host`:`port`, or any other python-can interface `bus` with its `channel`. Modbus, with
+    the map `registers`: TCP at `host`:`port`, RTU at the serial `device` ("pty": a pseudo-terminal created here).
+    `eds` by joint: drives of other manufacturers, only on CANopen. Raises OSError or can.CanError if line or port
+    cannot be opened, and ScenarioError for an EDS that this drive does not support.
     """
 
     def __init__(
@@ -49,7 +52,7 @@ class VirtualDrive:
         control_port: int = 0,
         speed_factor: float = 1.0,
     ) -> None:
-        # select(2) waits by the microsecond; epoll's milliseconds are 20 ms of a machine at factor 20.
+        # select(2) has microsecond resolution; a millisecond of epoll is 20 ms of a machine at factor 20.
         self._selector = selectors.SelectSelector()
         self._wake, self._woken = socket.socketpair()
         self._stopping = False
@@ -62,19 +65,19 @@ class VirtualDrive:
         elif registers is None or not isinstance(eds, Path):
             raise ValueError("registers, eds: Modbus needs a register map and the virtual drive's own EDS")
         else:
-            line = TcpLine(host, port) if fieldbus is Fieldbus.MODBUS_TCP else SerialLine(device)
-            self._line = ModbusLine(self._selector, machine, eds, speed_factor, registers=registers, line=line)
+            where = device if fieldbus is Fieldbus.MODBUS_RTU else (host, port)
+            self._line = _modbus_line(self._selector, machine, eds, speed_factor, registers, where)
         self.cabinet = self._line.cabinet
         self._control = ControlServer(self._selector, host, control_port, self.cabinet, self._line.bus)
 
     @property
     def port(self) -> int | None:
-        """Of the socketcand or Modbus TCP server; None on any other line."""
+        """Port of the socketcand or Modbus TCP server; None on any other line."""
         return self._line.port
 
     @property
     def device(self) -> str | None:
-        """Where the host finds a serial line; None on any other."""
+        """Path of the serial line for the host; None on any other line."""
         return self._line.device
 
     @property
@@ -107,3 +110,19 @@ class VirtualDrive:
 
     def _awake(self, _: int) -> None:
         self._woken.recv(64)
+
+
+def _modbus_line(
+    selector: selectors.BaseSelector,
+    machine: Machine,
+    eds: Path,
+    speed_factor: float,
+    registers: RegisterMap,
+    where: str | tuple[str, int],
+) -> "ModbusLine":
+    """On a serial device, or at a host and port. Imported here: pymodbus imports aiohttp, which CAN does not need."""
+    from simulator.modbus.line import ModbusLine
+    from simulator.modbus.server import SerialLine, TcpLine
+
+    line = SerialLine(where) if isinstance(where, str) else TcpLine(*where)
+    return ModbusLine(selector, machine, eds, speed_factor, registers=registers, line=line)

@@ -21,7 +21,7 @@ class Waveform:
 
     @property
     def measure_from(self) -> float:
-        """t0, s: where the window of whole periods starts."""
+        """t0, s: start of the window of whole periods."""
         return self.ramp + self.settle
 
     @property

@@ -54,16 +54,17 @@ def cnc_columns(planned: PlannedSweep, robot: Robot, columns: Mapping[str, Array
         still = {"velocity": 0.0, "velocity_setpoint": 0.0}
         values = columns[name]
         before, after = still.get(name, values[0]), still.get(name, values[-1])
-        return np.concatenate([np.full(trigger, before), values, np.full(count, after)])[:count]
+        record = np.concatenate([np.full(trigger, before), values, np.full(count, after)])[:count]
+        return np.asarray(record, np.float64)
 
     def sampled(values: Array) -> Array:
-        return values.reshape(-1, 4).mean(axis=1)
+        return np.asarray(values.reshape(-1, 4).mean(axis=1), np.float64)
 
     desired = start + way(excitation(planned), (np.arange(count) + 0.5 - trigger) / 1000)
     return {
-        "CYCLE": 17.0 + np.arange(count // 4),
-        "ENC_POS": np.degrees(sampled(whole("position"))),
-        "DES_POS": np.degrees(sampled(desired)),
+        "CYCLE": 17.0 + np.arange(count // 4, dtype=np.float64),
+        "ENC_POS": np.degrees(sampled(whole("position"))).astype(np.float64),
+        "DES_POS": np.degrees(sampled(desired)).astype(np.float64),
         "CMD_SPEED": turn * sampled(whole("velocity_setpoint")),
         "TORQUE": sampled(whole("effort")) / axis.gear_ratio,
     }

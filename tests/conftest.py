@@ -2,42 +2,83 @@
 
 import asyncio
 import functools
+import gc
 import inspect
 import os
 import sys
 import threading
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Generator, Iterator
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
 import pytest
+from hypothesis import HealthCheck, settings
 from xdist.scheduler import LoadScopeScheduling
 from xdist.workermanage import WorkerController
 
 # before NumPy is imported, as the product does: with another number of threads a sum may end in another last digit
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# a busy computer must not fail a property: no time limit for one example, nor for making it
+settings.register_profile("sweepid", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("sweepid")
+
 ROOT = Path(__file__).resolve().parents[1]
-KEEP_TIME = {
-    "contract": "drives",
-    "browser": "machines",
-    "system": "machines",
-}  # folders that mostly wait for a machine
-BESIDE = {  # files that go with the drives, for the machines take long enough
-    "tests/system/test_demo.py",
-    "tests/system/test_fault_table.py",
+KEEP_TIME = ("contract", "browser", "system")  # folders of tests that mostly wait for a machine
+KEEP_TIME_TOO = {
     "tests/unit/drivers/test_commission_command.py",
     "tests/unit/drivers/test_host_sweep.py",
     "tests/unit/drivers/test_host_sweep_ends.py",
     "tests/unit/drivers/test_wiring_check.py",
 }
-TIMED = ("machines", "drives")
+LONGEST = (  # files that a run should begin with, else it ends with one of them alone
+    "tests/system/test_fault_table.py",
+    "tests/system/test_any_order.py",
+    "tests/contract/test_drive_port.py",
+    "tests/contract/test_other_makers.py",
+    "tests/system/test_makers_campaign.py",
+    "tests/system/test_demo.py",
+    "tests/system/test_backup_while_measuring.py",
+    "tests/contract/test_faults.py",
+    "tests/system/test_runbooks.py",
+    "tests/system/test_second_host.py",
+    "tests/system/test_virtual_modbus.py",
+    "tests/browser/test_diagnosis_page.py",
+    "tests/system/test_two_cells.py",
+    "tests/system/test_suspended.py",
+    "tests/contract/test_death.py",
+    "tests/system/test_stop.py",
+    "tests/browser/test_page_truth.py",
+    "tests/numeric/blind/test_blind.py",
+)
+SHARED_OUT = {  # long files: how many words of a test's parameters name the tests that share a machine; 0: none do
+    "tests/system/test_fault_table.py": 1,  # adapter
+    "tests/contract/test_drive_port.py": 2,  # bench
+    "tests/contract/test_faults.py": 2,
+    "tests/system/test_virtual_modbus.py": 3,  # bus, order of words
+    "tests/browser/test_login.py": 0,
+    "tests/browser/test_operator_page.py": 0,
+    "tests/browser/test_page_truth.py": 0,
+    "tests/contract/test_death.py": 0,
+    "tests/numeric/blind/test_blind.py": 0,
+    "tests/system/test_any_order.py": 0,
+    "tests/system/test_campaign_in_process.py": 0,
+    "tests/system/test_rest_campaign.py": 0,
+    "tests/system/test_stop.py": 0,
+    "tests/system/test_stops_in_the_audit.py": 0,
+    "tests/system/test_suspended.py": 0,
+    "tests/system/test_two_cells.py": 0,
+    "tests/system/test_two_steps.py": 0,
+    "tests/system/test_virtual_faults.py": 0,
+}
+MACHINES = 2  # that are moved at once while tests are left that compute: more would starve those, who give way
 RECKONING = 10  # nicer than a test that waits for a machine
 REAL_TIME = -15  # machine, service and host of a test come before all else on the computer, as a drive's own processor
 NICENESS = 0 if sys.platform == "win32" else os.getpriority(os.PRIO_PROCESS, 0)
 SESSION = Path("/proc/self/autogroup")  # Linux shares the processors out by session first, then by niceness within
+SESSION_BEFORE = pytest.StashKey[int]()  # its niceness when the tests began
 ROOMS = ("service", "drivers", "simulator")
 PATIENCE = 2.0  # s that a thread or task may take to end after its test
 
@@ -54,38 +95,57 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return True if collection_path == ROOT / "tests" / "vcan" and not config.getoption("vcan") else None
 
 
-def group_of(nodeid: str) -> str:
-    """What the processes of `make test` must not tear apart: tests of one file, and the two groups that keep to time.
-
-    Each of the two moves one machine at a time: more than two machines are too much for two processors.
-    """
-    path = nodeid.partition("::")[0]
-    if path in BESIDE:
-        return "drives"
-    return next((group for folder, group in KEEP_TIME.items() if folder in path.split("/")), path)
-
-
 def keeps_time(nodeid: str) -> bool:
-    return group_of(nodeid) in TIMED
+    """Whether a test, or the tests of a file, must keep to real time."""
+    path = nodeid.partition("::")[0]
+    return path in KEEP_TIME_TOO or any(folder in path.split("/") for folder in KEEP_TIME)
 
 
-class Apart(LoadScopeScheduling):
-    """One group of tests after the other to whichever process is free: those that keep to time, then the largest."""
+def unit_of(nodeid: str) -> str:
+    """Which tests stay in one process with this one: those of its file, or of `SHARED_OUT` fewer."""
+    path = nodeid.partition("::")[0]
+    words = SHARED_OUT.get(path)
+    if words is None:
+        return path
+    parameters = nodeid.partition("[")[2].removesuffix("]").split("-")
+    return nodeid if words == 0 else f"{path}::[{'-'.join(parameters[:words])}]"
+
+
+def _place(unit: str) -> int:
+    """In which order units begin."""
+    path = unit.partition("::")[0]
+    return LONGEST.index(path) if path in LONGEST else len(LONGEST)
+
+
+class MachinesAtOnce(LoadScopeScheduling):
+    """A unit to whichever process is free: one that keeps to time unless enough machines move; longest first.
+
+    Once nothing else is left, each process moves a machine: they wait more than they compute. Private names of xdist
+    3.8: no public one says which unit is next.
+    """
 
     def _split_scope(self, nodeid: str) -> str:
-        return group_of(nodeid)
+        return unit_of(nodeid)
+
+    def _reschedule(self, node: WorkerController) -> None:
+        """A process has one test that runs and one that follows: with more a long test waits where others are free."""
+        if not self.workqueue or self._pending_of(self.assigned_work[node]) < 2:
+            super()._reschedule(node)
 
     def _assign_work_unit(self, node: WorkerController) -> None:
-        for group in reversed(TIMED):
-            if group in self.workqueue:
-                self.workqueue.move_to_end(group, last=False)
+        moving = sum(self._moves(other) for other in self.assigned_work if other is not node)
+        waiting = sorted(self.workqueue, key=_place)
+        unit = next((unit for unit in waiting if keeps_time(unit) == (moving < MACHINES)), waiting[0])
+        self.workqueue.move_to_end(unit, last=False)
         super()._assign_work_unit(node)
+
+    def _moves(self, node: WorkerController) -> bool:
+        return any(keeps_time(unit) and not all(done.values()) for unit, done in self.assigned_work[node].items())
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Apart:
-    """The groups by name: pytest 9.2 no longer shows the marks of items to xdist 3.8."""
-    return Apart(config, log)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> MachinesAtOnce:
+    return MachinesAtOnce(config, log)
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -98,21 +158,39 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         os.setpriority(os.PRIO_PROCESS, 0, NICENESS + niceness)
 
 
-def session_comes_first(niceness: int) -> None:
-    """The same for all of this terminal session against others on the computer, where there is such a thing."""
-    with suppress(OSError):
+def session_comes_first(niceness: int) -> int:
+    """The same for all of this terminal session against others on the computer, where there is such a thing.
+
+    Returns what it was before: a pytest that a test has started leaves the session as it found it.
+    """
+    before = 0
+    with suppress(OSError, ValueError):
+        before = int(SESSION.read_text().rpartition(" ")[2])
         SESSION.write_text(str(niceness))
+    return before
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """What is loaded by now stays until the end: a full garbage collection of it would stop all threads for 0.6 s."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.collect()
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
     if not hasattr(session.config, "workerinput"):
-        session_comes_first(REAL_TIME)
+        session.config.stash[SESSION_BEFORE] = session_comes_first(REAL_TIME)
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
     """With --vcan a skipped test is a failed run: what the kernel lacks must not look green."""
     if not hasattr(session.config, "workerinput"):
-        session_comes_first(0)
+        session_comes_first(session.config.stash.get(SESSION_BEFORE, 0))
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if session.config.getoption("vcan") and reporter is not None and reporter.stats.get("skipped"):
         session.exitstatus = pytest.ExitCode.TESTS_FAILED

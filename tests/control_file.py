@@ -32,7 +32,7 @@ def number(kind: str, name: str, value: object) -> str:
 
 
 def array(name: str, values: Array | Complex) -> str:
-    flat = np.stack([values.real, values.imag], -1).ravel() if np.iscomplexobj(values) else values
+    flat = np.stack([values.real, values.imag], -1).ravel() if np.iscomplexobj(values) else values.real
     return (
         f'<NumericArray elementtype="double" format="base85" name="{name}">'
         f"{number('unsigned_int', 'm_length', len(values))}"
@@ -70,7 +70,7 @@ class Loop:
         train = (INERTIA * s + FRICTION) * np.exp(s * DELAY) / GAIN
         if self.reset_time is not None:
             train = train * self.reset_time * s / (1 + self.reset_time * s)
-        return 1 / (1 + train)
+        return np.asarray(1 / (1 + train), np.complex128)
 
     def series(self) -> list[tuple[Array, Array]]:
         """Set-point and speed of both directions."""

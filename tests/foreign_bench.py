@@ -68,11 +68,14 @@ def bench(
     scenario: Path = SCENARIO,
     speed_factor: float = 20.0,
 ) -> Iterator[Foreign]:
-    """Drives of one family, or of one by joint, on python-can's `virtual` bus or on socketcand at loopback."""
+    """Drives of one family, or of one by joint: on python-can's `virtual` bus, on socketcand at loopback, or on vcan0
+    (`socketcan`).
+    """
     machine = Machine(load_scenario(scenario), 0)
     names = {joint: dictionary if isinstance(dictionary, str) else dictionary[joint] for joint in machine.joints}
     files = {joint: file_of(name) for joint, name in names.items()}
-    channel = "can0" if bus == "socketcand" else f"foreign-{os.getpid()}-{uuid.uuid4()}"
+    channels = {"socketcand": "can0", "socketcan": "vcan0"}
+    channel = channels.get(bus, f"foreign-{os.getpid()}-{uuid.uuid4()}")
     virtual = VirtualDrive(machine, files, bus=bus, channel=channel, speed_factor=speed_factor)
     assert isinstance(virtual.cabinet, ForeignCabinet)
     thread = threading.Thread(target=virtual.run, name="foreign-drive")

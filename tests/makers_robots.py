@@ -8,7 +8,7 @@ import yaml
 
 from service.configuration import read_text
 from service.geometry.cell import Cell
-from service.maker_urdf import Told, cell_text, check_urdf, side_file_text
+from service.maker_urdf import UrdfCheck, cell_text, check_urdf, side_file_text
 from service.maker_urdf.packages import Packages
 from service.robot import Robot, RobotDescription, build_robot
 
@@ -61,7 +61,7 @@ def share() -> Path:
     return Path(str(urdf.locate())).resolve().parents[4]
 
 
-def told_of(maker: Maker) -> Told:
+def told_of(maker: Maker) -> UrdfCheck:
     """What `sweepid robot check` makes of it."""
     path = share() / "example-robot-data" / "robots" / maker.urdf
     return check_urdf(read_text(path), Packages([share()], path.parent), maker.tip, maker.name)

@@ -1,11 +1,13 @@
 """Random serial chains as URDF: 1 to 7 moving joints, revolute and prismatic, with fixed joints in between."""
 
+from typing import Any
+
 import numpy as np
 
 from service.robot import Axis, Robot, RobotDescription, build_robot
 
 
-def random_arm(seed: int, joints: int, **axis: float) -> Robot:
+def random_arm(seed: int, joints: int, **axis: Any) -> Robot:
     """A robot of turning joints with gears of 100; `axis`: what all of them have in common."""
     axes = tuple(Axis(joint=f"joint_{k}", gear_ratio=100.0, **axis) for k in range(1, joints + 1))
     text = random_urdf(np.random.default_rng(seed), joints, prismatic=0.0)

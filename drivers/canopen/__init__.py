@@ -1,5 +1,8 @@
-"""CiA 402 drives on CANopen, through python-can and canopen's SDO client."""
+"""CiA 402 drives on CANopen, through python-can and the SDO client of canopen."""
 
+import drivers.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
+
+# isort: split
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -9,6 +12,6 @@ from drivers.cia402.machine import Cia402Machine
 
 
 def from_profile(profile: Mapping[str, object], base: Path) -> Cia402Machine:
-    """The adapter's factory (entry point ``sweepid.drives``). BadProfile names the key and the reason."""
+    """Factory of the adapter (entry point ``sweepid.drives``). BadProfile names the key and the reason."""
     parsed = parse_profile(profile, base)
     return Cia402Machine(parsed.axes, CanopenFieldbus(parsed))

@@ -1,13 +1,13 @@
 """Set-points timed by the kernel: one job of SocketCAN's broadcast manager (linux/can/bcm.h, net/can/bcm.c).
 
-The job is a ring of at most 256 frames that the kernel sends one an interval, so a cycle of n set-points and SYNC is
-n + 1 frames an interval T / (n + 1) apart: their order is certain. (Two jobs would walk apart: the kernel counts an
-interval from the moment at which it was woken, not from when it should have been.) For the same reason the interval is
-steered: at each topping-up it is set anew, so that SYNC keeps to a grid of T on the monotonic clock.
+The job is a ring of at most 256 frames. The kernel sends one frame per interval. A cycle of n set-points and SYNC
+has n + 1 frames with the interval T / (n + 1), so their order is fixed. (Two jobs would drift apart: the kernel
+counts an interval from the moment at which it woke up, not from the planned moment.) For the same reason the
+interval is controlled: at each refill it is adjusted so that SYNC keeps to a grid of T on the monotonic clock.
 
-SETTIMER without STARTTIMER sets frames, count and interval and leaves the running timer and the place in the ring as
-they are. The count ends the job by itself: when the host hangs, the kernel sends what is planned, then a few cycles of
-quick stop, then nothing.
+SETTIMER without STARTTIMER sets frames, count and interval, and does not change the running timer or the position in
+the ring. The count ends the job: if the host hangs, the kernel sends the planned cycles, then a few cycles of quick
+stop, then nothing.
 """
 
 import socket
@@ -22,7 +22,7 @@ TX_SETUP, TX_DELETE = 1, 2
 SETTIMER, STARTTIMER = 1, 2
 RING = 256  # frames of one job at most
 LONGEST_RING = 1.0  # s
-MOST_STEERING = 0.1  # of the interval; a kernel that needs more is late, and that is counted
+MOST_STEERING = 0.1  # share of the interval; a kernel that needs more is late, which is counted
 
 Cycle = Sequence[tuple[int, bytes]]
 
@@ -30,9 +30,12 @@ _HEAD = struct.Struct("@3I4l2I0q")  # opcode, flags, count, ival1 s us, ival2 s 
 _FRAME = struct.Struct("=IB3x8s")
 
 
-def set_point_source(bus: Bus) -> str:
-    """Who times the set-points of streamed sweeps on this bus: "bcm" (the kernel) or "thread"."""
-    if bus.kernel_interface is None:
+def set_point_source(bus: Bus, *, waits: bool = False) -> str:
+    """What times the set-points of streamed sweeps on this bus: "bcm" (the kernel) or "thread".
+
+    `waits`: the host delays SYNC until all drives have answered. Only its own thread can do that.
+    """
+    if waits or bus.kernel_interface is None:
         return "thread"
     try:
         _connect(bus.kernel_interface).close()
@@ -43,7 +46,7 @@ def set_point_source(bus: Bus) -> str:
 
 def _connect(interface: str) -> socket.socket:
     if not hasattr(socket, "CAN_BCM"):
-        raise OSError("no CAN_BCM here")
+        raise OSError("this computer has no CAN_BCM sockets")
     connected = socket.socket(socket.AF_CAN, socket.SOCK_DGRAM, socket.CAN_BCM)
     try:
         connected.connect((interface,))
@@ -55,19 +58,23 @@ def _connect(interface: str) -> socket.socket:
 
 
 class KernelRefused(CommunicationLost):
-    """The kernel does not take set-points (any more): interface down or gone, no memory."""
+    """The kernel does not accept (further) set-points: interface down or removed, no memory."""
 
 
 class KernelStream:
-    """The cycles of a sweep, sent by the kernel. Every method raises KernelRefused where it does not take them."""
+    """The cycles of a sweep, sent by the kernel. Every method raises KernelRefused if the kernel does not accept
+    them.
+    """
 
     def __init__(self, interface: str, period: float, plan: Callable[[int], Cycle], rest: Cycle) -> None:
-        """`plan(k)` is cycle k of the sweep, set-points and SYNC; `rest` follows when nobody tops up. `period` s."""
+        """`plan(k)` is cycle k of the sweep, set-points and SYNC; `rest` is sent if there is no refill. `period`
+        in s.
+        """
         size = len(rest)
         self._plan, self._rest = plan, _pack(rest)
         self._cycles = min(RING // size, round(LONGEST_RING / period))
-        self._spare = max(2, self._cycles // 4)  # cycles of `rest` behind the planned ones
-        self._step = max(1, self._cycles // 8)  # cycles after which to top up
+        self._spare = max(2, self._cycles // 4)  # cycles of `rest` after the planned ones
+        self._step = max(1, self._cycles // 8)  # cycles between refills
         self._identifier = rest[0][0]
         self._size = size
         self._steering = Steering(period / size, self._step * size)
@@ -77,20 +84,22 @@ class KernelStream:
         try:
             self._socket = _connect(interface)
         except OSError as error:
-            raise KernelRefused(f"{interface}: the kernel's timer is not to be had: {error}") from None
+            raise KernelRefused(f"{interface}: the kernel's CAN_BCM timer is not available: {error}") from None
         self._interface = interface
 
     def begin(self) -> None:
-        """Cycle 0 goes out now."""
+        """Send cycle 0 now."""
         self._fill(0)
         self._set_up(SETTIMER | STARTTIMER)
 
     def note(self, late: float) -> None:
-        """A cycle was sent, this much behind its deadline, s."""
+        """A cycle was sent `late` s after its deadline."""
         self._steering.note(late)
 
     def top_up(self, sent: int) -> None:
-        """Plans further cycles if it is time; `sent` are known to be out, and nothing waits to be heard of more."""
+        """Plans further cycles if it is time. `sent` cycles are known to be sent, and no event about further ones is
+        waiting.
+        """
         if sent >= self._next_top_up:
             self._next_top_up = sent + self._step
             self._fill(sent)
@@ -99,7 +108,7 @@ class KernelStream:
 
     def close(self) -> None:
         """Nothing is sent after this."""
-        with suppress(OSError):  # the interface, and the job with it, may be gone
+        with suppress(OSError):  # the interface and its job may be gone
             self._socket.send(_head(TX_DELETE, 0, 0, 0.0, self._identifier, 0))
         self._socket.close()
 
@@ -112,7 +121,7 @@ class KernelStream:
         self._filled = end
 
     def _set_up(self, flags: int) -> None:
-        # A cycle may be under way or have gone out unseen: the count ends half-way through the spare ones.
+        # A cycle may be in progress or sent but not yet seen: the count ends half-way through the spare ones.
         count = (self._cycles - self._spare + self._spare // 2) * self._size
         interval = self._steering.interval
         head = _head(TX_SETUP, flags, count, interval, self._identifier, self._cycles * self._size)
@@ -123,22 +132,22 @@ class KernelStream:
 
 
 class Steering:
-    """The interval between two frames by which the cycles keep to their deadlines: proportional and integral. Pure."""
+    """PI control of the interval between two frames, so that the cycles keep to their deadlines. Pure."""
 
     def __init__(self, interval: float, frames_between: int) -> None:
-        """Nominal interval, s, and frames from one adjustment to the next."""
+        """Nominal interval, s, and number of frames between two adjustments."""
         self.interval = interval
         self._nominal, self._frames = interval, frames_between
         self._sum, self._count = 0.0, 0
-        self._delay = 0.0  # by which the kernel is late in each interval, s
+        self._delay = 0.0  # delay of the kernel in each interval, s
 
     def note(self, late: float) -> None:
-        """A cycle was so late, s."""
+        """A cycle was `late` s after its deadline."""
         self._sum += late
         self._count += 1
 
     def adjust(self) -> None:
-        """A new interval from the latenesses noted since the last adjustment."""
+        """Compute a new interval from the lateness noted since the last adjustment."""
         late = self._sum / max(1, self._count)
         self._sum, self._count = 0.0, 0
         correction = 0.5 * late / self._frames

@@ -1,6 +1,6 @@
-"""One CAN bus: a receiving thread that sorts frames, and what was last heard of every node.
+"""One CAN bus: a receiving thread that sorts frames, and the latest state of every node.
 
-canopen's own notifier is not used: it drops error frames, and ends in a silent thread when the interface fails.
+The notifier of canopen is not used: it drops error frames, and its thread ends silently when the interface fails.
 """
 
 import logging
@@ -8,6 +8,7 @@ import queue
 import socket
 import threading
 import time
+from pathlib import Path
 
 import can
 import canopen
@@ -15,26 +16,31 @@ from can.interfaces.socketcan import SocketcanBus
 from canopen.sdo.client import SdoClient
 
 from drivers.canopen import frames
+from drivers.canopen.eds import object_dictionary
+from drivers.canopen.foreign_frames import ForeignFrames
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.socketcand import SocketcandBus
-from drivers.canopen.strangers import Strangers
 from drivers.cia402.host_watch import HostWatch
 from drivers.errors import CommunicationLost, ConnectionFailed
+from drivers.ports import BusTraffic
 
 logger = logging.getLogger(__name__)
 
 RECEIVE_TIMEOUT = 0.05  # s; how long closing waits for the receiving thread
-KERNEL_REST = 1.0  # s in which frames that the kernel has sent for us may still come
-RECEIVE_BUFFER = 1 << 20  # bytes asked of the kernel, so that a busy moment loses no frame (it grants what it allows)
+FRAME_BITS = 47  # data frame with 11-bit identifier and no data, including interframe space (ISO 11898-1)
+KERNEL_REST = 1.0  # s after the end in which frames sent by the kernel may still arrive
+RECEIVE_BUFFER = 1 << 20  # bytes requested, so that a busy moment loses no frame (the kernel may limit it)
 
 
 class Bus:
     """An open bus. `send` may be called from any thread."""
 
     def __init__(self, profile: BusProfile, nodes: tuple[int, ...], wires: frames.Wires = frames.VIRTUAL_WIRES) -> None:
-        """Opens the bus (blocking). `wires` say in which PDOs to look. ConnectionFailed where that is not possible."""
+        """Opens the bus (blocking). `wires`: which PDOs to decode. Raises ConnectionFailed if the bus cannot be
+        opened.
+        """
         self.watch = HostWatch(profile.host_timeout)
-        self._strangers = Strangers(nodes, profile.host_node, wires)
+        self._strangers = ForeignFrames(nodes, profile.host_node, wires)
         self._alone_from = float("inf")  # on the monotonic clock
         self._profile, self._wires = profile, wires
         self._interface = _open(profile)
@@ -46,95 +52,111 @@ class Bus:
         self._controller: frames.Controller | None = None
         self._streams: dict[int, queue.SimpleQueue[frames.Event]] = {}
         self._lost: str | None = None
+        self._received = self._sent = self._sent_bytes = self._received_bytes = 0  # frames and their data bytes
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._receive, name="can-receive", daemon=True)
         self._thread.start()
 
     @property
     def kernel_interface(self) -> str | None:
-        """The network interface of a SocketCAN bus; None where python-can reaches the bus by other ways."""
+        """The network interface of a SocketCAN bus; None if python-can reaches the bus in another way."""
         return self._profile.channel if self._profile.interface == "socketcan" else None
 
+    @property
+    def traffic(self) -> BusTraffic:
+        """Frames received and sent by this host; SDO requests of its client are not counted as sent."""
+        frames_, data = self._received + self._sent, self._received_bytes + self._sent_bytes
+        return BusTraffic(self._received, self._sent, FRAME_BITS * frames_ + 8 * data, self._profile.bitrate)
+
     def add_node(self, node: int, eds: str | None) -> SdoClient:
-        """The SDO client of a node with the dictionary of `eds`; without one, values come at the length they have."""
-        remote: canopen.RemoteNode = self._network.add_node(node, eds)
+        """The SDO client of a node with the dictionary of `eds`. Without a dictionary, values have the length
+        received.
+        """
+        objects = None if eds is None else object_dictionary(Path(eds), node)
+        remote: canopen.RemoteNode = self._network.add_node(node, objects)
         client: SdoClient = remote.sdo
         client.RESPONSE_TIMEOUT = self._profile.sdo_timeout
-        self._heard[node] = time.monotonic()  # reading the dictionary took its time
+        self._heard[node] = time.monotonic()  # reading the dictionary took time
         return client
 
     def send(self, identifier: int, data: bytes) -> None:
-        """CommunicationLost where the interface refuses the frame or is already lost."""
+        """Raises CommunicationLost if the interface refuses the frame or is already lost."""
         if self._lost is not None:
             raise CommunicationLost(self._lost)
         try:
             self._network.send_message(identifier, data)
+            self._sent += 1
+            self._sent_bytes += len(data)
         except (can.CanError, OSError) as error:
             reason = f"sending failed: {_in_a_line(error)}"
             self._fail(reason)
             raise CommunicationLost(f"bus {self._profile.channel}: {reason}") from None
 
     def shout(self, identifier: int, data: bytes) -> None:
-        """As `send`, also on a bus that counts as lost because nobody is heard: who does not answer may listen."""
+        """As `send`, but also on a bus counted as lost because no node is heard: a node that does not answer may still
+        receive.
+        """
         try:
             self._network.send_message(identifier, data)
         except (can.CanError, OSError, RuntimeError) as error:  # RuntimeError: closed
             raise CommunicationLost(f"bus {self._profile.channel}: sending failed: {_in_a_line(error)}") from None
 
     def silent(self, node: int) -> bool:
-        """Whether the bus is lost, or this node was not heard for longer than the time-out."""
+        """Whether the bus is lost, or this node was silent for longer than the time-out."""
         return self._lost is not None or self._silence(self._heard[node]) > self._profile.drive_timeout
 
     def host_heard(self) -> bool:
-        """Whether a heartbeat under our own node id came since the last question; another host's if we send none."""
+        """Whether a heartbeat under our own node id came since the last call. It is from another host if we send
+        none.
+        """
         heard, self._host_heard = self._host_heard, False
         return heard
 
     def expect_nodes(self) -> None:
-        """How long a node was silent counts from here."""
+        """Restart the measurement of every node's silence now."""
         self._heard = dict.fromkeys(self._heard, time.monotonic())
 
     def expect_no_host(self) -> None:
-        """From here on whoever speaks to our nodes as a host does is another one: `watch` forbids motion then."""
+        """From now on a frame that only a host sends to our nodes is from another host; `watch` then forbids motion."""
         self._alone_from = time.monotonic()
 
     def kernel_sends(self, *, sending: bool) -> None:
-        """While the kernel sends for us, its frames come back as those of another would."""
+        """While the kernel sends for this host, its frames are received like those of another host."""
         self._alone_from = float("inf") if sending else time.monotonic() + KERNEL_REST
 
     def check_alive(self) -> None:
-        """CommunicationLost if the bus is gone or no node was heard for longer than the time-out."""
+        """Raises CommunicationLost if the bus is lost or no node was heard for longer than the time-out."""
         timeout = self._profile.drive_timeout
         if self._lost is None and self._silence(max(self._heard.values())) > timeout:
-            # A socketcand connection that the server closed reads nothing for ever: end the receiving thread.
+            # A socketcand connection closed by the server never returns a frame: end the receiving thread.
             self._fail(f"no node was heard for {timeout} s")
         if self._lost is not None:
             raise CommunicationLost(self._lost)
 
     def check(self, node: int) -> None:
-        """CommunicationLost if the bus is gone or this node was not heard for longer than the time-out."""
+        """Raises CommunicationLost if the bus is lost or this node was silent for longer than the time-out."""
         self.check_alive()
         silent = self._silence(self._heard[node])
         if silent > self._profile.drive_timeout:
             raise CommunicationLost(f"node {node}: no heartbeat for {silent:.2f} s")
 
     def emergency(self, node: int) -> frames.Emergency | None:
-        """The last error that the node announced and has not withdrawn."""
+        """The last error that the node announced and has not cleared."""
         return self._emergencies.get(node)
 
     def forget_emergency(self, node: int) -> None:
         self._emergencies.pop(node, None)
 
     def note_configured(self, node: int) -> None:
-        """The node now has its configuration; what `restarted` tells counts from here."""
+        """The node is now configured; `restarted` counts from here."""
         self._restarted.discard(node)
 
     def restarted(self, node: int) -> bool:
-        """Whether the node sent its boot-up message since `note_configured`: its configuration is lost."""
+        """Whether the node sent its boot-up message after `note_configured`: its configuration is lost."""
         return node in self._restarted
 
     def open_stream(self, *nodes: int) -> queue.SimpleQueue[frames.Event]:
-        """Every event of these nodes and of the bus itself, in one order, from now until `close_stream`."""
+        """All events of these nodes and of the bus, in one order, from now until `close_stream`."""
         stream: queue.SimpleQueue[frames.Event] = queue.SimpleQueue()
         self._streams |= dict.fromkeys(nodes, stream)
         return stream
@@ -144,7 +166,7 @@ class Bus:
             self._streams.pop(node, None)
 
     def close(self) -> None:
-        """Ends the thread and closes the interface. Safe to call twice."""
+        """Ends the thread and closes the interface. May be called twice."""
         self._closing.set()
         self._thread.join()
         if self._lost is None:
@@ -152,7 +174,7 @@ class Bus:
         self._network.disconnect()  # also shuts the interface down
 
     def _silence(self, heard: float) -> float:
-        """s since somebody was heard; a time in which this host was suspended does not count against him."""
+        """s since the last reception. Time in which this host was suspended does not count."""
         return time.monotonic() - max(heard, self.watch.woke)
 
     def _fail(self, reason: str) -> None:
@@ -172,16 +194,18 @@ class Bus:
             while not self._closing.is_set():
                 message = self._interface.recv(RECEIVE_TIMEOUT)
                 if message is not None and not message.is_remote_frame:
+                    self._received += 1
+                    self._received_bytes += len(message.data)
                     self._sort(message)
         except (can.CanError, OSError) as error:
             self._fail(f"receiving failed: {_in_a_line(error)}")
-        except BaseException as error:  # a bus that nobody listens to must not look alive
+        except BaseException as error:  # a bus without a receiver must be marked as lost
             self._fail(f"receiving failed: {error!r}")
             raise
 
     def _sort(self, message: can.Message) -> None:
         if message.is_extended_id and not message.is_error_frame:
-            return  # 29 bits: whoever sends it is not one of our nodes, whatever its lower bits say
+            return  # 29-bit identifier: not sent by one of our nodes, whatever its lower bits are
         identifier, data = message.arbitration_id, bytes(message.data)
         if not message.is_error_frame and time.monotonic() > self._alone_from:
             word = self._strangers.word(identifier, data)
@@ -189,12 +213,12 @@ class Bus:
                 self.watch.seen(word)
         if not message.is_error_frame and identifier & ~0x7F == frames.SDO_RESPONSE:
             node = identifier & 0x7F
-            if node in self._heard and len(data) == 8:  # canopen's client would fail on anything else
+            if node in self._heard and len(data) == 8:  # canopen's client fails on any other length
                 self._heard[node] = time.monotonic()
                 self._network.notify(identifier, bytearray(data), message.timestamp)
             return
         if identifier == frames.SYNC and not message.is_error_frame:
-            # The kernel stamps frames by the wall clock; only the time since then is used of it.
+            # The kernel's time stamps use the wall clock; only the age of the frame is computed from them.
             self._tell_all(frames.Sync(time.monotonic() - max(0.0, time.time() - message.timestamp)))
             return
         event = frames.decode(identifier, data, message.is_error_frame, self._wires)
@@ -203,7 +227,7 @@ class Bus:
         if isinstance(event, frames.Controller):
             self._note_controller(event)
             return
-        if isinstance(event, frames.SetPoint):  # of a host, not a word of the node
+        if isinstance(event, frames.SetPoint):  # sent by a host, not by the node
             if event.node in self._streams:
                 self._streams[event.node].put(event)
             return
@@ -224,7 +248,7 @@ class Bus:
             stream.put(event)
 
     def _note_controller(self, event: frames.Controller) -> None:
-        """Told once a change; a controller that was bus-off has lost frames, also if it restarted by itself."""
+        """Logged once per change. A controller that was bus-off has lost frames, even if it restarted by itself."""
         known, self._controller = self._controller, event
         if known is None or event.state is not known.state:
             logger.warning("bus %s: controller is %s", self._profile.channel, event)

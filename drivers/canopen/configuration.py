@@ -1,9 +1,10 @@
-"""What an axis' objects must hold before it may move, and what follows where the drive has no such object.
+"""Values that the objects of an axis must hold before it may move, and the fallback if the drive lacks an object.
 
-Every list is settled object by object: read, written where it differs, read back (`Sdo.settle`). The PDOs are
-configured in NMT pre-operational only, as CiA 301 wants it.
+Each object of a list is read, written if it differs, and read back (`Sdo.settle`). PDOs are configured only in NMT
+pre-operational, as CiA 301 requires.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 from drivers.canopen import frames, objects
@@ -18,13 +19,13 @@ from drivers.errors import WrongConfiguration
 Setting = tuple[Entry, float]
 
 INVALID = 1 << 31  # of a PDO's COB-ID
-NO_RTR = 1 << 30  # of a TPDO's COB-ID: stays as the maker has it
+NO_RTR = 1 << 30  # of a TPDO's COB-ID: stays as the manufacturer set it
 SYNCHRONOUS = 1  # transmission type: every SYNC
 
 
 @dataclass(frozen=True, slots=True)
 class Pdo:
-    """One PDO as it shall be: communication and mapping object, COB-ID of the node, mapped objects."""
+    """Required state of one PDO: communication and mapping object, COB-ID of the node, mapped objects."""
 
     communication: int
     mapping: int
@@ -33,7 +34,7 @@ class Pdo:
 
 
 def pdos(device_map: DeviceMap, way: Way, node: int) -> tuple[Pdo, ...]:
-    """What a streamed sweep needs, by the numbers of the map."""
+    """The PDOs of a streamed sweep, with the numbers of the map."""
     entry, numbers = device_map.entry, device_map.pdos
     second = entry("sample_counter" if device_map.samples == "counter" else "velocity")
     wanted = [_rpdo(numbers.set_point, node, entry("controlword"), entry(way.target))]
@@ -55,7 +56,9 @@ def _tpdo(number: int, node: int, *mapped: Entry) -> Pdo:
 
 
 def settle(sdo: Sdo, settings: tuple[Setting, ...]) -> frozenset[Entry]:
-    """Settles each object; gives the objects that the drive does not have. WrongConfiguration where one differs."""
+    """Settle each object. Returns the objects that the drive does not have. Raises WrongConfiguration if one
+    differs.
+    """
     absent: set[Entry] = set()
     for entry, value in settings:
         try:
@@ -65,10 +68,26 @@ def settle(sdo: Sdo, settings: tuple[Setting, ...]) -> frozenset[Entry]:
     return frozenset(absent)
 
 
+def settle_sync(sdo: Sdo) -> None:
+    """SYNC without a counter byte: a drive in which 1019h is not 0 refuses such a SYNC with error 8240h (CiA 301,
+    7.2.5).
+
+    1019h may be changed only while 1006h is 0. `standing` sets 1006h afterwards.
+    """
+    try:
+        if not sdo.read(objects.SYNC_COUNTER):
+            return
+    except ObjectAbsent:
+        return
+    with suppress(ObjectAbsent):
+        sdo.settle(objects.SYNC_PERIOD, 0)
+    sdo.settle(objects.SYNC_COUNTER, 0)
+
+
 def standing(
     axis: AxisProfile, bus: BusProfile, options: StopOptions, codec: Codec, device_map: DeviceMap
 ) -> tuple[Setting, ...]:
-    """What holds for the whole session: stop reactions, heartbeats, cycle times, ramps."""
+    """Settings for the whole session: stop reactions, heartbeats, cycle times, ramps."""
     milliseconds = round(bus.sync_period * 1e3)
     at = device_map.entry
     return (
@@ -92,12 +111,12 @@ def standing(
 def limits(
     codec: Codec, velocity: float, effort: float, window: tuple[float, float], device_map: DeviceMap
 ) -> tuple[Setting, ...]:
-    """The limits of one motion, SI on the joint side."""
+    """Limits of one motion, SI on the joint side."""
     low, high = codec.raw_window(window)
     at = device_map.entry
     return (
         (at("max_torque"), codec.raw_effort_limit(effort)),
-        (at("max_profile_velocity"), codec.raw_speed(velocity)),  # whose value another velocity unit has made another
+        (at("max_profile_velocity"), codec.raw_speed(velocity)),  # a change of the velocity unit changes its meaning
         (at("max_speed"), codec.raw_max_speed(velocity)),
         (at("position_min"), low),
         (at("position_max"), high),
@@ -105,7 +124,7 @@ def limits(
 
 
 def configure_pdos(sdo: Sdo, wanted: tuple[Pdo, ...], device_map: DeviceMap, node: int) -> bool:
-    """Maps the PDOs unless they are as wanted; False if the drive lacks an object for that."""
+    """Map the PDOs unless they are already mapped as required. Returns False if the drive lacks an object for that."""
     fixed = device_map.pdos.cob_id == "fixed"
     try:
         for pdo in _unused(device_map, node):
@@ -129,7 +148,7 @@ def configure_pdos(sdo: Sdo, wanted: tuple[Pdo, ...], device_map: DeviceMap, nod
 
 
 def pdos_are_mapped(sdo: Sdo, wanted: tuple[Pdo, ...]) -> bool:
-    """Read back before each host-streamed sweep."""
+    """Whether the PDOs are mapped as required; read before each host-streamed sweep."""
     return all(_is_mapped(sdo, pdo) for pdo in wanted)
 
 
@@ -148,7 +167,7 @@ def _switch_off(sdo: Sdo, pdo: Pdo, fixed: bool) -> None:
         sdo.settle(Entry(pdo.mapping, 0, "B", "number of mapped objects"), 0)
     else:
         found = sdo.integer(_identifier(pdo))
-        if not found & INVALID:  # the other bits may be changed only after this one (CiA 301)
+        if not found & INVALID:  # other bits may be changed only after this one is set (CiA 301)
             sdo.write(_identifier(pdo), INVALID | found)
 
 

@@ -1,4 +1,4 @@
-"""A CiA 402 drive on CANopen: `drivers.cia402.device.Device` over SDO, NMT and EMCY."""
+"""A CiA 402 drive on CANopen: `drivers.cia402.device.Device` through SDO, NMT and EMCY."""
 
 import logging
 import math
@@ -20,7 +20,7 @@ logger = logging.getLogger(__name__)
 
 MODE_TIMEOUT = 2.0  # s
 POLL = 0.002  # s
-RESTARTED = 0  # in the place of an error code: the node booted, which has none
+RESTARTED = 0  # used as error code: the node booted, for which there is no code
 FOLLOW = 0x10  # controlword bit 4 in interpolated position mode
 
 
@@ -48,14 +48,16 @@ class CanopenDevice:
         self.sdo = Sdo(bus.add_node(profile.node, str(machine.eds)), self.place, bus.check_alive)
         self._pdos_mapped = False
         self._block_transfer = True  # until the drive refuses it
-        self._noise = False  # what the measuring function was prepared for
+        self._noise = False  # whether the measuring function is prepared for noise
         self.injector: Injector | None = None
 
     # -- at connect ----------------------------------------------------------------------------------------------
 
     def identify(self) -> AxisIdentity:
-        """WrongIdentity where device type, 1018h, rated torque differ from the profile; learns the drive's units."""
-        self.forbid_motion()  # a node in NMT stop does not answer
+        """Read the drive's units. Raises WrongIdentity if device type, 1018h or rated torque differ from the
+        profile.
+        """
+        self.forbid_motion()  # a node in NMT stopped does not answer
         read = self.sdo.integer
         kind = read(objects.DEVICE_TYPE)
         if kind & 0xFFFF != objects.SERVO_DRIVE:
@@ -83,6 +85,7 @@ class CanopenDevice:
         way = self._choose_way()
         self.way = way or self.way
         self._streaming_mode = self.way.mode(self._supported_modes())
+        configuration.settle_sync(self.sdo)
         self._pdos = configuration.pdos(self._map, self.way, self.profile.node)
         self._pdos_mapped = configuration.configure_pdos(self.sdo, self._pdos, self._map, self.profile.node)
         needed = (measuring.KIND, measuring.SEED, speed_control.COMMISSIONED_RESET_TIME)
@@ -108,7 +111,7 @@ class CanopenDevice:
     # -- power ---------------------------------------------------------------------------------------------------
 
     def allow_motion(self) -> None:
-        """Under the commissioned speed control."""
+        """With the commissioned speed control."""
         self._harden()
         self._nmt(frames.NMT_START)
 
@@ -122,19 +125,19 @@ class CanopenDevice:
         self.sdo.write(self._map.entry("controlword"), controlword)
 
     def set_mode(self, mode: Mode) -> None:
-        """6060h with read-back of 6061h."""
+        """Write 6060h and wait until 6061h shows the mode."""
         self.sdo.write(self._map.entry("mode"), mode)
         deadline = time.monotonic() + MODE_TIMEOUT
         while (shown := self.sdo.integer(self._map.entry("mode_display"))) != mode:
             if time.monotonic() > deadline:
-                raise WrongConfiguration(f"{self.place}: mode {mode} was not taken, the drive shows {shown}")
+                raise WrongConfiguration(f"{self.place}: mode {mode} was not accepted, the drive reports mode {shown}")
             time.sleep(POLL)
 
     def check_alive(self) -> None:
         self._bus.check(self.profile.node)
 
     def look_for_restart(self) -> None:
-        """A node that restarts says so by itself (boot-up)."""
+        """Nothing to do: a node reports a restart by its boot-up message."""
 
     def announced_error(self) -> int | None:
         announced = self._bus.emergency(self.profile.node)
@@ -164,11 +167,11 @@ class CanopenDevice:
 
     @property
     def deaf(self) -> bool:
-        """Whether there is no reason to spare its SDO channel: it takes no process data, or is not heard any more."""
+        """Whether its SDO channel need not be kept free: the node accepts no process data, or is not heard any more."""
         return not self._pdos_mapped or self._bus.silent(self.profile.node)
 
     def stop_unheard(self) -> None:
-        """Quick stop by RPDO, then NMT stop, which 6007h reacts to."""
+        """Quick stop by RPDO, then NMT stop, to which the drive reacts as set in 6007h."""
         node = self.profile.node
         for identifier, data in frames.stop([node], deaf=[node], wires=self._map.wires):
             self._bus.shout(identifier, data)
@@ -199,11 +202,11 @@ class CanopenDevice:
 
     @property
     def cyclic_pdos(self) -> tuple[configuration.Pdo, ...]:
-        """What goes over the bus each cycle of a streamed sweep; without the RPDO of the stop."""
+        """PDOs sent in each cycle of a streamed sweep, without the RPDO of the stop."""
         return tuple(pdo for pdo in self._pdos if pdo.mapped != (self._map.entry("controlword"),))
 
     def prepare_streaming(self) -> Start:
-        """In the mode that follows set-points, at set-point zero, or at the position where the axis is."""
+        """Switch to the mode that follows set-points, with set-point zero or the actual position."""
         position = int(self._read("position")) if self.way.positions else None
         self._settle_rest()
         self.sdo.settle(self._map.entry(self.way.target), position or 0)
@@ -215,7 +218,7 @@ class CanopenDevice:
 
     # -- measuring function --------------------------------------------------------------------------------------
 
-    page_size = 256  # a page occupies the SDO channel, and a stop waits for it
+    page_size = 256  # a page occupies the SDO channel, and a stop must wait for it
 
     def prepare_measuring(self, command: SweepCommand) -> None:
         settings = measuring.parameters(command, self.codec)
@@ -239,7 +242,7 @@ class CanopenDevice:
         self.sdo.write(measuring.COMMAND, measuring.ABORT)
 
     def measuring_state(self) -> MeasuringState:
-        """WrongConfiguration for a state that this adapter does not know."""
+        """Raises WrongConfiguration for a state that this adapter does not know."""
         number = self.sdo.integer(measuring.STATE)
         try:
             return MeasuringState(number)
@@ -264,10 +267,10 @@ class CanopenDevice:
     # -- inside --------------------------------------------------------------------------------------------------
 
     def _harden(self) -> None:
-        """Put right what a noise run of another host, or one that could not end as it should, left soft."""
+        """Restore a speed control that a noise run of another host, or an interrupted one, left softened."""
         found = speed_control.restore(self.sdo) if self.injector is not None else None
         if found is not None:
-            logger.warning("%s: its speed control had been left soft and is restored: %s", self.place, found)
+            logger.warning("%s: speed control was left softened, now restored: %s", self.place, found)
 
     def _prepare(self, settings: list[configuration.Setting], trace_cycle: int, *, noise: bool) -> None:
         self._trace_cycle, self._noise = trace_cycle, noise
@@ -281,12 +284,12 @@ class CanopenDevice:
                 return self.sdo.upload(0x2110, 3, block=True)
             except ObjectAbsent:
                 raise
-            except WrongConfiguration:  # abort: no block transfer here
+            except WrongConfiguration:  # abort: the drive has no block transfer
                 self._block_transfer = False
         return self.sdo.upload(0x2110, 3, block=False)
 
     def _settle_session(self) -> frozenset[Entry]:
-        """What holds for the whole session; gives the absent objects that a profile can do without."""
+        """Settings for the whole session. Returns the missing objects that a profile can do without."""
         self._settle_map()
         for maker in self._machine.maker_settings:
             self.sdo.settle(Entry(maker.index, maker.sub, maker.type, maker.name), maker.value)
@@ -302,13 +305,13 @@ class CanopenDevice:
         return self._settle_present(configuration.limits(self.codec, velocity, effort, window, self._map))
 
     def _settle_present(self, settings: tuple[configuration.Setting, ...]) -> frozenset[Entry]:
-        """As `configuration.settle`, without asking for what the map says is missing."""
+        """As `configuration.settle`, without the objects that the map lists as missing."""
         missing = {self._map.entry(name) for name in self._map.missing}
         present = tuple(setting for setting in settings if setting[0] not in missing)
         return configuration.settle(self.sdo, present) | {entry for entry, _ in settings if entry in missing}
 
     def _read(self, name: str) -> float:
-        """An object of the map; what is missing counts as 1: a factor that nobody changes."""
+        """An object of the map. A missing object counts as 1: a factor that is not changed."""
         return 1.0 if name in self._map.missing else self.sdo.read(self._map.entry(name))
 
     def _has(self, entry: Entry) -> bool:
@@ -319,7 +322,7 @@ class CanopenDevice:
         return True
 
     def _settle_rest(self) -> None:
-        """Zero for what the drive would add to the set-points: it keeps what anybody wrote last."""
+        """Set to zero what the drive would add to the set-points: it keeps the value last written by any host."""
         added = [name for name in ("velocity_offset", "target_velocity") if name not in self._map.missing]
         present = tuple((self._map.entry(name), 0) for name in added if name != self.way.target)
         configuration.settle(self.sdo, present)
@@ -331,11 +334,11 @@ class CanopenDevice:
         return next((way for way in able if way is not Way.VELOCITY_OFFSET or self._has_target(way)), None)
 
     def _has_target(self, way: Way) -> bool:
-        """An optional object that 6502h says nothing of."""
+        """Whether the drive has the target object; 6502h does not cover optional objects."""
         return self._has(self._map.entry(way.target))
 
     def _supported_modes(self) -> int | None:
-        """6502h; None where the drive has it not: the mode's read-back tells."""
+        """6502h; None if the drive does not have it. Then the read-back of the mode shows whether it is supported."""
         if "supported_modes" in self._map.missing:
             return None
         try:
@@ -346,7 +349,7 @@ class CanopenDevice:
     def _history(self) -> int:
         try:
             return self.sdo.integer(objects.ERROR_HISTORY)
-        except WrongConfiguration:  # absent, or empty and refused
+        except WrongConfiguration:  # missing, or empty and refused
             return 0
 
     def _nmt(self, command: int) -> None:

@@ -1,7 +1,7 @@
-"""The device map of a type of drive (docs/reference/device-map.md): where its objects lie and in which unit, what goes
-into which PDO, how a set-point enters, what it lacks and who does that instead.
+"""The device map of a type of drive (docs/reference/device-map.md): index and unit of its objects, contents of its
+PDOs, how a set-point enters, which objects are missing and what replaces them.
 
-What a map does not name lies where CiA 402 has it (`STANDARD`).
+An object that a map does not name is at its CiA 402 index (`STANDARD`).
 """
 
 import struct
@@ -63,16 +63,16 @@ STANDARD: dict[str, Entry] = {
     "supported_modes": objects.SUPPORTED_MODES,
     "sample_counter": objects.SAMPLE_COUNTER,
 }
-NEEDED = frozenset(  # without these there is no moving and no measuring at all
+NEEDED = frozenset(  # required to move and to measure
     {"controlword", "statusword", "mode", "mode_display", "position", "velocity", "target_position", "profile_velocity"}
 )
-TOLD = {  # how the objects that a TPDO carries lie in it
+PDO_TYPES = {  # required types of objects in PDOs
     "statusword": "u16", "velocity": "i32", "torque": "i16", "current": "i16", "position": "i32",
     "sample_counter": "u32", "target_velocity": "i32", "target_position": "i32", "interpolated_position": "i32",
     "velocity_offset": "i32", "controlword": "u16",
 }  # fmt: skip
 
-# Revolutions a second in one raw unit; None: by an object or by the encoder.
+# Revolutions per second of one raw unit; None: given by an object or by the encoder.
 SPEEDS: dict[str, float | None] = {
     "60A9h": None,
     "increments/s": None,
@@ -85,10 +85,10 @@ OtherSpeed = Literal["velocity", "increments/s", "rev/min", "1e-3 rev/min", "1e-
 
 
 class Way(Enum):
-    """How the set-points of a streamed sweep enter the drive: mode of operation, and the object that takes them.
+    """How the set-points of a streamed sweep enter the drive: mode of operation, and object that receives them.
 
-    `VELOCITY_OFFSET` adds to a profile of the drive's own that stands still (60FFh = 0): past its ramps, and with
-    standstill as what is left without it.
+    `VELOCITY_OFFSET` is added to a profile of the drive that stands still (60FFh = 0). It bypasses the ramps of the
+    profile, and without it the drive commands standstill.
     """
 
     CYCLIC_VELOCITY = "cyclic_velocity"
@@ -98,16 +98,18 @@ class Way(Enum):
 
     @property
     def positions(self) -> bool:
-        """Whether the host sends positions, and otherwise velocities."""
+        """True if the host sends positions, False if it sends velocities."""
         return self in (Way.CYCLIC_POSITION, Way.INTERPOLATED_POSITION)
 
     @property
     def target(self) -> str:
-        """Name of the object in the map."""
+        """Name of the target object in the map."""
         return {Way.CYCLIC_VELOCITY: "target_velocity", Way.CYCLIC_POSITION: "target_position"}.get(self, self.value)
 
     def mode(self, supported: int | None) -> Mode | None:
-        """The mode to take of those `supported` (6502h; None: nobody tells); None where the drive has none for it."""
+        """The mode to use among those `supported` (6502h; None: unknown). None if the drive has no mode for this
+        way.
+        """
         for mode in (
             (Mode.CYCLIC_VELOCITY, Mode.PROFILE_VELOCITY) if self is Way.VELOCITY_OFFSET else (Mode[self.name],)
         ):
@@ -117,7 +119,7 @@ class Way(Enum):
 
 
 class ObjectPlace(Frozen):
-    """Where an object lies that is not where CiA 402 has it, or is not of its type."""
+    """Index and type of an object that differ from CiA 402."""
 
     index: int = Field(ge=0x1000, le=0x9FFF)
     sub: int = Field(default=0, ge=0, le=255)
@@ -125,7 +127,9 @@ class ObjectPlace(Frozen):
 
 
 class MapSetting(Frozen):
-    """An object that must hold a value before the units are read, in drive units; absent or different is refused."""
+    """An object that must hold a value before the units are read, in drive units. A missing or different object is
+    refused.
+    """
 
     name: str
     index: int = Field(ge=0x1000, le=0x9FFF)
@@ -139,29 +143,30 @@ class MapSetting(Frozen):
 
 
 class Units(Frozen):
-    """What a raw value is. Revolutions are those of `side`."""
+    """Units of raw values. Revolutions are those of `side`."""
 
     side: Literal["motor", "joint"] = "motor"
-    increments: float | Literal["608Fh", "profile"] = "608Fh"  # of the position, a revolution
+    increments: float | Literal["608Fh", "profile"] = "608Fh"  # position increments per revolution
     velocity: Speed = "60A9h"
-    acceleration: OtherSpeed = "velocity"  # of so much a second
+    acceleration: OtherSpeed = "velocity"  # this velocity unit per second
     max_speed: OtherSpeed = "velocity"
-    rated_torque: float = Field(default=1e-3, gt=0)  # N m in one raw unit of the rated torque
+    rated_torque: float = Field(default=1e-3, gt=0)  # N m per raw unit of the rated torque
     effort: Literal["torque", "current"] = "torque"  # per mille of rated torque, or of rated current
 
 
 class Pdos(Frozen):
-    """Numbers of the PDOs: RPDO `set_point` takes controlword and target, RPDO `stop` (if any) the controlword alone.
+    """Numbers of the PDOs: RPDO `set_point` carries controlword and target, RPDO `stop` (if any) only the controlword.
 
-    TPDO `state` tells statusword, velocity and effort; TPDO `place` position and sample counter, or velocity once more.
+    TPDO `state` carries statusword, velocity and effort; TPDO `place` position and sample counter, or position and
+    velocity.
     """
 
     set_point: int = Field(default=1, ge=1, le=4)
     stop: int | None = Field(default=None, ge=1, le=4)
     state: int = Field(default=1, ge=1, le=4)
     place: int = Field(default=2, ge=1, le=4)
-    cob_id: Literal["writable", "fixed"] = "writable"  # fixed: a PDO is switched off by its number of objects
-    unused_rpdos: tuple[int, ...] = ()  # to be switched off
+    cob_id: Literal["writable", "fixed"] = "writable"  # fixed: a PDO is disabled by setting its number of objects to 0
+    unused_rpdos: tuple[int, ...] = ()  # to be disabled
     unused_tpdos: tuple[int, ...] = ()
 
 
@@ -176,12 +181,12 @@ class DeviceMap(Frozen):
     pdos: Pdos = Pdos()
     excitation: tuple[Way, ...] = Field(
         default=(Way.CYCLIC_VELOCITY,), min_length=1
-    )  # the first that the drive supports (6502h)
-    streaming_needs: tuple[str, ...] = ("cycle_value",)  # objects without which the drive does not know the cycle
+    )  # the first one that the drive supports (6502h) is used
+    streaming_needs: tuple[str, ...] = ("cycle_value",)  # objects that tell the drive the cycle time
     samples: Literal["counter", "window"] = "window"
-    measuring: Literal["sweepid"] | None = None  # the maker's own sweep; "sweepid": docs/reference/virtual-drive.md
+    measuring: Literal["sweepid"] | None = None  # drive's own sweep; "sweepid": docs/reference/virtual-drive.md
     settings: tuple[MapSetting, ...] = ()
-    missing: Mapping[str, str] = {}  # object: who does it instead
+    missing: Mapping[str, str] = {}  # object: what replaces it
 
     @model_validator(mode="after")
     def _consistent(self) -> "DeviceMap":
@@ -193,17 +198,17 @@ class DeviceMap(Frozen):
             if unknown := sorted(set(named) - STANDARD.keys()):
                 raise ValueError(f"{key}: {unknown} are unknown")
         if needless := sorted(NEEDED & self.missing.keys()):
-            raise ValueError(f"missing: without {needless} no axis can be moved and measured")
+            raise ValueError(f"missing: {needless} are needed to move and measure an axis")
         for name, place in self.objects.items():
-            if place.type != TOLD.get(name, place.type):
-                raise ValueError(f"objects.{name}: type must be {TOLD[name]}")
+            if place.type != PDO_TYPES.get(name, place.type):
+                raise ValueError(f"objects.{name}: type must be {PDO_TYPES[name]}")
         if lacking := sorted(self.used() & self.missing.keys()):
-            raise ValueError(f"missing: {lacking}, and the map uses it")
+            raise ValueError(f"missing: {lacking} are used by this map")
         self._check_pdos()
         return self
 
     def used(self) -> set[str]:
-        """Objects that may be missing only where the map has another way."""
+        """Objects that may be missing only if the map has another way."""
         used = {self.units.effort, *(way.target for way in self.excitation)}
         for used_so, name in (
             (self.units.effort == "current", "rated_current"),
@@ -223,7 +228,9 @@ class DeviceMap(Frozen):
             if len(set(numbers)) < len(numbers) or not set(numbers) <= {1, 2, 3, 4}:
                 raise ValueError(f"pdos: {kind} {numbers} must each be different, 1 to 4")
         if pdos.stop is None and any(way.positions for way in self.excitation):
-            raise ValueError("pdos.stop: a drive that follows positions is stopped by a controlword without a target")
+            raise ValueError(
+                "pdos.stop is missing: a drive that follows positions needs an RPDO with the controlword and no target"
+            )
 
     def entry(self, name: str) -> Entry:
         """The object of this name."""
@@ -232,7 +239,7 @@ class DeviceMap(Frozen):
 
     @property
     def effort(self) -> Entry:
-        """What tells the effort."""
+        """The object that reports the effort."""
         return self.entry(self.units.effort)
 
     @property
@@ -248,7 +255,7 @@ VIRTUAL_AXIS = DeviceMap(
     samples="counter",
     measuring="sweepid",
 )
-"""The map of a profile that names none: config/devices/virtual-axis.yaml, as before there were maps."""
+"""Default map of a profile that names none, equal to config/devices/virtual-axis.yaml."""
 
 
 def load_device_map(path: Path) -> DeviceMap:
@@ -260,5 +267,5 @@ def load_device_map(path: Path) -> DeviceMap:
 
 
 def bits(entry: Entry) -> int:
-    """Of the object's value."""
+    """Length of the object's value, bits."""
     return 8 * struct.calcsize("<" + entry.type)

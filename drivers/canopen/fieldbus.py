@@ -1,4 +1,4 @@
-"""The CAN bus of a profile: opened, our heartbeat on it, every node introduced; sweeps streamed over it."""
+"""The CAN bus of a profile: opened, with our heartbeat, every node identified; sweeps streamed over it."""
 
 import asyncio
 import hashlib
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from drivers.canopen import frames
 from drivers.canopen.bcm import set_point_source
 from drivers.canopen.bus import Bus
-from drivers.canopen.bus_load import check_bus_load
+from drivers.canopen.bus_load import bus_load, check_bus_load
 from drivers.canopen.device import CanopenDevice
 from drivers.canopen.host_sweep import HostSweep
 from drivers.canopen.profile import CanopenProfile
@@ -33,15 +33,15 @@ from drivers.errors import (
     MotionForbidden,
     SweepInterrupted,
 )
-from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTiming, SweepCommand
+from drivers.ports import AxisIdentity, BusTraffic, Capabilities, SampleBlock, SetPointTiming, SweepCommand
 
 logger = logging.getLogger(__name__)
 
 LISTENING = 3  # heartbeats
-# of the drive's velocity unit in an amplitude: rounding then moves a line by one in a thousand at most
+# velocity units of the drive per amplitude: rounding then changes a line by at most one in a thousand
 STEPS_OF_A_SINE = 20
-# of its position unit, where positions are sent: what rounding adds to them the axis does and the drive measures, so
-# it is noise of the motion and no error of the estimate; with fewer, stairs are most of what is sent
+# position units per amplitude where positions are sent: the axis follows the rounding and the drive measures it, so
+# it is noise of the motion and no error of the estimate; with fewer, mostly quantisation is sent
 STEPS_OF_A_POSITION = 5
 
 
@@ -66,6 +66,7 @@ class CanopenFieldbus:
         except BaseException:
             await to_the_end(_release(thread, opening, heart))
             raise
+        source = set_point_source(bus, waits=profile.bus.waits(profile.device_map.wires))
         return CanopenConnection(
             profile,
             thread,
@@ -75,11 +76,24 @@ class CanopenFieldbus:
             devices,
             axes,
             identities,
-            capabilities(axes.values(), set_point_source(bus), hears_other_hosts=True),
+            capabilities(
+                axes.values(),
+                source,
+                hears_other_hosts=True,
+                bus_bitrate=profile.bus.bitrate,
+                bus_load=_loads(profile, devices),
+            ),
         )
 
     def stop_sender(self) -> CanopenStopSender:
         return CanopenStopSender(self._profile)
+
+
+def _loads(profile: CanopenProfile, devices: Mapping[str, CanopenDevice]) -> list[float]:
+    """Bus load by number of axes that move together; the axes with the largest PDOs are counted first."""
+    each = sorted(devices.values(), key=lambda one: -bus_load(profile.bus, [one.cyclic_pdos], len(devices)))
+    cyclic = [device.cyclic_pdos for device in each]
+    return [round(bus_load(profile.bus, cyclic[:count], len(devices)), 4) for count in range(1, len(each) + 1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +115,10 @@ class CanopenConnection:
         return self.bus.watch
 
     @property
+    def bus_traffic(self) -> BusTraffic:
+        return self.bus.traffic
+
+    @property
     def sync_period(self) -> float:
         return self.profile.bus.sync_period
 
@@ -119,16 +137,16 @@ class CanopenConnection:
         return StreamedSweep(run, self.thread, {command.joint: self.axes[command.joint] for command, _ in sweeps})
 
     def halt(self, *, streaming: bool) -> None:
-        """Straight onto the bus: the thread may be waiting for a node that does not answer.
+        """Sends directly on the bus: the thread may be waiting for a node that does not answer.
 
-        No SYNC beside that of a stream: its samples would not be told apart any more.
+        Sends no SYNC in addition to that of a stream, because its samples could not be assigned any more.
         """
         nodes = {device.profile.node: device for device in self.devices.values()}
         deaf = [node for node, device in nodes.items() if device.deaf]
         for identifier, data in frames.stop(nodes, deaf, sync=not streaming, wires=self.profile.device_map.wires):
             try:
                 self.bus.shout(identifier, data)
-            except CommunicationLost as error:  # a full send buffer may have room for the next
+            except CommunicationLost as error:  # a full send buffer may have room for the next frame
                 logger.error("halt: %s", error)
 
     async def close(self) -> None:
@@ -136,7 +154,7 @@ class CanopenConnection:
 
 
 class StreamedSweep:
-    """A host-streamed sweep with its conclusion. See `drivers.cia402.connection.Run`."""
+    """A host-streamed sweep and its end. See `drivers.cia402.connection.Run`."""
 
     def __init__(self, run: HostSweep, thread: DriveThread, axes: Mapping[str, Axis]) -> None:
         self.run = run
@@ -153,7 +171,7 @@ class StreamedSweep:
         self.run.halt()
 
     async def interrupted(self) -> None:
-        """The stop sequence of a streaming axis is the stream's own."""
+        """Waits until the stream has run the stop sequence of its axes itself."""
         await self.run.over()
 
     async def over(self) -> None:
@@ -163,7 +181,7 @@ class StreamedSweep:
         return self.run.timing()
 
     async def _conclude(self) -> None:
-        """Leave the cyclic mode while SYNC still runs, or raise what ended the sweep."""
+        """Leave the cyclic mode while SYNC still runs, or raise the error that ended the sweep."""
         run = self.run
         if run.ending is Ending.COMPLETED:
             for axis in self._axes.values():
@@ -188,7 +206,7 @@ class StreamedSweep:
 
 
 def _check_resolution(device: CanopenDevice, command: SweepCommand) -> None:
-    """LimitExceeded if the drive's velocity unit would turn the sines into stairs, or that of the positions sent."""
+    """LimitExceeded if the velocity or position unit of the drive is too coarse for the sines."""
     unit = device.profile.unit
     speed = abs(float(device.codec.velocity(1.0)))
     place = abs(float(device.codec.position(1.0) - device.codec.position(0.0)))
@@ -207,9 +225,10 @@ def _check_resolution(device: CanopenDevice, command: SweepCommand) -> None:
 
 
 async def check_alone(bus: Bus, profile: CanopenProfile) -> None:
-    """ConnectionFailed if another host speaks under our node id: the drives would miss neither if it died.
+    """Raises ConnectionFailed if another host uses our node id: the drives would not detect the loss of either host.
 
-    Heard twice, for what a gateway held back comes in one go, and may be our own of a connection before this one.
+    Two heartbeats are required: frames held back by a gateway arrive together and may be from our previous
+    connection.
     """
     settings = profile.bus
     for _ in range(2):
@@ -225,9 +244,11 @@ async def check_alone(bus: Bus, profile: CanopenProfile) -> None:
 
 
 async def _beat(bus: Bus, profile: CanopenProfile) -> None:
-    """Our heartbeat, from the event loop on purpose: a host that hangs falls silent, and the drives stop."""
+    """Our heartbeat. It runs on the event loop on purpose: if the host hangs, it stops, and the drives stop the
+    axes.
+    """
     settings = profile.bus
-    with suppress(CommunicationLost):  # the bus keeps the reason; whoever uses it next gets it
+    with suppress(CommunicationLost):  # the bus stores the reason and raises it at the next use
         while True:
             bus.check_alive()
             bus.send(frames.HEARTBEAT + settings.host_node, bytes([frames.OPERATIONAL]))
@@ -245,11 +266,11 @@ def _introduce(profile: CanopenProfile, bus: Bus) -> Introduced:
 
 
 async def _release(thread: DriveThread, opening: asyncio.Task[Bus], heart: asyncio.Task[None] | None) -> None:
-    """Ends heartbeat, bus and SDO thread; a bus that is still being opened is awaited and closed."""
+    """Ends heartbeat, bus and SDO thread. A bus that is still being opened is awaited and closed."""
     if heart is not None:
         heart.cancel()
         await asyncio.gather(heart, return_exceptions=True)
-    with suppress(DriveError):  # a bus that was never open
+    with suppress(DriveError):  # a bus that was never opened
         bus = await opening
         await thread.run(bus.close)
     await thread.close()

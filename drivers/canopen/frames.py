@@ -1,4 +1,4 @@
-"""CAN frames -> typed events, pure. What is not understood is None; no bytes can make it fail.
+"""CAN frames -> typed events, pure. An unknown frame gives None; no content raises an error.
 
 COB-IDs of CiA 301's predefined connection set; PDO contents as mapped in `configuration.py`.
 """
@@ -24,7 +24,7 @@ NMT = 0x000
 NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL = 0x01, 0x02, 0x80
 BOOT_UP, OPERATIONAL = 0x00, 0x05  # heartbeat's state byte
 
-# SocketCAN's error classes, in the identifier of an error frame, and what data byte 1 then says of the controller
+# SocketCAN's error classes, in the identifier of an error frame, and the controller state in data byte 1
 ERROR_CONTROLLER, ERROR_BUS_OFF, ERROR_RESTARTED = 0x004, 0x040, 0x100
 CONTROLLER_WARNING, CONTROLLER_PASSIVE, CONTROLLER_ACTIVE = 0x04 | 0x08, 0x10 | 0x20, 0x40
 
@@ -38,19 +38,19 @@ _CONTROLWORD = struct.Struct("<H")
 
 @dataclass(frozen=True, slots=True)
 class Wires:
-    """Which PDOs of a node carry what, by number (predefined connection set): see `device_map.Pdos`."""
+    """Numbers of the PDOs of a node (predefined connection set): see `device_map.Pdos`."""
 
     set_point: int = 1
     stop: int | None = None
     state: int = 1
     place: int = 2
-    counted: bool = True  # the sample counter stands beside the position, otherwise the velocity does
+    counted: bool = True  # TPDO2 has position and sample counter; False: position and velocity
 
     def set_point_id(self, node: int) -> int:
         return rpdo_id(self.set_point) + node
 
     def stop_frame(self, node: int) -> tuple[int, bytes]:
-        """Quick stop for a node, by what needs no answer. Never a position that nobody asked for."""
+        """Quick stop for a node that needs no answer. It never contains a new target position."""
         if self.stop is None:
             return self.set_point_id(node), rpdo1(QUICK_STOP, 0)
         return rpdo_id(self.stop) + node, _CONTROLWORD.pack(QUICK_STOP)
@@ -78,7 +78,7 @@ class MotionPdo:
 
 @dataclass(frozen=True, slots=True)
 class PositionPdo:
-    """TPDO2: 6064h and the sample counter 2120h:01 of one SYNC; in place of a counter (then 0) 606Ch once more."""
+    """TPDO2: 6064h and the sample counter 2120h:01 of one SYNC; without a counter (then 0) 606Ch instead."""
 
     node: int
     position: int
@@ -88,7 +88,7 @@ class PositionPdo:
 
 @dataclass(frozen=True, slots=True)
 class Emergency:
-    """EMCY; code 0 says that the error is gone."""
+    """EMCY; code 0 means that the error is cleared."""
 
     node: int
     code: int
@@ -105,7 +105,7 @@ class Heartbeat:
 
 
 class ControllerState(Enum):
-    """How this host's CAN controller fares (ISO 11898-1 fault confinement)."""
+    """State of this host's CAN controller (ISO 11898-1 fault confinement)."""
 
     ACTIVE = "error active"
     WARNING = "error warning"
@@ -116,7 +116,7 @@ class ControllerState(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Controller:
-    """An error frame: the controller's state and its error counters, 0 where it does not tell."""
+    """An error frame: state of the controller and its error counters, 0 if they are not reported."""
 
     state: ControllerState
     transmit_errors: int
@@ -128,7 +128,7 @@ class Controller:
 
 @dataclass(frozen=True, slots=True)
 class SetPoint:
-    """Set-point or stop to a node, seen on the bus: the kernel sent it, or another host did."""
+    """Set-point or stop to a node, seen on the bus: sent by the kernel or by another host."""
 
     node: int
     data: bytes
@@ -139,14 +139,14 @@ Frame = MotionPdo | PositionPdo | Emergency | Heartbeat | Controller | SetPoint
 
 @dataclass(frozen=True, slots=True)
 class Sync:
-    """SYNC seen on the bus, at this time of the monotonic clock, s."""
+    """SYNC seen on the bus, with its time on the monotonic clock, s."""
 
     at: float
 
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """The bus is gone: bus-off, interface down, gateway away. The last event of a stream."""
+    """The bus is lost: bus-off, interface down, gateway disconnected. The last event of a stream."""
 
     reason: str
 
@@ -157,7 +157,7 @@ VIRTUAL_WIRES = Wires()
 
 
 def decode(identifier: int, data: bytes, error: bool = False, wires: Wires = VIRTUAL_WIRES) -> Frame | None:
-    """What a frame says, None if it is not one of ours (SDO answers go to the SDO client). SYNC is the bus' matter."""
+    """The event of a frame; None if the frame is not for us (SDO answers go to the SDO client). `Bus` handles SYNC."""
     if error:
         return _controller(identifier, data)
     function, node = identifier & ~0x7F, identifier & 0x7F
@@ -180,7 +180,7 @@ def decode(identifier: int, data: bytes, error: bool = False, wires: Wires = VIR
 
 
 def _controller(classes: int, data: bytes) -> Controller | None:
-    """linux/can/error.h: classes of the error in the identifier, details in eight bytes."""
+    """linux/can/error.h: error classes in the identifier, details in eight data bytes."""
     detail, transmit, receive = (data[1], data[6], data[7]) if len(data) == 8 else (0, 0, 0)
     if classes & ERROR_BUS_OFF:
         state = ControllerState.BUS_OFF
@@ -200,14 +200,15 @@ def _controller(classes: int, data: bytes) -> Controller | None:
 def stop(
     nodes: Iterable[int], deaf: Iterable[int], *, sync: bool = True, wires: Wires = VIRTUAL_WIRES
 ) -> list[tuple[int, bytes]]:
-    """Identifier and data of what stops these nodes without an answer: quick stop by RPDO, taken over by `sync`.
+    """Identifier and data of frames that stop these nodes without an answer: quick stop by RPDO, taken over by `sync`.
 
-    `deaf`: nodes that get NMT stop as well, which 6007h reacts to. They answer no SDO until NMT pre-operational.
+    `deaf`: nodes that also get NMT stop, to which they react as set in 6007h. They then answer no SDO until NMT
+    pre-operational.
     """
     quick_stops = [wires.stop_frame(node) for node in nodes]
     return [*quick_stops, *([(SYNC, b"")] if sync else []), *((NMT, bytes([NMT_STOP, node])) for node in deaf)]
 
 
 def rpdo1(controlword: int, target: int) -> bytes:
-    """6040h and the target, 60FFh or a position."""
+    """6040h and the target: 60FFh or a position."""
     return _RPDO1.pack(controlword, target)

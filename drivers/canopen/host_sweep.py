@@ -1,8 +1,8 @@
-"""The host-streamed sweep of one or several axes on one clock: set-points and SYNC out, samples in, one thread.
+"""The host-streamed sweep of one or several axes on one clock: one thread sends set-points and SYNC, receives samples.
 
-A cycle is every axis' RPDO1, then one SYNC. The thread sends cycles by absolute deadlines, or plans them ahead for the
-kernel to send (`bcm`); the stop sequence is always the thread's. A late cycle shifts the wall clock alone, for the
-drives' clock is SYNC. Whatever ends one axis' sweep starts the stop sequence of all.
+A cycle is RPDO1 of every axis, then one SYNC. The thread sends cycles by absolute deadlines, or plans them in
+advance for the kernel (`bcm`); the stop sequence is always the thread's. A late cycle shifts only the wall clock,
+because the drives' clock is SYNC. An error of one axis starts the stop sequence of all.
 """
 
 import asyncio
@@ -26,10 +26,10 @@ from drivers.cia402.states import State
 from drivers.errors import CommunicationLost
 from drivers.ports import SampleBlock, SetPointTiming
 
-OPENING_SYNCS = 3  # without set-points; a drive takes few of them for a host that is gone
-BLOCK_TIME = 0.1  # s of samples handed over at a time
-STANDSTILL_TIMEOUT = 3.0  # s after the waveform's end
-HOLD_TIMEOUT = 5.0  # s of waiting at standstill for the mode to be left
+OPENING_SYNCS = 3  # without set-points; after more of them a drive assumes that the host is lost
+BLOCK_TIME = 0.1  # s of samples per block
+STANDSTILL_TIMEOUT = 3.0  # s after the end of the waveform
+HOLD_TIMEOUT = 5.0  # s, maximum wait at standstill until the mode is left
 
 Events = queue.SimpleQueue[frames.Event]
 
@@ -40,19 +40,19 @@ class HostSweep:
     def __init__(
         self, bus: Bus, settings: BusProfile, requests: Sequence[StreamRequest], stop: threading.Event
     ) -> None:
-        """Starts at once. The axes stand, enabled, in cyclic synchronous velocity."""
+        """Starts at once. The axes must stand, enabled, in cyclic synchronous velocity."""
         self.ending = Ending.COMPLETED
         self.reason = ""
-        """A sentence that names the axis; empty for COMPLETED."""
+        """Reason of the end, with the name of the axis; empty for COMPLETED."""
         self.joint = ""
         """The axis that ended the sweep, empty if none did."""
         period = settings.sync_period
         self._bus, self._stop, self._period = bus, stop, period
-        self._source = set_point_source(bus)
         self._clock = Punctuality(period, settings.missed_cycles, settings.host_timeout)
         self._axes = {request.axis.node: StreamedAxis(request, period) for request in requests}
         wires = self._wires = requests[0].wires
-        # what the kernel sends when nobody plans further
+        self._source = set_point_source(bus, waits=settings.waits(wires))
+        # sent by the kernel if no further cycles are planned
         self._rest: list[tuple[int, bytes]] = [*(wires.stop_frame(node) for node in self._axes), (frames.SYNC, b"")]
         self._last = max(axis.last for axis in self._axes.values())
         self._number = 0  # cycles sent
@@ -64,43 +64,45 @@ class HostSweep:
         self._seen: dict[int, bytes] = {}  # the kernel's set-points since its last SYNC, by node
         self._released = threading.Event()
         self._halted = threading.Event()
-        self._forbidden = False  # by the host watch: known, and the stop sequence begun
-        self._held = False  # all axes stand and wait to be released; the thread goes on
+        self._forbidden = False  # by the host watch; then the stop sequence has begun
+        self._held = False  # all axes stand and wait for `release`; the thread continues
         self._loop = asyncio.get_running_loop()
         self._blocks: asyncio.Queue[SampleBlock | None] = asyncio.Queue()
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="can-stream")
         self._thread = self._loop.run_in_executor(self._executor, self._run)
-        self._executor.shutdown(wait=False)  # the thread ends with its one task
+        self._executor.shutdown(wait=False)  # the thread ends with its only task
 
     async def blocks(self) -> AsyncGenerator[SampleBlock, None]:
-        """The samples as they come, in order for each axis. Ends when all stand: held (COMPLETED), else disabled."""
+        """The samples as they arrive, in order for each axis. Ends when all stand: enabled if COMPLETED, else
+        disabled.
+        """
         while (block := await self._blocks.get()) is not None:
             yield block
         if not self._held:
             await self.finished()
 
     def release(self) -> None:
-        """End SYNC after COMPLETED, once the axes have left the cyclic mode."""
+        """Stop SYNC after COMPLETED, once the axes have left the cyclic mode."""
         self._released.set()
 
     def halt(self) -> None:
-        """Begin the stop sequence at its quick stop, which another has told the drives: a ramp would take that back."""
+        """Begin the stop sequence at its quick stop, because another process has sent one: a ramp would cancel it."""
         self._halted.set()
 
     async def finished(self) -> None:
-        """Until the thread has ended; raises what ended it."""
+        """Wait until the thread has ended; raises the error that ended it."""
         await self.over()
         self._thread.result()
 
     async def over(self) -> None:
-        """Until the thread has ended, however it did: that is the consumer's matter."""
+        """Wait until the thread has ended, in whatever way. Its error is raised to the consumer, not here."""
         await asyncio.wait([self._thread])
-        self._executor.shutdown()  # the thread's one task is over: it has nothing left to do but to end
+        self._executor.shutdown()  # the only task of the thread is finished, so the thread ends
         if not self._thread.cancelled():
-            self._thread.exception()  # noted: asyncio does not tell of it once more
+            self._thread.exception()  # retrieved, so that asyncio does not log it
 
     def timing(self) -> SetPointTiming:
-        """How punctual the cycles were so far."""
+        """Punctuality of the cycles so far."""
         return self._clock.timing(self._source)
 
     # -- the thread ----------------------------------------------------------------------------------------------
@@ -113,7 +115,7 @@ class HostSweep:
             if self._source == "bcm" and not self._ended:
                 self._by_kernel(events)
             self._by_thread(events)
-        except BaseException:  # nobody plans or watches any more, and the consumer may be slow to hear of it
+        except BaseException:  # planning and monitoring have ended, and the consumer may notice it late
             self._last_word()
             raise
         finally:
@@ -122,14 +124,14 @@ class HostSweep:
             self._post(None)
 
     def _last_word(self) -> None:
-        """Quick stop to every axis, as far as the bus still takes it."""
+        """Send quick stop to every axis, as far as the bus still accepts it."""
         with suppress(CommunicationLost):
             for identifier, data in self._rest:
                 self._bus.send(identifier, data)
 
     def _meet(self, events: Events) -> None:
-        """SYNC without set-points until every drive has said that it is enabled: none is told so before."""
-        self._check()  # a stop that came first is a stop, and no drive that does not answer
+        """SYNC without set-points until every drive has reported that it is enabled."""
+        self._check()  # report a stop that came first as a stop, not as a silent drive
         for _ in range(OPENING_SYNCS):
             self._bus.send(frames.SYNC, b"")
             self._count_sync()
@@ -153,7 +155,7 @@ class HostSweep:
         return [axis for axis in self._axes.values() if axis.state is State.UNKNOWN]
 
     def _by_kernel(self, events: Events) -> None:
-        """The sweep's cycles, planned ahead; returns at its end, or once the stop sequence has begun."""
+        """The cycles of the sweep, planned in advance. Returns at its end, or once the stop sequence has begun."""
         interface = self._bus.kernel_interface or ""
         self._kernel = kernel = KernelStream(interface, self._period, self._plan, self._rest)
         self._bus.kernel_sends(sending=True)
@@ -163,7 +165,7 @@ class HostSweep:
             heard = time.monotonic()
             while self._number <= self._last and not self._ended:
                 event = _next(events, 0.0)
-                if event is None and not self._is_forbidden():  # nothing waits: what was heard is what was sent
+                if event is None and not self._is_forbidden():  # no event is waiting: all sent cycles were seen
                     kernel.top_up(self._number)
                     event = _next(events, self._period)
                 if event is not None:
@@ -173,7 +175,7 @@ class HostSweep:
                 elif event is None and time.monotonic() - heard > max(self._silence, 3 * self._period):
                     self._end(Trouble(Ending.NOT_SENT, f"the kernel sent no SYNC for {self._silence:g} s"))
                 self._check()
-        except KernelRefused as error:  # the bus may live: the stop sequence is the thread's
+        except KernelRefused as error:  # the bus may still work: the thread runs the stop sequence
             self._end(Trouble(Ending.NOT_SENT, str(error)))
         finally:
             kernel.close()
@@ -187,7 +189,7 @@ class HostSweep:
             self._clock.sent(now)
             self._check()
             if not self._send_set_points(now):
-                continue  # without SYNC: the drives do not take what the first of them were told
+                continue  # without SYNC the drives do not take over the set-points sent to some of them
             self._bus.send(frames.SYNC, b"")
             if all(axis.stop_sequence.stage is StopStage.DONE for axis in self._axes.values()):
                 return
@@ -202,7 +204,7 @@ class HostSweep:
                 self._wait_for_the_count(events)
                 unfinished = self._unfinished()
             now = time.monotonic()
-            if hold_until < float("inf"):  # at standstill, handed over
+            if hold_until < float("inf"):  # at standstill, handed over to the consumer
                 if self._released.is_set():
                     return
                 if now > hold_until:
@@ -220,13 +222,13 @@ class HostSweep:
     # -- one cycle -----------------------------------------------------------------------------------------------
 
     def _plan(self, number: int) -> Cycle:
-        """For the kernel: what a cycle ahead will send if nothing comes in between."""
+        """For the kernel: content of a future cycle if nothing happens before it."""
         wires = self._wires
         set_points = [(wires.set_point_id(node), axis.planned(number)) for node, axis in self._axes.items()]
         return [*set_points, (frames.SYNC, b"")]
 
     def _send_set_points(self, now: float) -> bool:
-        """That of every axis; False where the host turned out to be suspended in between: the next are quick stops."""
+        """Send the set-point of every axis. False if the host was suspended meanwhile: then quick stops follow."""
         for node, axis in self._axes.items():
             word = axis.command(self._number, now)
             if self._is_forbidden():
@@ -235,7 +237,7 @@ class HostSweep:
         return not self._is_forbidden()
 
     def _is_forbidden(self) -> bool:
-        """Whether the host watch forbids motion, once: the stop sequences then begin at their quick stop."""
+        """Whether the host watch forbids motion. The first time, the stop sequences begin at their quick stop."""
         reason = "" if self._forbidden else self._bus.watch.reason
         if reason:
             self._forbidden = True
@@ -249,10 +251,9 @@ class HostSweep:
                 self._end(trouble, axis)
 
     def _wait_for_answers(self, events: Events, sent: float) -> None:
-        """Hold the next SYNC back for drives that count no samples, as far as the profile lets deadlines pass unmet.
+        """Delay the next SYNC for drives that count no samples, as far as the profile allows missed deadlines.
 
-        Nothing that answers later can then be taken for the answer to another SYNC. After the last sample one SYNC is
-        left out in any case: all answers are then here, and none too many (`windows`).
+        A later answer then cannot be assigned to another SYNC. After the last sample one SYNC is left out (`windows`).
         """
         axes = [axis for axis in self._axes.values() if not axis.counts]
         if not axes or self._ended:
@@ -274,7 +275,7 @@ class HostSweep:
             axis.settle()
 
     def _wait_for_the_count(self, events: Events) -> None:
-        """Hold the next SYNC back until all are counted: answers may be on their way (a gateway), or one is lost."""
+        """Delay the next SYNC until all samples are counted: answers may be delayed (gateway), or one is lost."""
         until = time.monotonic() + self._silence
         while any(axis.behind for axis in self._axes.values()) and not self._ended:
             event = _next(events, until - time.monotonic())
@@ -282,10 +283,10 @@ class HostSweep:
                 break
             self._take(event)
             self._check()
-        self._clock.begin(max(self._clock.due, time.monotonic()))  # no deadline passed: none was set
+        self._clock.begin(max(self._clock.due, time.monotonic()))  # not a missed deadline, because none was set
 
     def _listen(self, events: Events, deadline: float) -> None:
-        """Take events until the deadline; what already waits is taken even if it has passed."""
+        """Process events until the deadline. Waiting events are processed even if the deadline has passed."""
         while (event := _next(events, deadline - time.monotonic())) is not None:
             self._take(event)
 
@@ -298,7 +299,7 @@ class HostSweep:
             case frames.Sync():
                 self._take_sync(event.at)
             case frames.Controller():
-                pass  # the bus' matter
+                pass  # handled by `Bus`
             case _:
                 axis = self._axes[event.node]
                 trouble = axis.take(event)
@@ -307,10 +308,10 @@ class HostSweep:
                 self._hand_over(at_least=self._block_samples)
 
     def _take_sync(self, at: float) -> None:
-        """The kernel's SYNC, seen as it went out."""
+        """SYNC of the kernel, seen when it was sent."""
         kernel = self._kernel
         if kernel is None:
-            return  # our own by way of a gateway; a stranger's shows in the sample counters
+            return  # our own through a gateway; one of another host is detected by the sample counters
         if self._number == 0:
             self._clock.begin(at)
         seen, self._seen = self._seen, {}
@@ -324,10 +325,10 @@ class HostSweep:
         kernel.note(self._clock.sent(at))
 
     def _check(self) -> None:
-        """What does not come by an event."""
+        """Checks that are not triggered by an event."""
         self._is_forbidden()
         if self._halted.is_set():
-            if self.ending in (Ending.MISCOUNTED, Ending.NOT_SENT):  # the SYNC of the stop process came before its word
+            if self.ending in (Ending.MISCOUNTED, Ending.NOT_SENT):  # a SYNC of the stop process came before its report
                 self.ending = Ending.COMPLETED
             self._end(Trouble(Ending.STOPPED, "sweep was stopped"))
         if self._stop.is_set():
@@ -342,10 +343,12 @@ class HostSweep:
                 self._end(Trouble(Ending.SILENT, text), axis)
 
     def _unfinished(self) -> tuple[Trouble, StreamedAxis] | None:
-        """An axis that does not stand yet, or whose last samples have not come."""
+        """An axis that does not stand yet, or whose last samples are missing."""
         for axis in self._axes.values():
             if not axis.standing:
-                return Trouble(Ending.NO_STANDSTILL, f"does not stand {STANDSTILL_TIMEOUT:g} s after its sweep"), axis
+                return Trouble(
+                    Ending.NO_STANDSTILL, f"is not at standstill {STANDSTILL_TIMEOUT:g} s after its sweep"
+                ), axis
             if not axis.complete:
                 return Trouble(Ending.MISCOUNTED, f"its sample counter is {axis.behind} behind SYNC"), axis
         return None
@@ -377,14 +380,14 @@ class HostSweep:
 
 
 def _unplanned(sent: bytes | None, rest: bytes) -> tuple[Ending, str]:
-    """What it means that the kernel sent this instead of the set-point of the plan."""
+    """Meaning of a frame of the kernel that is not the planned set-point."""
     if sent == rest:
-        return Ending.LATE, "the host planned no further set-points in time"
-    return Ending.NOT_SENT, "a SYNC came without the set-point planned for it"
+        return Ending.LATE, "the host did not plan the next set-points in time"
+    return Ending.NOT_SENT, "a SYNC was sent without its planned set-point"
 
 
 def _next(events: Events, within: float) -> frames.Event | None:
-    """The next event, None if there is none within so many s."""
+    """The next event, None if there is none within `within` s."""
     try:
         return events.get(timeout=within) if within > 0 else events.get_nowait()
     except queue.Empty:
@@ -392,6 +395,6 @@ def _next(events: Events, within: float) -> frames.Event | None:
 
 
 def _sharpen_timer() -> None:
-    """Timer slack of this thread to 1 ns (Linux): waking up then is some 50 us less late."""
+    """Set the timer slack of this thread to 1 ns (Linux): wake-ups are then about 50 us less late."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(29, 1)  # PR_SET_TIMERSLACK

@@ -40,15 +40,15 @@ REASONS = {1: "axis not enabled, or not at standstill", 2: "speed", 3: "position
 
 
 def trace_cycle(command: SweepCommand | NoiseCommand) -> int:
-    """ms, as near to the wanted sample rate as the drive can."""
+    """Trace cycle in ms, as close to the requested sample rate as the drive supports."""
     return max(1, round(1e3 / command.sample_rate))
 
 
 def parameters(command: SweepCommand, codec: Codec) -> list[Setting]:
-    """Every parameter of a sweep in drive units; not the kind of excitation, which not every drive has."""
+    """All parameters of a sweep in drive units, without the kind of excitation, which not every drive has."""
     settings = [*_turn(command, codec), (SINES, len(command.sines))]
     for number, sine in enumerate(command.sines, start=1):
-        # A negative gear ratio makes the amplitude negative, and leaves the phase as it is.
+        # A negative gear ratio makes the amplitude negative and does not change the phase.
         settings += [
             (Entry(0x2101, number, "d", f"frequency {number}"), sine.frequency),
             (Entry(0x2102, number, "d", f"amplitude {number}"), codec.rev_per_min(sine.amplitude)),
@@ -58,7 +58,7 @@ def parameters(command: SweepCommand, codec: Codec) -> list[Setting]:
 
 
 def noise_parameters(command: NoiseCommand, codec: Codec) -> list[Setting]:
-    """Every parameter of a noise run in drive units."""
+    """All parameters of a noise run in drive units."""
     return [
         *_turn(command, codec),
         (KIND, TORQUE_NOISE),
@@ -91,10 +91,10 @@ def samples(
     *,
     noise: bool = False,
 ) -> SampleBlock:
-    """The samples `first` to `first + count` in a page's bytes, of a noise run or a sweep; CommunicationLost if it
-    holds others.
+    """The samples `first` to `first + count` from the bytes of a page, of a noise run or a sweep.
 
-    WrongConfiguration if the direct encoder of the profile is not in it.
+    Raises CommunicationLost if the page has other samples, and WrongConfiguration if it lacks the direct encoder of
+    the profile.
     """
     layout = NOISE_SAMPLE if noise else SAMPLE
     if len(raw) != count * layout.itemsize:

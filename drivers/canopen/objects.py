@@ -1,4 +1,4 @@
-"""The objects that the adapter uses (CiA 301, CiA 402); the measuring function's stand in `measuring.py`."""
+"""The objects that the adapter uses (CiA 301, CiA 402); those of the measuring function are in `measuring.py`."""
 
 import struct
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ class Entry:
         return f"{self.index:04X}h:{self.sub:02X} {self.name}"
 
     def pack(self, value: float) -> bytes:
-        """The value's bytes; struct.error if it does not fit the type."""
+        """The bytes of the value. Raises struct.error if it does not fit the type."""
         return struct.pack("<" + self.type, value if self.type == "d" else int(value))
 
     def unpack(self, data: bytes) -> float:
-        """The bytes' value; struct.error if their number is wrong."""
+        """The value of the bytes. Raises struct.error if their number is wrong."""
         value: float = struct.unpack("<" + self.type, data)[0]
         return value
 
@@ -31,6 +31,7 @@ ERROR_HISTORY = Entry(0x1003, 1, "I", "latest error")
 SYNC_PERIOD = Entry(0x1006, 0, "I", "communication cycle in us")
 HEARTBEAT_CONSUMER = Entry(0x1016, 1, "I", "heartbeat consumer")
 HEARTBEAT_PRODUCER = Entry(0x1017, 0, "H", "heartbeat producer in ms")
+SYNC_COUNTER = Entry(0x1019, 0, "B", "synchronous counter overflow")
 VENDOR = Entry(0x1018, 1, "I", "vendor")
 PRODUCT = Entry(0x1018, 2, "I", "product")
 REVISION = Entry(0x1018, 3, "I", "revision")

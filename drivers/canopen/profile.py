@@ -1,4 +1,4 @@
-"""The profile of drives on CANopen: where the bus is, its clocks, its nodes."""
+"""The profile of drives on CANopen: bus, clocks and nodes."""
 
 from collections.abc import Mapping
 from configparser import ConfigParser
@@ -9,12 +9,23 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from drivers.canopen.device_map import VIRTUAL_AXIS, DeviceMap, load_device_map
-from drivers.cia402.profile import AxisProfile, Frozen, StopOptions, existing_file, parse, require_different
+from drivers.canopen.frames import Wires
+from drivers.cia402.profile import (
+    AxisProfile,
+    Frozen,
+    StopOptions,
+    TravelLimits,
+    existing_file,
+    parse,
+    require_different,
+    require_near,
+)
+from drivers.eds_file import read_eds
 from drivers.errors import BadProfile
 
 
 class BusProfile(Frozen):
-    """Where the bus is, in python-can's words, and its clocks. Times in s."""
+    """Address of the bus, in the terms of python-can, and its clocks. Times in s."""
 
     interface: str  # socketcand, socketcan, virtual, pcan, ...
     channel: str
@@ -24,11 +35,11 @@ class BusProfile(Frozen):
     sync_period: float = Field(default=0.004, ge=0.001, le=0.1)  # cycle of host-streamed sweeps
     host_node: int = Field(default=127, ge=1, le=127)  # node id of our own heartbeat
     host_heartbeat: float = Field(default=0.1, gt=0)
-    host_timeout: float = Field(default=1.0, gt=0, le=60)  # the drive stops after this silence of ours
+    host_timeout: float = Field(default=1.0, gt=0, le=60)  # the drive stops after this silence of the host
     drive_heartbeat: float = Field(default=0.1, gt=0, le=60)
-    drive_timeout: float = Field(default=1.0, gt=0)  # a node silent for so long is lost
-    missed_cycles: int = Field(default=0, ge=0)  # deadlines of one streamed sweep that may pass unmet
-    silence: float = Field(default=0.15, gt=0)  # a streaming axis silent for so long is lost
+    drive_timeout: float = Field(default=1.0, gt=0)  # a node silent for longer is lost
+    missed_cycles: int = Field(default=0, ge=0)  # allowed number of missed deadlines of a streamed sweep
+    silence: float = Field(default=0.15, gt=0)  # a streaming axis silent for longer is lost
     sdo_timeout: float = Field(default=0.5, gt=0)
 
     @model_validator(mode="after")
@@ -41,9 +52,13 @@ class BusProfile(Frozen):
             raise ValueError("a heartbeat's time-out must be at least twice its period")
         return self
 
+    def waits(self, wires: Wires) -> bool:
+        """Whether the host delays SYNC until all drives have answered: no sample counter, and late cycles allowed."""
+        return self.missed_cycles > 0 and not wires.counted
+
 
 class MakerSetting(Frozen):
-    """An object of the maker's that must hold a value, in drive units; absent or different is refused."""
+    """A manufacturer's object that must hold a value, in drive units. A missing or different object is refused."""
 
     name: str
     index: int = Field(ge=0x2000, le=0x5FFF)
@@ -58,19 +73,20 @@ class CanopenAxis(AxisProfile):
     node: int = Field(ge=1, le=126)
     increments: float | None = Field(
         default=None, gt=0
-    )  # of the position, a motor revolution; where the map asks for it
-    torque_constant: float | None = Field(default=None, gt=0)  # N m/A, where the effort is told as a current
+    )  # position increments per motor revolution, if the map requires it
+    torque_constant: float | None = Field(default=None, gt=0)  # N m/A, if the effort is reported as a current
 
 
 class _Content(Frozen):
-    """A profile as it is written."""
+    """A profile as it is written in the file."""
 
     adapter: Literal["canopen"]
     bus: BusProfile
     eds: Path
-    device: Path | None = None  # the device map; the virtual drive's where none is named
+    device: Path | None = None  # the device map; default: that of the virtual drive
     emergency_stop_codes: tuple[int, ...] = ()  # 603Fh values that mean safe torque off
     stop_options: StopOptions = StopOptions()
+    travel_limits: TravelLimits = TravelLimits()
     maker_settings: tuple[MakerSetting, ...] = ()
     axes: tuple[CanopenAxis, ...] = Field(min_length=1)
 
@@ -80,17 +96,18 @@ class _Content(Frozen):
         require_different(self.axes, "nodes", nodes)
         if self.bus.host_node in nodes:
             raise ValueError(f"host_node {self.bus.host_node} is the node of an axis")
+        require_near(self.axes, self.travel_limits, self.bus.host_timeout, "bus.host_timeout")
         return self
 
 
 class CanopenProfile(_Content):
-    """A whole machine: one bus, its axes, and what type of drive they are."""
+    """A whole machine: one bus, its axes, and their type of drive."""
 
     device_map: DeviceMap = VIRTUAL_AXIS
 
 
 def parse_profile(profile: Mapping[str, object], base: Path) -> CanopenProfile:
-    """A checked profile with its device map; `eds` is an existing file, relative to `base` where it is not absolute."""
+    """A checked profile with its device map. `eds` is an existing file, relative to `base` unless it is absolute."""
     parsed = parse(_Content, profile)
     eds = existing_file("eds", base / parsed.eds)
     _check_eds(parsed, eds)
@@ -102,7 +119,9 @@ def parse_profile(profile: Mapping[str, object], base: Path) -> CanopenProfile:
 
 
 def _check_map(profile: _Content, device_map: DeviceMap) -> None:
-    """BadProfile unless the map is for the devices of the profile, and these tell what the map leaves to them."""
+    """Raises BadProfile unless the map is for the devices of the profile, and these have the values that the map
+    requires.
+    """
     units = device_map.units
     for axis in profile.axes:
         found = (device_map.vendor, device_map.product)
@@ -113,9 +132,12 @@ def _check_map(profile: _Content, device_map: DeviceMap) -> None:
                     f"device: {profile.device} is for {name} {of_map:08X}h; {axis.joint} is {of_axis:08X}h"
                 )
         if units.increments == "profile" and axis.increments is None:
-            raise BadProfile(f"axes: {axis.joint}: increments: the device map leaves them to the profile")
+            raise BadProfile(f"axes: {axis.joint}: increments is missing: the device map says `increments: profile`")
         if units.effort == "current" and axis.torque_constant is None:
-            raise BadProfile(f"axes: {axis.joint}: torque_constant: needed where the drive tells a current")
+            raise BadProfile(
+                f"axes: {axis.joint}: torque_constant is missing: the drive reports a current, "
+                "so the profile must give N m/A"
+            )
         if units.side == "joint" and axis.gear_ratio < 0:
             raise BadProfile(
                 f"axes: {axis.joint}: gear_ratio must be above 0 for a drive that counts on the joint side"
@@ -123,21 +145,21 @@ def _check_map(profile: _Content, device_map: DeviceMap) -> None:
 
 
 def _check_eds(profile: _Content, eds: Path) -> None:
-    """BadProfile unless the EDS is for the devices of the profile (CiA 306, section DeviceInfo).
+    """Raises BadProfile unless the EDS is for the devices of the profile (CiA 306, section DeviceInfo).
 
-    Some makers leave vendor or product out there; the drives themselves say them at connect.
+    Some manufacturers omit vendor or product there; the drives report them at connect.
     """
     parser = ConfigParser(interpolation=None, strict=False)
     try:
-        parser.read(eds, encoding="utf-8")
+        parser.read_string(read_eds(eds).decode("utf-8"))
         device = parser["DeviceInfo"]
         found = {key: int(device[f"{key}Number"], 0) for key in ("Vendor", "Product") if f"{key}number" in device}
-    except (ConfigError, KeyError, ValueError) as error:
+    except (ConfigError, KeyError, OSError, ValueError) as error:
         raise BadProfile(f"eds: {eds} has no usable section DeviceInfo: {error}") from None
     for axis in profile.axes:
         given = {"Vendor": axis.identity.vendor, "Product": axis.identity.product}
         if found != {key: given[key] for key in found}:
-            told = ", ".join(f"{key.lower()} {number:08X}h" for key, number in found.items())
+            stated = ", ".join(f"{key.lower()} {number:08X}h" for key, number in found.items())
             raise BadProfile(
-                f"eds: {eds} is for {told}; {axis.joint} is {given['Vendor']:08X}h, {given['Product']:08X}h"
+                f"eds: {eds} is for {stated}; {axis.joint} is {given['Vendor']:08X}h, {given['Product']:08X}h"
             )

@@ -1,4 +1,4 @@
-"""Deadlines a period apart, how well they were kept, and when that is no longer good enough. Pure."""
+"""Periodic deadlines, how well they are kept, and when they are kept too badly. Pure."""
 
 from array import array
 
@@ -8,10 +8,10 @@ from drivers.ports import SetPointTiming
 
 
 class Punctuality:
-    """Deadlines that passed are counted and left out, never made up in a burst: only the wall clock shifts."""
+    """Missed deadlines are counted and left out, never compensated by a burst: only the wall clock shifts."""
 
     def __init__(self, period: float, allowed: int, limit: float) -> None:
-        """`period` s; more than `allowed` missed deadlines, or one lateness above `limit` s, are too many."""
+        """`period` s; more than `allowed` missed deadlines, or one lateness above `limit` s, is an error."""
         self._period, self._allowed, self._limit = period, allowed, limit
         self._lateness = array("d")
         self._missed = 0
@@ -20,11 +20,11 @@ class Punctuality:
         """The next deadline, s on the monotonic clock."""
 
     def begin(self, at: float) -> None:
-        """The first deadline."""
+        """Set the first deadline."""
         self.due = at
 
     def sent(self, at: float) -> float:
-        """A cycle was (or is being) sent at this time. Behind the last deadline that had passed, s; negative: early."""
+        """A cycle is sent at this time. Returns the lateness after the last passed deadline, s; negative: early."""
         late = at - self.due
         passed = max(0, int(late / self._period))
         self._lateness.append(late)
@@ -35,12 +35,12 @@ class Punctuality:
 
     @property
     def patient(self) -> bool:
-        """Whether a further deadline may pass unmet."""
+        """Whether a further deadline may be missed."""
         return self._missed < self._allowed
 
     @property
     def verdict(self) -> str | None:
-        """Why the host is too late, None while it is not."""
+        """Why the host is too late; None if it is not."""
         if self._worst > self._limit:
             return f"a set-point was {self._worst:.3f} s late, {self._limit:g} s are the limit"
         if self._missed > self._allowed:
@@ -51,7 +51,7 @@ class Punctuality:
         return None
 
     def timing(self, source: str) -> SetPointTiming:
-        """So far; from any thread."""
-        lateness = self._lateness.tolist()  # a copy in one step: the array may grow meanwhile
+        """Punctuality so far; from any thread."""
+        lateness = self._lateness.tolist()  # an atomic copy: the array may grow meanwhile
         median = float(np.median(lateness)) if lateness else 0.0
         return SetPointTiming(source, len(lateness), self._missed, median, self._worst)

@@ -15,7 +15,7 @@ ABSENT = frozenset({0x06020000, 0x06090011})  # object, sub-index does not exist
 
 
 class _BlockUpload(BlockUploadStream):
-    """canopen 2.4 calls an `abort` of the stream's when a block does not come; it has none."""
+    """canopen 2.4 calls `abort` of the stream if a block is missing, but the stream has no such method."""
 
     def abort(self, code: int) -> None:
         cast(Any, self.sdo_client).abort(code)
@@ -26,33 +26,37 @@ class ObjectAbsent(WrongConfiguration):
 
 
 class OtherType(WrongConfiguration):
-    """The drive has an object, of another length."""
+    """The drive has the object, with another length."""
 
 
 class Sdo:
-    """Reads and writes objects of one node. CommunicationLost when it does not answer."""
+    """Reads and writes objects of one node. Raises CommunicationLost if the node does not answer."""
 
     def __init__(self, client: SdoClient, place: str, check_alive: Callable[[], None]) -> None:
-        """`place` as in "joint_1 (node 1)"; `check_alive` raises CommunicationLost once the bus is gone."""
+        """`place` as in "joint_1 (node 1)"; `check_alive` raises CommunicationLost once the bus is lost."""
         self.client = client
         self.place = place
         self._check_alive = check_alive
 
     def read(self, entry: Entry) -> float:
-        """WrongConfiguration when the drive refuses; ObjectAbsent, OtherType when it has no such object or type."""
+        """Raises WrongConfiguration if the drive refuses; ObjectAbsent or OtherType if it has no such object or
+        type.
+        """
         self._check_alive()
         try:
             return entry.unpack(self._answer(entry))
         except (SdoAbortedError, SdoCommunicationError, can.CanError, OSError) as error:
             raise self._explain(entry, error) from None
         except struct.error as error:
-            raise OtherType(f"{self.place}: {entry} has another type: {error}") from None
+            raise OtherType(
+                f"{self.place}: {entry}: the drive's value has another type than the dictionary says: {error}"
+            ) from None
 
     def integer(self, entry: Entry) -> int:
         return int(self.read(entry))
 
     def write(self, entry: Entry, value: float) -> None:
-        """As `read`; the value is not read back."""
+        """Errors as `read`; the value is not read back."""
         self._check_alive()
         try:
             self.client.download(entry.index, entry.sub, entry.pack(value))
@@ -62,7 +66,9 @@ class Sdo:
             raise WrongConfiguration(f"{self.place}: {entry} cannot hold {value:g}: {error}") from None
 
     def settle(self, entry: Entry, value: float) -> None:
-        """Make sure the object holds `value`: write where it differs, and read back. WrongConfiguration if not."""
+        """Make the object hold `value`: write it if it differs, and read it back. Raises WrongConfiguration if it
+        differs then.
+        """
         if self.read(entry) == value:
             return
         self.write(entry, value)

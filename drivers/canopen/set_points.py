@@ -1,4 +1,4 @@
-"""The set-points of a streamed sweep as a drive takes them: velocities, or positions that the host integrates. Pure."""
+"""Set-points of a streamed sweep in the form of the drive: velocities, or positions integrated by the host. Pure."""
 
 from typing import Protocol
 
@@ -8,30 +8,30 @@ from drivers.canopen.units import Codec
 from drivers.cia402.waveform import set_point
 from drivers.ports import SweepCommand
 
-SUBSTEPS = 8  # of a cycle when integrating: exact to 10^-4 of an amplitude up to 5 Hz at 8 ms
+SUBSTEPS = 8  # integration steps per cycle: exact to 10^-4 of an amplitude up to 5 Hz at 8 ms
 
 
 class SetPoints(Protocol):
-    """Targets in drive units, one a cycle. The target sent before SYNC k is reached one period later."""
+    """Targets in drive units, one per cycle. The target sent before SYNC k is reached one period later."""
 
     mode_bits: int
-    """Of the controlword while the axis follows them."""
+    """Bits of the controlword while the axis follows the set-points."""
 
     def planned(self, number: int) -> int:
-        """Of this cycle as the sweep has it; the last one for ever after."""
+        """Target of this cycle of the sweep; the last target after its end."""
         ...
 
     def velocity(self, number: int) -> int:
-        """Its velocity in drive units, from where a ramp down begins."""
+        """Velocity of this cycle in drive units, from which a ramp to standstill begins."""
         ...
 
     def ramped(self, number: int, velocity: int) -> int:
-        """The target that leads on from cycle `number` at this velocity, in drive units; once a cycle."""
+        """Target that continues from cycle `number` at this velocity, in drive units; call once per cycle."""
         ...
 
 
 class Velocities:
-    """60FFh."""
+    """Targets for 60FFh."""
 
     mode_bits = 0
 
@@ -50,7 +50,7 @@ class Velocities:
 
 
 class Positions:
-    """607Ah or 60C1h: where the velocities lead to from `start`, drive units."""
+    """Targets for 607Ah or 60C1h: the velocities integrated from `start`, drive units."""
 
     def __init__(
         self, codec: Codec, command: SweepCommand, last: int, period: float, start: int, mode_bits: int
@@ -62,8 +62,8 @@ class Positions:
         begin = float(codec.position(start))
         targets = [codec.raw_position(begin + float(each)) for each in travelled[1:]]
         self._targets = [*targets, targets[-1]]
-        self._step = abs(codec.velocity_unit * codec.increments) * period  # position units of one velocity unit a cycle
-        self._place: float | None = None  # once the ramp has begun
+        self._step = abs(codec.velocity_unit * codec.increments) * period  # position units per cycle and velocity unit
+        self._place: float | None = None  # position during the ramp
 
     def planned(self, number: int) -> int:
         return self._targets[min(number, len(self._targets) - 1)]

@@ -1,7 +1,8 @@
-"""python-can's socketcand client, opened on a bus where others already speak.
+"""python-can's socketcand client, for a bus on which other nodes already send.
 
-python-can 4.6 takes its handshake's answers with whatever follows them, and refuses a gateway whose first frames come
-in the same packet as the last "< ok >". Here each answer is read to its length and what follows stays for the reader.
+python-can 4.6 reads each answer of its handshake together with the bytes after it. It refuses a gateway whose first
+frames arrive in the same packet as the last "< ok >". Here exactly the answer is read, and the rest stays in the
+buffer.
 """
 
 import socket
@@ -14,7 +15,9 @@ ANSWER_TIMEOUT = 10.0  # s, for each answer of the handshake
 
 
 class SocketcandBus(SocketCanDaemonBus):
-    """As its parent; CanError where the gateway answers otherwise or not in time, and then nothing stays open."""
+    """As its parent class. Raises CanError, and leaves nothing open, if the gateway gives another answer or is too
+    late.
+    """
 
     def _expect_msg(self, msg: str) -> None:
         connection = cast(socket.socket, cast(Any, self)._SocketCanDaemonBus__socket)
@@ -23,7 +26,7 @@ class SocketcandBus(SocketCanDaemonBus):
             answer = _exactly(connection, len(msg)).decode("ascii", "replace")
         except OSError as error:
             connection.close()
-            raise can.CanError(f"no '{msg}' from the gateway: {error}") from None
+            raise can.CanError(f"the gateway did not send '{msg}': {error}") from None
         if answer != msg:
             connection.close()
             raise can.CanError(f"Expected '{msg}' got: '{answer}'")
@@ -31,7 +34,7 @@ class SocketcandBus(SocketCanDaemonBus):
 
 
 def _exactly(connection: socket.socket, length: int) -> bytes:
-    """So many bytes, fewer where the gateway closes."""
+    """Read `length` bytes, or fewer if the gateway closes."""
     received = b""
     while len(received) < length and (more := connection.recv(length - len(received))):
         received += more

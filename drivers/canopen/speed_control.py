@@ -1,4 +1,4 @@
-"""The drive's speed control (2140h): its active gain and reset time, and the commissioned ones they come from."""
+"""The speed control of the drive (2140h): active gain and reset time, and their commissioned values."""
 
 from drivers.canopen.objects import Entry
 from drivers.canopen.sdo import Sdo
@@ -10,13 +10,13 @@ COMMISSIONED_RESET_TIME = Entry(0x2140, 4, "d", "commissioned reset time")
 
 
 def soften(sdo: Sdo, softening: float) -> None:
-    """Gain times `softening`, reset time divided by it. WrongConfiguration where the drive does not hold them."""
+    """Gain times `softening`, reset time divided by it. Raises WrongConfiguration if the drive does not hold them."""
     sdo.settle(GAIN, sdo.read(COMMISSIONED_GAIN) * softening)
     sdo.settle(RESET_TIME, sdo.read(COMMISSIONED_RESET_TIME) / softening)
 
 
 def restore(sdo: Sdo) -> str | None:
-    """The commissioned values become the active ones; what had to be changed, in words, if anything."""
+    """Make the commissioned values active. Returns a description of what had to be changed; None if nothing."""
     changed: list[str] = []
     for active, commissioned in ((GAIN, COMMISSIONED_GAIN), (RESET_TIME, COMMISSIONED_RESET_TIME)):
         wanted, found = sdo.read(commissioned), sdo.read(active)

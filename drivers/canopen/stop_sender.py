@@ -1,6 +1,7 @@
-"""The stop of CANopen drives from a process of its own: a second socketcand client or SocketCAN socket, and no library.
+"""The stop of CANopen drives from a separate process: a second socketcand client or SocketCAN socket, without a
+library.
 
-It sends no heartbeat and no request, so that neither the drives nor the service take it for a host.
+It sends no heartbeat and no request, so that neither the drives nor the service detect it as a host.
 """
 
 import re
@@ -19,7 +20,7 @@ from drivers.errors import CommunicationLost, ConnectionFailed, NotReady
 OPEN_TIMEOUT = 1.0  # s, of one step of opening
 _SOCKETCAND_FRAME = re.compile(rb"< (frame|error) ([0-9A-Fa-f]+) [^<>]*>")
 _CAN_FRAME = struct.Struct("=IB3x8s")  # linux/can.h
-_CAN_RAW_ERR_FILTER = 2  # linux/can/raw.h; the socket module has no name for it
+_CAN_RAW_ERR_FILTER = 2  # linux/can/raw.h; the socket module lacks this constant
 _ERROR_FLAG, _ERROR_MASK = 0x20000000, 0x1FFFFFFF
 
 
@@ -27,16 +28,16 @@ class CanopenStopSender:
     """See `drivers.ports.StopSender`."""
 
     def __init__(self, profile: CanopenProfile) -> None:
-        """NotReady where the interface lets one process alone on the bus."""
+        """Raises NotReady if only one process can open the interface."""
         bus = profile.bus
         if bus.interface not in ("socketcand", "socketcan"):
-            raise NotReady(f"bus {bus.interface} {bus.channel}: this interface has one owner, which is the service")
+            raise NotReady(f"bus {bus.interface} {bus.channel}: only one process can open it, and the service has it")
         self._bus = bus
         self._wires = profile.device_map.wires
         self._joints = {axis.node: axis.joint for axis in profile.axes}
         self._heard: dict[int, float] = {}
-        self._off = False  # the controller's bus-off was told and no node was heard since
-        self._rest = b""  # of a line that has not come to its end
+        self._off = False  # bus-off was reported and no node was heard since
+        self._rest = b""  # of an incomplete line
         self._socket: socket.socket | None = None
         self._sending = threading.Lock()
 
@@ -58,7 +59,7 @@ class CanopenStopSender:
                 if not data:
                     raise OSError("closed by the gateway")
                 self._take(data)
-        except (OSError, ValueError) as error:  # ValueError: closed beside this
+        except (OSError, ValueError) as error:  # ValueError: closed by another thread
             raise CommunicationLost(f"bus {self._bus.channel}: {error}") from None
 
     def send(self) -> Mapping[str, str]:
@@ -66,7 +67,7 @@ class CanopenStopSender:
         return {joint: self._doubt(node) for node, joint in self._joints.items()}
 
     def insist(self) -> None:
-        """With NMT stop: the drives then take process data from nobody, and no SDO."""
+        """As `send`, with NMT stop: the drives then accept neither process data nor SDO."""
         self._send(deaf=True)
 
     def close(self) -> None:
@@ -129,7 +130,7 @@ class CanopenStopSender:
 
 
 def _socketcand(profile: BusProfile) -> socket.socket:
-    """A client in raw mode. OSError."""
+    """A client in raw mode. Raises OSError."""
     client = socket.create_connection((profile.host or "", profile.port or 0), OPEN_TIMEOUT)
     try:
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -142,7 +143,7 @@ def _socketcand(profile: BusProfile) -> socket.socket:
                     raise OSError("closed by the gateway")
                 got += more
             if not got.startswith(answer.encode()):
-                raise OSError(f"the gateway says {got[:80]!r}")
+                raise OSError(f"the gateway answered {got[:80]!r}")
     except BaseException:
         client.close()
         raise
@@ -150,7 +151,7 @@ def _socketcand(profile: BusProfile) -> socket.socket:
 
 
 def _socketcan(profile: BusProfile) -> socket.socket:
-    """A raw socket that hears heartbeats and what the controller says of itself. OSError."""
+    """A raw socket that receives heartbeats and error frames of the controller. Raises OSError."""
     if not hasattr(socket, "AF_CAN"):
         raise OSError("this computer has no SocketCAN")
     bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)

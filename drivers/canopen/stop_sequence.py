@@ -8,7 +8,7 @@ from drivers.cia402.states import State, Wish
 
 
 class StopStage(IntEnum):
-    """How far the stop has come; it never goes back."""
+    """Stage of the stop; it never decreases."""
 
     RUN = 0
     RAMP = 1
@@ -19,7 +19,9 @@ class StopStage(IntEnum):
 
 @dataclass(slots=True)
 class StopSequence:
-    """`ramp_step` raw velocity units a cycle; a stage that has not helped by its deadline (s) gives way to the next."""
+    """`ramp_step`: raw velocity units per cycle. A stage without success by its deadline (s) is followed by the next
+    one.
+    """
 
     ramp_step: int
     ramp_time: float
@@ -30,7 +32,7 @@ class StopSequence:
     _deadline: float = 0.0
 
     def advance(self, stage: StopStage, now: float, target: int) -> None:
-        """Go on to `stage` unless it is there or further already; `target` is the set-point of this moment."""
+        """Go to `stage` unless it is already reached; `target` is the present set-point."""
         if stage <= self.stage:
             return
         self.stage = stage
@@ -38,9 +40,9 @@ class StopSequence:
         self._deadline = now + (0.0, self.ramp_time, self.quick_stop_time, self.disable_time, 0.0)[stage]
 
     def command(self, now: float, standing: bool, state: State) -> tuple[int, int]:
-        """Controlword and target velocity of this cycle, after going on where it is due.
+        """Controlword and target velocity of this cycle, after changing the stage if it is due.
 
-        A run that is not on its way any more (the state is not what it was) goes to the quick stop.
+        If the drive has left the expected state, the quick stop begins.
         """
         if self.stage is StopStage.RUN:
             self.advance(StopStage.QUICK_STOP, now, 0)

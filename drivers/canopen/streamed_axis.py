@@ -1,4 +1,4 @@
-"""One axis of a streamed sweep: its set-points, its samples, its stop sequence, and what is wrong with it. No I/O."""
+"""One axis of a streamed sweep: its set-points, samples, stop sequence and errors. No I/O."""
 
 import sys
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Ending(Enum):
 
     COMPLETED = "completed"
     STOPPED = "was stopped"
-    FORBIDDEN = "may not be moved any more"
+    FORBIDDEN = "lost its permission to move"
     LEFT_ENVELOPE = "left its envelope"
     LEFT_STATE = "left 'operation enabled'"
     SILENT = "fell silent"
@@ -40,7 +40,7 @@ class Ending(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """Something that ends the sweep of all axes; `stage` is where their stop sequences then begin."""
+    """An error that ends the sweep of all axes; `stage` is where their stop sequences begin."""
 
     ending: Ending
     reason: str
@@ -49,11 +49,11 @@ class Trouble:
 
 @dataclass(frozen=True, slots=True)
 class StreamRequest:
-    """What one axis brings to a streamed sweep.
+    """Data of one axis for a streamed sweep.
 
-    `counter` is 2120h:01 at standstill, before the first SYNC; None where the drive counts no samples. `start` is where
-    a drive that takes positions stands, in its units; None for one that takes velocities. `mode_bits` of the
-    controlword make it follow.
+    `counter` is 2120h:01 at standstill, before the first SYNC; None if the drive counts no samples. `start` is the
+    position of a drive that receives positions, in its units; None for one that receives velocities. `mode_bits` of
+    the controlword make the drive follow the set-points.
     """
 
     axis: CanopenAxis
@@ -67,19 +67,19 @@ class StreamRequest:
 
 
 class StreamedAxis:
-    """One axis under way. Cycles and samples are numbered from the first SYNC that has set-points before it.
+    """One axis in progress. Cycles and samples are numbered from the first SYNC that follows set-points.
 
-    The set-point sent before SYNC k is reached one period later, so that at SYNC k the axis is asked for w(k T).
+    The set-point sent before SYNC k is reached one period later, so that the axis should have w(k T) at SYNC k.
     """
 
     def __init__(self, request: StreamRequest, period: float) -> None:
         axis, codec = request.axis, request.codec
         self.joint = axis.joint
         self.place = f"{axis.joint} (node {axis.node})"
-        self.state = State.UNKNOWN  # until a TPDO says otherwise
-        self.velocity = 0  # of the set-point sent last, drive units
+        self.state = State.UNKNOWN  # until a TPDO is received
+        self.velocity = 0  # of the last set-point, drive units
         self.silent = 0  # SYNCs since the last sample
-        self.behind = 0  # SYNCs that were sent and that the last sample's counter does not count
+        self.behind = 0  # SYNCs sent but not yet counted in the last sample
         self.last = round(request.command.duration / period)  # number of the last sample
         self._request, self._period = request, period
         self._wave = set_point(request.command, np.arange(self.last + 1, dtype=float) * period)
@@ -91,12 +91,12 @@ class StreamedAxis:
             disable_time=1.0,
         )
         self._pairing = Windows() if request.counter is None else Pairing(request.counter)
-        self._motion: frames.MotionPdo | None = None  # last heard
+        self._motion: frames.MotionPdo | None = None  # last received
         self._standing = 0
         self._syncs = 0  # sent since the counter was read
-        self._first = sys.maxsize  # of them, before the sweep's first
+        self._first = sys.maxsize  # SYNCs before the first one of the sweep
         self._number = -1  # of the last sample
-        self._over = False  # no sample is wanted any more
+        self._over = False  # no further sample is needed
         self._fresh: list[Sample] = []
 
     @property
@@ -105,12 +105,12 @@ class StreamedAxis:
 
     @property
     def complete(self) -> bool:
-        """The last sample came, and the drive has counted every SYNC that was sent."""
+        """The last sample was received, and the drive has counted every SYNC that was sent."""
         return self._number >= self.last and self.behind == 0
 
     @property
     def answered(self) -> bool:
-        """Both TPDOs came since the last SYNC; of a drive that counts they may come at any time."""
+        """Both TPDOs came since the last SYNC; for a drive that counts samples they may come at any time."""
         return not isinstance(self._pairing, Windows) or self._pairing.answered
 
     @property
@@ -119,16 +119,16 @@ class StreamedAxis:
         return isinstance(self._pairing, Pairing)
 
     def planned(self, number: int) -> bytes:
-        """The set-point's RPDO of this cycle as the sweep has it; behind its end without the bits that start a mode."""
+        """RPDO of the set-point of this cycle; after the end of the sweep without the bits that start a mode."""
         bits = self._set_points.mode_bits if number <= self.last else 0
         return frames.rpdo1(states.ENABLE_OPERATION | bits, self._set_points.planned(number))
 
     def was_sent(self, number: int) -> None:
-        """This cycle went out as planned."""
+        """This cycle was sent as planned."""
         self.velocity = self._set_points.velocity(number)
 
     def command(self, number: int, now: float) -> bytes:
-        """The set-point's RPDO of this cycle: along the sweep, or down the stop sequence."""
+        """RPDO of the set-point of this cycle: along the sweep, or along the stop sequence."""
         if self.stop_sequence.stage is StopStage.RUN and self.state is State.OPERATION_ENABLED:
             self.was_sent(number)
             return self.planned(number)
@@ -138,11 +138,11 @@ class StreamedAxis:
         return frames.rpdo1(controlword, self._set_points.ramped(number, self.velocity))
 
     def begin(self) -> None:
-        """The next SYNC is the sweep's first."""
+        """The next SYNC is the first one of the sweep."""
         self._first = self._syncs
 
     def settle(self) -> None:
-        """No answer to a SYNC is under way any more."""
+        """No answer to a SYNC is pending any more."""
         if isinstance(self._pairing, Windows):
             self._pairing.settle()
 
@@ -158,7 +158,7 @@ class StreamedAxis:
         return None
 
     def take(self, event: frames.Event) -> Trouble | None:
-        """What the node said, and what is wrong with that."""
+        """Process an event of the node; returns the error it reveals, if any."""
         match event:
             case frames.MotionPdo():
                 self._pairing.motion(event)
@@ -191,7 +191,7 @@ class StreamedAxis:
         )
 
     def _take_position(self, event: frames.PositionPdo) -> Trouble | None:
-        if isinstance(self._pairing, Windows):  # the sample is certain at the next SYNC, trouble is not to wait for it
+        if isinstance(self._pairing, Windows):  # the sample is certain at the next SYNC; errors are reported before
             self._pairing.position(event)
             motion = self._motion
             if motion is None:
@@ -211,7 +211,7 @@ class StreamedAxis:
         velocity = float(self._request.codec.velocity(sample.velocity))
         self._standing = self._standing + 1 if abs(velocity) <= self._request.axis.standstill_velocity else 0
         before, self._number = self._number, sample.index - self._first
-        # in a stop sequence the host waits for no answer: behind its first gap are answers that came late
+        # in a stop sequence the host does not wait for answers: after its first gap, answers may be late ones
         self._over |= self.stop_sequence.stage is not StopStage.RUN and self._number > before + 1
         if 0 <= self._number <= self.last and not self._over:
             self._fresh.append(sample)

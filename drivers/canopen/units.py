@@ -1,4 +1,4 @@
-"""Drive units on the motor side <-> SI on the joint side, by the unit objects that the drive itself gives.
+"""Drive units on the motor side <-> SI on the joint side, by the unit objects of the drive.
 
 With u the signed gear ratio, theta the motor angle [rad] and q0 the joint position at encoder zero:
 q = theta / u + q0,  qd = theta' / u,  effort = u * motor torque.
@@ -28,11 +28,11 @@ class Codec:
     gear_ratio: float
     position_offset: float  # rad (m)
     rated_torque: float  # N m of the motor, 6076h
-    increments: float  # per motor revolution, 608Fh; of a drive that counts on the joint side a fraction of them
+    increments: float  # per motor revolution, 608Fh; divided by the gear ratio if the drive counts on the joint side
     velocity_unit: float  # motor rev/s per raw unit, 60A9h
     acceleration_unit: float | None = None  # motor rev/s^2 per raw unit; None: velocity units per s
     max_speed_unit: float | None = None  # motor rev/s per raw unit of 6080h; None: velocity units
-    rated_effort: float | None = None  # N m of the motor at 1000 per mille of the channel; None: rated torque
+    rated_effort: float | None = None  # N m of the motor at 1000 per mille; None: rated torque
 
     def position(self, raw: Array | float) -> Array:
         """6064h -> rad (m)."""
@@ -72,7 +72,7 @@ class Codec:
         return _int32(velocity * self.gear_ratio / math.tau / self.velocity_unit, "velocity")
 
     def raw_speed(self, speed: float) -> int:
-        """Magnitude of a speed."""
+        """Magnitude of a speed, rad/s (m/s) -> 60A9h units; LimitExceeded beyond 32 bits."""
         return abs(self.raw_velocity(speed))
 
     def raw_acceleration(self, acceleration: float) -> int:
@@ -88,11 +88,13 @@ class Codec:
         return math.ceil(abs(speed * self.gear_ratio / math.tau / self.max_speed_unit))
 
     def raw_effort_limit(self, effort: float) -> int:
-        """N m (N) -> per mille of rated torque, rounded down, at most what 16 bits hold."""
+        """N m (N) -> per mille of rated torque, rounded down, at most the 16-bit maximum."""
         return min(math.floor(effort / (self.rated_torque * abs(self.gear_ratio)) * 1e3), 0xFFFF)
 
     def raw_window(self, window: tuple[float, float]) -> tuple[int, int]:
-        """Joint limits -> increments, low before high whatever the gear's sign; cut at 32 bits."""
+        """Joint limits, rad (m) -> increments, low before high for either sign of the gear ratio; limited to 32
+        bits.
+        """
         scale = self.gear_ratio / math.tau * self.increments
         low, high = sorted((limit - self.position_offset) * scale for limit in window)
         return max(math.floor(low), -(2**31)), min(math.ceil(high), 2**31 - 1)
@@ -103,20 +105,21 @@ class Codec:
 
 
 def codec(axis: CanopenAxis, units: Units, rated_torque: float, read: Callable[[str], float]) -> Codec:
-    """By the drive's unit objects, the map and the profile; `read` gives an object of the map. `rated_torque` N m.
+    """Built from the unit objects of the drive, the map and the profile; `read` returns an object of the map.
+    `rated_torque` N m.
 
-    WrongConfiguration for units that are not understood.
+    Raises WrongConfiguration for unknown units.
     """
-    turn = axis.gear_ratio if units.side == "joint" else 1.0  # motor revolutions in one of the counted side
+    turn = axis.gear_ratio if units.side == "joint" else 1.0  # motor revolutions per revolution of the counted side
     if units.increments == "608Fh":
         increments = read("increments") / max(1.0, read("motor_revolutions")) / turn
     elif units.increments == "profile":
-        increments = axis.increments or math.nan  # never: the profile is checked for it
+        increments = axis.increments or math.nan  # never NaN: the profile check requires it
     else:
         increments = units.increments / turn
 
     def speed(unit: str) -> float | None:
-        """Motor rev/s in one raw unit; None: as the velocity."""
+        """Motor rev/s per raw unit; None: as the velocity."""
         if unit == "60A9h":
             return velocity_unit(int(read("velocity_unit")), increments * turn) * turn
         if unit == "increments/s":
@@ -126,7 +129,7 @@ def codec(axis: CanopenAxis, units: Units, rated_torque: float, read: Callable[[
 
     rated = None
     if units.effort == "current":
-        rated = read("rated_current") * 1e-3 * (axis.torque_constant or math.nan)  # never: see above
+        rated = read("rated_current") * 1e-3 * (axis.torque_constant or math.nan)  # never NaN: see above
     return Codec(
         gear_ratio=axis.gear_ratio,
         position_offset=axis.position_offset,
@@ -140,7 +143,9 @@ def codec(axis: CanopenAxis, units: Units, rated_torque: float, read: Callable[[
 
 
 def velocity_unit(code: int, increments: float) -> float:
-    """Object 60A9h -> motor rev/s per raw unit. WrongConfiguration for a unit other than rev or inc per min or s."""
+    """Object 60A9h -> motor rev/s per raw unit. Raises WrongConfiguration for a unit other than rev or inc per min or
+    s.
+    """
     prefix = (code >> 24) - 256 if code >> 31 else code >> 24
     numerator, denominator = (code >> 16) & 0xFF, (code >> 8) & 0xFF
     revolutions = {REVOLUTIONS: 1.0, INCREMENTS: 1.0 / increments}.get(numerator)

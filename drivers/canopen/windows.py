@@ -1,22 +1,24 @@
 """Two TPDOs of one SYNC -> one sample, for drives that count no samples. Pure.
 
-What answers a SYNC comes after it and before the next: that is the window of the SYNC. TPDO1 and TPDO2 both tell the
-velocity of their SYNC, so that two which disagree are known to be of different SYNCs. A window gives a sample if it
-holds one TPDO1 and one TPDO2 that agree; anything else is a gap, and after a gap nothing is believed before two
-windows in a row agree and tell different velocities: a frame late by a cycle then would have disagreed.
+The answers to a SYNC arrive after it and before the next one: this interval is the window of the SYNC. TPDO1 and
+TPDO2 both contain the velocity at their SYNC, so two frames that disagree belong to different SYNCs. A window gives
+a sample if it holds one TPDO1 and one TPDO2 that agree. Anything else is a gap. After a gap no sample is accepted
+until two consecutive windows agree with different velocities: a frame that is one cycle late would then have
+disagreed.
 
-So, with frames late by up to a cycle:
+Therefore, with frames late by up to one cycle:
 
-- What is lost, late or doubled of one TPDO is a gap, never a mixed sample.
-- When both answers to a SYNC are missing, their loss cannot be told from all answers being a cycle late from then on.
-  Samples go on behind the gap. Answers that were late show at their end, as more frames than SYNCs (the host leaves
-  out one SYNC after the last sample for this reason): `doubt` then says so, and the sweep is void.
-- Where the host waits with the next SYNC until all have answered (`settle`), even that is certain: what has not come by
-  then is lost.
+- A lost, late or duplicated frame of one TPDO is a gap, never a mixed sample.
+- If both answers to a SYNC are missing, their loss cannot be distinguished from all later answers being one cycle late.
+  Samples continue after the gap. Late answers are detected at the end, as more frames than SYNCs (the host leaves out
+  one SYNC after the last sample for this reason): `doubt` then states it, and the sweep is void.
+- If the host waits with the next SYNC until all drives have answered (`settle`), even that is certain: a frame that is
+  missing then is lost.
 
-What remains: a late *doubled* frame comes in place of a lost one that told the very same velocity; both answers are
-late in a row of SYNCs that ends with the loss of both; both answers to a SYNC come more than a cycle late. In the last
-two both values of a sample are of one SYNC all the same, and the window bounds by how much it is wrongly numbered.
+These cases remain: a late *duplicated* frame arrives in place of a lost one with exactly the same velocity; both
+answers are late in a row of SYNCs that ends with the loss of both; both answers to a SYNC arrive more than one cycle
+late. In the last two cases both values of a sample belong to one SYNC nevertheless, and the window limits the error
+of its number.
 """
 
 from drivers.canopen.frames import MotionPdo, PositionPdo
@@ -24,25 +26,25 @@ from drivers.canopen.samples import Sample
 
 
 class Windows:
-    """Joins TPDO1 and TPDO2 of one axis by the SYNC after which they came."""
+    """Combines TPDO1 and TPDO2 of one axis by the SYNC after which they arrived."""
 
-    ahead = 0  # nothing counts that could be
+    ahead = 0  # without a counter the drive cannot be ahead
 
     def __init__(self) -> None:
         self.doubt: str | None = None
-        """Why samples that were given may be of another SYNC than it was said."""
+        """Why delivered samples may belong to another SYNC than stated."""
         self._syncs = 0
         self._motions: list[MotionPdo] = []
         self._places: list[PositionPdo] = []
-        self._settled = False  # what belongs to the open window and to those before is here, or lost
+        self._settled = False  # frames of the open and earlier windows have arrived, or are lost
         self._certain = True  # so far
-        self._agreed: int | None = None  # velocity told by the window before, if its frames agreed
-        self._owed_motions = self._owed_places = 0  # that did not come, and may be late
-        self._risked: int | None = None  # first sample given while both kinds were owed
+        self._agreed: int | None = None  # velocity of the previous window, if its frames agreed
+        self._owed_motions = self._owed_places = 0  # frames that are missing and may be late
+        self._risked: int | None = None  # first sample delivered while both kinds were missing
 
     @property
     def answered(self) -> bool:
-        """Both TPDOs came after the last SYNC."""
+        """Both TPDOs arrived after the last SYNC."""
         return bool(self._motions and self._places)
 
     def motion(self, event: MotionPdo) -> None:
@@ -52,11 +54,11 @@ class Windows:
         self._places.append(event)
 
     def settle(self) -> None:
-        """So much time has passed since the last SYNC that no answer is under way any more."""
+        """So much time has passed since the last SYNC that no answer is pending any more."""
         self._settled = True
 
     def sync(self) -> Sample | None:
-        """The next SYNC is sent: the sample of the one before, None where there is a gap."""
+        """The next SYNC is sent. Returns the sample of the previous one, None if there is a gap."""
         sample = self._close() if self._syncs else None
         self._motions.clear()
         self._places.clear()
@@ -74,7 +76,7 @@ class Windows:
         agreed, self._agreed = self._agreed, motions[0].velocity if good else None
         proven = good and agreed is not None and agreed != self._agreed
         if proven and min(self._owed_motions, self._owed_places) == 0:
-            self._owed_motions = self._owed_places = 0  # the other kind is in step: what is owed was lost
+            self._owed_motions = self._owed_places = 0  # the other kind is in step: the missing frames were lost
         if self._settled:
             self._owed_motions = self._owed_places = 0
         believed = good and (self._certain or proven or self._settled)

@@ -1,4 +1,4 @@
-"""What CiA 402 drives have in common, whatever the fieldbus: states, limits, power, positioning, measuring function.
+"""Common behaviour of CiA 402 drives on every fieldbus: states, limits, power, positioning, measuring function.
 
-A fieldbus (`drivers.canopen`, `drivers.modbus`) brings a `Device` an axis; nothing here knows frames or registers.
+A fieldbus (`drivers.canopen`, `drivers.modbus`) implements one `Device` per axis. Frames and registers stay there.
 """

@@ -1,4 +1,4 @@
-"""One axis: power, faults and readings over a `Device`, and its latched fault. Blocking, on the machine's thread."""
+"""One axis: power, faults and readings through a `Device`, and its latched fault. Blocking, on the machine's thread."""
 
 import math
 import threading
@@ -21,14 +21,14 @@ from drivers.errors import (
 )
 from drivers.ports import AxisIdentity, AxisState, AxisStatus, Fault
 
-TRANSITION_TIMEOUT = 2.0  # s, for one step of the power state machine (brakes take some 100 ms)
+TRANSITION_TIMEOUT = 2.0  # s, for one step of the power state machine (brakes take about 100 ms)
 RESET_TIMEOUT = 0.5  # s
 POLL = 0.002  # s
-STOP_WORD = 0.1  # s by which the word of a stop that another process sent may come later than what it does
+STOP_WORD = 0.1  # s by which the report of a stop of another process may arrive after its effect
 
 
 class Energy(Enum):
-    """What this host wants of an axis. While it is changing, any state is as expected."""
+    """The power state that this host wants for an axis. During a change every state is accepted."""
 
     OFF = "off"
     CHANGING = "changing"
@@ -37,7 +37,7 @@ class Energy(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Reading(Motion):
-    """Statusword and motion of one moment, joint side."""
+    """Statusword and motion at one instant, joint side."""
 
     statusword: int
 
@@ -47,10 +47,10 @@ class Reading(Motion):
 
 
 class Axis:
-    """Holds what was learnt of the drive at connect, its latched fault, and whether it has its energy from here."""
+    """Stores the properties read at connect, the latched fault, and whether this host energised the axis."""
 
     def __init__(self, device: Device, watch: HostWatch) -> None:
-        """`watch` is asked before each word that closes the loop or moves the axis."""
+        """`watch` is checked before each command that enables or moves the axis."""
         self.device = device
         self.energy = Energy.CHANGING
         self._watch = watch
@@ -61,7 +61,7 @@ class Axis:
     # -- at connect ----------------------------------------------------------------------------------------------
 
     def introduce(self) -> AxisIdentity:
-        """Check who it is, and leave it disabled and configured."""
+        """Check the identity, configure the drive and leave it disabled."""
         identity = self.device.identify()
         self.disable()
         self.abilities = self.device.configure()
@@ -70,7 +70,7 @@ class Axis:
     # -- reading -------------------------------------------------------------------------------------------------
 
     def read(self) -> Reading:
-        """Statusword first, so that what it says is not younger than the motion."""
+        """Reads the statusword first, so that it is not newer than the motion."""
         statusword = self.device.statusword()
         motion = self.device.motion()
         return Reading(motion.position, motion.velocity, motion.effort, statusword)
@@ -82,7 +82,7 @@ class Axis:
         return abs(reading.velocity) <= self.profile.standstill_velocity
 
     def status(self) -> AxisStatus:
-        """UNKNOWN with NaN where the drive does not answer."""
+        """UNKNOWN with NaN if the drive does not answer."""
         try:
             self.device.check_alive()
             reading = self.read()
@@ -94,10 +94,10 @@ class Axis:
         return AxisStatus(self.profile.joint, state, reading.position, reading.velocity, reading.effort, self.fault)
 
     def latch_fault(self, state: State) -> Fault | None:
-        """Keeps a fault that the drive reports until it is acknowledged here, even if the drive forgets it."""
+        """Store a fault that the drive reports until it is acknowledged here, even if the drive clears it."""
         announced = self.device.announced_error()
         if self.fault is None and (announced is not None or state in (State.FAULT, State.FAULT_REACTION)):
-            code = self.device.error_code() or announced or 0  # 0: no error of the drive's, see `error_text`
+            code = self.device.error_code() or announced or 0  # 0: no error code, see `error_text`
             self.fault = Fault(
                 joint=self.profile.joint,
                 code=code,
@@ -107,36 +107,38 @@ class Axis:
         return self.fault
 
     def check(self, state: State) -> None:
-        """CommunicationLost, EmergencyStop or DriveFault if that is what happened to the axis.
+        """Raises CommunicationLost, EmergencyStop or DriveFault if one of them happened to the axis.
 
-        MotionForbidden if it lost its energy by none of these, and nobody here took it.
+        Raises MotionForbidden if the axis lost its energy for another reason and this host did not disable it.
         """
         self.device.check_alive()
         self._check_fault(state)
         self._check_kept(state)
 
     def check_standing(self) -> None:
-        """As `check`, for an axis beside the moving one. Asks the drive only if it told of trouble by itself."""
+        """As `check`, for an axis that stands while another moves. Asks the drive only if it has announced an error."""
         self.device.check_alive()
         if self.fault is not None or self.device.announced_error() is not None:
             self.check(self.state())
 
     def check_unused(self) -> None:
-        """Looks, between motions, whether anybody else enabled it; the watch is told. CommunicationLost."""
+        """Between motions: checks whether another host enabled the axis, and reports it to the watch.
+        CommunicationLost.
+        """
         self.device.check_alive()
         self._notice_enabled(self.state())
 
     def expect_stop(self) -> None:
-        """It was told to stop, and may lose its energy from here on. From any thread."""
+        """A stop was sent; from now on the axis may lose its energy. From any thread."""
         if self.energy is Energy.ON:
             self.energy = Energy.CHANGING
 
     # -- power ---------------------------------------------------------------------------------------------------
 
     def enable(self, stop: threading.Event) -> None:
-        """Closes the loop at standstill in profile position mode. Ends disabled if it cannot.
+        """Enables the axis at standstill in profile position mode. The axis is left disabled if that fails.
 
-        SweepInterrupted once `stop` is set: it is asked before every step, and ends the waiting for one.
+        Raises SweepInterrupted once `stop` is set; it is checked before every step and interrupts waiting.
         """
         self._watch.check()
         self.check(self.state())
@@ -165,7 +167,7 @@ class Axis:
             raise
 
     def disable(self) -> None:
-        """Disable voltage, whatever the state and before asking for it, and wait for it."""
+        """Sends disable voltage in any state, without reading the state first, and waits until it takes effect."""
         self.expect_stop()
         self.device.control(states.DISABLE_VOLTAGE)
         deadline = time.monotonic() + TRANSITION_TIMEOUT
@@ -181,7 +183,7 @@ class Axis:
         self.device.control(states.QUICK_STOP)
 
     def halt(self) -> None:
-        """The stop sequence's first stage for a move: slow down by 605Dh, in closed loop if we still may."""
+        """First stage of the stop sequence for a move: decelerate by 605Dh, in closed loop if that is still allowed."""
         self.expect_stop()
         if self._watch.reason:
             self.quick_stop()
@@ -189,30 +191,32 @@ class Axis:
             self.device.control(states.ENABLE_OPERATION | states.HALT)
 
     def slow_down(self) -> None:
-        """The stop sequence's first stage: end the measuring function if it runs, otherwise halt."""
+        """First stage of the stop sequence: abort the measuring function if it runs, otherwise halt."""
         if self.abilities.measures and self.device.measuring_state() is MeasuringState.RUNNING:
             self.device.abort_measuring()
         else:
             self.halt()
 
     def acknowledge(self) -> None:
-        """Fault reset by a rising edge of bit 7, and nothing more. DriveFault if the fault stays."""
+        """Fault reset by a rising edge of bit 7 only. Raises DriveFault if the fault remains."""
         state = self.state()
         if state is State.FAULT:
             self.device.control(states.DISABLE_VOLTAGE)
             self.device.control(states.step(state, Wish.FAULT_RESET))
             self.device.control(states.DISABLE_VOLTAGE)
-            state = self._next_state(state, RESET_TIMEOUT, stop=threading.Event())  # nobody waits long for that
+            state = self._next_state(state, RESET_TIMEOUT, stop=threading.Event())
         if state in (State.FAULT, State.FAULT_REACTION):
             code = self.device.error_code()
-            raise DriveFault(f"{self.place}: fault {code:04X}h cannot be cleared while its cause is there")
+            raise DriveFault(
+                f"{self.place}: fault {code:04X}h cannot be cleared while its cause persists: remove the cause first"
+            )
         self.device.forget_error()
         self.fault = None
 
     # -- before a motion -----------------------------------------------------------------------------------------
 
     def require_enabled(self) -> Reading:
-        """NotReady unless the axis is enabled and stands."""
+        """Raises NotReady unless the axis is enabled and stands."""
         reading = self.read()
         self.check(reading.state)
         if reading.state is not State.OPERATION_ENABLED:
@@ -222,9 +226,10 @@ class Axis:
         return reading
 
     def start_positioning(self, position: float, velocity: float, stop: threading.Event) -> None:
-        """Profile position: target, speed, rising edge of the new set-point bit, hand-shake by bit 12.
+        """Profile position: target, speed, rising edge of the new set-point bit, handshake by bit 12.
 
-        The axis may move before the drive acknowledges: `stop` ends the waiting and gives the stop sequence the thread.
+        The axis may move before the drive acknowledges. `stop` interrupts waiting, so that the stop sequence gets
+        the thread.
         """
         self._command(states.ENABLE_OPERATION)
         self.device.set_target(position, velocity)
@@ -240,7 +245,7 @@ class Axis:
         self._command(states.ENABLE_OPERATION)
 
     def start_measuring(self) -> None:
-        """SweepRejected with the drive's reason; nothing moved then."""
+        """Raises SweepRejected with the drive's reason; then nothing moved."""
         self._watch.check()
         self.device.start_measuring()
         if self.device.measuring_state() is MeasuringState.REJECTED:
@@ -249,7 +254,7 @@ class Axis:
     # -- inside --------------------------------------------------------------------------------------------------
 
     def _command(self, controlword: int) -> None:
-        """A word that closes the loop or moves: the watch is asked each time."""
+        """Sends a controlword that enables or moves the axis; the watch is checked each time."""
         self._watch.check()
         self.device.control(controlword)
 
@@ -260,26 +265,30 @@ class Axis:
             raise kind(f"{self.place}: {fault.text}")
 
     def _check_kept(self, state: State) -> None:
-        """MotionForbidden where the energy that was given here is gone. A stop from beside has time to say so."""
+        """MotionForbidden if an axis enabled here lost its energy. Waits so that an external stop can be reported
+        first.
+        """
         deadline = time.monotonic() + STOP_WORD
         while self.energy is Energy.ON and state is not State.OPERATION_ENABLED:
             if time.monotonic() > deadline:
                 self.device.look_for_restart()
                 self._check_fault(state)
-                self._watch.seen(f"{self.place} is '{state.value}', and nobody here took its energy")
+                self._watch.seen(
+                    f"{self.place} is '{state.value}', but this service did not disable it: find out what did"
+                )
                 self._watch.check()
             time.sleep(POLL)
 
     def _notice_enabled(self, state: State) -> None:
         if self.energy is Energy.OFF and state in (State.SWITCHED_ON, State.OPERATION_ENABLED):
-            self._watch.seen(f"{self.place} is '{state.value}', and nobody here enabled it")
+            self._watch.seen(f"{self.place} is '{state.value}', but this service did not enable it: find out what did")
 
     def _check_wanted(self, stop: threading.Event) -> None:
         if stop.is_set():
             raise SweepInterrupted(f"{self.place}: was stopped while it was being enabled")
 
     def _next_state(self, state: State, within: float, stop: threading.Event) -> State:
-        """The state that follows `state`, or `state` itself if none does in time, s, or before `stop`."""
+        """The state that follows `state`, or `state` if it does not change within `within` s or before `stop`."""
         deadline = time.monotonic() + within
         while (now := self.state()) is state and time.monotonic() < deadline and not stop.is_set():
             time.sleep(POLL)

@@ -1,4 +1,4 @@
-"""Limits on the joint side: of a command before anything moves, and of a moving axis."""
+"""Limits on the joint side: checks of a command before any motion, and of a moving axis."""
 
 import math
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ OVERSHOOT = 1.1  # of the speed during a positioning move, over the highest spee
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """What a moving axis must not leave; rad, rad/s, N m (m, m/s, N)."""
+    """Limits of a moving axis; rad, rad/s, N m (m, m/s, N)."""
 
     velocity_limit: float
     effort_limit: float
@@ -23,7 +23,7 @@ class Envelope:
     effort_unit: str
 
     def violation(self, position: float, velocity: float, effort: float) -> str | None:
-        """What is wrong with this reading, with value, limit and unit; None if nothing is."""
+        """The limit that this reading exceeds, with value, limit and unit; None if there is none."""
         low, high = self.window
         if not low <= position <= high:
             return f"position {position:.5g} {self.unit} is outside {low:.5g} to {high:.5g} {self.unit}"
@@ -35,19 +35,21 @@ class Envelope:
 
 
 def move_envelope(axis: AxisProfile) -> Envelope:
-    """The envelope of positioning moves: the profile's limits, with room for the speed controller's overshoot."""
+    """Envelope of positioning moves: the limits of the profile, with margin for the overshoot of the speed
+    controller.
+    """
     return Envelope(
         OVERSHOOT * axis.velocity_limit, axis.effort_limit, axis.position_limits, axis.unit, axis.effort_unit
     )
 
 
 def sweep_envelope(axis: AxisProfile, command: SweepCommand | NoiseCommand) -> Envelope:
-    """The envelope of a sweep or noise run: the command's limits."""
+    """Envelope of a sweep or noise run: the limits of the command."""
     return Envelope(command.velocity_limit, command.effort_limit, command.position_window, axis.unit, axis.effort_unit)
 
 
 def check_move(axis: AxisProfile, position: float, velocity: float) -> None:
-    """LimitExceeded if a positioning move is outside the profile's limits."""
+    """Raises LimitExceeded if a positioning move is outside the limits of the profile."""
     low, high = axis.position_limits
     if not low <= position <= high:
         raise LimitExceeded(
@@ -57,14 +59,18 @@ def check_move(axis: AxisProfile, position: float, velocity: float) -> None:
 
 
 def check_sweep(axis: AxisProfile, command: SweepCommand, start: float, sync_period: float) -> None:
-    """LimitExceeded if a sweep from position `start` would leave its own or the profile's limits."""
+    """Raises LimitExceeded if a sweep from position `start`, rad (m), would exceed its own limits or those of the
+    profile.
+    """
     _at_most(axis, "velocity limit", command.velocity_limit, axis.velocity_limit, f"{axis.unit}/s")
     _at_most(axis, "effort limit", command.effort_limit, axis.effort_limit, axis.effort_unit)
     for what, value in (("ramp", command.ramp), ("period", command.period), ("sample rate", command.sample_rate)):
         if not (math.isfinite(value) and value > 0):
             raise LimitExceeded(f"{axis.joint}: {what} {value} must be above 0")
     if not (math.isfinite(command.settle) and command.settle >= 0 and command.periods >= 1):
-        raise LimitExceeded(f"{axis.joint}: settle {command.settle} s, {command.periods} periods is not a sweep")
+        raise LimitExceeded(
+            f"{axis.joint}: settle {command.settle} s must be 0 or more, periods {command.periods} must be 1 or more"
+        )
     peak = abs(command.offset_velocity) + sum(abs(sine.amplitude) for sine in command.sines)
     if not peak <= command.velocity_limit:
         raise LimitExceeded(
@@ -93,9 +99,9 @@ def check_sweep(axis: AxisProfile, command: SweepCommand, start: float, sync_per
 
 
 def check_noise(axis: AxisProfile, command: NoiseCommand, start: float) -> None:
-    """LimitExceeded if the turn under the noise is outside the limits, or the noise itself cannot be.
+    """Raises LimitExceeded if the motion under the noise is outside the limits, or if the noise parameters are invalid.
 
-    How far the noise moves the axis is the plant's matter: the envelope watches it.
+    The additional motion caused by the noise depends on the plant; the envelope monitors it.
     """
     turn = SweepCommand(
         joint=command.joint,

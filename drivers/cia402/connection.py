@@ -1,4 +1,4 @@
-"""What a fieldbus brings for a whole machine: an open connection with its axes, and the streamed sweeps it can do."""
+"""Interface of a fieldbus for a whole machine: an open connection with its axes, and its streamed sweeps."""
 
 import threading
 from collections.abc import AsyncGenerator, Iterable, Mapping, Sequence
@@ -12,36 +12,36 @@ from drivers.ports import AxisIdentity, Capabilities, SampleBlock, SetPointTimin
 
 
 class Run(Protocol):
-    """A sweep under way."""
+    """A running sweep."""
 
     def blocks(self) -> AsyncGenerator[SampleBlock, None]:
-        """The samples as they come, to the sweep's end at standstill; raises what ended it early."""
+        """The samples as they arrive, until the sweep ends at standstill; raises the error that ended it early."""
         ...
 
     @property
     def streams(self) -> bool:
-        """Whether it sends set-points, and with them what makes the drives take their words over."""
+        """Whether the run sends set-points and SYNC, which makes the drives accept their RPDOs."""
         ...
 
     def halt(self) -> None:
-        """Go on by the quick stop, whatever is under way. From any thread."""
+        """Continue with the quick stop, whatever is in progress. From any thread."""
         ...
 
     async def interrupted(self) -> None:
-        """After the stop event was set: until the stop sequence may talk to the drives."""
+        """After the stop event was set: wait until the stop sequence may talk to the drives."""
         ...
 
     async def over(self) -> None:
-        """Until nothing of it runs any more, however it ended: that is the consumer's matter."""
+        """Wait until the run has ended, in whatever way. Its error is raised to the consumer, not here."""
         ...
 
     def timing(self) -> SetPointTiming | None:
-        """How punctual the host's set-points are; None if the drive makes them."""
+        """Punctuality of the host's set-points; None if the drive generates them."""
         ...
 
 
 class Connection(Protocol):
-    """An open bus with every axis introduced, configured and disabled."""
+    """An open bus with every axis identified, configured and disabled."""
 
     @property
     def thread(self) -> DriveThread: ...
@@ -60,30 +60,30 @@ class Connection(Protocol):
 
     @property
     def sync_period(self) -> float:
-        """Cycle of host-streamed sweeps, s."""
+        """Cycle time of host-streamed sweeps, s."""
         ...
 
     async def stream(self, sweeps: Sequence[tuple[SweepCommand, Envelope]], stop: threading.Event) -> Run:
-        """Start set-points on enabled axes whose limits are settled."""
+        """Start the set-points on enabled axes whose limits are already written to the drives."""
         ...
 
     def halt(self, *, streaming: bool) -> None:
-        """To every axis what makes it stop and needs no answer. From any thread; waits for nothing, never raises.
+        """Send every axis a stop that needs no answer. From any thread; does not wait and never raises.
 
-        `streaming`: a run sends at this moment, and was told.
+        `streaming`: a run is sending at this moment and was already halted.
         """
         ...
 
     async def close(self) -> None:
-        """Release the bus; the axes are down."""
+        """Release the bus; the axes are disabled."""
         ...
 
 
 class Fieldbus(Protocol):
-    """A profile's bus, not open yet."""
+    """The bus of a profile, not yet open."""
 
     async def open(self) -> Connection:
-        """Open, identify, configure; nothing stays open if that fails."""
+        """Open, identify and configure; if that fails, everything is closed again."""
         ...
 
     def stop_sender(self) -> StopSender:
@@ -92,9 +92,17 @@ class Fieldbus(Protocol):
 
 
 def capabilities(
-    axes: Iterable[Axis], set_point_timing: str = "none", *, hears_other_hosts: bool = False
+    axes: Iterable[Axis],
+    set_point_timing: str = "none",
+    *,
+    hears_other_hosts: bool = False,
+    bus_bitrate: int | None = None,
+    bus_load: Sequence[float] = (),
 ) -> Capabilities:
-    """What every axis can do; `set_point_timing` is who times streamed set-points, if they can be streamed."""
+    """Capabilities common to all axes. `set_point_timing`: who times streamed set-points, if they can be streamed.
+
+    `bus_load`: share of the bit rate that a streamed sweep of one, two, ... axes uses.
+    """
     everyone = tuple(axes)
     each = tuple(axis.abilities for axis in everyone)
     measures = all(abilities.measures for abilities in each)
@@ -112,4 +120,6 @@ def capabilities(
         torque_injection=all(abilities.injects for abilities in each),
         hears_other_hosts=hears_other_hosts,
         set_points=each[0].set_point if streams else "none",
+        bus_bitrate=bus_bitrate,
+        bus_load=tuple(bus_load) if streams and bus_bitrate is not None else (),
     )

@@ -1,7 +1,7 @@
-"""What a fieldbus must bring for each axis. Every method is a short blocking exchange on the machine's thread.
+"""Interface of a fieldbus for one axis. Every method is a short blocking exchange on the machine's thread.
 
-Quantities are SI on the joint side: the units of the wire stay inside the device. Any method raises
-CommunicationLost when the drive does not answer and WrongConfiguration when it refuses.
+Quantities are SI on the joint side; bus units are used only inside the device. Any method raises
+CommunicationLost if the drive does not answer and WrongConfiguration if it refuses.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from drivers.ports import AxisIdentity, NoiseCommand, SampleBlock, SweepCommand
 
 @dataclass(frozen=True, slots=True)
 class Abilities:
-    """What one drive has; learnt while it is configured."""
+    """Functions of one drive, determined while it is configured."""
 
     measures: bool  # a measuring function
     injects: bool  # torque noise
@@ -23,12 +23,12 @@ class Abilities:
     effort_limit: bool
     position_limits: bool
     host_watchdog: bool
-    set_point: str = "none"  # what takes the set-points of a streamed sweep
+    set_point: str = "none"  # object that receives the set-points of a streamed sweep
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Actual values of one moment: rad (m), rad/s (m/s), N m (N)."""
+    """Actual values at one instant: rad (m), rad/s (m/s), N m (N)."""
 
     position: float
     velocity: float
@@ -56,50 +56,52 @@ class Mode(IntEnum):
 
 
 class Injector(Protocol):
-    """Torque noise of the measuring function, and the softer speed control under it."""
+    """Torque noise of the measuring function, and the softened speed control during it."""
 
     def prepare_noise(self, command: NoiseCommand) -> None:
-        """The run's parameters, with read-back; `Device.start_measuring` starts it."""
+        """Write the parameters of the run, with read-back. `Device.start_measuring` starts it."""
         ...
 
     def soften(self, softening: float) -> None:
-        """Commissioned gain times `softening`, commissioned reset time divided by it, with read-back."""
+        """Set the gain to commissioned gain * `softening` and the reset time to commissioned time / `softening`, with
+        read-back.
+        """
         ...
 
     def restore_control(self) -> None:
-        """The commissioned gain and reset time, with read-back."""
+        """Set the commissioned gain and reset time, with read-back."""
         ...
 
 
 class Device(Protocol):
-    """One drive behind its fieldbus: no decisions, no state of its own but what was learnt at connect."""
+    """One drive behind its fieldbus. It makes no decisions and stores only what was read at connect."""
 
     @property
     def profile(self) -> AxisProfile: ...
 
     @property
     def place(self) -> str:
-        """For messages, e.g. "joint_1 (node 1)"."""
+        """Name for messages, e.g. "joint_1 (node 1)"."""
         ...
 
     # -- at connect
 
     def identify(self) -> AxisIdentity:
-        """WrongIdentity where the device is not the one of the profile."""
+        """Raises WrongIdentity if the device is not the one of the profile."""
         ...
 
     def configure(self) -> Abilities:
-        """Session settings and limits of the profile, with read-back, on a disabled drive."""
+        """Write session settings and limits of the profile, with read-back, on a disabled drive."""
         ...
 
     # -- power
 
     def allow_motion(self) -> None:
-        """Let the drive take process data and commands of motion (CANopen: NMT start)."""
+        """Let the drive accept process data and motion commands (CANopen: NMT start)."""
         ...
 
     def forbid_motion(self) -> None:
-        """Take that back."""
+        """Undo `allow_motion`."""
         ...
 
     def statusword(self) -> int: ...
@@ -107,42 +109,44 @@ class Device(Protocol):
     def control(self, controlword: int) -> None: ...
 
     def set_mode(self, mode: Mode) -> None:
-        """Returns when the drive shows the mode."""
+        """Returns when the drive reports the mode."""
         ...
 
     def check_alive(self) -> None:
-        """CommunicationLost if the drive was not heard for longer than the profile allows."""
+        """Raises CommunicationLost if the drive was silent for longer than the profile allows."""
         ...
 
     def look_for_restart(self) -> None:
-        """Asks for it where nothing tells it by itself: `announced_error` then says so. CommunicationLost."""
+        """Check for a restart if the fieldbus does not report it; `announced_error` then reports it.
+        CommunicationLost.
+        """
         ...
 
     def announced_error(self) -> int | None:
-        """Code of a trouble that the drive told by itself (EMCY, restart) and has not withdrawn; None if none."""
+        """Code of an error that the drive announced (EMCY, restart) and has not cleared; None if there is none."""
         ...
 
     def forget_error(self) -> None:
-        """A person has seen it; a drive that restarted gets its settings again."""
+        """A person has acknowledged the error; a drive that restarted is configured again."""
         ...
 
     def error_code(self) -> int:
-        """603Fh, 0 if there is none."""
+        """603Fh; 0 if there is no error."""
         ...
 
     def error_text(self, code: int) -> str:
-        """What the drive has to say about an error."""
+        """Description of an error, with the details that the drive gives."""
         ...
 
     @property
     def emergency_stop_codes(self) -> tuple[int, ...]: ...
 
     def reopen(self) -> None:
-        """Let a drive answer again that a stop without an answer has made deaf (CANopen: NMT stop)."""
+        """Restore communication with a drive that an unanswered stop had cut off (CANopen: NMT stop)."""
         ...
 
     def stop_unheard(self) -> None:
-        """For a drive that does not answer but may listen: the strongest stop that needs no answer."""
+        """Strongest stop that needs no answer, for a drive that does not answer but may still receive."""
         ...
 
     # -- motion
@@ -150,30 +154,30 @@ class Device(Protocol):
     def motion(self) -> Motion: ...
 
     def read_back(self) -> None:
-        """WrongConfiguration if a session setting is not held any more: somebody else may have changed it."""
+        """Raises WrongConfiguration if a session setting has changed, e.g. by another host."""
         ...
 
     def settle_limits(self, velocity: float, effort: float, window: tuple[float, float]) -> None:
-        """A motion's limits into the drive, as far as it has them."""
+        """Write the limits of a motion, rad/s (m/s), N m (N) and rad (m), to the drive, if it has objects for them."""
         ...
 
     def hold_target(self) -> None:
-        """Target of the next move := where the axis is."""
+        """Set the target of the next move to the actual position."""
         ...
 
     def set_target(self, position: float, velocity: float) -> None:
-        """Target and speed of the next move, with read-back."""
+        """Set target and speed of the next move, with read-back."""
         ...
 
     # -- measuring function
 
     @property
     def injector(self) -> Injector | None:
-        """None where the drive injects no torque; known after `configure`."""
+        """None if the drive cannot inject torque noise; known after `configure`."""
         ...
 
     def prepare_measuring(self, command: SweepCommand) -> None:
-        """The sweep's parameters, with read-back."""
+        """Write the parameters of the sweep, with read-back."""
         ...
 
     def start_measuring(self) -> None: ...
@@ -183,16 +187,16 @@ class Device(Protocol):
     def measuring_state(self) -> MeasuringState: ...
 
     def rejection(self) -> str:
-        """Why the last start was rejected."""
+        """Reason why the last start was rejected."""
         ...
 
     def samples_recorded(self) -> int: ...
 
     def page(self, first: int, count: int) -> SampleBlock:
-        """Samples `first` to `first + count`; CommunicationLost if the drive gives others."""
+        """Samples `first` to `first + count`. Raises CommunicationLost if the drive returns others."""
         ...
 
     @property
     def page_size(self) -> int:
-        """Samples of the largest page that leaves room for a stop in between."""
+        """Largest number of samples of a page that does not delay a stop too long."""
         ...

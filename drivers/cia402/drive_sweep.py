@@ -1,7 +1,6 @@
-"""The drive-side sweep or noise run: a task starts the measuring function, watches it, and pages its trace out as it
-grows.
+"""The drive-side sweep or noise run: a task starts the measuring function, monitors it, and reads its trace in pages.
 
-The task runs whether or not the samples are being consumed, so that the live checks never wait for a slow consumer.
+The task runs whether or not the samples are consumed, so that the live checks do not depend on a slow consumer.
 """
 
 import asyncio
@@ -17,15 +16,15 @@ from drivers.cia402.thread import DriveThread
 from drivers.errors import CommunicationLost, DriveError, DriveFault, EnvelopeLeft, MotionForbidden, SweepInterrupted
 from drivers.ports import NoiseCommand, SampleBlock, SweepCommand
 
-LIVE_TIME = 0.1  # s of samples that make a page worth while during the run
+LIVE_TIME = 0.1  # s; shortest page that is read during the run
 POLL = 0.01  # s
 STALLED = 5.0  # s without a new sample
 REST = 2.0  # s from the end of a run to standstill
-OVERLONG = 1.6  # of the samples that the run should have: a trace cycle in whole ms may be finer than asked for
+OVERLONG = 1.6  # times the expected samples: a trace cycle in whole ms may be shorter than requested
 
 
 class DriveSweep:
-    """One run. `stop` (a threading.Event) may be set from any thread; the task then brings the axis down and ends."""
+    """One run. `stop` (a threading.Event) may be set from any thread; the task then stops the axis and ends."""
 
     def __init__(
         self,
@@ -47,27 +46,27 @@ class DriveSweep:
         self._task = asyncio.create_task(self._run(), name="drive-side sweep")
 
     async def blocks(self) -> AsyncGenerator[SampleBlock, None]:
-        """The samples as they come; raises what ended the run early."""
+        """The samples as they arrive; raises the error that ended the run early."""
         while (block := await self._blocks.get()) is not None:
             yield block
         await asyncio.shield(self._task)
 
     def timing(self) -> None:
-        """The drive makes the set-points."""
+        """None: the drive generates the set-points."""
 
     streams = False
 
     def halt(self) -> None:
-        """The drive has its word already; the stop event ends the run."""
+        """Nothing to do: the drive already has its stop command, and the stop event ends the run."""
 
     async def interrupted(self) -> None:
-        """The stop sequence may begin: this run only reads."""
+        """Nothing to do: the stop sequence may begin, because this run only reads."""
 
     async def over(self) -> None:
-        """Until the run has ended, however it did: that is the consumer's matter."""
+        """Wait until the run has ended, in whatever way. Its error is raised to the consumer, not here."""
         await asyncio.wait([self._task])
         if not self._task.cancelled():
-            self._task.exception()  # noted: asyncio does not tell of it once more
+            self._task.exception()  # retrieved, so that asyncio does not log it
 
     async def _run(self) -> None:
         try:
@@ -78,10 +77,10 @@ class DriveSweep:
             self._blocks.put_nowait(None)
 
     async def _follow_down(self) -> None:
-        """To the run's end, or to standstill by the stop sequence with what ended it."""
+        """Follow the run to its end. After an error, run the stop sequence to standstill and raise the error."""
         try:
             await self._follow()
-        except DriveError as error:  # nobody watches the axis from here on: it must not wait for the consumer
+        except DriveError as error:  # the axis is no longer monitored: stop it without waiting for the consumer
             await self._bring_down()
             if isinstance(error, DriveFault | EnvelopeLeft | SweepInterrupted | MotionForbidden):
                 await self._hand_over(await self._thread.run(self._axis.device.samples_recorded))
@@ -90,7 +89,7 @@ class DriveSweep:
             raise
 
     def _start(self) -> None:
-        """On the machine's thread, so that no stop can come between the question and the start."""
+        """On the machine's thread, so that no stop can come between the check and the start."""
         if self._stop.is_set():
             raise SweepInterrupted(f"{self._axis.place}: sweep was stopped before it started")
         self._axis.start_measuring()
@@ -107,8 +106,8 @@ class DriveSweep:
                 return
             if state is not MeasuringState.RUNNING:
                 await self._thread.run(self._ended, state)
-            if recorded > self._most:  # by the drive's own clock; a run without offset would never leave its window
-                raise EnvelopeLeft(f"{self._axis.place}: runs on after {recorded} samples, {self._most} are the limit")
+            if recorded > self._most:  # on the drive's clock; a run without offset would never leave its window
+                raise EnvelopeLeft(f"{self._axis.place}: still runs after {recorded} samples, limit {self._most}")
             if recorded - self._done >= self._live:
                 grown = time.monotonic()
                 await self._hand_over(min(recorded, self._done + self._largest))
@@ -118,7 +117,7 @@ class DriveSweep:
             await asyncio.sleep(POLL)
 
     async def _come_to_rest(self) -> None:
-        """A softly controlled axis swings on for a moment after torque noise."""
+        """After torque noise an axis with softened control oscillates for a moment."""
         deadline = time.monotonic() + REST
         while True:
             reading = await self._thread.run(self._axis.read)
@@ -127,7 +126,7 @@ class DriveSweep:
                 return
             if self._stop.is_set() or time.monotonic() > deadline:
                 raise SweepInterrupted(
-                    f"{self._axis.place}: after its run still moves at {reading.velocity:.4g} "
+                    f"{self._axis.place}: still moves after its sweep, at {reading.velocity:.4g} "
                     f"{self._axis.profile.unit}/s"
                 )
             await asyncio.sleep(POLL)
@@ -142,12 +141,12 @@ class DriveSweep:
         return self._axis.device.measuring_state(), self._axis.device.samples_recorded()
 
     def _look_for_cause(self) -> None:
-        """What was refused or not understood may come of a fault or a restart; raises that."""
+        """A refused or invalid answer may be caused by a fault or a restart; raises that one."""
         self._axis.device.measuring_state()
         self._axis.check_standing()
 
     def _ended(self, state: MeasuringState) -> None:
-        """Raises what ended it: a fault may have come after `_watch` had asked for the statusword."""
+        """Raises the error that ended the run: a fault may have occurred after `_watch` read the statusword."""
         self._axis.check(self._axis.state())
         raise SweepInterrupted(f"{self._axis.place}: the drive ended the sweep: {state.name.lower()}")
 

@@ -1,11 +1,12 @@
-"""Whether this host may move its axes: it was here without a gap, and alone. The gate before each word of motion.
+"""Whether this host may move its axes: it ran without a gap and is the only host. Checked before each motion command.
 
-A process that was halted or a computer that slept knows nothing of it when it goes on; its drives have stopped by their
-own watchdog meanwhile. So the event loop, on which the heartbeat depends, shows life, and who is about to close a loop
-or to move an axis looks first how long ago that was: whichever thread wakes first finds the gap, before it sends.
+A process that was suspended, or a computer that slept, does not notice this when it continues; meanwhile its drives
+have stopped by their own watchdog. Therefore the event loop, on which the heartbeat depends, gives a sign of life.
+Code that is about to enable or move an axis first checks the age of the last sign of life: the first thread that
+wakes finds the gap before it sends.
 
-What was found stays until a person's word (`allow`). The one frame that a thread had in its hand, between this look and
-the system call, may still go out; no drive takes energy by a single controlword.
+A finding stays until a person confirms it (`allow`). A single frame between this check and the system call may still
+be sent; no drive is energised by a single controlword.
 """
 
 import threading
@@ -14,19 +15,19 @@ from collections.abc import Callable
 
 from drivers.errors import MotionForbidden
 
-_BEATS = 10  # signs of life in the time allowed
+_BEATS = 10  # signs of life within the limit
 
 
 def _clock() -> float:
-    """s, the time in which the computer slept included, where the platform counts that (Linux)."""
+    """s, including the time in which the computer slept, if the platform counts it (Linux)."""
     return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
 
 
 class HostWatch:
-    """Every method may be called from any thread."""
+    """All methods may be called from any thread."""
 
     def __init__(self, limit: float) -> None:
-        """`limit`: s without a sign of life of ours after which the drives stop by themselves."""
+        """`limit`: time without a sign of life of the host after which the drives stop by themselves, s."""
         self.beat = limit / _BEATS
         """Time between two signs of life, s."""
         self._limit = limit
@@ -38,58 +39,60 @@ class HostWatch:
 
     @property
     def reason(self) -> str:
-        """Why nothing may be energised or moved; "" if nothing forbids it. Notices a gap."""
+        """Why nothing may be energised or moved; "" if motion is allowed. Detects a gap."""
         self.look()
         return self._reason
 
     @property
     def woke(self) -> float:
-        """End of the last gap, s on the monotonic clock: nobody was heard before that because nobody listened."""
+        """End of the last gap, s on the monotonic clock. Nodes were not received before it because the host did not
+        run.
+        """
         self.look()
         return self._woke
 
     def tell_to(self, tell: Callable[[str], None] | None) -> None:
-        """`tell` is given what is found, on the thread that finds it, once until `allow`; at once what was found."""
+        """`tell` receives a finding on the thread that detects it, once until `allow`; an existing finding at once."""
         self._tell = tell
         if self._reason and tell is not None:
             tell(self._reason)
 
     def check(self) -> None:
-        """MotionForbidden if anything was found."""
+        """Raises MotionForbidden if there is a finding."""
         if reason := self.reason:
             raise MotionForbidden(reason)
 
     def alive(self) -> None:
-        """A sign of life of the event loop. The first one begins the watch over gaps."""
+        """A sign of life of the event loop. The first one starts the detection of gaps."""
         self.look(alive=True)
 
     def seen(self, what: str) -> None:
-        """Another host, or what only another can have done."""
+        """Report another host, or an effect that only another host can cause."""
         with self._lock:
             first = self._note(what)
         self._pass_on(what, first)
 
     def allow(self) -> None:
-        """A person looked. What is found from here on is told again."""
+        """A person has checked the machine. Later findings are reported again."""
         with self._lock:
             self._reason = ""
 
     def look(self, *, alive: bool = False) -> None:
-        """Notices a gap."""
+        """Detects a gap."""
         what, first = "", False
         with self._lock:
             now = _clock()
             gap = 0.0 if self._alive is None else now - self._alive
             if gap > self._limit:
                 self._woke = time.monotonic()
-                what = f"the host was suspended for {gap:.1f} s, its drives wait for {self._limit:g} s"
+                what = f"the host was suspended for {gap:.1f} s, limit {self._limit:g} s (time-out of its drives)"
                 first = self._note(what)
             if alive or gap > self._limit:
                 self._alive = now
         self._pass_on(what, first)
 
     def _note(self, what: str) -> bool:
-        """Whether it is the first that was found; with the lock held."""
+        """Whether this is the first finding; called with the lock held."""
         if self._reason:
             return False
         self._reason = what

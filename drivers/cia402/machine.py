@@ -1,4 +1,6 @@
-"""A `drivers.ports.DrivePort` over CiA 402 axes on any fieldbus: who may move when, and how all comes to rest."""
+"""A `drivers.ports.DrivePort` over CiA 402 axes on any fieldbus: which motion is allowed, and how all axes are
+stopped.
+"""
 
 import asyncio
 import logging
@@ -9,22 +11,24 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from drivers.cia402 import checks, states
-from drivers.cia402.attending import attend
 from drivers.cia402.axis import Axis
 from drivers.cia402.connection import Connection, Fieldbus, Run
 from drivers.cia402.drive_sweep import DriveSweep
+from drivers.cia402.idle_axes import Watched
+from drivers.cia402.monitoring import attend
 from drivers.cia402.positioning import move
 from drivers.cia402.profile import AxisProfile
-from drivers.cia402.standing import Watched
 from drivers.cia402.stopping import bring_down
 from drivers.errors import DriveError, LimitExceeded, NotReady, StopNotConfirmed
 from drivers.ports import (
     AxisIdentity,
     AxisStatus,
+    BusTraffic,
     Capabilities,
     ChannelTiming,
     Fault,
     NoiseCommand,
+    ReportsTraffic,
     SampleBlock,
     SetPointTiming,
     StopSender,
@@ -40,7 +44,7 @@ Result = TypeVar("Result")
 
 @dataclass(slots=True, eq=False)
 class Motion:
-    """The one motion under way, and what runs it if it is a sweep."""
+    """The motion in progress, and its run if it is a sweep."""
 
     axes: tuple[Axis, ...]
     stop: threading.Event = field(default_factory=threading.Event)
@@ -48,7 +52,7 @@ class Motion:
 
 
 class Cia402Machine:
-    """See `drivers.ports.DrivePort`. One instance, one event loop; not connected until `connect`."""
+    """See `drivers.ports.DrivePort`. One instance per event loop; not connected until `connect`."""
 
     def __init__(self, profiles: Sequence[AxisProfile], fieldbus: Fieldbus) -> None:
         self._profiles = tuple(profiles)
@@ -73,12 +77,16 @@ class Cia402Machine:
 
     @property
     def capabilities(self) -> Capabilities:
-        """NotReady before `connect`."""
+        """Raises NotReady before `connect`."""
         return self._connected().capabilities
 
     @property
     def set_point_timing(self) -> SetPointTiming | None:
         return None if self._last_run is None else self._last_run.timing()
+
+    @property
+    def bus_traffic(self) -> BusTraffic | None:
+        return self._link.bus_traffic if isinstance(self._link, ReportsTraffic) else None
 
     # -- connection ----------------------------------------------------------------------------------------------
 
@@ -98,14 +106,15 @@ class Cia402Machine:
         await self._closed()
 
     async def _close(self, link: Connection) -> None:
-        """Once and to its end, whoever asked is cancelled: on a bus left half closed our heartbeat would go on, and
-        with it the energy of the drives."""
+        """Runs once and to its end, even if the caller is cancelled: on a half-closed bus our heartbeat would continue,
+        and the drives would keep their energy.
+        """
         try:
             await self._interrupt()
             if self._motion is not None and self._motion.run is not None:
                 await self._motion.run.over()
             if self._cleanups:
-                await asyncio.wait(tuple(self._cleanups))  # how they ended is their callers' matter
+                await asyncio.wait(tuple(self._cleanups))  # their callers get their errors
             self._link = None
             for axis in link.axes.values():
                 try:
@@ -124,7 +133,7 @@ class Cia402Machine:
                 self._closing = None
 
     async def _closed(self) -> None:
-        """Until a closing under way is over."""
+        """Wait until a closing in progress is finished."""
         if self._closing is not None:
             await asyncio.shield(self._closing)
 
@@ -157,7 +166,7 @@ class Cia402Machine:
         self._enabling.append(enabling)
         try:
             await link.thread.run(_enable_alone, enabling, tuple(link.axes.values()))
-        except asyncio.CancelledError:  # the call goes on without us, and what it enables nobody would know of
+        except asyncio.CancelledError:  # the call continues in its thread and may still enable an axis
             await self._shield(self._abandon(enabling))
             raise
         finally:
@@ -172,7 +181,7 @@ class Cia402Machine:
     def halt(self) -> None:
         link, motion = self._link, self._motion
         if link is not None:
-            link.watch.look()  # what comes of a gap is not to be taken for something else
+            link.watch.look()  # report a gap as such, and not its consequences
         for each in (*self._enabling, *(() if motion is None else (motion,))):
             each.stop.set()
         if link is not None:
@@ -195,12 +204,12 @@ class Cia402Machine:
         return self._fieldbus.stop_sender()
 
     async def _stop(self, link: Connection) -> tuple[str, ...]:
-        """Every axis down, the moving ones first; all were told to stop already."""
+        """Stop every axis, the moving ones first; `halt` was already sent to all."""
         moving = () if self._motion is None else self._motion.axes
         await self._interrupt()
         axes = sorted(link.axes.values(), key=lambda axis: axis not in moving)
         for axis in axes:
-            with suppress(DriveError):  # the stop sequence tells
+            with suppress(DriveError):  # the stop sequence reports it
                 await link.thread.run(axis.device.reopen)
         await self._bring_down(link, axes)
         return self.joints
@@ -288,8 +297,8 @@ class Cia402Machine:
             self._motion = None
 
     async def _interrupt(self) -> None:
-        """Ask the motion under way to stop, and wait until the stop sequence may talk to its drives."""
-        for enabling in self._enabling:  # it has the thread on which the stop sequence runs
+        """Ask the motion in progress to stop, and wait until the stop sequence may talk to its drives."""
+        for enabling in self._enabling:  # it occupies the thread on which the stop sequence runs
             enabling.stop.set()
         motion = self._motion
         if motion is None:
@@ -299,11 +308,12 @@ class Cia402Machine:
             await motion.run.interrupted()
 
     async def _abandon(self, motion: Motion) -> None:
-        """After any early end: the run over, its axes at standstill and de-energised. Trouble is logged, not raised,
-        so that it does not hide what ended the motion."""
+        """After any early end: finish the run, stop and de-energise its axes. Errors are logged and not raised, so that
+        they do not hide what ended the motion.
+        """
         motion.stop.set()
         if motion.run is not None:
-            await motion.run.over()  # its trouble was given to the consumer
+            await motion.run.over()  # its error was raised to the consumer
         if self._link is None:
             return  # closed meanwhile, which brought the axes down
         try:
@@ -323,7 +333,7 @@ class Cia402Machine:
             raise StopNotConfirmed(down, trouble)
 
     async def _shield(self, work: Coroutine[object, object, Result]) -> Result:
-        """Runs `work` to its end even if the caller is cancelled meanwhile."""
+        """Runs `work` to its end even if the caller is cancelled."""
         task = asyncio.create_task(work, name="bring down")
         self._cleanups.add(task)
         task.add_done_callback(self._cleanups.discard)
@@ -340,17 +350,17 @@ class Cia402Machine:
     def _axis(self, joint: str) -> Axis:
         axes = self._connected().axes
         if joint not in axes:
-            raise NotReady(f"{joint}: no such joint here; there are {', '.join(axes)}")
+            raise NotReady(f"{joint}: unknown joint; the machine has {', '.join(axes)}")
         return axes[joint]
 
 
 def _others(link: Connection, motion: Motion) -> tuple[Axis, ...]:
-    """The axes that stand meanwhile: trouble of one of them ends the motion, too."""
+    """The axes that stand during the motion: an error of one of them also ends the motion."""
     return tuple(axis for axis in link.axes.values() if axis not in motion.axes)
 
 
 def _check_together(axes: tuple[Axis, ...], commands: Sequence[SweepCommand], can: Capabilities) -> None:
-    """NotReady if this machine cannot run these sweeps, LimitExceeded if they do not belong together."""
+    """Raises NotReady if this machine cannot run these sweeps, LimitExceeded if they cannot run together."""
     if not commands:
         raise LimitExceeded("a sweep needs at least one axis")
     first = commands[0]
@@ -358,9 +368,9 @@ def _check_together(axes: tuple[Axis, ...], commands: Sequence[SweepCommand], ca
         raise NotReady(f"{axes[0].place}: sweeps of mode '{first.mode.value}' are not supported by this drive")
     most = can.simultaneous_axes if first.mode is SweepMode.HOST_STREAMED else 1
     if len(commands) > most:
-        raise NotReady(f"{len(commands)} axes at once: this machine moves {most} in mode '{first.mode.value}'")
+        raise NotReady(f"{len(commands)} axes at once: this machine moves at most {most} in mode '{first.mode.value}'")
     if len(set(axes)) < len(axes):
-        raise LimitExceeded("sweeps of several axes at once: each axis once")
+        raise LimitExceeded("sweeps of several axes at once: an axis is listed twice")
     times = {(c.mode, c.ramp, c.settle, c.period, c.periods) for c in commands}
     if len(times) > 1:
         raise LimitExceeded("sweeps of several axes at once must have the same mode, ramp, settle, period and periods")

@@ -1,4 +1,4 @@
-"""A move to a position in profile position mode: the drive makes the ramps, the host watches."""
+"""A move to a position in profile position mode: the drive generates the ramps, the host monitors."""
 
 import asyncio
 import threading
@@ -12,8 +12,8 @@ from drivers.cia402.thread import DriveThread
 from drivers.errors import DriveError, EnvelopeLeft, NotReady, SweepInterrupted
 
 POLL = 0.01  # s
-MARGIN = 5.0  # s above the time that the move needs
-ARRIVAL = 2e-3  # rad (m) that an arrived axis may be off
+MARGIN = 5.0  # s added to the time that the move needs
+ARRIVAL = 2e-3  # rad (m), tolerance at the target
 
 
 async def move(
@@ -24,16 +24,16 @@ async def move(
     stop: threading.Event,
     standing: Iterable[Axis],
 ) -> None:
-    """Returns at standstill at `position`. Leaves an axis that did not arrive as it is: the caller brings it down.
+    """Returns at standstill at `position`, rad (m). If the axis did not arrive, the caller must stop it.
 
-    Trouble of an axis that is `standing` meanwhile ends the move as well.
+    An error of an axis that is `standing` also ends the move.
     """
     profile = axis.profile
     envelope = checks.move_envelope(profile)
     start = await thread.run(axis.require_enabled)
     await thread.run(axis.device.read_back)
     await thread.run(axis.device.settle_limits, envelope.velocity_limit, envelope.effort_limit, envelope.window)
-    # Wall time: a machine whose clock runs faster arrives earlier.
+    # Wall time: a machine with a faster clock arrives earlier.
     needed = abs(position - start.position) / velocity + 2 * velocity / profile.acceleration
     deadline = time.monotonic() + needed + MARGIN
     await thread.run(_start, axis, position, velocity, stop)
@@ -45,7 +45,7 @@ async def move(
         for other in standing:
             await thread.run(other.check_standing)
         if reading.state is not State.OPERATION_ENABLED:
-            raise NotReady(f"{axis.place}: went to '{reading.state.value}' during the move")
+            raise NotReady(f"{axis.place}: changed to state '{reading.state.value}' during the move")
         violation = envelope.violation(reading.position, reading.velocity, reading.effort)
         if violation is not None:
             raise EnvelopeLeft(f"{axis.place}: {violation}")
@@ -60,7 +60,7 @@ async def move(
 
 
 def _start(axis: Axis, position: float, velocity: float, stop: threading.Event) -> None:
-    """On the SDO thread, so that no stop can come between the question and the start."""
+    """On the SDO thread, so that no stop can come between the check and the start."""
     if stop.is_set():
         raise SweepInterrupted(f"{axis.place}: move was stopped before it started")
     axis.start_positioning(position, velocity, stop)

@@ -1,4 +1,4 @@
-"""A drive made ready for its measuring function, and put back afterwards, however the run ended."""
+"""Prepares a drive for its measuring function, and restores it afterwards, however the run ended."""
 
 import logging
 from collections.abc import AsyncGenerator
@@ -14,11 +14,11 @@ logger = logging.getLogger(__name__)
 
 @asynccontextmanager
 async def prepared(thread: DriveThread, axis: Axis, command: SweepCommand | NoiseCommand) -> AsyncGenerator[None]:
-    """The command's parameters in the drive; for torque noise also the speed control softened inside of the block.
+    """Writes the parameters to the drive. For torque noise the speed control is also softened inside the block.
 
-    Whatever ends the block, the commissioned speed control is restored and read back; a failure of that is raised
-    where nothing else is, else logged. (A drive that cannot be reached restores it by itself when it misses its host;
-    `connect`, `enable` and every motion put right what is left.)
+    However the block ends, the commissioned speed control is restored and read back. A failure of that is raised if
+    there is no other error, otherwise logged. (A drive that cannot be reached restores it by itself when it loses
+    its host; `connect`, `enable` and every motion correct what remains.)
     """
     if isinstance(command, SweepCommand):
         await thread.run(axis.device.prepare_measuring, command)
@@ -26,7 +26,7 @@ async def prepared(thread: DriveThread, axis: Axis, command: SweepCommand | Nois
         return
     injector = axis.device.injector
     if injector is None:
-        raise NotReady(f"{axis.place}: the drive injects no torque")
+        raise NotReady(f"{axis.place}: the drive cannot inject torque noise")
     await thread.run(injector.prepare_noise, command)
     try:
         await thread.run(injector.soften, command.softening)

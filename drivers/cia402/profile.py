@@ -1,4 +1,4 @@
-"""What a person knows of a drive before the bus is opened, whatever the fieldbus."""
+"""The part of a drive profile that is common to all fieldbuses: what must be known before the bus is opened."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -11,13 +11,13 @@ from drivers.ports import ChannelTiming
 
 
 class Frozen(BaseModel):
-    """A part of a profile: nothing misspelt, nothing changed later, no NaN."""
+    """Part of a profile: unknown keys and NaN are refused, and it cannot be changed."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class StopOptions(Frozen):
-    """CiA 402 option codes 605Ah-605Eh and 6007h; makers differ, so they stand in the profile."""
+    """CiA 402 option codes 605Ah to 605Eh and 6007h. They are in the profile because manufacturers differ."""
 
     quick_stop: int = 2  # 605Ah: quick stop ramp, then switch on disabled
     shutdown: int = 0  # 605Bh: disable the drive function
@@ -27,8 +27,17 @@ class StopOptions(Frozen):
     connection_loss: int = 3  # 6007h: quick stop
 
 
+class TravelLimits(Frozen):
+    """How far an axis may travel after the loss of its host (docs/explanation/safety.md): the free space there."""
+
+    rad: float = Field(default=1.6, gt=0)  # a quarter of a turn
+    m: float = Field(default=0.5, gt=0)
+
+
 class IdentityProfile(Frozen):
-    """What the device must say of itself; `serial` tells two drives of one type apart, e.g. after swapped addresses."""
+    """Identity that the device must report. `serial` distinguishes two drives of one type, e.g. after swapped
+    addresses.
+    """
 
     vendor: int
     product: int
@@ -37,7 +46,7 @@ class IdentityProfile(Frozen):
 
 
 class ChannelProfile(Frozen):
-    """Lags of the drive's channels behind the encoder's position, s (`drivers.ports.ChannelTiming`)."""
+    """Delays of the drive's channels relative to the encoder position, s (`drivers.ports.ChannelTiming`)."""
 
     effort_delay: float = Field(default=0.0, ge=-0.02, le=0.02)
     effort_smoothing: float = Field(default=0.0, ge=0.0, le=0.02)
@@ -56,7 +65,7 @@ class AxisProfile(Frozen):
     identity: IdentityProfile
     unit: Literal["rad", "m"] = "rad"
     gear_ratio: float  # motor revolutions per joint revolution; prismatic: motor rad per m; signed
-    rated_torque: float = Field(gt=0)  # checked against what the drive says
+    rated_torque: float = Field(gt=0)  # compared with the value of the drive
     load_encoder: bool = False  # a direct encoder on the joint, in the measuring function's trace
     load_encoder_direction: Literal[1, -1] = 1  # -1: counts against the joint
     channels: ChannelProfile = ChannelProfile()
@@ -73,11 +82,16 @@ class AxisProfile(Frozen):
         if self.gear_ratio == 0:
             raise ValueError("gear_ratio must not be 0")
         if self.load_encoder and self.unit == "m":
-            raise ValueError("load_encoder: the trace gives it in revolutions, which a linear axis does not make")
+            raise ValueError("load_encoder: the trace gives revolutions; not supported for a linear axis")
         low, high = self.position_limits
         if low >= high:
             raise ValueError(f"position_limits: {low} is not below {high}")
         return self
+
+    def travel_without_host(self, silence: float) -> float:
+        """Travel until standstill after the loss of the host, rad (m): `silence` s at the speed limit, plus braking."""
+        speed = self.velocity_limit
+        return speed * silence + speed**2 / (2 * self.quick_stop_deceleration)
 
     @property
     def effort_unit(self) -> str:
@@ -85,21 +99,23 @@ class AxisProfile(Frozen):
 
 
 Parsed = TypeVar("Parsed", bound=BaseModel)
+LONGEST_SHOWN = 200  # characters of a value in an error
 
 
 FILL_IN = "FILL IN"
-"""How a value begins that a draft has left to a person."""
+"""Start of a value that a draft leaves to a person."""
 
 
 def parse(kind: type[Parsed], content: Mapping[str, object]) -> Parsed:
-    """`content` as a checked `kind`; BadProfile names the first wrong place, the reason and what was given."""
+    """`content` as a checked `kind`. BadProfile names the first wrong key, the reason and the given value."""
     refuse_unfilled(content)
     try:
         return kind.model_validate(content)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(str(part) for part in first["loc"]) or "profile"
-        given = "" if isinstance(first["input"], Mapping) else f" (given: {first['input']!r})"
+        shown = repr(first["input"])
+        given = "" if isinstance(first["input"], Mapping) else f" (given: {shown[:LONGEST_SHOWN]})"
         raise BadProfile(f"{place}: {first['msg']}{given}") from None
 
 
@@ -108,7 +124,7 @@ def refuse_unfilled(content: Mapping[str, object]) -> None:
     (place, what), *more = [*_unfilled(content, "")] or [("", "")]
     if place:
         others = f"; {len(more)} more lines begin with {FILL_IN}" if more else ""
-        raise BadProfile(f"{place}: is to be filled in: {what.removeprefix(FILL_IN).strip()}{others}")
+        raise BadProfile(f"{place}: must be filled in: {what.removeprefix(FILL_IN).strip()}{others}")
 
 
 def _unfilled(value: object, place: str) -> Iterator[tuple[str, str]]:
@@ -123,14 +139,30 @@ def _unfilled(value: object, place: str) -> Iterator[tuple[str, str]]:
 
 
 def require_different(axes: Sequence[AxisProfile], what: str, addresses: Sequence[int]) -> None:
-    """ValueError unless every axis has a joint and an address of its own; `what` names the addresses."""
+    """Raises ValueError unless every axis has its own joint and address; `what` names the addresses."""
     joints = [axis.joint for axis in axes]
     if len(set(joints)) < len(joints) or len(set(addresses)) < len(addresses):
         raise ValueError(f"joints {joints} and {what} {list(addresses)} must each be different")
 
 
+def require_near(axes: Sequence[AxisProfile], limits: TravelLimits, silence: float, key: str) -> None:
+    """Raises ValueError if an axis would travel too far after the loss of its host. `silence`: s, `key`: its key in the
+    file.
+    """
+    for number, axis in enumerate(axes):
+        unit, travel = axis.unit, axis.travel_without_host(silence)
+        limit = limits.rad if unit == "rad" else limits.m
+        if travel > limit:
+            raise ValueError(
+                f"axes.{number}: {axis.joint} would travel {travel:.4g} {unit} after the loss of its host "
+                f"(velocity_limit {axis.velocity_limit:g} {unit}/s for {key} {silence:g} s, then "
+                f"quick_stop_deceleration {axis.quick_stop_deceleration:g} {unit}/s^2), limit {limit:g} {unit}: "
+                f"lower speed or time, or set travel_limits.{unit} to what is free around it"
+            )
+
+
 def existing_file(key: str, path: Path) -> Path:
-    """`path`, which a profile names under `key`; BadProfile if no such file is there."""
+    """`path`, which a profile names under `key`. Raises BadProfile if there is no such file."""
     if not path.is_file():
         raise BadProfile(f"{key}: no file {path}")
     return path

@@ -7,7 +7,7 @@ from drivers.ports import AxisState
 
 
 class State(Enum):
-    """States of the drive, as its statusword tells them."""
+    """States of the drive, as reported by its statusword."""
 
     NOT_READY = "not ready to switch on"
     SWITCH_ON_DISABLED = "switch on disabled"
@@ -21,7 +21,7 @@ class State(Enum):
 
 
 class Wish(Enum):
-    """What is wanted of a drive."""
+    """Target of a drive's power state."""
 
     ENABLED = "enabled"
     QUICK_STOP = "quick stop"
@@ -53,7 +53,7 @@ HALT = 0x100  # bit 8
 SET_POINT_ACKNOWLEDGED = 0x1000  # statusword bit 12
 TARGET_REACHED = 0x400  # statusword bit 10
 
-# The next controlword on the way from a state to a wish. What is not in the table is refused. Only ENABLED and only
+# The next controlword from a state towards a target. A pair that is not in the table is refused. Only ENABLED and only
 # along its one path closes the loop; QUICK_STOP and DISABLED are allowed from everywhere, for they only take energy.
 STEPS: dict[tuple[State, Wish], int] = {
     (State.SWITCH_ON_DISABLED, Wish.ENABLED): SHUTDOWN,
@@ -81,7 +81,7 @@ _OPERATOR_VIEW = {
 
 
 def decode(statusword: int) -> State:
-    """The state in a statusword; UNKNOWN where no pattern fits."""
+    """The state in a statusword; UNKNOWN if no pattern matches."""
     for mask, value, state in PATTERNS:
         if statusword & mask == value:
             return state
@@ -89,7 +89,7 @@ def decode(statusword: int) -> State:
 
 
 def step(state: State, wish: Wish) -> int:
-    """The controlword that leads from `state` towards `wish`; NotReady where none may be sent."""
+    """The controlword that leads from `state` towards `wish`. Raises NotReady if none may be sent."""
     controlword = STEPS.get((state, wish))
     if controlword is None:
         raise NotReady(f"drive is in state '{state.value}', which does not allow '{wish.value}'")
@@ -97,5 +97,5 @@ def step(state: State, wish: Wish) -> int:
 
 
 def operator_view(state: State) -> AxisState:
-    """What the state means to a person."""
+    """The state as an operator needs it."""
     return _OPERATOR_VIEW[state]

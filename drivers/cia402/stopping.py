@@ -1,4 +1,4 @@
-"""The stop sequence, asked step by step: slow down, quick stop, disable voltage; each stage has its deadline."""
+"""The stop sequence, executed step by step: decelerate, quick stop, disable voltage; each stage has a deadline."""
 
 import asyncio
 import logging
@@ -13,34 +13,34 @@ from drivers.errors import DriveError, WrongConfiguration
 logger = logging.getLogger(__name__)
 
 POLL = 0.01  # s
-MARGIN = 0.5  # s that a stage gets above its ramp
+MARGIN = 0.5  # s added to the ramp time of a stage
 
 
 async def bring_down(thread: DriveThread, axis: Axis) -> None:
-    """Axis to standstill and de-energised, whatever it does now.
+    """Brings the axis to standstill and de-energises it, whatever it does now.
 
-    CommunicationLost if the drive does not answer, WrongConfiguration if it refuses; it was then told to stop by what
-    needs no answer.
+    Raises CommunicationLost if the drive does not answer and WrongConfiguration if it refuses. In both cases a stop
+    that needs no answer was sent before.
     """
     try:
-        await _ladder(thread, axis)
+        await _stop_sequence(thread, axis)
     except DriveError:
         with suppress(DriveError):
             await thread.run(axis.device.stop_unheard)
         raise
 
 
-async def _ladder(thread: DriveThread, axis: Axis) -> None:
+async def _stop_sequence(thread: DriveThread, axis: Axis) -> None:
     try:
         await _come_to_rest(thread, axis)
-    except WrongConfiguration as error:  # a refused stage must not keep the drive from the next ones
+    except WrongConfiguration as error:  # after a refused stage the next ones must still run
         logger.error("stop sequence, next stage: %s", error)
         await _quick_stop(thread, axis)
     await thread.run(axis.disable)
 
 
 async def _quick_stop(thread: DriveThread, axis: Axis) -> None:
-    """As far as it is known of a drive that does not say how it moves: told, and given the time of its ramp."""
+    """Quick stop for a drive that does not report its motion: the command and the time of its ramp."""
     try:
         await thread.run(axis.quick_stop)
     except WrongConfiguration as error:

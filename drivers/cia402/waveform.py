@@ -1,4 +1,6 @@
-"""The velocity set-point of a sweep (`drivers.ports.SweepCommand`), for the host to stream and to check beforehand."""
+"""The velocity set-point of a sweep (`drivers.ports.SweepCommand`), used by the host to stream it and to check it
+first.
+"""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,8 @@
-"""Unit, sign, delay and noise of each channel from the samples of one small sweep with one sine. Pure.
+"""Unit, sign, delay and noise of each channel, from the samples of one small sweep with one sine. Pure.
 
-Position, velocity and effort are each fitted by a straight line and three harmonics of the sine; what is left is noise.
-The position is the measure, for encoder and gear are checked without energy; the velocity is compared with its slope.
+Position, velocity and effort are each fitted by a straight line and three harmonics of the sine; the residual is
+noise. The position is the reference, because encoder and gear are checked without energy; the velocity is compared
+with its slope.
 """
 
 from collections.abc import Mapping
@@ -11,15 +12,15 @@ import numpy as np
 
 from drivers.ports import Array, ChannelTiming
 
-UNIT = 0.05  # of a velocity that the position does not tell
-MOST_DELAY = 0.02  # s, as the profile's `channels` allow
-UNTOLD_DELAY = 0.002  # s beside the profile's before it counts
+UNIT = 0.05  # relative difference allowed between velocity and slope of the position
+MAX_DELAY = 0.02  # s, maximum of the profile's `channels`
+DELAY_TOLERANCE = 0.002  # s, allowed difference from the delay in the profile
 _HARMONICS = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """One sentence on one channel; `fits` is None where there is nothing to compare it with."""
+class ChannelFinding:
+    """One sentence on one channel; `fits` is None if there is nothing to compare with."""
 
     check: str
     fits: bool | None
@@ -36,10 +37,10 @@ class _Fit:
 
 def judge(
     columns: Mapping[str, Array], frequency: float, offset: float, timing: ChannelTiming, unit: str, effort_unit: str
-) -> list[Told]:
+) -> list[ChannelFinding]:
     """`columns`: time, position, velocity, effort, velocity_setpoint of the settled part, whole periods, (n,) each.
 
-    `offset` is the set-point's steady speed, 1/s and not 0; `timing` what the profile already says of the velocity.
+    `offset` is the constant speed of the set-point, 1/s and not 0; `timing`: delays of the velocity in the profile.
     """
     time, angular = columns["time"], 2 * np.pi * frequency
     position, velocity, effort, wanted = (
@@ -50,27 +51,27 @@ def judge(
     inertia = float((effort.line / acceleration).real)
     shares = velocity.mean / position.slope, abs(velocity.line / speed)
     late = _delay(speed, velocity.line, angular)
-    told = timing.velocity_delay + timing.velocity_smoothing
+    stated = timing.velocity_delay + timing.velocity_smoothing
     behind = _delay(wanted.line, speed, angular)
     went, share = f"{position.slope:+.4g} {unit}/s", position.slope / offset
     return [
-        Told("sign", share > 0, f"position: {went} at {offset:+.4g} commanded"),
-        Told("sign", shares[0] > 0, f"velocity: {velocity.mean:+.4g} {unit}/s where the position says {went}"),
-        Told("sign", inertia > 0, f"effort: {inertia:.4g} {effort_unit} for 1 {unit}/s^2; it must be above 0"),
-        Told("unit", abs(share - 1) <= UNIT, f"position: {share:.4f} of the speed commanded"),
-        Told(
+        ChannelFinding("sign", share > 0, f"position: {went} at {offset:+.4g} commanded"),
+        ChannelFinding("sign", shares[0] > 0, f"velocity: {velocity.mean:+.4g} {unit}/s; from position: {went}"),
+        ChannelFinding("sign", inertia > 0, f"effort: {inertia:.4g} {effort_unit} for 1 {unit}/s^2; must be above 0"),
+        ChannelFinding("unit", abs(share - 1) <= UNIT, f"position: {share:.4f} of the speed commanded"),
+        ChannelFinding(
             "unit",
             all(abs(each - 1) <= UNIT for each in shares),
             f"velocity: {shares[0]:.4f} of the position's in the mean, {shares[1]:.4f} at {frequency:g} Hz",
         ),
-        Told("delay", None, f"position: {1e3 * behind:.2f} ms behind the set-point, the speed control's lag with it"),
-        Told(
+        ChannelFinding("delay", None, f"position: {1e3 * behind:.2f} ms behind the set-point, with speed control lag"),
+        ChannelFinding(
             "delay",
-            abs(late - told) <= UNTOLD_DELAY and abs(late) <= MOST_DELAY,
-            f"velocity: {1e3 * late:.2f} ms behind the position, the profile's channels say {1e3 * told:.2f} ms",
+            abs(late - stated) <= DELAY_TOLERANCE and abs(late) <= MAX_DELAY,
+            f"velocity: {1e3 * late:.2f} ms behind the position, the profile's channels say {1e3 * stated:.2f} ms",
         ),
         *(
-            Told("noise", None, f"{name}: {fit.noise:.3g} {of} RMS")
+            ChannelFinding("noise", None, f"{name}: {fit.noise:.3g} {of} RMS")
             for name, fit, of in (
                 ("position", position, unit),
                 ("velocity", velocity, f"{unit}/s"),
@@ -93,5 +94,5 @@ def _fit(time: Array, values: Array, angular: float) -> _Fit:
 
 
 def _delay(first: complex, second: complex, angular: float) -> float:
-    """s by which the second comes after the first; within half a period either way."""
+    """Delay of `second` after `first`, s; within half a period in either direction."""
     return float(np.angle(first / second)) / angular

@@ -1,4 +1,4 @@
-"""`sweepid commission draft|check`: an unknown CANopen drive, from its dictionary to a sheet that a person signs."""
+"""`sweepid commission draft|check`: an unknown CANopen drive, from its dictionary to a signed sheet."""
 
 import asyncio
 import math
@@ -15,30 +15,32 @@ from drivers.commission.by_hand import named, turned
 from drivers.commission.dictionary import read_dictionary
 from drivers.commission.draft import map_text, profile_text, unfilled
 from drivers.commission.fitting import fitting
-from drivers.commission.moving import moved, way_told
+from drivers.commission.moving import motion_text, moved
 from drivers.commission.sheet import Row
 from drivers.commission.survey import digests, load, survey
 from drivers.errors import BadProfile
 from drivers.registry import load_profile, open_drive
 
-commission = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="CANopen drives of other makers.")
+commission = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="CANopen drives of other manufacturers.")
 
 
 @commission.callback()
 def _group() -> None:
-    """CANopen drives of other makers: their files, and whether they are wired as these say."""
+    """CANopen drives of other manufacturers: draft their files and check their wiring."""
 
 
 @commission.command()
 def draft(
     eds: Annotated[
-        Path, typer.Option(help="EDS or DCF of the drive, as its maker's tool wrote it.", show_default=False)
+        Path, typer.Option(help="EDS or DCF of the drive, as its manufacturer's tool wrote it.", show_default=False)
     ],
     out: Annotated[Path, typer.Option(help="Folder for the drafts. Nothing is overwritten.")] = Path(),
     devices: Annotated[Path, typer.Option(help="Folder of the device maps that may fit.")] = Path("config/devices"),
     joint: Annotated[list[str] | None, typer.Option(help="Joint of a drive; several times: nodes 1, 2, ...")] = None,
 ) -> None:
-    """Draft a drive profile, and a device map where none fits. What the file does not tell is marked and refused."""
+    """Draft a drive profile, and a device map if none fits. Values that the file does not contain are marked and
+    refused.
+    """
     dictionary = read_dictionary(eds, 1)
     maps = fitting(dictionary, devices)
     profile, own = out / f"{eds.stem}.yaml", out / f"{eds.stem}-device.yaml"
@@ -65,22 +67,26 @@ def draft(
 def check(
     profile: Annotated[Path, typer.Argument(help="Drive profile, CANopen.", show_default=False)],
     turn: Annotated[
-        list[str] | None, typer.Option(help="JOINT=DEGREES (mm): turned by hand meanwhile; gear and sign are compared.")
+        list[str] | None,
+        typer.Option(help="JOINT=DEGREES (mm): turned by hand during the check; checks gear and sign."),
     ] = None,
     move: Annotated[
-        str | None, typer.Option(help="JOINT that is moved a little, where all fits, once its name is typed.")
+        str | None, typer.Option(help="JOINT that is moved a little if every check passes and its name is typed.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON document instead of the table.")] = False,
 ) -> None:
-    """Compare every drive with its profile, without energy but for --move. Exit code 1 if anything does not fit."""
+    """Compare every drive with its profile, without energy except for --move. Exit code 1 if anything differs."""
     machine = load(profile)
     ways = [_way(each) for each in turn or []]
     rows: list[Row] = []
     for joint, way in ways:
         unit = next((axis.unit for axis in machine.axes if axis.joint == joint), "rad")
-        told = f"Turn {joint} by hand by {way:+g} {'mm' if unit == 'm' else 'degrees'}, then press Enter"
+        instruction = f"Turn {joint} by hand by {way:+g} {'mm' if unit == 'm' else 'degrees'}, then press Enter"
         rows += turned(
-            machine, joint, way * 1e-3 if unit == "m" else math.radians(way), lambda told=told: _entered(told)
+            machine,
+            joint,
+            way * 1e-3 if unit == "m" else math.radians(way),
+            lambda instruction=instruction: _entered(instruction),
         )
     axis = None if move is None else named(machine, move)
     sheet = survey(machine, str(profile), digests(profile)).with_rows(rows)
@@ -93,8 +99,8 @@ def check(
 
 
 def _confirmed(axis: CanopenAxis) -> None:
-    """BadProfile unless the joint's name is typed."""
-    typer.echo(f"A person is at the emergency stop. {way_told(axis)}.", err=True)
+    """Raises BadProfile unless the name of the joint is typed."""
+    typer.echo(f"A person is at the emergency stop. {motion_text(axis)}.", err=True)
     typed = typer.prompt(f"Type {axis.joint} to move it", default="", show_default=False, err=True)
     if typed.strip() != axis.joint:
         raise BadProfile(f"--move: {typed!r} was typed, not {axis.joint}; nothing moved")
@@ -111,8 +117,8 @@ def _moved(profile: Path, axis: CanopenAxis) -> list[Row]:
             signal.signal(number, handler)
 
 
-def _entered(told: str) -> None:
-    typer.prompt(told, default="", show_default=False, err=True)
+def _entered(instruction: str) -> None:
+    typer.prompt(instruction, default="", show_default=False, err=True)
 
 
 def _way(option: str) -> tuple[str, float]:

@@ -1,14 +1,17 @@
-"""What an EDS or DCF (CiA 306) says of the objects of a drive: type, access, whether a PDO may carry it."""
+"""Contents of an EDS or DCF (CiA 306) about the objects of a drive: type, access, whether a PDO may carry it."""
 
+import drivers.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
+
+# isort: split
 import configparser
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-import canopen
 from canopen.objectdictionary import ObjectDictionaryError, ODVariable, datatypes
 
+from drivers.canopen.eds import object_dictionary
 from drivers.errors import BadProfile
 
 Key = tuple[int, int]
@@ -25,7 +28,9 @@ _NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """One object. `type` as device maps have it ("i32"), "" for others; `value` as commissioned, else the default."""
+    """One object. `type` as in device maps ("i32"), "" for other types; `value` as commissioned, otherwise the
+    default.
+    """
 
     type: str
     writable: bool
@@ -35,7 +40,9 @@ class Listed:
 
 @dataclass(frozen=True, slots=True)
 class Dictionary:
-    """The objects of a file by index and sub-index, and who made the drive; None where the file does not tell."""
+    """The objects of a file by index and sub-index, and the manufacturer of the drive; None if the file does not state
+    it.
+    """
 
     objects: Mapping[Key, Listed]
     vendor: int | None
@@ -44,7 +51,7 @@ class Dictionary:
     name: str  # of maker and product, for people
 
     def value(self, index: int, sub: int = 0) -> int | None:
-        """What the file says that an object holds."""
+        """Value of an object according to the file."""
         listed = self.objects.get((index, sub))
         return None if listed is None else listed.value
 
@@ -52,7 +59,7 @@ class Dictionary:
 def read_dictionary(path: Path, node: int) -> Dictionary:
     """BadProfile names the file and the reason. `node` resolves ``$NODEID``."""
     try:
-        whole: Any = cast(Any, canopen).import_od(str(path), node)
+        whole: Any = object_dictionary(path, node)
     except (OSError, configparser.Error, ObjectDictionaryError, KeyError, ValueError, UnicodeError) as error:
         raise BadProfile(f"eds: {path}: not an EDS or DCF: {' '.join(str(error).split())}") from None
     objects: dict[Key, Listed] = {}
@@ -60,18 +67,18 @@ def read_dictionary(path: Path, node: int) -> Dictionary:
         for variable in [entry] if isinstance(entry, ODVariable) else entry.values():
             objects[variable.index, variable.subindex] = _listed(variable)
     about = whole.device_information
-    told = [objects[0x1018, sub].value if (0x1018, sub) in objects else None for sub in (1, 2, 3)]
+    identity = [objects[0x1018, sub].value if (0x1018, sub) in objects else None for sub in (1, 2, 3)]
     return Dictionary(
         objects,
-        vendor=about.vendor_number or told[0],
-        product=about.product_number or told[1],
-        revision=about.revision_number or told[2],
+        vendor=about.vendor_number or identity[0],
+        product=about.product_number or identity[1],
+        revision=about.revision_number or identity[2],
         name=_printable(f"{about.vendor_name or ''} {about.product_name or ''}"),
     )
 
 
 def _printable(name: str) -> str:
-    """In one line, without what YAML does not read."""
+    """In one line, without characters that YAML does not read."""
     return " ".join("".join(letter if letter.isprintable() else " " for letter in name).split())
 
 

@@ -1,18 +1,18 @@
-"""Drafts of a drive profile and a device map by what a dictionary tells; the loader refuses what is left open."""
+"""Drafts a drive profile and a device map from a dictionary; the loader refuses values that are left open."""
 
 import json
 from collections.abc import Iterator, Sequence
 
-from drivers.canopen.device_map import NEEDED, STANDARD, TOLD, TYPES, DeviceMap, Way
+from drivers.canopen.device_map import NEEDED, PDO_TYPES, STANDARD, TYPES, DeviceMap, Way
 from drivers.canopen.objects import Entry
 from drivers.cia402.profile import FILL_IN
 from drivers.commission.dictionary import Dictionary
 from drivers.commission.fitting import ways
 
 _WIRE = {letter: name for name, letter in TYPES.items()}
-_NEEDLESS = {  # missing, and nobody asks for it where the other object is there
-    "current": ("torque", "6077h tells the torque"),
-    "rated_current": ("torque", "6077h tells the torque"),
+_NEEDLESS = {  # object: (object that makes it unnecessary, reason)
+    "current": ("torque", "6077h gives the torque"),
+    "rated_current": ("torque", "6077h gives the torque"),
     "sync_period": ("cycle_value", "not needed: 60C2h has the cycle"),
 }
 _COUNTER = "host: each sample belongs to the SYNC after which it came"
@@ -21,15 +21,15 @@ _COUNTER = "host: each sample belongs to the SYNC after which it came"
 def profile_text(
     dictionary: Dictionary, joints: Sequence[str], eds: str, device: str, device_map: DeviceMap | None
 ) -> str:
-    """A drive profile. `eds` and `device` as they stand in it; `device_map` is the shipped one, if one fits."""
+    """A drive profile. `eds` and `device`: file names in it; `device_map` is the shipped one, if one fits."""
     bitrate = _open("bit/s, as the drives are set")
     lines = [
-        f"# {dictionary.name or 'A drive'}: drafted from its dictionary. What begins with {FILL_IN} is refused.",
+        f"# {dictionary.name or 'A drive'}: drafted from its dictionary. Values that begin with {FILL_IN} are refused.",
         "adapter: canopen",
         f"eds: {json.dumps(eds)}",
         f"device: {json.dumps(device)}",
         f"bus: {{interface: socketcan, channel: can0, bitrate: {bitrate}, sync_period: 0.004}}",
-        "emergency_stop_codes: [] # values of 603Fh that mean safe torque off; the first emergency stop tells them",
+        "emergency_stop_codes: [] # values of 603Fh that mean safe torque off; the first emergency stop shows them",
         "axes:",
     ]
     for node, joint in enumerate(joints, 1):
@@ -48,7 +48,7 @@ def map_text(dictionary: Dictionary) -> str:
         f"[{', '.join(way.value for way in able)}]" if able else _open("no object for set-points: none can be streamed")
     )
     lines = [
-        f"# Drafted from a dictionary: compare it with the maker's manual. What begins with {FILL_IN} is refused.",
+        f"# Drafted from a dictionary: compare it with its manual. Values that begin with {FILL_IN} are refused.",
         f"description: {json.dumps(dictionary.name or 'unknown drive')}",
         *(f"{key}: 0x{value:08X}" for key, value in _maker(dictionary) if value),
         f"excitation: {excitation}",
@@ -63,7 +63,7 @@ def map_text(dictionary: Dictionary) -> str:
 
 
 def unfilled(text: str) -> int:
-    """Values that a person must fill in."""
+    """Number of values that a person must fill in."""
     return text.count(f'"{FILL_IN}')
 
 
@@ -76,10 +76,10 @@ def _maker(dictionary: Dictionary) -> tuple[tuple[str, int | None], ...]:
 
 
 def _axis(dictionary: Dictionary, device_map: DeviceMap | None) -> list[str]:
-    told = {"vendor": dictionary.vendor, "product": dictionary.product, "revision": dictionary.revision}
+    stated = {"vendor": dictionary.vendor, "product": dictionary.product, "revision": dictionary.revision}
     identity = ", ".join(
         f"{key}: {_open(f'1018h of the drive, {key}') if value is None else f'0x{value:08X}'}"
-        for key, value in told.items()
+        for key, value in stated.items()
     )
     rated = dictionary.value(0x6076)
     hint = f" (the file has {rated} in 6076h)" if rated else ""
@@ -93,12 +93,15 @@ def _axis(dictionary: Dictionary, device_map: DeviceMap | None) -> list[str]:
         "quick_stop_deceleration": "rad/s^2",
     }
     if device_map is None or device_map.units.increments == "profile":
-        wanted["increments"] = "of the position, a motor revolution; without this line where the map tells them"
+        wanted["increments"] = "of the position, a motor revolution; delete this line where the device map has them"
     if device_map is not None and device_map.units.effort == "current":
         wanted["torque_constant"] = "N m/A of the motor, from its data sheet"
-    lines = [f"identity: {{{identity}}} # add the serial number: it tells swapped drives"]
+    lines = [f"identity: {{{identity}}} # add the serial number: it detects swapped drives"]
     lines += [f"{key}: {_open(what)}" for key, what in wanted.items()]
-    return [*lines, "standstill_velocity: 1.0e-3 # rad/s, above the noise of the speed at rest, which the check tells"]
+    return [
+        *lines,
+        "standstill_velocity: 1.0e-3 # rad/s, above the noise of the speed at rest (see sweepid commission check)",
+    ]
 
 
 def _has(dictionary: Dictionary, name: str) -> bool:
@@ -142,12 +145,12 @@ def _pdos(dictionary: Dictionary, able: Sequence[Way]) -> str:
 
 
 def _objects(dictionary: Dictionary) -> Iterator[str]:
-    """Of another type than CiA 402 has."""
+    """Objects with another type than in CiA 402."""
     for name, entry in STANDARD.items():
         listed = dictionary.objects.get((entry.index, entry.sub))
         if listed is None or listed.type == _WIRE[entry.type]:
             continue
-        if name in TOLD or not listed.type:
+        if name in PDO_TYPES or not listed.type:
             what = f"{listed.type or 'no number'} in the file, and only {_WIRE[entry.type]} can be used"
             yield f"  {name}: {_open(what)}"
         else:
@@ -171,7 +174,5 @@ def _instead(dictionary: Dictionary, name: str, entry: Entry, able: set[str], ta
         return json.dumps(f"the set-points go into {', '.join(sorted(able))}")
     other, why = _NEEDLESS.get(name, ("", ""))
     return (
-        json.dumps(why)
-        if other and _has(dictionary, other)
-        else _open(f"who does it instead: {entry} is not in the file")
+        json.dumps(why) if other and _has(dictionary, other) else _open(f"what replaces it: {entry} is not in the file")
     )

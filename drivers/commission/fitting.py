@@ -1,4 +1,4 @@
-"""Which shipped device map fits a dictionary?"""
+"""Finds the shipped device maps that fit a dictionary."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,20 +9,22 @@ from drivers.commission.dictionary import Dictionary
 
 
 def fitting(dictionary: Dictionary, devices: Path) -> Mapping[Path, DeviceMap]:
-    """The maps of a folder that are for this drive, by file. BadProfile for one that cannot be read."""
+    """The maps in a folder that are for this drive, by file. Raises BadProfile for a map that cannot be read."""
     maps = {path: load_device_map(path) for path in sorted(devices.glob("*.yaml"))}
     return {path: device_map for path, device_map in maps.items() if _fits(dictionary, device_map)}
 
 
 def ways(dictionary: Dictionary) -> tuple[Way, ...]:
-    """The ways of excitation that the dictionary has objects for and whose mode it does not rule out (6502h)."""
+    """Ways of excitation for which the dictionary has the objects and whose mode 6502h does not exclude."""
     plain = DeviceMap()
     modes = dictionary.value(SUPPORTED_MODES.index)
     return tuple(way for way in Way if _has(dictionary, plain, way.target) and way.mode(modes or None) is not None)
 
 
 def _fits(dictionary: Dictionary, device_map: DeviceMap) -> bool:
-    """By maker, by every object that the map cannot do without, by its first way, and by what its PDOs let change."""
+    """Compares the manufacturer, the objects that the map requires, its first way, and which PDO settings may be
+    changed.
+    """
     if device_map.vendor is None:
         maker = device_map.description.split()[:1]
         if not maker or maker[0].lower() not in dictionary.name.lower():

@@ -1,4 +1,4 @@
-"""Is it the drive of the profile, at its node, and at rest without energy?"""
+"""Checks that the node is the drive of the profile, at rest and without energy."""
 
 import math
 from collections.abc import Iterator
@@ -7,24 +7,24 @@ from drivers.canopen import objects
 from drivers.canopen.profile import CanopenAxis
 from drivers.cia402 import states
 from drivers.cia402.states import State
-from drivers.commission.quiet import Node
+from drivers.commission.read_only_drive import Node
 from drivers.commission.sheet import Row
 
 _WORDS = (objects.VENDOR, objects.PRODUCT, objects.REVISION, objects.SERIAL)
 _NAMES = ("vendor", "product", "revision", "serial")
 _ENERGISED = {State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION}
-_LIKE = 2e-3  # of the rated torque, as at connect
+_LIKE = 2e-3  # tolerance of the rated torque, as at connect
 
 
 def state(node: Node) -> Iterator[Row]:
-    """Without energy and without a fault."""
+    """The drive has no energy and no fault."""
     word = node.of_map("statusword")
     if word is None:
-        return  # `objects` tells it
+        return  # reported by `objects`
     found = states.decode(word)
     if found in _ENERGISED:
         yield node.row(
-            "energy", False, f"the drive is in '{found.value}' and nobody here enabled it: take its energy off"
+            "energy", False, f"the drive is in '{found.value}' and this program did not enable it: disable the drive"
         )
     elif found in (State.FAULT, State.UNKNOWN):
         code = node.of_map("error_code")
@@ -36,7 +36,7 @@ def state(node: Node) -> Iterator[Row]:
 
 
 def who(node: Node) -> Iterator[Row]:
-    """Type, 1018h and rated torque; a drive that fits another axis of the profile is told as swapped."""
+    """Type, 1018h and rated torque. A drive that fits another axis of the profile is reported as swapped."""
     kind = node.value(objects.DEVICE_TYPE)
     fits = kind is not None and kind & 0xFFFF == objects.SERVO_DRIVE
     yield node.row("device-type", fits, f"1000h is {_hex(kind)}, a CiA 402 drive ends in 0192h")
@@ -45,11 +45,13 @@ def who(node: Node) -> Iterator[Row]:
     wrong = [*_different(node.axis, found)]
     for name, have, want in zip(_NAMES, found, _wanted(node.axis), strict=True):
         if want is None:
-            yield node.note(name, f"{_hex(have)}; the profile has none, so a swapped drive of this type is not told")
+            yield node.note(
+                name, f"{_hex(have)}; the profile has none, so a swapped drive of this type is not detected"
+            )
         else:
-            yield node.row(name, name not in wrong, f"the drive says {_hex(have)}, the profile {_hex(want)}")
+            yield node.row(name, name not in wrong, f"the drive reports {_hex(have)}, the profile has {_hex(want)}")
     if torque is None:
-        who_does = node.missing.get("rated_torque", "the drive does not tell it")
+        who_does = node.missing.get("rated_torque", "the drive does not report it")
         yield node.host("rated-torque", f"{node.axis.rated_torque:.4g} N m is not compared: {who_does}")
     else:
         yield node.row(
@@ -62,7 +64,7 @@ def who(node: Node) -> Iterator[Row]:
 
 
 def rated_torque(node: Node) -> float | None:
-    """N m of the motor as the drive has it; None where it does not tell."""
+    """Rated torque of the motor stored in the drive, N m; None if it is not reported."""
     raw = node.of_map("rated_torque")
     return None if raw is None else raw * node.map.units.rated_torque
 

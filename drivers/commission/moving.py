@@ -1,4 +1,4 @@
-"""The first motion of an axis, of which a person has typed the name: half a degree and back, then one small sine."""
+"""First motion of an axis, after a person has typed its name: half a degree and back, then one small sine."""
 
 import math
 from collections.abc import AsyncGenerator, Mapping, Sequence
@@ -7,23 +7,23 @@ from contextlib import asynccontextmanager
 import numpy as np
 
 from drivers.canopen.profile import CanopenAxis
-from drivers.commission.channels import Told, judge
+from drivers.commission.channels import ChannelFinding, judge
 from drivers.commission.sheet import Row, Verdict
 from drivers.errors import NotReady
 from drivers.ports import Array, AxisStatus, DrivePort, SampleBlock, Sine, SweepCommand, SweepMode
 
 WAY = {"rad": math.radians(0.5), "m": 2e-3}
-SPEED = {"rad": 0.015, "m": 3.5e-3}  # 1/s of the steady turn, which keeps the axis from reversing
-AMPLITUDE = 0.6  # of it
+SPEED = {"rad": 0.015, "m": 3.5e-3}  # 1/s, constant speed, so that the axis does not reverse
+AMPLITUDE = 0.6  # of the constant speed
 FREQUENCY = 2.0  # Hz
 PERIODS = 4  # of 1 s
-ROOM = 1.5  # of the travel of the sine, on both sides
-ASTRAY, MISSED = 0.1, 0.25  # of the way: of another joint; of this one at its end
+ROOM = 1.5  # times the travel of the sine, on both sides
+ASTRAY, MISSED = 0.1, 0.25  # share of the travel: motion of another joint; error of this one at its target
 _COLUMNS = ("time", "position", "velocity", "effort", "velocity_setpoint")
 
 
-def way_told(axis: CanopenAxis) -> str:
-    """What will happen, for whoever confirms it."""
+def motion_text(axis: CanopenAxis) -> str:
+    """Description of the motion for the person who confirms it."""
     return (
         f"{axis.joint} (node {axis.node}) gets energy, goes {WAY[axis.unit]:.3g} {axis.unit} and back, then "
         f"up to {_travel(axis):.3g} {axis.unit} forward in {_command(axis, 0.0, SweepMode.HOST_STREAMED).duration:g} s"
@@ -31,13 +31,13 @@ def way_told(axis: CanopenAxis) -> str:
 
 
 async def moved(port: DrivePort, axis: CanopenAxis) -> list[Row]:
-    """Connects, moves, disables, closes. Whatever goes wrong ends with the axis disabled, and is raised."""
+    """Connects, moves, disables, closes. After any error the axis is disabled, and the error is raised."""
     async with _closing(port):
         await port.connect()
         await port.enable(axis.joint)
         rows = [*await _there_and_back(port, axis)]
         if all(row.verdict is not Verdict.MISMATCH for row in rows):
-            rows += [_row(axis, told) for told in await _sweep(port, axis)]
+            rows += [_row(axis, finding) for finding in await _sweep(port, axis)]
         await port.disable(axis.joint)
     return rows
 
@@ -45,12 +45,12 @@ async def moved(port: DrivePort, axis: CanopenAxis) -> list[Row]:
 async def _there_and_back(port: DrivePort, axis: CanopenAxis) -> list[Row]:
     before = await port.status()
     start, way = before[axis.joint].position, WAY[axis.unit]
-    await port.move_to(axis.joint, start + way, way)  # in a second
+    await port.move_to(axis.joint, start + way, way)  # 1 s
     after = await port.status()
     gone = after[axis.joint].position - start
     rows = [*_others(axis, before, after)]
     rows.append(
-        _judged(axis, "move", abs(gone - way) <= MISSED * way, f"told to go {way:+.3g} {axis.unit}, went {gone:+.3g}")
+        _judged(axis, "move", abs(gone - way) <= MISSED * way, f"commanded {way:+.3g} {axis.unit}, moved {gone:+.3g}")
     )
     if rows[-1].verdict is not Verdict.MISMATCH:
         await port.move_to(axis.joint, start, way)
@@ -64,12 +64,12 @@ def _others(axis: CanopenAxis, before: Mapping[str, AxisStatus], after: Mapping[
     return [_judged(axis, "others-stand", not astray, ", ".join(astray) or "no other joint moved")]
 
 
-async def _sweep(port: DrivePort, axis: CanopenAxis) -> list[Told]:
-    """NotReady where the drive has no way of excitation."""
+async def _sweep(port: DrivePort, axis: CanopenAxis) -> list[ChannelFinding]:
+    """Raises NotReady if the drive has no way of excitation."""
     modes = port.capabilities.sweep_modes
     mode = next((mode for mode in (SweepMode.HOST_STREAMED, SweepMode.DRIVE_SIDE) if mode in modes), None)
     if mode is None:
-        raise NotReady(f"{axis.joint}: no way of excitation, so its channels are not measured")
+        raise NotReady(f"{axis.joint}: no excitation mode, so its channels are not measured")
     command = _command(axis, (await port.status())[axis.joint].position, mode)
     blocks = [block async for block in port.run_sweep(command)]
     columns = _settled(blocks, command)
@@ -106,18 +106,18 @@ def _settled(blocks: Sequence[SampleBlock], command: SweepCommand) -> dict[str, 
     return {name: values[inside] for name, values in whole.items()}
 
 
-def _row(axis: CanopenAxis, told: Told) -> Row:
-    verdict = {None: Verdict.NOTE, True: Verdict.FITS, False: Verdict.MISMATCH}[told.fits]
-    return Row(axis.joint, told.check, verdict, told.what)
+def _row(axis: CanopenAxis, finding: ChannelFinding) -> Row:
+    verdict = {None: Verdict.NOTE, True: Verdict.FITS, False: Verdict.MISMATCH}[finding.fits]
+    return Row(axis.joint, finding.check, verdict, finding.what)
 
 
 def _judged(axis: CanopenAxis, check: str, fits: bool, what: str) -> Row:
-    return _row(axis, Told(check, fits, what))
+    return _row(axis, ChannelFinding(check, fits, what))
 
 
 @asynccontextmanager
 async def _closing(port: DrivePort) -> AsyncGenerator[None]:
-    """Closing takes the energy of every axis, whatever happened before."""
+    """Closing de-energises every axis, whatever happened before."""
     try:
         yield
     finally:

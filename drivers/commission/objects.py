@@ -1,4 +1,6 @@
-"""Has the drive each object that the adapter needs: there, of another type, or missing, and what replaces it?"""
+"""Checks that the drive has each object that the adapter needs: present, of another type, or missing with a
+replacement.
+"""
 
 from collections.abc import Iterator
 
@@ -6,24 +8,24 @@ from drivers.canopen import configuration
 from drivers.canopen.device_map import NEEDED, STANDARD, TYPES, Way
 from drivers.canopen.objects import HEARTBEAT_CONSUMER, HEARTBEAT_PRODUCER, Entry
 from drivers.canopen.sdo import OtherType
-from drivers.commission.quiet import Node
+from drivers.commission.read_only_drive import Node
 from drivers.commission.sheet import Row
 from drivers.errors import WrongConfiguration
 
 _WIRE = {letter: name for name, letter in TYPES.items()}
-_INSTEAD = {  # who does it where the drive has no such object
+_INSTEAD = {  # replacement if the drive has no such object
     "max_torque": "host: the envelope of each motion watches the effort",
     "max_speed": "host: the envelope of each motion watches the speed",
     "max_profile_velocity": "host: no move is commanded faster than velocity_limit",
     "position_min": "host: the envelope of each motion watches the position",
     "position_max": "host: the envelope of each motion watches the position",
-    "connection_loss": "nobody: a person stays at the emergency stop while the machine moves",
-    "heartbeat consumer": "nobody: a person stays at the emergency stop while the machine moves",
-    "error_code": "EMCY tells it",
-    "supported_modes": "the first way of the map is taken",
+    "connection_loss": "not monitored: a person must stay at the emergency stop while the machine moves",
+    "heartbeat consumer": "not monitored: a person must stay at the emergency stop while the machine moves",
+    "error_code": "reported by EMCY",
+    "supported_modes": "the first excitation mode of the map is used",
     "rated_torque": "profile: rated_torque",
 }
-_ITSELF = "the drive has its own way, which its maker's manual tells"
+_ITSELF = "the drive has its own method: see the maker's manual"
 
 
 def present(node: Node) -> Iterator[Row]:
@@ -40,7 +42,9 @@ def present(node: Node) -> Iterator[Row]:
 
 
 def mappable(node: Node, way: Way) -> Iterator[Row]:
-    """What goes into a PDO, by the EDS; whether the drive takes the mapping, `settings` asks itself."""
+    """Whether the objects may be mapped to a PDO according to the EDS; `settings` checks whether the drive
+    accepts it.
+    """
     for pdo in configuration.pdos(node.map, way, node.axis.node):
         for entry in pdo.mapped:
             listed = node.dictionary.objects.get((entry.index, entry.sub))
@@ -49,13 +53,13 @@ def mappable(node: Node, way: Way) -> Iterator[Row]:
 
 
 def _used(node: Node) -> set[str]:
-    """What the map cannot do without; of its ways of excitation one is enough (`settings` chooses it)."""
+    """Objects that the map requires. One of its ways of excitation is sufficient (`settings` selects it)."""
     targets = {way.target for way in node.map.excitation}
     return node.map.used() - targets | {"target_position"}
 
 
 def _wanted(node: Node, name: str) -> bool:
-    """Whether anybody would ever ask for it."""
+    """Whether the object is ever used."""
     return name not in _ONLY_WITH or name in node.map.used()
 
 
@@ -74,18 +78,22 @@ def _there(node: Node, name: str, entry: Entry, needed: bool) -> Row:
         )
     if node.absent(entry):
         if needed:
-            return node.row("missing-object", False, f"{entry}: the drive has it not, and nothing replaces it")
+            return node.row("missing-object", False, f"{entry}: the drive does not have it, and nothing replaces it")
         if listed is not None:
-            return node.row("eds-differs", False, f"{entry}: in the EDS and not in the drive: not its firmware's EDS")
+            return node.row(
+                "eds-differs", False, f"{entry}: in the EDS and not in the drive: the EDS is of another firmware"
+            )
         return node.host(f"object {name}", f"{entry}: missing: {_INSTEAD.get(name, _ITSELF)}")
     if isinstance(found, WrongConfiguration):
-        return node.row("refused-object", False, f"{entry}: the drive does not tell its value: {found}")
+        return node.row("refused-object", False, f"{entry}: the drive does not report its value: {found}")
     if listed is not None and listed.type != _WIRE[entry.type]:
         return node.row(
             "type-in-eds", False, f"{entry}: {listed.type or 'no number'} in the EDS, {_WIRE[entry.type]} in the map"
         )
     if entry in node.sdo.long:
-        return node.note(f"object {name}", f"{entry}: there, told in 4 bytes, of which {_WIRE[entry.type]} is used")
+        return node.note(f"object {name}", f"{entry}: present, sent in 4 bytes, of which {_WIRE[entry.type]} is used")
     if listed is None:
-        return node.row("eds-differs", False, f"{entry}: in the drive and not in the EDS: not its firmware's EDS")
-    return node.row(f"object {name}", True, f"{entry}: there, {_WIRE[entry.type]}, {found:.0f}")
+        return node.row(
+            "eds-differs", False, f"{entry}: in the drive and not in the EDS: the EDS is of another firmware"
+        )
+    return node.row(f"object {name}", True, f"{entry}: present, {_WIRE[entry.type]}, {found:.0f}")

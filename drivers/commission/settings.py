@@ -1,4 +1,4 @@
-"""Does the drive take what a connection writes, object by object, and the mapping of its PDOs?"""
+"""Checks that the drive accepts the settings of a connection, object by object, and the mapping of its PDOs."""
 
 from collections.abc import Callable, Iterator
 
@@ -11,13 +11,15 @@ from drivers.canopen.sdo import ObjectAbsent
 from drivers.canopen.units import Codec
 from drivers.cia402.device import Mode
 from drivers.commission.objects import mappable
-from drivers.commission.quiet import Node
+from drivers.commission.read_only_drive import Node
 from drivers.commission.sheet import Row
 from drivers.errors import LimitExceeded, WrongConfiguration
 
 
 def of_map(node: Node) -> Iterator[Row]:
-    """What must hold before the units are read, and the maker's settings; absent is refused."""
+    """Objects that must hold a value before the units are read, and the manufacturer's settings; a missing one is
+    refused.
+    """
     makers = [(Entry(m.index, m.sub, m.type, m.name), m.value) for m in node.machine.maker_settings]
     for check, wanted in (("map-setting", [(s.entry, s.value) for s in node.map.settings]), ("maker-setting", makers)):
         for entry, value in wanted:
@@ -55,7 +57,11 @@ def way_of(node: Node) -> tuple[Way | None, list[Row]]:
     way = there[0] if there else None
     wanted = ", ".join(each.value for each in node.map.excitation)
     if way is None:
-        rows.append(node.row("no-excitation", False, f"6502h is {modes or 0:08X}h: none of the map's ways: {wanted}"))
+        rows.append(
+            node.row(
+                "no-excitation", False, f"6502h is {modes or 0:08X}h: none of the map's excitation modes: {wanted}"
+            )
+        )
     elif node.value(node.map.entry(way.target)) is None and not _own_sweep(node):
         target = node.map.entry(way.target)
         rows.append(node.row("no-excitation", False, f"{target}: the drive does not give the target of {way.value}"))
@@ -66,7 +72,7 @@ def way_of(node: Node) -> tuple[Way | None, list[Row]]:
 
 
 def mapping(node: Node, way: Way) -> Iterator[Row]:
-    """The PDOs of a streamed sweep, written and read back; how full they make the bus."""
+    """The PDOs of a streamed sweep, written and read back, and the bus load."""
     refused = [*mappable(node, way)]
     yield from refused
     if refused:
@@ -102,7 +108,7 @@ def _own_sweep(node: Node) -> bool:
 
 
 def _all(node: Node, check: str, make: Callable[[], tuple[Setting, ...]]) -> Iterator[Row]:
-    """One row for what holds, one for each that does not; what is absent `objects` has told."""
+    """One row for all settings that hold, one for each that does not. Missing objects are reported by `objects`."""
     try:
         wanted = make()
     except LimitExceeded as error:

@@ -1,4 +1,4 @@
-"""What a check found: rows that a commissioning engineer reads and signs, as text and as JSON."""
+"""Result of a check: rows that a commissioning engineer reads and signs, as text and as JSON."""
 
 import json
 from collections import Counter
@@ -8,19 +8,19 @@ from enum import Enum
 
 
 class Verdict(Enum):
-    """What a row means for whoever signs."""
+    """Meaning of a row for the person who signs."""
 
     FITS = "fits"
-    HOST = "host"  # the drive has it not: the host, or whom the map names, does it instead
-    NOTE = "note"  # nobody could tell, or worth knowing
+    HOST = "host"  # missing in the drive: the host, or what the map names, replaces it
+    NOTE = "note"  # not determined, or for information
     MISMATCH = "MISMATCH"
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One thing that was looked at. `check` is its name for ever; `what` is a sentence with values and limits."""
+    """One item of the check. `check` is a permanent name; `what` is a sentence with values and limits."""
 
-    joint: str  # "" of the whole machine
+    joint: str  # "": the whole machine
     check: str
     verdict: Verdict
     what: str
@@ -28,7 +28,7 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """One check of one machine. `files`: SHA-256 of what it was checked by."""
+    """One check of one machine. `files`: SHA-256 of the files used."""
 
     profile: str
     made: str  # time, ISO 8601
@@ -42,16 +42,16 @@ class Sheet:
         return tuple(row for row in self.rows if row.verdict is Verdict.MISMATCH)
 
     def with_rows(self, rows: Iterable[Row], energy: str = "without energy") -> "Sheet":
-        """The sheet with more that was looked at."""
+        """The sheet with further rows."""
         return replace(self, rows=(*self.rows, *rows), energy=energy)
 
     def json(self) -> str:
-        """The same as one document, `sound` first."""
+        """The sheet as one document, `sound` first."""
         rows = [asdict(row) | {"verdict": row.verdict.value} for row in self.rows]
         return json.dumps({"sound": not self.mismatches} | asdict(self) | {"rows": rows}, indent=2)
 
     def text(self) -> str:
-        """A table in plain text, the host's duties, the mismatches once more, and the line to sign."""
+        """A table in plain text, the duties of the host, the mismatches again, and the line to sign."""
         lines = [f"Check of {self.profile} at {self.made}, {self.energy}", ""]
         lines += [f"{name}  SHA-256 {digest}" for name, digest in self.files.items()]
         lines += ["", *_table(self.rows)]
@@ -59,9 +59,7 @@ class Sheet:
         lines += _listed("The host, not the drive:", (row for row in self.rows if row.verdict is Verdict.HOST))
         lines += _listed(f"Mismatches: {len(self.mismatches) or 'none'}", self.mismatches)
         end = (
-            "NOT fit for motion: put the mismatches right and check again"
-            if self.mismatches
-            else "Fit for a first move"
+            "NOT fit for motion: correct the mismatches and check again" if self.mismatches else "Fit for a first move"
         )
         return "\n".join(
             [*lines, "", end, "", "Checked by ____________________  Date ____________  Signature ____________________"]
@@ -69,7 +67,7 @@ class Sheet:
 
 
 def _listed(title: str, rows: Iterable[Row]) -> list[str]:
-    """Sentences under a title; what is true of several joints stands once."""
+    """Sentences under a title; a sentence that applies to several joints is printed once."""
     joints = Counter[tuple[str, str]]()
     names: dict[tuple[str, str], list[str]] = {}
     for row in rows:

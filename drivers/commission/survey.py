@@ -1,4 +1,4 @@
-"""Every drive of a profile asked, without energy: each axis is looked at and, in NMT pre-operational, configured."""
+"""Checks every drive of a profile without energy: each axis is read and, in NMT pre-operational, configured."""
 
 import asyncio
 import hashlib
@@ -12,22 +12,22 @@ from drivers.canopen.fieldbus import check_alone
 from drivers.canopen.profile import CanopenAxis, CanopenProfile, parse_profile
 from drivers.commission import identity, objects, settings, units
 from drivers.commission.dictionary import read_dictionary
-from drivers.commission.quiet import Node, QuietSdo
+from drivers.commission.read_only_drive import Node, ReadOnlySdo
 from drivers.commission.sheet import Row, Sheet, Verdict
 from drivers.errors import BadProfile, CommunicationLost, ConnectionFailed
 from drivers.registry import load_profile
 
 
 def load(path: Path) -> CanopenProfile:
-    """BadProfile names the file, the place and the reason; also for a profile of another fieldbus."""
+    """BadProfile names the file, the place and the reason; also raised for a profile of another fieldbus."""
     content = load_profile(path)
     if content.get("adapter") != "canopen":
-        raise BadProfile(f"{path}: adapter: {content.get('adapter')!r} is not checked by this, but canopen")
+        raise BadProfile(f"{path}: adapter: {content.get('adapter')!r} is not supported by this check; canopen is")
     return parse_profile(content, path.parent)
 
 
 def survey(profile: CanopenProfile, name: str, files: dict[str, str] | None = None) -> Sheet:
-    """The sheet of a machine; ConnectionFailed where the bus cannot be opened. Blocking; no event loop may run."""
+    """The sheet of a machine. Raises ConnectionFailed if the bus cannot be opened. Blocking; no event loop may run."""
     ways: dict[str, str] = {}
     rows: list[Row] = []
     bus = Bus(profile.bus, tuple(axis.node for axis in profile.axes), profile.device_map.wires)
@@ -48,7 +48,7 @@ def survey(profile: CanopenProfile, name: str, files: dict[str, str] | None = No
 
 
 def digests(path: Path) -> dict[str, str]:
-    """SHA-256 of the profile and of the files that it names, by name: what the sheet is true of."""
+    """SHA-256 of the profile and of the files that it names, by name: the files to which the sheet applies."""
     content = load_profile(path)
     named = [path, *(path.parent / str(content[key]) for key in ("eds", "device") if content.get(key))]
     return {each.name: hashlib.sha256(each.read_bytes()).hexdigest() for each in named}
@@ -56,9 +56,9 @@ def digests(path: Path) -> dict[str, str]:
 
 def _axis(bus: Bus, axis: CanopenAxis, profile: CanopenProfile, ways: dict[str, str]) -> Iterator[Row]:
     place = f"{axis.joint} (node {axis.node})"
-    sdo = QuietSdo(bus.add_node(axis.node, None), place, bus.check_alive)
+    sdo = ReadOnlySdo(bus.add_node(axis.node, None), place, bus.check_alive)
     node = Node(axis, profile, read_dictionary(profile.eds, axis.node), sdo)
-    bus.expect_nodes()  # the silence of one before is no silence of this one
+    bus.expect_nodes()  # the time of an earlier silent node does not count
     try:
         _wake(bus, node)
         other = [*identity.who(node)]
@@ -86,7 +86,9 @@ def _wrong(rows: list[Row]) -> set[str]:
 
 
 def _wake(bus: Bus, node: Node) -> None:
-    """A node in NMT stop does not answer; only such a one is told anything before it has said that it has no energy."""
+    """A node in NMT stopped does not answer. Only such a node gets a command before it has reported that it has no
+    energy.
+    """
     try:
         node.of_map("statusword")
     except CommunicationLost:
@@ -96,7 +98,7 @@ def _wake(bus: Bus, node: Node) -> None:
 
 
 def _looked_at(node: Node) -> Iterator[Row]:
-    """What is only read."""
+    """Checks that only read."""
     yield from objects.present(node)
     yield from units.scale(node)
     codec, rows = units.conversions(node)
@@ -107,9 +109,9 @@ def _looked_at(node: Node) -> Iterator[Row]:
 
 
 def _written(node: Node, ways: dict[str, str]) -> Iterator[Row]:
-    """What a connection writes."""
+    """Settings that a connection writes."""
     yield from settings.of_map(node)
-    fresh = Node(node.axis, node.machine, node.dictionary, node.sdo)  # units as the settings have made them
+    fresh = Node(node.axis, node.machine, node.dictionary, node.sdo)  # units after the settings
     codec, rows = units.conversions(fresh)
     yield from rows
     if codec is None:

@@ -1,6 +1,6 @@
-"""Do units, sign, gear and limits of the profile agree with what the drive itself was commissioned with?
+"""Checks that units, sign, gear and limits of the profile agree with the commissioned values of the drive.
 
-What a drive holds of limits is evidence only until `sweepid` has written its own: `configured_before`.
+The limits in a drive are evidence only until `sweepid` has written its own: `configured_before`.
 """
 
 import math
@@ -11,37 +11,41 @@ from drivers.canopen.objects import HEARTBEAT_CONSUMER, INCREMENTS, MOTOR_REVOLU
 from drivers.canopen.sdo import ObjectAbsent, OtherType
 from drivers.canopen.units import Codec, codec, velocity_unit
 from drivers.commission.identity import rated_torque
-from drivers.commission.quiet import Node
+from drivers.commission.read_only_drive import Node
 from drivers.commission.sheet import Row
 from drivers.errors import LimitExceeded, WrongConfiguration
 
 POLARITY = Entry(0x607E, 0, "B", "polarity")
 GEAR_MOTOR = Entry(0x6091, 1, "I", "gear ratio, motor revolutions")
 GEAR_SHAFT = Entry(0x6091, 2, "I", "gear ratio, shaft revolutions")
-_READINGS = 10  # of the speed at rest
-_ROUNDING = 1e-3  # of a limit
-STEPS = 20  # of the velocity unit in a line of a sweep, as the adapter wants them
-MOST_EFFORT = 32.767  # of the rated torque: 16 bits of per mille
-COARSE = 0.1  # of the velocity limit: beyond that no line of so many steps is of use
+_READINGS = 10  # number of readings of the speed at rest
+_ROUNDING = 1e-3  # tolerance relative to a limit
+STEPS = 20  # velocity units per line of a sweep, as the adapter requires
+MOST_EFFORT = 32.767  # times the rated torque: 16 bits of per mille
+COARSE = 0.1  # of the velocity limit: a line above it cannot be used
 
 
 def scale(node: Node) -> Iterator[Row]:
-    """What units, gear and polarity the drive tells itself."""
+    """Units, gear and polarity as reported by the drive."""
     polarity = node.listed(POLARITY)
     if polarity is not None:
-        word = f"607Eh is {polarity:02X}h: the drive turns signs of position and speed, not of torque; it must be 0"
-        yield node.row("polarity", polarity == 0, word if polarity else "607Eh turns no sign")
+        word = (
+            f"607Eh is {polarity:02X}h: the drive inverts the signs of position and speed, not of torque; it must be 0"
+        )
+        yield node.row("polarity", polarity == 0, word if polarity else "607Eh inverts no sign")
     yield from _gear(node)
     yield from _fixed_increments(node)
     yield from _fixed_velocity(node)
 
 
 def conversions(node: Node) -> tuple[Codec | None, list[Row]]:
-    """The axis' units as the drive holds them now; no codec where they are not understood, and the row that says so."""
+    """Units of the axis as the drive holds them now. If they are not understood: no codec, and the row that
+    states it.
+    """
     try:
         found = codec(node.axis, node.map.units, rated_torque(node) or node.axis.rated_torque, node.read)
     except (ObjectAbsent, OtherType):
-        return None, []  # `objects` tells it
+        return None, []  # reported by `objects`
     except WrongConfiguration as error:
         return None, [node.row("units", False, f"not understood: {error}")]
     except ZeroDivisionError:
@@ -52,7 +56,7 @@ def conversions(node: Node) -> tuple[Codec | None, list[Row]]:
 
 
 def at_rest(node: Node, units: Codec) -> Iterator[Row]:
-    """Where the axis stands, and the noise of its speed."""
+    """Position of the axis, and noise of its speed."""
     axis = node.axis
     low, high = axis.position_limits
     raw = node.of_map("position")
@@ -60,23 +64,26 @@ def at_rest(node: Node, units: Codec) -> Iterator[Row]:
         place = float(units.position(raw))
         what = f"the axis is at {place:.5g} {axis.unit}, position_limits are {low:g} to {high:g} {axis.unit}"
         hint = (
-            "" if low <= place <= high else ": position_offset, gear_ratio, increments, or an encoder never referenced"
+            ""
+            if low <= place <= high
+            else ": check position_offset, gear_ratio, increments, and whether the encoder was referenced"
         )
         yield node.row("position", low <= place <= high, what + hint)
     entry = node.map.entry("velocity")
     try:
         speeds = [abs(float(units.velocity(node.sdo.read(entry)))) for _ in range(_READINGS)]
     except WrongConfiguration:
-        return  # `objects` tells it
+        return  # reported by `objects`
     yield node.row(
         "standstill",
         max(speeds) <= axis.standstill_velocity,
-        f"at rest up to {max(speeds):.3g} {axis.unit}/s is read, standstill_velocity is {axis.standstill_velocity:g}",
+        f"velocity at rest is up to {max(speeds):.3g} {axis.unit}/s, "
+        f"standstill_velocity is {axis.standstill_velocity:g} {axis.unit}/s",
     )
 
 
 def limits(node: Node, units: Codec) -> Iterator[Row]:
-    """The profile's limits inside of those that the drive was commissioned with."""
+    """The profile's limits must be inside the commissioned limits of the drive."""
     if configured_before(node):
         yield node.note(
             "drive-limits", "the drive holds limits of an earlier connection: power it off and on to compare its own"
@@ -87,12 +94,12 @@ def limits(node: Node, units: Codec) -> Iterator[Row]:
         speed, fastest = units.raw_speed(axis.velocity_limit), units.raw_max_speed(axis.velocity_limit)
         effort, window = units.raw_effort_limit(axis.effort_limit), units.raw_window(axis.position_limits)
     except LimitExceeded as error:
-        yield node.row("limits", False, f"in drive units: {error}: gear_ratio or units")
+        yield node.row("limits", False, f"in drive units: {error}: check gear_ratio and units")
         return
     most = MOST_EFFORT * units.rated_torque * abs(axis.gear_ratio)
     if axis.effort_limit > most:
-        what = f"effort_limit {axis.effort_limit:g} {axis.effort_unit} is beyond {most:.4g}, all that 6077h can tell"
-        yield node.row("effort-limit", False, f"{what}: limit or gear_ratio")
+        what = f"effort_limit {axis.effort_limit:g} {axis.effort_unit} is above {most:.4g}, the largest value of 6077h"
+        yield node.row("effort-limit", False, f"{what}: check effort_limit and gear_ratio")
     for check, name, wanted in (
         ("velocity-limit", "max_profile_velocity", speed),
         ("velocity-limit", "max_speed", fastest),
@@ -107,7 +114,7 @@ def limits(node: Node, units: Codec) -> Iterator[Row]:
 
 
 def resolution(node: Node, units: Codec) -> Iterator[Row]:
-    """Whether a small sine is more than stairs; with the velocity unit that holds in the session."""
+    """Whether the velocity unit, which stays the same in the session, is fine enough for a small sine."""
     least, limit = STEPS * abs(float(units.velocity(1.0))), node.axis.velocity_limit
     unit = f"{node.axis.unit}/s"
     what = f"lines from {least:.3g} {unit} on have {STEPS} steps of the drive's velocity unit"
@@ -115,7 +122,7 @@ def resolution(node: Node, units: Codec) -> Iterator[Row]:
 
 
 def configured_before(node: Node) -> bool:
-    """Whether `sweepid` has configured the drive since its power came on: it expects our own heartbeat."""
+    """Whether `sweepid` has configured the drive since power-on: then it monitors the heartbeat of this host."""
     bus = node.machine.bus
     return node.value(HEARTBEAT_CONSUMER) == bus.host_node << 16 | round(bus.host_timeout * 1e3)
 
@@ -132,7 +139,7 @@ def _gear(node: Node) -> Iterator[Row]:
 
 
 def _fixed_increments(node: Node) -> Iterator[Row]:
-    """A number in map or profile beside an object that tells it."""
+    """A number in map or profile, in addition to an object of the drive that reports it."""
     units = node.map.units
     given = node.axis.increments if units.increments == "profile" else units.increments
     if isinstance(given, str) or given is None or "increments" in node.missing:
@@ -165,7 +172,9 @@ def _beyond(node: Node, check: str, entry: Entry, wanted: int, held: int) -> Row
     what = f"{entry}: the drive holds {held}, the profile's limit is {wanted} of its units"
     fits = wanted <= held * (1 + _ROUNDING) + 1
     return node.row(
-        check, fits, what if fits else f"{what}, {wanted / held:.3g} times as much: limit, gear_ratio or unit"
+        check,
+        fits,
+        what if fits else f"{what}, {wanted / held:.3g} times as much: check the limit, gear_ratio and the unit",
     )
 
 
@@ -179,5 +188,7 @@ def _inside(node: Node, wanted: tuple[int, int], held: tuple[int, int]) -> Row:
     if within(*wanted):
         return node.row("position-limits", True, what)
     if within(-wanted[1], -wanted[0]):
-        return node.row("sign", False, f"{what}: they fit the other way round, so the sign of gear_ratio is wrong")
-    return node.row("position-limits", False, f"{what}: limits, gear_ratio, increments or position_offset")
+        return node.row("sign", False, f"{what}: they fit with the other sign: change the sign of gear_ratio")
+    return node.row(
+        "position-limits", False, f"{what}: check position_limits, gear_ratio, increments and position_offset"
+    )

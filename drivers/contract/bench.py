@@ -1,4 +1,4 @@
-"""What the suite knows of a machine under test, and the motions that it asks for."""
+"""Properties of a machine under test, and the motions that the suite uses."""
 
 import asyncio
 import time
@@ -15,28 +15,28 @@ from drivers.ports import DrivePort, NoiseCommand, SampleBlock, Sine, SweepComma
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """What there is to test with; rad, rad/s, N m.
+    """Properties of the machine for the tests; rad, rad/s, N m.
 
-    The suite moves `axis` between -0.2 and 2 rad at up to 1 rad/s, and slowly by a few hundredths of a rad from where
-    it stands.
+    The suite moves `axis` between -0.2 and 2 rad at up to 1 rad/s, and slowly by a few hundredths of a rad from its
+    position.
     """
 
     modes: frozenset[SweepMode]
-    orders: frozenset[str]  # that `Machine.order` takes, as far as this drive can have the trouble
+    orders: frozenset[str]  # accepted by `Machine.order`, as far as they apply to this drive
     axis: str
-    other: str | None = None  # a second axis; what needs one is left out where there is none
+    other: str | None = None  # a second axis; tests that need it are skipped without one
     injects: bool = False  # torque noise
     exclusive: bool = False  # one host at a time
-    load_encoder: bool = False  # its position comes with the samples of drive-side sweeps
+    load_encoder: bool = False  # samples of drive-side sweeps have its position
     position_limits: tuple[float, float]  # of the axis, as in the profile
-    velocity_limit: float  # the same
-    effort: float  # limit of the suite's sweeps; the axis' own lies between it and 1.8 times it
-    slow_effort: tuple[float, float]  # between which the mean effort of a slow turn forward lies
-    least_effort: float  # less than a slow turn takes
+    velocity_limit: float  # of the axis, as in the profile
+    effort: float  # limit of the suite's sweeps; the axis' own limit is 1 to 1.8 times this
+    slow_effort: tuple[float, float]  # range of the mean effort of a slow forward motion
+    least_effort: float  # below the effort of a slow motion
     drive_rate: float = 250.0  # Hz, samples of drive-side sweeps
     sync_period: float = 0.008  # s, of host-streamed sweeps
     amplitude: float = 0.002  # rad/s, of the sines of the suite's sweeps
-    least_sine: float = 0.0  # rad, that a sine must have for the drive to resolve it
+    least_sine: float = 0.0  # rad, smallest sine that the drive resolves
 
     @property
     def both(self) -> tuple[str, ...]:
@@ -44,11 +44,11 @@ class Bench:
         return (self.axis,) if self.other is None else (self.axis, self.other)
 
     def rate(self, mode: SweepMode) -> float:
-        """Samples a second of a sweep."""
+        """Samples per second of a sweep."""
         return 1 / self.sync_period if mode is SweepMode.HOST_STREAMED else self.drive_rate
 
     async def sweep(self, port: DrivePort, mode: SweepMode, periods: int = 2, **changes: Any) -> SweepCommand:
-        """A short sweep from where the axis stands, with a window around that."""
+        """A short sweep from the position of the axis, with a window around it."""
         start = (await port.status())[self.axis].position
         command = SweepCommand(
             joint=self.axis,
@@ -67,7 +67,7 @@ class Bench:
         return replace(command, **changes)
 
     async def noise(self, port: DrivePort, periods: int = 4, **changes: Any) -> NoiseCommand:
-        """A short noise run from where the axis stands, 2 to 40 Hz."""
+        """A short noise run from the position of the axis, 2 to 40 Hz."""
         start = (await port.status())[self.axis].position
         command = NoiseCommand(
             joint=self.axis,
@@ -90,7 +90,7 @@ class Bench:
 
 
 class Machine(Protocol):
-    """A machine that runs, seen past its port: what it really does, and troubles to order."""
+    """A running machine, seen independently of its port: its true state, and faults that can be injected."""
 
     @property
     def bench(self) -> Bench: ...
@@ -105,19 +105,19 @@ class Machine(Protocol):
         ...
 
     def truth(self, joint: str) -> Mapping[str, Any]:
-        """`position`, rad, `velocity`, rad/s, and `fault`, 0 if there is none, of an axis."""
+        """True `position`, rad, `velocity`, rad/s, and `fault`, 0 if there is none, of an axis."""
         ...
 
     def energised(self) -> list[str]:
-        """The axes that have energy now."""
+        """The axes that are energised now."""
         ...
 
     def order(self, order: str, **fields: Any) -> Mapping[str, Any]:
-        """A trouble of `Bench.orders`; docs/how-to/write-a-drive-adapter.md has what each does."""
+        """Injects a fault of `Bench.orders`; docs/how-to/write-a-drive-adapter.md describes each."""
         ...
 
     def recover(self) -> None:
-        """Takes back every trouble that lasts; faults stay until they are acknowledged."""
+        """Removes every lasting disturbance; faults stay until they are acknowledged."""
         ...
 
 
@@ -132,7 +132,7 @@ async def consume(
 
 @asynccontextmanager
 async def closing(port: DrivePort) -> AsyncGenerator[DrivePort]:
-    """Closed in any case: an open one is the trouble of every test after it."""
+    """Closes the port in any case: an open port would disturb all following tests."""
     try:
         yield port
     finally:
@@ -140,7 +140,7 @@ async def closing(port: DrivePort) -> AsyncGenerator[DrivePort]:
 
 
 async def eventually(condition: Callable[[], bool], within: float = 20.0) -> None:
-    """Wait for a condition, s."""
+    """Wait until `condition` is true, at most `within` s."""
     deadline = time.monotonic() + within
     while not condition():
         assert time.monotonic() < deadline, "condition never came true"

@@ -1,4 +1,4 @@
-"""What every `DrivePort` must do when the drive, the bus or the axis misbehaves."""
+"""Required behaviour of every `DrivePort` on errors of the drive, the bus or the axis."""
 
 import asyncio
 import time
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.contract.bench import Machine, column, consume, eventually
-from drivers.contract.needs import needs
+from drivers.contract.requirements import needs
 from drivers.contract.suite import Suite
 from drivers.errors import (
     CommunicationLost,
@@ -19,12 +19,12 @@ from drivers.errors import (
 )
 from drivers.ports import AxisState, DrivePort, SampleBlock, SweepMode
 
-# interrupted on its way: 100 s of a slow turn, 5 s of a machine at 20 times real time
+# interrupted in motion: 100 s of slow motion, 5 s of a machine at 20 times real time
 LONG: dict[str, Any] = {"periods": 200, "offset_velocity": 0.0045}
 
 
 class FaultSuite(Suite):
-    """Faults, an emergency stop, silence and lost samples, as far as they can be ordered."""
+    """Faults, emergency stop, silence and lost samples, as far as they can be injected."""
 
     @needs(orders={"fault"})
     async def test_fault_in_a_sweep_delivers_what_there_is_and_waits_for_a_person(
@@ -46,9 +46,9 @@ class FaultSuite(Suite):
             await consume(port, await virtual.bench.sweep(port, mode, **LONG), each)
         index = column(blocks, "index")
         assert np.array_equal(index, np.arange(len(index)))
-        # of 25000; the last of a busy machine are its answers to SYNCs that had to wait
+        # of 25000; on a busy computer the last ones are late answers to SYNC
         assert 190 <= len(index) <= 500
-        # de-energised, told, and nothing but an acknowledgement helps
+        # de-energised, reported, and cleared only by an acknowledgement
         assert virtual.energised() == []
         assert (await port.status())[axis].state is AxisState.FAULT
         (fault,) = await port.faults()
@@ -84,7 +84,7 @@ class FaultSuite(Suite):
             )
         assert virtual.energised() == []
         assert {fault.emergency_stop for fault in await port.faults()} == {True}
-        with pytest.raises(DriveFault, match="while its cause is there"):
+        with pytest.raises(DriveFault, match="while its cause persists"):
             await port.acknowledge(axis)
         virtual.order("emergency_stop", on=False)
         with pytest.raises(EmergencyStop):
@@ -115,13 +115,13 @@ class FaultSuite(Suite):
                 lambda _: virtual.order("silence", joint=axis, on=True),
             )
         assert (await port.status())[axis].state is AxisState.UNKNOWN
-        # one that did not answer in time, on a busy computer, is asked again
+        # on a busy computer a late answer is requested again
         deadline = time.monotonic() + 20
         for other in virtual.bench.both[1:]:
             while (await port.status())[other].state is not AxisState.DISABLED:
                 assert time.monotonic() < deadline, "a silent node took the other one with it"
                 await asyncio.sleep(0.1)
-        # the drive hears what it cannot answer, and its own watchdogs hold as well
+        # the drive receives but cannot answer; its own watchdogs also stop it
         await eventually(lambda: virtual.energised() == [])
         virtual.order("silence", joint=axis, on=False)
 

@@ -1,4 +1,4 @@
-"""What every `DrivePort` must do, on every bus."""
+"""Required behaviour of every `DrivePort` on every bus: connection, motion, sweeps."""
 
 import asyncio
 import re
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.contract.bench import Bench, Machine, closing, column, consume, eventually
-from drivers.contract.needs import needs
+from drivers.contract.requirements import needs
 from drivers.contract.suite import Suite
 from drivers.errors import (
     ConnectionFailed,
@@ -20,12 +20,12 @@ from drivers.errors import (
 )
 from drivers.ports import AxisState, DrivePort, SampleBlock, Sine, SweepCommand, SweepMode
 
-# interrupted at its beginning: 100 s of a slow turn, 5 s of a machine at 20 times real time
+# interrupted at its beginning: 100 s of slow motion, 5 s of a machine at 20 times real time
 LONG: dict[str, Any] = {"periods": 200, "offset_velocity": 0.0045}
 
 
 def one_second(command: SweepCommand, bench: Bench) -> slice:
-    """Of its samples, from where it counts."""
+    """Samples of one second, from the start of the measured window."""
     first = round(command.measure_from * bench.rate(command.mode))
     return slice(first, first + round(bench.rate(command.mode)))
 
@@ -36,7 +36,7 @@ async def consume_rest(running: AsyncGenerator[SampleBlock, None]) -> None:
 
 
 class DrivePortSuite(Suite):
-    """Connecting, moving, sweeping, and every way to end that."""
+    """Connecting, moving, sweeps, and every way to end them."""
 
     async def test_connect_leaves_every_axis_disabled(self, port: DrivePort, virtual: Machine) -> None:
         status = await port.status()
@@ -66,7 +66,7 @@ class DrivePortSuite(Suite):
             assert virtual.energised() == [axis]
             assert (await port.status())[axis].state is AxisState.ENABLED
 
-    async def test_identity_is_told(self, port: DrivePort) -> None:
+    async def test_identity_is_reported(self, port: DrivePort) -> None:
         await port.close()
         identities = await port.connect()
         assert [identity.joint for identity in identities] == list(port.joints)
@@ -77,7 +77,7 @@ class DrivePortSuite(Suite):
     @needs(orders={"identity"})
     async def test_identity_is_checked(self, port: DrivePort, virtual: Machine) -> None:
         await port.close()
-        told = {identity.joint: identity.address for identity in await port.connect()}
+        addresses = {identity.joint: identity.address for identity in await port.connect()}
         await port.close()
         other = virtual.bench.both[-1]
         (product,) = (
@@ -85,7 +85,7 @@ class DrivePortSuite(Suite):
         )
         virtual.order("identity", joint=other, product=0x9999)
         try:
-            with pytest.raises(WrongIdentity, match=re.escape(f"{other} ({told[other]}): product is 00009999h")):
+            with pytest.raises(WrongIdentity, match=re.escape(f"{other} ({addresses[other]}): product is 00009999h")):
                 await port.connect()
         finally:
             virtual.order("identity", joint=other, product=product)
@@ -170,14 +170,14 @@ class DrivePortSuite(Suite):
         assert when[-1] == pytest.approx(command.duration, abs=0.01)
         assert all(block.joint == axis for block in blocks)
         assert len(blocks) > 1
-        # the set-point: silent at both ends, the command's lines inside the window
+        # set-point: zero at both ends, the command's lines inside the window
         velocity_setpoint = column(blocks, "velocity_setpoint")
         assert velocity_setpoint[0] == pytest.approx(0.0, abs=1e-4)
         window = one_second(command, virtual.bench)
         spectrum = np.fft.rfft(velocity_setpoint[window]) / virtual.bench.rate(mode)
         assert spectrum[0].real == pytest.approx(0.0105, rel=0.01)
         assert 2 * abs(spectrum[[2, 4]]) == pytest.approx([virtual.bench.amplitude] * 2, rel=0.01)
-        # motion: it follows, its position is the integral of its velocity, and friction opposes it
+        # motion follows; position is the integral of velocity; friction opposes it
         velocity, position, effort = column(blocks, "velocity"), column(blocks, "position"), column(blocks, "effort")
         assert np.mean(velocity[window]) == pytest.approx(0.0105, rel=0.05)
         assert position[0] == pytest.approx(before, abs=1e-4)

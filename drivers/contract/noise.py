@@ -1,16 +1,16 @@
-"""Whether a machine injects torque noise, and what it answers if it does not."""
+"""Checks whether a machine injects torque noise, and how it refuses if it does not."""
 
 import pytest
 
 from drivers.contract.bench import Machine, consume
-from drivers.contract.needs import needs
+from drivers.contract.requirements import needs
 from drivers.contract.suite import Suite
 from drivers.errors import NotReady
 from drivers.ports import AxisState, DrivePort
 
 
 class NoiseSuite(Suite):
-    async def test_the_ability_is_told(self, port: DrivePort, virtual: Machine) -> None:
+    async def test_the_capability_is_reported(self, port: DrivePort, virtual: Machine) -> None:
         assert port.capabilities.torque_injection is virtual.bench.injects
 
     @needs(injects=False)

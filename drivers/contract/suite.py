@@ -1,4 +1,4 @@
-"""The fixtures of the suite's classes; who runs it gives the fixture `virtual`, a `Machine`."""
+"""The fixtures of the suite's classes. The user provides the fixture `virtual`, a `Machine`."""
 
 import asyncio
 import threading
@@ -7,12 +7,12 @@ from collections.abc import AsyncGenerator
 import pytest
 
 from drivers.contract.bench import Machine
-from drivers.contract.needs import lacking
+from drivers.contract.requirements import lacking
 from drivers.ports import DrivePort, SweepMode
 
 
 class Suite:
-    """A test that asks for `mode` runs once for every sweep mode."""
+    """A test with the fixture `mode` runs once for every sweep mode."""
 
     @pytest.fixture(params=list(SweepMode), ids=lambda mode: mode.value)
     def mode(self, request: pytest.FixtureRequest) -> SweepMode:
@@ -20,7 +20,7 @@ class Suite:
 
     @pytest.fixture(autouse=True)
     def fitting(self, request: pytest.FixtureRequest, virtual: Machine) -> None:
-        """What the bench lacks is no test of it."""
+        """Skips tests of functions that the bench lacks."""
         mode = request.getfixturevalue("mode") if "mode" in request.fixturenames else None
         if reason := lacking(request.function, virtual.bench, mode):
             pytest.skip(reason)
@@ -36,13 +36,15 @@ class Suite:
 
     @pytest.fixture
     async def port(self, virtual: Machine, fitting: None) -> AsyncGenerator[DrivePort]:
-        """Connected, every fault acknowledged; closed afterwards with the machine's disturbances taken back."""
+        """Connected, with every fault acknowledged. Closed afterwards, and the disturbances of the machine are
+        removed.
+        """
         async for connected in connected_port(virtual):
             yield connected
 
 
 async def connected_port(virtual: Machine) -> AsyncGenerator[DrivePort]:
-    """What `port` is made of."""
+    """Implementation of the fixture `port`."""
     connected = virtual.open()
     await connected.connect()
     for joint in connected.joints:

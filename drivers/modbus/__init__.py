@@ -9,6 +9,6 @@ from drivers.modbus.profile import parse_profile
 
 
 def from_profile(profile: Mapping[str, object], base: Path) -> Cia402Machine:
-    """The adapter's factory (entry point ``sweepid.drives``). BadProfile names the key and the reason."""
+    """Factory of the adapter (entry point ``sweepid.drives``). BadProfile names the key and the reason."""
     parsed = parse_profile(profile, base)
     return Cia402Machine(parsed.axes, ModbusFieldbus(parsed))

@@ -1,6 +1,6 @@
-"""Registers <-> physical values: type, word order and scale of one value, or of many that follow one another. Pure.
+"""Registers <-> physical values: type, word order and scale of one value or of consecutive values. Pure.
 
-Within a register the high byte comes first, always; the word order is that of values wider than a register.
+Within a register the high byte is always first. The word order applies to values of more than one register.
 """
 
 import math
@@ -27,7 +27,7 @@ _ENDS: dict[str, tuple[float, float]] = {
 
 
 class WordOrder(Enum):
-    """Which register of a value comes first."""
+    """Which register of a value is first."""
 
     HIGH_FIRST = "high_first"
     LOW_FIRST = "low_first"
@@ -39,7 +39,7 @@ class WordOrder(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """How one value lies in registers: physical = raw * scale."""
+    """Format of one value in registers: physical = raw * scale."""
 
     type: WireType
     order: WordOrder
@@ -47,30 +47,32 @@ class Format:
 
     @property
     def width(self) -> int:
-        """Registers of one value."""
+        """Number of registers of one value."""
         return _TYPES[self.type].itemsize // 2
 
     @property
     def whole(self) -> bool:
-        """An integer on the wire."""
+        """Whether the value is an integer on the wire."""
         return self.type != "f32"
 
     @property
     def least(self) -> float:
-        """Lowest physical value that the type holds."""
+        """Lowest physical value of the type."""
         return _ENDS[self.type][0] * self.scale
 
     @property
     def most(self) -> float:
-        """Highest physical value that the type holds."""
+        """Highest physical value of the type."""
         return _ENDS[self.type][1] * self.scale
 
     def clip(self, value: float) -> float:
-        """The nearest value that the type holds."""
+        """The nearest value that the type can hold."""
         return max(self.least, min(self.most, value))
 
     def encode(self, value: float, rounding: Rounding = round) -> list[int]:
-        """Registers of a physical value, an integer by `rounding`; LimitExceeded if the type cannot hold it."""
+        """Registers of a physical value; an integer is rounded by `rounding`. Raises LimitExceeded if it does not fit
+        the type.
+        """
         words = np.array([self._raw(value, rounding)], _TYPES[self.type]).view(">u2").reshape(-1, self.width)
         return [int(word) for word in self._ordered(words).ravel()]
 

@@ -1,4 +1,4 @@
-"""A CiA 402 drive on Modbus: `drivers.cia402.device.Device` over the signals of a register map."""
+"""A CiA 402 drive on Modbus: `drivers.cia402.device.Device` through the signals of a register map."""
 
 import logging
 import math
@@ -22,8 +22,8 @@ logger = logging.getLogger(__name__)
 
 MODE_TIMEOUT = 2.0  # s
 POLL = 0.002  # s
-UNTOLD = 0  # in the place of an error code
-PAGE_TIME = 0.1  # s that a page may keep the line busy: a stop waits for it
+RESTARTED = 0  # used as error code of a restart
+PAGE_TIME = 0.1  # s that a page may occupy the line, because a stop must wait for it
 
 
 class ModbusDevice:
@@ -51,7 +51,9 @@ class ModbusDevice:
     # -- at connect ----------------------------------------------------------------------------------------------
 
     def identify(self) -> AxisIdentity:
-        """WrongIdentity where the constant, vendor, product, revision, serial or rated torque is another."""
+        """Raises WrongIdentity if the constant, vendor, product, revision, serial or rated torque differs from the
+        profile.
+        """
         self.forbid_motion()
         self._check_constant()
         found = self._check_identity()
@@ -81,7 +83,7 @@ class ModbusDevice:
     # -- power ---------------------------------------------------------------------------------------------------
 
     def allow_motion(self) -> None:
-        """Also makes sure that it is the drive of `identify`, and still set up."""
+        """Checks first that it is the drive of `identify` and is still configured."""
         self.read_back()
         self._line.use(self.profile.unit_id)
 
@@ -99,16 +101,17 @@ class ModbusDevice:
         deadline = time.monotonic() + MODE_TIMEOUT
         while (shown := self._unit.integer("mode_display")) != mode:
             if time.monotonic() > deadline:
-                raise WrongConfiguration(f"{self.place}: mode {mode} was not taken, the drive shows {shown}")
+                raise WrongConfiguration(f"{self.place}: mode {mode} was not accepted, the drive reports mode {shown}")
             time.sleep(POLL)
 
     def check_alive(self) -> None:
         self._line.check(self.profile.unit_id, self.place)
 
     def announced_error(self) -> int | None:
-        """What the heartbeat found: on Modbus a drive speaks only when it is asked. That it restarted its watchdog
-        shows, which is off then. The code of a fault is `error_code`."""
-        return UNTOLD if self._restarted or self._faulty else None
+        """Result of the heartbeat, because a Modbus drive only answers requests. A restart is detected by its watchdog,
+        which is off after it. The code of a fault is `error_code`.
+        """
+        return RESTARTED if self._restarted or self._faulty else None
 
     def forget_error(self) -> None:
         self._faulty = False
@@ -120,17 +123,17 @@ class ModbusDevice:
         return self._unit.integer("error_code")
 
     def error_text(self, code: int) -> str:
-        if code == UNTOLD and self._restarted:
+        if code == RESTARTED and self._restarted:
             return "drive restarted, its settings are lost"
         return f"error {code:04X}h"
 
     def halt(self) -> None:
-        """Quick stop without waiting for the answer, but leaving a serial line free for it."""
+        """Quick stop without waiting for the answer, but with the time for it on a serial line."""
         self._unit.tell("controlword", states.QUICK_STOP)
         time.sleep(self._machine.line.answer_time)
 
     def reopen(self) -> None:
-        """A Modbus drive is never deaf."""
+        """Nothing to do: a Modbus drive always receives."""
 
     def stop_unheard(self) -> None:
         """Quick stop, and disable voltage after the time of its ramp."""
@@ -139,15 +142,15 @@ class ModbusDevice:
         self._unit.tell("controlword", states.DISABLE_VOLTAGE)
 
     def beat(self) -> None:
-        """A sign of life to the drive and from it, if nobody else asked of late."""
+        """A request to the drive that proves both are alive, if there was no other request recently."""
         if self._line.due(self.profile.unit_id):
-            with suppress(CommunicationLost):  # the line keeps the reason; whoever asks next gets it
+            with suppress(CommunicationLost):  # the line stores the reason and raises it at the next request
                 self._look()
 
     # -- motion --------------------------------------------------------------------------------------------------
 
     def motion(self) -> Motion:
-        """One moment, where the map lets the three registers follow one another."""
+        """Values of one instant, if the three registers are adjacent in the map."""
         values = self._unit.read("position", "velocity", "torque")
         return Motion(
             self._gear.position(values["position"]),
@@ -156,20 +159,20 @@ class ModbusDevice:
         )
 
     def read_back(self) -> None:
-        """Also WrongIdentity if the unit is another than at connect: addresses may have been swapped since.
+        """Also raises WrongIdentity if the unit differs from that at connect: addresses may have been swapped since.
 
-        DriveFault if it restarted: a person is to acknowledge that, which sets it up anew.
+        Raises DriveFault if it restarted: after a person acknowledges it, it is configured again.
         """
         found = self._check_identity()
         if found[3] != self._serial:
             raise WrongIdentity(f"{self.place}: serial is {found[3]:08X}h, at connect it was {self._serial:08X}h")
         self.look_for_restart()
         if self._restarted:
-            raise DriveFault(f"{self.place}: {self.error_text(UNTOLD)}")
+            raise DriveFault(f"{self.place}: {self.error_text(RESTARTED)}")
         self._settle_session()
 
     def settle_limits(self, velocity: float, effort: float, window: tuple[float, float]) -> None:
-        """Those of the four that the map has; cut at what their registers hold."""
+        """Writes those of the four limits that the map has, limited to the range of their registers."""
         low, high = self._gear.window(window)
         limits: dict[str, tuple[float, Rounding]] = {
             "max_torque": (self._gear.permille(effort), math.floor),
@@ -200,13 +203,13 @@ class ModbusDevice:
 
     @property
     def page_size(self) -> int:
-        """At most a page of the map, and what the line carries in `PAGE_TIME`."""
+        """At most one page of the map, and at most what the line carries in `PAGE_TIME`."""
         trace, piece = self._trace(), self._piece
         requests = max(1, math.floor(PAGE_TIME / self._machine.line.read_time(piece)))
         return min(trace.registers, requests * piece) // trace.width
 
     def prepare_measuring(self, command: SweepCommand) -> None:
-        """LimitExceeded where a parameter does not fit the steps of its register."""
+        """Raises LimitExceeded if the register of a parameter is too coarse for its value."""
         self._trace_cycle = measuring.trace_cycle(command)
         self._unit.write({"measuring_command": measuring.NONE})
         self._unit.settle(*measuring.parameters(command, self._map.signals, self._gear))
@@ -218,9 +221,9 @@ class ModbusDevice:
         self._unit.write({"measuring_command": measuring.ABORT})
 
     def measuring_state(self) -> MeasuringState:
-        """WrongConfiguration for a state that this adapter does not know."""
+        """Raises WrongConfiguration for a state that this adapter does not know."""
         number = self._unit.integer("measuring_state")
-        if number == MeasuringState.IDLE:  # what a drive says that knows of no sweep
+        if number == MeasuringState.IDLE:  # state of a drive without a sweep
             self.look_for_restart()
         try:
             return MeasuringState(number)
@@ -235,7 +238,7 @@ class ModbusDevice:
         return self._unit.integer("samples_recorded")
 
     def page(self, first: int, count: int) -> SampleBlock:
-        """In pieces of whole samples: no request cuts a value."""
+        """Read in pieces of whole samples, so that no request splits a value."""
         trace, piece = self._trace(), self._piece
         self._unit.write({"page_first": first, "page_count": count})
         registers: list[int] = []
@@ -254,10 +257,10 @@ class ModbusDevice:
             return
         other = signal.format.order.other
         turned = int(Format(signal.format.type, other).decode(registers)[0])
-        told = f"{self.place}: {signal} reads {read:08X}h, the register map says {self._map.constant:08X}h; "
+        what = f"{self.place}: {signal} reads {read:08X}h, the register map says {self._map.constant:08X}h; "
         if turned == self._map.constant:
-            raise WrongIdentity(f"{told}with word_order '{other.value}' it is that: the map's word order is wrong")
-        raise WrongIdentity(f"{told}with word_order '{other.value}' it would be {turned:08X}h")
+            raise WrongIdentity(f"{what}with word_order '{other.value}' both agree: correct word_order in the map")
+        raise WrongIdentity(f"{what}with word_order '{other.value}' it would be {turned:08X}h")
 
     def _check_identity(self) -> tuple[int, int, int, int]:
         read = self._unit.read("vendor", "product", "revision", "serial")
@@ -270,7 +273,7 @@ class ModbusDevice:
         return found
 
     def _look(self) -> None:
-        """One short exchange: for a fault, and every other time for a restart."""
+        """One short exchange: checks for a fault, and every second time for a restart."""
         self._looks += 1
         if self._looks % 2:
             self._faulty = states.decode(self.statusword()) in (State.FAULT, State.FAULT_REACTION)
@@ -281,17 +284,17 @@ class ModbusDevice:
         if self._restarted or "watchdog" not in self._map.signals:
             return
         if self._unit.value("watchdog") != self._watchdog:
-            logger.warning("%s: its watchdog is off: it restarted", self.place)
+            logger.warning("%s: the drive restarted: its watchdog was off", self.place)
             self._restarted = True
 
     @property
     def _watchdog(self) -> float:
-        """ms, as its register holds it."""
+        """ms, as its register can hold it."""
         form = self._map.signals["watchdog"].format
         return float(form.decode(form.encode(self._machine.line.watchdog * 1e3))[0])
 
     def _settle_session(self) -> None:
-        """What holds for the whole session, as far as the map has it."""
+        """Settings for the whole session, as far as the map has them."""
         options = self._machine.stop_options
         acceleration = self._gear.speed(self.profile.acceleration)
         settings = {
@@ -311,7 +314,7 @@ class ModbusDevice:
 
     @property
     def _piece(self) -> int:
-        """Registers of the whole samples that one request brings."""
+        """Registers of the whole samples that fit one request."""
         width = self._trace().width
         return self._map.max_read // width * width
 

@@ -1,4 +1,4 @@
-"""The Modbus line of a profile: opened, every unit introduced, kept awake by the heartbeat."""
+"""The Modbus line of a profile: opened, every unit identified, watchdogs served by the heartbeat."""
 
 import asyncio
 import hashlib
@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 
 
 class ModbusFieldbus:
-    """See `drivers.cia402.connection.Fieldbus`. BadProfile where the register map cannot be used."""
+    """See `drivers.cia402.connection.Fieldbus`. Raises BadProfile if the register map cannot be used."""
 
     def __init__(self, profile: ModbusProfile) -> None:
         self._profile = profile
@@ -47,7 +47,7 @@ class ModbusFieldbus:
         return ModbusConnection(thread, line, heart, devices, axes, identities, capabilities(axes.values()), watch)
 
     def stop_sender(self) -> ModbusStopSender:
-        """NotReady on a serial line."""
+        """Raises NotReady on a serial line."""
         return ModbusStopSender(self._profile, self._map)
 
 
@@ -66,11 +66,11 @@ class ModbusConnection:
     sync_period: float = math.inf  # there is no cycle
 
     async def stream(self, sweeps: Sequence[tuple[SweepCommand, Envelope]], stop: threading.Event) -> Run:
-        """NotReady: polling is too slow and too uneven for set-points."""
+        """Raises NotReady: polling is too slow and too irregular for set-points."""
         raise NotReady("host-streamed sweeps are not possible through Modbus")
 
     def halt(self, *, streaming: bool) -> None:
-        """The next thing that the line's thread does, for all units before anything is asked of one."""
+        """Executed next by the thread of the line, for all units before any unit is asked."""
         self.thread.post(_halt, self.devices)
 
     async def close(self) -> None:
@@ -78,15 +78,16 @@ class ModbusConnection:
 
 
 async def _beat(thread: DriveThread, devices: Sequence[ModbusDevice], period: float) -> None:
-    """A word to every unit, from the event loop on purpose: a host that hangs falls silent, and the drives stop.
+    """A request to every unit. It runs on the event loop on purpose: if the host hangs, it stops, and the drives stop
+    the axes.
 
-    It stands in the thread's queue behind at most one page of the trace (`ModbusDevice.page_size`).
+    In the queue of the thread it waits for at most one page of the trace (`ModbusDevice.page_size`).
     """
     while True:
         for device in devices:
             try:
                 await thread.run(device.beat)
-            except DriveError as error:  # one drive's refusal must not let the others starve
+            except DriveError as error:  # a refusal of one drive must not affect the others
                 logger.error("heartbeat: %s", error)
         await asyncio.sleep(period)
 
@@ -95,7 +96,7 @@ def _halt(devices: Sequence[ModbusDevice]) -> None:
     for device in devices:
         try:
             device.halt()
-        except DriveError as error:  # the others must be told all the same
+        except DriveError as error:  # the others must be halted all the same
             logger.error("halt: %s", error)
 
 
@@ -104,7 +105,7 @@ def _introduce(axes: Iterable[Axis]) -> tuple[AxisIdentity, ...]:
 
 
 async def _release(thread: DriveThread, line: Line, heart: asyncio.Task[None] | None) -> None:
-    """Ends heartbeat, line and thread, after what is under way on it."""
+    """Ends heartbeat, line and thread, after the request in progress."""
     if heart is not None:
         heart.cancel()
         await asyncio.gather(heart, return_exceptions=True)

@@ -1,10 +1,10 @@
-"""One Modbus line, TCP or RTU: requests one after the other, and what was last heard of every unit. Blocking.
+"""One Modbus line, TCP or RTU: one request at a time, and the last reception of every unit. Blocking.
 
-No write is ever repeated: whether the drive did it is not known, and a command of motion must not come twice. An RTU
-read is asked once more if the answer came garbled, for then no answer is under way any more. A time-out is never
-repeated: on RTU nothing in a late answer tells to which request it belongs. A unit that did not answer is lost: it is
-left alone, except for stopping it, until `due` lets the heartbeat look for it again; what it said too late was then
-thrown away with the line's buffer. On TCP the transaction id tells, and the connection is made anew.
+A write is never repeated: it is unknown whether the drive executed it, and a motion command must not be sent twice.
+An RTU read is repeated once if the answer was damaged, because then no answer is pending. After a time-out nothing
+is repeated: an RTU answer does not show to which request it belongs. A unit that did not answer is lost. It is only
+stopped, and not asked, until `due` lets the heartbeat look for it again; its late answers have then been discarded
+with the buffer of the line. On TCP the transaction id identifies an answer, and the connection is opened again.
 """
 
 import logging
@@ -25,11 +25,11 @@ from drivers.modbus.profile import RtuLine, TcpLine
 
 logger = logging.getLogger(__name__)
 
-BEATS = 4  # requests to each unit in a watchdog's time
-LOOK_AGAIN = 2.0  # s between looks for a lost unit
+BEATS = 4  # requests to each unit within the watchdog time
+LOOK_AGAIN = 2.0  # s between attempts to reach a lost unit
 
 READ, WRITE = 3, 16  # function codes
-GATEWAY = frozenset({0x0A, 0x0B})  # exceptions by which a gateway says that the unit cannot be reached
+GATEWAY = frozenset({0x0A, 0x0B})  # exceptions of a gateway that cannot reach the unit
 EXCEPTIONS = {
     1: "the drive does not know this function",
     2: "no such register",
@@ -37,7 +37,7 @@ EXCEPTIONS = {
     4: "the drive refuses in its present state",
     6: "the drive is busy",
 }
-# pymodbus lets some of the errors of its decoders through.
+# pymodbus does not convert all errors of its decoders.
 BROKEN = (ModbusException, OSError, struct.error, IndexError, ValueError)
 
 
@@ -61,24 +61,26 @@ class Line:
         return self._profile.watchdog / BEATS
 
     def open(self) -> None:
-        """ConnectionFailed where that is not possible."""
+        """Raises ConnectionFailed if the line cannot be opened."""
         self._closed = False
         if not self._client.connect():
             self._closed = True
             place = f"Modbus {self._profile.transport} {self._profile.place}"
-            raise ConnectionFailed(f"{place} could not be opened: {_refusal(self._profile)}; is the machine on?")
+            raise ConnectionFailed(
+                f"{place} could not be opened: {_refusal(self._profile)}; check power, cable and address"
+            )
 
     def close(self) -> None:
-        """Safe to call twice."""
+        """May be called twice."""
         self._closed = True
         self._client.close()
 
     # -- requests ------------------------------------------------------------------------------------------------
 
     def read(self, unit: int, address: int, count: int, what: str) -> list[int]:
-        """`count` holding registers. `what` names them in errors.
+        """Read `count` holding registers. `what` names them in errors.
 
-        CommunicationLost where no answer comes, WrongConfiguration where the drive refuses.
+        Raises CommunicationLost if there is no answer, and WrongConfiguration if the drive refuses.
         """
         response = self._ask(
             unit, what, READ, lambda: self._client.read_holding_registers(address, count=count, device_id=unit)
@@ -89,18 +91,18 @@ class Line:
         return list(response.registers)
 
     def write(self, unit: int, address: int, registers: Sequence[int], what: str) -> None:
-        """As `read`. Function 16 whatever the number: every drive with values of two registers has it."""
+        """Errors as `read`. Always uses function 16, which every drive with two-register values supports."""
         response = self._ask(
             unit, what, WRITE, lambda: self._client.write_registers(address, list(registers), device_id=unit)
         )
         if (response.address, response.count) != (address, len(registers)):
-            self._lose(unit, f"{what}: the answer to another request came")
+            self._lose(unit, f"{what}: received the answer to another request")
         self._heard[unit] = time.monotonic()
 
     def tell(self, unit: int, address: int, registers: Sequence[int], what: str) -> None:
         """Write without waiting for an answer, to a lost unit as well.
 
-        Never to unit 0, which is everybody: the line may hold drives of which this map is not true.
+        Never to unit 0, the broadcast: the line may have drives with another register map.
         """
         self._wait_for_silence()
         try:
@@ -114,7 +116,7 @@ class Line:
     # -- who is there --------------------------------------------------------------------------------------------
 
     def check(self, unit: int, what: str) -> None:
-        """CommunicationLost if the unit is lost, or was not heard for the time of the watchdog."""
+        """Raises CommunicationLost if the unit is lost, or was silent for longer than the watchdog time."""
         if unit in self._lost:
             raise CommunicationLost(self._lost[unit][1])
         silent = time.monotonic() - self._heard.get(unit, 0.0)
@@ -122,15 +124,16 @@ class Line:
             raise CommunicationLost(f"{what}: no answer for {silent:.2f} s")
 
     def use(self, unit: int) -> None:
-        """It may be moving from here on: no time for lost units."""
+        """The unit may move from now on: lost units are not searched for."""
         self._in_use.add(unit)
 
     def release(self, unit: int) -> None:
         self._in_use.discard(unit)
 
     def due(self, unit: int) -> bool:
-        """Whether the heartbeat should ask this unit now: nobody else did of late. Looks for a lost one rarely, and
-        only while no other unit is in use, for that costs a time-out."""
+        """Whether the heartbeat should ask this unit now, because there was no other request recently. A lost unit is
+        asked rarely, and only while no other unit is in use, because each attempt costs a time-out.
+        """
         now = time.monotonic()
         if unit not in self._lost:
             return now - self._asked.get(unit, 0.0) > self.beat / 2
@@ -151,7 +154,7 @@ class Line:
         except BROKEN as error:
             if not (repeatable and self._garbled):
                 self._lose(unit, f"{what}: {error}")
-            logger.warning("%s: garbled answer, asked once more", what)
+            logger.warning("%s: damaged answer, request repeated", what)
             try:
                 response = self._exchange(unit, request)
             except BROKEN as again:
@@ -177,14 +180,14 @@ class Line:
         time.sleep(max(0.0, self._quiet_from + self._profile.silence - time.monotonic()))
 
     def _require_open(self) -> None:
-        if self._closed:  # pymodbus would open it again by itself
+        if self._closed:  # pymodbus would reopen it by itself
             raise CommunicationLost(f"Modbus {self._profile.place}: closed")
 
     def _lose(self, unit: int, reason: str) -> NoReturn:
-        """Raises CommunicationLost, now and at every request until the unit is found again."""
+        """Raises CommunicationLost now, and at every request until the unit answers again."""
         logger.error("%s", reason)
         self._lost[unit] = (time.monotonic(), reason)
-        if self._profile.transport == "tcp":  # no rest of an answer must meet the next request
+        if self._profile.transport == "tcp":  # the rest of an answer must not be read by the next request
             self._client.close()
         raise CommunicationLost(reason)
 
@@ -202,13 +205,15 @@ class Line:
         )
 
     def _see(self, sending: bool, data: bytes) -> bytes:
-        """Bytes of an answer, good or bad."""
+        """Bytes of an answer, valid or damaged."""
         self._garbled = self._garbled or not sending
         return data
 
 
 def _refusal(profile: TcpLine | RtuLine) -> str:
-    """Why there is no connection: pymodbus only logs it. Asked afterwards, for a drive may take one client alone."""
+    """Why there is no connection: pymodbus only logs it. Tried afterwards, because a drive may accept a single
+    client.
+    """
     try:
         if isinstance(profile, TcpLine):
             socket.create_connection((profile.host, profile.port), profile.timeout).close()
@@ -220,11 +225,12 @@ def _refusal(profile: TcpLine | RtuLine) -> str:
 
 
 class SerialClient(ModbusSerialClient):
-    """pymodbus' client looks for bytes every millisecond until the wall clock says that it is enough; this waits by
-    pyserial's monotonic clock, which a set clock does not prolong."""
+    """pymodbus' client polls for bytes every millisecond until the wall clock passes the time-out. This one waits by
+    the monotonic clock of pyserial, which is not affected when the clock is set.
+    """
 
     def recv(self, size: int | None) -> bytes:
-        """What is there, or the first byte within the time-out; empty after that. ConnectionException."""
+        """The received bytes, or the first byte within the time-out; empty after that. Raises ConnectionException."""
         port = cast(Any, self.socket)
         if port is None:
             raise ConnectionException(str(self))

@@ -16,17 +16,17 @@ NONE, START, ABORT = 0, 1, 2  # measuring_command
 
 REASONS = {1: "axis not enabled, or not at standstill", 2: "speed", 3: "position window", 4: "parameters"}
 
-NEAR = 1e-4  # relative, that a parameter may be off by the steps of its register; phases: rad
-DRIFT = 1e-3  # of a turn, that a sine may run away over the sweep by the steps of its frequency
+NEAR = 1e-4  # relative error of a parameter allowed by the resolution of its register; phases: rad
+DRIFT = 1e-3  # periods, drift of a sine over the sweep allowed by the resolution of its frequency
 
 
 def trace_cycle(command: SweepCommand) -> int:
-    """ms, as near to the wanted sample rate as the drive can."""
+    """Trace cycle in ms, as close to the requested sample rate as the drive supports."""
     return max(1, round(1e3 / command.sample_rate))
 
 
 def parameters(command: SweepCommand, signals: Mapping[str, Signal], gear: Gear) -> list[Setting]:
-    """Every parameter of a sweep in the unit of its signal; LimitExceeded for more sines than the map has."""
+    """All parameters of a sweep in the units of their signals. Raises LimitExceeded for more sines than the map has."""
     single = {
         "offset_speed": gear.rev_per_min(command.offset_velocity),
         "ramp": command.ramp,
@@ -42,7 +42,7 @@ def parameters(command: SweepCommand, signals: Mapping[str, Signal], gear: Gear)
     if len(command.sines) > room:
         raise LimitExceeded(f"{command.joint}: {len(command.sines)} sines are more than the register map's {room}")
     for sine, frequency, amplitude, phase in zip(command.sines, frequencies, amplitudes, phases, strict=False):
-        # A negative gear ratio makes the amplitude negative, and leaves the phase as it is.
+        # A negative gear ratio makes the amplitude negative and does not change the phase.
         speed = gear.rev_per_min(sine.amplitude)
         settings += [
             Setting(frequency, sine.frequency, DRIFT / command.duration),
@@ -55,9 +55,9 @@ def parameters(command: SweepCommand, signals: Mapping[str, Signal], gear: Gear)
 def samples(
     registers: Sequence[int], first: int, count: int, trace: Trace, axis: ModbusAxis, gear: Gear, cycle_ms: int
 ) -> SampleBlock:
-    """The samples `first` to `first + count` in a page's registers; CommunicationLost if they hold others.
+    """The samples `first` to `first + count` from the registers of a page. Raises CommunicationLost if it has others.
 
-    WrongConfiguration if the direct encoder of the profile is not in them.
+    Raises WrongConfiguration if they lack the direct encoder of the profile.
     """
     place = f"{axis.joint} (unit {axis.unit_id})"
     columns = _columns(registers, count, trace)
@@ -85,7 +85,7 @@ def samples(
 
 
 def _columns(registers: Sequence[int], count: int, trace: Trace) -> dict[str, Array]:
-    """(count,) of each signal; an integer register's lowest value means that there is no load encoder: NaN."""
+    """(count,) of each signal. The lowest value of an integer register means that there is no load encoder: NaN."""
     table = np.asarray(registers, np.uint16).reshape(count, trace.width)
     columns: dict[str, Array] = {}
     start = 0

@@ -6,18 +6,27 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from drivers.cia402.profile import AxisProfile, Frozen, StopOptions, existing_file, parse, require_different
+from drivers.cia402.profile import (
+    AxisProfile,
+    Frozen,
+    StopOptions,
+    TravelLimits,
+    existing_file,
+    parse,
+    require_different,
+    require_near,
+)
 
-TURNAROUND = 0.02  # s that a drive may take to begin its answer
-ROUND_TRIP = 4e-3  # s, of a Modbus TCP request: most drives answer from a cycle of some ms
+TURNAROUND = 0.02  # s, maximum time until a drive begins its answer
+ROUND_TRIP = 4e-3  # s, of a Modbus TCP request: most drives answer in a cycle of a few ms
 
 
 class _Clocks(Frozen):
     """Times in s."""
 
     timeout: float = Field(default=0.5, gt=0, le=10)  # for an answer
-    silence_between_frames: float = Field(default=0.0, ge=0, le=0.1)  # where the maker wants more than the standard
-    watchdog: float = Field(default=1.0, gt=0, le=60)  # the drive stops after this silence of ours
+    silence_between_frames: float = Field(default=0.0, ge=0, le=0.1)  # if the drive needs more than the standard
+    watchdog: float = Field(default=1.0, gt=0, le=60)  # the drive stops after this silence of the host
 
     @model_validator(mode="after")
     def _consistent(self) -> "_Clocks":
@@ -27,7 +36,7 @@ class _Clocks(Frozen):
 
 
 class TcpLine(_Clocks):
-    """A drive or a gateway that speaks Modbus TCP."""
+    """A drive or a gateway with Modbus TCP."""
 
     transport: Literal["tcp"]
     host: str = Field(min_length=1)
@@ -39,16 +48,16 @@ class TcpLine(_Clocks):
 
     @property
     def silence(self) -> float:
-        """Between an answer and the next request, s."""
+        """Time between an answer and the next request, s."""
         return self.silence_between_frames
 
     @property
     def answer_time(self) -> float:
-        """Until an answer that nobody waits for is over, s: many a server drops a request that comes before."""
+        """Time until an answer that is not awaited has ended, s: many servers drop a request that arrives before."""
         return TURNAROUND
 
     def read_time(self, registers: int) -> float:
-        """About what it takes to read so many registers, s; on TCP the round trip is what counts."""
+        """Approximate time to read `registers` registers, s; on TCP mainly the round trip."""
         return ROUND_TRIP
 
 
@@ -72,16 +81,18 @@ class RtuLine(_Clocks):
 
     @property
     def answer_time(self) -> float:
-        """Until an answer to a write that nobody waits for is over, s."""
+        """Time until the answer to a write that is not awaited has ended, s."""
         return TURNAROUND + 8 * self._character
 
     def read_time(self, registers: int) -> float:
-        """About what it takes to read so many registers, s: request of 8 bytes, answer of 5 and the registers."""
+        """Approximate time to read `registers` registers, s: request of 8 bytes, answer of 5 bytes and the
+        registers.
+        """
         return self.silence + (13 + 2 * registers) * self._character
 
     @property
     def _character(self) -> float:
-        """Start bit, 8 bits, parity, stop bits; s."""
+        """Time of start bit, 8 bits, parity and stop bits; s."""
         return (9 + (self.parity != "N") + self.stopbits) / self.baudrate
 
 
@@ -89,7 +100,7 @@ Line = Annotated[TcpLine | RtuLine, Field(discriminator="transport")]
 
 
 class ModbusAxis(AxisProfile):
-    """One axis and its unit on the line. Unit 0 would be everybody."""
+    """One axis and its unit on the line. Unit 0 is the broadcast address and not allowed."""
 
     unit_id: int = Field(ge=1, le=247)
 
@@ -102,16 +113,18 @@ class ModbusProfile(Frozen):
     registers: Path
     emergency_stop_codes: tuple[int, ...] = ()  # values of error_code that mean safe torque off
     stop_options: StopOptions = StopOptions()
+    travel_limits: TravelLimits = TravelLimits()
     axes: tuple[ModbusAxis, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
     def _consistent(self) -> "ModbusProfile":
         require_different(self.axes, "unit ids", [axis.unit_id for axis in self.axes])
+        require_near(self.axes, self.travel_limits, self.line.watchdog, "line.watchdog")
         return self
 
 
 def parse_profile(profile: Mapping[str, object], base: Path) -> ModbusProfile:
-    """A checked profile whose `registers` is an existing file, relative to `base` where it is not absolute."""
+    """A checked profile. `registers` is an existing file, relative to `base` unless it is absolute."""
     parsed = parse(ModbusProfile, profile)
     registers = existing_file("registers", base / parsed.registers)
     return parsed.model_copy(update={"registers": registers})

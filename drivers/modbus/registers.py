@@ -1,4 +1,4 @@
-"""The register map of a type of drive (docs/how-to/connect-a-modbus-drive.md): which signal lies where, and how."""
+"""The register map of a type of drive (docs/how-to/connect-a-modbus-drive.md): address and format of each signal."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ from drivers.errors import BadProfile
 from drivers.modbus.codec import Format, WireType, WordOrder
 from drivers.yaml_file import read_mapping
 
-MAX_WRITE = 123  # registers a request, Modbus application protocol V1.1b3, 6.12
+MAX_WRITE = 123  # registers per request, Modbus application protocol V1.1b3, 6.12
 
-# Unit by signal; None for what has none and lies as a whole number without scale.
+# Unit by signal; None for an integer without unit and scale.
 NEEDED: dict[str, str | None] = {
     "constant": None,
     "vendor": None,
@@ -50,7 +50,7 @@ OPTIONAL: dict[str, str | None] = {
     "connection_loss_option": None,
     "watchdog": "ms",
 }
-MEASURING: dict[str, str | None] = {  # all of them and a trace, or none
+MEASURING: dict[str, str | None] = {  # a map has all of them and a trace, or none
     "measuring_command": None,
     "measuring_state": None,
     "measuring_reason": None,
@@ -122,7 +122,7 @@ class _Trace(Frozen):
 
 class _Map(Frozen):
     word_order: WordOrder
-    max_read: int = Field(default=125, ge=2, le=125)  # registers a request
+    max_read: int = Field(default=125, ge=2, le=125)  # registers per request
     signals: dict[str, _Place]
     trace: _Trace | None = None
 
@@ -135,7 +135,7 @@ class _Map(Frozen):
         if measuring and len(measuring) < len(MEASURING):
             raise ValueError(f"signals: a measuring function needs {sorted(MEASURING.keys() - measuring)} as well")
         if bool(measuring) is not (self.trace is not None):
-            raise ValueError("trace: belongs to a measuring function, and a measuring function needs it")
+            raise ValueError("trace: needed with a measuring function, not allowed without one")
         for name, place in self.signals.items():
             self._check(name, place)
         self._check_places()
@@ -148,7 +148,7 @@ class _Map(Frozen):
         if place.count > 1 and name not in ARRAYS:
             raise ValueError(f"signals.{name}: count must be 1")
         if (place.value is not None) is not (name == "constant"):
-            raise ValueError(f"signals.{name}: the constant has a value, and nothing else has")
+            raise ValueError(f"signals.{name}: value is needed for the constant and not allowed elsewhere")
         if name == "constant" and not _tells_the_word_order(place, self.word_order):
             raise ValueError("signals.constant: must be u32 or i32, hold its value, and have two different words")
 
@@ -181,11 +181,11 @@ class Signal:
 
     @property
     def end(self) -> int:
-        """The first register behind it."""
+        """The first register after it."""
         return self.address + self.count * self.format.width
 
     def elements(self) -> list["Signal"]:
-        """Each value by itself."""
+        """Each value as a signal of its own."""
         width = self.format.width
         return [
             Signal(f"{self.name} {number + 1}", self.address + number * width, self.format)
@@ -195,7 +195,7 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """The page buffer and one sample as it lies in it."""
+    """The page buffer and the layout of one sample."""
 
     address: int
     registers: int
@@ -203,7 +203,7 @@ class Trace:
 
     @property
     def width(self) -> int:
-        """Registers of one sample."""
+        """Number of registers of one sample."""
         return sum(each.width for _, each in self.sample)
 
 
@@ -218,7 +218,7 @@ class RegisterMap:
 
 
 def spans(signals: Iterable[Signal], most: int) -> list[list[Signal]]:
-    """The signals by address, joined where they follow one another and one request of `most` registers carries them."""
+    """The signals by address, grouped if they are adjacent and fit one request of `most` registers."""
     joined: list[list[Signal]] = []
     for signal in sorted(signals, key=lambda signal: signal.address):
         last = joined[-1] if joined else None
@@ -230,7 +230,7 @@ def spans(signals: Iterable[Signal], most: int) -> list[list[Signal]]:
 
 
 def load_registers(path: Path) -> RegisterMap:
-    """BadProfile names the file, the place and the reason."""
+    """Read a register map. BadProfile names the file, the place and the reason."""
     try:
         return parse_registers(read_mapping(path, "signals"))
     except BadProfile as error:
@@ -238,7 +238,7 @@ def load_registers(path: Path) -> RegisterMap:
 
 
 def parse_registers(content: object) -> RegisterMap:
-    """BadProfile names the first wrong place and the reason."""
+    """Check a register map. BadProfile names the first wrong place and the reason."""
     if not isinstance(content, Mapping):
         raise BadProfile("must be a mapping with the key 'signals'")
     parsed = parse(_Map, cast("Mapping[str, object]", content))

@@ -1,4 +1,6 @@
-"""The stop of Modbus TCP drives from a process of its own: a connection made for it, for a drive may take one alone."""
+"""The stop of Modbus TCP drives from a separate process. It connects only for the stop: a drive may accept one client
+only.
+"""
 
 import select
 import socket
@@ -13,19 +15,21 @@ from drivers.modbus.profile import ModbusProfile, TcpLine
 from drivers.modbus.registers import RegisterMap
 
 CONNECT_TIMEOUT = 0.5  # s
-ANSWER_TIMEOUT = 0.03  # s for a unit, before the next is told
-LATE_ANSWER = 0.1  # s for a unit that did not answer then, and is told again after all others
-INSISTENCE = 0.5  # s in all for such units
+ANSWER_TIMEOUT = 0.03  # s for a unit, before the stop is sent to the next
+LATE_ANSWER = 0.1  # s for a unit that did not answer then; the stop is sent again after all others
+INSISTENCE = 0.5  # s in total for such units
 _HEAD = struct.Struct(">HHHB")  # transaction, protocol 0, length of the rest, unit: Modbus messaging on TCP/IP V1.0b
 
 
 class ModbusStopSender:
-    """See `drivers.ports.StopSender`. The transaction's number is the unit's, and so it is in its answer."""
+    """See `drivers.ports.StopSender`. The transaction id is the unit id, so that an answer identifies its unit."""
 
     def __init__(self, profile: ModbusProfile, registers: RegisterMap) -> None:
-        """NotReady on a serial line."""
+        """Raises NotReady on a serial line."""
         if not isinstance(profile.line, TcpLine):
-            raise NotReady(f"Modbus {profile.line.place}: a serial line has one owner, which is the service")
+            raise NotReady(
+                f"Modbus {profile.line.place}: only one process can open a serial line, and the service has it"
+            )
         self._line = profile.line
         signal = registers.signals["controlword"]
         words = signal.format.encode(states.QUICK_STOP, round)
@@ -40,9 +44,10 @@ class ModbusStopSender:
         time.sleep(within)
 
     def send(self) -> Mapping[str, str]:
-        """One unit after the other, for many a server drops a request that comes before it has answered the last.
+        """One unit after the other, because many servers drop a request that arrives before the last one is answered.
 
-        Where a unit was slow the next may not have been heard: all that have not answered are told again.
+        If a unit was slow, the next one may not have received the stop: it is sent again to all units that have not
+        answered.
         """
         try:
             with socket.create_connection((self._line.host, self._line.port), CONNECT_TIMEOUT) as line:
@@ -69,7 +74,7 @@ class ModbusStopSender:
 
 
 class _Answers:
-    """What has come on a line so far: `words` by unit, empty where the unit took the stop."""
+    """Answers received on a line so far: `words` by unit, empty if the unit accepted the stop."""
 
     def __init__(self, line: socket.socket) -> None:
         self.words: dict[int, str] = {}
@@ -77,7 +82,9 @@ class _Answers:
         self._data = b""
 
     def wait_for(self, units: Collection[int], seconds: float) -> None:
-        """Read until all of these have answered, or the time is over; OSError if the drives close the line."""
+        """Read until all of these units have answered or the time is over. Raises OSError if the drives close
+        the line.
+        """
         deadline = time.monotonic() + seconds
         while not self.words.keys() >= set(units):
             left = deadline - time.monotonic()

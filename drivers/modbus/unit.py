@@ -1,4 +1,4 @@
-"""The signals of one unit: physical values in and out of its registers, with read-back."""
+"""The signals of one unit: physical values written to and read from its registers, with read-back."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -9,14 +9,14 @@ from drivers.modbus.codec import Rounding
 from drivers.modbus.line import Line
 from drivers.modbus.registers import MAX_WRITE, RegisterMap, Signal, spans
 
-HELD = 1e-4  # of a float that the drive keeps in its own way; integers must be held exactly
+HELD = 1e-4  # relative tolerance of a float, which the drive may round; integers must be equal
 
 Registers = dict[Signal, list[int]]
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What a signal is to hold; `resolution`: how far off the steps of its register may put it."""
+    """Required value of a signal; `resolution`: allowed error caused by the resolution of its register."""
 
     signal: Signal
     value: float
@@ -25,14 +25,14 @@ class Setting:
 
 
 class Unit:
-    """Blocking. CommunicationLost when the unit does not answer, WrongConfiguration when it refuses."""
+    """Blocking. Raises CommunicationLost if the unit does not answer and WrongConfiguration if it refuses."""
 
     def __init__(self, line: Line, number: int, registers: RegisterMap, place: str) -> None:
         """`place` as in "joint_1 (unit 1)"."""
         self._line, self._number, self._map, self._place = line, number, registers, place
 
     def read(self, *names: str) -> dict[str, float]:
-        """Physical values; one request for all whose registers follow one another."""
+        """Physical values; signals with adjacent registers are read by one request."""
         held = self._held(self._map.signals[name] for name in names)
         return {signal.name: float(signal.format.decode(words)[0]) for signal, words in held.items()}
 
@@ -43,14 +43,14 @@ class Unit:
         return int(self.value(name))
 
     def write(self, values: Mapping[str, float]) -> None:
-        """Not read back. LimitExceeded where a register cannot hold its value."""
+        """Write without read-back. Raises LimitExceeded if a register cannot hold its value."""
         self._write({signal: self._encode(Setting(signal, values[signal.name])) for signal in self._named(values)})
 
     def settle(self, *settings: Setting) -> None:
-        """Make sure that the signals hold these values: written where they differ, and read back.
+        """Make the signals hold these values: write those that differ, and read them back.
 
-        LimitExceeded if a register's steps come no nearer than the resolution; WrongConfiguration if the drive holds
-        another value after all.
+        Raises LimitExceeded if a register is coarser than the allowed error, and WrongConfiguration if the drive
+        holds another value after the write.
         """
         wanted = {setting.signal: self._encode(setting) for setting in settings}
         different = self._different(wanted)
@@ -103,7 +103,7 @@ class Unit:
             self._line.write(self._number, span[0].address, words, f"{self._place}: {what}")
 
     def _different(self, wanted: Registers) -> Registers:
-        """What of it the drive does not hold."""
+        """The part that differs from the values held by the drive."""
         held = self._held(wanted)
         return {signal: words for signal, words in wanted.items() if not _same(signal, words, held[signal])}
 

@@ -1,4 +1,4 @@
-"""The motor's side in rev, rev/min, N m <-> the joint's in SI.
+"""Motor side in rev, rev/min, N m <-> joint side in SI.
 
 With u the signed gear ratio, theta the motor angle [rad] and q0 the joint position at encoder zero:
 q = theta / u + q0,  qd = theta' / u,  effort = u * motor torque.
@@ -16,7 +16,7 @@ Value = TypeVar("Value", float, NDArray[np.float64])
 
 @dataclass(frozen=True, slots=True)
 class Gear:
-    """One axis' conversions."""
+    """Conversions of one axis."""
 
     ratio: float
     position_offset: float  # rad (m)
@@ -47,7 +47,7 @@ class Gear:
         return velocity * (self.ratio * 60 / math.tau)
 
     def speed(self, speed: float) -> float:
-        """The same of a magnitude; rad/s^2 (m/s^2) -> rev/min/s."""
+        """As `rev_per_min` for a magnitude; also rad/s^2 (m/s^2) -> rev/min/s."""
         return abs(self.rev_per_min(speed))
 
     def permille(self, effort: float) -> float:

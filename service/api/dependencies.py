@@ -1,4 +1,4 @@
-"""What the routes share: the application, a page of a list, and the version a client has read."""
+"""Shared parts of the routes: the application, a page of a list, and the version that a client has read."""
 
 import re
 from typing import Annotated, Generic, TypeVar
@@ -15,7 +15,7 @@ Item = TypeVar("Item", bound=BaseModel)
 
 
 async def _application(connection: HTTPConnection) -> Application:
-    # async: a plain function would wait for a free thread of the pool, and the stop with it
+    # async: a plain function would wait for a free thread of the pool, and the stop would wait too
     application = connection.app.state.application
     if not isinstance(application, Application):
         raise TypeError("the application runs outside its lifespan")
@@ -41,12 +41,12 @@ Limit = Annotated[int, Query(ge=1, le=200)]
 
 
 class Page(BaseModel, Generic[Item]):
-    """Part of a list, oldest first. `next` is the `after` of the following page, null on the last one."""
+    """Part of a list, oldest first. `next`: the `after` of the following page; null on the last page."""
 
     items: tuple[Item, ...]
     next: int | None
 
 
 def set_etag(response: Response, version: int) -> None:
-    """Strong ETag of a resource's version."""
+    """Set the strong ETag of a resource's version."""
     response.headers["ETag"] = f'"{version}"'

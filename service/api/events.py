@@ -1,7 +1,7 @@
-"""Events as they happen (server-sent events): campaigns, sweeps, estimates, diagnoses, stops. Their ids only grow.
+"""Live events (server-sent events): campaigns, sweeps, estimates, diagnoses, stops. Their ids only increase.
 
-A client that lost the connection goes on after the last id it saw (`Last-Event-ID`, sent by browsers on their own); an
-idle stream carries a comment every 15 s.
+After a lost connection a client continues after the last id that it received (`Last-Event-ID`; browsers send it
+automatically). An idle stream sends a comment every 15 s.
 """
 
 import re
@@ -24,7 +24,7 @@ def _after(
     after: Annotated[
         int | None, Query(ge=0, le=LARGEST_ID, description="events with a larger id; default: only new ones")
     ] = None,
-    last_event_id: Annotated[str | None, Header(description="as `after`, and stronger")] = None,
+    last_event_id: Annotated[str | None, Header(description="same as `after`; overrides it")] = None,
 ) -> int | None:
     if last_event_id is None:
         return after
@@ -33,14 +33,14 @@ def _after(
     return int(last_event_id)
 
 
-# a dependency, because what the generator raises comes after the response has begun
+# a dependency: an exception of the generator comes after the start of the response
 @router.get("", response_class=EventSourceResponse)
 async def follow_events(
     application: ApplicationOf,
     after: Annotated[int | None, Depends(_after)],
     campaign: Annotated[int | None, Query(ge=1, le=LARGEST_ID, description="only events of this campaign")] = None,
 ) -> AsyncIterable[ServerSentEvent]:
-    """`event` is the kind, `data` the event document, `id` its id."""
+    """`event`: the kind; `data`: the event document; `id`: its id."""
     start = await run_in_threadpool(application.store.last_event_id) if after is None else after
     yield ServerSentEvent(comment="connected", retry=1000)
     async with aclosing(application.feed.follow(start, campaign)) as events:

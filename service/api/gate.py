@@ -1,8 +1,8 @@
-"""The first thing a request meets: whom it was meant for, where it came from, how large it is.
+"""The first check of each request: its host, its origin and its size.
 
-A web page that an operator has open in the same browser must not be able to move a machine: a request that a
-page of another origin sends is refused, and so is one for a host name that is not ours (DNS rebinding).
-Stopping is never refused. Who it is that asks is the next question: `service.api.people.access`.
+A web page that is open in the same browser must not be able to move a machine. So a request from a page of another
+origin is refused, and also a request for a foreign host name (DNS rebinding).
+Stopping is never refused. Authentication is the next check: `service.api.people.access`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,14 +22,14 @@ BUNDLE_LIMIT = 512 * 2**20
 
 
 class Gate:
-    """ASGI middleware. `hosts`: host names that the service answers to; empty: any."""
+    """ASGI middleware. `hosts`: host names that the service accepts; empty: all."""
 
     def __init__(
         self, app: ASGIApp, hosts: Sequence[str], stop_path: str, limits: Mapping[str, int], origins: Sequence[str] = ()
     ) -> None:
-        """`origins`: whose pages may send requests, beside its own.
+        """`origins`: origins whose pages may send requests, in addition to the service's own.
 
-        `limits`: bytes of a body by path, where it may be larger than `BODY_LIMIT`.
+        `limits`: maximum bytes of a body by path, for paths that allow more than `BODY_LIMIT`.
         """
         self._app = app
         self._hosts = frozenset(hosts)
@@ -41,7 +41,7 @@ class Gate:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        if scope["path"].rstrip("/") == self._stop_path:  # a slash too many would be redirected: it is a stop
+        if scope["path"].rstrip("/") == self._stop_path:  # an additional slash would cause a redirect: it is a stop
             await self._app({**scope, "path": self._stop_path}, receive, send)
             return
         headers = Headers(scope=scope)
@@ -60,10 +60,13 @@ class Gate:
     def _stranger(self, headers: Headers) -> str:
         host = headers.get("host", "")
         if self._hosts and _parts(f"//{host}")[0] not in self._hosts:
-            return f"host {host!r} is not this service; it answers to {', '.join(sorted(self._hosts))}"
+            return (
+                f"host {host!r} is not accepted by this service; accepted are "
+                f"{', '.join(sorted(self._hosts))} (setting `allowed_hosts`)"
+            )
         origin = headers.get("origin")
         if origin is not None and origin.lower() not in self._origins and not from_own_page(headers):
-            return f"sent by a page of {origin}, not of {host}"
+            return f"request from a page of {origin}; only pages of {host} are accepted"
         return ""
 
     async def _refuse(
@@ -76,21 +79,21 @@ class Gate:
 
 
 def from_own_page(headers: Headers) -> bool:
-    """Whether a browser says that a page of this very service sends it; False where nobody says so."""
+    """Whether the browser's headers say that a page of this service sent the request; False without such headers."""
     return _parts(headers.get("origin", ""))[1] == headers.get("host", "") != ""
 
 
 def _parts(address: str) -> tuple[str | None, str]:
-    """Host name without port, and network location; of what is no address, none."""
+    """Host name without port, and network location; None and empty for an invalid address."""
     try:
         parts = urlsplit(address)
         return parts.hostname, parts.netloc
-    except ValueError:  # a bracket that nothing closes
+    except ValueError:  # a bracket is not closed
         return None, ""
 
 
 def _limited(receive: Receive, limit: int) -> Receive:
-    """A body without a declared length is counted while it comes."""
+    """Counts the bytes of a body without a declared length while it arrives."""
     total = 0
 
     async def counted() -> Message:

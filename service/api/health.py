@@ -1,9 +1,12 @@
-"""Is the process alive, and could it measure now?"""
+"""Whether the process runs, and whether it can measure now."""
+
+from datetime import datetime
 
 from fastapi import APIRouter, Response
 from pydantic import BaseModel
 
 from service.api.dependencies import ApplicationOf
+from service.application import Application
 
 router = APIRouter(prefix="/health", tags=["health"])
 
@@ -14,11 +17,24 @@ class Live(BaseModel):
     alive: bool
 
 
+class WaitingRecordings(BaseModel):
+    """Recordings that the object store does not have yet: number, time of the oldest, and the error of the store."""
+
+    waiting: int
+    since: datetime | None
+    trouble: str
+
+
 class Ready(BaseModel):
-    """`causes` says why nothing can be measured now, or is not identified, one line each."""
+    """`causes`: why measuring or identification is impossible now, one line per cause.
+
+    A service without a machine is ready while it can show the plant.
+    `recordings`: null if they stay in the data folder. An unreachable store is no cause: measuring continues.
+    """
 
     ready: bool
     causes: tuple[str, ...]
+    recordings: WaitingRecordings | None
 
 
 @router.get("/live")
@@ -26,8 +42,16 @@ async def get_live() -> Live:
     return Live(alive=True)
 
 
-@router.get("/ready", responses={503: {"model": Ready, "description": "nothing can be measured now"}})
+@router.get("/ready", responses={503: {"model": Ready, "description": "not ready to measure"}})
 async def get_ready(response: Response, application: ApplicationOf) -> Ready:
     causes = await application.troubles()
     response.status_code = 503 if causes else 200
-    return Ready(ready=not causes, causes=causes)
+    return Ready(ready=not causes, causes=causes, recordings=await _recordings(application))
+
+
+async def _recordings(application: Application) -> WaitingRecordings | None:
+    moving = None if application.cell is None else application.cell.moving
+    if moving is None:
+        return None
+    found = await moving.waiting()
+    return WaitingRecordings(waiting=found.number, since=found.since, trouble=found.trouble)

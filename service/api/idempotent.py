@@ -1,8 +1,8 @@
-"""`Idempotency-Key`: a POST that a client sends again, not knowing whether it arrived, has its effect once.
+"""`Idempotency-Key`: a client that does not know if its POST has arrived sends it again; it is executed once.
 
 The key belongs to method, path and body. The same request gets the first answer again (with
-``Idempotency-Replayed: true``), another request with the same key 422, and one whose first sending is still under way
-409 (draft-ietf-httpapi-idempotency-key-header). Answers of failed requests are not kept: nothing was done.
+``Idempotency-Replayed: true``). Another request with the same key gets 422, and 409 while the first one still runs
+(draft-ietf-httpapi-idempotency-key-header). Answers of failed requests are not stored: nothing was done.
 """
 
 import hashlib
@@ -35,7 +35,7 @@ OPENAPI_PARAMETER: dict[str, Any] = {
 
 
 class IdempotentRoute(APIRoute):
-    """A route whose POST requests honour `Idempotency-Key`."""
+    """A route whose POST requests support `Idempotency-Key`."""
 
     def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:
         if "POST" in (options.get("methods") or ()):
@@ -57,12 +57,12 @@ class IdempotentRoute(APIRoute):
 
 
 def head_of(request: Request) -> bytes:
-    """What a request's fingerprint (SHA-256) takes before the body."""
+    """The part of a request's fingerprint (SHA-256) before the body."""
     return b"\0".join([request.method.encode(), request.url.path.encode(), b""])
 
 
 async def _once(keys: IdempotencyKeys, key: str, request: Request, handle: Handler) -> Response:
-    read = getattr(request.state, "fingerprint", None)  # of a body that is in a file already
+    read = getattr(request.state, "fingerprint", None)  # of a body that is already in a file
     if read is None:
         read = hashlib.sha256(head_of(request) + await request.body())
     stored = await run_in_threadpool(keys.claim, key, read.hexdigest())
@@ -71,7 +71,7 @@ async def _once(keys: IdempotencyKeys, key: str, request: Request, handle: Handl
         return Response(kept["content"], stored.status, kept["headers"] | {"Idempotency-Replayed": "true"})
     try:
         response = await handle(request)
-    except BaseException:  # cancellation too: the key must not stay claimed
+    except BaseException:  # also at cancellation: the key must not stay reserved
         await run_in_threadpool(keys.release, key)
         raise
     headers = {name: response.headers[name] for name in _KEPT_HEADERS if name in response.headers}

@@ -1,4 +1,4 @@
-"""Writes the OpenAPI document that is committed: ``python -m service.api.openapi`` (a test tells when it is stale)."""
+"""Writes the committed OpenAPI document: ``python -m service.api.openapi`` (a test fails if it is out of date)."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,7 @@ COMMITTED = Path(__file__).parents[2] / "docs" / "reference" / "openapi.json"
 
 
 def document() -> str:
-    """The document as JSON text; needs neither a application nor a machine."""
+    """The document as JSON text; needs neither an application nor a machine."""
     return json.dumps(create_app(Settings()).openapi(), indent=2, ensure_ascii=False) + "\n"
 
 

@@ -1,7 +1,7 @@
 """Every error as `application/problem+json` (RFC 9457).
 
-`errors` lists what was wrong with the input, one entry a field: `pointer` (RFC 6901 into the body as ``#/...``, or
-``query/NAME``, ``path/NAME``, ``header/NAME``), `reason`, and, where they are known, the `value` given and the `limit`.
+`errors` lists the errors of the input, one entry per field: `pointer` (RFC 6901 into the body as ``#/...``, or
+``query/NAME``, ``path/NAME``, ``header/NAME``), `reason`, and, if known, the given `value` and the `limit`.
 """
 
 import json
@@ -27,9 +27,9 @@ from service.store.requests import KeyReused
 from service.store.store import StaleVersion
 
 MEDIA_TYPE = "application/problem+json"
-TAG = "kind:"  # begins the tags of bodies that come in kinds: they are no field of the body
+TAG = "kind:"  # prefix of the tags of a body of several kinds: a tag is no field of the body
 
-# From the special to the general; the first that fits decides.
+# From the special to the general; the first match is used.
 _STATUS: tuple[tuple[type[Exception], HTTPStatus], ...] = (
     (BadInput, HTTPStatus.UNPROCESSABLE_ENTITY),
     (EnvelopeViolation, HTTPStatus.UNPROCESSABLE_ENTITY),
@@ -46,17 +46,17 @@ _STATUS: tuple[tuple[type[Exception], HTTPStatus], ...] = (
     (DriveError, HTTPStatus.BAD_GATEWAY),
     (NoPdf, HTTPStatus.NOT_IMPLEMENTED),
 )
-AGAIN = {"Retry-After": "5"}  # s, of what may be sent again as it is
+AGAIN = {"Retry-After": "5"}  # s, for a request that can be repeated unchanged
 _METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS")
 _LIMITS = ("gt", "ge", "lt", "le", "min_length", "max_length", "expected", "multiple_of")
 _LONGEST_VALUE = 200
 _LONGEST_TEXT = 2000
-_SECRET = "/login"  # nothing that was sent there is told: it may be a password, in whichever field
-_MOST_ERRORS = 8  # told of a request: an answer must not grow with what was sent
+_SECRET = "/login"  # no input of requests below this path is returned: any field may contain a password
+_MOST_ERRORS = 8  # errors per answer: its size must not grow with the input
 
 
 class Refused(Exception):
-    """Becomes the problem `name`, with these headers."""
+    """Becomes the problem `name` with these headers."""
 
     def __init__(self, status: HTTPStatus, name: str, detail: str, headers: Mapping[str, str] | None = None) -> None:
         super().__init__(detail)
@@ -84,8 +84,8 @@ class Problem(BaseModel):
     detail: str
     instance: str
     errors: tuple[FieldProblem, ...] = ()
-    confirmed: tuple[str, ...] | None = None  # of a stop: the axes that stand
-    unconfirmed: dict[str, str] | None = None  # and the others, by joint why that is not known
+    confirmed: tuple[str, ...] | None = None  # for a stop: the axes at standstill
+    unconfirmed: dict[str, str] | None = None  # for a stop: the reason for each axis without confirmation
 
 
 def problem_response(
@@ -97,7 +97,7 @@ def problem_response(
     headers: Mapping[str, str] | None = None,
     told: Mapping[str, object] | None = None,
 ) -> Response:
-    """The response of one problem; `told` are its further members."""
+    """The response of one problem; `told`: its additional members."""
     members = {
         "type": f"urn:sweepid:problem:{name}",
         "title": status.phrase,
@@ -112,7 +112,7 @@ def problem_response(
 
 
 def install_problem_handlers(app: FastAPI) -> None:
-    """Turn every exception that leaves a route into a problem."""
+    """Convert every exception of a route into a problem."""
     app.add_exception_handler(SweepidError, _on_known_error)
     app.add_exception_handler(DriveError, _on_known_error)
     app.add_exception_handler(Refused, _on_refused)
@@ -136,11 +136,11 @@ def _on_refused(request: Request, error: Exception) -> Response:
 
 def _on_invalid_request(request: Request, error: Exception) -> Response:
     details: Sequence[ErrorDetails] = error.errors() if isinstance(error, RequestValidationError) else ()
-    told = not request.url.path.endswith(_SECRET)
+    told = _SECRET not in request.url.path
     errors = tuple(_field_problem(detail, told) for detail in details[:_MOST_ERRORS])
     first = errors[0]
     given = "" if first.value is None else f" (given: {first.value})"
-    more = f"; {len(details)} errors, the first {_MOST_ERRORS} are told" if len(details) > _MOST_ERRORS else ""
+    more = f"; {len(details)} errors, the first {_MOST_ERRORS} are listed" if len(details) > _MOST_ERRORS else ""
     return problem_response(
         request, HTTPStatus.UNPROCESSABLE_ENTITY, "bad-input", f"{first.pointer}: {first.reason}{given}{more}", errors
     )
@@ -158,20 +158,20 @@ def _on_http_error(request: Request, error: Exception) -> Response:
 
 
 def _methods_of(request: Request) -> list[str]:
-    """All that the path has: the error knows those of one route, and each of ours has one method."""
+    """All methods of the path. The error knows those of one route only, and each of our routes has one method."""
     routes = cast("FastAPI", request.app).routes
     scopes = {method: {**request.scope, "method": method} for method in _METHODS}
     return [name for name, scope in scopes.items() if any(r.matches(scope)[0] is Match.FULL for r in routes)]
 
 
 def _on_unknown_error(request: Request, error: Exception) -> Response:
-    # the text of an unforeseen error may hold anything; it goes to the log, not to the client
+    # the text of an unexpected error may contain anything; it is logged and not sent to the client
     status = HTTPStatus.INTERNAL_SERVER_ERROR
     return problem_response(request, status, "internal-error", f"{type(error).__name__}; see the service's log")
 
 
 def _field_problem(detail: ErrorDetails, told: bool) -> FieldProblem:
-    """`told`: whether what was given may be."""
+    """`told`: the given value may be returned."""
     where, *path = detail["loc"] or ("body",)
     path = [part for part in path if not str(part).startswith(TAG)]
     escaped = [str(part).replace("~", "~0").replace("/", "~1") for part in path]
@@ -189,7 +189,7 @@ def _field_problem(detail: ErrorDetails, told: bool) -> FieldProblem:
 
 
 def _shown(value: object) -> str | float | int | bool | None:
-    """The value as given, shortened to what helps a person."""
+    """The given value, shortened to the part that helps a person."""
     if value is None or isinstance(value, bool) or (isinstance(value, int) and value.bit_length() <= 64):
         return value
     if isinstance(value, float):
@@ -203,7 +203,7 @@ def _cut(text: str, longest: int) -> str:
 
 
 def _printable(text: str) -> str:
-    """JSON may escape half a surrogate pair, which no answer can carry."""
+    """Printable text: JSON may escape half a surrogate pair, which no answer can contain."""
     return text.encode("utf-8", "backslashreplace").decode()
 
 

@@ -1,4 +1,4 @@
-"""Robots: description and URDF. A robot never changes; a corrected one is another robot of the same name."""
+"""Robots: description and URDF. A robot never changes; a corrected one is another robot with the same name."""
 
 from datetime import datetime
 
@@ -14,7 +14,7 @@ router = APIRouter(prefix="/robots", tags=["robots"], route_class=IdempotentRout
 
 
 class NewRobot(BaseModel):
-    """`description` as the "robot" object of a bundle (its `urdf` is a file name), `urdf_text` the URDF itself."""
+    """`description`: as the "robot" object of a bundle (its `urdf` is a file name). `urdf_text`: the URDF itself."""
 
     model_config = ConfigDict(extra="forbid")
     description: RobotDescription
@@ -32,7 +32,7 @@ class RobotEntry(BaseModel):
 
 @router.post("", status_code=201)
 def add_robot(robot: NewRobot, application: ApplicationOf) -> RobotDocument:
-    """Store a robot; the same description and URDF give the same robot."""
+    """Store a robot. The same description and URDF give the same robot."""
     return application.store.add_robot(build_robot(robot.description, robot.urdf_text))
 
 

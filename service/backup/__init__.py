@@ -1,1 +1,1 @@
-"""Copies of the embedded store (SQLite and data folder), the way back, and what is wrong with one."""
+"""Backup of the embedded store (SQLite and data folder), its restoration, and examination of a store."""

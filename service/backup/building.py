@@ -1,4 +1,4 @@
-"""Folders that come to their place whole or not at all, and the copying into them."""
+"""Builds folders that get their name only when they are complete, and copies files into them."""
 
 import hashlib
 import shutil
@@ -9,28 +9,28 @@ from pathlib import Path
 
 from service.backup.manifest import StoredFile
 from service.errors import BadInput, SweepidError
-from service.store.files.placing import place_folder, sync
+from service.store.files.atomic_files import place_folder, sync
 
 PARTIAL = ".partial"
 _CHUNK = 2**20  # bytes
 
 
 class NotCopied(SweepidError):
-    """The disk did not take it, or could not be read; what was written of the copy is gone again."""
+    """The disk did not accept or deliver data; the incomplete copy was removed."""
 
 
 @contextmanager
 def building(target: Path) -> Generator[Path]:
-    """A new folder beside `target` that takes its name when the block is left, on the disk with all that is in it.
+    """A new folder next to `target` that is renamed to it at the end of the block, after all content is on the disk.
 
-    Where the block raises, the folder goes; of a process that is killed it stays, named ``.NAME.partial``. BadInput if
-    there is such a one, or no folder to build it in. NotCopied instead of OSError and sqlite3.Error.
+    If the block raises, the folder is removed; if the process is killed it stays, named ``.NAME.partial``. BadInput if
+    such a folder exists, or the parent folder does not. NotCopied instead of OSError and sqlite3.Error.
     """
     partial = target.with_name(f".{target.name}{PARTIAL}")
     try:
         partial.mkdir()
     except FileExistsError:
-        reason = "was left by a run that was killed, or one is at work: remove it if none is"
+        reason = "is left over from a killed run, or in use by another run: remove it if no other run is active"
         raise BadInput(str(partial), reason) from None
     except OSError as error:
         raise BadInput(str(target), f"cannot be made in {target.parent}: {error.strerror or error}") from None
@@ -48,7 +48,7 @@ def building(target: Path) -> Generator[Path]:
 
 
 def copy_file(source: Path, target: Path) -> StoredFile:
-    """Copy a file into a folder that is made if need be; what was written is on the disk. OSError."""
+    """Copy a file into a folder, which is created if necessary; the content is on the disk at return. OSError."""
     target.parent.mkdir(parents=True, exist_ok=True)
     digest, size = hashlib.sha256(), 0
     with source.open("rb") as read, target.open("xb") as written:

@@ -1,52 +1,51 @@
-"""What is wrong with a data folder and its database. Nothing is written, migrated or repaired."""
+"""Finds errors in a data folder and its database. Nothing is written, migrated or repaired."""
 
 import json
 import os
-import sqlite3
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
-from service.backup.making import check_owner
+from service.backup.examined import Examined, SqliteFile, Unreadable
+from service.backup.examined_store import Finding, is_recording, objects_wrong
+from service.backup.making import check_owner, machine_of
 from service.errors import BadInput
+from service.settings.object_store import StoreAddress
 from service.store.files.data_folder import FILE as OWNER
 from service.store.files.recordings import RecordingFiles, file_sha256
-from service.store.snapshot import Contents, contents, integrity, known_schemas, look
+from service.store.snapshot import Contents, known_schemas
 
 _PUT_ASIDE = (".unknown", ".unreadable")
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing that is wrong, and what to do."""
+def examine(
+    database: Path | Examined, data_dir: Path, least_free: int, store: StoreAddress | None = None
+) -> tuple[Finding, ...]:
+    """All findings, the database's first. `least_free`: bytes that should be free on the disk. Every file is read.
 
-    place: str
-    what: str
-    action: str
-
-    @property
-    def line(self) -> str:
-        return " ".join(f"{self.place}: {self.what}; {self.action}".split())
-
-
-def examine(database: Path, data_dir: Path, least_free: int) -> tuple[Finding, ...]:
-    """All findings, the database's first. `least_free`: bytes that the disk should have. Every file is read."""
+    Each object in `store` that the database names is read too; missing recordings are searched there.
+    """
+    if isinstance(database, Path):
+        database = SqliteFile(database)
     found = [*_folder(data_dir, least_free)]
-    there = list(_files(data_dir))  # before the rows: what comes while we look is then named by them
+    there = list(_files(data_dir))  # before the rows: files written meanwhile then have a row
     try:
-        named = look(database, contents)
-        wrong = look(database, integrity)
-    except BadInput as error:
-        reason = error.reason if error.place == str(database) else str(error)
-        return *found, Finding(str(database), reason, "restore a backup, or use the sweepid that wrote it")
-    except (sqlite3.Error, OSError) as error:
-        return *found, Finding(str(database), f"cannot be read: {error}", "restore a backup")
-    found += [*_database(database, named, wrong), *_owner(data_dir, named), *_named(data_dir, named)]
-    unknown = [path for path in there if _nobodys(path, database, data_dir, named)]
-    if unknown:  # a second look, at those that are still there: a service may just have stored them
-        named = look(database, contents)
-        unknown = [path for path in unknown if path.exists() and _nobodys(path, database, data_dir, named)]
+        named, wrong = database.contents().of_machine(_machine(data_dir)), database.wrong()
+    except Unreadable as error:
+        return *found, Finding(database.place, error.what, error.action)
+    found += [*_database(database.place, named, wrong), *_owner(data_dir, named), *_named(data_dir, named)]
+    found += objects_wrong(data_dir, named, store)
+    unknown = [path for path in there if _nobodys(path, database.file, data_dir, named)]
+    if unknown:  # check again those that still exist: a service may just have stored them
+        named = database.contents().of_machine(_machine(data_dir))
+        unknown = [path for path in unknown if path.exists() and _nobodys(path, database.file, data_dir, named)]
     return *found, *(Finding(str(path), *_told(path, data_dir)) for path in unknown)
+
+
+def _machine(data_dir: Path) -> int:
+    try:
+        return machine_of(data_dir)
+    except (OSError, BadInput):  # `_owner` reports it
+        return 1
 
 
 def _folder(data_dir: Path, least_free: int) -> Iterator[Finding]:
@@ -57,15 +56,13 @@ def _folder(data_dir: Path, least_free: int) -> Iterator[Finding]:
             yield Finding(str(folder), "this user cannot read and write it", "put owner and permissions right")
 
 
-def _database(place: Path, named: Contents, wrong: list[str]) -> Iterator[Finding]:
-    if not os.access(place, os.R_OK | os.W_OK):
-        yield Finding(str(place), "this user cannot read and write it", "put owner and permissions right")
-    for line in wrong:
-        yield Finding(str(place), line, "restore a backup")
+def _database(place: str, named: Contents, wrong: list[tuple[str, str]]) -> Iterator[Finding]:
+    for line, action in wrong:
+        yield Finding(place, line, action)
     newest = known_schemas()[-1]
     if named.schema != newest:
         told = f"has schema {named.schema}, this sweepid's is {newest}"
-        yield Finding(str(place), told, "make a backup; the next start of the service migrates it")
+        yield Finding(place, told, "make a backup; the next start of the service migrates it")
 
 
 def _owner(data_dir: Path, named: Contents) -> Iterator[Finding]:
@@ -81,12 +78,14 @@ def _owner(data_dir: Path, named: Contents) -> Iterator[Finding]:
 
 def _named(data_dir: Path, named: Contents) -> Iterator[Finding]:
     for path, sha256 in named.files.items():
+        if sha256 is not None and is_recording(path) and not (data_dir / path).exists():
+            continue  # `objects_wrong` reports it, because it may be, or arrive, in the object store
         if what := _file(data_dir / path, sha256):
             yield Finding(str(data_dir / path), what, f"copy data/{path} of a backup there")
 
 
 def _file(path: Path, sha256: str | None) -> str:
-    """What is wrong with a file of this hash, or with a manifest beside a recording; empty if nothing is."""
+    """The error of a file with this hash, or of a manifest next to a recording; empty if there is none."""
     try:
         if sha256 is not None:
             return "" if file_sha256(path) == sha256 else f"was changed, SHA-256 is not {sha256}"
@@ -104,21 +103,26 @@ def _files(data_dir: Path) -> Iterator[Path]:
         yield from (Path(folder, name) for name in sorted(names))
 
 
-def _nobodys(path: Path, database: Path, data_dir: Path, named: Contents) -> bool:
-    """Whether neither rows nor database explain a file. What a service has under way is explained while one runs."""
+def _nobodys(path: Path, database: Path | None, data_dir: Path, named: Contents) -> bool:
+    """Whether neither rows nor database explain a file. While a service runs, its unfinished files are explained."""
     within = path.relative_to(data_dir)
-    parts = (database.name + end for end in ("", "-wal", "-shm", "-journal"))
-    of_database = path.parent.resolve() == database.parent.resolve() and path.name in parts
-    if of_database or within.as_posix() in (OWNER, *named.files):
+    if database is not None:
+        parts = (database.name + end for end in ("", "-wal", "-shm", "-journal"))
+        if path.parent.resolve() == database.parent.resolve() and path.name in parts:
+            return False
+    if within.as_posix() in (OWNER, *named.files):
         return False
     under_way = path.suffix == ".arrows" or within.parts[0] == "transfer"
     return not (named.held_by and under_way)
 
 
 def _told(path: Path, data_dir: Path) -> tuple[str, str]:
-    """What a file is that nobody names, and what to do."""
+    """Description of a file without a row, and what to do."""
     if any(end in path.name for end in _PUT_ASIDE):
-        return "a stream that the service put aside, because it makes no recording", "look at it, then move it away"
+        return (
+            "a stream that the service set aside, because it contains no complete recording",
+            "look at it, then move it away",
+        )
     if path.suffix == ".arrows" or path.relative_to(data_dir).parts[0] == "transfer":
-        return "was left by a service that was killed", "its next start takes it in or removes it"
-    return "no row of the database names it", "move it away if nobody needs it"
+        return "left over from a service process that was killed", "its next start takes it in or removes it"
+    return "not referenced by the database", "move it away if nobody needs it"

@@ -1,4 +1,4 @@
-"""What a backup holds: ``manifest.json``, written last, beside ``data/``, which is laid out as a data folder is.
+"""The content of a backup: ``manifest.json``, written last, next to ``data/``, which has the layout of a data folder.
 
 ::
 
@@ -18,13 +18,17 @@ from service.errors import BadInput
 
 FILE = "manifest.json"
 DATA = "data"
+LARGEST = 2**26  # bytes: of some 300,000 recordings
+
+
+Sha256 = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
 
 
 def inside(path: str) -> str:
-    """`path` if it stays in the folder that it is relative to; ValueError."""
+    """`path` if it stays in the folder that it is relative to; otherwise ValueError."""
     parts = PurePosixPath(path).parts
     if not parts or "\0" in path or PurePosixPath(path).is_absolute() or ".." in parts:
-        raise ValueError(f"{path!r} does not stay in its folder")
+        raise ValueError(f"{path!r} leads out of its folder")
     return path
 
 
@@ -33,11 +37,14 @@ class StoredFile(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     size: int = Field(ge=0)
-    sha256: Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
+    sha256: Sha256
 
 
 class Manifest(BaseModel):
-    """The files by path below ``data/``; `streams_left_out` were under way, or left by a service that died."""
+    """The files by path below ``data/``; `streams_left_out` were being recorded, or left by a service that crashed.
+
+    `in_store`: SHA-256 by path of the recordings that were only in the object store. They are not in the backup.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     format: Literal[1] = 1
@@ -46,6 +53,7 @@ class Manifest(BaseModel):
     database: str | None
     files: dict[Annotated[str, AfterValidator(inside)], StoredFile]
     streams_left_out: tuple[str, ...]
+    in_store: dict[Annotated[str, AfterValidator(inside)], Sha256] = Field(default_factory=dict)
 
     @property
     def size(self) -> int:
@@ -54,12 +62,16 @@ class Manifest(BaseModel):
 
 
 def read_manifest(backup: Path) -> Manifest:
-    """BadInput for a folder that is no backup, or is not a whole one."""
+    """BadInput for a folder that is not a backup, or not a complete one."""
     place = backup / FILE
     try:
-        return Manifest.model_validate_json(place.read_bytes())
+        with place.open("rb") as file:
+            content = file.read(LARGEST + 1)
+        if len(content) > LARGEST:
+            raise BadInput(str(place), f"is larger than {LARGEST} bytes")
+        return Manifest.model_validate_json(content)
     except (FileNotFoundError, NotADirectoryError):
-        raise BadInput(str(backup), f"is not a whole backup: it has no {FILE}") from None
+        raise BadInput(str(backup), f"is not a complete backup: {FILE} is missing") from None
     except OSError as error:
         raise BadInput(str(place), f"cannot be read: {error.strerror or error}") from None
     except ValidationError as error:

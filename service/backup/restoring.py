@@ -1,4 +1,4 @@
-"""From a backup to a data folder that a service can be started on."""
+"""Restores a backup to a data folder for a service."""
 
 import sqlite3
 from pathlib import Path
@@ -12,9 +12,9 @@ from service.store.snapshot import Contents, contents, integrity, look
 
 
 def check_backup(backup: Path) -> Manifest:
-    """The manifest of a backup that is whole; BadInput names the first thing that is wrong with another."""
+    """The manifest of a complete backup; otherwise BadInput names the first error."""
     if backup.name.endswith(PARTIAL):
-        raise BadInput(str(backup), "is not a whole backup: it was not finished")
+        raise BadInput(str(backup), "is not a complete backup: it was not finished")
     manifest = read_manifest(backup)
     for path, stored in manifest.files.items():
         _check_file(backup / DATA / path, stored)
@@ -25,28 +25,28 @@ def check_backup(backup: Path) -> Manifest:
         found = look(place, contents)
         wrong = look(place, integrity)
     except sqlite3.Error as error:
-        raise BadInput(str(place), f"is not a whole database: {error}") from None
+        raise BadInput(str(place), f"is not a complete database: {error}") from None
     if wrong:
-        raise BadInput(str(place), f"is not a whole database: {wrong[0]}")
+        raise BadInput(str(place), f"is not a complete database: {wrong[0]}")
     _compare(backup, manifest, found)
     return manifest
 
 
 def restore(backup: Path, data_dir: Path) -> Manifest:
-    """Make `data_dir`, which does not exist or is empty, of a backup, once all of this is known to be whole.
+    """Make `data_dir`, which is new or empty, from a backup, after the complete backup was verified.
 
-    BadInput, and nothing is left, otherwise; NotCopied for the disk's errors.
+    BadInput, and nothing is left, otherwise; NotCopied for disk errors.
     """
     backup, data_dir = backup.resolve(), data_dir.resolve()
     if data_dir.exists() and (not data_dir.is_dir() or any(data_dir.iterdir())):
         raise BadInput(str(data_dir), "exists already and is not an empty folder")
     if data_dir.is_mount():
-        raise BadInput(str(data_dir), "is a mount point, which nothing can replace: name a new folder in it")
+        raise BadInput(str(data_dir), "is a mount point and cannot be replaced: give a new folder in it")
     manifest = check_backup(backup)
     with building(data_dir) as partial:
         for path, stored in manifest.files.items():
             if copy_file(backup / DATA / path, partial / path) != stored:
-                raise NotCopied(f"{backup / DATA / path} changed while it was read: look at the disk")
+                raise NotCopied(f"{backup / DATA / path} changed while it was read: check the disk")
     return manifest
 
 
@@ -55,22 +55,25 @@ def _check_file(path: Path, stored: StoredFile) -> None:
         size = path.stat().st_size
         same = size == stored.size and file_sha256(path) == stored.sha256
     except FileNotFoundError:
-        raise BadInput(str(path), "is missing: the backup is not whole") from None
+        raise BadInput(str(path), "is missing: the backup is not complete") from None
     except OSError as error:
         raise BadInput(str(path), f"cannot be read: {error.strerror or error}") from None
     if not same:
         told = f"{size} bytes instead of {stored.size}" if size != stored.size else f"SHA-256 is not {stored.sha256}"
-        raise BadInput(str(path), f"was changed, {told}: the backup is not whole")
+        raise BadInput(str(path), f"was changed, {told}: the backup is not complete")
 
 
 def _compare(backup: Path, manifest: Manifest, found: Contents) -> None:
-    """BadInput where database and manifest are not of one backup."""
+    """BadInput if database and manifest belong to different backups."""
     check_owner(backup / DATA, found)
     if (found.schema, found.identity) != (manifest.schema_version, manifest.database):
         raise BadInput(
-            str(backup), f"its manifest is of database {manifest.database}, schema {manifest.schema_version}; in it is "
-            f"{found.identity}, schema {found.schema}"
+            str(backup), f"the manifest names database {manifest.database}, schema {manifest.schema_version}; the "
+                f"backup contains database {found.identity}, schema {found.schema}"
         )  # fmt: skip
     for path, sha256 in found.files.items():
-        if sha256 is not None and (path not in manifest.files or manifest.files[path].sha256 != sha256):
-            raise BadInput(str(backup), f"{path}, which the database names, is not in the manifest as it was written")
+        there = manifest.files[path].sha256 if path in manifest.files else manifest.in_store.get(path)
+        if sha256 not in (None, there):
+            raise BadInput(
+                str(backup), f"{path} is used by the database, but is missing in the manifest or different there"
+            )

@@ -1,4 +1,4 @@
-"""Which initial analysis stands behind a campaign: the one that its plan names."""
+"""The initial analysis that a campaign uses: the one that its plan names."""
 
 from service.errors import BadInput, NotFound
 from service.results.analysis import Analyses
@@ -7,7 +7,7 @@ from service.store.store import Store
 
 
 def analysis_behind(store: Store, campaign: CampaignDocument) -> Analyses:
-    """By joint; {} for a campaign whose plan names none, or that has no plan."""
+    """The analysis by joint; {} for a campaign without plan, or if the plan names none."""
     if campaign.plan_id is None:
         return {}
     request = store.plan(campaign.plan_id).document.get("request")
@@ -16,7 +16,7 @@ def analysis_behind(store: Store, campaign: CampaignDocument) -> Analyses:
 
 
 def latest_analysis(store: Store, campaign_id: int) -> Analyses:
-    """The initial analysis that a campaign came to; BadInput (field `analysis`) if it has none."""
+    """The result of a campaign of an initial analysis; BadInput (field `analysis`) if it has none."""
     try:
         found = store.estimate(campaign_id).content.analysis
     except NotFound as error:

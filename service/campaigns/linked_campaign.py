@@ -1,4 +1,4 @@
-"""Which campaign's sweeps are combined with the trajectories of another: the one that its plan names."""
+"""The campaign whose sweeps are combined with the trajectories of another campaign: named by the plan of the latter."""
 
 from service.errors import BadInput, NotFound
 from service.store.documents import CampaignDocument
@@ -6,7 +6,7 @@ from service.store.store import Store
 
 
 def campaign_beside(store: Store, campaign: CampaignDocument) -> CampaignDocument | None:
-    """None for a campaign whose plan names none, or that has no plan."""
+    """The linked campaign; None if the plan names none, or without a plan."""
     if campaign.plan_id is None:
         return None
     request = store.plan(campaign.plan_id).document.get("request")
@@ -15,7 +15,7 @@ def campaign_beside(store: Store, campaign: CampaignDocument) -> CampaignDocumen
 
 
 def check_beside(store: Store, campaign_id: int, robot_id: int) -> None:
-    """BadInput (field `sweeps`) for a campaign that is not there, or of another robot."""
+    """BadInput (field `sweeps`) if the campaign does not exist, or is of another robot."""
     try:
         campaign = store.campaign(campaign_id)
     except NotFound as error:

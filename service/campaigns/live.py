@@ -23,12 +23,13 @@ _log = structlog.get_logger(__name__)
 
 Array = NDArray[np.float64]
 
-RETRY = 2.0  # s until a database that refused is asked again
+RETRY = 2.0  # s until the next attempt after an error of the database
+LOOK = 1.0  # s between queries for entries of other services
 
 
 @dataclass(frozen=True, slots=True)
 class LiveBlock:
-    """Thinned samples of one block: arrays (n,), s and SI on the joint side."""
+    """Decimated samples of one block: arrays (n,), s and SI on the joint side."""
 
     campaign_id: int
     number: int
@@ -40,7 +41,7 @@ class LiveBlock:
 
 
 class LiveQueue:
-    """The blocks of one subscriber: ``async for block in queue``. `dropped` counts those it was too slow for."""
+    """The blocks of one subscriber: ``async for block in queue``. `dropped`: number of blocks lost by slow reading."""
 
     def __init__(self, depth: int) -> None:
         self._blocks: deque[LiveBlock] = deque()
@@ -57,7 +58,7 @@ class LiveQueue:
         self._news.set()
 
     def close(self) -> None:
-        """The iteration ends after the blocks that are there."""
+        """The iteration ends after the blocks in the queue."""
         self._closed = True
         self._news.set()
 
@@ -74,17 +75,28 @@ class LiveQueue:
 
 
 class LiveHub:
-    """Fans the samples of running sweeps out to the subscribers of their campaign."""
+    """Distributes the samples of running sweeps to the subscribers of their campaign."""
 
     def __init__(self, rate: float, depth: int = 64) -> None:
-        """`rate`: samples a second that a subscriber gets at most, Hz. `depth`: blocks kept for a slow one."""
+        """`rate`: maximum sample rate for a subscriber, Hz. `depth`: number of blocks kept for a slow subscriber."""
         self._rate = rate
         self._depth = depth
         self._queues: dict[int, list[LiveQueue]] = {}
         self._closed = False
+        self._dropped = 0  # by subscribers that have left
+
+    @property
+    def viewers(self) -> int:
+        """Number of present subscribers."""
+        return sum(len(queues) for queues in self._queues.values())
+
+    @property
+    def dropped(self) -> int:
+        """Number of blocks lost by slow reading, of all subscribers since the start."""
+        return self._dropped + sum(queue.dropped for queues in self._queues.values() for queue in queues)
 
     def publish(self, campaign_id: int, number: int, block: SampleBlock) -> None:
-        """Hand a block to every subscriber of the campaign; returns at once."""
+        """Put a block into the queue of every subscriber of the campaign; returns immediately."""
         queues = self._queues.get(campaign_id, [])
         if queues and len(block.time):
             thinned = thin(campaign_id, number, block, self._rate)
@@ -102,6 +114,7 @@ class LiveHub:
             yield queue
         finally:
             self._queues[campaign_id].remove(queue)
+            self._dropped += queue.dropped
             if not self._queues[campaign_id]:
                 del self._queues[campaign_id]
 
@@ -114,7 +127,7 @@ class LiveHub:
 
 
 def thin(campaign_id: int, number: int, block: SampleBlock, rate: float) -> LiveBlock:
-    """Means over as many consecutive samples as bring the block down to `rate`, Hz. For the eye, not for analysis."""
+    """Means of consecutive samples, so many that the rate is at most `rate`, Hz. For display, not for analysis."""
     count = len(block.time)
     step = float(np.median(np.diff(block.time))) if count > 1 else 1.0 / rate
     starts = np.arange(0, count, max(1, round(1.0 / (rate * step))))
@@ -126,10 +139,10 @@ def thin(campaign_id: int, number: int, block: SampleBlock, rate: float) -> Live
 
 
 class EventFeed:
-    """Follows the outbox: what the store has, then what comes."""
+    """Follows the outbox: first the stored events, then the new ones."""
 
     def __init__(self, store: Store, database: Database) -> None:
-        """To be made in the event loop that follows it; `database` tells of writes."""
+        """Create it in the event loop that follows it. `database` reports its writes."""
         self._store = store
         self._loop = asyncio.get_running_loop()
         self._waiting: set[asyncio.Event] = set()
@@ -139,13 +152,13 @@ class EventFeed:
     async def follow(self, after: int, campaign_id: int | None = None) -> AsyncGenerator[EventDocument]:
         """Events with an id above `after` (of one campaign and the machine, or all), in order, until closed.
 
-        A database that does not answer is asked again: who follows loses time, and no event.
+        If the database does not answer, the query is repeated: a follower gets events late, but loses none.
         """
         news = asyncio.Event()
         self._waiting.add(news)
         try:
             while not self._closed:
-                news.clear()  # before reading: what is written from here on rings again
+                news.clear()  # before reading: a later write sets it again
                 try:
                     events = await asyncio.to_thread(self._store.events, after, campaign_id)
                 except SQLAlchemyError as refused:
@@ -160,6 +173,13 @@ class EventFeed:
                     await news.wait()
         finally:
             self._waiting.discard(news)
+
+    async def watch(self) -> None:
+        """Until cancelled: followers also get the events of other services in the same database, within `LOOK`."""
+        while True:
+            await asyncio.sleep(LOOK)
+            if self._waiting and not self._closed:
+                self._ring()
 
     def close(self) -> None:
         """End every follower."""

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from service.backup.making import make_backup
-from service.cli.waiting import waiting
+from service.cli.progress_indicator import waiting
 from service.settings import Settings, load_settings
 from service.store.snapshot import sqlite_file
 
@@ -30,7 +30,9 @@ def backup(
     with waiting("the copy"):
         manifest = make_backup(sqlite_file(settings.url), settings.data_dir, target)
     for stream in manifest.streams_left_out:
-        typer.echo(f"left out, a stream under way: {stream}", err=True)
+        typer.echo(f"left out, still being written: {stream}", err=True)
+    if manifest.in_store:
+        typer.echo(f"listed, not copied: {len(manifest.in_store)} recordings in the object store", err=True)
     typer.echo(f"{target}: {len(manifest.files)} files, {manifest.size} bytes")
 
 

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn
 from rich.table import Table
 
+from service.benefit import sentence
 from service.cli.recordings.identify import print_estimate
 from service.client import Json
 from service.demo.hidden import Found, plain
@@ -57,6 +58,7 @@ def demo(
     console = Console()
     _print_estimate(outcome, console)
     _print_diagnosis(outcome.found, console)
+    _print_worth(outcome, console)
     console.print(f"Report: {outcome.report}", soft_wrap=True, highlight=False)
     console.print(f"Bundle: {outcome.bundle}  (sweepid identify {outcome.bundle})", soft_wrap=True, highlight=False)
     console.print(f"The same again: --seed {seed}", highlight=False)
@@ -96,6 +98,14 @@ def _print_estimate(outcome: Outcome, console: Console) -> None:
     for row in outcome.content.truth:
         table.add_row(row.label, *row.figures)
     console.print(table)
+
+
+def _print_worth(outcome: Outcome, console: Console) -> None:
+    console.print("\n[bold]What you gain[/bold]", highlight=False)
+    if outcome.worth.axes:
+        console.print(sentence(outcome.worth), highlight=False)
+    for joint, why in outcome.worth.not_judged.items():
+        console.print(f"Not judged: {joint} {why}.", highlight=False)
 
 
 def _print_diagnosis(found: Found, console: Console) -> None:

@@ -13,6 +13,9 @@ from service.results.part import Document
 
 Kind = TypeVar("Kind", bound=Document)
 
+LARGEST = 2**25  # bytes of a document: as empty lists they take 20 times that in memory
+MOST_VALUES = 500_000  # of a document, an estimate of 900 sweeps has 100,000: each may be wrong, and is then an error
+
 JsonTo = Annotated[str | None, typer.Option("--json", help="Write JSON here; - is stdout.", metavar="FILE")]
 
 
@@ -41,11 +44,27 @@ def write_file(path: Path, content: str | bytes) -> None:
 def read_document(path: Path, kind: type[Kind], place: str = "") -> Kind:
     """What another command wrote with `--json`; BadInput (within the file at `place`) if the file does not hold it."""
     try:
-        document: object = json.loads(read_text(path))
+        document: object = json.loads(read_text(path, LARGEST))
     except ValueError as error:
         raise BadInput(str(path), f"cannot be read as JSON: {error}") from None
     except RecursionError:
         raise BadInput(str(path), "cannot be read as JSON: nested too deeply") from None
     if not isinstance(document, dict):
         raise BadInput(str(path), "is not a JSON object")
+    if not _fits(cast("object", document)):
+        raise BadInput(str(path), f"has more than {MOST_VALUES} values, its limit")
     return kind.read(cast("object", document), place or str(path))
+
+
+def _fits(document: object) -> bool:
+    """Without recursion: the values that it holds are at most so many."""
+    count, waiting = 0, [document]
+    while waiting:
+        one = waiting.pop()
+        if isinstance(one, dict | list):
+            held = cast("list[object]", list(one.values()) if isinstance(one, dict) else one)
+            count += len(held)
+            if count > MOST_VALUES:
+                return False
+            waiting += held
+    return True

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from service.backup.restoring import restore as restore_backup
-from service.cli.waiting import waiting
+from service.cli.progress_indicator import waiting
 
 
 def restore(
@@ -19,5 +19,7 @@ def restore(
     with waiting("the check and the copy"):
         manifest = restore_backup(backup, data_dir)
     for stream in manifest.streams_left_out:
-        typer.echo(f"not in the backup, a stream that was under way: {stream}", err=True)
+        typer.echo(f"not in the backup, was still being written: {stream}", err=True)
+    if manifest.in_store:
+        typer.echo(f"{len(manifest.in_store)} recordings are in the object store: set `recordings_url`", err=True)
     typer.echo(str(data_dir))

@@ -11,7 +11,7 @@ from rich.table import Table
 from service.cli.documents import write_file
 from service.configuration import read_text
 from service.errors import BadInput
-from service.maker_urdf import Finding, Told, cell_text, check_urdf, side_file_text
+from service.maker_urdf import Finding, UrdfCheck, cell_text, check_urdf, side_file_text
 from service.maker_urdf.packages import Packages
 
 robot = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Robots as their makers describe them.")
@@ -27,7 +27,7 @@ def check(
     urdf: Annotated[Path, typer.Argument(help="URDF of the maker (a xacro file expanded).", show_default=False)],
     packages: Annotated[
         list[Path] | None,
-        typer.Option(help="Folder that holds the packages of the meshes, or is one; several times for more."),
+        typer.Option(help="Folder of mesh packages, or one package; repeatable."),
     ] = None,
     tip: Annotated[str | None, typer.Option(help="Last link of the axes to measure, where there are several.")] = None,
     name: Annotated[str | None, typer.Option(help="Name of the robot (usually the URDF's).")] = None,
@@ -54,7 +54,7 @@ def check(
         typer.echo(str(path))
 
 
-def _drafts(told: Told, name: str, out: Path, cell: str) -> dict[Path, str]:
+def _drafts(told: UrdfCheck, name: str, out: Path, cell: str) -> dict[Path, str]:
     """Texts by path; BadInput for a name that makes no file, and where a file is there already."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", name):
         raise BadInput("--name", f"{name!r} is not a file name: use letters, digits, '-', '_' and '.'")
@@ -69,7 +69,7 @@ def _drafts(told: Told, name: str, out: Path, cell: str) -> dict[Path, str]:
     return drafts
 
 
-def _print(findings: tuple[Finding, ...], told: Told, name: str, console: Console) -> None:
+def _print(findings: tuple[Finding, ...], told: UrdfCheck, name: str, console: Console) -> None:
     """One row a finding."""
     joints = told.chain.joints
     table = Table(title=f"{name}: {len(joints)} axes, {joints[0].name} to {joints[-1].name}")

@@ -1,6 +1,7 @@
 """`sweepid serve`: the process that owns the machine."""
 
 import asyncio
+import gc
 import json
 import os
 import signal
@@ -18,11 +19,12 @@ from starlette.types import Receive, Scope, Send
 
 from drivers.errors import DriveError
 from service.app import create_app, end_motion, end_streams, halt
-from service.cli.logs import HeldBack, configure_logs
+from service.cli.logs import HeldBack
 from service.errors import SweepidError
+from service.logs.lines import configure_logs
 from service.people.permissions import LOCAL
 from service.settings import Settings, load_settings
-from service.stop_process.handle import StopProcess
+from service.stop_process.handle import StopNotStarted, StopProcess
 
 _log = structlog.get_logger(__name__)
 
@@ -38,13 +40,21 @@ def serve(
     port: Annotated[int | None, typer.Option(min=0, max=65535, help="Port to listen at; 0: any free one.")] = None,
     data_dir: Annotated[Path | None, typer.Option(help="Database and recordings.")] = None,
     drive: Annotated[Path | None, typer.Option(help="Drive profile of the machine.")] = None,
+    no_machine: Annotated[
+        bool, typer.Option("--no-machine", help="Own no machine: show the plant of a common database, read only.")
+    ] = False,
 ) -> None:
     """Serve the REST API and the operator's page; prints one JSON line with its address once it is ready."""
     options = {"host": host, "port": port, "data_dir": data_dir, "drive": drive}
     given = {name: value for name, value in options.items() if value is not None}
+    given |= {"no_machine": True} if no_machine else {}
     settings = load_settings(config).model_copy(update=given)
     settings.check_tls()
     settings.check_reach()
+    settings.check_oidc()
+    settings.check_recordings()
+    settings.check_cluster()
+    settings.check_publishing()
     configure_logs(settings.log_level)
     logs = HeldBack()
     sys.setswitchinterval(_SWITCH_INTERVAL)
@@ -56,13 +66,20 @@ def serve(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _end)
     try:
+        if settings.no_machine:
+            _serve(settings, None, logs)
+            return
         with StopProcess(settings.drive, settings.host, settings.stop_listens_at, settings.tls) as stop_process:
             _serve(settings, stop_process, logs)
+    except StopNotStarted:
+        logs.drop()
+        raise
     finally:
         logs.let_through()
 
 
-def _serve(settings: Settings, stop_process: StopProcess, logs: HeldBack) -> None:
+def _serve(settings: Settings, stop_process: StopProcess | None, logs: HeldBack) -> None:
+    gc.freeze()  # of the modules; again below
     app = create_app(settings, settings.answers_to, stop_process)
     started = _Startup(app)
     certificate, key = settings.tls or (None, None)
@@ -131,16 +148,18 @@ class _Startup:
 class _Server(uvicorn.Server):
     """Tells when it is ready. Told to end, it stops the machine before it waits for anything."""
 
-    def __init__(self, app: FastAPI, stop_process: StopProcess, logs: HeldBack, config: uvicorn.Config) -> None:
+    def __init__(self, app: FastAPI, stop_process: StopProcess | None, logs: HeldBack, config: uvicorn.Config) -> None:
         super().__init__(config)
         self._app, self._stop_process, self._logs = app, stop_process, logs
 
     async def startup(self, sockets: list[socket] | None = None) -> None:
         await super().startup(sockets)
         if self.started:
+            gc.freeze()  # these objects live until the end; a full collection of them blocks all threads for 0.1 s
             self._logs.let_through()
             self._loop = asyncio.get_running_loop()
-            self._stop_process.watch_signals()
+            if self._stop_process is not None:
+                self._stop_process.watch_signals()
             hang_up = getattr(signal, "SIGHUP", None)  # the terminal is gone
             if hang_up is not None and signal.getsignal(hang_up) is not signal.SIG_IGN:  # as under nohup
                 signal.signal(hang_up, self.handle_exit)
@@ -148,7 +167,10 @@ class _Server(uvicorn.Server):
             host = f"[{self.config.host}]" if ":" in self.config.host else self.config.host
             scheme = "https" if self.config.is_ssl else "http"
             ready = {"ready": True, "url": f"{scheme}://{host}:{port}", "port": port, "pid": os.getpid()}
-            sys.stdout.write(json.dumps(ready | {"stop_port": self._stop_process.port}) + "\n")
+            sys.stdout.write(
+                json.dumps(ready | {"stop_port": None if self._stop_process is None else self._stop_process.port})
+                + "\n"
+            )
             sys.stdout.flush()
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
@@ -167,7 +189,8 @@ class _Server(uvicorn.Server):
 
     def _halt(self, name: str) -> None:
         halt(self._app, name)
-        self._stop_process.taken_over()
+        if self._stop_process is not None:
+            self._stop_process.taken_over()
 
 
 def _end(number: int, frame: FrameType | None) -> None:

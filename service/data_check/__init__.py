@@ -1,7 +1,7 @@
-"""A check of the data before any physics: do the recordings, the set-points and the robot file fit together?
+"""Check of the data before the diagnosis: do recordings, set-points and robot file fit together?
 
-`check(robot, sweeps)` is a pure function. Each kind of finding is one file with one function, which gets all records of
-an axis (`record.AxisRecords`) and returns findings. Limits stand where they are used, with their reason.
+`check(robot, sweeps)` is a pure function. Each kind of finding has one file with one function, which takes all records
+of an axis (`record.AxisRecords`) and returns findings. Limits are defined where they are used, with their reason.
 """
 
 from service.data_check.check import check

@@ -1,4 +1,4 @@
-"""All checks of all axes, in the order in which one spoils the next."""
+"""All checks of all axes; a check runs before those that its finding would falsify."""
 
 from collections.abc import Sequence
 
@@ -23,11 +23,11 @@ from service.data_check.start import start
 from service.recording import Sweep
 from service.robot import Robot
 
-DISPLACED: tuple[Code, ...] = ("position_unit", "position_sign", "motion_sign")  # then no position starts at its pose
+DISPLACED: tuple[Code, ...] = ("position_unit", "position_sign", "motion_sign")  # then positions differ from their pose
 
 
 def check(robot: Robot, sweeps: Sequence[Sweep]) -> tuple[Finding, ...]:
-    """What is wrong or odd with recordings and robot file, the robot's own first, then axis by axis, base to tip.
+    """Errors and warnings about recordings and robot file: first those of the robot, then by axis from base to tip.
 
     `sweeps` as read from a bundle: known joints, poses of the robot's length, finite columns of one length.
     """
@@ -45,7 +45,7 @@ def _axis(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> list[Finding]:
     of_motion = motion(whole, slopes(whole), followed)
     codes = {finding.code for finding in of_motion}
     found = responses(whole, {one.record.id: one for one in followed})
-    # without a set-point a wrong motion would be taken for a wrong effort
+    # without a set-point, a wrong motion would look like a wrong effort
     inertia = seen(whole, found) if followed or not codes else None
     of_effort = effort(whole, inertia, placed=not codes)
     sound = not of_effort and not codes
@@ -54,7 +54,7 @@ def _axis(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> list[Finding]:
         *nominals(axis),
         *frozen(axis),
         *clipping(axis),
-        *(quantisation(axis) if sound else []),  # steps are told in SI
+        *(quantisation(axis) if sound else []),  # the limits of steps are in SI units
         *spikes(axis),
         *lost,
         *of_motion,

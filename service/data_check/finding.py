@@ -1,4 +1,4 @@
-"""What a check of the data says."""
+"""A finding of the data check."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -7,31 +7,31 @@ from typing import Literal
 Severity = Literal["wrong", "warning"]
 
 Code = Literal[
-    "clipped",  # a channel ends at a limit
+    "clipped",  # the values of a channel are limited
     "clock",  # time, sample rate and window do not fit together
     "coarse_steps",  # steps of a channel too large
     "channel_delay",  # between position and velocity, or between motion and effort
     "effort_scale",  # effort is off by a factor that no unit explains
-    "effort_sign",  # effort brakes where it should accelerate
+    "effort_sign",  # effort has the sign of braking during acceleration
     "effort_unit",  # N mm, percent of rated effort, motor side
-    "frozen",  # a channel stands still while the axis moves
-    "gear_ratio",  # motor and load encoder disagree
+    "frozen",  # a channel is constant while the axis moves
+    "gear_ratio",  # motor encoder and load encoder differ
     "gravity",  # of the robot file
-    "lost_counts",  # position jumps while the motion goes on
+    "lost_counts",  # in the robot file
     "missing_nominal",  # null in the robot file where it is needed
-    "motion_scale",  # motion is not what was commanded
-    "motion_sign",  # encoder against set-point
-    "motor_inertia",  # of the robot file, against what is measured
-    "not_repeatable",  # repeats differ beyond noise
-    "outside_limits",  # poses or positions against the URDF
+    "motion_scale",  # the motion is not the commanded one
+    "motion_sign",  # sign of encoder and set-point differ
+    "motor_inertia",  # in the robot file, compared with the measurement
+    "not_repeatable",  # repeats differ by more than the noise
+    "outside_limits",  # poses or positions outside the limits of the URDF
     "position_sign",
     "position_unit",
-    "prior",  # of the robot file
-    "rated_effort",  # of the robot file, against what is measured
-    "ripple_order",  # a ripple that the robot file does not know
-    "spikes",  # single samples far off
-    "time_jump",  # samples are missing: all channels go on as if later
-    "velocity_scale",  # velocity is not the slope of position
+    "prior",  # in the robot file
+    "rated_effort",  # in the robot file, compared with the measurement
+    "ripple_order",  # a ripple that is not in the robot file
+    "spikes",  # single outlier samples
+    "time_jump",  # missing samples: all channels jump to a later time
+    "velocity_scale",  # velocity is not the derivative of position
     "velocity_sign",
     "velocity_unit",
     "wrong_axis",  # the recording is of another axis
@@ -41,10 +41,10 @@ Code = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing found. `value` and `limit` are of one unit, which the sentence names; None where there is no number.
+    """One finding. `value` and `limit` have the unit given in the sentence; None if there is no number.
 
-    `axis`: joint, None for the whole robot. `sweeps`: ids, empty for findings about the robot file. "wrong" forbids
-    naming physics of the axis; "warning" does not.
+    `axis`: joint, None for the whole robot. `sweeps`: ids, empty for findings about the robot file. With "wrong",
+    the diagnosis names no physics of the axis; with "warning" it does.
     """
 
     code: Code
@@ -58,11 +58,11 @@ class Finding:
 
 
 def untrustworthy(findings: Iterable[Finding], joint: str) -> tuple[Finding, ...]:
-    """Those that forbid naming physics for an axis."""
+    """The findings for which no physics of an axis may be named."""
     return tuple(one for one in findings if one.severity == "wrong" and one.axis in (None, joint))
 
 
 def named(sweeps: Sequence[str]) -> str:
-    """Sweeps in a sentence: the first three and how many more."""
+    """Sweep names for a sentence: the first three and the number of the others."""
     more = f" and {len(sweeps) - 3} more" if len(sweeps) > 3 else ""
     return f"{'sweep' if len(sweeps) == 1 else 'sweeps'} {', '.join(sweeps[:3])}{more}"

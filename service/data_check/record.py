@@ -1,4 +1,4 @@
-"""The records of one axis as the checks look at them: the measured window of each sweep."""
+"""The records of one axis for the checks: the measured window of each sweep."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from service.robot import Axis, Robot
 Channel = Literal["effort", "velocity", "position"]
 
 CHANNELS: tuple[Channel, ...] = ("effort", "velocity", "position")
-SHORTEST = 32  # samples of a window: with fewer there is nothing to judge
+SHORTEST = 32  # samples of a window: with fewer, no check is possible
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Record:
 
     @classmethod
     def of(cls, sweep: Sweep) -> "Record":
-        """The window as far as the record reaches."""
+        """The window, cut at the end of the record."""
         spec, time = sweep.spec, sweep.recording.time
         first = int(np.searchsorted(time, spec.measure_from - 0.5 / spec.sample_rate))
         last = len(time)
@@ -76,28 +76,28 @@ class Record:
 
     @property
     def turns(self) -> bool:
-        """Moves one way all along, as commanded."""
+        """Whether the axis moves in one direction only, as commanded."""
         return self.spec.offset_velocity != 0 and self.spec.excitation in ("multisine", "noise")
 
     @property
     def travels(self) -> bool:
-        """Goes somewhere: one way, or along a trajectory."""
+        """Whether the axis travels: in one direction, or along a trajectory."""
         return self.turns or self.spec.excitation == "trajectory"
 
     @property
     def alone(self) -> bool:
-        """No other axis moved with it."""
+        """Whether no other axis moved at the same time."""
         return not runs_at_once(self.spec)
 
     @property
     def peak(self) -> float:
-        """The fastest that was commanded, rad/s (m/s); 0 for trajectories."""
+        """The largest commanded speed, rad/s (m/s); 0 for trajectories."""
         return abs(self.spec.offset_velocity) + sum(sine.amplitude for sine in self.spec.sines)
 
 
 @dataclass(frozen=True)
 class AxisRecords:
-    """All records of one axis that are long enough to be judged."""
+    """All records of one axis that are long enough for the checks."""
 
     robot: Robot
     index: int
@@ -109,7 +109,7 @@ class AxisRecords:
         return cls(robot, robot.index(joint), tuple(record for record in records if record.count >= SHORTEST))
 
     def without(self, ids: Collection[str]) -> "AxisRecords":
-        """All but those sweeps."""
+        """The same without these sweeps."""
         return replace(self, records=self.those(lambda record: record.id not in ids)) if ids else self
 
     @property
@@ -126,12 +126,12 @@ class AxisRecords:
 
     @property
     def unit(self) -> str:
-        """Of effort."""
+        """Unit of effort."""
         return "N" if self.prismatic else "N m"
 
     @cached_property
     def fastest(self) -> float:
-        """That was commanded of any record, rad/s (m/s); 0 for trajectories."""
+        """The largest commanded speed of all records, rad/s (m/s); 0 for trajectories."""
         return max((record.peak for record in self.records), default=0.0)
 
     def those(self, chosen: Callable[[Record], bool]) -> tuple[Record, ...]:
@@ -140,31 +140,31 @@ class AxisRecords:
     def channels(
         self, names: Sequence[Channel] = CHANNELS, chosen: Callable[[Record], bool] = lambda _: True
     ) -> Iterator[tuple[Channel, list[tuple[Record, Array]]]]:
-        """Channel by channel, its samples in the records that are chosen."""
+        """For each channel, its samples in the records that are `chosen`."""
         for name in names:
             yield name, [(record, getattr(record, name)) for record in self.those(chosen)]
 
     def load_inertia(self, pose: Sequence[float], index: int | None = None) -> float:
-        """What CAD says of the links behind an axis in a pose, kg m^2 (kg); `index`: another axis than this."""
+        """Inertia of the links that an axis moves, kg m^2 (kg), from CAD, in a pose; `index`: another axis."""
         links = self.robot.chain.inertial.ravel()
         return float(inertia_rows(self.robot.chain, self.index if index is None else index, np.array(pose))[0] @ links)
 
     def nominal_inertias(self, poses: Array, index: int | None = None) -> Array:
-        """The same with the motor, of poses (m, joints) at once (m,)."""
+        """The same including the motor, for poses (m, joints): (m,)."""
         index = self.index if index is None else index
         rows = inertia_rows(self.robot.chain, index, poses)
         return rows @ self.robot.chain.inertial.ravel() + (self.robot.axes[index].reflected_motor_inertia or 0.0)
 
 
 def spread(values: Array) -> float:
-    """Robust standard deviation: of a normal distribution it is the standard deviation."""
+    """Robust standard deviation; for a normal distribution equal to the standard deviation."""
     return 1.4826 * float(np.median(np.abs(values - np.median(values)))) if values.size else 0.0
 
 
 def resolution(values: Array) -> float:
-    """The step (smallest difference between two values that occur) of a channel; 0 if it is not one of steps.
+    """The step (smallest difference between two values that occur) of a channel; 0 if the channel is not quantised.
 
-    A channel of steps has differences that are whole multiples of the least, within what 32-bit floats leave of it.
+    The differences of a quantised channel are integer multiples of the smallest, within the precision of 32-bit floats.
     """
     levels = np.unique(values)
     if levels.size < 2:

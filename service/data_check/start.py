@@ -1,15 +1,15 @@
-"""Does a recording start where bundle.json says the axis stands?"""
+"""Check that a recording starts at the position of the axis in bundle.json."""
 
 import numpy as np
 
 from service.data_check.finding import Finding, named
 from service.data_check.record import AxisRecords, Record
 
-NEAR = 0.02  # rad (m): what zero offsets and rounding of poses leave
+NEAR = 0.02  # rad (m): possible difference by zero offsets and rounding of poses
 
 
 def start(axis: AxisRecords) -> list[Finding]:
-    """Recordings that start elsewhere: at another joint's place (wrong axis), or nowhere known (wrong pose)."""
+    """Recordings that start at the position of another joint (wrong axis), or at an unknown position (wrong pose)."""
     elsewhere = axis.those(lambda record: abs(_first(record) - record.spec.pose[axis.index]) > _room(record))
     others = {
         joint: [record for record in elsewhere if abs(_first(record) - record.spec.pose[k]) <= _room(record)]
@@ -50,5 +50,5 @@ def _first(record: Record) -> float:
 
 
 def _room(record: Record) -> float:
-    """A record may begin with its window, after a run-up about as long as itself."""
+    """Tolerance, rad (m): a record may start with its window, after a run-up of about the same duration."""
     return NEAR + float(np.ptp(record.sweep.recording.position)) * (record.spec.excitation != "standstill")

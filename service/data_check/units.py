@@ -1,21 +1,21 @@
-"""Factors by which a channel is off that have a name: a unit other than SI on the joint side."""
+"""Known units other than SI on the joint side, found from the factor by which a channel is wrong."""
 
 import numpy as np
 
 from service.data_check.record import AxisRecords
 
-CLOSE = 0.04  # relative: a motion that is off by a unit is off by exactly that
+CLOSE = 0.04  # relative: a wrong unit gives an exact factor
 TURN = 2 * np.pi
 
 
 def motion_unit(axis: AxisRecords, gain: float, *, velocity: bool) -> str | None:
-    """Which unit makes a position (or velocity) `gain` times what it should be, None if none does."""
+    """The unit in which a position (or velocity) is `gain` times the SI value; None if there is none."""
     if gain == 0:
         return None
     ratio = abs(axis.axis.gear_ratio)
     side = {"": 1.0} | ({" on the motor side": ratio} if abs(ratio - 1) > CLOSE else {})
     turning = {"rad": 1.0, "degrees": 360 / TURN, "turns": 1 / TURN}
-    # a control that takes a linear axis for a turning one tells degrees
+    # a control that treats a linear axis as a rotary one gives degrees
     own = {"mm": 1e3, "degrees": 360 / TURN} if axis.prismatic else turning
     rates = {"/s": 1.0, "/min": 60.0} if velocity else {"": 1.0}
     names = {
@@ -45,7 +45,7 @@ def effort_units(axis: AxisRecords) -> dict[str, float]:
 
 
 def effort_unit(axis: AxisRecords, gain: float, within: float) -> str | None:
-    """Which unit makes an effort `gain` times what the model says, within a factor exp(`within`); None if none does."""
+    """The unit in which effort is `gain` times that of the model, within a factor exp(`within`); None if none."""
     near = {name: abs(np.log(abs(gain) / factor)) for name, factor in effort_units(axis).items()} if gain else {}
     best = min(near, key=lambda name: near[name], default=None)
     return best if best is not None and near[best] < within else None

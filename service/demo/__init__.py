@@ -1,4 +1,4 @@
-"""The demo: a virtual machine and the service as real processes, one whole campaign through the REST API, a report.
+"""The demo: a virtual machine and the service as real processes, one complete campaign by the REST API, a report.
 
-It is a client like any other. It alone reads the truth of the virtual robot, and only after the last estimate.
+It is a normal client. In addition it reads the true parameters of the virtual robot, only after the last estimate.
 """

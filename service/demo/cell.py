@@ -1,4 +1,4 @@
-"""A virtual machine with a service on it, in processes of their own, and the representative robot made known to it."""
+"""A virtual machine and its service in separate processes, with the representative robot stored in the service."""
 
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -15,7 +15,7 @@ SPEED_FACTOR = "20"  # of the virtual machine's moves and drive-side sweeps
 
 @dataclass(frozen=True)
 class VirtualCell:
-    """`machine` is what it printed when it was ready."""
+    """`machine` is the line it printed when it was ready."""
 
     machine: Ready
     client: ServiceClient
@@ -24,7 +24,7 @@ class VirtualCell:
 
 @contextmanager
 def virtual_cell(folder: Path, robot: Robot, scenario: Path, *options: str) -> Generator[VirtualCell]:
-    """Machine and service, started and, whatever happens, ended; they write into `folder`. `options` of the machine."""
+    """Machine and service, started, and ended in any case; they write into `folder`. `options`: of the machine."""
     drive = ("drive", "--scenario", str(scenario), "--port", "0", "--speed-factor", SPEED_FACTOR, *options)
     with running(drive, folder / "drive.log") as drives:
         profile = drive_profile(PROFILE, drives.port, folder / "drives.yaml")

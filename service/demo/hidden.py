@@ -1,7 +1,7 @@
-"""The second half of the demo: a machine that hides an effect is measured and diagnosed, and only then is truth asked.
+"""The second half of the demo: a machine with a hidden effect is measured and diagnosed; then the truth is read.
 
-A machine of the same type whose model has been put right, but for one effect that its seed chooses. It says on which
-axis; neither the service nor the demo learns more until the diagnosis has been accepted.
+The machine is of the same type, with a corrected model except for one effect that its seed selects. It tells the axis
+of the effect; service and demo get no more information until the diagnosis was accepted.
 """
 
 import json
@@ -16,7 +16,7 @@ from service.demo.processes import command, environment
 from service.demo.screen import Screen
 from service.errors import SweepidError
 from service.geometry.cell import Cell
-from service.results.diagnosis import AxisDiagnosis, Diagnosis
+from service.results.diagnosis import AxisDiagnosis, Diagnosis, RigidParameter
 from service.robot import Robot
 
 SCENARIO = Path("config/scenarios/max100-as-modelled.yaml")
@@ -24,22 +24,23 @@ REQUEST: Json = {
     "kind": "diagnosis",
     "varied": ["joint_2", "joint_3"],
     "poses": 3,
-    "blocks": ["forward_slow", "wide"],  # what is missing is measured when the diagnosis asks for it
+    "blocks": ["forward_slow", "wide"],  # other blocks are measured when the diagnosis proposes them
     "move_velocity": 0.5,
 }
-EXPERIMENTS = 2  # that the demo's operator runs when the diagnosis asks for more
+EXPERIMENTS = 2  # number that the demo runs if the diagnosis proposes more
 PERSON = "operator of the demo"
+SURE = 4.0  # standard deviations: exceeded by one of 20 parameters by chance in 1 of 800 diagnoses
 _TIMEOUT = 120.0  # s
 
 
 @dataclass(frozen=True)
 class Found:
-    """`document` of the last diagnosis, as the API has it; `hidden` is what `sweepid truth` told afterwards."""
+    """`document` of the last diagnosis from the API; `hidden` is the later output of `sweepid truth`."""
 
     joint: str
     document: Json
-    experiments: tuple[str, ...]  # run because the diagnosis asked for them
-    model: int | None  # revision that was accepted
+    experiments: tuple[str, ...]  # run because the diagnosis proposed them
+    model: int | None  # accepted revision
     hidden: Json
 
     @property
@@ -56,18 +57,31 @@ class Found:
 
     @property
     def right(self) -> bool:
-        """The hidden effect was named, and nothing else."""
+        """Whether the hidden effect was named, and no other."""
         return self.named == [self.hidden["effect"]]
 
     @property
+    def off_from_cad(self) -> RigidParameter | None:
+        """The link parameter that differs most from CAD, for a hidden gravity error within the model's prior.
+
+        A diagnosis starts with link parameters fitted within the robot's prior; only a part that exceeds this
+        prior is a named effect.
+        """
+        if self.hidden["effect"] != "gravity_error" or self.axis.verdict != "none":
+            return None
+        off = [(_deviation(one), one) for one in self.axis.rigid_model if one.name != "viscous_friction"]
+        deviation, found = max(off, key=lambda pair: pair[0], default=(0.0, None))
+        return found if deviation >= SURE else None
+
+    @property
     def told(self) -> str:
-        """What was hidden, in words."""
+        """The hidden effect, in words."""
         sizes = ", ".join(f"{plain(name)} {value:.4g}" for name, value in self.hidden["parameters"].items())
         return plain(self.hidden["effect"]) + (f" ({sizes})" if sizes else "")
 
     @property
     def judgement(self) -> str:
-        """Whether the diagnosis was right, in a sentence."""
+        """Whether the diagnosis was correct, in a sentence."""
         if self.right:
             accepted = f"accepted as revision {self.model} of the model" if self.model else "but not accepted"
             return f"Right; {accepted}."
@@ -75,7 +89,17 @@ class Found:
             return f"Wrong: {', '.join(map(plain, self.named))} was named."
         if self.hidden["effect"] in self.axis.candidates:
             return "Not decided: it is among the candidates."
+        if off := self.off_from_cad:
+            return (
+                f"Not named, but fitted: it is as small as CAD's own uncertainty. {off.name} is {off.value:.4g} "
+                f"+/- {off.std:.2g}, CAD says {off.nominal:.4g}."
+            )
         return f"Not found: the verdict is {self.axis.verdict}."
+
+
+def _deviation(one: RigidParameter) -> float:
+    """Difference from CAD, in standard deviations of the identified value."""
+    return abs(one.value - one.nominal) / one.std if one.nominal is not None and one.std else 0.0
 
 
 def plain(name: str) -> str:
@@ -84,7 +108,7 @@ def plain(name: str) -> str:
 
 
 def find_hidden(folder: Path, robot: Robot, cell: Cell, seed: int, screen: Screen) -> Found:
-    """Measure and diagnose the machine that the seed makes; processes and files as in `virtual_cell`."""
+    """Measure and diagnose the machine for this seed; processes and files as in `virtual_cell`."""
     folder.mkdir(exist_ok=True)
     screen.doing("starting a machine that hides something")
     with virtual_cell(folder, robot, SCENARIO, "--seed", str(seed), "--hide", str(seed)) as machine:
@@ -95,7 +119,7 @@ def find_hidden(folder: Path, robot: Robot, cell: Cell, seed: int, screen: Scree
 
 
 def _diagnosed(machine: VirtualCell, joint: str, cell: Cell, screen: Screen) -> tuple[Json, tuple[str, ...]]:
-    """The last diagnosis, and the experiments that it wanted and got."""
+    """The last diagnosis, and the experiments that it proposed and that were run."""
     client, operator = machine.client, Operator(machine.client, screen.progress, screen.say)
     screen.doing(f"measuring {joint} for its diagnosis")
     plan = client.add_plan(REQUEST | {"robot_id": machine.robot_id, "cell": cell.name, "axes": [joint]})
@@ -117,13 +141,13 @@ def _diagnosed(machine: VirtualCell, joint: str, cell: Cell, screen: Screen) -> 
 
 
 def _continued(client: ServiceClient, parent: int) -> Json:
-    """The diagnosis that the service began by itself when the experiment was complete."""
+    """The diagnosis that the service started after the experiment."""
     for event in client.events():
         if event["kind"] == "diagnosis":
             found = client.diagnosis(event["data"]["diagnosis"])
             if found["parent"] == parent:
                 return found
-    raise SweepidError("the service tells no more events")
+    raise SweepidError("the event stream ended before the diagnosis was done")
 
 
 def _done(client: ServiceClient, diagnosis: Json) -> Json:
@@ -138,7 +162,7 @@ def _axis(diagnosis: Json, joint: str) -> AxisDiagnosis:
 
 
 def _accepted(client: ServiceClient, diagnosis: Json, joint: str) -> int | None:
-    """The model's revision, where there is a name to accept."""
+    """The model's revision, if there is a named effect to accept."""
     axis = _axis(diagnosis, joint)
     if axis.verdict != "named" or set(axis.rolled_back) >= {effect.effect for effect in axis.effects}:
         return None

@@ -1,4 +1,4 @@
-"""Plays the person at the machine: starts a campaign, watches it, looks after faults, and stops when told to."""
+"""Simulates the operator: starts a campaign, monitors it, acknowledges faults, and stops on request."""
 
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -7,29 +7,29 @@ from dataclasses import dataclass
 from service.client import Json, ServiceClient, ServiceProblem
 from service.errors import SweepidError
 
-_PATIENCE = 3  # faults that the person acknowledges before giving up
+_PATIENCE = 3  # faults that the operator acknowledges before giving up
 
 
 class CampaignFailed(SweepidError):
-    """The campaign did not come to its end; the message says why."""
+    """The campaign was not completed; the message gives the reason."""
 
 
 @dataclass(frozen=True)
 class Operator:
-    """`progress` is told of the campaign at each event, `say` what a person would note in the log."""
+    """`progress` is called with the campaign at each event, `say` with notes for the log."""
 
     client: ServiceClient
     progress: Callable[[Json], None]
     say: Callable[[str], None]
 
     def run(self, campaign_id: int) -> None:
-        """Run a campaign until its last sweep is identified. Whatever else ends this stops the machine first."""
+        """Run a campaign until its last sweep is identified. Any other end stops the machine first."""
         with self._stopping():
             self.client.start(campaign_id)
             self._until_completed(campaign_id)
 
     def watch(self, campaign_id: int) -> None:
-        """The same with a campaign that has been started."""
+        """The same for a campaign that was already started."""
         with self._stopping():
             self._until_completed(campaign_id)
 
@@ -40,7 +40,7 @@ class Operator:
         except BaseException as error:
             try:
                 self.client.stop("sweepid demo", type(error).__name__)
-            except SweepidError as unconfirmed:  # it must not hide what ended the campaign
+            except SweepidError as unconfirmed:  # must not hide the error that ended the campaign
                 self.say(str(unconfirmed))
             raise
 
@@ -59,13 +59,13 @@ class Operator:
                     raise CampaignFailed(
                         f"campaign {campaign_id} paused for the {troubles}th time: {campaign['cause']}"
                     )
-                self.say(f"{campaign['cause']} - looked, acknowledged, sweep repeated")
+                self.say(f"{campaign['cause']} - checked, acknowledged, sweep repeated")
                 self._clear(campaign_id)
 
     def _clear(self, campaign_id: int) -> None:
-        """What a person does after a fault: look, acknowledge, go on with the sweep that failed.
+        """React to a fault as an operator: check, acknowledge, continue with the failed sweep.
 
-        Going on connects first where the connection was lost; a fault found then is one more trouble.
+        Continuing reconnects first if the connection was lost; a fault found then is another fault.
         """
         for axis in self.client.drives()["axes"]:
             if axis["fault"] is not None:

@@ -1,4 +1,4 @@
-"""The processes of the demo: `sweepid drive` and `sweepid serve` on free loopback ports, ended whatever happens."""
+"""The processes of the demo: `sweepid drive` and `sweepid serve` on free loopback ports, ended in any case."""
 
 import os
 import subprocess
@@ -16,15 +16,15 @@ from service.errors import SweepidError
 
 _MAIN = "from service.cli import main; main()"
 _START = 60.0  # s until a process must be ready
-_END = 20.0  # s to end by itself once told to
+_END = 20.0  # s to end by itself after the request
 
 
 class ProcessFailed(SweepidError):
-    """A process of the demo did not start; its log says why."""
+    """A process of the demo did not start; its log contains the reason."""
 
 
 class Ready(BaseModel):
-    """The line of a process that is ready: `url` of the service, `hidden_in` the joint of a machine that hides."""
+    """The line of a process that is ready: `url` of the service, `hidden_in`: joint with a hidden effect."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
     port: int
@@ -39,7 +39,7 @@ class _Bus(BaseModel):
 
 
 class _Profile(BaseModel):
-    """Of a drive profile what the demo changes; the rest stays as it is."""
+    """The fields of a drive profile that the demo changes; the others are unchanged."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
     eds: Path
@@ -52,13 +52,13 @@ def command(*arguments: str) -> list[str]:
 
 
 def environment() -> dict[str, str]:
-    """Ours without settings of another service."""
+    """The environment of this process without settings of another service."""
     return {name: value for name, value in os.environ.items() if not name.startswith("SWEEPID_")}
 
 
 @contextmanager
 def running(arguments: Sequence[str], log: Path) -> Generator[Ready]:
-    """A process that prints one JSON line when it is ready; gives that line. Its other words go to `log`.
+    """A process that prints one JSON line when it is ready; returns that line. Its stderr goes to `log`.
 
     Ctrl-C in the terminal does not reach it: it ends after its clients, in the order in which the blocks are left.
     """
@@ -80,7 +80,7 @@ def running(arguments: Sequence[str], log: Path) -> Generator[Ready]:
 
 
 def drive_profile(template: Path, port: int, path: Path) -> Path:
-    """Write the drive profile `template` for a virtual machine at a port of this host; gives its path."""
+    """Write the drive profile `template` for a virtual machine at a port of this host; returns its path."""
     profile = read_yaml(template, _Profile)
     bus = profile.bus.model_copy(update={"host": "127.0.0.1", "port": port})
     here = profile.model_copy(update={"bus": bus, "eds": (template.parent / profile.eds).resolve()})

@@ -1,4 +1,4 @@
-"""The main job from end to end: plan, measure, identify, diagnose, report; all by the REST API of real processes."""
+"""The main task from end to end: plan, measure, identify, diagnose, report; all by the REST API of real processes."""
 
 import json
 import shutil
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from service.benefit import Benefit, benefit, benefit_section
 from service.client import Json
 from service.configuration import read_robot
 from service.demo.cell import PROFILE, virtual_cell
@@ -15,6 +16,7 @@ from service.demo.hidden import SCENARIO as HIDING
 from service.demo.hidden import Found, find_hidden
 from service.demo.operator import Operator
 from service.demo.screen import Screen
+from service.demo.tracking import drive_path
 from service.demo.truth import compare
 from service.errors import BadInput
 from service.geometry.cell import read_cell
@@ -32,23 +34,24 @@ REQUEST: Json = {
     "axes": ["joint_1", "joint_2", "joint_3"],
     "varied": ["joint_2", "joint_3"],
     "modes": "one_host_streamed",
-    # what the CNC's frequency-response measurement tells before a campaign (the paper's section 4.2), Hz
+    # known from a frequency-response measurement of the CNC before a campaign (the paper's section 4.2), Hz
     "locked_rotor": {"joint_1": 5.0, "joint_2": 9.5, "joint_3": 13.0},
 }
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the demo found."""
+    """The results of the demo."""
 
     content: Content
     found: Found
+    worth: Benefit
     report: Path
     bundle: Path
 
 
 def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> Outcome:
-    """Run it in the folder `out`. Whatever happens, the machine is stopped and the processes are ended."""
+    """Run the demo in the folder `out`. In any case, the machine is stopped and the processes are ended."""
     for path in (SCENARIO, HIDING, ROBOT, CELL, PROFILE):
         if not path.is_file():
             raise BadInput(str(path), "not found; the demo runs in the folder that holds config/")
@@ -77,24 +80,32 @@ def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> Outcome:
     screen.doing("comparing with the truth and writing the report")
     wanted = PlanRequest.model_validate(request | {"robot_id": machine.robot_id})
     workspace = workspace_grid(robot, wanted, cell)
-    content = _content(read_bundle(out / "bundle"), revisions, workspace, seed)
+    measured = read_bundle(out / "bundle")
+    worth = benefit(measured.robot, measured.sweeps, str(out / "bundle"))  # before the truth is read
+    tracking = drive_path(measured, SCENARIO, out / "path.json")
+    worth = worth.model_copy(update={"tracking": tracking})
+    content = _content(measured, revisions, workspace, seed)
     axes = axes_of(content)
     truth = compare(content, axes, SCENARIO, out / "poses.json")
     columns = tuple(axis.joint for axis in axes)
     subtitle = (
-        f"{content.subtitle} At the end a second machine, which hides something in {found.joint}; told after its "
-        f"diagnosis: {found.told}. {found.judgement}"
+        f"{content.subtitle} Then a second machine with a hidden effect in {found.joint}, revealed "
+        f"after its diagnosis: {found.told}. {found.judgement} Last, the benefit of the estimate of "
+        "the first machine."
     )
     content = replace(content, subtitle=subtitle, truth=truth, truth_columns=columns, diagnosis=found.diagnosis)
     report = out / "report.html"
-    report.write_text(estimate_page(content).html(), encoding="utf-8")
+    page = estimate_page(content)
+    benefit_section(page, worth)
+    report.write_text(page.html(), encoding="utf-8")
     (out / "estimate.json").write_text(json.dumps(revisions[-1]["document"], indent=2) + "\n", encoding="utf-8")
     (out / "diagnosis.json").write_text(json.dumps(found.document, indent=2) + "\n", encoding="utf-8")
-    return Outcome(content, found, report, out / "bundle")
+    (out / "benefit.json").write_text(worth.model_dump_json(indent=2) + "\n", encoding="utf-8")
+    return Outcome(content, found, worth, report, out / "bundle")
 
 
 def _clear(out: Path) -> None:
-    """Remove what an earlier demo left in its folder, and nothing else."""
+    """Remove the files of an earlier demo from its folder, and no others."""
     out.mkdir(parents=True, exist_ok=True)
     for data in (out / "data", out / "hidden" / "data"):
         if (data / "sweepid.sqlite").is_file():

@@ -1,4 +1,4 @@
-"""Where the demo tells how far it is."""
+"""Progress output of the demo."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from service.client import Json
 
 @dataclass(frozen=True)
 class Screen:
-    """What it does, the campaign at each event, a note."""
+    """Output of the current action, of the campaign at each event, and of notes."""
 
     doing: Callable[[str], None]
     progress: Callable[[Json], None]

@@ -1,4 +1,4 @@
-"""How far measured and identified inertias are from the virtual robot's true ones."""
+"""Errors of measured and identified inertias with respect to the virtual robot's true ones."""
 
 import json
 import subprocess
@@ -20,7 +20,7 @@ _TIMEOUT = 120.0  # s
 
 
 def read_truth(scenario: Path, poses: Array, scratch: Path) -> dict[str, Array]:
-    """True inertia (m,) of every joint at poses (m, n), by the command `sweepid truth`."""
+    """True inertia (m,) of every joint at poses (m, n), from the command `sweepid truth`."""
     scratch.write_text(json.dumps(poses.tolist()), encoding="utf-8")
     arguments = command("truth", str(scenario), "--poses", str(scratch))
     answer = subprocess.run(arguments, capture_output=True, text=True, env=environment(), timeout=_TIMEOUT, check=False)
@@ -31,9 +31,9 @@ def read_truth(scenario: Path, poses: Array, scratch: Path) -> dict[str, Array]:
 
 
 def compare(content: Content, axes: Sequence[Axis], scenario: Path, scratch: Path) -> tuple[Row, ...]:
-    """Errors in percent, one column an axis: median and, in brackets, the 95th percentile of their absolute values.
+    """Errors in percent, one column per axis: median and, in brackets, the 95th percentile of their absolute values.
 
-    "sweeps": each measured inertia; "workspace": the models that follow from them, over all collision-free poses. The
+    "sweeps": each measured inertia; "workspace": the resulting models, over all collision-free poses. The
     paper's formula (8) becomes a model by standard least squares, as in the paper.
     """
     workspace = read_truth(scenario, content.workspace, scratch)
@@ -50,7 +50,7 @@ def compare(content: Content, axes: Sequence[Axis], scenario: Path, scratch: Pat
 
 
 def _paper_model(content: Content, axes: Sequence[Axis]) -> dict[str, Array]:
-    """Inertias over the workspace of the base parameters that standard least squares gives from the paper's values."""
+    """Inertias over the workspace from base parameters fitted to the paper's values by standard least squares."""
     chain = content.robot.chain
     poses = np.array([spec.pose for spec in content.specs])
     moved = [content.robot.index(axis.joint) for axis in axes]

@@ -1,14 +1,30 @@
-"""Where a model and the measurement disagree, which physical effect is missing, and what to measure next.
+"""Finds where model and measurement differ, which physical effect is missing, and what to measure next.
 
-`diagnose_axis(robot, joint, sweeps)` does it for one axis, `as_document` makes JSON-able data of it, `model_document`
-a model revision of that. Pure functions of the samples: no clock, no files, no logs.
+`diagnose_axis(robot, joint, sweeps)` diagnoses one axis. `as_document` converts the result to JSON-able data, and
+`model_document` converts that to a model revision. These are pure functions of the samples: no clock, no files, no
+logs. Each name is imported at its first use, so that the service does not load modules that only its worker needs.
 """
 
-from service.diagnosis.diagnose import AxisDiagnosis, diagnose_axis
-from service.diagnosis.document import as_document, axis_document, compose
-from service.diagnosis.model.revision import model_document
-from service.diagnosis.rows.signals import is_evidence
-from service.diagnosis.start import started_from
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from service.diagnosis.diagnose import AxisDiagnosis, diagnose_axis
+    from service.diagnosis.document import as_document, axis_document, compose
+    from service.diagnosis.model.revision import model_document
+    from service.diagnosis.rows.signals import is_evidence
+    from service.diagnosis.start import started_from
+
+_MODULES = {
+    "AxisDiagnosis": "diagnose",
+    "as_document": "document",
+    "axis_document": "document",
+    "compose": "document",
+    "diagnose_axis": "diagnose",
+    "is_evidence": "rows.signals",
+    "model_document": "model.revision",
+    "started_from": "start",
+}
 
 __all__ = [
     "AxisDiagnosis",
@@ -20,3 +36,9 @@ __all__ = [
     "model_document",
     "started_from",
 ]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

@@ -1,8 +1,8 @@
-"""The diagnosis of one axis: locate the gap, name the effects, prove them on held-out sweeps, ask for what is missing.
+"""The diagnosis of one axis: locate the gap, name effects, verify them on held-out sweeps, propose the next experiment.
 
-The model to start from is rigid: inertia and gravity of all poses and viscous friction, within the robot's prior.
-Everything else is an effect; those that the axis is `known` to have are fitted with the base. One pose takes no part in
-the naming, where there are enough of them: the gap is shown there.
+The initial model is rigid: inertia and gravity of all poses and viscous friction, within the prior of the robot.
+All other physics are effects. The effects `known` for the axis are fitted together with the rigid model. If there are
+enough poses, one is not used to select effects; the gap is then computed on this pose.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,14 +20,14 @@ from service.diagnosis.fit.calibration import Weighed, corrected, is_decided, is
 from service.diagnosis.fit.equations import Equations, Term, applies, equations, grouped, held_back
 from service.diagnosis.fit.gap import Gap, gap, noise, residual
 from service.diagnosis.fit.parameters import Parameter
-from service.diagnosis.fit.search import Beside
+from service.diagnosis.fit.search import CurrentModel
 from service.diagnosis.fit.select import Selection, allowed_by_physics, select, settled, with_groups
 from service.diagnosis.localisation.example import Example, example
 from service.diagnosis.localisation.locate import Cell, cells, lines, sentences
 from service.diagnosis.localisation.repeatability import unrepeated
 from service.diagnosis.localisation.ripple_search import ripples, with_ripples
+from service.diagnosis.model.held_out_check import Fit, Fitted, HeldOutCheck, check_held_out
 from service.diagnosis.model.rigid_model import RigidParameter, rigid_model
-from service.diagnosis.model.show import Fit, Fitted, Shown, show
 from service.diagnosis.rows.periods import in_periods
 from service.diagnosis.rows.signals import SHORTEST, sticking_within, tracks
 from service.diagnosis.sensitivity.visibility import untestable
@@ -43,8 +43,8 @@ Array = NDArray[np.float64]
 Known = Mapping[str, Mapping[str, Parameter]]
 
 NOTHING: Known = {}
-LONGER = 2.0  # times: ways within which dry friction may turn round
-CHANGED = 4.0  # standard deviations by which a parameter of the model is another now
+LONGER = 2.0  # factor between the reversal distances of dry friction that are tried
+CHANGED = 4.0  # standard deviations: above, a parameter of the model has changed
 GAIN, GAIN_ERROR = "torque_constant_error", "gain_error"
 HEAVIER = "The mass that was weighed is too light to decide it: take a heavier one, or bolt it further out."
 OFF = "The test mass is to be off."
@@ -52,8 +52,8 @@ OFF = "The test mass is to be off."
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """An effect that is there: parameters with their covariance, what it adds to a scenario, and what it gains beside
-    the others, in units of the noise.
+    """A detected effect: its parameters with covariance, its contribution to a scenario, and the decrease of the
+    cost when it is added to the other effects, in units of the noise variance.
     """
 
     name: str
@@ -66,7 +66,7 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class Change:
-    """A parameter of a known effect that is another now: what the model says of it, and what these sweeps say."""
+    """A parameter of a known effect that has changed: the value in the model and the value from these sweeps."""
 
     effect: str
     parameter: str
@@ -76,36 +76,36 @@ class Change:
 
 @dataclass(frozen=True)
 class AxisDiagnosis:
-    """Everything a diagnosis has to say of an axis."""
+    """The complete result of the diagnosis of one axis."""
 
     joint: str
     unit: str  # of its effort
     verdict: Verdict
     effects: tuple[NamedEffect, ...]
     known: tuple[NamedEffect, ...]
-    part: tuple[NamedEffect, ...]  # known in part beside an unknown rest
-    changes: tuple[Change, ...]  # of the known ones
-    alternatives: tuple[tuple[str, ...], ...]  # of each effect it and who explains as much in its place, if ambiguous
-    rivals: tuple[tuple[str, float], ...]  # by how much of Schwarz's criterion each is behind
+    part: tuple[NamedEffect, ...]  # explains a part of the gap; the rest is unknown
+    changes: tuple[Change, ...]  # of the known effects
+    alternatives: tuple[tuple[str, ...], ...]  # if ambiguous: each effect and its equivalent ones
+    rivals: tuple[tuple[str, float], ...]  # other explanations, with their difference in Schwarz's criterion
     rolled_back: tuple[str, ...]
     cells: tuple[Cell, ...]
     sentences: tuple[str, ...]
     gap: Gap
-    twin_rms: float | None  # what the simulator leaves along the recorded motion, N m (N)
+    twin_rms: float | None  # RMS of effort less simulated effort along the recorded motion, N m (N)
     example: Example
     poses: tuple[tuple[float, ...], ...]
     fit: Fit
     rigid_model: tuple[RigidParameter, ...]
-    started_from: str  # what the rigid model was before: "cad", or which estimate
-    weighed: bool  # a test mass put the torques right
+    started_from: str  # source of the initial rigid model: "cad", or which estimate
+    weighed: bool  # the effort was corrected with a known test mass
     unexplained: float  # part of the repeatable excess
     next_experiment: NextExperiment | None
     untestable: tuple[str, ...]
-    data: tuple[Finding, ...]  # what the check of the data found
+    data: tuple[Finding, ...]  # findings of the data check
 
     @property
     def candidates(self) -> tuple[str, ...]:
-        """Who may be behind the gap while that is not decided."""
+        """The effects that may explain the gap while it is undecided."""
         return tuple(sorted({name for names in self.alternatives for name in names}))
 
 
@@ -118,21 +118,21 @@ def diagnose_axis(
     weighed: Weighed | None = None,
     twin: bool = True,
 ) -> AxisDiagnosis:
-    """Diagnose `joint` from its sweeps; BadInput if none of them moves or an effect of `known` is not in the catalogue.
+    """Diagnose `joint` from its sweeps. BadInput if no sweep moves or an effect of `known` is not in the catalogue.
 
-    `robot`: with CAD's rigid model, or with that of an estimate (`start.started_from`).
+    `robot`: with the rigid model of CAD or of an estimate (`start.started_from`).
 
-    `known`: effects that the model has, with what it says of their parameters as far as it does. One that this axis
-    cannot have, as gravity on an upright axis, is left out.
-    `weighed`: some of the sweeps again with a known test mass. A gain that is not one is named a wrong torque constant,
-    and the rest diagnosed with it put right; one that is leaves what else pulls.
-    `twin`: the simulator runs with the model found, and what it leaves is told beside the gap.
+    `known`: effects of the model, with the values of their parameters as far as the model has them. Effects that are
+    impossible for this axis (for example gravity on a vertical axis) are ignored.
+    `weighed`: some sweeps repeated with a known test mass. A gain other than 1 is named as a wrong torque constant, and
+    the effort is corrected before the diagnosis. A gain of 1 excludes a wrong torque constant.
+    `twin`: also simulate the identified model; the result contains the RMS of the difference from the measured effort.
     """
     for name in known:
         if name not in CATALOGUE:
             raise BadInput(name, f"unknown effect; there are {', '.join(CATALOGUE)}")
     together = {spec.id for group in at_once([sweep.spec for sweep in sweeps]) for spec in group}
-    sweeps = [sweep for sweep in sweeps if sweep.spec.id not in together]  # equations of one axis do not hold there
+    sweeps = [sweep for sweep in sweeps if sweep.spec.id not in together]  # the equations of one axis do not hold there
     gain = _accepted(known) if weighed is None else weighed_gain(robot, joint, sweeps, weighed)
     wrong = gain if gain is not None and is_wrong(gain) else None
     calibrated = gain is not None and is_decided(gain)
@@ -140,20 +140,20 @@ def diagnose_axis(
     data = check(robot, [sweep for sweep in sweeps if sweep.spec.axis == joint])
     trusted = not untrustworthy(data, joint)
     found = _explained(robot, joint, own, known, calibrated=calibrated, trusted=trusted, twin=twin)
-    selection, shown, verdict, told = found.selection, found.shown, found.verdict, found.told
+    selection, shown, verdict, modelled = found.selection, found.shown, found.verdict, found.modelled
     motion, hidden = selection.given.tracks, found.hidden
-    ties = tie_sets(selection, told, found.applying) if verdict is Verdict.AMBIGUOUS else {}
+    ties = tie_sets(selection, modelled, found.applying) if verdict is Verdict.AMBIGUOUS else {}
     before = shown.before
-    if wrong and GAIN not in known:  # the gap is that of the effort as the drive told it
-        before = _as_told(robot, joint, sweeps, selection, told)
-    unseen = [k for k, spot in enumerate(motion.spot) if spot == found.unseen]
+    if wrong and GAIN not in known:  # the gap is that of the measured, uncorrected effort
+        before = _of_measured_effort(robot, joint, sweeps, selection, modelled)
+    unseen = [k for k, pose_index in enumerate(motion.pose_index) if pose_index == found.unseen]
     where = (
         *lines(motion, before, shown.after),
         *cells(motion, selection.given.groups, before, shown.after, noise(selection.given, shown.after)),
     )
     effects = [_named(one, selection) for one in shown.fitted]
-    named = [effect for effect in effects if effect.name not in told]
-    base = [effect for effect in effects if effect.name in told]
+    named = [effect for effect in effects if effect.name not in modelled]
+    base = [effect for effect in effects if effect.name in modelled]
     if gain and calibrated and (wrong or GAIN in known):
         (base if GAIN in known else named).insert(0, _weighed(gain))
         if verdict in (Verdict.NONE, Verdict.UNTESTABLE) and GAIN not in known:
@@ -194,13 +194,13 @@ def diagnose_axis(
 
 @dataclass(frozen=True)
 class _Explained:
-    """What the sweeps of an axis amount to, by which candidates, and what was changed in the robot file for it."""
+    """Explanation of the sweeps of an axis, the candidate effects, and the changes made to the robot file for it."""
 
     selection: Selection
     verdict: Verdict
-    shown: Shown
+    shown: HeldOutCheck
     part: tuple[Fitted, ...]
-    told: tuple[str, ...]
+    modelled: tuple[str, ...]
     applying: tuple[str, ...]
     hidden: dict[str, tuple[str, ...]]
     unseen: int | None
@@ -210,7 +210,7 @@ class _Explained:
 def _explained(
     robot: Robot, joint: str, sweeps: Sequence[Sweep], known: Known, *, calibrated: bool, trusted: bool, twin: bool
 ) -> _Explained:
-    """The explanation; where one fails, ripples that the robot file does not know are searched in what is left."""
+    """The explanation. If there is none, search the residual for torque ripples that are not in the robot file."""
     found = _tried(robot, joint, sweeps, known, calibrated=calibrated, trusted=trusted, twin=twin)
     if found.verdict is not Verdict.UNKNOWN or not trusted:
         return found
@@ -223,15 +223,15 @@ def _explained(
 
 
 def _sticking(given: Equations, sweeps: Sequence[Sweep]) -> Equations:
-    """With dry friction that turns round within the way that fits best, of those so short that it sticks."""
+    """The equations with the best of several reversal distances of dry friction, all too short for presliding."""
     ways = [given.tracks.sticking]
     while LONGER * ways[-1] <= given.tracks.turning:
         ways.append(LONGER * ways[-1])
-    ways += [SHORTEST] if ways[0] > SHORTEST else []  # an encoder without noise may show that friction turns at once
+    ways += [SHORTEST] if ways[0] > SHORTEST else []  # an encoder without noise may show immediate friction reversal
     best, least = given, np.inf
     for way in ways:
         tried = given if way == ways[0] else replace(given, tracks=sticking_within(given.tracks, sweeps, way))
-        cost = Beside(tried, [Term("coulomb_friction")]).alone().cost
+        cost = CurrentModel(tried, [Term("coulomb_friction")]).alone().cost
         if cost < least - CHANGED**2:
             best, least = tried, cost
     return best
@@ -249,34 +249,34 @@ def _tried(
         raise BadInput(joint, "its sweeps have no sample off standstill and the first way from there: record longer")
     naming = _sticking(given, sweeps)
     possible = [name for name in CATALOGUE if applies(naming, name) and not (calibrated and name == GAIN)]
-    told = [name for name in known if name in possible]
-    applying = [name for name in possible if name not in told] if trusted else []
-    selection = select(naming, told, applying)
+    modelled = [name for name in known if name in possible]
+    applying = [name for name in possible if name not in modelled] if trusted else []
+    selection = select(naming, modelled, applying)
     hidden = untestable(selection.given, [name for name in applying if name not in selection.chosen.names], sweeps)
     testable = [name for name in applying if name not in hidden]
     named = with_groups(selection, groups)
-    selection = settled(named, told)
-    verdict, shown, part = _shown(selection, sweeps, told, testable, twin=twin)
+    selection = settled(named, modelled)
+    verdict, shown, part = _shown(selection, sweeps, modelled, testable, twin=twin)
     if unseen is not None and verdict is not Verdict.UNKNOWN and not shown.rolled_back:
-        # of the pose held back, what a model says that never saw it
-        after, held = residual(named.given, named.chosen.terms), motion.spot == unseen
+        # of the held-out pose: the prediction of a model that was not fitted to it
+        after, held = residual(named.given, named.chosen.terms), motion.pose_index == unseen
         shown = replace(shown, after=np.where(held[:, None], after, shown.after))
-    if not trusted:  # where the data cannot be trusted, no physics is named
+    if not trusted:  # no effect is named from data that is not trustworthy
         verdict = Verdict.UNKNOWN
-    return _Explained(selection, verdict, shown, part, tuple(told), tuple(applying), hidden, unseen)
+    return _Explained(selection, verdict, shown, part, tuple(modelled), tuple(applying), hidden, unseen)
 
 
 def _shown(
     selection: Selection, sweeps: Sequence[Sweep], known: Sequence[str], testable: Sequence[str], *, twin: bool
-) -> tuple[Verdict, Shown, tuple[Fitted, ...]]:
-    """The verdict after what held-out sweeps leave, and what is known in part beside an unknown rest.
+) -> tuple[Verdict, HeldOutCheck, tuple[Fitted, ...]]:
+    """The verdict after the test on held-out sweeps, and the effects that explain only a part of the gap.
 
-    What they do not bear out explains nothing, and an unknown effect is never patched: the model stays what it was.
+    An effect that the held-out sweeps do not confirm is removed. Unknown effects are never added to the model.
     """
     given = selection.given
     fixed = [term for term in selection.chosen.terms if term.effect in known]
     added = [term for term in selection.chosen.terms if term.effect not in known]
-    shown = show(given, sweeps, fixed, added, twin=twin)
+    shown = check_held_out(given, sweeps, fixed, added, twin=twin)
     left = without(selection, shown.rolled_back) if shown.rolled_back else selection
     loose = unrepeated(given, shown.after)
     moved_otherwise = loose is not None and loose.is_physical and not of_one_record(given)
@@ -289,12 +289,14 @@ def _shown(
     part = (
         tuple(one for one in shown.fitted if one.effect not in known) if allowed_by_physics(given, left.chosen) else ()
     )
-    bare = show(given, sweeps, fixed, [], twin=twin) if added else shown
+    bare = check_held_out(given, sweeps, fixed, [], twin=twin) if added else shown
     return verdict, replace(bare, rolled_back=shown.rolled_back), part
 
 
-def _as_told(robot: Robot, joint: str, sweeps: Sequence[Sweep], selection: Selection, known: Sequence[str]) -> Array:
-    """What the model without any new effect leaves (n, rows) of the effort that the drive told."""
+def _of_measured_effort(
+    robot: Robot, joint: str, sweeps: Sequence[Sweep], selection: Selection, known: Sequence[str]
+) -> Array:
+    """Residual (n, rows) of the effort as measured by the drive, for the model without new effects."""
     own = in_periods(joint, sweeps)
     given = equations(tracks(robot, joint, own), selection.given.groups)
     fixed = [term for term in selection.chosen.terms if term.effect in known]
@@ -307,7 +309,7 @@ def _named(one: Fitted, selection: Selection) -> NamedEffect:
 
 
 def _changes(known: Known, now: Sequence[NamedEffect]) -> tuple[Change, ...]:
-    """Parameters that differ by more than both standard deviations allow."""
+    """Parameters whose difference is significant with respect to both standard deviations."""
     return tuple(
         Change(effect.name, name, model, effect.parameters[name])
         for effect in now
@@ -319,7 +321,7 @@ def _changes(known: Known, now: Sequence[NamedEffect]) -> tuple[Change, ...]:
 
 
 def _behind(selection: Selection) -> tuple[tuple[str, float], ...]:
-    """Every other explanation by the effect that is another in it, the nearest first."""
+    """The other explanations, each with the effect in which it differs; the best first."""
     behind: dict[str, float] = {}
     for tried in sorted(selection.tried, key=lambda one: one.criterion):
         behind.setdefault(tried.terms[-1].effect, tried.criterion - selection.chosen.criterion)
@@ -327,13 +329,13 @@ def _behind(selection: Selection) -> tuple[tuple[str, float], ...]:
 
 
 def _accepted(known: Known) -> TorqueGain | None:
-    """The torque gain that the model has: sweeps do not tell it from a load, so it is held until a mass is weighed."""
+    """The torque gain in the model. Sweeps cannot separate it from a load, so it stays until the next test mass."""
     error = known.get(GAIN, {}).get(GAIN_ERROR)
     return None if error is None else TorqueGain(1 + error.value, error.std)
 
 
 def _weighed(gain: TorqueGain) -> NamedEffect:
-    """The torque constant's error as a mass tells it."""
+    """The error of the torque constant as measured with the test mass."""
     squares, error = ((gain.gain - 1) / gain.std) ** 2, gain.gain - 1
     parameters = {GAIN_ERROR: Parameter(error, gain.std, "")}
     patch: Patch = {"train": {"effort_gain": error}}

@@ -1,30 +1,32 @@
-"""A diagnosis as the JSON object that `sweepid diagnose --json` prints (DESIGN.md, "Data contracts")."""
+"""A diagnosis as the JSON object that `sweepid diagnose --json` prints."""
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from service.diagnosis.diagnose import AxisDiagnosis, NamedEffect
 from service.diagnosis.effects import CATALOGUE
-from service.diagnosis.experiments import NextExperiment
 from service.diagnosis.fit.parameters import Parameter
 from service.diagnosis.model.revision import model_of
 from service.diagnosis.summary import summary
 from service.robot import Robot
 
+if TYPE_CHECKING:  # the service composes documents of axes that its worker has diagnosed
+    from service.diagnosis.diagnose import AxisDiagnosis, NamedEffect
+    from service.diagnosis.experiments import NextExperiment
 
-def as_document(robot: Robot, diagnoses: Sequence[AxisDiagnosis]) -> dict[str, Any]:
-    """All axes, and the model that the named effects make."""
+
+def as_document(robot: Robot, diagnoses: "Sequence[AxisDiagnosis]") -> dict[str, Any]:
+    """The document of all axes, with the model that results from the named effects."""
     return compose(robot, {one.joint: axis_document(one) for one in diagnoses})
 
 
 def compose(robot: Robot, axes: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """The same from the documents of the axes."""
+    """The document of all axes, composed from the documents of single axes."""
     return {"axes": dict(axes), "model": model_of(robot, axes)}
 
 
-def axis_document(one: AxisDiagnosis) -> dict[str, Any]:
+def axis_document(one: "AxisDiagnosis") -> dict[str, Any]:
     """One axis; torques in N m (forces in N), see docs/reference/cli.md."""
     gap, effort = one.gap, one.gap.effort_rms
     document: dict[str, Any] = {
@@ -54,7 +56,7 @@ def axis_document(one: AxisDiagnosis) -> dict[str, Any]:
             "noise_floor_rms": gap.noise_floor_rms,
             "held_out_sweeps": gap.held_out_sweeps,
             "cross_validated": gap.others,
-            "source": "columns",  # of `before_rms` and `after_rms`
+            "source": "columns",  # residuals of the model columns: `before_rms` and `after_rms`
             "before_percent": 100 * gap.before_rms / effort,
             "after_percent": 100 * gap.after_rms / effort,
             "twin_rms": one.twin_rms,
@@ -91,11 +93,11 @@ def axis_document(one: AxisDiagnosis) -> dict[str, Any]:
 
 
 def _in_units(text: str, effort: str) -> str:
-    """A prismatic axis, whose effort is in N, has no radians; the mathematics calls every axis a turning one."""
+    """Correct the units for a prismatic axis (effort in N, no radians); the effects use revolute units for all axes."""
     return text if effort != "N" else re.sub(r"\brad(2?)\b", r"m\1", re.sub(r"\bN m\b", "N", text))
 
 
-def _effect(effect: NamedEffect, unit: str) -> dict[str, Any]:
+def _effect(effect: "NamedEffect", unit: str) -> dict[str, Any]:
     entry = CATALOGUE[effect.name]
     return {
         "effect": effect.name,
@@ -114,7 +116,7 @@ def _value(parameter: Parameter, unit: str) -> dict[str, Any]:
     return {"value": parameter.value, "std": parameter.std, "unit": _in_units(parameter.unit, unit)}
 
 
-def _experiment(experiment: NextExperiment) -> dict[str, Any]:
+def _experiment(experiment: "NextExperiment") -> dict[str, Any]:
     return {
         "kind": experiment.kind,
         "blocks": list(experiment.blocks),

@@ -1,8 +1,8 @@
-"""The next experiment: of all that can be run, what separates the rivals best per second of machine time.
+"""The next experiment: the one that separates the rivals best per second of machine time.
 
-Each rival predicts a torque along the set-points, with the coefficients that the data gave it; what the rigid model
-cannot take of the difference of two, in units of the noise, is their separation. As no catalogue is exact, a difference
-counts for less where it is a small part of the torque that either predicts.
+Each rival predicts a torque along the set-points with its fitted coefficients. The separation of two rivals is the part
+of the difference of their torques that the rigid model cannot fit, in units of the noise. Because the models are
+simplified, a difference counts less if it is a small part of the predicted torques.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,7 +26,7 @@ from service.diagnosis.sensitivity.design import (
     other_poses,
     warm_up,
 )
-from service.diagnosis.sensitivity.predicted_sweeps import Prospect, prospect
+from service.diagnosis.sensitivity.predicted_sweeps import PredictedSweeps, predict_sweeps
 from service.diagnosis.summary import in_words
 from service.diagnosis.verdict import Verdict
 from service.errors import BadInput
@@ -41,21 +41,21 @@ WARM_UP = "warm_up"
 BACKWARD = "backward_slow"
 BY_MASS = frozenset({"torque_constant_error", "payload"})
 DRIFT = "friction_temperature_drift"
-ENOUGH = 100.0  # chi-squared of a clear separation
-LITTLE = 10.0  # of none worth a sweep
+ENOUGH = 100.0  # chi-squared: the separation is clear
+LITTLE = 10.0  # chi-squared: below, a sweep is not worth its time
 REPEATS = 2
-SET_UP = 60.0  # s that an experiment costs besides its sweeps: somebody approves and starts it
-BOLTING = 600.0  # s that bolting a mass on and off takes
-AT_ONCE = 4  # poses of an experiment: more take longer and tell the same
-MOST_POSES = 10  # beyond, more of them tell nothing new
+SET_UP = 60.0  # s of each experiment in addition to its sweeps: approval and start by a person
+BOLTING = 600.0  # s to mount and remove a test mass
+AT_ONCE = 4  # poses of one experiment: more poses take longer without more information
+MOST_POSES = 10  # more poses give no new information
 
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """What to measure next: a kind, the blocks and sweeps, the machine time, s, the separation expected, and why.
+    """What to measure next: kind, blocks and sweeps, machine time in s, expected separation, and the reason.
 
-    Kinds: a block of `BLOCKS`; `full_design`, several of them; `more_poses`; `warm_up`; `test_mass`, whose sweeps are
-    to be run with a known mass on the last link.
+    Kinds: a block of `BLOCKS`; `full_design`, several blocks; `more_poses`; `warm_up`; `test_mass`: sweeps with a
+    known mass on the last link.
     """
 
     kind: str
@@ -85,7 +85,7 @@ def next_experiment(
     hidden: dict[str, tuple[str, ...]],
     sweeps: Sequence[Sweep],
 ) -> NextExperiment | None:
-    """None when nothing is open. `hidden`: what the `sweeps` cannot show, and the blocks that would."""
+    """None if nothing is undecided. `hidden`: what the `sweeps` cannot show, and the blocks that would show it."""
     campaign = _Campaign(selection, tuple(sweeps))
     if verdict in (Verdict.NONE, Verdict.UNTESTABLE):
         unseen = [name for name, blocks in hidden.items() if blocks]
@@ -111,21 +111,21 @@ def next_experiment(
 
 @dataclass(frozen=True)
 class _Campaign:
-    """What was found in which sweeps, and what could follow them."""
+    """The result, its sweeps, and the sweeps that could follow."""
 
     selection: Selection
     sweeps: tuple[Sweep, ...]
 
     @property
     def open(self) -> list[str]:
-        """Blocks not yet run."""
+        """Blocks that were not run yet."""
         return [block for block in BLOCKS if block not in measured_blocks(self.selection.given.tracks.specs)]
 
     def best(self, rivals: Sequence[str]) -> NextExperiment | None:
-        """The proposal that separates best per second; None if none is likely to."""
+        """The proposal with the best separation per second; None if none is likely to separate the rivals."""
         proposals = list(self._proposals(rivals))
         try:
-            ahead = prospect(self.selection.given, self.sweeps, [s for one in proposals for s in one.sweeps])
+            ahead = predict_sweeps(self.selection.given, self.sweeps, [s for one in proposals for s in one.sweeps])
         except BadInput:
             return None
         effort = {name: ahead.effort(explanation_with(self.selection, name)) for name in rivals}
@@ -142,8 +142,8 @@ class _Campaign:
         return _experiment(chosen, score, rivals, reason)
 
     def mass(self, rivals: Sequence[str]) -> NextExperiment | None:
-        """The slow sweeps with a known mass; the other direction first, where one alone would tell too little."""
-        if BACKWARD in self.open:  # friction that grows with the weight looks like a gain in one direction alone
+        """The slow sweeps with a known mass; first the other direction, if one alone gives too little information."""
+        if BACKWARD in self.open:  # in one direction alone, load-dependent friction looks like a gain
             reason = "A test mass tells the torque constant from a payload once both directions were run without it."
             return self.missing([BACKWARD], reason)
         specs, here = self.selection.given.tracks.specs, self._poses.tolist()
@@ -159,7 +159,7 @@ class _Campaign:
         )  # fmt: skip
 
     def missing(self, blocks: Sequence[str], reason: str) -> NextExperiment | None:
-        """Some blocks in the poses there are."""
+        """Some blocks in the existing poses."""
         try:
             sweeps = self._designed(blocks, self._poses, revisit=len(blocks) > 1)
         except BadInput:
@@ -174,11 +174,11 @@ class _Campaign:
 
     @property
     def _poses(self) -> Array:
-        """The poses measured; of many, some that differ in what gravity does."""
+        """The measured poses; if there are many, a subset with different gravity torques."""
         motion = self.selection.given.tracks
         if len(motion.poses) <= AT_ONCE:
             return motion.poses
-        first = [int(np.argmax(motion.spot == spot)) for spot in range(len(motion.poses))]
+        first = [int(np.argmax(motion.pose_index == pose_index)) for pose_index in range(len(motion.poses))]
         order = np.argsort(motion.gravity[first, 0], kind="stable")
         return motion.poses[order[np.linspace(0, len(order) - 1, AT_ONCE).round().astype(int)]]
 
@@ -223,17 +223,17 @@ class _Campaign:
 
 
 def explanation_with(selection: Selection, name: str) -> tuple[Term, ...]:
-    """The terms of the explanation in which an effect takes part."""
+    """The terms of the explanation that contains an effect."""
     if name in selection.chosen.names:
         return selection.chosen.terms
     with_it = [one for one in selection.tried if one.terms[-1].effect == name]
     return min(with_it, key=lambda one: one.criterion).terms
 
 
-def _separation(ahead: Prospect, effort: dict[str, Array], numbers: Sequence[int], excess: float) -> float:
-    """Chi-squared of the difference of each two rivals in some of the sweeps, up to `ENOUGH` each, summed.
+def _separation(ahead: PredictedSweeps, effort: dict[str, Array], numbers: Sequence[int], excess: float) -> float:
+    """Sum over all pairs of rivals of the chi-squared of their difference in some sweeps, at most `ENOUGH` per pair.
 
-    `excess`: what the rigid model leaves of the measured sweeps.
+    `excess`: residual of the rigid model on the measured sweeps.
     """
     beyond = {name: ahead.beyond_rigid(one, numbers) for name, one in effort.items()}
     total = 0.0

@@ -1,16 +1,16 @@
-r"""A robot whose rigid model starts from an estimate of it instead of CAD.
+r"""A robot whose initial rigid model is an estimate instead of CAD.
 
-Its links and motors are the estimate's: the physical ones nearest to CAD that give the identified base parameters
-beta = K phi. They are not averaged with CAD a second time, because the estimate did that already where data left a
-choice. How well they are known is CAD's prior P with beta as an observation of covariance C,
+Its links and motors are those of the estimate: the physical parameters nearest to CAD that give the identified base
+parameters beta = K phi. They are not averaged with CAD again, because the estimate already used CAD where the data
+were not sufficient. Their uncertainty is the prior P of CAD with beta as an observation of covariance C,
 
     P' = P - P K' (K P K' + C)^-1 K P       (`rigid.parameter_spread`)
 
-so that no direction is known worse than by the prior alone (relative to these values), and what no data told keeps it.
-C is more than what the estimate states: that holds for one torque gain and for a machine without effects that nobody
-had named yet, which move an inertia by percents. Such an error is taken to be as large as that of a torque gain
-(`prior.effort_gain`), in each of the parameters that a base parameter is made of. What an estimate leaves undetermined
-is no observation.
+so that no direction is less certain than with the prior alone (relative to these values), and a direction without data
+keeps the prior. C is larger than the covariance in the estimate: that one is conditional on one torque gain and on a
+machine without unnamed effects, which change an inertia by percents. This additional error is assumed as large as that
+of a torque gain (`prior.effort_gain`), in each parameter of a base parameter. A base parameter that the estimate leaves
+undetermined is not an observation.
 """
 
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ from service.robot import Knowledge, Robot, build_robot
 
 Array = NDArray[np.float64]
 
-CAD = "cad"  # what a rigid model starts from without an estimate
+CAD = "cad"  # initial rigid model without an estimate
 
 
 class _Base(BaseModel):
@@ -41,15 +41,15 @@ class _Base(BaseModel):
 
 
 def source_of(robot: Robot) -> str:
-    """What the rigid model of a robot starts from: `CAD`, or which estimate."""
+    """Source of the initial rigid model of a robot: `CAD`, or which estimate."""
     return CAD if robot.knowledge is None else robot.knowledge.source
 
 
 def started_from(robot: Robot, estimate: Mapping[str, Any], source: str, place: str = "estimate") -> Robot:
-    """`robot` with the rigid model of an estimate's document (`sweepid identify --json`) and what is known of it.
+    """`robot` with the rigid model of an estimate document (`sweepid identify --json`) and its uncertainty.
 
-    `source` names the estimate in the diagnosis. BadInput where it identified nothing, or is of another robot: one
-    with other base parameters.
+    `source`: name of the estimate in the diagnosis. BadInput if it identified nothing, or is of another robot (one
+    with other base parameters).
     """
     model = identified_model(robot, estimate, place)
     base = _base(estimate, place)
@@ -61,17 +61,23 @@ def started_from(robot: Robot, estimate: Mapping[str, Any], source: str, place: 
     if not set(moved) <= set(unlocked):
         raise BadInput(f"{place} base.locked", "names a joint that was measured")
     own = base_parameters(lock(robot.chain, fixed), tuple(unlocked.index(k) for k in moved))
-    told = model.base_parameters
-    if tuple(one.name for one in told) != own.names:
-        other = next((one.name for one in told if one.name not in own.names), f"{len(told)} parameters")
+    stated_parameters = model.base_parameters
+    if tuple(one.name for one in stated_parameters) != own.names:
+        other = next(
+            (one.name for one in stated_parameters if one.name not in own.names), f"{len(stated_parameters)} parameters"
+        )
         raise BadInput(
             f"{place} base_parameters",
             f"are not those of robot {robot.name}: {other}; give an estimate of this very robot",
         )
-    known = [k for k, one in enumerate(told) if one.std is not None]
-    std = np.array([told[k].std for k in known], dtype=np.float64)
+    known = [k for k, one in enumerate(stated_parameters) if one.std is not None]
+    std = np.array([stated_parameters[k].std for k in known], dtype=np.float64)
     whole = np.array(base.covariance, dtype=np.float64)
-    stated = whole[np.ix_(known, known)] if whole.shape == (len(told), len(told)) else np.diag(std**2)
+    stated = (
+        whole[np.ix_(known, known)]
+        if whole.shape == (len(stated_parameters), len(stated_parameters))
+        else np.diag(std**2)
+    )
     combination = own.combination[known] @ fold(robot.chain, fixed)
     size = np.concatenate([link_spread(robot.chain.inertial, 1.0), np.abs(model.motor_inertias)])
     doubt = robot.prior.effort_gain**2 * (combination**2 @ size**2)
@@ -85,7 +91,7 @@ def started_from(robot: Robot, estimate: Mapping[str, Any], source: str, place: 
 
 
 def _base(estimate: Mapping[str, Any], place: str) -> _Base:
-    """Estimates that were stored by an earlier version have none: nothing was locked, parameters are independent."""
+    """Estimates of an earlier version have no base: then nothing was locked, and the parameters are independent."""
     try:
         found = _Base.model_validate(estimate.get("base", {}))
     except ValidationError as error:

@@ -1,16 +1,16 @@
-"""The verdict of one axis in a sentence or two, the same on the command line, in the report and on the page."""
+"""The verdict of one axis in one or two sentences; the same text on the command line, in the report and on the page."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 
 def summary(joint: str, axis: Mapping[str, Any]) -> str:
-    """From the axis' document."""
+    """The summary from the document of the axis."""
     return f"{joint}: {_VERDICTS[axis['verdict']](axis)}{_rolled_back(axis.get('rolled_back', ()))}"
 
 
 def in_words(effects: Sequence[str], between: str = "and") -> str:
-    """Effects by their names, as a list in a sentence."""
+    """Names of effects, as an enumeration for a sentence."""
     words = [
         effect.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck") for effect in effects
     ]
@@ -36,7 +36,9 @@ def _named(axis: Mapping[str, Any]) -> str:
 
 
 def _ambiguous(axis: Mapping[str, Any]) -> str:
-    told = "Measure what is proposed next" if axis["next_experiment"] else "No sweep that is left to measure tells them"
+    advice = (
+        "Measure what is proposed next" if axis["next_experiment"] else "No sweep that is left to measure tells them"
+    )
     open_questions = [in_words(names, "or") for names in axis["alternatives"] if len(names) > 1]
     undecided = {name for names in axis["alternatives"] for name in names}
     certain = [effect["effect"] for effect in axis["effects"] if effect["effect"] not in undecided]
@@ -45,7 +47,7 @@ def _ambiguous(axis: Mapping[str, Any]) -> str:
     asked = ", nor whether it is ".join(open_questions) or in_words(certain, "or")
     return (
         f"something is missing, a gap of {_rms(axis, 'before')}{_floor(axis, ' where noise makes {}')}, and these "
-        f"sweeps do not tell whether it is {asked}.{beside} {told}."
+        f"sweeps do not tell whether it is {asked}.{beside} {advice}."
     )
 
 
@@ -67,7 +69,7 @@ def _untestable(axis: Mapping[str, Any]) -> str:
 
 
 def _changed(axis: Mapping[str, Any]) -> str:
-    """What the model says of its own effects, and what is so now."""
+    """The parameters of known effects in the model, and their present values."""
     changes = [
         f"{in_words([change['effect']])} has changed: {change['parameter'].replace('_', ' ')} is "
         f"{change['now']['value']:.4g} ± {change['now']['std']:.2g}, not {change['model']['value']:.4g} "
@@ -93,10 +95,10 @@ def _rolled_back(effects: Sequence[str]) -> str:
 
 
 def judged_on(gap: Mapping[str, Any]) -> str:
-    """On which sweeps the gap was taken."""
+    """The sweeps on which the gap was computed."""
     if gap["held_out_sweeps"]:
         return "on sweeps that took no part in naming or fit"
-    # documents of before the key was there were cross-validated whenever they could be
+    # older documents without this key were cross-validated whenever possible
     if gap.get("cross_validated", False):
         return "(cross-validated)"
     return "(on the sweeps themselves: none could be left out)"
@@ -108,6 +110,6 @@ def _rms(axis: Mapping[str, Any], when: str) -> str:
 
 
 def _floor(axis: Mapping[str, Any], text: str) -> str:
-    """The noise floor put into a text; nothing where no sweep was repeated."""
+    """Insert the noise floor into a text; empty if no sweep was repeated."""
     floor = axis["gap"]["noise_floor_rms"]
     return "" if floor is None else text.format(f"{floor:.3g} {axis['unit']}")

@@ -1,4 +1,4 @@
-"""What a selection amounts to: none, named, ambiguous, unknown or untestable, and who else it might be."""
+"""The verdict of a selection: none, named, ambiguous, unknown or untestable, and which other effects are possible."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.equations import COLOURED, Equations, Term
 from service.diagnosis.fit.gap import noise_floor
-from service.diagnosis.fit.search import Beside, Explanation
+from service.diagnosis.fit.search import CurrentModel, Explanation
 from service.diagnosis.fit.select import CERTAIN, RIVAL, TOLERANCE, Selection, allowed_by_physics
 from service.diagnosis.fit.solving import solve
 from service.diagnosis.sensitivity.design import is_partial
@@ -19,21 +19,21 @@ from service.diagnosis.sensitivity.visibility import grid, left, shows_beside, v
 Array = NDArray[np.float64]
 
 AT_FLOOR = 1.5  # times the noise floor
-SLOW = 0.1  # of what is explained: in one direction and without repeats, what slow noise may make of it
+SLOW = 0.1  # of the explained part: possible effect of slow noise in one direction without repeats
 
 
 class Verdict(Enum):
-    """Answer of a diagnosis."""
+    """The result of a diagnosis."""
 
-    NONE = "none"  # the model is as good as the noise allows
+    NONE = "none"  # the residual of the model is noise
     NAMED = "named"
-    AMBIGUOUS = "ambiguous"  # several explanations are as good
-    UNKNOWN = "unknown"  # there is something, and the catalogue does not explain it
-    UNTESTABLE = "untestable"  # the sweeps can show no effect at all
+    AMBIGUOUS = "ambiguous"  # several explanations are equally good
+    UNKNOWN = "unknown"  # there is a gap that the catalogue does not explain
+    UNTESTABLE = "untestable"  # no effect is visible in the sweeps
 
 
 def judge(selection: Selection, known: Sequence[str], candidates: Sequence[str], *, at_floor: bool) -> Verdict:
-    """The verdict. `at_floor`: whether what is left is no more than noise; else something is missing or misnamed."""
+    """The verdict. `at_floor`: whether the residual is only noise; otherwise an effect is missing or wrong."""
     chosen = selection.chosen
     added = [name for name in chosen.names if name not in known]
     doubtful = is_partial(selection.given.tracks.specs) and _doubtful(selection, added)
@@ -48,15 +48,15 @@ def judge(selection: Selection, known: Sequence[str], candidates: Sequence[str],
 
 
 def of_one_record(given: Equations) -> bool:
-    """Whether all evidence is free motion: periods of a record repeat whatever depends on the position, too, so that
-    their floor is not the machine's.
+    """Whether all evidence is free motion: effects of the position repeat in each period of a record, too, so the noise
+    floor from periods is not that of the machine.
     """
     return all(spec.excitation == "trajectory" for spec in given.tracks.specs)
 
 
 def at_floor(selection: Selection, left: Array) -> bool:
-    """Whether what is left (n, rows) is chance, or so little above the noise floor that the effects' laws, which are
-    simpler than the world, may have left it.
+    """Whether the residual (n, rows) is noise, or so little above the noise floor that the simplified columns of the
+    effects may have left it.
     """
     given = selection.given
     if excess(given, selection.chosen) <= CERTAIN:
@@ -70,7 +70,7 @@ def at_floor(selection: Selection, left: Array) -> bool:
 
 
 def _doubtful(selection: Selection, added: Sequence[str]) -> bool:
-    """Whether one of several effects explains no more than the richer physics of another may have left."""
+    """Whether one of several effects explains no more than the simplified columns of another may have left."""
     chosen = selection.chosen
     for term in (term for term in chosen.terms if term.effect in added and len(added) > 1):
         others = [other for other in chosen.terms if other is not term]
@@ -80,19 +80,19 @@ def _doubtful(selection: Selection, added: Sequence[str]) -> bool:
 
 
 def share(selection: Selection, term: Term) -> tuple[float, float]:
-    """What one of the chosen terms gains beside the others: cost and Schwarz's criterion."""
-    fewer = Beside(selection.given, [other for other in selection.chosen.terms if other is not term]).alone()
+    """Gain of one of the chosen terms, added to the others: cost and Schwarz's criterion."""
+    fewer = CurrentModel(selection.given, [other for other in selection.chosen.terms if other is not term]).alone()
     return fewer.cost - selection.chosen.cost, fewer.criterion - selection.chosen.criterion
 
 
 def without(selection: Selection, effects: Sequence[str]) -> Selection:
-    """The same with fewer effects."""
+    """The selection without these effects."""
     kept = [term for term in selection.chosen.terms if term.effect not in effects]
-    return replace(selection, chosen=Beside(selection.given, kept).alone())
+    return replace(selection, chosen=CurrentModel(selection.given, kept).alone())
 
 
 def excess(given: Equations, explanation: Explanation) -> float:
-    """What an explanation leaves of the repeatable part, in standard deviations of chance; the most of all poses."""
+    """The repeatable residual in standard deviations of noise; the maximum over the poses."""
     system = given.system_with(explanation.terms)
     values = np.append(solve(system.sum(axis=0), given.precision(explanation.terms))[0], -1.0)
     costs = np.einsum("i,fij,j->f", values, system, values) - given.pairs.alone
@@ -102,12 +102,12 @@ def excess(given: Equations, explanation: Explanation) -> float:
 
 
 def tie_set(selection: Selection, known: Sequence[str], candidates: Sequence[str]) -> set[str]:
-    """The effects named, and those that explain as much in their place."""
+    """The named effects, and those that explain the same as one of them."""
     return {name for named, rivals in tie_sets(selection, known, candidates).items() for name in (named, *rivals)}
 
 
 def tie_sets(selection: Selection, known: Sequence[str], candidates: Sequence[str]) -> dict[str, set[str]]:
-    """Of each effect named those that explain as much in its place."""
+    """For each named effect, the effects that explain the same."""
     added = [term for term in selection.chosen.terms if term.effect not in known]
     result = {term.effect: set[str]() for term in added}
     for rival in selection.tried:
@@ -125,11 +125,11 @@ def tie_sets(selection: Selection, known: Sequence[str], candidates: Sequence[st
 
 
 def _as_good(selection: Selection, added: Sequence[Term], rival: Explanation) -> bool:
-    """Whether an exchange explains as much as what was chosen, and is neither needless nor against physics."""
+    """Whether an exchange explains as much as the chosen explanation, is not unnecessary and is physically possible."""
     given, chosen = selection.given, selection.chosen
     replaced = [term for term in added if term not in rival.terms]
     if all(CATALOGUE[term.effect].by_load for term in (*replaced, rival.terms[-1])):
-        # which directions of the load a name frees besides is no evidence: they cost nothing where they are not needed
+        # freed directions of the load are no evidence: they cost nothing if they are not needed
         return rival.cost < chosen.cost + RIVAL and allowed_by_physics(given, rival)
     by_load = any(CATALOGUE[term.effect].by_load for term in (*added, rival.terms[-1]))
     limit = RIVAL if by_load else max(RIVAL, TOLERANCE * selection.rigid.cost)
@@ -141,9 +141,9 @@ def _as_good(selection: Selection, added: Sequence[Term], rival: Explanation) ->
         return False
     contained = {simpler for term in added for simpler in CATALOGUE[term.effect].contains}
     if not partial and rival.terms[-1].effect in contained and rival.parameters < chosen.parameters:
-        return False  # were it as good, it would have been chosen
+        return False  # otherwise it would have been chosen
     needless = rival.parameters > chosen.parameters and chosen.cost - rival.cost < limit
-    if partial:  # there a richer effect is needless only if what it has besides would show, and does not
+    if partial:  # a richer effect is unnecessary if its additional columns would be visible but are not
         name = rival.terms[-1].effect
         shapes = (Term(name, shape) for shape in grid(given, name))
         needless &= rival.criterion > chosen.criterion and all(shows_beside(given, chosen.terms, t) for t in shapes)
@@ -151,7 +151,7 @@ def _as_good(selection: Selection, added: Sequence[Term], rival: Explanation) ->
 
 
 def _freedom(given: Equations, name: str) -> int:
-    """Parameters of an effect."""
+    """Number of parameters of an effect."""
     effect = CATALOGUE[name]
     return (
         len(effect.coefficients(given.tracks))
@@ -161,13 +161,13 @@ def _freedom(given: Equations, name: str) -> int:
 
 
 def _one_way(given: Equations) -> bool:
-    """Whether all that counts was measured in one direction."""
+    """Whether all usable rows were measured in one direction."""
     moving = given.tracks.rows(given.tracks.direction)[given.tracks.usable]
     return not ((moving > 0.5).any() and (moving < -0.5).any())
 
 
 def _indistinguishable(selection: Selection, term: Term, names: Sequence[str]) -> set[str]:
-    """Effects that could stand for a named one: what is peculiar to either can be imitated with the other."""
+    """Effects that are equivalent to a named one: each can represent the characteristic columns of the other."""
     given, terms = selection.given, selection.chosen.terms
     one_way = _one_way(given)
     explained = max(selection.rigid.cost - selection.chosen.cost, 1.0)

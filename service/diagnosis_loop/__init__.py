@@ -1,1 +1,1 @@
-"""Diagnosis, approved experiment, next diagnosis, accepted model revision."""
+"""The diagnosis loop: diagnosis, approved experiment, next diagnosis, accepted model revision."""

@@ -1,4 +1,4 @@
-"""A person takes what a diagnosis named into the robot's model."""
+"""A user accepts the named effects of a diagnosis into the model of the robot."""
 
 from collections.abc import Mapping, Sequence
 
@@ -20,12 +20,12 @@ def accept_model(
     axes: Sequence[str] | None,
     accepted_by: str,
 ) -> ModelDocument:
-    """The next revision of the robot's model, with the effects of `axes` (None: of all that have something to accept);
-    the other axes stay as the newest revision has them.
+    """The next revision of the robot's model, with the effects of `axes` (None: all axes with something to accept). The
+    other axes are copied from the newest revision.
 
-    Conflict where nothing is named and no known effect has changed, everything was rolled back, the diagnosis became a
-    model before, or the newest revision knows more of these axes than the diagnosis did; BadInput for a joint that it
-    is not about.
+    Conflict if nothing is named and no known effect has changed, all effects were rolled back, the diagnosis already
+    became a model, or the newest revision contains more about these axes than the diagnosis did. BadInput for a
+    joint that is not in the diagnosis.
     """
     diagnosis = diagnoses.diagnosis(diagnosis_id)
     joints = _acceptable(diagnosis, axes)
@@ -35,8 +35,8 @@ def accept_model(
         for joint in joints:
             if _axes(newest).get(joint) != _axes(began).get(joint):
                 raise Conflict(
-                    f"{joint}: model {newest.id} was accepted since, and diagnosis {diagnosis_id} does not start from "
-                    "it; diagnose again from there"
+                    f"{joint}: model {newest.id} was accepted in the meantime, and diagnosis "
+                    f"{diagnosis_id} does not start from it; diagnose again from model {newest.id}"
                 )
     robot = store.robot(diagnosis.robot_id).build()
     document = model_document(robot, diagnosis.document or {}, joints, None if newest is None else newest.document)
@@ -48,7 +48,7 @@ def _axes(model: ModelDocument | None) -> Mapping[str, RevisedAxis]:
 
 
 def _acceptable(diagnosis: DiagnosisDocument, axes: Sequence[str] | None) -> tuple[str, ...]:
-    """The joints whose effects are taken over."""
+    """The joints whose effects are accepted."""
     found = diagnosis.found("accept").axes
     refusals = {
         joint: _refusal(found[joint]) if joint in found else f"has no result, {diagnosis.cause}"
@@ -62,7 +62,7 @@ def _acceptable(diagnosis: DiagnosisDocument, axes: Sequence[str] | None) -> tup
     for joint in axes:
         if joint not in refusals:
             raise BadInput(
-                "axes", f"{joint} is not an axis of diagnosis {diagnosis.id}, {', '.join(diagnosis.axes)} are"
+                "axes", f"{joint} is not an axis of diagnosis {diagnosis.id}; its axes are {', '.join(diagnosis.axes)}"
             )
         if refusals[joint]:
             raise Conflict(f"{joint}: {refusals[joint]}")
@@ -70,10 +70,10 @@ def _acceptable(diagnosis: DiagnosisDocument, axes: Sequence[str] | None) -> tup
 
 
 def _refusal(axis: AxisDiagnosis) -> str:
-    """Why an axis has nothing to accept, or ""."""
+    """The reason why an axis has nothing to accept, or ""."""
     rolled_back = axis.rolled_back
     if not [effect for effect in axis.effects if effect.effect not in rolled_back] and rolled_back:
-        return f"{', '.join(rolled_back)} did not make held-out sweeps better, and was rolled back"
+        return f"{', '.join(rolled_back)} did not improve held-out sweeps and was rolled back"
     if axis.verdict != "named" and not (axis.verdict == "none" and axis.changes):
         return f"the verdict is {axis.verdict}, not named"
     return ""

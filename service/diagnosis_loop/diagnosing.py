@@ -1,7 +1,7 @@
-"""Open diagnoses: one job an axis, results as they come, the document when all are there.
+"""Open diagnoses: one job per axis. Results are stored as they arrive; the document when all are there.
 
-The store is the outbox, as in `service.jobs.jobs`: what waits or runs is found again after a restart, and an axis
-that has its result is not done twice.
+The store is the outbox, as in `service.jobs.jobs`: waiting and running diagnoses are found after a restart, and an
+axis that has a result is not computed again.
 """
 
 import asyncio
@@ -34,7 +34,7 @@ _log = structlog.get_logger(__name__)
 
 
 class Diagnosing:
-    """Hands axes to the worker and writes its results."""
+    """Submits axes to the worker and stores their results."""
 
     def __init__(
         self, store: Store, diagnoses: DiagnosisStore, models: ModelStore, files: RecordingFiles, worker: Worker
@@ -42,6 +42,11 @@ class Diagnosing:
         self._store, self._diagnoses, self._models = store, diagnoses, models
         self._files, self._worker = files, worker
         self._open = OpenJobs()
+
+    @property
+    def open(self) -> int:
+        """Number of diagnoses that wait or run."""
+        return len(self._open)
 
     @property
     def troubles(self) -> tuple[str, ...]:
@@ -55,9 +60,9 @@ class Diagnosing:
         unattended: bool,
         start: Start = Start.ESTIMATE,
     ) -> DiagnosisDocument:
-        """A diagnosis of the axes (None: all) that moved in the campaigns, started from a model; returns at once.
+        """A diagnosis of the axes (None: all) that moved in the campaigns, with a model as the start; returns at once.
 
-        BadInput names the field; Conflict where campaigns or model do not belong together, or a campaign is not over.
+        BadInput names the field. Conflict if campaigns and model do not belong together, or a campaign is not finished.
         """
         new = await asyncio.to_thread(self._checked, campaigns, axes, model, unattended)
         if start is Start.ESTIMATE:
@@ -68,16 +73,16 @@ class Diagnosing:
         return diagnosis
 
     async def recover(self) -> None:
-        """Submit what the last process left open."""
+        """Submit the diagnoses that the previous process left open."""
         for diagnosis in await asyncio.to_thread(self._diagnoses.open):
             self.submit(diagnosis)
 
     def submit(self, diagnosis: DiagnosisEntry) -> None:
-        """Do a diagnosis; returns at once."""
-        self._open.begin(f"diagnosis {diagnosis.id}", partial(self._do, diagnosis))
+        """Start the jobs of a diagnosis; returns at once."""
+        self._open.begin(f"diagnosis {diagnosis.id}", partial(self._do, diagnosis), diagnosis=diagnosis.id)
 
     async def close(self) -> None:
-        """Leave open diagnoses to the next process."""
+        """Stop; the next process continues open diagnoses."""
         await self._open.close()
 
     def _checked(
@@ -86,8 +91,8 @@ class Diagnosing:
         found = campaigns_of(self._store, campaigns)
         for number, mass in self._diagnoses.masses([campaign.id for campaign in found]).items():
             raise Conflict(
-                f"campaign {number} was measured with a test mass of {mass.mass:g} kg: it belongs to the diagnosis "
-                "that asked for it, and is no evidence of the bare robot"
+                f"campaign {number} was measured with a test mass of {mass.mass:g} kg: it can only be "
+                "used by the diagnosis that requested it, not for the robot without the mass"
             )
         robot_id = found[0].robot_id
         swept = swept_axes(self._store, found)
@@ -95,7 +100,9 @@ class Diagnosing:
             raise Conflict(f"campaigns {', '.join(str(one.id) for one in found)} have no complete sweep that moves")
         for joint in axes or ():
             if joint not in swept:
-                raise BadInput("axes", f"{joint} has no complete sweep that moves; {', '.join(swept)} have")
+                raise BadInput(
+                    "axes", f"{joint} has no complete sweep that moves; axes with complete sweeps: {', '.join(swept)}"
+                )
         if model is not None:
             self._check_model(model, robot_id)
         return NewDiagnosis(
@@ -112,7 +119,7 @@ class Diagnosing:
         except NotFound as error:
             raise BadInput("model", str(error)) from None
         if model.robot_id != robot_id:
-            raise Conflict(f"model {model_id} is of robot {model.robot_id}, the campaigns measured robot {robot_id}")
+            raise Conflict(f"model {model_id} is of robot {model.robot_id}; the campaigns are of robot {robot_id}")
 
     async def _do(self, diagnosis: DiagnosisEntry) -> None:
         try:
@@ -134,7 +141,7 @@ class Diagnosing:
             await self._fail(diagnosis, str(error), None)
 
     async def _fail(self, diagnosis: DiagnosisEntry, cause: str, document: Diagnosis | None) -> None:
-        """What the other axes came to is kept."""
+        """Store the failure; the results of the other axes are kept."""
         _log.error("diagnosis_failed", diagnosis=diagnosis.id, cause=cause)
         kept = None if document is None else document.as_json()
         await asyncio.to_thread(self._diagnoses.fail, diagnosis.id, cause, kept)
@@ -157,7 +164,7 @@ class Diagnosing:
             weighed, told_too = recorded_sweeps(self._store, self._files, campaign, joint)
             mass = KnownMass(**weighing.mass.model_dump())
         known, start = self._known(diagnosis.model, joint), diagnosis.estimate
-        # the same files may be looked at for different ends: all that makes a difference takes part in the key
+        # the same files may be used with different options: the key contains all of them
         content = [
             diagnosis.model_dump(mode="json", include={"robot_id", "campaigns"}),
             None if weighing is None else weighing.model_dump(mode="json"),
@@ -181,7 +188,7 @@ class Diagnosing:
         )
 
     def _known(self, model_id: int | None, joint: str) -> dict[str, dict[str, Parameter]]:
-        """Effects of the axis that the model has, with its parameters."""
+        """Known effects of the axis in the model, with their parameters."""
         if model_id is None:
             return {}
         axes = self._models.model(model_id).content.axes
@@ -191,7 +198,7 @@ class Diagnosing:
         }
 
     def _weighing(self, diagnosis: DiagnosisEntry, joint: str) -> Weighing | None:
-        """The newest campaign with a known mass that moved the axis, of this diagnosis or one that it continues."""
+        """The newest campaign with a known mass that moved the axis, of this diagnosis or of one that it continues."""
         at: DiagnosisEntry | None = diagnosis
         while at is not None:
             if at.weighed is not None:
@@ -202,7 +209,7 @@ class Diagnosing:
         return None
 
     def _composed(self, diagnosis: DiagnosisEntry) -> Diagnosis | None:
-        """Of the axes that have a result."""
+        """The document of the axes that have a result."""
         results = self._diagnoses.results(diagnosis.id)
         robot = self._store.robot(diagnosis.robot_id).build()
         done = {joint: results[joint] for joint in diagnosis.axes if joint in results}
@@ -210,5 +217,5 @@ class Diagnosing:
 
 
 def _parameter(value: Value) -> Parameter:
-    """What JSON cannot say is infinite."""
+    """A parameter; null in JSON means infinite."""
     return Parameter(value.value, math.inf if value.std is None else value.std, value.unit)

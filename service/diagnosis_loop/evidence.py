@@ -1,4 +1,4 @@
-"""What a diagnosis looks at: the complete sweeps of several campaigns of one robot, on one clock."""
+"""The evidence of a diagnosis: the complete sweeps of several campaigns of one robot, with a common time axis."""
 
 from collections.abc import Sequence
 
@@ -15,9 +15,9 @@ _COMPLETE = (SweepState.RECORDED, SweepState.IDENTIFIED)
 
 
 def campaigns_of(store: Store, campaigns: Sequence[int]) -> tuple[CampaignDocument, ...]:
-    """The campaigns in the order in which they were measured, each once.
+    """The campaigns in the order of measurement, without duplicates.
 
-    BadInput (field `campaigns`) for one that does not exist; Conflict where one is not over, or of another robot.
+    BadInput (field `campaigns`) if one does not exist; Conflict if one is not finished, or is of another robot.
     """
     try:
         found = [store.campaign(number) for number in sorted(set(campaigns))]
@@ -25,17 +25,17 @@ def campaigns_of(store: Store, campaigns: Sequence[int]) -> tuple[CampaignDocume
         raise BadInput("campaigns", str(error)) from None
     for campaign in found:
         if campaign.state not in _OVER:
-            raise Conflict(f"campaign {campaign.id} is {campaign.state.value}: its sweeps are not all there yet")
+            raise Conflict(f"campaign {campaign.id} is {campaign.state.value}: its sweeps are not complete yet")
         if campaign.robot_id != found[0].robot_id:
             raise Conflict(
-                f"campaign {campaign.id} measured robot {campaign.robot_id}, campaign {found[0].id} robot "
-                f"{found[0].robot_id}; a diagnosis is about one robot"
+                f"campaign {campaign.id} is of robot {campaign.robot_id}, campaign {found[0].id} of "
+                f"robot {found[0].robot_id}; select campaigns of one robot"
             )
     return tuple(sorted(found, key=lambda campaign: (campaign.started_at or campaign.created_at, campaign.id)))
 
 
 def swept_axes(store: Store, campaigns: Sequence[CampaignDocument]) -> tuple[str, ...]:
-    """The joints that have complete sweeps that move, in the robot's order."""
+    """The joints with complete sweeps that contain motion, in the order of the robot."""
     swept = {spec.axis for campaign in campaigns for _, spec in _complete(store, campaign)}
     return tuple(joint for joint in store.robot(campaigns[0].robot_id).build().joints if joint in swept)
 
@@ -43,11 +43,11 @@ def swept_axes(store: Store, campaigns: Sequence[CampaignDocument]) -> tuple[str
 def recorded_sweeps(
     store: Store, files: RecordingFiles, campaigns: Sequence[CampaignDocument], joint: str
 ) -> tuple[tuple[RecordedSweep, ...], tuple[str, ...]]:
-    """The complete sweeps of an axis, and the SHA-256 of their files; BadInput if one is not as it was written.
+    """The complete sweeps of an axis, and the SHA-256 of their files; BadInput if a file was changed.
 
-    What was interrupted or failed, or is no evidence, is left out. A sweep is named
-    "campaign/sweep". `started_at` counts from the first campaign's begin. What a later campaign measured again, same
-    pose and block, is no repeat back to back: its block then names the campaign.
+    Interrupted and failed sweeps, and those that are no evidence, are left out. The name of a sweep is
+    "campaign/sweep". `started_at` counts from the first campaign's start. If a later campaign repeats pose and block,
+    the two are not repeats back to back: the block name then contains the campaign.
     """
     sweeps: list[RecordedSweep] = []
     told: list[str] = []
@@ -56,10 +56,10 @@ def recorded_sweeps(
     end = 0.0
     for campaign in campaigns:
         own = [(recording, spec) for recording, spec in _complete(store, campaign) if spec.axis == joint]
-        # an imported campaign began, for us, when it came: it must not overlap the one before
+        # an imported campaign starts at its import; it must not overlap the previous one
         shift = max(((campaign.started_at or campaign.created_at) - start).total_seconds(), end)
         for recording, spec in own:
-            files.check(recording)
+            file = files.named(recording)
             told.append(recording.sha256)
             moved = spec.model_copy(
                 update={
@@ -68,7 +68,7 @@ def recorded_sweeps(
                     "block": _again(spec, campaign.id) if (spec.block, spec.pose) in visits else spec.block,
                 }
             )
-            sweeps.append(RecordedSweep(moved, files.path(recording).absolute()))
+            sweeps.append(RecordedSweep(moved, file))
             end = max(end, moved.started_at + recording.samples / spec.sample_rate)
         visits.update((spec.block, spec.pose) for _, spec in own)
     return tuple(sweeps), tuple(told)

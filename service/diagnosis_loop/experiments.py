@@ -1,7 +1,7 @@
-"""The loop of a diagnosis: the experiment it proposes, a person's approval, and the diagnosis that goes on with it.
+"""The diagnosis loop: the proposed experiment, the approval by a user, and the following diagnosis.
 
-Nothing moves without approval. Only on a machine that the settings call virtual may a diagnosis approve its own
-experiments (`unattended`), `ROUNDS` times an axis at most, never with a test mass, and not after a restart.
+Nothing moves without approval. Only if the settings declare the machine as virtual may a diagnosis approve its own
+experiments (`unattended`): at most `ROUNDS` per axis, never with a test mass, and not after a restart.
 """
 
 import asyncio
@@ -38,13 +38,13 @@ from service.tasks.background import Background
 _log = structlog.get_logger(__name__)
 
 ROUNDS = 4  # unattended experiments of one axis
-NOBODY = "unattended"  # approves what nobody needs to
+NOBODY = "unattended"  # name of the approver of unattended experiments
 
 _UNDECIDED = (Verdict.AMBIGUOUS.value, Verdict.UNKNOWN.value, Verdict.UNTESTABLE.value)
 
 
 class Experiments:
-    """From a proposed experiment to the diagnosis that continues with it."""
+    """Leads from a proposed experiment to the next diagnosis."""
 
     def __init__(
         self, settings: Settings, store: Store, diagnoses: DiagnosisStore, runner: Runner, diagnosing: Diagnosing
@@ -57,9 +57,9 @@ class Experiments:
     def plan(
         self, diagnosis_id: int, axis: str, cell: str | None, test_mass: BoltedMass | None = None
     ) -> ExperimentPlan:
-        """The plan of an axis's next experiment (blocking). Conflict if it has none; BadInput if it cannot be run here.
+        """The plan of the next experiment of an axis (blocking). Conflict if there is none; BadInput if it cannot run.
 
-        `cell`: None takes the one in which the newest evidence was planned. `test_mass`: its weight takes effort.
+        `cell`: None means that of the newest evidence. `test_mass`: its weight adds effort.
         """
         diagnosis = self._diagnoses.diagnosis(diagnosis_id)
         experiment = proposed(diagnosis, axis)
@@ -72,21 +72,24 @@ class Experiments:
     async def approve(
         self, diagnosis_id: int, axis: str, approved_by: str, test_mass: BoltedMass | None, cell: str | None
     ) -> CampaignDocument:
-        """Plan the next experiment of an axis, and start its campaign. The diagnosis goes on when that is completed.
+        """Plan the next experiment of an axis, and start its campaign. The diagnosis continues when that is completed.
 
-        With the setting `approval` the campaign stays planned: its plan wants an approval of its own, and then a start.
+        With the setting `approval` the campaign stays planned: its plan needs a separate approval, and then a start.
 
-        Conflict or DriveError where the machine is not free, `test_mass` is missing or not wanted (BadInput), or the
-        diagnosis is not done or has its experiment already: nothing is stored, nothing moves.
+        Conflict or DriveError if the machine is not free, `test_mass` is missing or not needed (BadInput), or the
+        diagnosis is not finished or already has its experiment. Then nothing is stored and nothing moves.
         """
         async with self._approving:
             diagnosis = await asyncio.to_thread(self._diagnoses.diagnosis, diagnosis_id)
             check_free(diagnosis, await asyncio.to_thread(self._diagnoses.experiment_state, diagnosis_id))
             weighing = proposed(diagnosis, axis).weighs
             if weighing and test_mass is None:
-                raise BadInput("test_mass", "the experiment is one with a test mass: say which is bolted on")
+                raise BadInput("test_mass", "the experiment requires a test mass: give the mass that is mounted")
             if test_mass is not None and not weighing:
-                raise BadInput("test_mass", "the experiment is one without: take the mass off")
+                raise BadInput(
+                    "test_mass",
+                    "the experiment is without a test mass: remove the mass from the machine and from the request",
+                )
             await self._runner.check_free()
             plan = await asyncio.to_thread(self.plan, diagnosis_id, axis, cell, test_mass)
             campaign = await asyncio.to_thread(
@@ -98,7 +101,7 @@ class Experiments:
                 plan.model_dump(mode="json"),
                 [NewSweep(spec=sweep.spec, mode=sweep.mode) for sweep in plan.sweeps],
             )
-        if self._settings.approval:  # the second step is a start by a person, once the plan is approved
+        if self._settings.approval:  # a user starts the campaign after the approval of the plan
             return campaign
         try:
             return await self._runner.start(campaign.id)
@@ -107,19 +110,19 @@ class Experiments:
             raise
 
     async def recover(self) -> None:
-        """After a restart: nothing moves by itself, and what was measured in the meantime is diagnosed."""
-        await asyncio.to_thread(self._diagnoses.attend, "the service was restarted: nothing moves unattended any more")
+        """After a restart: start no motion, and diagnose the campaigns completed in the meantime."""
+        await asyncio.to_thread(self._diagnoses.attend, "the service was restarted: no further motion without a person")
         for diagnosis in await asyncio.to_thread(self._diagnoses.to_go_on):
             await self._go_on(diagnosis)
 
     async def follow(self, feed: EventFeed, after: int) -> None:
-        """Take part in what happens from event `after` on, until the feed is closed."""
+        """Process the events after number `after`, until the feed is closed."""
         async for event in feed.follow(after):
             if event.kind in (EventKind.CAMPAIGN, EventKind.DIAGNOSIS):
-                self._heard_events.begin(f"event {event.id}", self._heard(event))  # its error: the next start finds it
+                self._heard_events.begin(f"event {event.id}", self._heard(event))  # after an error: next start
 
     async def close(self) -> None:
-        """What was heard and not done is found again by the next process."""
+        """Stop; the next process finds unfinished events again."""
         await self._heard_events.close()
 
     async def _heard(self, event: EventDocument) -> None:
@@ -134,14 +137,14 @@ class Experiments:
                 await self._alone(diagnosis)
 
     async def _aborted(self, campaign_id: int) -> None:
-        """Somebody ended an experiment that nobody had approved: from here on a person decides."""
+        """An unattended experiment was aborted: from now on a user decides."""
         diagnosis = await asyncio.to_thread(self._diagnoses.of_experiment, campaign_id)
         if diagnosis is not None and diagnosis.unattended:
             cause = f"campaign {campaign_id} was aborted"
             await asyncio.to_thread(self._diagnoses.attend, cause, diagnosis.id)
 
     async def _go_on(self, parent: DiagnosisEntry) -> None:
-        """Diagnose with the experiment's sweeps; what the other axes came to stays."""
+        """Diagnose with the sweeps of the experiment; the results of the other axes stay."""
         experiment = parent.experiment
         if experiment is None:
             return
@@ -167,7 +170,7 @@ class Experiments:
             self._diagnosing.submit(diagnosis)
 
     async def _alone(self, diagnosis: DiagnosisDocument) -> None:
-        """The next experiment without anybody's approval, or the end of the loop and why."""
+        """Start the next unattended experiment, or store the end of the loop and its reason."""
         axis, cause = await asyncio.to_thread(self._next_axis, diagnosis)
         if axis is not None:
             try:
@@ -178,7 +181,7 @@ class Experiments:
         await asyncio.to_thread(self._diagnoses.attend, cause, diagnosis.id)
 
     def _next_axis(self, diagnosis: DiagnosisDocument) -> tuple[str | None, str]:
-        """The first undecided axis that may have an experiment; why there is none, or "" where nothing is open."""
+        """The first undecided axis that may have an experiment; the reason if there is none; "" if nothing is open."""
         causes: list[str] = []
         for axis in diagnosis.axes:
             try:
@@ -186,17 +189,17 @@ class Experiments:
             except Conflict:
                 continue
             if diagnosis.verdicts[axis] not in _UNDECIDED:
-                continue  # more could be tested, but nothing is left to explain
+                continue  # more tests are possible, but there is no gap left
             if experiment.weighs:
                 causes.append(f"{axis}: a test mass needs a person")
             elif self._rounds(diagnosis, axis) >= ROUNDS:
-                causes.append(f"{axis}: {ROUNDS} experiments did not decide it")
+                causes.append(f"{axis}: not decided after {ROUNDS} experiments")
             else:
                 return axis, ""
         return None, "; ".join(causes)
 
     def _rounds(self, diagnosis: DiagnosisEntry, axis: str) -> int:
-        """Experiments of the axis that led to this diagnosis."""
+        """Number of experiments of the axis that led to this diagnosis."""
         count, parent = 0, diagnosis.parent
         while parent is not None:
             before = self._diagnoses.diagnosis(parent)
@@ -209,13 +212,15 @@ class Experiments:
             plan_id = self._store.campaign(number).plan_id
             if plan_id is not None:
                 return plan_of(self._store.plan(plan_id)).request.cell
-        raise BadInput("cell", "none of the campaigns was planned here: name the cell that the machine stands in")
+        raise BadInput("cell", "none of the campaigns was planned by this service: give the cell of the machine")
 
 
 def proposed(diagnosis: DiagnosisDocument, axis: str) -> Experiment:
-    """`next_experiment` of an axis; Conflict if the diagnosis is not done or proposes none, BadInput if unknown."""
+    """`next_experiment` of an axis; Conflict if the diagnosis is not finished or proposes none, BadInput if unknown."""
     if axis not in diagnosis.axes:
-        raise BadInput("axis", f"{axis} is not an axis of diagnosis {diagnosis.id}, {', '.join(diagnosis.axes)} are")
+        raise BadInput(
+            "axis", f"{axis} is not an axis of diagnosis {diagnosis.id}; its axes are {', '.join(diagnosis.axes)}"
+        )
     found = diagnosis.found("plan").axes
     experiment = found[axis].next_experiment if axis in found else None
     if experiment is None:

@@ -1,4 +1,4 @@
-"""From which estimate the rigid model of a diagnosis starts."""
+"""Selects the estimate that is the initial rigid model of a diagnosis."""
 
 from enum import Enum
 
@@ -12,23 +12,23 @@ from service.store.diagnosis_documents import EstimateOf, NewDiagnosis
 from service.store.documents import CampaignState
 from service.store.store import Store
 
-_WHOLE = (CampaignState.COMPLETED, CampaignState.ABORTED)  # no revision will follow
+_WHOLE = (CampaignState.COMPLETED, CampaignState.ABORTED)  # there will be no further revision
 
 _log = structlog.get_logger(__name__)
 
 
 class Start(Enum):
-    """What a diagnosis is asked to start from: the robot's latest estimate, if there is one, or CAD."""
+    """Requested start of a diagnosis: the latest estimate of the robot, if there is one, or CAD."""
 
     ESTIMATE = "estimate"
     CAD = "cad"
 
 
 def latest_estimate(store: Store, diagnoses: DiagnosisStore, new: NewDiagnosis) -> EstimateOf | None:
-    """The robot's latest estimate of a campaign that is over and no part of the evidence; None: there is none.
+    """The latest estimate of the robot from a finished campaign that is not part of the evidence; None: there is none.
 
-    One that was made of the diagnosis' own sweeps would use the same data twice; one that was measured with a test mass
-    is not of the bare robot. What was stored and does not fit the robot is passed over, and the log says so.
+    An estimate from the sweeps of the diagnosis would use the same data twice. One measured with a test mass is not
+    of the robot alone. A stored estimate that does not fit the robot is skipped, with an entry in the log.
     """
     robot = store.robot(new.robot_id).build()
     every = store.estimated(new.robot_id)

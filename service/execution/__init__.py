@@ -1,1 +1,1 @@
-"""Moves the machine through a plan and records what its drives measure."""
+"""Executes a plan on the machine and records the data of its drives."""

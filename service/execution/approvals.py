@@ -1,4 +1,4 @@
-"""The first of two steps to a start, where the setting `approval` wants it: somebody approved what will move."""
+"""First of two steps to a start, with the setting `approval`: a person approves the motion."""
 
 from datetime import timedelta
 
@@ -8,18 +8,18 @@ from service.store.tables import now
 
 
 class Approvals:
-    """Blocks, for it asks the store. `by`: who starts, where the service knows it; "" where it asks nobody."""
+    """Blocking, because it reads the store. `by`: the authenticated person who starts; "" without login."""
 
     def __init__(self, store: ApprovalStore, needed: bool, valid: timedelta) -> None:
-        """`valid`: for how long an approval holds."""
+        """`valid`: how long an approval is valid."""
         self._store, self.needed, self._valid = store, needed, valid
 
     def add(self, plan_id: int, shown: str, sha256: str, approved_by: str) -> ApprovalDocument:
-        """`shown`: the hash of what the person saw. Conflict if that is not the present one."""
+        """`shown`: the hash of the content displayed to the person. Raises Conflict if it is not the present one."""
         if not approved_by:
-            raise BadInput("approved_by", "the service asks nobody who he is: say who approves")
+            raise BadInput("approved_by", "login is disabled: give the name of the person who approves")
         if shown != sha256:
-            raise Conflict(f"plan {plan_id} moves something else than what was looked at: look again ({sha256})")
+            raise Conflict(f"plan {plan_id} changed after it was displayed: review it again ({sha256})")
         return self._store.add(plan_id, sha256, approved_by, self._valid)
 
     def of_plan(self, plan_id: int) -> tuple[ApprovalDocument, ...]:
@@ -35,12 +35,12 @@ class Approvals:
         if good and (not by or any(approval.approved_by != by for approval in good)):
             return ""
         if good:
-            return f"plan {plan_id} is approved by {by} alone: another one must approve it, or start it"
-        reason = found[0].trouble(sha256, at) if found else "nobody has"
-        return f"an engineer must approve plan {plan_id} first: {reason}"
+            return f"plan {plan_id} is approved by {by} alone: another person must approve it, or start it"
+        reason = found[0].trouble(sha256, at) if found else "not approved yet"
+        return f"plan {plan_id} requires the approval of an engineer: {reason}"
 
     def check(self, plan_id: int | None, sha256: str, by: str) -> None:
-        """Conflict unless the motion may be started."""
+        """Raises Conflict unless the motion may be started."""
         reason = "" if plan_id is None else self.missing(plan_id, sha256, by)
         if reason:
             raise Conflict(reason)

@@ -1,10 +1,10 @@
-"""The check move: a little way and back, before an axis does anything larger in a run of a campaign.
+"""The check move: a small move and back, before any larger motion of an axis in a run of a campaign.
 
-Whoever rewired a cabinet finds out here, at half a degree and half a degree a second, and not on the way to the first
-pose. Watched while it goes, not only at its end: the axis goes the right way and no further than it was told, and every
-other joint stands (brakes hold, nothing is coupled). What an axis' own encoder cannot tell is for a person to see, whom
-the operator's page tells which axis goes which way: two drives that changed places motor, encoder and all, or a gear
-ratio of the wrong sign, which turns command and position alike.
+It detects wiring errors at half a degree and half a degree per second, before the way to the first pose. It is
+monitored during the move, not only at its end: the axis moves in the commanded direction and not too far, and every
+other joint stands (brakes hold, no coupling). Errors that the encoder of the axis cannot detect must be seen by a
+person, to whom the operator's page shows which axis moves in which direction: two drives exchanged together with
+motor and encoder, or a gear ratio with the wrong sign, which inverts command and position alike.
 """
 
 import asyncio
@@ -18,20 +18,20 @@ from service.errors import SweepidError
 from service.execution.motion import Go
 
 WAY = {"rad": math.radians(0.5), "m": 2e-3}  # by the joint's unit
-DURATION = 1.0  # s one way: slow enough to be caught by a status every tenth of a second or so
-ASTRAY = 0.1  # of the way: the wrong way, or another joint; encoder noise and play of a brake stay below
-MISSED = 0.25  # of the way, at its end and beyond it: drives call a target reached within a window of their own
+DURATION = 1.0  # s in one direction: slow enough to be monitored by a status every 0.1 s
+ASTRAY = 0.1  # of the travel: wrong direction, or another joint; encoder noise and play of a brake stay below
+MISSED = 0.25  # of the travel, before and after the target: drives have a position window of their own
 
-_POLL = 0.1  # s, in which it goes a twentieth of a degree; the drives' answers are needed by the move itself, too
+_POLL = 0.1  # s, in which it moves 0.05 degrees; the move itself also needs the drives' answers
 
 
 class CheckMoveFailed(SweepidError):
-    """An axis did not do what it was told, or another one moved with it. The machine was stopped."""
+    """An axis did not move as commanded, or another axis moved. The machine was stopped."""
 
 
 @dataclass(frozen=True, slots=True)
 class CheckMove:
-    """One way of it: `joint` by `way` rad (m), signed, from where all joints stood. Pure."""
+    """One direction of it: `joint` by `way` rad (m), signed, from the positions of all joints at its start. Pure."""
 
     joint: str
     way: float
@@ -43,9 +43,9 @@ class CheckMove:
         return self.start[self.joint] + self.way
 
     def check_under_way(self, status: Mapping[str, AxisStatus]) -> None:
-        """CheckMoveFailed where the axis goes the wrong way or too far, or another joint does not stand.
+        """CheckMoveFailed if the axis moves in the wrong direction or too far, or if another joint moves.
 
-        CommunicationLost where a drive does not answer: nobody watches then.
+        CommunicationLost if a drive does not answer, because it cannot be monitored then.
         """
         for joint, axis in status.items():
             if axis.state is AxisState.UNKNOWN:
@@ -58,15 +58,15 @@ class CheckMove:
                 )
         forward = self._moved(status) * math.copysign(1.0, self.way)
         if not forward >= -ASTRAY * abs(self.way):
-            raise self._failed(status, f"the wrong way; limit {-ASTRAY * self.way:+.2g}")
+            raise self._failed(status, f"wrong direction; limit {-ASTRAY * self.way:+.2g}")
         if not forward <= (1 + MISSED) * abs(self.way):
             raise self._failed(status, f"limit {(1 + MISSED) * self.way:+.3g}")
 
     def check_end(self, status: Mapping[str, AxisStatus]) -> None:
-        """CheckMoveFailed unless the axis is there, too."""
+        """CheckMoveFailed unless the axis is also at its target."""
         self.check_under_way(status)
         if not abs(self._moved(status) - self.way) <= MISSED * abs(self.way):
-            raise self._failed(status, f"not there; limit of the difference {MISSED * abs(self.way):.2g}")
+            raise self._failed(status, f"target not reached; limit of the deviation {MISSED * abs(self.way):.2g}")
 
     def _moved(self, status: Mapping[str, AxisStatus]) -> float:
         return status[self.joint].position - self.start[self.joint]
@@ -74,14 +74,14 @@ class CheckMove:
     def _failed(self, status: Mapping[str, AxisStatus], why: str) -> CheckMoveFailed:
         joint, unit, moved = self.joint, self.units[self.joint], self._moved(status)
         return CheckMoveFailed(
-            f"{joint}: went {moved:+.3g} {unit} in its check move of {self.way:+.3g} {unit}: {why} {unit}"
+            f"{joint}: moved by {moved:+.3g} {unit} in its check move of {self.way:+.3g} {unit}: {why} {unit}"
         )
 
 
 async def make(go: Go, move: CheckMove, status: Callable[[], Awaitable[Mapping[str, AxisStatus]]]) -> None:
-    """Let the axis `go` that way, watching every joint by `status`; CheckMoveFailed or what the drive raises.
+    """Move the axis with `go`, and monitor every joint by `status`. Raises CheckMoveFailed or the error of the drive.
 
-    After an error the move is over and its axis brought down, as `DrivePort.move_to` does when it is cancelled.
+    After an error the move has ended and its axis is stopped, as in a cancelled `DrivePort.move_to`.
     """
     moving = asyncio.create_task(go(move.target), name=f"check {move.joint}")
     try:
@@ -91,7 +91,7 @@ async def make(go: Go, move: CheckMove, status: Callable[[], Awaitable[Mapping[s
         moving.cancel()
         await asyncio.wait([moving])
         if not moving.cancelled():
-            moving.exception()  # of the same trouble; what was seen here tells more
+            moving.exception()  # same cause; the error raised here has more detail
         raise
     moving.result()
     move.check_end(await status())

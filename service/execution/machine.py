@@ -13,19 +13,21 @@ from drivers.ports import (
     AxisIdentity,
     AxisState,
     AxisStatus,
+    BusTraffic,
     Capabilities,
     ChannelTiming,
     DrivePort,
     Fault,
+    ReportsTraffic,
     SetPointTiming,
 )
 from service.errors import Conflict
-from service.execution.holds import Hold, Holds, apart
+from service.execution.latched_stops import Hold, LatchedStops, apart
 from service.execution.motion import Bounds, Motion
 from service.store.database import refusal
 from service.store.documents import StopDocument
 from service.store.guards import LeaseLost, MachineLease, StopLatch
-from service.tasks.ending import to_its_end
+from service.tasks.run_to_end import run_to_end
 
 _log = structlog.get_logger(__name__)
 
@@ -33,7 +35,7 @@ RECENT = 0.25  # s
 
 
 class Machine:
-    """One drive port, its connection, who uses it and who stopped it."""
+    """One drive port, its connection, its present user and its stops."""
 
     def __init__(
         self,
@@ -43,18 +45,18 @@ class Machine:
         order_stop: Callable[[], None] = lambda: None,
         tell: Callable[[str, str], None] = lambda way, why: None,
     ) -> None:
-        """`latched`: the stops in force when the service started. `order_stop` has the stop process send as well.
+        """`latched`: the stops in force at the start of the service. `order_stop` makes the stop process send as well.
 
-        `tell` is told way and why of each stop that latches nothing; it waits for nothing.
+        `tell` is called with source and reason of each stop that is not latched; it does not wait.
         """
         self._port = port
-        self._holds = Holds(latch, latched)
+        self._holds = LatchedStops(latch, latched)
         self._order_stop, self._tell = order_stop, tell
-        self._ending = ""  # the service ends: nothing moves until it is started again
-        self._lease_trouble = ""  # why this service may not be the owner of the machine any more
-        self._lease_over = False  # and that does not change any more
+        self._ending = ""  # the service ends: no motion until it is started again
+        self._lease_trouble = ""  # why this service may have lost the machine
+        self._lease_over = False  # permanently
         self._user: str | None = None
-        self._disturbed = ""  # what stopped that user, or the last one
+        self._disturbed = ""  # reason of the stop of the present or last user
         self._identities: tuple[AxisIdentity, ...] = ()
         self._trouble = "not connected yet"
         self._connecting = asyncio.Lock()
@@ -76,27 +78,32 @@ class Machine:
 
     @property
     def identities(self) -> tuple[AxisIdentity, ...]:
-        """What the drives said of themselves when they were connected last."""
+        """Identities reported by the drives at the last connect."""
         return self._identities
 
     @property
     def capabilities(self) -> Capabilities:
-        """Conflict while not connected."""
+        """Raises Conflict while not connected."""
         self._check_connected()
         return self._port.capabilities
 
     @property
     def channel_timing(self) -> Mapping[str, ChannelTiming]:
-        """What the drives' filters do to each channel, by joint."""
+        """Delays of the channels by the drives' filters, by joint."""
         return self._port.channel_timing
 
     @property
     def set_point_timing(self) -> SetPointTiming | None:
-        """How punctual the set-points of the last streamed sweep were; None after any other."""
+        """Punctuality of the set-points of the last streamed sweep; None after any other."""
         return self._port.set_point_timing
 
+    @property
+    def bus_traffic(self) -> BusTraffic | None:
+        """Frames on the bus so far; None if the adapter does not count them."""
+        return self._port.bus_traffic if isinstance(self._port, ReportsTraffic) else None
+
     def watch(self, tell: Callable[[str], None] | None) -> None:
-        """Have `tell` told what the drives' side finds; None: nobody."""
+        """Set the function that receives the findings of the host watch; None: no function."""
         self._port.watch(tell)
 
     @property
@@ -106,13 +113,13 @@ class Machine:
 
     @property
     def stops(self) -> tuple[StopDocument, ...]:
-        """Every stop that holds the machine, oldest first; one that the database has not taken has a negative id."""
+        """Every stop that holds the machine, oldest first. A stop not yet stored in the database has a negative id."""
         return self._holds.documents
 
     async def connect(self) -> tuple[AxisIdentity, ...]:
-        """Connect, also again after a loss; every axis is disabled afterwards.
+        """Connect, also after a loss; every axis is disabled afterwards.
 
-        Conflict while a campaign runs, or if another service has taken the machine.
+        Raises Conflict while a campaign runs, or if another service has taken the machine.
         """
         async with self._connecting:
             self._check_unused("connect")
@@ -129,9 +136,9 @@ class Machine:
             return self._identities
 
     async def reach(self) -> None:
-        """Connect unless a drive answers: its cabinet may have been switched off and on while nobody asked.
+        """Connect unless a drive answers: the cabinet may have been switched off and on meanwhile.
 
-        DriveError; Conflict while a campaign runs.
+        Raises DriveError; Conflict while a campaign runs.
         """
         if self.connected:
             with suppress(CommunicationLost):
@@ -140,11 +147,11 @@ class Machine:
             await self.connect()
 
     def lost(self, why: str) -> None:
-        """The connection went away; nothing moves until a person connects again."""
+        """The connection was lost; no motion until a person connects again."""
         self._trouble, self._recent = why, None
 
     async def status(self) -> Mapping[str, AxisStatus]:
-        """The state of every axis. Conflict while not connected."""
+        """The state of every axis. Raises Conflict while not connected."""
         self._check_connected()
         try:
             status = await self._port.status()
@@ -156,7 +163,7 @@ class Machine:
         return status
 
     async def recent_status(self) -> Mapping[str, AxisStatus]:
-        """As `status`, but at most `RECENT` old: however many ask, the drives are asked once in that time."""
+        """As `status`, but up to `RECENT` s old: the drives are read once in that time for any number of callers."""
         async with self._asking:
             if self._recent is None or time.monotonic() - self._recent[0] > RECENT:
                 status = await self.status()
@@ -164,35 +171,35 @@ class Machine:
             return self._recent[1]
 
     async def faults(self) -> tuple[Fault, ...]:
-        """Pending faults of all axes. Conflict while not connected."""
+        """Pending faults of all axes. Raises Conflict while not connected."""
         self._check_connected()
         return await self._port.faults()
 
     async def acknowledge(self, joint: str) -> None:
-        """Clear the fault of an axis after a person looked. Conflict while a campaign runs."""
+        """Clear the fault of an axis after a person checked it. Raises Conflict while a campaign runs."""
         self._check_connected()
         self._check_unused("acknowledge")
         await self._port.acknowledge(joint)
         self._recent = None
 
     async def stop(self, by: str, why: str, press: str = "") -> StopDocument:
-        """Stop every axis first, then latch: nothing moves until a person releases it. May be called at any time.
+        """Stop every axis first, then latch: no motion until a person releases it. May be called at any time.
 
-        StopNotConfirmed names the axes that did not say that they stand; the machine is latched all the same. The
-        database takes it meanwhile or later (`noted`); what it has not taken does not hold beyond a restart.
+        StopNotConfirmed names the axes that did not confirm standstill; the machine is latched in any case. The
+        database stores it meanwhile or later (`noted`); a stop that is not stored does not survive a restart.
         """
         self._order_stop()
         return await self.confirm(self.seize(by, why, press))
 
     def seize(self, by: str, why: str, press: str = "") -> Hold:
-        """Nothing moves from here on, and every axis has been told to stop; `confirm` is to follow. From any thread."""
-        hold = self._holds.take(by, why, press)  # before the drives are told: who is about to move finds it
+        """Block motion and send the stop to every axis; `confirm` must follow. From any thread."""
+        hold = self._holds.take(by, why, press)  # before the stop is sent: a motion about to start finds it
         self._disturb()
         self._port.halt()
         return hold
 
     async def confirm(self, hold: Hold) -> StopDocument:
-        """The stop sequence, to confirmed standstill, beside the note in the database. Errors as `stop`."""
+        """Run the stop sequence to confirmed standstill, while the database stores the stop. Errors as `stop`."""
         self._holds.note()
         try:
             confirmed = await self._port.stop()
@@ -207,22 +214,22 @@ class Machine:
         return hold.document
 
     def end(self, why: str) -> None:
-        """The service ends: every axis is told to stop, and nothing moves any more. Said again it tells nothing new."""
+        """The service ends: every axis is stopped, and motion is blocked. A second call reports nothing."""
         first, self._ending = not self._ending, self._ending or why
         self._disturb()
         self._port.halt()
         if first and self._user is not None:
-            self._tell("end of the service", f"{why}, and {self._user} was under way")
+            self._tell("end of the service", f"{why} while {self._user} was in progress")
 
     def broke_off(self, user: str, why: str) -> None:
-        """Its user ended by trouble of its own, and the axes stand: told, unless what stopped it was told before."""
+        """Its user ended by its own error, and the axes stand. Reported, unless the reason was reported before."""
         if not self.held:
             self._tell(user, why)
 
     async def reset_stop(self, by: str, stops: Sequence[int]) -> tuple[StopDocument, ...]:
-        """A person looked and releases these stops; the machine may move when none is left. Nothing moves by this.
+        """A person checked the machine and releases these stops; motion is allowed when none remains. Causes no motion.
 
-        Those that are released already stay so. NotFound if one never was, Conflict while one is under way.
+        Stops that are already released stay so. NotFound if one does not exist, Conflict while one is in progress.
         """
         released = await self._holds.reset(by, stops)
         if not self._holds.documents:
@@ -231,16 +238,16 @@ class Machine:
         return released
 
     async def noted(self) -> None:
-        """Waits until the database has taken every stop."""
+        """Wait until the database has stored every stop."""
         await self._holds.noted()
 
     async def close(self) -> None:
-        """The end of the service: what the database does not take now, it never takes."""
+        """End of the service: entries that the database refuses now are lost."""
         await self._holds.close()
 
     @property
     def forbidden(self) -> str:
-        """Why nothing may move now, though the drives answer; "" if nothing forbids it."""
+        """Why motion is blocked although the drives answer; "" if it is allowed."""
         held = self.latched
         if held is not None:
             return f"stopped by {held.by}: {held.why}"
@@ -250,13 +257,14 @@ class Machine:
 
     @property
     def held(self) -> str:
-        """Why nothing may move, though the drives answer, or what stopped its present or last user; "" if neither."""
+        """Why motion is blocked although the drives answer, or what stopped its present or last user; "" if neither."""
         return self.forbidden or self._disturbed
 
     def check_may_move(self) -> None:
-        """Conflict while stopped, without lease or not connected.
+        """Raises Conflict while stopped, without lease or not connected.
 
-        For who uses the machine also if it was so meanwhile: a reset by somebody else lets nobody move on.
+        For the present user also if this happened meanwhile: a reset by another person does not let the user
+        continue.
         """
         reason = self.forbidden if self._user is None else self.held
         if reason:
@@ -265,7 +273,9 @@ class Machine:
 
     @contextmanager
     def used_by(self, user: str) -> Generator[None]:
-        """While the block runs, nobody else connects, acknowledges or moves; Conflict if somebody does already."""
+        """During the block, only this user connects, acknowledges or moves. Raises Conflict if the machine is in
+        use.
+        """
         self._check_unused(user)
         self._user, self._disturbed = user, ""
         try:
@@ -275,39 +285,40 @@ class Machine:
 
     @asynccontextmanager
     async def motion(self, envelope: Bounds) -> AsyncGenerator[Motion]:
-        """The gate to motion, for the present user alone, while the block runs (see `motion`)."""
+        """The gate to motion, only for the present user, during the block (see `motion`)."""
         if self._user is None:
-            raise Conflict("nobody uses the machine: it may not be moved")
+            raise Conflict("the machine is not reserved by a campaign: it may not be moved")
         motion = Motion(self._port, envelope, self.check_may_move, self.lost)
         try:
             yield motion
         except BaseException as error:
-            await to_its_end(motion.end(error))
+            await run_to_end(motion.end(error))
             raise
         else:
             await motion.end(None)
 
     async def keep_lease(self, lease: MachineLease, lease_time: float) -> None:
-        """Renew the lease until it is another's. While it cannot be renewed (database blocked), the machine stands.
+        """Renew the lease until another service has it. While it cannot be renewed (database blocked), the machine
+        stands.
 
-        It also stands, until a restart, if this watch ends by an error that nobody thought of.
+        It also stands, until a restart, if this task ends by an unexpected error.
         """
         try:
             await self._keep_lease(lease, lease_time)
         except LeaseLost as error:
             _log.error("lease_lost")
-            await self._let_go(f"{error}; restart this one")
+            await self._let_go(f"{error}; restart this service")
         except Exception as error:
             _log.error("lease_watch_broke_off", exc_info=error)
-            await self._let_go(f"the renewal of the machine's lease has ended: {error!r}; restart this one")
+            await self._let_go(f"renewal of the machine lease has ended: {error!r}; restart this service")
             raise
 
     async def _keep_lease(self, lease: MachineLease, lease_time: float) -> None:
-        renewed, late = time.monotonic(), 0.0  # late: s since then in which this computer did not come to it
+        renewed, late = time.monotonic(), 0.0  # late: s since then by which this computer was delayed
         while True:
             late += await _wait(lease_time / 5)
             begun = time.monotonic()
-            # one attempt at a time, however long it takes: threads that wait for the database must not pile up
+            # one attempt at a time, however long it takes: waiting threads must not accumulate
             attempt = asyncio.create_task(apart(lease.renew), name="renew lease")
             try:
                 while True:
@@ -319,7 +330,7 @@ class Machine:
                 await asyncio.wait([attempt])
             try:
                 attempt.result()
-            except SQLAlchemyError as error:  # also a full pool, a broken file: it must not end the watch
+            except SQLAlchemyError as error:  # also a full pool or a broken file: it must not end this task
                 _log.warning("lease_not_renewed", reason=refusal(error))
                 await self._check_renewed(renewed, lease_time, late)
             else:
@@ -327,16 +338,16 @@ class Machine:
                 self._lease_trouble = ""
 
     async def _check_renewed(self, renewed: float, lease_time: float, late: float) -> None:
-        """The machine stands whatever the cause, for another service may take it; `late` tells which it was."""
+        """Stop the machine, whatever the cause, because another service may take it; `late` distinguishes the cause."""
         passed = time.monotonic() - renewed
         if passed > lease_time / 2 and not self._lease_trouble:
-            why = f"this computer was late by {late:.1f} s" if late > passed / 2 else "the database does not answer"
+            why = f"this computer was delayed by {late:.1f} s" if late > passed / 2 else "the database does not answer"
             reason = f"the machine's lease could not be renewed: {why}"
             _log.error("lease_not_renewed", reason=reason)
             await self._stop_quietly(reason)
 
     async def _let_go(self, why: str) -> None:
-        """Stop and leave the bus for good: our heartbeat there would hide from the drives that their host is gone."""
+        """Stop and leave the bus permanently: our heartbeat would hide the loss of the host from the drives."""
         self._lease_over = True
         await self._stop_quietly(why)
         async with self._connecting:
@@ -354,7 +365,7 @@ class Machine:
             self.lost(str(error))
 
     def _disturb(self) -> None:
-        """Its present user is to move it no more, also if it may be moved again before they look."""
+        """Its present user may not move it any more, even if motion is allowed again before the user checks."""
         if self._user is not None:
             self._disturbed = self.forbidden
 
@@ -368,7 +379,7 @@ class Machine:
 
 
 async def _wait(within: float, work: "asyncio.Task[None] | None" = None) -> float:
-    """Wait so many s, or for `work` if that is done sooner; by how many s this computer came back late from it."""
+    """Wait `within` s, or until `work` is done; returns by how many s this computer was delayed."""
     due = time.monotonic() + within
     if work is None:
         await asyncio.sleep(within)

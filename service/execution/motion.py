@@ -1,9 +1,9 @@
-"""The one gate to motion: the only object that gives an axis energy or moves it.
+"""Access to motion: the only object that enables or moves an axis.
 
-It exists inside of `Machine.motion`, for the present user of the machine, and is of no use after that. Each axis gets
-energy only after the envelope has passed the way from where all axes stand; lease and latch are asked before and after
-the energy and again before each motion; the axes lose it when they have moved. Whatever ends the block by an error,
-cancellation included: every axis is brought to standstill without energy, here and nowhere else.
+It exists inside `Machine.motion`, for the present user of the machine, and cannot be used after it. An axis is
+energised only after the envelope has accepted the path from the positions of all axes. Lease and latch are checked
+before and after enabling and again before each motion; the axes are disabled after they have moved. If the block
+ends by an error, including cancellation, every axis is brought to standstill without energy, here and nowhere else.
 """
 
 import asyncio
@@ -22,7 +22,7 @@ ROUNDING = 1e-9  # rad (m)
 
 
 class Bounds(Protocol):
-    """What every motion must stay within: the envelope of the robot in its cell. Checks raise EnvelopeViolation."""
+    """Limits of every motion: the envelope of the robot in its cell. Checks raise EnvelopeViolation."""
 
     @property
     def joints(self) -> tuple[str, ...]: ...
@@ -33,7 +33,9 @@ class Bounds(Protocol):
 
 
 class Motion:
-    """See the module. `check` raises Conflict while nothing may move; `lost` is told why the drives do not answer."""
+    """See the module docstring. `check` raises Conflict while motion is blocked; `lost` receives why the drives do not
+    answer.
+    """
 
     def __init__(
         self, port: DrivePort, envelope: Bounds, check: Callable[[], None], lost: Callable[[str], None]
@@ -43,16 +45,16 @@ class Motion:
 
     @asynccontextmanager
     async def moving(self, joint: str, here: Sequence[float], target: float, velocity: float) -> AsyncGenerator[Go]:
-        """Energy for one axis while the block runs; `go` moves it, to `target` or less far, at `velocity`, rad/s (m/s).
+        """One axis is energised during the block; `go` moves it, to `target` or less far, at `velocity`, rad/s (m/s).
 
-        EnvelopeViolation where the way there is not free or not allowed; then nothing got energy.
+        Raises EnvelopeViolation if the path is not free or not allowed; then nothing was energised.
         """
         await asyncio.to_thread(self._envelope.check_move, joint, here, target, velocity)
         low, high = sorted((here[self._envelope.joints.index(joint)], target))
 
         async def go(to: float) -> None:
             if not low - ROUNDING <= to <= high + ROUNDING:
-                raise Conflict(f"{joint}: {to:.6g} was not checked, but {low:.6g} to {high:.6g}")
+                raise Conflict(f"{joint}: target {to:.6g} is outside the checked range {low:.6g} to {high:.6g}")
             self._may_move()
             await self._port.move_to(joint, to, velocity)
 
@@ -63,9 +65,9 @@ class Motion:
     async def sweeping(
         self, commands: Sequence[Command], here: Sequence[float]
     ) -> AsyncGenerator[AsyncGenerator[SampleBlock, None]]:
-        """Energy for the axes of the commands while the block runs; they move while the blocks of samples are iterated.
+        """The axes of the commands are energised during the block; they move while the blocks of samples are iterated.
 
-        EnvelopeViolation where they would leave the envelope; then nothing got energy.
+        Raises EnvelopeViolation if they would leave the envelope; then nothing was energised.
         """
         await asyncio.to_thread(self._envelope.check_run, commands, here)
         async with self._energised(*(command.joint for command in commands)):
@@ -74,11 +76,13 @@ class Motion:
                 yield blocks
 
     async def stop(self) -> None:
-        """The stop sequence at once, before whatever else an error brings with it. DriveError."""
+        """Run the stop sequence, before any other handling of an error. Raises DriveError."""
         await self._port.stop()
 
     async def end(self, error: BaseException | None) -> None:
-        """The block is over. After an error: standstill without energy; what goes wrong with that is a note of it."""
+        """End of the block. After an error: standstill without energy; a failure of that is added as a note to the
+        error.
+        """
         self._open = False
         if error is None:
             return
@@ -98,7 +102,7 @@ class Motion:
 
     @asynccontextmanager
     async def _energised(self, *joints: str) -> AsyncGenerator[None]:
-        """After an error it is `end` that takes the energy away, with the stop sequence."""
+        """After an error `end` disables the axes, with the stop sequence."""
         self._may_move()
         await self._port.enable(*joints)
         self._may_move()  # a stop may have come while the drives were being enabled

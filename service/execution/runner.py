@@ -1,4 +1,4 @@
-"""The operator's commands, and the task that runs one campaign's sweeps. No motion is ever retried by itself."""
+"""The operator's commands, and the task that runs the sweeps of one campaign. No motion is repeated automatically."""
 
 import asyncio
 import time
@@ -11,30 +11,34 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import DriveError
-from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
+from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.errors import Conflict, NotFound, SweepidError
 from service.execution.approvals import Approvals
-from service.execution.attendance import Attendance
 from service.execution.check_move import CheckMove
+from service.execution.current_activity import CurrentActivity
 from service.execution.machine import Machine
+from service.execution.sign_of_life import SignOfLife
 from service.execution.stop_criterion import confidence_reached
 from service.execution.sweep_executor import SweepExecutor, cause_of
-from service.execution.under_way import UnderWay
 from service.jobs.jobs import Jobs
+from service.logs.about import MACHINE
 from service.planning.compiled_plan import CompiledPlan
 from service.store.database import refusal
 from service.store.documents import CampaignDocument, CampaignState, SweepState
 from service.store.store import StaleVersion, Store, SweepMove
-from service.tasks.ending import to_its_end
+from service.tasks.run_to_end import run_to_end
+from service.telemetry.spans import TRACING
 
 _log = structlog.get_logger(__name__)
 
 RETRY = 2.0  # s between attempts to store the end of a campaign
-_IN_PARTS = "the trajectories left were measured in part, and can only be repeated as a whole"
+_IN_PARTS = "the remaining trajectories were measured in part and can only be repeated completely"
 
 
 class Runner:
-    """The commands of an operator. Each returns the campaign as it is afterwards; Conflict if it does not fit."""
+    """The commands of an operator. Each returns the campaign after it. Raises Conflict if it is not possible in this
+    state.
+    """
 
     def __init__(
         self,
@@ -51,9 +55,9 @@ class Runner:
         self._commands = asyncio.Lock()  # one command at a time; `Machine.stop` does not wait for it
         self._task: asyncio.Task[None] | None = None
         self._running: int | None = None
-        self._attendance: Attendance | None = None  # of the campaign that runs
+        self._attendance: SignOfLife | None = None  # of the running campaign
         self._origins: dict[int, float] = {}  # starts of campaigns on the monotonic clock, s
-        self._untold = ""  # why the last campaign broke off, until the store has it; nothing moves while it has not
+        self._unstored = ""  # why the last campaign broke off, until it is stored; no motion before that
 
     @property
     def running(self) -> int | None:
@@ -61,38 +65,38 @@ class Runner:
         return self._running
 
     @property
-    def attendance(self) -> Attendance | None:
-        """The sign of life that the running campaign waits for, or None."""
+    def attendance(self) -> SignOfLife | None:
+        """The sign of life required by the running campaign, or None."""
         return self._attendance
 
     @property
-    def untold(self) -> str:
-        """What the store has not taken yet of the end of a campaign; empty if nothing."""
-        return f"the end of a campaign is not stored yet: {self._untold}" if self._untold else ""
+    def unstored(self) -> str:
+        """The end of a campaign that is not stored yet, with its reason; empty if all is stored."""
+        return f"the end of a campaign is not stored yet: {self._unstored}" if self._unstored else ""
 
     @property
     def check_move(self) -> CheckMove | None:
-        """The check move under way, or None."""
+        """The check move in progress, or None."""
         return self._executor.check_move
 
     @property
-    def under_way(self) -> UnderWay | None:
-        """What the campaign that owns the machine moves now and next, or None."""
+    def under_way(self) -> CurrentActivity | None:
+        """Present and next motion of the campaign that owns the machine, or None."""
         return self._executor.under_way
 
     async def start(
         self, campaign_id: int, if_version: int | None = None, by: str = "", attended: float | None = None
     ) -> CampaignDocument:
-        """planned -> running. Conflict while another campaign runs, the machine is stopped or does not answer, or the
-        plan is not approved where that is wanted.
+        """planned -> running. Raises Conflict while another campaign runs, the machine is stopped or does not answer,
+        or the plan is not approved if that is required.
 
-        `by`: who starts it, where the service knows. `attended`: s within which `sign_of_life` must come, again and
-        again, or the axes stop and the campaign is paused; None: nobody waits for any.
+        `by`: who starts it, if the service knows. `attended`: maximum time between two calls of `sign_of_life`, s;
+        otherwise the axes stop and the campaign is paused. None: not required.
         """
         return await self._launch(campaign_id, CampaignEvent.START, if_version, by, attended, repeat=False)
 
     async def pause(self, campaign_id: int, if_version: int | None = None) -> CampaignDocument:
-        """running -> pausing; paused when the present sweep is over."""
+        """running -> pausing; paused at the end of the present sweep."""
         async with self._commands:
             await self._tell()
             return await asyncio.to_thread(
@@ -107,25 +111,27 @@ class Runner:
         by: str = "",
         attended: float | None = None,
     ) -> CampaignDocument:
-        """paused -> running with the next planned sweep; `repeat` first puts failed and interrupted sweeps back.
+        """paused -> running with the next planned sweep; with `repeat`, failed and interrupted sweeps are planned again
+        first.
 
-        Takes back a pause that was asked for (pausing -> running), too, as it was started. Conflict as `start`.
+        Also cancels a requested pause (pausing -> running), with the conditions of the start. Raises Conflict as
+        `start`.
         """
         if self._running == campaign_id:
             async with self._commands:
                 return await asyncio.to_thread(self._store.move_campaign, campaign_id, _take_back_pause, "", if_version)
         return await self._launch(campaign_id, CampaignEvent.RESUME, if_version, by, attended, repeat)
 
-    def sign_of_life(self, campaign_id: int) -> Attendance | None:
-        """Somebody is there; what is left of it now, None where nobody waits for it. Conflict if it does not run."""
+    def sign_of_life(self, campaign_id: int) -> SignOfLife | None:
+        """Record a sign of life; returns the remaining time, s (None: not required). Conflict if it is not running."""
         if self._running != campaign_id:
-            raise Conflict(f"campaign {campaign_id} does not run")
+            raise Conflict(f"campaign {campaign_id} is not running")
         if self._attendance is not None:
             self._attendance.renew()
         return self._attendance
 
     async def abort(self, campaign_id: int, why: str, if_version: int | None = None) -> CampaignDocument:
-        """Stop the present sweep now and give the campaign up; sweeps not run become skipped."""
+        """Stop the present sweep now and end the campaign; the remaining sweeps become skipped."""
         async with self._commands:
             campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
             if if_version is not None and campaign.version != if_version:
@@ -149,12 +155,14 @@ class Runner:
             await self._end_task("the service ended")
 
     async def finished(self) -> None:
-        """Until no campaign runs."""
+        """Wait until no campaign runs."""
         while self._task is not None and not self._task.done():
             await asyncio.wait([self._task])
 
     async def check_free(self) -> None:
-        """Conflict or DriveError where a campaign could not be started now; connects drives that are not."""
+        """Raises Conflict or DriveError if a campaign could not be started now. Connects drives that are not
+        connected.
+        """
         async with self._commands:
             await self._check_idle()
             await self._check_machine()
@@ -197,7 +205,7 @@ class Runner:
             self._task = asyncio.create_task(self._run(campaign, compiled), name=f"campaign {campaign_id}")
             self._task.add_done_callback(self._ended)
             if attended is not None:
-                self._attendance = Attendance(attended, partial(self._missed, self._task, campaign_id))
+                self._attendance = SignOfLife(attended, partial(self._missed, self._task, campaign_id))
             return campaign
 
     def _missed(self, task: asyncio.Task[None], campaign_id: int, cause: str) -> None:
@@ -218,11 +226,18 @@ class Runner:
             _log.error("campaign_broke_off", task=task.get_name(), exc_info=error)
 
     async def _run(self, campaign: CampaignDocument, compiled: CompiledPlan) -> None:
-        """The task: sweep after sweep until none is left, enough is known, a pause is due, or something goes wrong."""
+        """The task: runs sweeps until none remains, the confidence is reached, a pause is requested, or an error
+        occurs.
+        """
+        with MACHINE.campaign(campaign.id), TRACING.span("campaign", campaign=campaign.id):
+            await self._measure(campaign, compiled)
+
+    async def _measure(self, campaign: CampaignDocument, compiled: CompiledPlan) -> None:
         checked: set[str] = set()  # joints that made their check move since this start or resume
         name = f"campaign {campaign.id}"
         try:
             with self._machine.used_by(name):
+                await self._executor.store_streams()
                 origin = await asyncio.to_thread(self._origin, campaign, compiled)
                 while await self._next_is_due(campaign.id):
                     sweeps = await asyncio.to_thread(self._store.sweeps, campaign.id)
@@ -237,10 +252,10 @@ class Runner:
                         return
                     await self._executor.run(due, compiled, origin, checked, self._jobs.submit)
         except BaseException as error:
-            # the executor has brought the machine to standstill before it let the error out
-            self._untold = cause_of(self._machine, error)
+            # the executor brought the machine to standstill before it raised the error
+            self._unstored = cause_of(self._machine, error)
             if not isinstance(error, asyncio.CancelledError):  # an abort, or the end of the service
-                self._machine.broke_off(name, self._untold)
+                self._machine.broke_off(name, self._unstored)
             await self._tell_patiently(wait=not isinstance(error, asyncio.CancelledError))
             if not isinstance(error, DriveError | SweepidError | OSError | SQLAlchemyError):
                 raise
@@ -248,8 +263,8 @@ class Runner:
     def _origin(self, campaign: CampaignDocument, compiled: CompiledPlan) -> float:
         """The start of a campaign on the monotonic clock, s. Reads the store.
 
-        After a restart only the wall clock knows, and it may have been set meanwhile: nothing begins before what was
-        measured has ended.
+        After a restart only the wall clock is available, and it may have been set meanwhile: the time continues
+        after the end of the measured sweeps.
         """
         if campaign.id not in self._origins:
             now = datetime.now(UTC)
@@ -263,41 +278,42 @@ class Runner:
         return self._origins[campaign.id]
 
     async def _tell_patiently(self, *, wait: bool) -> None:
-        """Store the end of a campaign that broke off, again and again while the database refuses it.
+        """Store the end of a campaign that broke off, with retries while the database refuses it.
 
-        Without `wait` (somebody waits for this task), or if cancelled: the next command tells it, or the next start.
+        Without `wait` (a caller waits for this task), or if cancelled: the next command stores it, or the next
+        start.
         """
         refusals = 0
         while True:
             try:
-                await to_its_end(self._tell())
+                await run_to_end(self._tell())
                 return
             except SQLAlchemyError as refused:
                 refusals += 1
                 if refusals == 1:
-                    _log.error("end_not_stored", cause=self._untold, reason=refusal(refused))
+                    _log.error("end_not_stored", cause=self._unstored, reason=refusal(refused))
             if not wait:
                 return
             await asyncio.sleep(RETRY)
 
     async def _tell(self) -> None:
-        """Store the end of a campaign that broke off, if that is still to be done; SQLAlchemyError if refused."""
-        if self._untold:
-            await self._executor.end_runs(self._untold)
-            self._untold = ""
+        """Store the end of a campaign that broke off, if that is pending. Raises SQLAlchemyError if refused."""
+        if self._unstored:
+            await self._executor.end_runs(self._unstored)
+            self._unstored = ""
 
     async def _next_is_due(self, campaign_id: int) -> bool:
         campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
         if campaign.state is CampaignState.PAUSING:
             try:
                 await self._move(campaign_id, CampaignEvent.HELD, "paused by request")
-            except Conflict:  # the pause was taken back in this moment
+            except Conflict:  # the pause was cancelled at this moment
                 return await self._next_is_due(campaign_id)
             return False
         return campaign.state is CampaignState.RUNNING
 
     def _confidence_reached(self, campaign_id: int, compiled: CompiledPlan) -> str:
-        """Why the latest estimate makes the sweeps that are left unnecessary, or ""."""
+        """Why the latest estimate makes the remaining sweeps unnecessary, or ""."""
         if compiled.confidence is None:
             return ""
         try:
@@ -319,7 +335,7 @@ class Runner:
 
 
 def _take_back_pause(state: CampaignState) -> CampaignState:
-    """pausing -> running while the task still runs. One that has paused needs a new task, or nothing would run it."""
+    """pausing -> running while the task still runs. A paused campaign needs a new task."""
     if state is CampaignState.PAUSED:
-        raise Conflict("the campaign has paused in this moment; resume it once more")
+        raise Conflict("the campaign was paused at this moment; resume it again")
     return campaign_move(CampaignEvent.RESUME)(state)

@@ -1,4 +1,4 @@
-"""Has a campaign reached the confidence that its plan wants?"""
+"""Stop criterion: whether a campaign has reached the confidence required by its plan."""
 
 from collections.abc import Collection
 
@@ -8,10 +8,10 @@ from service.results.estimate import Estimate
 def confidence_reached(estimate: Estimate, joints: Collection[str], parameters: int, wanted: float) -> str:
     """Why the campaign may end, or "" while it may not.
 
-    `estimate`: its latest revision; `joints` that the campaign measures; `parameters`: how many base parameters its
-    plan is about; `wanted`: largest standard deviation of J over the workspace, percent. What the data leave open has
-    no confidence and is never enough. Nor is an estimate of fewer parameters: it takes the joints that have not moved
-    yet for locked, and knows the workspace of the others alone.
+    `estimate`: its latest revision; `joints`: measured by the campaign; `parameters`: number of base parameters of
+    its plan; `wanted`: largest standard deviation of J over the workspace, percent. An undetermined value never
+    fulfils the criterion. Neither does an estimate with fewer parameters: it assumes that joints that have not moved
+    yet are locked, and covers only the workspace of the others.
     """
     if len(estimate.base_parameters) < parameters:
         return ""

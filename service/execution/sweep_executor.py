@@ -1,4 +1,4 @@
-"""Runs one sweep at the machine: to the pose, energy on, sweep, energy off, recording. Any error: stand still first."""
+"""Runs one sweep on the machine: move to the pose, enable, sweep, disable, recording. Any error: standstill first."""
 
 import asyncio
 import math
@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from functools import partial
 from typing import ParamSpec, TypeVar
 
 import structlog
@@ -16,14 +15,15 @@ from sqlalchemy.exc import SQLAlchemyError
 from drivers.errors import CommunicationLost, SweepInterrupted
 from drivers.ports import AxisState, AxisStatus, SampleBlock, SweepCommand
 from service.campaigns.live import LiveHub
-from service.campaigns.session import SweepEvent, sweep_move
+from service.campaigns.state_machine import SweepEvent, sweep_move
 from service.errors import EnvelopeViolation, SweepidError
 from service.execution.check_move import DURATION, WAY, CheckMove, make
+from service.execution.current_activity import CurrentActivity, travels
 from service.execution.machine import Machine
 from service.execution.motion import Motion
 from service.execution.recording.recorder import Gapless, Recorder, finish
-from service.execution.recording.recovery import break_off, end_runs
-from service.execution.under_way import UnderWay, travels
+from service.execution.recording.recovery import break_off, end_runs, store_streams
+from service.logs.about import MACHINE, in_executor
 from service.planning.compiled_plan import CompiledPlan
 from service.recording import SweepSpec
 from service.results.identified.manifest import Facts
@@ -32,7 +32,8 @@ from service.store.database import refusal
 from service.store.documents import NewRecording, SweepDocument
 from service.store.files.recordings import RecordingFiles, Run
 from service.store.store import Store
-from service.tasks.ending import to_its_end
+from service.tasks.run_to_end import run_to_end
+from service.telemetry.spans import TRACING
 
 _log = structlog.get_logger(__name__)
 
@@ -42,7 +43,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class _Begun:
-    """A sweep under way."""
+    """A sweep in progress."""
 
     sweep: SweepDocument
     run: Run
@@ -51,15 +52,23 @@ class _Begun:
 
 
 class SweepExecutor:
-    """Where sweeps are run: one at a time, or those of one trajectory at once."""
+    """Runs sweeps: one at a time, or those of one trajectory together."""
 
     def __init__(self, store: Store, files: RecordingFiles, machine: Machine, hub: LiveHub) -> None:
         self._store, self._files, self._machine, self._hub = store, files, machine, hub
-        self.under_way: UnderWay | None = None
+        self.under_way: CurrentActivity | None = None
         self.check_move: CheckMove | None = None
-        """The first way of the check move under way, so that a person can look whether that axis goes that way."""
-        # one thread: what is written to a file and what is made of it afterwards never overlap, even when cancelled
+        """First direction of the check move in progress, so that a person can check the motion of the axis."""
+        self.set_points = self.set_points_missed = 0
+        """Of all streamed sweeps since the start of the service."""
+        self._waiting = 0
+        # one thread: writing a file and processing it afterwards never overlap, even when cancelled
         self._disk = ThreadPoolExecutor(1, thread_name_prefix="recorder")
+
+    @property
+    def blocks_waiting(self) -> int:
+        """Number of blocks of samples that are not yet on disk."""
+        return self._waiting
 
     def close(self) -> None:
         """Wait for the disk."""
@@ -73,45 +82,66 @@ class SweepExecutor:
         checked: set[str],
         recorded: Callable[[SweepDocument], None],
     ) -> None:
-        """Run a planned sweep, or the sweeps of one trajectory at once.
+        """Run a planned sweep, or the sweeps of one trajectory together.
 
         `origin`: start of the campaign on the monotonic clock, s.
 
-        `checked`: the joints that made their check move in this run of the campaign; those that make it now are added.
+        `checked`: the joints that made their check move in this run of the campaign; new ones are added.
 
-        `recorded` is told of each sweep that the store has as recorded, whatever is raised afterwards.
+        `recorded` is called for each sweep that is stored as recorded, whatever is raised afterwards.
 
         Whatever is raised (also on cancellation): the machine stands, each sweep that is not recorded is failed or
-        interrupted with its cause, and what came of samples is kept as a partial recording. Where the database
-        refuses that, `end_runs` makes it good.
+        interrupted with its cause, and its samples are kept as a partial recording. If the database refuses that,
+        `end_runs` repeats it.
         """
-        left: list[_Begun] = []  # begun, and not recorded yet
+        campaign, numbers = sweeps[0].campaign_id, [sweep.number for sweep in sweeps]
+        span = TRACING.span("sweep", campaign=campaign, sweep=numbers[0], together=len(numbers))
+        with MACHINE.sweeps(campaign, numbers), span:
+            await self._run(sweeps, compiled, origin, checked, recorded)
+
+    async def _run(
+        self,
+        sweeps: Sequence[SweepDocument],
+        compiled: CompiledPlan,
+        origin: float,
+        checked: set[str],
+        recorded: Callable[[SweepDocument], None],
+    ) -> None:
+        left: list[_Begun] = []  # started, and not recorded yet
         try:
             async with self._machine.motion(compiled.envelope) as motion:
-                await to_its_end(asyncio.to_thread(self._begin, sweeps, compiled, left))
+                await run_to_end(asyncio.to_thread(self._begin, sweeps, compiled, left))
                 together = tuple(left)
                 commands, pose = [each.command for each in together], together[0].sweep.spec.pose
                 await asyncio.to_thread(compiled.envelope.check_run, commands, pose)
-                here = await self._approach(motion, together, compiled, checked, time.monotonic())
+                with TRACING.span("approach"):
+                    here = await self._approach(motion, together, compiled, checked, time.monotonic())
                 started_at = time.monotonic() - origin
-                await self._record(motion, together, compiled, here)
-                here = await self._pose(together[0].sweep, compiled)  # did the others stand? A brake may have slipped
+                with TRACING.span("record"):
+                    await self._record(motion, together, compiled, here)
+                here = await self._pose(together[0].sweep, compiled)  # measured again: a brake may have slipped
                 moved = {command.joint for command in commands}
                 compiled.envelope.check_standing(pose, here, compiled.pose_tolerance, moving=moved)
                 for each, (spec, recording) in [(each, await self._finish(each, started_at)) for each in together]:
-                    await to_its_end(self._keep(each, spec, recording, left, recorded))
+                    await run_to_end(self._keep(each, spec, recording, left, recorded))
         except BaseException as error:
-            await to_its_end(self._give_up(left, error))
+            await run_to_end(self._give_up(left, error))
             raise
         finally:
             self.under_way = None
 
     async def end_runs(self, cause: str) -> None:
-        """Store that nothing runs any more, where the database refused it when it was due; SQLAlchemyError if still."""
+        """Store that nothing runs any more, if the database refused it before. Raises SQLAlchemyError if it
+        still does.
+        """
         await self._on_disk(end_runs, self._store, self._files, cause, cause)
 
+    async def store_streams(self) -> None:
+        """Store the samples of earlier sweeps that could not be written when they ended. Raises SQLAlchemyError."""
+        await self._on_disk(store_streams, self._store, self._files, "the disk did not accept it when the sweep ended")
+
     def _begin(self, sweeps: Sequence[SweepDocument], compiled: CompiledPlan, begun: list[_Begun]) -> None:
-        """Begin them in the store; `begun` has those that were, also where one is refused."""
+        """Begin them in the store; `begun` receives those that were begun, also if one is refused."""
         for planned in sweeps:
             command = compiled.commands[planned.number]
             last = self._files.last_attempt(planned.campaign_id, planned.number)
@@ -125,11 +155,15 @@ class SweepExecutor:
                 "drives": [asdict(identity) for identity in self._machine.identities],
             }
             begun.append(_Begun(sweep, run, command, facts))
+            _log.info("sweep_begun", campaign=run.campaign_id, sweep=run.number, attempt=run.attempt)
 
     async def _finish(self, each: _Begun, started_at: float) -> tuple[SweepSpec, NewRecording]:
         """The recording of a sweep that ran, and its spec as measured."""
         spec = each.sweep.spec.model_copy(update={"started_at": started_at})
         streamed = self._machine.set_point_timing
+        if streamed is not None:
+            self.set_points += streamed.cycles
+            self.set_points_missed += streamed.missed
         each.facts["set_point_timing"] = None if streamed is None else asdict(streamed)
         timing = self._machine.channel_timing[each.command.joint]
         return await self._on_disk(finish, self._files, each.run, spec, each.command, timing, each.facts)
@@ -142,7 +176,7 @@ class SweepExecutor:
         left: list[_Begun],
         recorded: Callable[[SweepDocument], None],
     ) -> None:
-        """The end of a sweep that was recorded; its stream goes once its recording's row is there."""
+        """Store a recorded sweep; its stream is removed after the row of its recording is stored."""
         run, move = each.run, sweep_move(SweepEvent.RECORD)
         sweep = await self._on_disk(
             self._store.end_sweep, run.campaign_id, run.number, move, spec=spec, recording=recording
@@ -155,9 +189,9 @@ class SweepExecutor:
     async def _approach(
         self, motion: Motion, together: Sequence[_Begun], compiled: CompiledPlan, checked: set[str], begun: float
     ) -> tuple[float, ...]:
-        """Bring the axes to the sweeps' pose, one at a time; then check that they are there: the pose as measured.
+        """Move the axes to the sweeps' pose, one at a time, and check their positions. Returns the measured pose.
 
-        An axis makes its check move before it goes further than that, and before it is swept.
+        An axis makes its check move before any larger move and before its sweep.
         """
         sweep, commands = together[0].sweep, [each.command for each in together]
         envelope, pose = compiled.envelope, sweep.spec.pose
@@ -169,7 +203,7 @@ class SweepExecutor:
         for done, (index, target) in enumerate(legs):
             joint = compiled.joints[index]
             left, seconds = way[done:], commands[0].duration
-            self.under_way = UnderWay(numbers, joints, left, seconds, frozenset(checked), begun)
+            self.under_way = CurrentActivity(numbers, joints, left, seconds, frozenset(checked), begun)
             here = await self._pose(sweep, compiled)
             if joint not in checked and abs(target - here[index]) > WAY[units[joint]]:
                 await self._check(motion, joint, target - here[index], sweep, compiled)
@@ -177,14 +211,14 @@ class SweepExecutor:
                 here = await self._pose(sweep, compiled)
             async with motion.moving(joint, here, target, compiled.move_velocity) as go:
                 await go(target)
-        self.under_way = UnderWay(numbers, joints, (), commands[0].duration, frozenset(checked), begun)
+        self.under_way = CurrentActivity(numbers, joints, (), commands[0].duration, frozenset(checked), begun)
         for command in commands:
             if command.joint not in checked:
                 await self._check(motion, command.joint, command.offset_velocity, sweep, compiled)
                 checked.add(command.joint)
         here = await self._pose(sweep, compiled)
         envelope.check_standing(pose, here, compiled.pose_tolerance)
-        await asyncio.to_thread(envelope.check_run, commands, here)  # before there is a file for samples
+        await asyncio.to_thread(envelope.check_run, commands, here)  # before a file for samples is created
         return here
 
     async def _check(
@@ -214,10 +248,10 @@ class SweepExecutor:
     async def _record(
         self, motion: Motion, together: Sequence[_Begun], compiled: CompiledPlan, here: Sequence[float]
     ) -> None:
-        """Run the sweeps and stream their samples to the disk; SamplesMissing if there are not all of them.
+        """Run the sweeps and write their samples to disk. Raises SamplesMissing if any is missing.
 
-        The samples are watched as they come, however slow the disk is: what it has not taken yet waits in memory, at
-        most the samples of these sweeps.
+        The samples are monitored as they arrive, independent of the disk: blocks wait in memory, at most all samples
+        of these sweeps.
         """
         recorders: list[Recorder] = []
         writes: deque[Future[None]] = deque()
@@ -235,14 +269,16 @@ class SweepExecutor:
                     came[each.command.joint].check(block)
                     came[each.command.joint].add(block)
                     while writes and writes[0].done():
-                        writes.popleft().result()  # what the disk does not take ends the sweep
+                        writes.popleft().result()  # a write error ends the sweep
+                    self._waiting = len(writes)
             for write in writes:
-                await to_its_end(asyncio.wrap_future(write))
+                await run_to_end(asyncio.wrap_future(write))
             for recorder in recorders:
                 recorder.check_complete()
         finally:
+            self._waiting = 0
             for recorder in recorders:
-                self._disk.submit(recorder.close)  # not waited for: after an error the axes come first
+                self._disk.submit(recorder.close)  # not awaited: after an error the axes have priority
 
     async def _watch(
         self, motion: Motion, each: _Begun, compiled: CompiledPlan, block: SampleBlock, *, on_path: bool
@@ -258,14 +294,14 @@ class SweepExecutor:
             raise
 
     async def _pose(self, sweep: SweepDocument, compiled: CompiledPlan) -> tuple[float, ...]:
-        """Where the axes stand; those that this machine does not reach are taken to be where the plan says.
+        """Positions of all axes; for axes that this machine does not reach, those of the plan.
 
-        CommunicationLost where a drive does not answer: what its axis does is not known then.
+        CommunicationLost if a drive does not answer, because the position of its axis is then unknown.
         """
         return _pose_of(await self._machine.status(), sweep, compiled)
 
     async def _give_up(self, left: Sequence[_Begun], error: BaseException) -> None:
-        """The machine stands: `Machine.motion` has seen to that before it let the error out."""
+        """The machine stands: `Machine.motion` ensured this before it raised the error."""
         interrupted = bool(self._machine.held) or isinstance(error, SweepInterrupted | asyncio.CancelledError)
         cause = cause_of(self._machine, error)
         event = SweepEvent.INTERRUPT if interrupted else SweepEvent.FAIL
@@ -273,18 +309,18 @@ class SweepExecutor:
             await self._abandon(each, event, cause)
 
     async def _abandon(self, each: _Begun, event: SweepEvent, cause: str) -> None:
-        """Keep what came of a sweep's samples, and end it in the store, if that takes it."""
+        """Keep the samples of a sweep, and end it in the store, if that is possible."""
         run = each.run
         _log.error("sweep_given_up", campaign=run.campaign_id, sweep=run.number, cause=cause)
         try:
             await self._on_disk(break_off, self._store, self._files, run, event, cause, each.facts)
-        except (SQLAlchemyError, SweepidError) as refused:  # the others are ended all the same
+        except (SQLAlchemyError, SweepidError) as refused:  # the others must be ended as well
             _log.error("sweep_not_ended", campaign=run.campaign_id, sweep=run.number, reason=str(refused))
 
     async def _on_disk(
         self, work: Callable[Arguments, Result], *args: Arguments.args, **kwargs: Arguments.kwargs
     ) -> Result:
-        return await asyncio.get_running_loop().run_in_executor(self._disk, partial(work, *args, **kwargs))
+        return await in_executor(self._disk, work, *args, **kwargs)
 
 
 def _pose_of(status: Mapping[str, AxisStatus], sweep: SweepDocument, compiled: CompiledPlan) -> tuple[float, ...]:
@@ -298,7 +334,7 @@ def _pose_of(status: Mapping[str, AxisStatus], sweep: SweepDocument, compiled: C
 
 
 def cause_of(machine: Machine, error: BaseException) -> str:
-    """What a person is told: who stopped the machine, or what went wrong, and what was noted of it since."""
+    """The cause for the person: who stopped the machine, or the error, with later notes."""
     if machine.held:
         cause = machine.held
     elif isinstance(error, asyncio.CancelledError):

@@ -1,4 +1,4 @@
-"""The identified robot in the languages of other tools: URDF, MJCF (MuJoCo) and YAML. Text in, text out."""
+"""The identified robot in the formats of other tools: URDF, MJCF (MuJoCo) and YAML. Text in, text out."""
 
 from service.export.files import model_files, write_model
 from service.export.model import IdentifiedModel, identified_model, model_of

@@ -1,4 +1,4 @@
-"""The files of an identified robot: URDF, MJCF, YAML, and the side file with which sweepid reads it again."""
+"""The files of an identified robot: URDF, MJCF, YAML, and the side file that sweepid needs to read it again."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -27,7 +27,7 @@ def model_files(model: IdentifiedModel) -> dict[str, str]:
 
 
 def write_model(folder: Path, model: IdentifiedModel) -> None:
-    """Write the files into a folder that is empty or does not exist; BadInput if it is not so or cannot be written."""
+    """Write the files into a folder that is empty or new; BadInput if it is not empty or cannot be written."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise BadInput(str(folder), "exists already and is not an empty folder")
     files = model_files(model)
@@ -40,7 +40,7 @@ def write_model(folder: Path, model: IdentifiedModel) -> None:
 
 
 def as_yaml(model: IdentifiedModel) -> str:
-    """All parameters, SI, for readers that speak neither URDF nor MJCF. Inertias of motors are on the joint side."""
+    """All parameters, SI, for programs that read neither URDF nor MJCF. Inertias of motors are on the joint side."""
     joints = {
         joint.name: {
             "kind": joint.kind,
@@ -72,7 +72,7 @@ def as_yaml(model: IdentifiedModel) -> str:
 
 
 def as_side_file(model: IdentifiedModel) -> str:
-    """The robot's side file with the identified motors and frictions, beside `model.urdf`."""
+    """The side file of the robot with the identified motors and frictions, next to `model.urdf`."""
     axes = [
         axis.model_copy(
             update={

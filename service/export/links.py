@@ -1,4 +1,4 @@
-"""The links of a URDF, each with its place in the moving link that it is fixed to."""
+"""The links of a URDF, each with its pose in the moving link to which it is fixed."""
 
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PlacedLink:
-    """A ``<link>``, the moving link that carries it (itself, if it moves; None: the base), and its place in that."""
+    """A ``<link>``, the moving link that carries it (itself, if it moves; None: the base), and its pose in that."""
 
     element: ET.Element
     carrier: str | None
@@ -26,14 +26,14 @@ class PlacedLink:
 
 
 def placed_links(root: ET.Element) -> list[PlacedLink]:
-    """All links, base to tip. The URDF's chain was read before, so that its structure is known to be sound."""
+    """All links, base to tip. The structure is valid, because the URDF's chain was read before."""
     links = {element.get("name", ""): element for element in root.findall("link")}
     children: dict[str, list[ET.Element]] = {}
     for joint in root.findall("joint"):
         children.setdefault(_link(joint, "parent"), []).append(joint)
     carried = {_link(joint, "child") for joint in root.findall("joint")}
     found = [PlacedLink(links[name], None, np.eye(3), np.zeros(3)) for name in links if name not in carried]
-    for placed in found:  # grows while it is walked through
+    for placed in found:  # extended during the loop
         for joint in children.get(placed.name, []):
             child = links[_link(joint, "child")]
             if joint.get("type") != "fixed":

@@ -1,7 +1,7 @@
-"""The robot as a MuJoCo model: one body a moving link, armature = motor inertia, damping = identified friction.
+"""The robot as a MuJoCo model: one body per moving link, armature = motor inertia, damping = identified friction.
 
-Collision shapes that are boxes, cylinders or spheres become geoms to look at; nothing collides by them, because shapes
-of neighbours may nest. Meshes are left out.
+Collision shapes that are boxes, cylinders or spheres become visual geoms without collision, because shapes
+of neighbours may overlap. Meshes are omitted.
 """
 
 import xml.etree.ElementTree as ET

@@ -1,4 +1,4 @@
-"""The robot with the parameters that an estimate found: what all exported files are written from."""
+"""The robot with the parameters of an estimate: the source of all exported files."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Body:
-    """A link with all that is fixed to it. SI; centre (3,) in the link's frame, inertia (3, 3) about the centre."""
+    """A link with all fixed children. SI; centre (3,) in the link's frame, inertia (3, 3) about the centre."""
 
     link: str
     mass: float
@@ -27,11 +27,11 @@ class Body:
 
 @dataclass(frozen=True)
 class IdentifiedModel:
-    """A robot's joints (n), in order, each with its body, its motor and, where it was measured, its friction."""
+    """A robot's joints (n), in order, each with its body, its motor and, if it was measured, its friction."""
 
     robot: Robot
     bodies: tuple[Body, ...]
-    motor_inertias: Array  # (n,) kg m^2 (kg) on the joint side, 0 where neither known nor measured
+    motor_inertias: Array  # (n,) kg m^2 (kg) on the joint side, 0 if unknown
     friction: tuple[float | None, ...]  # viscous, N m s/rad (N s/m); None: the axis was not measured
     base_parameters: tuple[BaseParameter, ...]
     symbols: dict[str, Symbol]
@@ -39,15 +39,15 @@ class IdentifiedModel:
 
 
 def identified_model(robot: Robot, document: object, place: str = "estimate") -> IdentifiedModel:
-    """`model_of` what was stored or read from a file; BadInput where it is no estimate."""
+    """`model_of` for a stored document or one from a file; BadInput if it is no estimate."""
     return model_of(robot, Estimate.read(document, place), place)
 
 
 def model_of(robot: Robot, found: Estimate, place: str = "estimate") -> IdentifiedModel:
-    """The robot as an estimate has it; BadInput where that is of another robot, identified nothing or is not finite."""
+    """The robot with the values of an estimate; BadInput if that is of another robot, is empty or is not finite."""
     deviation = found.physical.deviation_in_std
     if not found.axes or deviation is None:
-        raise BadInput(place, "identified nothing: there was no sweep that shows inertia")
+        raise BadInput(place, "contains no identified parameters: there was no sweep that shows inertia")
     for joint in found.axes:
         robot.index(joint)
     for one in found.base_parameters:
@@ -71,7 +71,7 @@ def _body(standard: StandardParameters, link: str, place: str) -> Body:
     place = f"{place} standard_parameters"
     values = standard.links.get(link)
     if values is None or set(values) != set(INERTIAL_NAMES):
-        raise BadInput(place, f"has not the ten parameters of link {link}")
+        raise BadInput(place, f"lacks the ten parameters of link {link}")
     if values["m"] <= 0:
         raise BadInput(place, f"mass of link {link} is {values['m']} kg, must exceed 0")
     return body(link, np.array([_finite(values[name], f"{place} {link} {name}") for name in INERTIAL_NAMES]))
@@ -88,12 +88,12 @@ def body(link: str, parameters: Array) -> Body:
 def _motor(standard: StandardParameters, joint: str, place: str) -> float:
     value = standard.motor_inertias.get(f"Jm({joint})")
     if value is None:
-        raise BadInput(f"{place} standard_parameters", f"has no motor inertia of joint {joint}")
+        raise BadInput(f"{place} standard_parameters", f"lacks the motor inertia of joint {joint}")
     return _finite(value, f"{place} standard_parameters Jm({joint})")
 
 
 def _friction(axis: EstimatedAxis | None, place: str) -> float | None:
-    """Noise can make a friction of nearly nothing negative, which would drive the joint."""
+    """Noise can make a very small friction negative, which would accelerate the joint."""
     if axis is None:
         return None
     told = [sweep.viscous_friction for sweep in axis.inertia if sweep.viscous_friction is not None]
@@ -103,7 +103,7 @@ def _friction(axis: EstimatedAxis | None, place: str) -> float | None:
 
 
 def _finite(value: float, place: str) -> float:
-    """What is read from outside may hold NaN and Infinity, which JSON does not know."""
+    """External data may contain NaN and Infinity, which are not allowed in JSON."""
     if not math.isfinite(value):
         raise BadInput(place, f"{value} is not a finite number")
     return value

@@ -24,7 +24,7 @@ class Shape:
 
 
 def shapes(urdf_text: str) -> dict[str | None, list[Shape]]:
-    """Shapes by moving link, None: the base. BadInput where a shape's numbers cannot be read."""
+    """Shapes by moving link, None: the base. BadInput if the numbers of a shape cannot be read."""
     found: dict[str | None, list[Shape]] = {}
     for link in placed_links(ET.fromstring(urdf_text)):
         here = f"urdf link {link.name} collision"
@@ -41,7 +41,7 @@ def shapes(urdf_text: str) -> dict[str | None, list[Shape]]:
 
 
 def _geometry(collision: ET.Element) -> tuple[str, tuple[float, ...]]:
-    """Kind and size; of anything else, as a mesh, neither."""
+    """Kind and size; both empty for other shapes, for example a mesh."""
     box, cylinder, sphere = (collision.find(f"geometry/{kind}") for kind in ("box", "cylinder", "sphere"))
     if box is not None:
         x, y, z = (float(side) / 2 for side in box.get("size", "").split())

@@ -1,12 +1,12 @@
 """The robot's own URDF with the identified inertial parameters.
 
-No motion can tell the shares of links that are fixed to each other apart: what was identified is their total. It is
-shared out among those that have an ``<inertial>``, as near to theirs as can be (`physical_consistency`), so that every
-link stays physical and the total is kept whatever a reader does with fixed joints. The base and what is fixed to it
-stay as they were. URDF has no place for the motors' inertia; it stands in the side file.
+No motion can separate the parameters of links that are fixed to each other: only their total is identified. It is
+distributed to those that have an ``<inertial>``, as near to the original as possible (`physical_consistency`). So every
+link stays physical, and the total is the same however a reader treats fixed joints. The base and what is fixed to it
+are unchanged. URDF has no element for the motor inertia; it is in the side file.
 
-MuJoCo would give links without ``<inertial>`` the mass of their shapes; a ``<mujoco>`` element, which others skip, says
-no.
+MuJoCo would compute the mass of links without ``<inertial>`` from their shapes; a ``<mujoco>`` element, ignored by
+other programs, disables that.
 """
 
 import xml.etree.ElementTree as ET
@@ -14,9 +14,10 @@ import xml.etree.ElementTree as ET
 import numpy as np
 from numpy.typing import NDArray
 
+from service.errors import BadInput
 from service.export.links import PlacedLink, placed_links
 from service.export.model import Body, IdentifiedModel, body
-from service.identification.model.physical_consistency import nearest_physical
+from service.identification.model.physical_consistency import Ended, nearest_physical
 from service.urdf import read_inertial, transform_inertial
 
 Array = NDArray[np.float64]
@@ -41,7 +42,7 @@ def as_urdf(model: IdentifiedModel) -> str:
 
 
 def _shares(whole: Body, group: list[PlacedLink]) -> list[tuple[PlacedLink, Body]]:
-    """The links of a rigid group that have mass, each with its share of the whole; the moving one, if none has."""
+    """The links with mass in a rigid group, each with its part of the total; the moving link if none has mass."""
     nominal = {link.name: read_inertial(link.element, "urdf") for link in group}
     heavy = [link for link in group if nominal[link.name][0] > 0]
     if len(heavy) < 2:
@@ -56,12 +57,15 @@ def _shares(whole: Body, group: list[PlacedLink]) -> list[tuple[PlacedLink, Body
         whole.parameters,
         np.eye(10),
     )
+    if found.ended is Ended.UNFINISHED:
+        names = ", ".join(link.name for link in heavy)
+        raise BadInput("urdf", f"the identified body cannot be shared among {names}: {found.ended.value}")
     shares = found.parameters[: 10 * len(heavy)].reshape(-1, 10)
     return [(link, body(link.name, share)) for link, share in zip(heavy, shares, strict=True)]
 
 
 def _transform(link: PlacedLink) -> Array:
-    """(10, 10): parameters in the link's own frame to those in its carrier's."""
+    """(10, 10): parameters in the link's own frame to those in the frame of its moving link."""
     return np.stack([transform_inertial(unit, link.rotation, link.translation) for unit in np.eye(10)], -1)
 
 

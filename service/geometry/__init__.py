@@ -1,1 +1,1 @@
-"""Where the robot is in its cell: hulls, collisions, what stands around it."""
+"""Geometry of the robot in its cell: hulls, collisions, obstacles."""

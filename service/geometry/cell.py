@@ -1,4 +1,4 @@
-"""The cell around a robot: what stands there, how much room to keep, where the robot rests.
+"""The cell around a robot: obstacles, clearance, and rest position of the robot.
 
 Read from `config/cells/NAME.yaml`. Lengths in m, angles in rad, in the base frame of the robot.
 """
@@ -22,12 +22,12 @@ class Box(BaseModel):
 
 
 class Cell(BaseModel):
-    """Everything a robot must keep away from.
+    """The obstacles and distances for a robot.
 
-    `clearance`: least distance between the robot and anything, itself included, m.
+    `clearance`: smallest distance between the robot and any obstacle, or between its own links, m.
     `joint_margin`: distance kept from every joint limit, rad (m).
-    `ignored_pairs`: pairs of links that may come close by construction (neighbours are ignored anyway).
-    `home`: resting position by joint, rad (m); 0 where not named.
+    `ignored_pairs`: pairs of links that are close by construction (neighbours are always ignored).
+    `home`: rest position by joint, rad (m); 0 for joints not listed.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -40,7 +40,7 @@ class Cell(BaseModel):
     home: dict[str, float] = {}
 
     def home_pose(self, joints: tuple[str, ...]) -> tuple[float, ...]:
-        """The resting pose for a robot's joints; BadInput for a joint the robot does not have."""
+        """The rest position for a robot's joints; BadInput for a joint the robot does not have."""
         for joint in self.home:
             if joint not in joints:
                 raise BadInput(f"cell {self.name} home", f"unknown joint {joint}; the robot has {', '.join(joints)}")
@@ -48,7 +48,7 @@ class Cell(BaseModel):
 
 
 def read_cell(path: Path) -> Cell:
-    """A cell from its YAML file; BadInput names the field, or the cells there are."""
+    """A cell from its YAML file; BadInput names the field, or the existing cells."""
     if not path.exists():
         known = ", ".join(sorted(other.stem for other in path.parent.glob("*.yaml"))) or "none"
         raise BadInput("cell", f"there is no cell {path.stem} in {path.parent}; there is: {known}")

@@ -1,15 +1,15 @@
-"""Does the robot touch anything? MuJoCo's collision detection on the URDF's collision shapes and the cell's obstacles.
+"""Collision detection by MuJoCo with the collision shapes of the URDF and the obstacles of the cell.
 
-Meshes count as their convex hulls, which the URDF brings (`service.geometry.hull`); no file is opened.
+Meshes count as their convex hulls, which are in the URDF (`service.geometry.hull`); no file is opened.
 
 Pairs checked: every link against the floor, the boxes and every other link but its neighbours in the chain and the
 cell's `ignored_pairs`. A pose is free when every checked pair is at least `cell.clearance` apart.
 
-Legs move one axis. A leg is sampled in steps of ``clearance / reach``, where reach bounds how far any point of the
-links beyond the axis can be from it: between two samples no point is farther than half the clearance from a sampled
-place, so at least half of the clearance is left everywhere in between.
+Legs move one axis. A leg is sampled in steps of ``clearance / reach``; reach is an upper bound of the distance of any
+point of the links after the axis from it: between two samples no point is farther than half the clearance from a
+sampled position, so at least half of the clearance is left everywhere in between.
 
-Inertial parameters play no part here and are dropped from the model, so a URDF without them can be checked too.
+Inertial parameters are not needed and are removed from the model, so a URDF without them can also be checked.
 """
 
 import xml.etree.ElementTree as ET
@@ -29,12 +29,12 @@ Mask = NDArray[np.bool_]
 
 
 class CollisionChecker:
-    """Poses are arrays (m, n) in the order of `robot.joints`, rad (m). Deterministic; not for two threads at once."""
+    """Poses are arrays (m, n) in the order of `robot.joints`, rad (m). Deterministic; not thread-safe."""
 
     def __init__(self, robot: Robot, cell: Cell) -> None:
-        """BadInput where a shape cannot be read, a mesh has no hull, or the cell names an unknown link."""
+        """BadInput if a shape cannot be read, a mesh has no hull, or the cell names an unknown link."""
         self._clearance = cell.clearance
-        self._model = _compile(robot, cell)
+        self._model = compiled(robot, cell)
         self._data = engine.MjData(self._model)
         self._address = [int(self._model.joint(name).qposadr[0]) for name in robot.joints]
         self._step = np.array([cell.clearance / reach for reach in _reaches(robot, self._model)])
@@ -45,7 +45,7 @@ class CollisionChecker:
         return self._step
 
     def collision_free(self, poses: Array) -> Mask:
-        """True where every checked pair keeps the clearance; (m, n) -> (m,). Some 5 microseconds a pose."""
+        """True if every checked pair keeps the clearance; (m, n) -> (m,). About 5 microseconds per pose."""
         model, data, clearance = self._model, self._data, self._clearance
         qpos = np.zeros((len(poses), model.nq))
         qpos[:, self._address] = poses
@@ -73,7 +73,7 @@ class CollisionChecker:
         return {(str(model.body(one).name), str(model.body(other).name)) for one, other in bodies}
 
     def leg_free(self, pose: Sequence[float] | Array, joint: int, target: float) -> bool:
-        """Is the way of one joint from `pose` to `target` free, both ends included?"""
+        """Whether the motion of one joint from `pose` to `target` is free, including both ends."""
         start = float(pose[joint])
         count = int(np.ceil(abs(target - start) / self._step[joint])) + 1
         poses = np.tile(np.asarray(pose, dtype=float), (max(count, 2), 1))
@@ -81,9 +81,9 @@ class CollisionChecker:
         return bool(self.collision_free(poses).all())
 
     def path_free(self, path: Array) -> bool:
-        """Is the way through these poses (m, n), all joints moving at once, free?
+        """Whether the motion through these poses (m, n), all joints moving at the same time, is free.
 
-        Poses are put in between until the steps of all joints together are no more than one of `step`, which leaves
+        Poses are inserted until the steps of all joints together are at most one of `step`; this leaves
         half of the clearance everywhere as for a leg.
         """
         counts = np.ceil((np.abs(np.diff(path, axis=0)) / self._step).sum(axis=1)).astype(int)
@@ -106,10 +106,10 @@ class CollisionChecker:
 
 
 def reachable(robot: Robot, stood: Array, poses: Array) -> Array:
-    """Those of `poses` (m, n) in which the robot does not meet itself; the cell around it is not known here.
+    """Those of `poses` (m, n) without self-collision; the cell is not considered here.
 
-    Shapes that meet in a pose where the robot `stood` (k, n) nest by construction and do not count. A URDF whose shapes
-    cannot be read (meshes without hulls) counts as having none: nothing moves by this.
+    Shapes that overlap in a pose where the robot `stood` (k, n) overlap by construction and are ignored. A URDF with
+    unreadable shapes (meshes without hulls) counts as without shapes: the result is not used to move.
     """
     bare = Cell(name="none", clearance=1e-3)
     try:
@@ -120,7 +120,8 @@ def reachable(robot: Robot, stood: Array, poses: Array) -> Array:
     return poses[checker.collision_free(poses)]
 
 
-def _compile(robot: Robot, cell: Cell) -> Model:
+def compiled(robot: Robot, cell: Cell) -> Model:
+    """MuJoCo's model of the collision shapes of robot and cell; BadInput if a shape cannot be read."""
     place = f"robot {robot.name} urdf"
     text, hulls = _shapes_only(robot.urdf_text, place)
     try:
@@ -142,12 +143,15 @@ def _compile(robot: Robot, cell: Cell) -> Model:
             pos=list(box.center),
             quat=[np.cos(box.yaw / 2), 0, 0, np.sin(box.yaw / 2)],
         )
-    # MuJoCo leaves out neighbours in the chain, except where the neighbour stands on the ground
+    # MuJoCo ignores neighbours in the chain, unless the neighbour is fixed to the world
     first = robot.chain.joints[0].link
     for pair in [(link, first) for link in _standing_links(robot.urdf_text)] + list(cell.ignored_pairs):
         for link in pair:
             if link not in links:
-                raise BadInput(f"cell {cell.name} ignored_pairs", f"robot {robot.name} has no link {link}")
+                raise BadInput(
+                    f"cell {cell.name} ignored_pairs",
+                    f"robot {robot.name} has no link {link}: choose the cell of this robot, or delete the pair",
+                )
         spec.add_exclude(bodyname1=pair[0], bodyname2=pair[1])
     try:
         model = spec.compile()
@@ -158,7 +162,7 @@ def _compile(robot: Robot, cell: Cell) -> Model:
 
 
 def _shapes_only(urdf: str, place: str) -> tuple[str, dict[str, Array]]:
-    """The URDF without what collision does not need, and its hulls by the names that its meshes have got in it.
+    """The URDF reduced to collision, and its hulls by the names of its meshes in the result.
 
     Static links stay bodies of their own.
     """
@@ -194,15 +198,15 @@ def _standing_links(urdf: str) -> list[str]:
             ends.append((joint.get("type", ""), parent.get("link", ""), child.get("link", "")))
     carried = {child for _, _, child in ends}
     standing = [name for link in root.findall("link") if (name := link.get("name", "")) not in carried]
-    for link in standing:  # grows while it is walked: fixed children of standing links stand too
+    for link in standing:  # extended during the loop: fixed children are added
         standing.extend(child for kind, parent, child in ends if kind == "fixed" and parent == link)
     return standing
 
 
 def _reaches(robot: Robot, model: Model) -> list[float]:
-    """For each joint a bound on the distance from its axis to any point of the links beyond it, m.
+    """For each joint an upper bound of the distance from its axis to any point of the links after it, m.
 
-    Lengths of all joint offsets added up plus the farthest shape of each link. A prismatic joint moves
+    Sum of all joint offsets plus the farthest shape of each link. A prismatic joint moves
     every point by its own travel: 1.
     """
     joints = robot.chain.joints
@@ -230,7 +234,7 @@ def _welded(model: Model, body: int) -> list[int]:
 
 
 def _geom_reach(model: Model, geom: int, own: list[int]) -> float:
-    """Bound on the distance of a geom's points from the frame of the moving body it is fixed to, m."""
+    """Upper bound of the distance of a geom's points from the frame of the moving body it is fixed to, m."""
     reach = float(np.linalg.norm(model.geom_pos[geom]) + model.geom_rbound[geom])
     body = int(model.geom_bodyid[geom])
     while body != own[0]:

@@ -1,4 +1,4 @@
-"""What is used of MuJoCo, with types: it is a binary module without stubs, and this is the one place that knows."""
+"""The used part of MuJoCo, with types: it is a binary module without stubs. Only this module imports it."""
 
 from collections.abc import Sequence
 from typing import Protocol, cast
@@ -18,6 +18,12 @@ class Joint(Protocol):
     bodyid: Integers
 
 
+class Geom(Protocol):
+    """A shape of a model."""
+
+    name: str
+
+
 class Body(Protocol):
     """A body of a model or of its specification."""
 
@@ -34,6 +40,12 @@ class Model(Protocol):
     geom_pos: Array
     geom_rbound: Array
     geom_bodyid: Integers
+    geom_type: Integers
+    geom_size: Array
+    geom_dataid: Integers
+    mesh_vertadr: Integers
+    mesh_vertnum: Integers
+    mesh_vert: NDArray[np.float32]
     body_pos: Array
     body_weldid: Integers
     body_parentid: Integers
@@ -41,6 +53,8 @@ class Model(Protocol):
     def joint(self, name: str) -> Joint: ...
 
     def body(self, index: int) -> Body: ...
+
+    def geom(self, index: int) -> Geom: ...
 
 
 class Contacts(Protocol):
@@ -51,15 +65,17 @@ class Contacts(Protocol):
 
 
 class Data(Protocol):
-    """The state of a model."""
+    """The state of a model; `geom_xpos` (n, 3) and `geom_xmat` (n, 9) once the kinematics were computed."""
 
     qpos: Array
+    geom_xpos: Array
+    geom_xmat: Array
     ncon: int
     contact: Contacts
 
 
 class Mesh(Protocol):
-    """A mesh of a specification: vertices (3 n,), which take the place of its file."""
+    """A mesh of a specification: vertices (3 n,), used instead of its file."""
 
     name: str
     file: str
@@ -67,7 +83,7 @@ class Mesh(Protocol):
 
 
 class World(Protocol):
-    """What everything stands in."""
+    """The world of the simulation."""
 
     def add_geom(
         self, *, name: str, type: int, size: Sequence[float], pos: Sequence[float], quat: Sequence[float] = ...
@@ -84,7 +100,7 @@ class Spec(Protocol):
     def add_exclude(self, *, bodyname1: str, bodyname2: str) -> None: ...
 
     def compile(self) -> Model:
-        """ValueError where it is none."""
+        """ValueError if the specification is invalid."""
         ...
 
 
@@ -92,7 +108,7 @@ class Specs(Protocol):
     """The class of specifications."""
 
     def from_string(self, text: str) -> Spec:
-        """Of MJCF or URDF; ValueError where it cannot be read."""
+        """From MJCF or URDF; ValueError if it cannot be read."""
         ...
 
 
@@ -100,7 +116,12 @@ class Shapes(Protocol):
     """Kinds of geoms."""
 
     mjGEOM_PLANE: int
+    mjGEOM_SPHERE: int
+    mjGEOM_CAPSULE: int
+    mjGEOM_ELLIPSOID: int
+    mjGEOM_CYLINDER: int
     mjGEOM_BOX: int
+    mjGEOM_MESH: int
 
 
 class Engine(Protocol):

@@ -1,8 +1,8 @@
 """Convex hulls inside a URDF: `<mesh filename="..."><hull vertices="x y z ..."/></mesh>`.
 
-A URDF names mesh files and does not bring them. Whoever has the files writes the hulls of its collision meshes into it
-(`sweepid robot check`), and from then on the text is all that is needed: in the store, in a bundle, in another process.
-Vertices are in m in the frame of the shape's `<origin>`, the mesh's scale applied. Other readers of URDF pass it over.
+A URDF contains names of mesh files, not the meshes. `sweepid robot check`, run where the files are, writes the hulls of
+the collision meshes into it. Then only the text is needed: in the store, in a bundle, in another process.
+Vertices are in m in the frame of the shape's `<origin>`, with the mesh's scale applied. Other URDF readers ignore it.
 """
 
 import xml.etree.ElementTree as ET
@@ -32,7 +32,7 @@ def write_hull(mesh: ET.Element, vertices: Array) -> None:
 
 
 def read_hull(mesh: ET.Element, here: str) -> Array:
-    """The hull (k, 3) of a mesh; BadInput where the mesh has none or it is no body."""
+    """The hull (k, 3) of a mesh; BadInput if the mesh has none or it is not a valid body."""
     name, element = mesh.get("filename", ""), mesh.find("hull")
     if element is None:
         raise BadInput(

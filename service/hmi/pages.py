@@ -1,37 +1,63 @@
-"""The operator's pages: static files, and the plotting script of the installed `plotly` package."""
+"""The operator's pages: static files, their texts, and the plotting script of the installed `plotly` package."""
 
+import json
 from collections.abc import Callable, Coroutine, Mapping
+from html import escape
 from importlib.resources import files
 from pathlib import Path
 
 from fastapi import FastAPI
-from fastapi.responses import FileResponse
+from fastapi.responses import FileResponse, HTMLResponse, Response
+
+_Endpoint = Callable[[], Coroutine[None, None, Response]]
 
 _SCRIPTS = (
     "api",
     "app",
     "approval",
     "axes",
+    "causes",
     "commands",
     "diagnosis",
+    "drawing",
     "elements",
     "experiment",
     "figures",
     "findings",
+    "fleet",
     "intent",
+    "live",
     "login",
     "machine",
     "motion",
     "moving",
+    "oidc",
+    "picture",
+    "plan",
+    "plots",
+    "record",
     "refresh",
+    "results",
     "stream",
+    "verdicts",
     "wayout",
+    "words",
 )
+_PAGES = {
+    "/": "index.html",
+    "/plan": "plan.html",
+    "/results": "results.html",
+    "/diagnosis": "diagnosis.html",
+    "/fleet": "fleet.html",
+}
+_DEAD = "<!-- dead -->"  # what a page says whose scripts did not load: in each language, as none was chosen
+_HEAD = "  <!-- head -->\n"  # of every page: who looks at any of them can stop the machine
 _STATIC = Path(__file__).parent / "static"
+_TEXTS = Path(__file__).parent / "texts"
 # nothing is loaded from elsewhere, no inline script runs; plotly writes style attributes
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'; connect-src 'self'"
+    "base-uri 'none'; form-action 'self'; frame-ancestors 'none'; connect-src 'self'"
 )
 _HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -41,23 +67,54 @@ _HEADERS = {
 
 
 def add_pages(app: FastAPI, stop_port: int | None) -> None:
-    """``/``, ``/diagnosis`` and the files that they load. They may speak to this service and to the stop's port."""
+    """The pages and the files that they load. They may speak to this service and to the stop's port."""
     stop = "" if stop_port is None else f" http://*:{stop_port} https://*:{stop_port}"
     headers = _HEADERS | {"Content-Security-Policy": f"{_POLICY}{stop}"}
     plotly = Path(str(files("plotly").joinpath("package_data", "plotly.min.js")))
-    pages = {
-        "/": _STATIC / "index.html",
-        "/diagnosis": _STATIC / "diagnosis.html",
+    files_of_pages = {
         **{f"/{name}.js": _STATIC / f"{name}.js" for name in _SCRIPTS},
         "/style.css": _STATIC / "style.css",
         "/plotly.min.js": plotly,
     }
-    for url, path in pages.items():
-        app.add_api_route(url, _page(path, headers), response_class=FileResponse, include_in_schema=False)
+    for url, path in files_of_pages.items():
+        app.add_api_route(url, _file(path, headers), response_class=FileResponse, include_in_schema=False)
+    words = texts()
+    dead = " ".join(f'<span lang="{tag}">{escape(own["head.dead"])}</span>' for tag, own in words.items())
+    head = (_STATIC / "head.html").read_text("utf-8").replace(_DEAD, dead)
+    for url, name in _PAGES.items():
+        app.add_api_route(url, _page(url, name, head, headers), response_class=HTMLResponse, include_in_schema=False)
+    app.add_api_route("/texts.js", _texts(words, headers), response_class=Response, include_in_schema=False)
 
 
-def _page(path: Path, headers: Mapping[str, str]) -> Callable[[], Coroutine[None, None, FileResponse]]:
-    async def page() -> FileResponse:
+def texts() -> dict[str, dict[str, str]]:
+    """Texts of the pages by language and key; English, the language of the service, is first."""
+    files = sorted(_TEXTS.glob("*.json"), key=lambda file: (file.stem != "en", file.stem))
+    return {file.stem: json.loads(file.read_text("utf-8")) for file in files}
+
+
+def _texts(words: Mapping[str, Mapping[str, str]], headers: Mapping[str, str]) -> _Endpoint:
+    """A module, so that the scripts have the words before they run: STOP must not wait for another answer."""
+    content = f"export const TEXTS = {json.dumps(words, ensure_ascii=False)};\n"
+
+    async def module() -> Response:
+        return Response(content, headers=headers, media_type="text/javascript")
+
+    return module
+
+
+def _file(path: Path, headers: Mapping[str, str]) -> _Endpoint:
+    async def file() -> FileResponse:
         return FileResponse(path, headers=headers)
+
+    return file
+
+
+def _page(url: str, name: str, head: str, headers: Mapping[str, str]) -> _Endpoint:
+    """A page with the head that all of them have, in which its own link is the current one."""
+    own = f'<a href="{url.removeprefix("/") or "./"}"'
+    content = (_STATIC / name).read_text("utf-8").replace(_HEAD, head.replace(own, f'{own} aria-current="page"'))
+
+    async def page() -> HTMLResponse:
+        return HTMLResponse(content, headers=headers)
 
     return page

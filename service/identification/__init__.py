@@ -1,8 +1,8 @@
 """The mathematics of sweepid: pure functions from samples to an estimate; no clock, no files, no logs.
 
-`spectrum(robot, sweep)` turns the samples of one sweep into its spectrum, `identify(robot, spectra)` any set of spectra
-into an estimate, `as_document` makes JSON-able data of it. All are deterministic; a spectrum survives JSON exactly
-(`Spectrum.to_document`).
+`spectrum(robot, sweep)` computes the spectrum of one sweep from its samples, `identify(robot, spectra)` computes an
+estimate from any set of spectra, and `as_document` converts it to JSON data. All are deterministic. A spectrum is
+stored in JSON without loss (`Spectrum.to_document`).
 """
 
 from service.identification.estimates.document import as_document

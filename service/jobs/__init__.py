@@ -1,1 +1,1 @@
-"""Work of the identification process, begun and begun again; the outbox of recorded sweeps."""
+"""Jobs of the identification process and their repetition; the outbox of recorded sweeps."""

@@ -1,6 +1,6 @@
-"""The check of the data of every campaign that is over: one job a campaign, in the worker.
+"""The data check of every finished campaign: one job per campaign, in the worker.
 
-The store is the outbox, as in `service.jobs.jobs`: what is over and not checked is found again after a restart.
+The store is the outbox, as in `service.jobs.jobs`: finished campaigns without check are found again after a restart.
 """
 
 import asyncio
@@ -25,33 +25,40 @@ _ENDS = {state.value for state in OVER}
 
 
 class Checking:
-    """Hands campaigns to the worker and writes what it finds."""
+    """Submits campaigns to the worker and writes the findings."""
 
     def __init__(self, store: Store, checks: CheckStore, files: RecordingFiles, worker: Worker) -> None:
         self._store, self._checks, self._files, self._worker = store, checks, files, worker
         self._open = OpenJobs()
 
     async def recover(self) -> None:
-        """Submit what the last process left open."""
+        """Submit the checks that the last process left open."""
         for campaign_id in await asyncio.to_thread(self._checks.wanting):
             self._submit(campaign_id)
 
     async def follow(self, feed: EventFeed, after: int) -> None:
-        """Check what ends from event `after` on, until the feed is closed."""
+        """Check each campaign that ends after event `after`, until the feed is closed."""
         async for event in feed.follow(after):
             if event.kind is EventKind.CAMPAIGN and event.campaign_id is not None and event.data["state"] in _ENDS:
                 self._submit(event.campaign_id)
 
     async def close(self) -> None:
-        """Leave open checks to the next process."""
+        """Stop; the next process continues the open checks."""
         await self._open.close()
+
+    @property
+    def open(self) -> int:
+        """Number of checks that wait or run."""
+        return len(self._open)
 
     @property
     def troubles(self) -> tuple[str, ...]:
         return self._open.troubles
 
     def _submit(self, campaign_id: int) -> None:
-        self._open.begin(f"check of the data of campaign {campaign_id}", partial(self._do, campaign_id))
+        self._open.begin(
+            f"check of the data of campaign {campaign_id}", partial(self._do, campaign_id), campaign=campaign_id
+        )
 
     async def _do(self, campaign_id: int) -> None:
         if campaign_id not in await asyncio.to_thread(self._checks.wanting, campaign_id):
@@ -59,7 +66,7 @@ class Checking:
         try:
             job = await asyncio.to_thread(self._job, campaign_id)
             document = await self._worker.run_patiently(job)
-        except (JobFailed, BadInput) as error:  # a file that was changed; the identification says so, too
+        except (JobFailed, BadInput) as error:  # e.g. a file was changed; the identification reports it too
             _log.error("check_failed", campaign=campaign_id, cause=str(error))
             return
         await asyncio.to_thread(self._checks.add, campaign_id, document)
@@ -71,8 +78,7 @@ class Checking:
         for sweep in self._store.sweeps(campaign_id):
             if sweep.state in COMPLETE:
                 recording = self._store.recording(campaign_id, sweep.number)
-                self._files.check(recording)
-                sweeps.append(RecordedSweep(sweep.spec, self._files.path(recording).absolute()))
+                sweeps.append(RecordedSweep(sweep.spec, self._files.named(recording)))
                 told.append(recording.sha256)
         digest = hashlib.sha256(json.dumps([campaign_id, told]).encode()).hexdigest()
         return CheckJob(f"check-{digest}", robot.description, robot.urdf_text, tuple(sweeps))

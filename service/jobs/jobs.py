@@ -1,58 +1,84 @@
 """Open identification jobs: from the recorded sweep's row to the estimate revision.
 
-The store is the outbox: a job is open while its sweep is `recorded`, and what is open is found again after a restart.
+The store is the outbox: a job is open while its sweep is `recorded`; open jobs are found again after a restart.
 The jobs of a campaign run in the order of recording, one after the other, so that every revision contains the one
-before it. A sweep is identified with what the robot's newest accepted model says of its effects.
+before it. The identification of a sweep uses the effects of the robot's newest accepted model.
+
+Each sweep of a campaign that was measured here has its own revision. In a large imported campaign several sweeps
+share a revision (`grouping`): one job computes their spectra and one estimate, and one transaction stores all of it.
+If that job fails, its sweeps are identified one after the other, so that only the sweeps with a fault fail.
 """
 
 import asyncio
+import hashlib
 from collections import defaultdict
+from collections.abc import Sequence
 from functools import partial
 
 import structlog
+from structlog.contextvars import bound_contextvars
 
 from service.campaigns.linked_analysis import analysis_behind
 from service.campaigns.linked_campaign import campaign_beside
-from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
+from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.errors import BadInput
+from service.jobs.grouping import open_groups
 from service.jobs.open_jobs import OpenJobs
 from service.store.diagnosis.model_revisions import ModelStore
-from service.store.documents import CampaignState, RecordingDocument, SweepDocument, SweepState
+from service.store.documents import CampaignState, RecordingDocument, SpectrumRecord, SweepDocument, SweepState
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
-from service.worker import Job, JobFailed, Worker
+from service.telemetry.spans import TRACING
+from service.worker import Job, JobFailed, RecordedSweep, Result, Worker
 
 _log = structlog.get_logger(__name__)
 
 
 class Jobs:
-    """Hands recorded sweeps to the worker and writes its results."""
+    """Submits recorded sweeps to the worker and writes its results."""
 
     def __init__(self, store: Store, files: RecordingFiles, worker: Worker, models: ModelStore) -> None:
         self._store, self._files, self._worker, self._models = store, files, worker, models
-        self._turn: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)  # by campaign, first come first served
+        self._turn: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)  # by campaign, first in first out
         self._open = OpenJobs()
 
     @property
     def open(self) -> int:
-        """How many sweeps wait to be identified."""
-        return len(self._open)
+        """Number of sweeps that wait for identification."""
+        return self._open.size
 
     @property
     def troubles(self) -> tuple[str, ...]:
         return self._open.troubles
 
     async def recover(self) -> None:
-        """Submit what the last process left open."""
+        """Submit the jobs that the last process left open."""
         for campaign in await asyncio.to_thread(self._store.campaigns_in, CampaignState.MEASURED):
             await self.settle(campaign.id)
+        imported: set[int] = set()
         for sweep in await asyncio.to_thread(self._store.sweeps_in, SweepState.RECORDED):
-            self.submit(sweep)
+            if sweep.mode is not None:
+                self.submit(sweep)
+            elif sweep.campaign_id not in imported:
+                imported.add(sweep.campaign_id)
+                await self.submit_imported(sweep.campaign_id)
 
     def submit(self, sweep: SweepDocument) -> None:
-        """Identify a recorded sweep; returns at once."""
+        """Identify a recorded sweep; returns immediately."""
         name = f"identification of campaign {sweep.campaign_id} sweep {sweep.number} attempt {sweep.attempt}"
-        self._open.begin(name, partial(self._do, sweep), self._turn[sweep.campaign_id])
+        turn = self._turn[sweep.campaign_id]
+        do = partial(self._do, (sweep,))
+        self._open.begin(name, do, turn, campaign=sweep.campaign_id, sweep=sweep.number)
+
+    async def submit_imported(self, campaign_id: int) -> None:
+        """Identify the recorded sweeps of an imported campaign; returns before they are identified."""
+        for group in open_groups(await asyncio.to_thread(self._store.sweeps, campaign_id)):
+            if len(group) == 1:
+                self.submit(group[0])
+                continue
+            name = f"identification of campaign {campaign_id} sweeps {group[0].number} to {group[-1].number}"
+            turn = self._turn[campaign_id]
+            self._open.begin(name, partial(self._do, group), turn, len(group), campaign=campaign_id)
 
     async def settle(self, campaign_id: int) -> None:
         """measured -> completed, if no sweep is left to identify."""
@@ -62,45 +88,88 @@ class Jobs:
             await asyncio.to_thread(self._store.move_campaign, campaign_id, identified, campaign.cause)
 
     async def close(self) -> None:
-        """Leave open jobs to the next process."""
+        """Stop; the next process continues the open jobs."""
         await self._open.close()
 
-    async def _do(self, sweep: SweepDocument) -> None:
+    async def _do(self, sweeps: Sequence[SweepDocument]) -> None:
+        campaign_id = sweeps[0].campaign_id
+        waiting = await asyncio.to_thread(self._still_recorded, sweeps)
+        if waiting and not await self._identified(waiting):
+            for sweep in waiting:
+                with bound_contextvars(sweep=sweep.number):
+                    await self._identified((sweep,))
+        await self.settle(campaign_id)
+
+    def _still_recorded(self, sweeps: Sequence[SweepDocument]) -> tuple[SweepDocument, ...]:
+        """The sweeps that still wait for identification: after a repetition some of them are done."""
+        now = [self._store.sweep(sweep.campaign_id, sweep.number) for sweep in sweeps]
+        return tuple(
+            sweep
+            for sweep, found in zip(sweeps, now, strict=True)
+            if found.state is SweepState.RECORDED and found.attempt == sweep.attempt
+        )
+
+    async def _identified(self, sweeps: Sequence[SweepDocument]) -> bool:
+        """False, without effect, if the job of several sweeps failed. A single sweep becomes failed with its job."""
+        first, last = sweeps[0], sweeps[-1]
         try:
-            await self._identify(sweep)
+            with TRACING.span("identification", campaign=last.campaign_id, sweep=last.number):
+                await self._identify(sweeps)
         except (JobFailed, BadInput) as error:
             cause = f"identification: {error}"
-            _log.error("identification_failed", campaign=sweep.campaign_id, sweep=sweep.number, cause=cause)
+            if len(sweeps) > 1:
+                _log.warning(
+                    "sweeps_identified_singly",
+                    campaign=last.campaign_id,
+                    first=first.number,
+                    last=last.number,
+                    cause=cause,
+                )
+                return False
+            _log.error("identification_failed", campaign=last.campaign_id, sweep=last.number, cause=cause)
             await asyncio.to_thread(
-                self._store.move_sweep, sweep.campaign_id, sweep.number, sweep_move(SweepEvent.FAIL), cause
+                self._store.move_sweep, last.campaign_id, last.number, sweep_move(SweepEvent.FAIL), cause
             )
-        await self.settle(sweep.campaign_id)
+        return True
 
-    async def _identify(self, sweep: SweepDocument) -> None:
-        recording = await asyncio.to_thread(self._store.recording, sweep.campaign_id, sweep.number)
-        job = await asyncio.to_thread(self._job, sweep, recording)
-        result = await self._worker.run_patiently(job)
-        spectrum = await asyncio.to_thread(self._files.save_spectrum, recording.path, result.spectrum)
-        estimate = await asyncio.to_thread(
-            self._store.add_estimate, sweep, sweep_move(SweepEvent.IDENTIFY), spectrum, result.estimate
-        )
+    async def _identify(self, sweeps: Sequence[SweepDocument]) -> None:
+        recordings = await asyncio.to_thread(self._recordings, sweeps)
+        result = await self._worker.run_patiently(await asyncio.to_thread(self._job, sweeps, recordings))
+        spectra = await asyncio.to_thread(self._save, recordings, result)
+        with TRACING.span("store estimate"):
+            estimate = await asyncio.to_thread(
+                self._store.add_estimate,
+                list(zip(sweeps, spectra, strict=True)),
+                sweep_move(SweepEvent.IDENTIFY),
+                result.estimate,
+            )
         if estimate is not None:
-            _log.info("estimate", campaign=sweep.campaign_id, sweep=sweep.number, revision=estimate.revision)
+            _log.info("estimate", campaign=estimate.campaign_id, sweep=estimate.number, revision=estimate.revision)
 
-    def _job(self, sweep: SweepDocument, recording: RecordingDocument) -> Job:
-        self._files.check(recording)
-        campaign = self._store.campaign(sweep.campaign_id)
+    def _recordings(self, sweeps: Sequence[SweepDocument]) -> list[RecordingDocument]:
+        return [self._store.recording(sweep.campaign_id, sweep.number) for sweep in sweeps]
+
+    def _save(self, recordings: Sequence[RecordingDocument], result: Result) -> list[SpectrumRecord]:
+        found = zip(recordings, result.spectra, strict=True)
+        return [self._files.save_spectrum(recording.path, spectrum) for recording, spectrum in found]
+
+    def _job(self, sweeps: Sequence[SweepDocument], recordings: Sequence[RecordingDocument]) -> Job:
+        new = tuple(
+            RecordedSweep(sweep.spec, self._files.named(recording))
+            for sweep, recording in zip(sweeps, recordings, strict=True)
+        )
+        campaign = self._store.campaign(sweeps[0].campaign_id)
         robot = self._store.robot(campaign.robot_id)
         beside = campaign_beside(self._store, campaign)
         others = () if beside is None else self._store.spectra(beside.id)
         model = self._models.newest(campaign.robot_id)
+        digest = hashlib.sha256("".join(recording.sha256 for recording in recordings).encode()).hexdigest()
         return Job(
-            key=f"identify-{recording.sha256}-{sweep.campaign_id}-{sweep.number}-{model.id if model else 0}",
+            key=f"identify-{digest}-{campaign.id}-{sweeps[-1].number}-{model.id if model else 0}",
             robot=robot.description,
             urdf_text=robot.urdf_text,
-            spec=sweep.spec,
-            path=self._files.path(recording).absolute(),
-            earlier=tuple(map(self._files.spectrum, (*others, *self._store.spectra(sweep.campaign_id)))),
+            sweeps=new,
+            earlier=tuple(map(self._files.spectrum, (*others, *self._store.spectra(campaign.id)))),
             analyses=analysis_behind(self._store, beside or campaign),
             model=model,
         )

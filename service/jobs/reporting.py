@@ -1,4 +1,4 @@
-"""What the report of a campaign is made of, read from the store: large things once, and no samples but one sweep's."""
+"""Data of the reports, read from the store: large data once, and samples of one sweep only."""
 
 import hashlib
 from collections import Counter
@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict
 
 from service.campaigns.linked_campaign import campaign_beside
 from service.errors import Conflict, NotFound
+from service.fleet.document import Fleet
 from service.identification.motion.trajectory_record import runs_at_once
 from service.report import CampaignReport, Drive, Form, example_of, used_sweeps
 from service.results.check import DataCheck
@@ -22,13 +23,13 @@ from service.store.diagnosis_documents import DiagnosisDocument
 from service.store.documents import CampaignDocument, EstimateDocument, RecordingDocument, SweepDocument, SweepState
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
-from service.worker import DiagnosisReportJob, RecordedSweep, ReportJob
+from service.worker import DiagnosisReportJob, FleetReportJob, RecordedSweep, ReportJob
 
-CONVERGENCE = 100  # revisions whose parameters are drawn, at most
+CONVERGENCE = 100  # maximum number of revisions whose parameters are drawn
 
 
 class _Identity(BaseModel):
-    """What a drive told of itself."""
+    """Identity that a drive reported."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
     joint: str
@@ -41,7 +42,7 @@ class _Identity(BaseModel):
 
 
 class _Manifest(BaseModel):
-    """Of a recording's manifest what the report shows; an imported one has no drives."""
+    """The part of a recording's manifest that the report uses; an imported recording has no drives."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
     drives: tuple[_Identity, ...] = ()
@@ -49,7 +50,7 @@ class _Manifest(BaseModel):
 
 @dataclass(frozen=True)
 class Reporting:
-    """Makes the jobs that draw reports. Methods block."""
+    """Creates the jobs that draw reports. Methods block."""
 
     store: Store
     diagnoses: DiagnosisStore
@@ -57,7 +58,7 @@ class Reporting:
     files: RecordingFiles
 
     def job(self, campaign_id: int, form: Form) -> ReportJob:
-        """The report of a campaign with its latest estimate; Conflict while it has none, or one that tells nothing."""
+        """The report of a campaign with its latest estimate; Conflict if there is none, or one without content."""
         campaign = self.store.campaign(campaign_id)
         estimate = self._estimate(campaign)
         robot = self.store.robot(campaign.robot_id)
@@ -152,14 +153,19 @@ class Reporting:
         return estimate
 
     def _recorded(self, sweep: SweepDocument) -> RecordedSweep:
-        """BadInput if its file is not as it was written."""
-        recording = self.store.recording(sweep.campaign_id, sweep.number)
-        self.files.check(recording)
-        return RecordedSweep(sweep.spec, self.files.path(recording).absolute())
+        """BadInput if its file has changed since it was written."""
+        return RecordedSweep(sweep.spec, self.files.named(self.store.recording(sweep.campaign_id, sweep.number)))
+
+
+def of_fleet(fleet: Fleet, form: Form) -> FleetReportJob:
+    """The report of the robots of a plant."""
+    names = ", ".join(one.name for one in fleet.types) or "none"
+    origin = (("types of robots", names), ("report", f"{_time(fleet.made_at)}, sweepid {version('sweepid')}"))
+    return FleetReportJob(key=f"fleet-report-{form}-{fleet.made_at.isoformat()}", fleet=fleet, origin=origin, form=form)
 
 
 def spread(last: int) -> Sequence[int]:
-    """Revisions 1 ... `last`, or so many of them as can be drawn; the last one is among them."""
+    """Revisions 1 ... `last`, thinned to the number that can be drawn; always with the last one."""
     if last <= CONVERGENCE:
         return range(1, last + 1)
     return sorted({1 + round(k * (last - 1) / (CONVERGENCE - 1)) for k in range(CONVERGENCE)})
@@ -207,13 +213,13 @@ def _beside(beside: CampaignDocument | None) -> Iterable[tuple[str, str]]:
 
 
 def _listing(recordings: Sequence[RecordingDocument]) -> str:
-    """What `sha256sum FILE ... | sha256sum` tells in the data folder, the files in the order of the sweeps."""
+    """Output of `sha256sum FILE ... | sha256sum` in the data folder, with the files in the order of the sweeps."""
     text = "".join(f"{one.sha256}  {one.path}\n" for one in recordings)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _drives(manifests: Iterable[_Manifest]) -> tuple[Drive, ...]:
-    """Every identity that a drive told, and while how many sweeps."""
+    """Every identity that a drive reported, with its number of sweeps."""
     told = Counter(drive for manifest in manifests for drive in manifest.drives)
     return tuple(Drive(**drive.model_dump(), sweeps=count) for drive, count in told.items())
 

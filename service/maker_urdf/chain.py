@@ -1,4 +1,4 @@
-"""One serial chain of a URDF that may have several: what is not on the way to the tip is fixed where it stands."""
+"""One serial chain of a URDF that may have several: joints that are not between base and tip are fixed."""
 
 import math
 import xml.etree.ElementTree as ET
@@ -15,9 +15,9 @@ MOVING = ("revolute", "continuous", "prismatic")
 
 
 def choose_chain(root: ET.Element, tip: str | None, place: str) -> list[Finding]:
-    """Make `root` one serial chain that ends in link `tip`, in place; what was changed.
+    """Make `root` one serial chain that ends in link `tip`, in place; returns the changes.
 
-    None: the only chain there is. BadInput names the tips to choose from, or why that chain is none.
+    None: the only chain. BadInput names the possible tips, or the reason why there is no such chain.
     """
     tree = _Tree(root, place)
     if tip is None:
@@ -34,7 +34,7 @@ def choose_chain(root: ET.Element, tip: str | None, place: str) -> list[Finding]
 
 
 class _Tree:
-    """Who carries whom."""
+    """The links of a URDF, with their parents and children."""
 
     def __init__(self, root: ET.Element, place: str) -> None:
         self._root, self._place = root, place
@@ -43,7 +43,7 @@ class _Tree:
         for joint in root.findall("joint"):
             child = _end(joint, "child", place)
             if child in self._carrier:
-                raise BadInput(place, f"link {child!r} is carried by two joints: a closed loop is not a serial chain")
+                raise BadInput(place, f"link {child!r} is the child of two joints: a closed loop is not a serial chain")
             self._carrier[child] = joint
             for link in (child, _end(joint, "parent", place)):
                 if link not in self._links:
@@ -58,11 +58,11 @@ class _Tree:
             way.append(self._carrier[link])
             link = _end(way[-1], "parent", self._place)
             if len(way) > len(self._links):
-                raise BadInput(self._place, f"link {link!r} carries itself")
+                raise BadInput(self._place, f"link {link!r} is its own ancestor")
         return way[::-1]
 
     def only_tip(self) -> str:
-        """The link that the last moving joint of the only chain carries; BadInput tells the tips if there are more."""
+        """The link carried by the last moving joint of the only chain; BadInput lists the tips if there are several."""
         ways = {link: self._moving(link) for link in self._links}
         inner = {id(joint) for way in ways.values() for joint in way[:-1]}
         ends = {
@@ -80,7 +80,7 @@ class _Tree:
         raise BadInput(self._place, f"has {len(ends)} chains; choose the end of one by --tip: {tips}")
 
     def drop_other_trees(self, tip: str) -> list[Finding]:
-        """Take out links that hang on another root than the tip."""
+        """Remove links that belong to another root than the tip."""
         base = self._base(tip)
         others = {link for link in self._links if self._base(link) != base}
         for joint in self._root.findall("joint"):
@@ -90,7 +90,7 @@ class _Tree:
             if link.get("name") in others:
                 self._root.remove(link)
         roots = sorted(link for link in others if link not in self._carrier)
-        return [Finding("changed", link, "is the base of another tree: left out with all it carries") for link in roots]
+        return [Finding("changed", link, "is the base of another tree: left out with all its links") for link in roots]
 
     def _moving(self, link: str) -> list[ET.Element]:
         return [joint for joint in self.way_to(link) if joint.get("type") != "fixed"]
@@ -100,7 +100,7 @@ class _Tree:
         return _end(way[0], "parent", self._place) if way else link
 
     def _forked(self, link: str, ways: list[list[ET.Element]]) -> str:
-        """The link after which the way to `link` and another one part."""
+        """The link after which the path to `link` and another path separate."""
         way = self._moving(link)
         shared = max(_shared(way, other) for other in ways if other is not way and other[-1] is not way[-1])
         return _end(way[shared], "parent", self._place)
@@ -113,15 +113,18 @@ def _shared(one: list[ET.Element], other: list[ET.Element]) -> int:
 def _check_moving(joint: ET.Element, place: str) -> None:
     here, mimic = f"{place} joint {joint.get('name')}", joint.find("mimic")
     if joint.get("type") not in MOVING:
-        raise BadInput(here, f"type {joint.get('type')!r} is on the way to the tip; only {', '.join(MOVING)} may be")
+        raise BadInput(
+            here, f"type {joint.get('type')!r} is not supported between base and tip; supported are {', '.join(MOVING)}"
+        )
     if mimic is not None:
         raise BadInput(
-            here, f"follows joint {mimic.get('joint')!r} (<mimic>) and is on the way to the tip: no axis of its own"
+            here,
+            f"follows joint {mimic.get('joint')!r} (<mimic>) and is between base and tip: it is not an axis of its own",
         )
 
 
 def _fix(joint: ET.Element, place: str) -> Finding:
-    """Make a moving joint a fixed one, at 0 or the nearest position that its limits allow."""
+    """Replace a moving joint by a fixed one, at 0 or the nearest position within its limits."""
     here, mimic = f"{place} joint {joint.get('name')}", joint.find("mimic")
     kind, limit = joint.get("type"), joint.find("limit")
     if kind not in MOVING:
@@ -138,12 +141,12 @@ def _fix(joint: ET.Element, place: str) -> Finding:
         for element in joint.findall(tag):
             joint.remove(element)
     joint.set("type", "fixed")
-    why = "is not on the way to the tip" if mimic is None else f"follows {mimic.get('joint')} (<mimic>)"
+    why = "is not between base and tip" if mimic is None else f"follows {mimic.get('joint')} (<mimic>)"
     return Finding("changed", joint.get("name", ""), f"{why}: fixed at {position:.4g}")
 
 
 def _shift(joint: ET.Element, position: float, here: str) -> None:
-    """Put the position of a joint into its origin."""
+    """Include the position of a joint in its origin."""
     rotation, translation = read_origin(joint, here)
     axis = read_axis(joint, here)
     if joint.get("type") == "prismatic":
@@ -152,13 +155,13 @@ def _shift(joint: ET.Element, position: float, here: str) -> None:
         rotation = rotation @ rotation_about(axis, np.array(position))
     for element in joint.findall("origin"):
         joint.remove(element)
-    # fixed-axis roll, pitch, yaw as URDF has them
+    # fixed-axis roll, pitch, yaw as in URDF
     rpy = Rotation.from_matrix(rotation).as_euler("xyz")
     ET.SubElement(joint, "origin", xyz=_text(translation), rpy=_text(rpy))
 
 
 def _with_ends(joint: ET.Element) -> Finding:
-    """A continuous joint may turn once: cables, and a plan that has an end."""
+    """A continuous joint is limited to one turn: because of cables, and because a plan needs limits."""
     limit = joint.find("limit")
     if limit is None:
         limit = ET.SubElement(joint, "limit")

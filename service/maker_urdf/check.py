@@ -1,4 +1,4 @@
-"""What of a maker's URDF is unusual, what is missing, and the URDF that the service can plan with."""
+"""Unusual and missing data of a manufacturer's URDF, and the URDF with which the service can plan."""
 
 import math
 import xml.etree.ElementTree as ET
@@ -14,18 +14,18 @@ from service.maker_urdf.finding import Finding
 from service.maker_urdf.hulls import embed_hulls, link_shapes
 from service.maker_urdf.inertials import complete_inertials, look_at_inertials
 from service.maker_urdf.packages import Packages
-from service.urdf import MOST_LINKS, Chain, Joint, read_chain
+from service.urdf import MOST_LINKS, Chain, Joint, look_over, read_chain
 
 Array = NDArray[np.float64]
 
-LONGEST_SHAPE, SHORTEST_SHAPE = 5.0, 0.002  # m: beyond them a mesh is probably in mm, or scaled twice
+LONGEST_SHAPE, SHORTEST_SHAPE = 5.0, 0.002  # m: outside, a mesh is probably in mm, or scaled twice
 FASTEST = {"revolute": 20.0, "prismatic": 10.0}  # rad/s, m/s
 STRONGEST = 1e5  # N m, N
 
 
 @dataclass(frozen=True)
-class Told:
-    """`urdf_text`: one serial chain with all that planning needs. `guessed`: links whose inertial is a guess."""
+class UrdfCheck:
+    """`urdf_text`: one serial chain with all data for planning. `guessed`: links with an estimated inertial."""
 
     name: str
     urdf_text: str
@@ -33,19 +33,15 @@ class Told:
     findings: tuple[Finding, ...]
     gear_ratios: Mapping[str, float | None]  # by joint, of its <transmission>
     guessed: tuple[str, ...]
-    unread: tuple[BadInput, ...]  # meshes that are missing in `urdf_text`
+    unread: tuple[BadInput, ...]  # meshes missing in `urdf_text`
 
 
-def check_urdf(text: str, packages: Packages, tip: str | None, place: str) -> Told:
-    """Look at a URDF, and make of it the chain to `tip` (None: its only one). BadInput where there is no such chain."""
-    try:
-        root = ET.fromstring(text)
-    except ET.ParseError as error:
-        raise BadInput(place, f"not XML: {error}") from None
+def check_urdf(text: str, packages: Packages, tip: str | None, place: str) -> UrdfCheck:
+    """Check a URDF and extract the chain to `tip` (None: its only one). BadInput if there is no such chain."""
+    look_over(text, place)
+    root = ET.fromstring(text)
     if root.tag != "robot":
-        raise BadInput(
-            place, f"is not a URDF: begins with <{root.tag}>, not <robot>; a xacro file is to be expanded first"
-        )
+        raise BadInput(place, f"is not a URDF: begins with <{root.tag}>, not <robot>; expand a xacro file first")
     for tag in ("link", "joint"):
         if len(root.findall(tag)) > MOST_LINKS:
             raise BadInput(place, f"has {len(root.findall(tag))} {tag}s, limit {MOST_LINKS}")
@@ -54,10 +50,8 @@ def check_urdf(text: str, packages: Packages, tip: str | None, place: str) -> To
     found += [Finding("missing", error.place.removeprefix(place).strip(), error.reason) for error in unread]
     if offs:
         worst = max(offs, key=lambda name: offs[name])
-        larger = f"{1e3 * offs[worst]:.1f} mm larger at most"
-        found.append(
-            Finding("changed", worst, f"{len(offs)} collision meshes count as convex hulls, {larger}: this one")
-        )
+        larger = f"The hull of this one is larger than its mesh by up to {1e3 * offs[worst]:.1f} mm, the most of all"
+        found.append(Finding("changed", worst, f"{len(offs)} collision meshes are used as convex hulls. {larger}"))
     guessed = complete_inertials(root, place)
     chain = read_chain(ET.tostring(root, encoding="unicode"), place)
     found += [*guessed, *look_at_inertials(root, place), *_shapes(root, chain, place)]
@@ -65,7 +59,7 @@ def check_urdf(text: str, packages: Packages, tip: str | None, place: str) -> To
         found += _limits(joint)
     ratios = {joint.name: _gear_ratio(root, joint.name, place) for joint in chain.joints}
     found += [*_drive_data(chain, ratios), *_dampings(root, chain, place)]
-    return Told(
+    return UrdfCheck(
         name=root.get("name") or "robot",
         urdf_text=ET.tostring(root, encoding="unicode") + "\n",
         chain=chain,
@@ -86,10 +80,10 @@ def _shapes(root: ET.Element, chain: Chain, place: str) -> list[Finding]:
         except BadInput as error:
             if link.find("collision/geometry/mesh") is None:
                 raise
-            del error  # a mesh that is missing was told
+            del error  # a missing mesh was reported before
             continue
         if not shapes and name in moving:
-            told.append(Finding("unusual", name, "moves and has no collision shape: nothing keeps it from a collision"))
+            told.append(Finding("unusual", name, "moves but has no collision shape: its collisions are not detected"))
         for shape in shapes:
             size = float(np.ptp(shape, axis=0).max())
             if not SHORTEST_SHAPE <= size <= LONGEST_SHAPE:
@@ -106,14 +100,14 @@ def _limits(joint: Joint) -> list[Finding]:
         ("effort", joint.effort, STRONGEST, effort),
     ):
         if not np.isfinite(value) or value <= 0:
-            told.append(Finding("missing", joint.name, f"{name} limit: {value:g} {of} allows no motion or any"))
+            told.append(Finding("missing", joint.name, f"{name} limit: {value:g} {of} is not a usable limit"))
         elif value > most:
-            told.append(Finding("unusual", joint.name, f"{name} limit {value:g} {of} is no machine's"))
+            told.append(Finding("unusual", joint.name, f"{name} limit {value:g} {of} is not plausible"))
     return told
 
 
 def _gear_ratio(root: ET.Element, joint: str, place: str) -> float | None:
-    """The reduction of the joint's `<transmission>`; None if there is none, or the 1 that simulators want."""
+    """The reduction of the joint's `<transmission>`; None if there is none, or if it is 1 (used by simulators)."""
     reductions = {
         _number(reduction.text, f"{place} transmission mechanicalReduction")
         for transmission in root.findall("transmission")
@@ -124,7 +118,7 @@ def _gear_ratio(root: ET.Element, joint: str, place: str) -> float | None:
 
 
 def _drive_data(chain: Chain, ratios: Mapping[str, float | None]) -> list[Finding]:
-    """What no URDF tells: the side file is to be completed."""
+    """Data that a URDF cannot contain: the user must complete the side file."""
     joints = [joint.name for joint in chain.joints]
     bare = [joint for joint in joints if ratios[joint] is None]
     told = [Finding("missing", ", ".join(bare), "gear ratio")] if bare else []
@@ -134,7 +128,7 @@ def _drive_data(chain: Chain, ratios: Mapping[str, float | None]) -> list[Findin
 
 
 def _dampings(root: ET.Element, chain: Chain, place: str) -> list[Finding]:
-    """Makers write dampings for simulators: as a prior of friction a wrong one would put J off."""
+    """Manufacturers set damping for simulators: a wrong value, as a prior of friction, would cause a wrong J."""
     moving = {joint.name for joint in chain.joints}
     dampings = {
         joint.get("name", ""): _number(dynamics.get("damping"), f"{place} joint {joint.get('name')} damping")
@@ -143,7 +137,11 @@ def _dampings(root: ET.Element, chain: Chain, place: str) -> list[Finding]:
         for dynamics in joint.findall("dynamics")
     }
     shown = ", ".join(f"{joint} {damping:g}" for joint, damping in dampings.items() if damping)
-    return [Finding("unusual", shown, "damping is not taken as friction: mostly a simulator's")] if shown else []
+    return (
+        [Finding("unusual", shown, "damping is not used as friction: it is mostly a value for simulators")]
+        if shown
+        else []
+    )
 
 
 def _number(text: str | None, place: str) -> float:

@@ -1,6 +1,6 @@
-"""Points of a COLLADA file (Khronos, "COLLADA Digital Asset Schema 1.4.1"): positions as the scene places them, in m.
+"""Points of a COLLADA file (Khronos, "COLLADA Digital Asset Schema 1.4.1"): positions in the scene, in m.
 
-The direction that the file calls up is left alone, as robots' makers expect of a URDF's meshes.
+The up direction in the file is ignored, as usual for the meshes of a URDF.
 """
 
 import xml.etree.ElementTree as ET
@@ -13,13 +13,32 @@ from service.errors import BadInput
 
 Array = NDArray[np.float64]
 
-DEEPEST, MOST_INSTANCES = 100, 10_000
+DEEPEST = 100  # levels of nested nodes
+MOST_NODES = 10_000  # in the scene: instances of instances can grow exponentially with depth
+MOST_ELEMENTS = 500_000  # of the file
+LONGEST = 2**24  # characters of one list of numbers
+MOST_POINTS = 4_000_000  # in the scene
+
+
+class _Bounded(ET.TreeBuilder):
+    """Builder for the XML parser. ValueError for a DOCTYPE, whose entities may expand, and for too many elements."""
+
+    _elements = 0
+
+    def start(self, tag: str, attrs: dict[str, str], /) -> ET.Element:
+        self._elements += 1
+        if self._elements > MOST_ELEMENTS:
+            raise ValueError(f"has more than {MOST_ELEMENTS} elements")
+        return super().start(tag, attrs)
+
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
+        raise ValueError("declares a DOCTYPE; entities are not expanded")
 
 
 def collada_points(content: bytes, here: str) -> Array:
-    """Points (n, 3) of all geometries that the scene shows, m; BadInput or ValueError if they cannot be read."""
+    """Points (n, 3) of all geometries in the scene, m; BadInput or ValueError if they cannot be read."""
     try:
-        root = ET.fromstring(content)
+        root = ET.fromstring(content, ET.XMLParser(target=_Bounded()))
     except ET.ParseError as error:
         raise BadInput(here, f"not XML: {error}") from None
     for element in root.iter():
@@ -34,32 +53,52 @@ def collada_points(content: bytes, here: str) -> Array:
     if shown is None:
         raise BadInput(here, "has no visual scene")
     parts: list[Array] = []
-    for transform, geometry in _instances(shown, np.eye(4), named, here):
-        points = _positions(geometry, named)
+    read: dict[int, Array] = {}  # by geometry: the scene may use one many times
+    count = 0
+    for transform, geometry in _instances(shown, np.eye(4), named, _Visits(here)):
+        points = read.get(id(geometry))
+        if points is None:
+            points = read[id(geometry)] = _positions(geometry, named)
+        count += len(points)
+        if count > MOST_POINTS:
+            raise BadInput(here, f"shows more than {MOST_POINTS} points")
         parts.append(points @ transform[:3, :3].T + transform[:3, 3])
-        if len(parts) > MOST_INSTANCES:
-            raise BadInput(here, f"shows more than {MOST_INSTANCES} geometries")
     return metres * np.concatenate([np.empty((0, 3)), *parts])
 
 
+class _Visits:
+    """Counts nodes in the scene, including empty ones."""
+
+    def __init__(self, here: str) -> None:
+        self._here, self._count = here, 0
+
+    def one_more(self, depth: int) -> None:
+        """BadInput above the limits."""
+        self._count += 1
+        if depth > DEEPEST:
+            raise BadInput(self._here, f"nodes are nested deeper than {DEEPEST}")
+        if self._count > MOST_NODES:
+            raise BadInput(self._here, f"shows more than {MOST_NODES} nodes and geometries")
+
+
 def _instances(
-    parent: ET.Element, transform: Array, named: dict[str, ET.Element], here: str, depth: int = 0
+    parent: ET.Element, transform: Array, named: dict[str, ET.Element], visits: _Visits, depth: int = 0
 ) -> Iterator[tuple[Array, ET.Element]]:
-    """Every geometry below a node, with the pose (4, 4) in which it stands."""
-    if depth > DEEPEST:
-        raise BadInput(here, f"nodes are nested deeper than {DEEPEST}")
+    """Every geometry below a node, with its pose (4, 4)."""
+    visits.one_more(depth)
     for element in parent:
         target = named.get(element.get("url", ""))
         if element.tag == "node":
-            yield from _instances(element, transform @ _transform(element), named, here, depth + 1)
+            yield from _instances(element, transform @ _transform(element), named, visits, depth + 1)
         elif element.tag == "instance_node" and target is not None:
-            yield from _instances(target, transform @ _transform(target), named, here, depth + 1)
+            yield from _instances(target, transform @ _transform(target), named, visits, depth + 1)
         elif element.tag == "instance_geometry" and target is not None:
+            visits.one_more(depth)
             yield transform, target
 
 
 def _transform(node: ET.Element) -> Array:
-    """The node's transforms in the order in which they stand, (4, 4)."""
+    """The product of the node's transforms in their order, (4, 4)."""
     whole = np.eye(4)
     for element in node:
         own = np.eye(4)
@@ -78,7 +117,7 @@ def _transform(node: ET.Element) -> Array:
 
 
 def _rotation(numbers: Array) -> Array:
-    """About an axis (3,) by an angle in degrees."""
+    """Rotation about an axis (3,) by an angle in degrees."""
     x, y, z = numbers[:3] / max(float(np.linalg.norm(numbers[:3])), 1e-12)
     skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     angle = np.deg2rad(numbers[3])
@@ -86,14 +125,15 @@ def _rotation(numbers: Array) -> Array:
 
 
 def _positions(geometry: ET.Element, named: dict[str, ET.Element]) -> Array:
-    """Those of a geometry's positions (n, 3) that its faces use, in its own unit."""
-    parts = [np.empty((0, 3))]
-    for vertices in geometry.iterfind("mesh/vertices"):
-        for entry in vertices.iterfind("input[@semantic='POSITION']"):
-            source = named.get(entry.get("source", ""))
-            if source is not None:
-                parts.append(_source(source)[_used(geometry, f"#{vertices.get('id')}")])
-    return np.concatenate(parts)
+    """The positions (n, 3) of a geometry that its faces use, in its own unit."""
+    meshes = geometry.findall("mesh/vertices")
+    entries = [entry for vertices in meshes for entry in vertices.findall("input[@semantic='POSITION']")]
+    if len(meshes) > 1 or len(entries) > 1:  # each would process all faces again
+        raise ValueError(f"a geometry has {len(meshes)} <vertices> with {len(entries)} positions; one of each is read")
+    source = named.get(entries[0].get("source", "")) if entries else None
+    if source is None:
+        return np.empty((0, 3))
+    return _source(source)[_used(geometry, f"#{meshes[0].get('id')}")]
 
 
 def _source(source: ET.Element) -> Array:
@@ -107,7 +147,7 @@ def _source(source: ET.Element) -> Array:
 
 
 def _used(geometry: ET.Element, vertices: str) -> NDArray[np.int64]:
-    """Numbers of the positions that some primitive of the mesh refers to."""
+    """Indices of the positions used by the primitives of the mesh."""
     numbers: list[NDArray[np.int64]] = [np.empty(0, np.int64)]
     for primitive in geometry.iterfind("mesh/*"):
         inputs = primitive.findall("input")
@@ -116,10 +156,18 @@ def _used(geometry: ET.Element, vertices: str) -> NDArray[np.int64]:
             continue
         stride = 1 + max(int(one.get("offset", "0")) for one in inputs)
         for indices in primitive.iter("p"):
-            words = np.array((indices.text or "").split(), dtype=np.int64)
+            words = np.array(_text(indices).split(), dtype=np.int64)
             numbers.append(words.reshape(-1, stride)[:, place])
     return np.unique(np.concatenate(numbers))
 
 
 def _numbers(element: ET.Element) -> Array:
-    return np.array([float(number) for number in (element.text or "").split()])
+    return np.array([float(number) for number in _text(element).split()])
+
+
+def _text(element: ET.Element) -> str:
+    """ValueError if the list of numbers is too long."""
+    text = element.text or ""
+    if len(text) > LONGEST:
+        raise ValueError(f"<{element.tag}> has {len(text)} characters, limit {LONGEST}")
+    return text

@@ -1,4 +1,4 @@
-"""Drafts to be completed by a person: the robot's side file, and a cell in which it stands free."""
+"""Drafts that the user completes: the robot's side file, and a cell without collisions at rest."""
 
 import math
 from collections import Counter
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from service.geometry.cell import Cell
 from service.geometry.collision import CollisionChecker
-from service.maker_urdf.check import Told
+from service.maker_urdf.check import UrdfCheck
 from service.maker_urdf.finding import Finding
 from service.robot import Axis, Robot, RobotDescription, build_robot
 
@@ -20,18 +20,18 @@ Pair = tuple[str, str]
 
 CLEARANCE, MARGIN = 0.03, 0.02  # m; rad (m)
 ROOM = math.radians(6.0)  # for a sweep, rad (m)
-POSES = 200  # drawn to find shapes that nest
-NESTED = 0.9  # share of them in which two shapes meet
+POSES = 200  # random poses to find shapes that overlap by construction
+NESTED = 0.9  # fraction of them in which two shapes overlap
 
 
-def side_file_text(told: Told, name: str, urdf: str) -> str:
-    """The side file (`config/robots/*.yaml`) of a robot, as far as its URDF tells; null where a person has to."""
+def side_file_text(told: UrdfCheck, name: str, urdf: str) -> str:
+    """The side file (`config/robots/*.yaml`) of a robot with the data of its URDF; null where data are missing."""
     lines = [
-        "# Drafted from a maker's URDF. What is null there is in the data sheets of motors and gears:",
+        ("# Drafted from a maker's URDF. Complete the values that are null from the data sheets of motors and gears:"),
         "# gear_ratio: motor revolutions per joint revolution (prismatic: rad per m), signed; has to be completed",
         "# rated_effort: what motor and gear can give continuously, at the joint; has to be completed",
-        "# motor_inertia: kg m^2 on the motor side, brake included; null: nobody knows, it is measured with the load",
-        "# viscous_friction: N m s/rad (N s/m) at the joint; null: nobody knows",
+        ("# motor_inertia: kg m^2 on the motor side, brake included; null: unknown, it is measured with the load"),
+        "# viscous_friction: N m s/rad (N s/m) at the joint; null: unknown",
         f"name: {_scalar(name)}",
         f"urdf: {_scalar(urdf)}",
         "gravity: [0.0, 0.0, -9.81] # in the base frame: turn it for a robot that hangs",
@@ -56,30 +56,32 @@ def side_file_text(told: Told, name: str, urdf: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def cell_text(told: Told, name: str) -> tuple[str, list[Finding]]:
-    """A cell without obstacles for a robot whose shapes are all known, and what of it a person should look at."""
+def cell_text(told: UrdfCheck, name: str) -> tuple[str, list[Finding]]:
+    """A cell without obstacles for a robot with all shapes known, and findings that the user should check."""
     robot = _bare_robot(told)
     nested = _nested(robot)
     pairs = tuple(pair for pair, _ in nested)
     cell = Cell(name=name, clearance=CLEARANCE, joint_margin=MARGIN, ignored_pairs=pairs)
     home, met = _home(robot, CollisionChecker(robot, cell))
     found = [
-        Finding("unusual", f"{a}, {b}", f"meet in {100 * share:.0f} % of {POSES} poses: taken as nested, not checked")
+        Finding(
+            "unusual", f"{a}, {b}", f"collide in {100 * share:.0f} % of {POSES} poses: treated as nested, not checked"
+        )
         for (a, b), share in nested
     ]
     found += [
-        Finding("unusual", f"{a}, {b}", "meet with all joints at 0, or in the middle: home is elsewhere")
+        Finding("unusual", f"{a}, {b}", "collide with all joints at 0, or in the middle: home is another pose")
         for a, b in met
     ]
     lines = [
-        f"# Drafted for {name}: nothing stands around it. Add floor and boxes, m in the robot's base frame.",
+        f"# Drafted for {name}: without obstacles. Add floor and boxes, m in the robot's base frame.",
         f"name: {_scalar(name)}",
         f"clearance: {CLEARANCE}",
         f"joint_margin: {MARGIN}",
         "boxes: []",
         "ignored_pairs:" if nested else "ignored_pairs: []",
         *(
-            f"  - [{_scalar(a)}, {_scalar(b)}] # meet in {100 * share:.0f} % of {POSES} poses"
+            f"  - [{_scalar(a)}, {_scalar(b)}] # collide in {100 * share:.0f} % of {POSES} poses"
             for (a, b), share in nested
         ),
         "home:" if home.any() else "home: {}",
@@ -88,23 +90,23 @@ def cell_text(told: Told, name: str) -> tuple[str, list[Finding]]:
     return "\n".join(lines) + "\n", found
 
 
-def _bare_robot(told: Told) -> Robot:
-    """The chain with a drive train of no meaning: collisions ask for none."""
+def _bare_robot(told: UrdfCheck) -> Robot:
+    """The chain with an arbitrary drive train, which collision checks do not use."""
     axes = tuple(Axis(joint=joint.name, gear_ratio=1.0, rated_effort=1.0) for joint in told.chain.joints)
     return build_robot(RobotDescription(name=told.name, urdf="", axes=axes), told.urdf_text)
 
 
 def _nested(robot: Robot) -> Sequence[tuple[Pair, float]]:
-    """Pairs of links that meet nearly wherever the robot is, with their share of the poses."""
+    """Pairs of links that overlap in nearly all poses, with the fraction of the poses."""
     checker = CollisionChecker(robot, Cell(name="none", clearance=CLEARANCE))
     counts = Counter(pair for pose in _drawn(robot, np.zeros(len(robot.joints))) for pair in checker.touching(pose))
     return [(pair, count / POSES) for pair, count in sorted(counts.items()) if count >= NESTED * POSES]
 
 
 def _home(robot: Robot, checker: CollisionChecker) -> tuple[Array, Sequence[Pair]]:
-    """0 where a joint's limits have room for a sweep there, else the middle of them, (n,), and who meets there.
+    """Home position (n,) and colliding pairs: 0 if a joint's limits leave room for a sweep there, else their middle.
 
-    If anything does, the nearest of some poses with room in which nothing does.
+    If there are collisions, the nearest of some random poses with room and without collision.
     """
     joints = robot.chain.joints
     low, high = _ends(robot)
@@ -122,7 +124,7 @@ def _home(robot: Robot, checker: CollisionChecker) -> tuple[Array, Sequence[Pair
 
 
 def _drawn(robot: Robot, room: Array) -> Array:
-    """Poses (m, n) at least `room` (n,) from the limits, the same every time."""
+    """Poses (m, n) at least `room` (n,) from the limits, reproducible."""
     low, high = _ends(robot)
     return np.random.default_rng(1).uniform(low + room, high - room, (POSES, len(low)))
 
@@ -133,5 +135,5 @@ def _ends(robot: Robot) -> tuple[Array, Array]:
 
 
 def _scalar(text: str) -> str:
-    """As YAML writes it in one line."""
+    """A value in YAML notation, in one line."""
     return yaml.safe_dump(text, width=10_000).removesuffix("...\n").strip()

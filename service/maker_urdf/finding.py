@@ -1,4 +1,4 @@
-"""One thing that a person should know of a maker's URDF before it is used."""
+"""A finding about a manufacturer's URDF that the user should read before its use."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -6,7 +6,7 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class Finding:
-    """`missing`: to be completed by a person; `changed`: what was made of it; `unusual`: look whether it is meant."""
+    """`missing`: the user must complete it; `changed`: modified here; `unusual`: the user should check it."""
 
     kind: Literal["missing", "changed", "unusual"]
     place: str  # link, joint or file

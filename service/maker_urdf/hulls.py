@@ -1,7 +1,7 @@
-"""Convex hulls: of points, into the URDF (`<mesh>` gets a child `<hull>`), and their volume and inertia.
+"""Convex hulls: from points, into the URDF (`<mesh>` gets a child `<hull>`), and their volume and inertia.
 
-A hull may have some points more than the mesh and never leaves any of it out: every point is replaced by the eight
-corners of the cell of a grid that it lies in, which stand around it. What that adds is at most the cell's diagonal.
+A hull may have more points than the mesh, and always contains all of it: every point is replaced by the eight
+corners of the grid cell that contains it. The hull is at most one cell diagonal larger.
 """
 
 import xml.etree.ElementTree as ET
@@ -21,42 +21,50 @@ from service.urdf import read_origin
 Array = NDArray[np.float64]
 
 FINEST = 1e-4  # m, edge of the grid's cells
+SMALLEST = 1e-6  # m, of a box, cylinder or sphere: a flat one has no volume
 MOST_VERTICES = 250  # of a hull; with more, the cells are made larger
+MOST_CELLS = 20_000  # of which a hull is made
 _CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
 
 
 def convex_hull(points: Array) -> tuple[Array, float]:
-    """Vertices (k, 3) of a convex body that contains all points (n, 3), and how far it may stand off them, m.
+    """Vertices (k, 3) of a convex body that contains all points (n, 3), and its largest distance from them, m.
 
     ValueError for points farther than `LARGEST` from the origin.
     """
     if np.abs(points).max() > LARGEST:
         raise ValueError(f"reaches {np.abs(points).max():.3g} m from its origin")
-    with suppress(QhullError):  # flat: the cells give it thickness
+    with suppress(QhullError):  # flat: the cells give it a thickness
         points = points[ConvexHull(points).vertices]
     cell = FINEST
     while True:
-        corners = np.unique((np.floor(points / cell)[:, None, :] + _CORNERS).reshape(-1, 3), axis=0)
-        vertices = corners[ConvexHull(corners).vertices] * cell
-        if len(vertices) <= MOST_VERTICES:
-            return vertices, cell * float(np.sqrt(3.0))
+        cells = np.unique(np.floor(points / cell), axis=0)
+        if len(cells) <= MOST_CELLS:  # of a hull's vertices: with more, the result has too many vertices as well
+            corners = np.unique((cells[:, None, :] + _CORNERS).reshape(-1, 3), axis=0)
+            vertices = corners[ConvexHull(corners).vertices] * cell
+            if len(vertices) <= MOST_VERTICES:
+                return vertices, cell * float(np.sqrt(3.0))
         cell *= 2
 
 
 def embed_hulls(root: ET.Element, packages: Packages, place: str) -> tuple[dict[str, float], list[BadInput]]:
-    """Write the hull of every collision mesh into the URDF; meshes that have one keep it.
+    """Write the hull of every collision mesh into the URDF; existing hulls are kept.
 
-    How far each may stand off its mesh, m, by file; and why others cannot be read, with link and mesh.
+    Returns the largest distance of each hull from its mesh, m, by file, and the errors of unreadable meshes.
     """
     offs: dict[str, float] = {}
     unread: list[BadInput] = []
+    hulls: dict[tuple[str, str | None], tuple[Array, float]] = {}  # by file and scale: several links may use them
     for link, mesh in collision_meshes(root):
         if mesh.find("hull") is not None:
             continue
         here, name = f"{place} link {link}", mesh.get("filename", "")
         try:
-            points = mesh_points(packages.read(name, here), name, here) * _scale(mesh, here)
-            vertices, off = convex_hull(points)
+            key = (name, mesh.get("scale"))
+            if key not in hulls:
+                points = mesh_points(packages.read(name, here), name, here) * _scale(mesh, here)
+                hulls[key] = convex_hull(points)
+            vertices, off = hulls[key]
         except BadInput as error:
             unread.append(error)
         except ValueError as error:
@@ -81,14 +89,19 @@ def _scale(mesh: ET.Element, here: str) -> Array:
 def link_shapes(link: ET.Element, place: str) -> Iterator[Array]:
     """The vertices (k, 3) of each collision shape of a link, in the link's frame; round shapes by their surface.
 
-    BadInput where a shape is not readable; meshes need their hull.
+    BadInput if a shape is unreadable; meshes need their hull.
     """
     here = f"{place} link {link.get('name')}"
     for collision in link.findall("collision"):
         rotation, translation = read_origin(collision, here)
         geometry = collision.find("geometry")
         if geometry is not None and len(geometry):
-            yield _vertices(geometry[0], here) @ rotation.T + translation
+            vertices = _vertices(geometry[0], here) @ rotation.T + translation
+            if not np.abs(vertices).max() <= LARGEST:
+                raise BadInput(
+                    here, f"collision <{geometry[0].tag}> reaches {np.abs(vertices).max():.3g} m, limit {LARGEST:g} m"
+                )
+            yield vertices
 
 
 def _vertices(shape: ET.Element, here: str) -> Array:
@@ -96,11 +109,11 @@ def _vertices(shape: ET.Element, here: str) -> Array:
         if shape.tag == "mesh":
             return read_hull(shape, here)
         if shape.tag == "box":
-            return (_CORNERS - 0.5) * np.array([float(part) for part in shape.get("size", "").split()]).reshape(3)
+            return (_CORNERS - 0.5) * np.array(_sizes(shape, "size")).reshape(3)
         if shape.tag == "sphere":
-            return float(shape.get("radius", "")) * _sphere(200)
+            return _sizes(shape, "radius")[0] * _sphere(200)
         if shape.tag in ("cylinder", "capsule"):
-            radius, length = (float(shape.get(name, "")) for name in ("radius", "length"))
+            radius, length = (_sizes(shape, name)[0] for name in ("radius", "length"))
             angle = np.linspace(0, 2 * np.pi, 32, endpoint=False)
             ring = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(32)], axis=1)
             end = np.array([0, 0, length / 2])
@@ -110,8 +123,17 @@ def _vertices(shape: ET.Element, here: str) -> Array:
     raise BadInput(here, f"collision shape <{shape.tag}> is not known")
 
 
+def _sizes(shape: ET.Element, name: str) -> list[float]:
+    """The numbers of an attribute, m, at least one. ValueError if one is not a valid size of a body."""
+    text = shape.get(name, "")
+    sizes = [float(part) for part in text.split()] or [0.0]
+    if not all(SMALLEST <= size <= LARGEST for size in sizes):
+        raise ValueError(f"{name}={text[:60]!r} m: limits {SMALLEST:g} and {LARGEST:g} m")
+    return sizes
+
+
 def _sphere(count: int) -> Array:
-    """Points spread evenly over the unit sphere (Fibonacci's spiral)."""
+    """Points uniformly distributed on the unit sphere (Fibonacci spiral)."""
     number = np.arange(count) + 0.5
     height, turn = 1 - 2 * number / count, np.pi * (1 + 5**0.5) * number
     radius = np.sqrt(1 - height**2)
@@ -119,9 +141,9 @@ def _sphere(count: int) -> Array:
 
 
 def solid(vertices: Array) -> tuple[float, Array, Array]:
-    """Volume m^3, centre (3,) and second moment of volume about the origin (3, 3), m^5, of a hull's inside.
+    """Volume m^3, centre (3,) and second moment of volume about the origin (3, 3), m^5, of a hull.
 
-    By tetrahedra from an inner point: of one with corners a, b, c, d and volume V the second moment is
+    Sum over tetrahedra from an inner point: for corners a, b, c, d and volume V the second moment is
     V / 20 (s s' + aa' + bb' + cc' + dd') with s = a + b + c + d.
     """
     middle = vertices.mean(0)

@@ -1,7 +1,7 @@
-"""Links without mass: completed from the volume of their collision shapes, and told.
+"""Links without mass: completed from the volume of their collision shapes, with a finding.
 
-The density is that of whole arms, motors, gears and hollow spaces in their hulls counted in. By their URDFs: UR5 1377,
-UR10 1095, xArm7 904, Panda 882, Kinova j2s6s200 815 kg/m^3. A single link may be off by a factor of two.
+The density is the mean of complete arms, including motors, gears and cavities in their hulls. From their URDFs: UR5
+1377, UR10 1095, xArm7 904, Panda 882, Kinova j2s6s200 815 kg/m^3. A single link may be wrong by a factor of two.
 """
 
 import xml.etree.ElementTree as ET
@@ -17,11 +17,11 @@ from service.urdf import inertia_matrix, read_chain, read_inertial, transform_in
 Array = NDArray[np.float64]
 
 DENSITY = 1000.0  # kg/m^3
-_TOLERANCE = 1e-3  # of the largest principal inertia: makers round
+_TOLERANCE = 1e-3  # of the largest principal inertia: rounding by manufacturers
 
 
 def complete_inertials(root: ET.Element, place: str) -> list[Finding]:
-    """Give an `<inertial>` to every moving link that has no mass with all that is fixed to it; what was given."""
+    """Add an `<inertial>` to each moving link whose mass, with all fixed children, is zero; returns the findings."""
     told: list[Finding] = []
     links = {link.get("name", ""): link for link in root.findall("link")}
     chain = read_chain(ET.tostring(root, encoding="unicode"), place)
@@ -30,8 +30,9 @@ def complete_inertials(root: ET.Element, place: str) -> list[Finding]:
             continue
         try:
             bodies = [solid(shape) for shape in link_shapes(links[joint.link], place)]
-        except BadInput:  # a mesh without hull, which is told elsewhere
-            bodies = []
+        except BadInput as error:
+            told.append(Finding("missing", joint.link, f"has no <inertial>, and its shapes give none: {error.reason}"))
+            continue
         if not bodies:
             told.append(Finding("missing", joint.link, "has neither <inertial> nor a shape to estimate one from"))
             continue
@@ -63,7 +64,7 @@ def _write(link: ET.Element, bodies: list[tuple[float, Array, Array]], mass: flo
 
 
 def look_at_inertials(root: ET.Element, place: str) -> list[Finding]:
-    """What no body can have: negative mass, principal inertias that break the triangle inequality."""
+    """Physically impossible values: negative mass, principal inertias that violate the triangle inequality."""
     told: list[Finding] = []
     for link in root.findall("link"):
         parameters = read_inertial(link, place)

@@ -1,4 +1,4 @@
-"""Mesh files by the names that a URDF gives them. Nothing outside of the package folders is read."""
+"""Mesh files by their names in a URDF. No file outside the package folders is read."""
 
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
@@ -10,13 +10,13 @@ _SCHEME = "package://"
 
 
 class Packages:
-    """Folders that hold packages, or are one; `package://NAME/PATH` is the file PATH of the folder NAME.
+    """Folders that contain packages, or are one; `package://NAME/PATH` is the file PATH of the folder NAME.
 
-    A name without a scheme is meant beside the URDF, and has to lie in a package folder as well.
+    A name without a scheme is relative to the folder of the URDF, and must also be in a package folder.
     """
 
     def __init__(self, folders: Sequence[Path], beside: Path) -> None:
-        """`beside`: the folder of the URDF. BadInput where a package folder is none."""
+        """`beside`: the folder of the URDF. BadInput if a package folder is not a folder."""
         for folder in folders:
             if not folder.is_dir():
                 raise BadInput(str(folder), "is not a folder of packages")
@@ -24,11 +24,11 @@ class Packages:
         self._beside = beside.resolve()
 
     def read(self, name: str, place: str) -> bytes:
-        """The file; BadInput names the mesh where it is not there, too large, or outside of the package folders."""
+        """The file; BadInput names the mesh if it does not exist, is too large, or outside the package folders."""
         for candidate in self._candidates(name, place):
             try:
                 found = candidate.resolve(strict=True)
-            except (OSError, RuntimeError, ValueError):  # not there, links in a circle, a NUL in the name
+            except (OSError, RuntimeError, ValueError):  # missing, circular links, a NUL in the name
                 continue
             if not any(found.is_relative_to(folder) for folder in self._folders):
                 raise BadInput(place, f"mesh {name}: lies outside of the package folders")

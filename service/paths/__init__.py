@@ -1,1 +1,1 @@
-"""Sweeps for a CNC that no fieldbus reaches: each one's target path as a table and as a part program."""
+"""Sweeps for a CNC without fieldbus connection: the target path of each as a table and as a part program."""

@@ -1,4 +1,4 @@
-"""A CNC as the export of paths needs it (`config/controls/*.yaml`): its axes, its cycle, its memory, its trace."""
+"""Description of a CNC for the export of paths (`config/controls/*.yaml`): axes, cycle, memory, trace."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ class Trace(BaseModel):
 
 
 class Control(BaseModel):
-    """One CNC. `axes` by joint; every joint of the robot must be there."""
+    """One CNC. `axes` by joint; all joints of the robot are required."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     name: str = Field(min_length=1)
@@ -31,7 +31,7 @@ class Control(BaseModel):
 
 
 def read_control(path: Path, robot: Robot) -> Control:
-    """The control of a robot; BadInput unless it names every joint once, each with an axis of its own."""
+    """The control of a robot; BadInput unless it names each joint once, each with a different axis."""
     control = read_yaml(path, Control)
     if set(control.axes) != set(robot.joints):
         raise BadInput(f"{path} axes", f"must be the joints of {robot.name}: {', '.join(robot.joints)}")

@@ -1,6 +1,6 @@
 """Writes the sweeps of a plan for a CNC: a folder of part programs, tables, and the mapping that reads the traces.
 
-The folder is there whole or not at all: it is written beside its place and renamed.
+The folder is either complete or not there: it is written to a temporary folder next to it, which is then renamed.
 """
 
 import csv
@@ -15,16 +15,16 @@ from pydantic import BaseModel
 from service.errors import BadInput
 from service.geometry.cell import Cell
 from service.paths.control import Control
-from service.paths.course import PathSweep, path_sweeps
 from service.paths.part_program import part_program
+from service.paths.sweep_paths import PathSweep, path_sweeps
 from service.planning.plan import PlanDocument
 from service.robot import Robot
 from service.traces.mapping import Mapping, Motion, TraceSweep
 
 
 def export_paths(folder: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: Control) -> int:
-    """Write all sweeps of a plan to a new or empty folder; how many. BadInput, and nothing written, for the first
-    sweep that leaves the envelope or that no part program can hold.
+    """Write all sweeps of a plan to a new or empty folder; returns their number. BadInput, and nothing written, for the
+    first sweep that leaves the envelope or does not fit into a part program.
 
     ``SWEEP_0001.MPF`` and ``.csv`` for every sweep; ``mapping.yaml`` with robot and URDF for `sweepid import-trace`,
     which looks for the traces in ``traces/SWEEP_0001.csv`` and so on.
@@ -53,7 +53,7 @@ def export_paths(folder: Path, plan: PlanDocument, robot: Robot, cell: Cell, con
 
 
 def _write_table(path: Path, sweep: PathSweep) -> None:
-    """Time, position of every axis, velocity of the one that moves; the units stand in the names of the columns."""
+    """Time, position of every axis, velocity of the moving one; the column names contain the units."""
     head = [f"{axis} [{unit}]" for axis, unit in sweep.units.items()]
     with path.open("w", encoding="ascii", newline="") as file:
         table = csv.writer(file, lineterminator="\n")

@@ -1,12 +1,12 @@
 """A sweep as part program of a Sinumerik 840D sl (docs/explanation/decisions/0007-paths-in-inverse-time.md).
 
-Every block moves the axis to the next position of the path in the same time: G93, inverse-time feed, F in 1/min,
+Each block moves the axis to the next position of the path in the same time: G93, inverse-time feed, F in 1/min,
 modal like G93 itself (Programming Manual NC Programming, "Feedrate (G93, G94, G95, F, FGROUP)"). Positions have
-`DECIMALS` places; over a block of T the mean speed is off the set-point's by `velocity_bound`.
+`DECIMALS` places; the difference of a block's mean speed from the set-point is at most `velocity_bound`.
 
-The program refuses a control or a pose that is not the plan's, stops before each motion, and looks again where the
-robot stands after each stop; every way through it ends at standstill. It has no block numbers; blocks are far below the
-512 characters that the control takes.
+The program stops if the control or the pose differs from the plan. It stops before each motion, and checks the position
+of the robot after each stop. Each branch ends at standstill. It has no block numbers; blocks are far below the
+limit of 512 characters of the control.
 """
 
 import math
@@ -14,15 +14,15 @@ from collections.abc import Sequence
 
 from service.errors import BadInput
 from service.identification.design.sweep_path import peak_jerk
-from service.paths.course import PathSweep
+from service.paths.sweep_paths import PathSweep
 
 DECIMALS = 7
 RESOLUTION = 100_000  # increments per deg (mm) that the control must calculate with
-TOLERANCE = 0.1  # deg (mm) that an axis may stand off where it should
+TOLERANCE = 0.1  # deg (mm), largest difference of an axis from its planned position
 
 
 def velocity_bound(sweep: PathSweep) -> float:
-    """How far a block's mean speed is from the set-point in its middle at most, deg/s (mm/s).
+    """Largest difference between the mean speed of a block and the set-point in its middle, deg/s (mm/s).
 
     T^2 / 24 of the set-point's second derivative, and half a last decimal at either end.
     """
@@ -31,7 +31,7 @@ def velocity_bound(sweep: PathSweep) -> float:
 
 
 def part_program(sweep: PathSweep, robot: str, largest: int) -> str:
-    """The program's text; BadInput if the axis stands still within the sweep or the text is over `largest` bytes."""
+    """The text of the program; BadInput if the axis stands still in the sweep or the text exceeds `largest` bytes."""
     positions = _moving_blocks(sweep)
     refusals = {
         "BAD_CYCLE": f"interpolation cycle is not {1e3 * sweep.cycle:g} ms",
@@ -55,7 +55,7 @@ def part_program(sweep: PathSweep, robot: str, largest: int) -> str:
 
 
 def _moving_blocks(sweep: PathSweep) -> list[str]:
-    """Positions as written. A block that goes nowhere takes no time in G93: none is left."""
+    """Positions as written. In G93 a block without motion takes no time, therefore there is none."""
     texts = [_number(position) for position in sweep.position]
     moves = [k for k in range(1, len(texts)) if texts[k] != texts[k - 1]]
     first, last = moves[0], moves[-1]
@@ -106,7 +106,7 @@ def _checks(sweep: PathSweep) -> list[str]:
 
 
 def _way(sweep: PathSweep) -> list[str]:
-    """To the pose, one axis at a time, if the robot stands where the plan has it then."""
+    """Legs to the pose, one axis at a time, if the robot is at the planned position before them."""
     if not sweep.legs:
         return []
     return [
@@ -123,7 +123,7 @@ def _way(sweep: PathSweep) -> list[str]:
 
 
 def _standing(where: dict[str, float], otherwise: str) -> list[str]:
-    """Jumps to `otherwise` unless every axis is there; after a stop too: somebody may have jogged."""
+    """Jumps to `otherwise` unless all axes are at their positions; also after a stop, because of possible jogging."""
     return [
         "STOPRE",
         *(
@@ -156,7 +156,7 @@ def _motion(sweep: PathSweep, positions: Sequence[str]) -> list[str]:
     ]
 
 
-_SLOW = 60.0  # deg/min (mm/min), to the last digit of the start
+_SLOW = 60.0  # deg/min (mm/min), for the final approach to the start
 
 
 def _refusal(sweep: PathSweep, label: str, reason: str) -> list[str]:
@@ -169,5 +169,5 @@ def _number(value: float) -> str:
 
 
 def _plain(text: str) -> str:
-    """Names come from files: only printable ASCII goes into a comment, and no line ends there."""
+    """Names come from files: a comment contains only printable ASCII and no line break."""
     return "".join(letter if letter.isascii() and letter.isprintable() else "?" for letter in text)

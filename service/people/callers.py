@@ -1,4 +1,4 @@
-"""Who a request can be from: the bearer of a key, or a person with a session."""
+"""The possible callers of a request: the owner of a key, or a person with a session."""
 
 from datetime import datetime
 from typing import Protocol
@@ -7,7 +7,7 @@ from service.people.permissions import Role
 
 
 class Caller(Protocol):
-    """Somebody that the service knows."""
+    """An authenticated caller."""
 
     @property
     def name(self) -> str: ...
@@ -17,17 +17,17 @@ class Caller(Protocol):
 
     @property
     def scopes(self) -> tuple[str, ...] | None:
-        """What it is limited to, within its role; None: nothing but that."""
+        """The scopes of the caller, within his role; None: no limit but the role."""
         ...
 
     def trouble(self, at: datetime) -> str:
-        """Why it opens nothing at that time; empty if it does."""
+        """Why the caller is not accepted at that time; empty if accepted."""
         ...
 
 
 class Callers(Protocol):
-    """Where they are looked up."""
+    """A store of callers."""
 
     def find(self, key: str) -> Caller | None:
-        """Blocks. `key`: what was shown; those that open nothing any more are found too."""
+        """Blocks. `key`: as sent by the caller; also finds callers that are no longer accepted."""
         ...

@@ -1,4 +1,4 @@
-"""API keys: 32 random bytes that a person or a program shows. Only their SHA-256 is stored."""
+"""API keys: 32 random bytes, which a person or a program sends. Only their SHA-256 is stored."""
 
 import hashlib
 import re
@@ -9,22 +9,22 @@ _FORM = re.compile(rf"sweepid-([0-9a-f]{{{2 * BYTES}}})", re.ASCII)
 
 
 def new_key() -> str:
-    """As it is shown once."""
+    """A new key as text. It is displayed once only."""
     return f"sweepid-{secrets.token_hex(BYTES)}"
 
 
 def key_sha256(key: str) -> str | None:
-    """What is stored of a key; None of what is none. No salt: 256 random bits cannot be guessed from a list."""
+    """The stored hash of a key; None for an invalid key. No salt: a list of 256 random bits is impossible."""
     found = _FORM.fullmatch(key)
     return None if found is None else hashlib.sha256(bytes.fromhex(found[1])).hexdigest()
 
 
 def bearer(authorization: str) -> str:
-    """The key of an `Authorization` header, empty where it has none."""
+    """The key of an `Authorization` header; empty without a key."""
     scheme, _, key = authorization.strip().partition(" ")
     return key.strip() if scheme.lower() == "bearer" else ""
 
 
 def masked(text: str) -> str:
-    """Without the keys that somebody put where they do not belong, a path for instance."""
+    """The text without keys in wrong places, for example in a path."""
     return _FORM.sub("sweepid-(key)", text)

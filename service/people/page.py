@@ -1,4 +1,4 @@
-"""`docs/reference/permissions.md`, of the table: ``python -m service.people.page > FILE``."""
+"""Writes `docs/reference/permissions.md` from the table: ``python -m service.people.page > FILE``."""
 
 import sys
 
@@ -16,18 +16,18 @@ def page() -> str:
         "# Permissions",
         "",
         "Generated from the table in `service/people/permissions.py`. It holds with the setting `login: true`;",
-        "without it whoever reaches the service is `local` and may do everything:",
+        "without it, every client is `local` and may do everything:",
         "[Let others in](../how-to/let-others-in.md).",
         "",
-        "| role | may, beside what those above it may |",
+        "| role | permissions, in addition to those of the roles above |",
         "|---|---|",
         *(f"| {role.word} | {MEANING[role]} |" for role in Role),
         "",
-        "STOP needs nobody, here and at the port of the stop process.",
+        "STOP requires no login, here and at the port of the stop process.",
         "",
         "A key may be limited to scopes (`sweepid people add-key --scope WORD`), and then needs both role and scope.",
         "",
-        "| scope | opens |",
+        "| scope | gives access to |",
         "|---|---|",
         *(f"| {scope} | {opens} |" for scope, opens in SCOPES.items()),
         "",
@@ -39,7 +39,7 @@ def page() -> str:
 
 
 def _word(role: Role | None) -> str:
-    return "nobody needed" if role is None else role.word
+    return "no login" if role is None else role.word
 
 
 if __name__ == "__main__":

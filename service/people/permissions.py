@@ -1,8 +1,8 @@
-"""Who may do what: one table, from each route to the least role that it needs. Pure.
+"""Permissions: one table, from each route to the minimum role. Pure.
 
 `docs/reference/permissions.md` is generated from it (``python -m service.people.page > FILE``). A test fails
-when a route has no entry here, or an entry no route; of a path that is not here only a viewer hears that there is
-nothing.
+for a route without an entry here, and for an entry without a route. An unknown path requires the role viewer: a
+caller without a role does not get the answer "not found".
 """
 
 import re
@@ -12,7 +12,7 @@ from starlette.routing import compile_path
 
 
 class Role(IntEnum):
-    """Each may what those before it may."""
+    """Each role includes the rights of the roles before it."""
 
     VIEWER = 1
     OPERATOR = 2
@@ -31,17 +31,21 @@ MEANING = {
     Role.ADMIN: "reads the audit",
 }
 LOCAL = "local"
-"""Who it is where nobody is asked: with all rights."""
+"""Name of the caller in a service without login, with all rights."""
 SOCKET = "WEBSOCKET"
-"""Stands for the method of a WebSocket."""
+"""Used in place of the method for a WebSocket."""
 
 Route = tuple[str, str]  # method and path
 API = "/api/v1"
 _V, _O, _E, _A = Role
 STOP: Route = ("POST", f"{API}/stop")
 SIGN_OF_LIFE: Route = ("POST", f"{API}/campaigns/{{campaign_id}}/sign_of_life")
-"""Changes nothing, and comes several times a minute: it is not in the audit, but its absence is."""
+"""Changes nothing and comes several times per minute: not in the audit, but a missing sign of life is."""
 LOGIN: Route = ("POST", f"{API}/login")
+OIDC_BEGIN: Route = ("POST", f"{API}/login/oidc")
+OIDC_END: Route = ("POST", f"{API}/login/oidc/code")
+LOGINS = (LOGIN, OIDC_BEGIN, OIDC_END)
+"""Routes without a known caller: each has one entry in the audit, with its outcome."""
 
 CALLS: dict[Route, Role | None] = {
     ("POST", "/robots"): _E,
@@ -50,6 +54,9 @@ CALLS: dict[Route, Role | None] = {
     ("POST", "/plans"): _E,
     ("GET", "/plans"): _V,
     ("GET", "/plans/{plan_id}"): _V,
+    ("GET", "/plans/{plan_id}/picture"): _V,
+    ("GET", "/plans/{plan_id}/grid"): _V,
+    ("GET", "/cells"): _V,
     ("POST", "/plans/{plan_id}/approvals"): _E,
     ("GET", "/plans/{plan_id}/approvals"): _V,
     ("POST", "/campaigns"): _O,
@@ -66,6 +73,7 @@ CALLS: dict[Route, Role | None] = {
     ("GET", "/campaigns/{campaign_id}/sweeps/{number}/recording/file"): _V,
     ("GET", "/campaigns/{campaign_id}/estimates"): _V,
     ("GET", "/campaigns/{campaign_id}/estimates/latest"): _V,
+    ("GET", "/campaigns/{campaign_id}/estimates/convergence"): _V,
     ("GET", "/campaigns/{campaign_id}/estimates/{revision}"): _V,
     ("GET", "/campaigns/{campaign_id}/report"): _V,
     ("GET", "/campaigns/{campaign_id}/report.{ending}"): _V,
@@ -81,6 +89,15 @@ CALLS: dict[Route, Role | None] = {
     ("POST", "/diagnoses/{diagnosis_id}/plan"): _E,
     ("POST", "/diagnoses/{diagnosis_id}/experiment"): _E,
     ("POST", "/diagnoses/{diagnosis_id}/model"): _E,
+    ("GET", "/fleet"): _V,
+    ("GET", "/fleet/report"): _V,
+    ("GET", "/fleet/report.{ending}"): _V,
+    ("POST", "/jobs"): _E,
+    ("GET", "/jobs"): _V,
+    ("GET", "/jobs/{job_id}"): _V,
+    ("POST", "/jobs/{job_id}/cancel"): _E,
+    ("GET", "/jobs/{job_id}/results"): _V,
+    ("GET", "/jobs/{job_id}/results/{campaign_id}"): _V,
     ("GET", "/models"): _V,
     ("GET", "/models/{model_id}"): _V,
     ("GET", "/models/{model_id}/scenario.yaml"): _V,
@@ -89,12 +106,15 @@ CALLS: dict[Route, Role | None] = {
     ("GET", "/drives"): _V,
     ("POST", "/drives/connect"): _O,
     ("POST", "/drives/{joint}/acknowledge"): _O,
-    ("GET", "/stop"): None,  # tells where the stop process listens: who may stop must find it
+    ("GET", "/stop"): None,  # contains the port of the stop process: every caller may stop and must find it
     ("POST", "/stop"): None,
     ("POST", "/stop/reset"): _O,
     ("GET", "/audit"): _A,
     ("GET", "/me"): _V,
+    ("GET", "/login"): None,  # gives the page the available ways to log in
     ("POST", "/login"): None,
+    ("POST", "/login/oidc"): None,
+    ("POST", "/login/oidc/code"): None,
     ("POST", "/logout"): _V,
     ("GET", "/health/live"): None,
     ("GET", "/health/ready"): None,
@@ -103,24 +123,40 @@ CALLS: dict[Route, Role | None] = {
 _PAGES = (  # public files without data
     "/",
     "/diagnosis",
+    "/fleet",
+    "/plan",
+    "/results",
     "/api.js",
     "/app.js",
     "/approval.js",
     "/axes.js",
+    "/causes.js",
     "/commands.js",
     "/diagnosis.js",
+    "/drawing.js",
     "/elements.js",
     "/experiment.js",
     "/figures.js",
     "/findings.js",
+    "/fleet.js",
     "/intent.js",
+    "/live.js",
     "/login.js",
     "/machine.js",
     "/motion.js",
     "/moving.js",
+    "/oidc.js",
+    "/picture.js",
+    "/plan.js",
+    "/plots.js",
+    "/record.js",
     "/refresh.js",
+    "/results.js",
     "/stream.js",
+    "/texts.js",
+    "/verdicts.js",
     "/wayout.js",
+    "/words.js",
     "/style.css",
     "/plotly.min.js",
 )
@@ -129,20 +165,20 @@ PERMISSIONS: dict[Route, Role | None] = {
     ("GET", "/metrics"): _V,
     **{("GET", page): None for page in _PAGES},
 }
-"""The least role by method and path; None: nobody needs to be anybody."""
+"""The lowest sufficient role by method and path; None: no authentication required."""
 
 
 class Permissions:
-    """The table, asked for the paths of requests."""
+    """Finds the entry of a request's path in the table."""
 
     def __init__(self) -> None:
-        # the router's own expressions: what is asked here and what runs afterwards cannot differ
+        # the regular expressions of the router: this check and the routing cannot differ
         self._patterns: list[tuple[Route, re.Pattern[str]]] = [
             (route, compile_path(route[1])[0]) for route in PERMISSIONS
         ]
 
     def entry(self, method: str, path: str) -> Route | None:
-        """The entry that a request belongs to; of several the one that needs most. None: there is no such route."""
+        """The entry of a request; of several entries, the one with the highest role. None: there is no such route."""
         asked = "GET" if method == "HEAD" else method
         fitting = [route for route, pattern in self._patterns if route[0] == asked and pattern.match(path)]
         return max(fitting, key=lambda route: PERMISSIONS[route] or 0, default=None)

@@ -1,4 +1,4 @@
-"""What a key may be limited to, beside the role: sets of routes that integrators know by a word. Pure."""
+"""Scopes: sets of routes to which a key can be limited, in addition to the role. Pure."""
 
 from collections.abc import Sequence
 
@@ -10,10 +10,10 @@ SCOPES = {
     "measure": "makes, starts, pauses, resumes and aborts campaigns",
     "machine": "connects drives, acknowledges faults, releases stops",
     "store": "stores robots, plans and bundles",
-    "diagnose": "diagnoses, their experiments and models",
+    "diagnose": "diagnoses, their experiments and models; jobs",
     "audit": "the audit",
 }
-"""What a key may be limited to, within its role."""
+"""The scopes of a key, within its role."""
 _CHANGES = {
     "campaigns": "measure",
     "drives": "machine",
@@ -22,13 +22,14 @@ _CHANGES = {
     "plans": "store",
     "bundles": "store",
     "diagnoses": "diagnose",
+    "jobs": "diagnose",
 }
-"""The scope of what is not only read, by the first word of its path."""
+"""The scope of a route that does not only read, by the first word of its path."""
 _WHOEVER = {("GET", f"{API}/me"), ("POST", f"{API}/logout")}
 
 
 def scope_of(route: Route | None) -> str | None:
-    """The scope that a key needs for it; None: any key will do. Of a path that is nowhere: that of reading."""
+    """The scope that a key needs for a route; None: any key is sufficient. An unknown path needs the scope "read"."""
     if route is None or route in _WHOEVER or PERMISSIONS[route] is None:
         return "read" if route is None else None
     method, path = route
@@ -39,7 +40,7 @@ def scope_of(route: Route | None) -> str | None:
 
 
 def lacking(role: Role, scopes: Sequence[str] | None, route: Route | None) -> str:
-    """What this route needs that role and scopes (None: all) do not have; empty: nothing."""
+    """What this route requires and role and scopes (None: all) do not have; empty if nothing is missing."""
     needed = Role.VIEWER if route is None else PERMISSIONS[route]
     if needed is not None and role < needed:
         return needed.word
@@ -48,6 +49,6 @@ def lacking(role: Role, scopes: Sequence[str] | None, route: Route | None) -> st
 
 
 def beyond(role: Role, scopes: Sequence[str] | None = None) -> dict[str, str]:
-    """What the API keeps from them: the least role, or "scope" and its word, by "METHOD /path" below its prefix."""
+    """Routes that they may not use: lowest sufficient role, or "scope" and its word, by "METHOD /path" below `API`."""
     found = {(method, path): lacking(role, scopes, (method, f"{API}{path}")) for method, path in CALLS}
     return {f"{method} {path}": needed for (method, path), needed in found.items() if needed}

@@ -1,1 +1,1 @@
-"""What a campaign will measure: poses, sweeps, legs, durations, limits. Nothing here moves."""
+"""Plans of campaigns: poses, sweeps, legs, durations, limits. Nothing here moves the robot."""

@@ -1,4 +1,4 @@
-"""The poses that could be measured: the grid of a request, and what of it is free."""
+"""The measurable poses: the grid of a request without the poses that collide or have no room."""
 
 import math
 from collections.abc import Sequence
@@ -27,14 +27,14 @@ def workspace_grid(robot: Robot, request: PlanRequest, cell: Cell) -> Array:
 
 
 def grid(robot: Robot, request: PlanRequest, envelope: Envelope, home: Array) -> Array:
-    """Poses (m, n): the varied joints on multiples of the step inside their limits, at most a turn, others at home."""
+    """Poses (m, n): the varied joints on multiples of the step within their limits, at most one turn; others home."""
     positions: list[Array] = []
     for joint in request.varied:
         index = robot.index(joint)
         prismatic = robot.chain.joints[index].kind == "prismatic"
         step = request.step / 100 if prismatic else math.radians(request.step)
         low, high = envelope.joint_range(index)
-        if not prismatic and high - low > 2 * math.pi:  # a turn more is the same pose
+        if not prismatic and high - low > 2 * math.pi:  # beyond one turn, the poses repeat
             low = min(max(low, -math.pi), high - 2 * math.pi)
             high = low + 2 * math.pi - step / 1000
         numbers = np.arange(math.ceil(low / step), math.floor(high / step) + 1, dtype=np.float64)
@@ -48,7 +48,7 @@ def grid(robot: Robot, request: PlanRequest, envelope: Envelope, home: Array) ->
 
 
 def has_room(envelope: Envelope, poses: Array, axes: Sequence[int]) -> NDArray[np.bool_]:
-    """Poses (m, n) from which every axis can sweep forward or backward."""
+    """Poses (m, n) from which each axis can sweep forward or backward."""
     enough = np.ones(len(poses), dtype=bool)
     for axis in axes:
         left = np.flatnonzero(enough)
@@ -58,7 +58,7 @@ def has_room(envelope: Envelope, poses: Array, axes: Sequence[int]) -> NDArray[n
 
 
 def room(envelope: Envelope, poses: Array, axis: int, direction: int) -> NDArray[np.bool_]:
-    """Poses whose joint `axis` can turn by the whole travel and its margins in one direction."""
+    """Poses in which joint `axis` can move by the whole travel and its margins in one direction."""
     limits = envelope.limits
     start = poses.copy()
     start[:, axis] -= direction * limits.window_margin

@@ -1,4 +1,4 @@
-"""What a campaign's plan comes to at this machine: commands, and the envelope they are checked against."""
+"""The compiled plan of a campaign for this machine: commands, and the envelope that limits them."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -32,20 +32,20 @@ KINDS: Mapping[str, type[Plan]] = {
 class CompiledPlan:
     """The commands of a campaign by sweep number."""
 
-    joints: tuple[str, ...]  # of the robot, base to tip: the order of poses
+    joints: tuple[str, ...]  # of the robot, from base to tip: the order in poses
     commands: Mapping[int, Command]
     envelope: Envelope
     move_velocity: float  # rad/s (m/s), between poses
     pose_tolerance: float  # rad (m), actual against planned pose
-    trajectories: tuple[tuple[int, ...], ...] = ()  # numbers of the sweeps that run at once
-    confidence: float | None = None  # percent, at which the campaign may end (`enough`); None: all sweeps are wanted
-    base_parameters: int = 0  # that the plan is about
-    sha256: str = ""  # of all that decides what moves (`motion_hash`); "": not known, which nobody can have approved
+    trajectories: tuple[tuple[int, ...], ...] = ()  # numbers of the sweeps that run at the same time
+    confidence: float | None = None  # percent, at which the campaign may end (`enough`); None: all sweeps are needed
+    base_parameters: int = 0  # number that the plan measures
+    sha256: str = ""  # of all data that determine motion (`motion_hash`); "": unknown, cannot be approved
 
     def due(self, sweeps: Sequence[SweepDocument]) -> list[SweepDocument]:
         """The next planned sweep with the others of its trajectory; empty if none is left.
 
-        A trajectory of which one sweep has been measured is passed over: it can only be repeated as a whole.
+        A trajectory with one measured sweep is skipped: it can only be repeated as a whole.
         """
         planned = {sweep.number for sweep in sweeps if sweep.state is SweepState.PLANNED}
         for sweep in sweeps:
@@ -71,13 +71,13 @@ def planned_sweeps(plan: PlanRecord) -> tuple[NewSweep, ...]:
 def other_machine(
     robot: Robot, robot_id: int, settings: Settings, axes: Sequence[DriveAxis], moved: Collection[str]
 ) -> str:
-    """Why the machine of these drive axes is not one on which joints of this robot can be `moved`; "" if it is."""
+    """The reason why the machine with these drive axes cannot move `moved` joints of this robot; "" if it can."""
     place = f"robot {robot.name} (number {robot_id})"
     return differences(robot, place, axes, f"drive profile {settings.drive}", moved)
 
 
 def _moved(plan: Plan) -> set[str]:
-    """Joints that the plan's sweeps move, and the ways to them."""
+    """Joints that the sweeps of the plan or the legs to them move."""
     return {name for sweep in plan.sweeps for name in (sweep.spec.axis, *(leg.joint for leg in sweep.legs))}
 
 

@@ -1,4 +1,4 @@
-"""What a plan is asked for, and what it is."""
+"""Request and document of a plan."""
 
 from typing import Literal, cast
 
@@ -13,8 +13,10 @@ from service.recording import SweepSpec
 from service.robot import Robot
 from service.store.documents import LARGEST_ID
 
+MOVE_VELOCITY = 0.1  # rad/s (m/s), between poses; default of a request
+SAMPLE_RATE = 250.0  # Hz, default of a request
 LARGEST_CHOICE = 1000  # poses
-USUAL_CHOICE = 24  # poses, where no budget is named
+USUAL_CHOICE = 24  # poses, without a budget
 BUDGETS = ("poses", "duration", "confidence")
 
 
@@ -28,26 +30,26 @@ class PlanRequest(BaseModel):
     robot_id: int = Field(ge=1, le=LARGEST_ID)
     cell: str = Field(default="workshop", pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
     axes: tuple[str, ...] = Field(min_length=1)  # joints to measure
-    varied: tuple[str, ...] = Field(min_length=1)  # joints whose positions make the grid
+    varied: tuple[str, ...] = Field(min_length=1)  # joints whose positions form the grid
     step: float = Field(default=5.0, ge=0.5, le=90.0)  # deg (prismatic: cm) between grid positions
-    criterion: Criterion = Criterion.D_OPTIMAL  # what makes a pose the best next one
+    criterion: Criterion = Criterion.D_OPTIMAL  # defines the best next pose
     poses: int | None = Field(default=None, ge=1, le=LARGEST_CHOICE)
-    duration: float | None = Field(default=None, gt=0)  # s, moves included: as many poses as fit
-    # percent, largest std of J over the workspace: as many poses as take it; the campaign ends when it is reached
+    duration: float | None = Field(default=None, gt=0)  # s, including moves: as many poses as fit
+    # percent, largest std of J over the workspace: as many poses as needed; the campaign ends when it is reached
     confidence: float | None = Field(default=None, ge=1e-6)
-    # sweeps of an axis in a pose that differ in their phases: from two on, noise and nonlinear distortion come apart
+    # sweeps of an axis in a pose with different phases: two or more separate noise from nonlinear distortion
     realisations: int = Field(default=1, ge=1, le=20)
     modes: Literal["drive_side", "host_streamed", "one_host_streamed"] = "drive_side"  # the last: one sweep an axis
     lines: tuple[float, ...] = Field(
         default=(), max_length=16
-    )  # whole Hz, sines of every sweep; (): as the method has it
-    sample_rate: float = Field(default=250.0, gt=0, le=20_000)  # Hz
+    )  # integer Hz, sines of every sweep; (): those of the method
+    sample_rate: float = Field(default=SAMPLE_RATE, gt=0, le=20_000)  # Hz
     move_velocity: float = Field(
-        default=0.1, ge=1e-5, le=100.0
+        default=MOVE_VELOCITY, ge=1e-5, le=100.0
     )  # rad/s (m/s), between poses; for the estimate of the duration
-    warm_up: float = Field(default=0.0, ge=0, le=7200)  # s of sweeps in the first pose that serve the temperature alone
-    locked_rotor: dict[str, float] = {}  # lowest first locked-rotor frequency by joint, Hz, where it is known
-    # campaign of an initial analysis: its locked-rotor and ideal frequencies hold, its drive trains are the prior
+    warm_up: float = Field(default=0.0, ge=0, le=7200)  # s of sweeps in the first pose, only for the temperature
+    locked_rotor: dict[str, float] = {}  # lowest first locked-rotor frequency by joint, Hz, if known
+    # campaign of an initial analysis: its locked-rotor and ideal frequencies are used, its drive trains are the prior
     analysis: int | None = Field(default=None, ge=1, le=LARGEST_ID)
 
     @model_validator(mode="before")
@@ -58,11 +60,11 @@ class PlanRequest(BaseModel):
         fields = cast("dict[object, object]", given)
         named = [budget for budget in BUDGETS if fields.get(budget) is not None]
         if len(named) > 1:
-            raise ValueError(f"{' and '.join(named)} are budgets: name one")
+            raise ValueError(f"{' and '.join(named)} are budgets: give one of them")
         return fields if named else fields | {"poses": USUAL_CHOICE}
 
     def check(self, robot: Robot) -> None:
-        """Does it fit this robot, and itself? BadInput names the field."""
+        """Check against the robot, and for consistency. BadInput names the field."""
         for field, joints in (("axes", self.axes), ("varied", self.varied), ("locked_rotor", tuple(self.locked_rotor))):
             for joint in joints:
                 if joint not in robot.joints:
@@ -91,7 +93,7 @@ class PlannedLeg(BaseModel):
 
 
 class PlannedSweep(BaseModel):
-    """One sweep, the legs that lead to its pose from the one before, and the limits it runs under."""
+    """One sweep, the legs that lead from the previous pose to its pose, and its limits."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     spec: SweepSpec
@@ -105,7 +107,7 @@ class PlannedSweep(BaseModel):
     duration: float  # s, legs and sweep
 
     def command(self) -> SweepCommand:
-        """The sweep as the drive port takes it."""
+        """The sweep as a command for the drive port."""
         spec = self.spec
         return SweepCommand(
             joint=spec.axis,
@@ -124,7 +126,7 @@ class PlannedSweep(BaseModel):
 
 
 class DroppedPose(BaseModel):
-    """A chosen pose that cannot be measured after all."""
+    """A chosen pose that cannot be measured."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     pose: tuple[float, ...]
@@ -132,7 +134,7 @@ class DroppedPose(BaseModel):
 
 
 class SparePose(BaseModel):
-    """A pose that adds nothing to the confidence; `number` in the order of choice, from 1."""
+    """A pose that does not improve the confidence; `number` in the order of choice, from 1."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     number: int
@@ -140,7 +142,7 @@ class SparePose(BaseModel):
 
 
 class PlanDocument(BaseModel):
-    """A whole campaign in the order of its sweeps.
+    """A complete campaign in the order of its sweeps.
 
     `condition` and `confidence` are lists in the order of *choice*, after each chosen pose: condition number, and
     predicted largest standard deviation of J over the workspace, percent of J; null while rank deficient.
@@ -153,16 +155,16 @@ class PlanDocument(BaseModel):
     dropped: tuple[DroppedPose, ...]
     base_parameters: tuple[str, ...]
     condition: tuple[float | None, ...]
-    confidence: tuple[float | None, ...] = ()  # (): of a plan made before it was predicted
+    confidence: tuple[float | None, ...] = ()  # (): from a version that did not predict it
     spare: tuple[SparePose, ...] = ()
     candidates: int  # poses of the grid
-    measurable: int  # of them free, with room for every sweep
+    measurable: int  # collision-free, with room for every sweep
     duration: float  # s
 
     @field_validator("request", mode="before")
     @classmethod
     def _stored(cls, given: object) -> object:
-        """A plan from before there was a criterion was made by the condition number."""
+        """Plans of older versions without a criterion were made with the condition number."""
         if not isinstance(given, dict):
             return given
         return {"criterion": Criterion.CONDITION.value, **cast("dict[object, object]", given)}

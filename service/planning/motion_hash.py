@@ -1,4 +1,4 @@
-"""One hash of all that decides what a plan moves: whoever approved it approved this and nothing else."""
+"""One hash of everything that determines the motion of a plan; an approval is valid only for this hash."""
 
 import hashlib
 import json
@@ -13,7 +13,7 @@ from service.store.documents import PlanRecord, RobotDocument
 
 
 def motion_sha256(plan: PlanRecord, robot: RobotDocument, cell: Cell, settings: Settings, machine: str) -> str:
-    """Of plan, robot, cell, tolerance, program and `machine` (see `machine_sha256`), hexadecimal."""
+    """SHA-256 of plan, robot, cell, tolerance, program and `machine` (see `machine_sha256`), hexadecimal."""
     content = {
         "plan": plan.document,
         "robot": robot.sha256,
@@ -26,7 +26,7 @@ def motion_sha256(plan: PlanRecord, robot: RobotDocument, cell: Cell, settings: 
 
 
 def machine_sha256(profile: object, base: Path) -> str:
-    """Of a drive profile with the content of each file that it names (EDS, device map, registers), below `base`."""
+    """SHA-256 of a drive profile and of each file that it names (EDS, device map, registers), below `base`."""
     named = [text for text in _texts(profile) if _file(base, text)]
     return _sha256(profile, [hashlib.sha256((base / text).read_bytes()).hexdigest() for text in named])
 
@@ -43,10 +43,10 @@ def _texts(value: object) -> Iterator[str]:
 def _file(base: Path, text: str) -> bool:
     try:
         return (base / text).is_file()
-    except (OSError, ValueError):  # too long for a name, or with a zero byte
+    except (OSError, ValueError):  # the text is too long for a name, or contains a zero byte
         return False
 
 
 def _sha256(*content: object) -> str:
-    """In the order that the content has: keys of a profile may be of several types, which have none."""
+    """SHA-256 in the order of the content: keys of a profile may be of several types, which cannot be sorted."""
     return hashlib.sha256(json.dumps(content, default=str).encode()).hexdigest()

@@ -1,12 +1,13 @@
-"""What the sweeps of a request show of the robot: rows in the base parameters, and the workspace they speak for."""
+"""Observability of the robot with the sweeps of a request: rows in the base parameters, and the workspace."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from service.geometry.collision import reachable
+from service.identification.design.halton import spread_evenly
+from service.identification.estimates.estimate import WORKSPACE
 from service.identification.model.base_parameters import base_parameters, joint_ranges
 from service.identification.model.regressor import axis_rows, inertia_rows, lock
 from service.planning.documents import PlanRequest
@@ -14,16 +15,14 @@ from service.robot import Robot
 
 Array = NDArray[np.float64]
 
-WORKSPACE = 2000  # poses that stand for the workspace
-
 
 @dataclass(frozen=True)
 class Observation:
-    """The chain as the identification will see it: joints that neither move nor vary are locked."""
+    """The chain as used in the identification: joints that neither move nor vary are locked."""
 
     robot: Robot
     axes: tuple[int, ...]  # measured joints
-    free: tuple[int, ...]  # joints left
+    free: tuple[int, ...]  # joints that are not locked
     home: Array
     names: tuple[str, ...]  # base parameters
     columns: tuple[int, ...]
@@ -41,15 +40,15 @@ class Observation:
         return np.stack([inertia_rows(chain, axis, poses) @ parameters for axis in self.axes], axis=1) + motors
 
     def workspace(self, stood: Array) -> Array:
-        """Poses (w, n) that stand for all that the robot can take, as in the estimate (`Estimate.workspace`)."""
+        """Poses (w, n) that represent the workspace, as in the estimate (`Estimate.workspace`)."""
         lower, upper = joint_ranges(lock(self.robot.chain, _locked(self.home, self.free)))
         poses = np.tile(self.home, (WORKSPACE, 1))
-        poses[:, self.free] = qmc.scale(qmc.Halton(len(lower), scramble=False).random(WORKSPACE), lower, upper)
+        poses[:, self.free] = spread_evenly(WORKSPACE, lower, upper)
         return reachable(self.robot, stood, poses)
 
 
 def observe(robot: Robot, request: PlanRequest, home: Array) -> Observation:
-    """What the request's sweeps show; the joints that it neither measures nor varies stand at `home` (n,)."""
+    """Observability with the sweeps of the request; joints neither measured nor varied are locked at `home` (n,)."""
     axes = tuple(robot.index(joint) for joint in request.axes)
     free = tuple(sorted(robot.index(joint) for joint in {*request.axes, *request.varied}))
     chain = lock(robot.chain, _locked(home, free))

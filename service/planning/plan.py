@@ -1,13 +1,14 @@
-"""Plans a campaign: which poses, in which order, over which way, with which sweep in each. Pure and deterministic.
+"""Plans a campaign: poses, their order, the path, and the sweep in each. Pure and deterministic.
 
 1. Grid: the varied axes on multiples of the step within the joint limits, all other axes at the cell's home.
-2. Room: poses that are free with room for the sweep's travel in every requested axis, forward or backward.
+2. Room: collision-free poses with room for the travel of the sweep in each requested axis, forward or backward.
 3. Choice: greedy by the request's criterion on the observation matrix, all requested axes stacked (`pose_selection`),
-   pose by pose until the budget is spent: so many poses, so much time, or the confidence wanted is predicted.
+      one pose after the other until the budget is used: number, time, or the predicted confidence.
 4. Sweeps: designed from the CAD inertia of each pose, and checked against the envelope.
-5. Order: a short way through the first poses chosen, up to the one that makes the matrix regular, then a short way
+5. Order: a short path through the first poses chosen, up to the one that makes the matrix regular, then a short path
    through the rest (`travel`): a campaign that ends early still has an estimate of all base parameters.
-A pose that has no free way from home or from the one before, or whose sweeps do not pass, is dropped with its reason.
+A pose without a free path from home or from the previous pose, or with sweeps outside the envelope, is dropped with its
+reason.
 """
 
 import math
@@ -32,9 +33,9 @@ from service.planning.documents import (
     PlanRequest,
     SparePose,
 )
-from service.planning.itinerary import ChosenPose, Itinerary, least_duration
 from service.planning.observability import Observation, observe
 from service.planning.sweep_design import SweepDesign
+from service.planning.sweep_sequence import ChosenPose, SweepSequence, least_duration
 from service.robot import Robot
 from service.safety.envelope import Envelope
 
@@ -46,7 +47,7 @@ Array = NDArray[np.float64]
 def build_plan(
     robot: Robot, request: PlanRequest, cell: Cell, analyses: Mapping[str, AxisAnalysis] | None = None
 ) -> PlanDocument:
-    """The plan of a request; BadInput names the field that cannot be met.
+    """The plan of a request; BadInput names the field that is impossible.
 
     `analyses`: the initial analysis that the request names, by joint.
     """
@@ -59,17 +60,17 @@ def build_plan(
     if len(candidates) < (request.poses or 1):
         raise BadInput(
             "poses",
-            f"{request.poses or 1} wanted, but of {len(poses)} poses of the grid only {len(candidates)} are free "
-            f"with room for a sweep of every axis in cell {cell.name}",
+            f"{request.poses or 1} requested, but of {len(poses)} poses of the grid only "
+            f"{len(candidates)} are free with room for a sweep of every axis in cell {cell.name}",
         )
     observed = observe(robot, request, home)
     design = SweepDesign(robot, request, envelope, candidates, analyses or {})
     chosen, percent, refused = _choose(request, envelope, design, observed, candidates)
-    sweeps, dropped = _within_duration(Itinerary(robot, request, envelope), request, chosen, home)
+    sweeps, dropped = _within_duration(SweepSequence(robot, request, envelope), request, chosen, home)
     count = len({sweep.spec.pose for sweep in sweeps}) + len(dropped)
     dropped = (*refused, *dropped)
     if not sweeps:
-        raise BadInput("poses", f"none of the chosen poses can be measured, the first because: {dropped[0].reason}")
+        raise BadInput("poses", f"none of the chosen poses can be measured; the first because: {dropped[0].reason}")
     return PlanDocument(
         robot=robot.name,
         request=request,
@@ -90,9 +91,9 @@ def build_plan(
 def _choose(
     request: PlanRequest, envelope: Envelope, design: SweepDesign, observed: Observation, candidates: Array
 ) -> tuple[list[ChosenPose], list[float], list[DroppedPose]]:
-    """Poses in the order of choice until the budget is spent; the predicted confidence after each, percent.
+    """Poses in the order of choice until the budget is used; the predicted confidence after each, percent.
 
-    And the poses that were about to be chosen but have no way from home, or no sweep.
+    Also the poses that would have been chosen but have no path from home, or no sweep.
     """
     sweeps: dict[int, tuple[Excitation, ...]] = {}
     refused: list[DroppedPose] = []
@@ -125,19 +126,19 @@ def _choose(
         if len(chosen) == (request.poses or LARGEST_CHOICE) or (request.duration or math.inf) < needed:
             break
     if request.confidence is not None and chosen:
-        reached = f"reach only {percent[-1]:.4g} %" if math.isfinite(percent[-1]) else "leave J open somewhere"
+        reached = f"reach only {percent[-1]:.4g} %" if math.isfinite(percent[-1]) else "do not determine J everywhere"
         raise BadInput(
             "confidence",
-            f"{request.confidence:.4g} % wanted, but the best {len(chosen)} of {len(candidates)} measurable poses "
-            f"{reached}",
+            f"{request.confidence:.4g} % requested, but the best {len(chosen)} of {len(candidates)} "
+            f"measurable poses {reached}",
         )
     return chosen, percent, refused
 
 
 def _within_duration(
-    itinerary: Itinerary, request: PlanRequest, chosen: Sequence[ChosenPose], home: Array
+    itinerary: SweepSequence, request: PlanRequest, chosen: Sequence[ChosenPose], home: Array
 ) -> tuple[tuple[PlannedSweep, ...], tuple[DroppedPose, ...]]:
-    """The sweeps of as many of the first poses as fit into the request's duration, or of all; and what was dropped."""
+    """The sweeps of as many of the first poses as fit into the request's duration, or of all; and the dropped poses."""
     count = len(chosen)
     while True:
         sweeps, dropped = itinerary.through(chosen[:count], home)
@@ -145,7 +146,10 @@ def _within_duration(
         if request.duration is None or duration <= request.duration:
             return sweeps, dropped
         if count <= 1:
-            raise BadInput("duration", f"{request.duration:.4g} s do not suffice for one pose, {duration:.4g} s do")
+            raise BadInput(
+                "duration",
+                f"{request.duration:.4g} s are too short for one pose; at least {duration:.4g} s are required",
+            )
         count = max(1, count - math.ceil((duration - request.duration) / duration * count))
 
 

@@ -1,4 +1,4 @@
-"""Designs the sweep of an axis in a pose from the CAD model, and predicts what it will tell."""
+"""Designs the sweep of an axis in a pose from the CAD model, and predicts its information matrix."""
 
 import math
 from collections.abc import Mapping
@@ -19,11 +19,11 @@ from service.safety.envelope import Envelope
 
 Array = NDArray[np.float64]
 
-TRAVEL_SHARE = 0.95  # of the travel that the offset takes; the sines sway on both sides of it
+TRAVEL_SHARE = 0.95  # of the travel, for the offset motion; the sines oscillate around it
 
 
 class SweepDesign:
-    """The sweeps of a request in its candidates (m, n); `analyses` of the axes that have one, by joint."""
+    """The sweeps of a request in its candidates (m, n); `analyses`: initial analyses, by joint, as far as known."""
 
     def __init__(
         self,
@@ -43,16 +43,16 @@ class SweepDesign:
         }
 
     def excitation(self, joint: str, candidate: int) -> Excitation:
-        """The sweep of one axis in a candidate, forward where there is room, else backward.
+        """The sweep of one axis in a candidate pose, forward if there is room, else backward.
 
-        BadInput where no sweep fits.
+        BadInput if no sweep fits.
         """
         envelope, index, pose = self._envelope, self._robot.index(joint), self._candidates[candidate]
         direction = 1 if room(envelope, pose[None], index, 1)[0] else -1
         load = float(self._load[joint][candidate])
         axis = self._robot.axis(joint)
         velocity = envelope.velocity_limit(index)
-        # the sines may take what friction and gravity leave over, the CAD inertia being wrong by its prior
+        # the sines may use the effort that friction and gravity leave, with the CAD inertia wrong by its prior
         prior = self._robot.prior
         reach = (pose[index] - envelope.limits.travel, pose[index] + envelope.limits.travel)
         gravity = (1 + prior.gravity) * envelope.gravity_effort(index, tuple(pose), reach)
@@ -74,7 +74,7 @@ class SweepDesign:
         )
 
     def information(self, joint: str, candidate: int, excitation: Excitation) -> Array:
-        """What a sweep in a candidate will tell of inertia and compliance: `sweep_information` (2, 2)."""
+        """Predicted information of a sweep in a candidate on inertia and compliance: `sweep_information` (2, 2)."""
         axis, load = self._robot.axis(joint), float(self._load[joint][candidate])
         total = load + (axis.reflected_motor_inertia or 0.0)
         prior = pose_prior(self._robot, self._robot.index(joint), total, self._gravity[joint][candidate])
@@ -88,7 +88,7 @@ class SweepDesign:
         )
 
     def _locked_rotor(self, joint: str, candidate: int) -> float | None:
-        """At constant stiffness it goes with 1 / sqrt(inertia): the lowest one is where the axis is heaviest."""
+        """With constant stiffness it is proportional to 1 / sqrt(inertia): lowest where the inertia is largest."""
         if joint in self._analyses:
             found = self._analyses[joint].locked_rotor(float(self._load[joint][candidate]))
             return found if math.isfinite(found) else None
@@ -96,7 +96,7 @@ class SweepDesign:
         return None if lowest is None else lowest * math.sqrt(float(load.max() / load[candidate]))
 
     def _lines(self, joint: str, load: float) -> list[float]:
-        """As the request has them, else as the initial analysis, else [] for those of the method."""
+        """Those of the request, else those of the initial analysis, else [] for those of the method."""
         if self._request.lines or joint not in self._analyses:
             return sorted(self._request.lines)
         return list(self._analyses[joint].lines(load))

@@ -1,4 +1,4 @@
-"""What a report is made of, from an estimate and its sweeps: the same for the commands, the demo and the API."""
+"""Makes the content of a report from an estimate and its sweeps; used by the commands, the demo and the API."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -12,8 +12,8 @@ from service.report.content import SAME_POSITION, Array, Content, revision
 from service.results.estimate import BaseParameter, Estimate
 from service.robot import Robot
 
-DRAWN = 2000  # poses that models are drawn over, at most
-FINEST = 25  # positions of one joint
+DRAWN = 2000  # poses for the drawing of models, at most
+FINEST = 25  # largest number of positions of one joint
 
 
 def content_of(
@@ -28,9 +28,9 @@ def content_of(
 ) -> Content:
     """The content of a report of an estimate that has the inertia of an axis.
 
-    `specs`: at least of the sweeps that the estimate used. `read` gives the samples of one of them, for the example.
-    `workspace` (m, n): free poses, where they are known; else a grid over what the sweeps covered. `revisions`: number
-    and base parameters of the estimates on the way.
+    `specs`: at least of the sweeps that the estimate used. `read` returns the samples of one of them, for the example.
+    `workspace` (m, n): collision-free poses, if known; else a grid over the range of the sweeps. `revisions`: number of
+    sweeps and base parameters of the earlier estimates.
     """
     used = used_sweeps(estimate, specs)
     names = [entry.name for entry in estimate.base_parameters]
@@ -47,20 +47,20 @@ def content_of(
 
 
 def used_sweeps(estimate: Estimate, specs: Iterable[SweepSpec]) -> tuple[SweepSpec, ...]:
-    """Those whose inertia stands in the estimate, in their order."""
+    """The sweeps whose inertia is in the estimate, in their order."""
     used = {one.sweep for axis in estimate.axes.values() for one in axis.inertia}
     return tuple(spec for spec in specs if spec.id in used)
 
 
 def example_of(used: Sequence[SweepSpec]) -> SweepSpec:
-    """The sweep with the most lines, of the axis that was measured first."""
+    """The sweep with the most lines, of the first measured axis."""
     return max((spec for spec in used if spec.axis == used[0].axis), key=lambda spec: len(spec.sines))
 
 
 def covered(robot: Robot, used: Sequence[SweepSpec]) -> Array:
-    """Poses (m, n) in which the robot does not meet itself, on a grid over the range of the joints that varied.
+    """Poses (m, n) without self-collision, on a grid over the range of the joints that varied.
 
-    Nothing is drawn beyond what was measured. Where no joint varied: the poses of the sweeps.
+    Nothing is drawn outside the measured range. If no joint varied: the poses of the sweeps.
     """
     stood = np.unique([spec.pose for spec in used], axis=0)
     varied = np.flatnonzero(np.ptp(stood, axis=0) > SAME_POSITION)

@@ -1,55 +1,23 @@
-"""The report of a campaign, a bundle or an estimate: verdict, origin, what was identified, what the data's check and a
-diagnosis found."""
+"""The report of a campaign, a bundle or an estimate: verdict, origin, identified values, findings of the data check and
+of a diagnosis."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from html import escape
 
-from service.report.content import Content
+from service.report.content import CampaignReport, Content
 from service.report.diagnosis import diagnosis_section, findings
 from service.report.html import Page
 from service.report.page import analysis_section, estimate_sections, parameters_section
 from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict
 from service.results.check import DataCheck
 from service.results.combination import Combination
-from service.results.diagnosis import Diagnosis
 from service.results.estimate import Estimate, Suspect
 
-_LOOK = {CONFIRMED: "none", OPEN: "ambiguous", CONTRADICTED: "unknown"}  # of the card; the word stands in it
-
-
-@dataclass(frozen=True, slots=True)
-class Drive:
-    """What a drive said of itself while `sweeps` sweeps were recorded (CiA 301 object 1018h)."""
-
-    joint: str
-    address: str
-    vendor: int
-    product: int
-    revision: int
-    serial: int
-    dictionary_sha256: str
-    sweeps: int
-
-
-@dataclass(frozen=True, slots=True)
-class CampaignReport:
-    """What a campaign's report has beside the estimate. `origin`: what, and what is known of it, in order.
-
-    `diagnosis`: number and content of the newest one. `test_mass`: kg.
-    """
-
-    title: str
-    subtitle: str
-    origin: tuple[tuple[str, str], ...]
-    drives: tuple[Drive, ...]
-    check: DataCheck | None
-    diagnosis: tuple[int, Diagnosis] | None
-    test_mass: float | None = None
+_LOOK = {CONFIRMED: "none", OPEN: "ambiguous", CONTRADICTED: "unknown"}  # CSS class of the card; the word is on it
 
 
 def campaign_page(report: CampaignReport, joints: Sequence[str], estimate: Estimate, content: Content | None) -> Page:
-    """`content`: None where the estimate has no inertia of an axis by itself, or its sweeps are not at hand."""
+    """`content`: None if the estimate has no inertia of a single axis, or its sweeps are not available."""
     page = Page(report.title, report.subtitle)
     found = verdict(estimate, report.check, report.diagnosis, report.test_mass)
     page.add(
@@ -78,7 +46,7 @@ def _origin(page: Page, report: CampaignReport) -> None:
     if not report.drives:
         page.add("<p>Not recorded: the sweeps were imported, or measured without a fieldbus.</p>")
         return
-    page.add("<p>As they told of themselves when the sweeps were recorded; a drive that was changed has two lines.</p>")
+    page.add("<p>As reported by the drives when the sweeps were recorded; a drive that was changed has two lines.</p>")
     page.table(
         ["joint", "address", "vendor", "product", "revision", "serial number", "dictionary (SHA-256)", "sweeps"],
         [
@@ -94,7 +62,7 @@ def _origin(page: Page, report: CampaignReport) -> None:
 
 
 def _tables(page: Page, estimate: Estimate) -> None:
-    """What an estimate says of the axes where nothing can be drawn; nothing where it says nothing."""
+    """The values of an estimate for axes without a figure; nothing if there are none."""
     if not estimate.axes:
         return
     page.add("<h2>Inertia of the axes, sweep by sweep</h2>", "<p>kg m² (kg); reference: the CAD model.</p>")
@@ -144,7 +112,8 @@ def _suspects(page: Page, suspects: Sequence[Suspect]) -> None:
     if not suspects:
         return
     page.add(
-        "<h2>Sweeps that do not fit the others</h2>", "<p>None is dropped; the worse one fits, the less it counts.</p>"
+        "<h2>Sweeps that do not fit the others</h2>",
+        "<p>No sweep is dropped; a sweep that fits worse has less weight.</p>",
     )
     rows = [[one.sweep, one.axis, one.why, f"{one.weight:.2g}"] for one in suspects]
     page.table(["sweep", "axis", "why", "weight"], rows)
@@ -154,7 +123,8 @@ def _check(page: Page, check: DataCheck | None) -> None:
     page.add("<h2>Check of the data</h2>")
     if check is None:
         page.add(
-            "<p>Not made yet: the service makes it when a campaign is over, <code>sweepid check</code> of a bundle.</p>"
+            "<p>Not done yet: the service checks the data at the end of a campaign, <code>sweepid "
+            "check</code> checks a bundle.</p>"
         )
     elif not check.findings:
         page.add("<p>Nothing found.</p>")

@@ -1,7 +1,7 @@
-"""What a report is made of: plain data from the store, a bundle or the API, and the models drawn from it.
+"""The content of a report: plain data from the store, a bundle or the API, and the models computed from it.
 
-The identified model is taken from the estimate's `standard_parameters`, which reproduce its base parameters, so the
-estimate document of `sweepid identify --json` is all that is needed of the identification.
+The identified model consists of the estimate's `standard_parameters`, which reproduce its base parameters. Therefore
+the estimate document of `sweepid identify --json` contains all that is needed.
 """
 
 from collections.abc import Sequence
@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from service.identification.model.regressor import axis_rows, lock
 from service.recording import Sweep, SweepSpec
+from service.results.check import DataCheck
 from service.results.diagnosis import Diagnosis
 from service.results.estimate import BaseParameter, Estimate
 from service.robot import INERTIAL_NAMES, Robot
 
 Array = NDArray[np.float64]
 
-SAME_POSITION = 2e-3  # rad (m): joints that differ by less between poses did not vary
+SAME_POSITION = 2e-3  # rad (m): joints that differ by less between poses are constant
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +33,7 @@ class Revision:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One line of a table of figures that only the caller knows, e.g. errors against the truth of a virtual robot."""
+    """One row of a table of values known only to the caller, for example errors with respect to a virtual robot."""
 
     label: str
     figures: tuple[str, ...]
@@ -40,7 +41,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Content:
-    """All that a report shows. `workspace` (m, n): the collision-free poses over which models are drawn."""
+    """The complete content of a report. `workspace` (m, n): the collision-free poses over which models are drawn."""
 
     title: str
     subtitle: str
@@ -53,6 +54,36 @@ class Content:
     truth_columns: tuple[str, ...] = ()
     truth: tuple[Row, ...] = ()
     diagnosis: Diagnosis | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """Identity data that a drive reported while `sweeps` sweeps were recorded (CiA 301 object 1018h)."""
+
+    joint: str
+    address: str
+    vendor: int
+    product: int
+    revision: int
+    serial: int
+    dictionary_sha256: str
+    sweeps: int
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignReport:
+    """Content of a campaign's report in addition to the estimate. `origin`: names and values, in order.
+
+    `diagnosis`: number and content of the newest one. `test_mass`: kg.
+    """
+
+    title: str
+    subtitle: str
+    origin: tuple[tuple[str, str], ...]
+    drives: tuple[Drive, ...]
+    check: DataCheck | None
+    diagnosis: tuple[int, Diagnosis] | None
+    test_mass: float | None = None
 
 
 @dataclass(frozen=True)
@@ -70,7 +101,7 @@ class Axis:
     workspace: Array  # (m, n)
     identified_workspace: Array  # (m,)
     reference_workspace: Array  # (m,)
-    varied: tuple[int, ...]  # joints that vary between poses and matter to this axis: those beyond it
+    varied: tuple[int, ...]  # joints that vary between poses and affect this axis: those after it
     rmse: tuple[float, float, float]  # reference-measured, identified-measured, reference-identified; percent, Table 1
 
 
@@ -122,7 +153,7 @@ def revision(parameters: Sequence[BaseParameter], names: Sequence[str], sweeps: 
 
 
 class _Models:
-    """Identified and nominal parameters on the chain whose locked joints the estimate has folded away."""
+    """Identified and nominal parameters for the chain of the estimate, without its locked joints."""
 
     def __init__(self, content: Content) -> None:
         chain = content.robot.chain

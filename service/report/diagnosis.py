@@ -1,4 +1,4 @@
-"""What a diagnosis found, as a page of its own or a section of the report; from its document alone."""
+"""The result of a diagnosis, as a page or as a section of the report; only from its document."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -18,18 +18,20 @@ _BUILDERS = {
     "evidence": drawn.evidence,
     "parameters": drawn.parameters,
 }
-"""Figures by name, in the order of a page; a builder gives None where a diagnosis has nothing to draw."""
+"""Figures by name, in the order of a page; a builder returns None if there is nothing to draw."""
 
+NOTHING = 1e-6  # of a standard deviation: rounding error
 
 _HELD_OUT = (
-    "Before and after are those of one pose that took no part in naming or fit. Pose by pose below, the parameters "
-    "with which a pose is judged come from the other poses."
+    "Before and after are those of one pose that was not used for naming or fit. In the figure pose "
+    "by pose below, each pose is evaluated with parameters from the other poses."
 )
 _CROSS_VALIDATED = (
-    "Cross-validated: the parameters with which a pose is judged come from the other poses; where one pose alone shows "
-    "an effect, or there is but one, those of a sweep come from its repeats."
+    "Cross-validated: each pose is evaluated with parameters from the other poses; where only one "
+    "pose shows an effect, or there is only one pose, each sweep is evaluated with parameters from "
+    "its repeats."
 )
-_NOT_HELD_OUT = "One pose without repeats: nothing could be left out, so the fit is judged on its own sweeps."
+_NOT_HELD_OUT = "One pose without repeats: nothing could be held out, so the fit is evaluated on its own sweeps."
 
 
 def diagnosis_figures(document: Diagnosis) -> dict[str, dict[str, Figure]]:
@@ -44,7 +46,7 @@ def figures_of(axis: AxisDiagnosis) -> dict[str, Figure]:
 
 
 def diagnosis_page(document: Diagnosis, title: str, subtitle: str = "", origin: Sequence[tuple[str, str]] = ()) -> Page:
-    """A report of a diagnosis alone. `origin`: what, and what is known of it, in order."""
+    """A report of a diagnosis alone. `origin`: names and values, in order."""
     page = Page(title, subtitle)
     if origin:
         page.add(*(f"<p><b>{escape(axis.summary)}</b></p>" for axis in document.axes.values()))
@@ -56,11 +58,12 @@ def diagnosis_page(document: Diagnosis, title: str, subtitle: str = "", origin: 
 
 
 def diagnosis_section(page: Page, document: Diagnosis) -> None:
-    """The same at the end of another report."""
+    """The diagnosis as a section at the end of another report."""
     page.add(
         "<h2>Where model and measurement disagree</h2>",
-        "<p>The rigid model is driven along every recorded motion; what it leaves of the drives' effort, and repeats, "
-        "is a gap. A catalogue of effects is tried on it, and judged on sweeps that took no part in the fit.</p>",
+        "<p>The effort of the rigid model is computed along every recorded motion. The repeatable "
+        "difference to the measured effort is the gap. The effects of a catalogue are fitted to it "
+        "and verified on sweeps that were not used for the fit.</p>",
     )
     for joint, axis in document.axes.items():
         page.add(f"<h3>{escape(joint)}</h3>")
@@ -86,7 +89,10 @@ def _axis(page: Page, joint: str, axis: AxisDiagnosis) -> None:
     if axis.explained:
         _effects(page, axis, figures)
     if axis.part:
-        page.add("<h3>Known in part</h3>", "<p>Beside a rest that no effect of the catalogue explains.</p>")
+        page.add(
+            "<h3>Known in part</h3>",
+            "<p>In addition, a part of the gap is not explained by any effect of the catalogue.</p>",
+        )
         page.table(["effect", "parameter", "value", "± std", "unit"], _parameter_rows(axis.part))
     if axis.rigid_model:
         _rigid_model(page, axis.rigid_model, axis.started_from)
@@ -94,7 +100,7 @@ def _axis(page: Page, joint: str, axis: AxisDiagnosis) -> None:
     page.add(
         "<h3>Example</h3>",
         f"<p>Sweep {escape(sweep)}{escape(f' ({plain(block)})') if block else ''}, the sweep with the "
-        "largest gap before. Above the effort, below what the model leaves of it.</p>",
+        "largest gap before. Above: the effort; below: the residual of the model.</p>",
     )
     page.figure(figures["example"])
     _open_questions(page, joint, axis)
@@ -128,7 +134,7 @@ def _how_judged(gap: Gap) -> str:
 
 
 def _known(page: Page, axis: AxisDiagnosis) -> None:
-    """What the model had before, fitted anew, beside what it says of it."""
+    """Known effects: parameters from these sweeps, next to those in the model."""
     changed = {(change.effect, change.parameter): change.model for change in axis.changes}
     rows = [
         [
@@ -140,7 +146,7 @@ def _known(page: Page, axis: AxisDiagnosis) -> None:
         for effect in axis.known
         for name, value in effect.parameters.items()
     ]
-    page.add("<h3>What the model has already</h3>", "<p>Fitted anew to these sweeps.</p>")
+    page.add("<h3>What the model has already</h3>", "<p>Fitted again to these sweeps.</p>")
     page.table(["effect", "parameter", "value", "± std", "unit", "the model says"], rows)
 
 
@@ -162,8 +168,9 @@ def _effects(page: Page, axis: AxisDiagnosis, figures: Mapping[str, Figure]) -> 
         page.figure(figures["parameters"])
     if "evidence" in figures:
         page.add(
-            "<p>Every other candidate in its place, and how far behind it is. Amber ones are not ruled out. Grey ones "
-            "are: far behind (beyond the dashed line), or richer without explaining more, or against physics.</p>"
+            "<p>Every other candidate in place of the chosen one, and how far behind it is. Amber: "
+            "not ruled out. Grey: ruled out, because it is far behind (beyond the dashed line), has "
+            "more parameters without explaining more, or is not physical.</p>"
         )
         page.figure(figures["evidence"])
     _fit(page, axis.fit)
@@ -178,7 +185,7 @@ def _parameter_rows(effects: Sequence[Effect]) -> list[list[str]]:
 
 
 def findings(page: Page, found: Sequence[Finding]) -> None:
-    """Of a check of the data. Where one is wrong, no physics was named."""
+    """Findings of the data check. If one is wrong, no physics was named."""
     ordered = sorted(found, key=lambda one: one.severity != "wrong")
     page.add(
         *(f"<p><b>{escape(one.severity)}:</b> {escape(one.sentence)} {escape(one.action)}</p>" for one in ordered),
@@ -186,17 +193,19 @@ def findings(page: Page, found: Sequence[Finding]) -> None:
 
 
 def _rigid_model(page: Page, parameters: Sequence[RigidParameter], started_from: str) -> None:
-    """What CAD and data sheet, or an estimate, say of the rigid model, and what these sweeps say."""
+    """The rigid model of CAD and data sheet, or of an estimate, next to that of these sweeps."""
     by_cad = started_from == "cad"
     page.add(
         "<h3>The rigid model</h3>",
-        "<p>Base parameters of inertia and gravity about the axis, kg, kg m and kg m², and viscous friction, N m s/rad "
-        "(N s/m). What was found is a correction within the prior, and no effect. What the measured poses do not tell "
-        f"stays as {'CAD' if by_cad else 'the estimate'} has it, as uncertain as its prior.</p>",
+        "<p>Base parameters of inertia and gravity about the axis, kg, kg m and kg m², and viscous "
+        "friction, N m s/rad (N s/m). The values found are corrections within the prior, not effects. "
+        "Parameters that the measured poses do not determine keep the value of "
+        f"{'CAD' if by_cad else 'the estimate'} and the uncertainty of its prior.</p>",
         "" if by_cad else f"<p>Started from an estimate: {escape(started_from)}.</p>",
     )
     rows = [
-        [one.name, "–" if one.nominal is None else f"{one.nominal:.5g}", *_number_and_std(one)] for one in parameters
+        [one.name, "–" if one.nominal is None else _number(one.nominal, one.std), *_number_and_std(one)]
+        for one in parameters
     ]
     page.table(["parameter", "CAD" if by_cad else "estimate", "found", "± std"], rows)
 
@@ -220,7 +229,9 @@ def _open_questions(page: Page, joint: str, axis: AxisDiagnosis) -> None:
             f"{size}{_duration(experiment.seconds)} of machine time.</p>",
         )
     if axis.untestable:
-        page.add("<h3>What these sweeps cannot show</h3>", "<p>Whether or not there is one of these:</p>")
+        page.add(
+            "<h3>What these sweeps cannot show</h3>", "<p>These effects can neither be confirmed nor excluded:</p>"
+        )
         rows = [
             [drawn.effect_words(effect), ", ".join(plain(block) for block in axis.visible_in.get(effect, ()))]
             for effect in axis.untestable
@@ -229,12 +240,17 @@ def _open_questions(page: Page, joint: str, axis: AxisDiagnosis) -> None:
 
 
 def _value(value: Value) -> list[str]:
-    return [*_number_and_std(value), value.unit]
+    return [*_number_and_std(value), drawn.unit_words(value.unit)]
 
 
 def _number_and_std(of: Value | PoseInertia | RigidParameter) -> list[str]:
     known = of.std is not None and math.isfinite(of.std)
-    return [f"{of.value:.5g}", f"{of.std:.2g}" if known else "–"]
+    return [_number(of.value, of.std), f"{of.std:.2g}" if known else "–"]
+
+
+def _number(value: float, std: float | None) -> str:
+    """Five digits; 0 if the value is only rounding error, far below its standard deviation."""
+    return f"{0.0 if abs(value) < NOTHING * (std or 0.0) else value:.5g}"
 
 
 def _duration(seconds: float) -> str:
@@ -243,5 +259,5 @@ def _duration(seconds: float) -> str:
 
 
 def plain(name: str) -> str:
-    """An effect, a block or a parameter in words."""
+    """The name of an effect, a block or a parameter in words."""
     return name.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")

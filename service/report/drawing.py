@@ -1,13 +1,23 @@
-"""The vocabulary of the figures: colours, lines, points, scales; as plotly.js wants them."""
+"""Elements of the figures: colours, lines, points, scales, in the format of plotly.js."""
 
 import math
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Figure = dict[str, Any]
+Drawn = str | float | None | Sequence["Drawn"] | Mapping[str, "Drawn"]  # accepted by plotly.js
+Part = Mapping[str, Drawn]  # a trace, a scale, an annotation
+
+
+class Figure(TypedDict):
+    """A figure for plotly.js; the layout has a "height", px."""
+
+    data: Sequence[Part]
+    layout: Part
+
 
 MEASURED, IDENTIFIED, REFERENCE, PAPER = "#c2410c", "#1d4ed8", "#94a3b8", "#7c3aed"
 AXIS_COLOURS = ("#1d4ed8", "#0f766e", "#b45309", "#7c3aed", "#be123c", "#475569")
@@ -16,26 +26,35 @@ GRID = "#e2e8f0"
 DECADES = {"type": "log", "dtick": 1, "exponentformat": "power"}
 
 
-def line(name: str, x: Any, y: Array, colour: str, dash: str = "solid", width: float = 1.8) -> Figure:
+def line(name: str, x: Drawn, y: Array, colour: str, dash: str = "solid", width: float = 1.8) -> Part:
     """A curve."""
     style = {"color": colour, "dash": dash, "width": width}
     return {"type": "scatter", "mode": "lines", "name": name, "x": x, "y": rounded(y), "line": style}
 
 
-def points(name: str, x: Any, y: Array, colour: str, error: Array | None = None, symbol: str = "circle") -> Figure:
+def points(
+    name: str, x: Drawn, y: Array, colour: str, error: Array | None = None, symbol: str = "circle", size: float = 7
+) -> Part:
     """Markers, with error bars of half length `error` where given."""
-    marker: Figure = {"size": 7, "color": colour, "symbol": symbol}
+    marker: dict[str, Drawn] = {"size": size, "color": colour, "symbol": symbol}
     if symbol.endswith("open"):
         marker["line"] = {"width": 1.8, "color": colour}
-    trace: Figure = {"type": "scatter", "mode": "markers", "name": name, "x": x, "y": rounded(y), "marker": marker}
+    trace: dict[str, Drawn] = {
+        "type": "scatter",
+        "mode": "markers",
+        "name": name,
+        "x": x,
+        "y": rounded(y),
+        "marker": marker,
+    }
     if error is not None:
         trace["error_y"] = {"array": rounded(error), "color": colour, "thickness": 1.1, "width": 3}
     return trace
 
 
-def figure(traces: list[Figure], layout: Figure) -> Figure:
+def figure(traces: Sequence[Part], layout: Part) -> Figure:
     """Traces and layout in the report's look."""
-    base: Figure = {
+    base: Part = {
         "font": {"family": "system-ui, sans-serif", "size": 13, "color": "#334155"},
         "paper_bgcolor": "white",
         "plot_bgcolor": "white",
@@ -43,10 +62,10 @@ def figure(traces: list[Figure], layout: Figure) -> Figure:
         "legend": {"orientation": "h", "y": 1.02, "yanchor": "bottom", "x": 0},
         "hoverlabel": {"font": {"family": "system-ui, sans-serif"}},
     }
-    return {"data": traces, "layout": base | layout}
+    return {"data": traces, "layout": {**base, **layout}}
 
 
-def scale(title: str, zeroline: bool = False) -> Figure:
+def scale(title: str, zeroline: bool = False) -> Part:
     """An axis of a figure."""
     return {
         "title": {"text": title, "standoff": 8},
@@ -62,7 +81,7 @@ def scale(title: str, zeroline: bool = False) -> Figure:
 
 
 def symbols(count: int) -> list[str]:
-    """A marker for each axis of the robot: colour alone tells nothing on grey paper, or to who does not see it."""
+    """A marker for each axis of the robot: colours cannot be distinguished in grey print or by colour-blind readers."""
     return [AXIS_SYMBOLS[k % len(AXIS_SYMBOLS)] for k in range(count)]
 
 
@@ -76,8 +95,8 @@ def degrees(angles: Array) -> list[float]:
     return [round(math.degrees(angle), 3) for angle in angles]
 
 
-def rounded(values: Array, decimals: int | None = None) -> Any:
-    """Nested lists with 6 significant digits (or so many decimals); None for NaN, which JSON does not have."""
+def rounded(values: Array, decimals: int | None = None) -> list[Drawn]:
+    """Nested lists with 6 significant digits (or `decimals` decimals); None for NaN, which JSON does not have."""
     values = np.asarray(values, dtype=float)
     if values.ndim > 1:
         return [rounded(row, decimals) for row in values]

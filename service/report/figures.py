@@ -1,4 +1,4 @@
-"""The report's figures as plotly.js descriptions (plain data; nothing is drawn here)."""
+"""The report's figures as descriptions for plotly.js (plain data; nothing is drawn here)."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,9 @@ from service.report.drawing import (
     MEASURED,
     PAPER,
     REFERENCE,
+    Drawn,
     Figure,
+    Part,
     colours,
     degrees,
     figure,
@@ -75,7 +77,7 @@ def surface(robot: Robot, axis: Axis) -> Figure:
         ],
         {
             "height": 560,
-            "meta": {"width": 960},  # px; on less, the names of the axes are cut
+            "meta": {"width": 960},  # px; with less, the names of the axes are cut off
             "margin": {"l": 0, "r": 0, "t": 10, "b": 0},
             "scene": {
                 "xaxis": {"title": {"text": f"{names[first]} in deg"}},
@@ -89,7 +91,7 @@ def surface(robot: Robot, axis: Axis) -> Figure:
 
 
 def deviation_map(robot: Robot, axis: Axis) -> Figure:
-    """How much the identified model differs from the reference over the workspace, and where was measured."""
+    """Difference between identified model and reference over the workspace, and the measured poses."""
     first, second = axis.varied[:2]
     deviation = 100 * (axis.identified_workspace / axis.reference_workspace - 1)
     x, y, (z,) = _mesh(axis.workspace, first, second, (deviation,))
@@ -98,7 +100,7 @@ def deviation_map(robot: Robot, axis: Axis) -> Figure:
     if low * high < 0:
         high = max(high, -low)
         low = -high
-    else:  # one sign only: the colours from nothing to the most
+    else:  # one sign only: colours from zero to the maximum
         ramp = ramp[1:] if high > 0 else ramp[:2]
         ramp = [[k, colour] for k, (_, colour) in enumerate(ramp)]
     return figure(
@@ -146,7 +148,7 @@ def deviation_map(robot: Robot, axis: Axis) -> Figure:
 
 
 def curve(robot: Robot, axis: Axis) -> Figure:
-    """Inertia over the one joint that varies beyond the axis, or over the sweeps where none does."""
+    """Inertia over the one joint after the axis that varies, or over the sweeps if none does."""
     if axis.varied:
         joint = axis.varied[0]
         order = np.argsort(axis.workspace[:, joint])
@@ -169,7 +171,7 @@ def curve(robot: Robot, axis: Axis) -> Figure:
 
 def residuals(axes: Sequence[Axis]) -> Figure:
     """Measured against identified model, percent, sweep by sweep with two standard deviations."""
-    traces: list[Figure] = []
+    traces: list[Part] = []
     for axis, colour, symbol in zip(axes, colours(len(axes)), symbols(len(axes)), strict=True):
         percent = 100 / axis.identified
         traces.append(
@@ -218,11 +220,12 @@ def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> Figure:
     """Each base parameter over the number of sweeps, with a band of two standard deviations: small multiples."""
     columns = 3
     rows = -(-len(names) // columns)
-    traces: list[Figure] = []
-    layout: Figure = {
+    traces: list[Part] = []
+    annotations: list[Drawn] = []
+    layout: dict[str, Drawn] = {
         "height": 50 + 175 * rows,
         "showlegend": False,
-        "annotations": [],
+        "annotations": annotations,
         "margin": {"l": 20, "r": 0, "t": 25, "b": 20},
     }
     for k, name in enumerate(names):
@@ -230,7 +233,7 @@ def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> Figure:
         row, column = divmod(k, columns)
         left, width = column / columns, 1 / columns
         top, height = 1 - row / rows, 1 / rows
-        # what the data do not yet determine would hide everything else: start where the std is of the final size
+        # undetermined parameters would set the scale: start when the std has the order of its final value
         final = revisions[-1]
         shown = [r for r in revisions if r.std[k] < max(30 * final.std[k], 1e-12)]
         x = [r.sweeps for r in shown]
@@ -264,7 +267,7 @@ def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> Figure:
             "anchor": f"x{number}",
             "nticks": 4,
         }
-        layout["annotations"].append(
+        annotations.append(
             {
                 "text": _short(name),
                 "hovertext": name,
@@ -318,7 +321,7 @@ def in_time(sweep: Sweep) -> Figure:
 
 
 def in_frequency(sweep: Sweep) -> Figure:
-    """Amplitudes of velocity and effort over the measured whole periods; the excited lines stand out."""
+    """Amplitudes of velocity and effort over the measured complete periods; the excited lines are highlighted."""
     spec, recording = sweep.spec, sweep.recording
     end = spec.measure_from + (spec.period or 0.0) * (spec.periods or 0)
     half = 0.5 / spec.sample_rate
@@ -328,7 +331,7 @@ def in_frequency(sweep: Sweep) -> Figure:
     shown = (frequency > 0) & (frequency <= 20.0)
     lines = [sine.frequency for sine in spec.sines]
     excited = shown & (np.abs(frequency[:, None] - np.array([lines])).min(axis=1) < 1e-6)
-    traces: list[Figure] = []
+    traces: list[Part] = []
     for name, samples, factor, colour, y in (
         ("velocity", recording.velocity, 1e3, IDENTIFIED, "y"),
         ("effort", recording.effort, 1.0, MEASURED, "y2"),
@@ -353,7 +356,7 @@ def in_frequency(sweep: Sweep) -> Figure:
 
 
 def _mesh(poses: Array, first: int, second: int, values: Sequence[Array]) -> tuple[Array, Array, list[Array]]:
-    """Values of scattered grid poses as matrices (y, x), NaN where the grid has no pose; the first of equals counts."""
+    """Values of scattered grid poses as matrices (y, x), NaN where the grid has no pose; first of equal poses."""
     x, column = np.unique(np.round(poses[:, first], 9), return_inverse=True)
     y, row = np.unique(np.round(poses[:, second], 9), return_inverse=True)
     matrices: list[Array] = []
@@ -369,6 +372,6 @@ def _hover(names: Sequence[str], first: int, second: int, what: str) -> str:
 
 
 def _short(name: str) -> str:
-    """The leading parameter of a combination; the whole name stands in the table."""
+    """The first parameter of a combination; the full name is in the table."""
     head, _, rest = name.partition(" ")
     return f"{head} + …" if rest else head

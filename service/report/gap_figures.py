@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.report.drawing import IDENTIFIED, Figure, figure, line, rounded, scale
+from service.report.drawing import IDENTIFIED, Drawn, Figure, Part, figure, line, rounded, scale
 from service.results.cell import Bin, Cell
 from service.results.diagnosis import AxisDiagnosis, Rival
 from service.results.effect import Value
@@ -15,30 +15,32 @@ RECORDED = "#64748b"
 TIE = "#b45309"
 
 COLUMNS = 3
-SIGNIFICANT = 5.0  # standard deviations from no gap at all
-DECISIVE = 10.0  # of Schwarz's criterion: as far behind, a rival is out
+SIGNIFICANT = 5.0  # standard deviations from zero gap
+DECISIVE = 10.0  # of Schwarz's criterion: a rival with a larger difference is excluded
 
 
 def gap_map(axis: AxisDiagnosis) -> Figure | None:
-    """The gap cut along every property of sweeps and samples, before and after, the noise floor in each panel."""
+    """The gap for each property of sweeps and samples, before and after, with the noise floor in each panel."""
     dimensions: dict[str, list[Cell]] = {}
     for cell in axis.where:
         dimensions.setdefault(cell.dimension, []).append(cell)
     if not dimensions:
         return None
     panels = [_panel(name, cells, axis.explained) for name, cells in dimensions.items()]
-    panels.sort(key=lambda panel: -len(panel.labels))  # panels of one height side by side
+    panels.sort(key=lambda panel: -len(panel.labels))  # panels of one height in one row
     lines = [panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)]
     heights = [20 * max(len(panel.labels) for panel in line) + 62 for line in lines]
     floor = axis.gap.noise_floor_rms
     largest = max(max(cell.rms for cell in axis.where), floor or 0.0)
-    layout: Figure = {
+    annotations: list[Drawn] = []
+    shapes: list[Drawn] = []
+    layout: dict[str, Drawn] = {
         "height": sum(heights) + 70,
         "margin": {"l": 10, "r": 10, "t": 40, "b": 30},
         "barmode": "overlay",
-        "meta": {"width": 960},  # px; names of bins beside three panels want it
-        "annotations": [],
-        "shapes": [],
+        "meta": {"width": 960},  # px; needed for names of bins next to three panels
+        "annotations": annotations,
+        "shapes": shapes,
     }
     traces = _keys(axis)
     top, number = 1.0, 0
@@ -68,11 +70,11 @@ def gap_map(axis: AxisDiagnosis) -> Figure | None:
                 "tickfont": {"size": 11},
                 "showgrid": False,
             }
-            layout["annotations"].append(_title(panel.title, left, top - share * 23 / height))
+            annotations.append(_title(panel.title, left, top - share * 23 / height))
             if panel.with_floor and floor is not None:
-                layout["shapes"].append(_upright(tail, floor))
+                shapes.append(_upright(tail, floor))
         top -= share
-    layout["annotations"].append(_title(f"bars: RMS of the repeatable gap in {axis.unit}", 1.0, 0.0, right=True))
+    annotations.append(_title(f"bars: RMS of the repeatable gap in {axis.unit}", 1.0, 0.0, right=True))
     return figure(traces, layout)
 
 
@@ -89,7 +91,7 @@ class _Panel:
             "hovertemplate": "%{y}: %{x:.3g} before, significance %{customdata}<extra></extra>",
             "width": 0.72,
         }
-        self.traces = [shown | before]
+        self.traces: list[Part] = [{**shown, **before}]
         if after:
             left = {
                 "x": rounded(np.array([cell.rms_after for cell in cells])),
@@ -97,7 +99,7 @@ class _Panel:
                 "hovertemplate": "%{y}: %{x:.3g} after<extra></extra>",
                 "width": 0.3,
             }
-            self.traces.append(shown | left)
+            self.traces.append({**shown, **left})
 
 
 def _panel(name: str, cells: Sequence[Cell], after: bool) -> _Panel:
@@ -109,7 +111,7 @@ def _panel(name: str, cells: Sequence[Cell], after: bool) -> _Panel:
     size = max(abs(end) for one, _ in pairs for end in (one.low, one.high) if end is not None)
     labels = [_label(one, size) for one, _ in pairs]
     measure = pairs[0][0].unit.replace("s2", "s²")
-    # the noise of one line is not that of the whole signal
+    # the noise of one line differs from that of the whole signal
     return _Panel(f"{name} ({measure})", [cell for _, cell in pairs], labels, after, name != "line frequency")
 
 
@@ -118,10 +120,10 @@ def _label(one: Bin, size: float) -> str:
     return ends if one.parts is None else f"{ends}/{one.parts}"
 
 
-def _keys(axis: AxisDiagnosis) -> list[Figure]:
-    """What the legend shows; the bars themselves stand in many panels."""
-    bar: Figure = {"type": "bar", "x": [None], "y": [None]}
-    keys: list[Figure] = [
+def _keys(axis: AxisDiagnosis) -> list[Part]:
+    """The entries of the legend; the bars themselves are in many panels."""
+    bar: Part = {"type": "bar", "x": [None], "y": [None]}
+    keys: list[Part] = [
         {**bar, "name": "before", "marker": {"color": BEFORE}},
         {**bar, "name": "before, not significant", "marker": {"color": QUIET}},
     ]
@@ -132,7 +134,7 @@ def _keys(axis: AxisDiagnosis) -> list[Figure]:
 
 
 def gap_by_pose(axis: AxisDiagnosis) -> Figure:
-    """Gap before and after in every pose, cross-validated, beside the noise floor."""
+    """Cross-validated gap before and after in each pose, with the noise floor."""
     poses = axis.gap.by_pose
     labels = pose_labels([pose.pose for pose in poses])
     bars = [
@@ -172,7 +174,7 @@ def gap_by_pose(axis: AxisDiagnosis) -> Figure:
 
 
 def example(axis: AxisDiagnosis) -> Figure:
-    """The sweep with the largest gap: what the drive gave, what either model needs, and what is left."""
+    """The sweep with the largest gap: measured effort, effort of both models, and the residual."""
     sweep = axis.example
     time = rounded(np.array(sweep.time), 4)
     measured, before, after = (np.array(effort, dtype=float) for effort in (sweep.measured, sweep.before, sweep.after))
@@ -198,11 +200,14 @@ def example(axis: AxisDiagnosis) -> Figure:
 
 
 def evidence(axis: AxisDiagnosis) -> Figure | None:
-    """How far behind the chosen explanation every other candidate is, on a scale of powers of ten."""
+    """Difference of each other candidate from the chosen explanation, on a logarithmic scale."""
     rivals = axis.rivals
     if not rivals or not axis.effects:
         return None
-    chosen = " + ".join(effect_words(effect.effect) for effect in axis.effects)
+    # a long name of several effects would leave no room for the others
+    chosen = (
+        effect_words(axis.effects[0].effect) if len(axis.effects) == 1 else f"The {len(axis.effects)} effects above"
+    )
     rows = [(chosen, 0.0, AFTER), *((effect_words(r.effect), r.behind, _colour(axis, r)) for r in rivals)]
     names, behind, colours = zip(*rows, strict=True)
     places = [_signed_power(value) for value in behind]
@@ -214,8 +219,8 @@ def evidence(axis: AxisDiagnosis) -> Figure | None:
                 "type": "bar",
                 "orientation": "h",
                 "x": [round(place, 4) for place in places],
-                "y": names,
-                "marker": {"color": colours},
+                "y": list(names),
+                "marker": {"color": list(colours)},
                 "text": ["chosen", *(_behind(axis, rival) for rival in rivals)],
                 "textposition": "outside",
                 "cliponaxis": False,
@@ -224,7 +229,7 @@ def evidence(axis: AxisDiagnosis) -> Figure | None:
         ],
         {
             "height": 110 + 24 * len(rows),
-            "margin": {"l": 10, "r": 70, "t": 20, "b": 55},
+            "margin": {"l": 10, "r": 130, "t": 20, "b": 55},  # text next to the longest bar
             "xaxis": {
                 **scale("behind the chosen explanation by (Schwarz's criterion)", zeroline=True),
                 "tickvals": [_signed_power(tick) for tick in ticks],
@@ -237,7 +242,7 @@ def evidence(axis: AxisDiagnosis) -> Figure | None:
 
 
 def parameters(axis: AxisDiagnosis) -> Figure | None:
-    """Every parameter of the named effects with two standard deviations, in percent of its value."""
+    """Each parameter of the named effects with two standard deviations, in percent of its value."""
     rows = [
         (f"{effect_words(effect.effect)}: {name.replace('_', ' ')}", value)
         for effect in axis.effects
@@ -276,18 +281,23 @@ def parameters(axis: AxisDiagnosis) -> Figure | None:
 
 
 def effect_words(effect: str) -> str:
-    """An effect's name for a person."""
+    """An effect's name in words."""
     words = effect.replace("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck")
     return words[:1].upper() + words[1:]
 
 
 def measured(value: Value) -> str:
     """Value, standard deviation and unit of a parameter."""
-    return f"{value.value:.4g} ± {number(value.std):.2g} {value.unit}".rstrip()
+    return f"{value.value:.4g} ± {number(value.std):.2g} {unit_words(value.unit)}".rstrip()
+
+
+def unit_words(unit: str) -> str:
+    """A unit in readable form."""
+    return unit.replace("^2", "²")
 
 
 def pose_labels(poses: Sequence[Sequence[float]]) -> list[str]:
-    """Positions of the joints that differ between poses; numbered where that is not enough to tell them apart."""
+    """Positions of the joints that differ between poses; numbered if these are not unique."""
     values = np.array(poses, dtype=float)
     varying = np.flatnonzero(np.ptp(values, axis=0) > 5e-3)
     labels = [", ".join(f"{value:+.2f}" for value in pose[varying]) or "the pose" for pose in values]
@@ -301,7 +311,7 @@ def _colour(axis: AxisDiagnosis, rival: Rival) -> str:
 
 
 def _behind(axis: AxisDiagnosis, rival: Rival) -> str:
-    """In words too: colour alone tells nothing on grey paper."""
+    """In words too, because colours cannot be distinguished in grey print."""
     return f"{round(rival.behind):,}{', not ruled out' if rival.effect in axis.candidates else ''}"
 
 
@@ -310,15 +320,17 @@ def _signed_power(value: float) -> float:
 
 
 def _words(value: str) -> str:
-    """Of a block; those that a later campaign measured again end with its number."""
+    """Name of a block; a block measured again in a later campaign ends with the number of that campaign."""
     return value.replace("_", " ").replace(" of campaign ", " #")
 
 
 def _short(value: float, size: float) -> str:
-    return f"{0.0 if abs(value) < 1e-3 * size else value:.3g}"
+    """Three digits; from 1000 on without an exponent, which would overlap the next panel."""
+    shown = 0.0 if abs(value) < 1e-3 * size else value
+    return f"{shown:.0f}" if 1e3 <= abs(shown) < 1e6 else f"{shown:.3g}"
 
 
-def _title(text: str, left: float, top: float, right: bool = False) -> Figure:
+def _title(text: str, left: float, top: float, right: bool = False) -> Part:
     return {
         "text": text,
         "x": left,
@@ -333,7 +345,7 @@ def _title(text: str, left: float, top: float, right: bool = False) -> Figure:
     }
 
 
-def _upright(tail: str, place: float, colour: str = FLOOR) -> Figure:
+def _upright(tail: str, place: float, colour: str = FLOOR) -> Part:
     return {
         "type": "line",
         "xref": f"x{tail}",
@@ -347,5 +359,5 @@ def _upright(tail: str, place: float, colour: str = FLOOR) -> Figure:
 
 
 def number(value: float | None) -> float:
-    """NaN for what is not known."""
+    """NaN for unknown values."""
     return float("nan") if value is None else float(value)

@@ -1,4 +1,4 @@
-"""A report, to be written as one HTML file (figures drawn by the plotly.js of the installed wheel, inlined), as PDF
+"""A report, written as one HTML file (figures drawn by the plotly.js of the installed wheel, inlined), as PDF
 (figures as SVG), or as its tables alone."""
 
 import json
@@ -6,11 +6,9 @@ import re
 from collections.abc import Iterable, Sequence
 from html import escape, unescape
 from importlib.resources import files
-from typing import Literal
+from typing import Literal, TypedDict
 
 from service.report.drawing import Figure
-from service.report.paper.document import paper_html
-from service.report.paper.pdf import pdf_of
 
 Form = Literal["html", "pdf", "json"]
 
@@ -73,10 +71,10 @@ td.name { font-size: 14px; max-width: 560px; overflow-wrap: anywhere; }
 }
 """
 
-# No mode bar: it lies over the legend; a double click shows the whole figure again.
-# Paper is narrower than a window (PAPER: what A4 leaves between the margins, px). A figure that names its least width
-# (`meta.width`) would be cut, and one in space, which the graphics card draws, prints empty: those have a picture
-# to print. `data-drawn` tells who prints by himself that all is there.
+# No mode bar, because it covers the legend; a double click resets the view.
+# Paper is narrower than a window (PAPER: width of A4 between the margins, px). A figure with a minimum width
+# (`meta.width`) would be cut, and a 3D figure, drawn by the graphics card, would print empty: these have an image
+# for printing. `data-drawn` shows automatic printing that the page is complete.
 _SCRIPT = """
 const figures = JSON.parse(document.getElementById("figures").textContent);
 const PAPER = 680;
@@ -102,6 +100,12 @@ Promise.all(Object.entries(figures).map(draw)).then(() => { document.documentEle
 """
 
 
+class _Table(TypedDict):
+    section: str
+    head: list[str]
+    rows: list[list[str]]
+
+
 class Page:
     """Collects title, body, figures and tables."""
 
@@ -110,12 +114,12 @@ class Page:
         self._parts: list[str | Figure] = [f"<h1>{escape(title)}</h1>"]
         if lead:
             self._parts.append(f'<p class="lead">{escape(lead)}</p>')
-        self._tables: list[dict[str, object]] = []
+        self._tables: list[_Table] = []
         self._section = ["", ""]
-        self._first = len(self._parts)  # so many parts stand before the contents of the PDF
+        self._first = len(self._parts)  # number of parts before the contents of the PDF
 
     def add(self, *parts: str) -> None:
-        """Markup as it is: escape what comes from elsewhere."""
+        """Add markup unchanged: escape text from other sources."""
         for part in parts:
             if part.startswith("<h2>"):
                 self._section = [_plain(part), ""]
@@ -124,37 +128,37 @@ class Page:
             self._parts.append(part)
 
     def origin(self, facts: Iterable[tuple[str, str]]) -> None:
-        """Where all of it comes from: the end of the first page, unless more is told of it."""
+        """Origin of the data: the end of the first page, unless more is added to it."""
         self.add("<h2>Origin</h2>")
         self.facts_table(facts)
         self.first_page_ends()
 
     def first_page_ends(self) -> None:
-        """What follows comes after the contents, where there are any."""
+        """The following parts come after the table of contents, if there is one."""
         self._first = len(self._parts)
 
     def figure(self, figure: Figure) -> None:
-        """A figure of its layout's height."""
+        """Add a figure with the height of its layout."""
         self._parts.append(figure)
 
     def facts(self, facts: Iterable[tuple[str, str]]) -> None:
-        """Large values with their names beneath."""
+        """Add large values with their names below."""
         facts = list(facts)
         cells = "".join(f"<div><b>{escape(value)}</b><span>{escape(name)}</span></div>" for value, name in facts)
         self._parts.append(f'<div class="facts">{cells}</div>')
         self._tell_table(["", "value"], [(name, value) for value, name in facts])
 
     def facts_table(self, facts: Iterable[tuple[str, str]]) -> None:
-        """Names and what is told of them, which may be long."""
+        """Add names and values, which may be long."""
         facts = list(facts)
         rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(told)}</td></tr>" for name, told in facts)
         self._parts.append(f'<div class="card"><table class="told"><tbody>{rows}</tbody></table></div>')
         self._tell_table(["", "value"], facts)
 
     def table(self, head: Iterable[str], rows: Iterable[Sequence[str]], first: str = "") -> None:
-        """Plain text in rows; `first`: CSS class of the first column."""
+        """Add plain text in rows; `first`: CSS class of the first column."""
         head, rows = list(head), list(rows)
-        top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
+        top = "".join(f"<th>{escape(cell).replace('± ', '±&nbsp;')}</th>" for cell in head)
         body = "".join(
             f'<tr><td class="{first}">{escape(row[0])}</td>'
             + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:])
@@ -166,7 +170,7 @@ class Page:
         self._tell_table(head, rows)
 
     def written(self, form: Form) -> str | bytes:
-        """The report in one of its forms; NoPdf where PDF cannot be made."""
+        """The report in one of its forms; NoPdf if PDF is not available."""
         match form:
             case "html":
                 return self.html()
@@ -203,7 +207,10 @@ class Page:
         )
 
     def pdf(self) -> bytes:
-        """A4, with contents and numbered figures; NoPdf where it cannot be made."""
+        """A4, with table of contents and numbered figures; NoPdf if PDF is not available."""
+        from service.report.paper.document import paper_html  # only imported for PDF
+        from service.report.paper.pdf import pdf_of
+
         return pdf_of(paper_html(self._title, self._parts[: self._first], self._parts[self._first :]))
 
     def _tell_table(self, head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

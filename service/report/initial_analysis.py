@@ -13,7 +13,9 @@ from service.report.drawing import (
     IDENTIFIED,
     MEASURED,
     REFERENCE,
+    Drawn,
     Figure,
+    Part,
     figure,
     line,
     points,
@@ -29,15 +31,14 @@ _LIGHT, _HEAVY = np.array([14, 165, 233]), np.array([124, 45, 18])  # colours of
 
 def amplitude_responses(analysis: AxisAnalysis) -> Figure:
     """Fig. 1a: velocity over effort in every pose, measured (dots) and fitted (lines), from light to heavy."""
-    traces: list[Figure] = []
+    traces: list[Part] = []
     poses = sorted(analysis.poses, key=lambda pose: pose.fit.inertia.value)
     for number, pose in enumerate(poses):
         share = number / max(len(poses) - 1, 1)
         colour = "#" + "".join(f"{int(value):02x}" for value in (1 - share) * _LIGHT + share * _HEAVY)
         frequency = pose.response.frequency
         name = f"J = {pose.fit.inertia.value:.0f} kg m²"
-        measured = points(name, rounded(frequency), 1 / np.abs(pose.response.impedance), colour)
-        measured["marker"]["size"] = 4
+        measured = points(name, rounded(frequency), 1 / np.abs(pose.response.impedance), colour, size=4)
         fine = _fine(frequency)
         fitted = line(name, rounded(fine), 1 / np.abs(_fitted(analysis, pose, fine)), colour, width=1.2)
         traces += [{**measured, "showlegend": False}, fitted]
@@ -55,13 +56,20 @@ def ideal_frequencies(analysis: AxisAnalysis) -> Figure:
     """Fig. 1b in every pose: apparent inertia |Z|/ω, its asymptotes, and the ideal frequency between their ends."""
     poses = sorted(analysis.poses, key=lambda pose: pose.fit.inertia.value)
     rows = -(-len(poses) // COLUMNS)
-    traces: list[Figure] = []
-    layout: Figure = {"height": 40 + 290 * rows, "showlegend": False, "annotations": [], "shapes": []}
+    traces: list[Part] = []
+    annotations: list[Drawn] = []
+    shapes: list[Drawn] = []
+    layout: dict[str, Drawn] = {
+        "height": 40 + 290 * rows,
+        "showlegend": False,
+        "annotations": annotations,
+        "shapes": shapes,
+    }
     for k, pose in enumerate(poses):
         number = "" if k == 0 else str(k + 1)
         row, column = divmod(k, COLUMNS)
         left, top, width, height = column / COLUMNS, 1 - row / rows, 1 / COLUMNS, 1 / rows
-        here: Figure = {"xaxis": f"x{number}", "yaxis": f"y{number}"}
+        here: Part = {"xaxis": f"x{number}", "yaxis": f"y{number}"}
         ends = _ends(pose)
         traces += [{**trace, **here} for trace in _one_pose(analysis, pose, ends)]
         layout[f"xaxis{number}"] = {
@@ -78,7 +86,7 @@ def ideal_frequencies(analysis: AxisAnalysis) -> Figure:
             "domain": [top - 0.8 * height, top - 0.12 * height],
             "anchor": f"x{number}",
         }
-        layout["annotations"].append(
+        annotations.append(
             {
                 "text": f"J = {pose.fit.inertia.value:.0f} kg m², ideal {_ideal(pose, '.2g')} Hz → "
                 f"{pose.fit.sweep_frequency:.0f} Hz",
@@ -92,7 +100,7 @@ def ideal_frequencies(analysis: AxisAnalysis) -> Figure:
                 "font": {"size": 12, "color": "#0f172a"},
             }
         )
-        layout["shapes"] += [
+        shapes += [
             _upright(number, frequency, colour)
             for frequency, colour in (
                 (pose.fit.corner.value, REFERENCE),
@@ -105,7 +113,7 @@ def ideal_frequencies(analysis: AxisAnalysis) -> Figure:
 
 
 def table(analyses: Mapping[str, AxisAnalysis], joints: Sequence[str]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows, pose by pose: by the fit, in brackets by asymptotes."""
+    """Head and rows, by pose: from the fit, in brackets from asymptotes."""
     head = ["axis", "pose in deg", "J in kg m²", "locked rotor in Hz", "friction corner in Hz", "ideal in Hz"]
     rows: list[list[str]] = []
     for joint in joints:
@@ -125,7 +133,7 @@ def table(analyses: Mapping[str, AxisAnalysis], joints: Sequence[str]) -> tuple[
 
 
 def _locked_rotor(pose: PoseAnalysis) -> str:
-    if pose.at_least is not None:  # the asymptotes then end at a resonance that is none
+    if pose.at_least is not None:  # the asymptotes then end at a resonance that does not exist
         return f"above {pose.at_least[0]:.0f}"
     found = pose.fit.locked_rotor
     return f"{found.value:.2f} ± {found.std:.2f} ({pose.asymptotes.locked_rotor.value:.1f})"
@@ -139,12 +147,11 @@ def _ideal(pose: PoseAnalysis, digits: str) -> str:
 _LOG = {"type": "log", "tickvals": [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 40]}
 
 
-def _one_pose(analysis: AxisAnalysis, pose: PoseAnalysis, ends: tuple[float, float]) -> list[Figure]:
+def _one_pose(analysis: AxisAnalysis, pose: PoseAnalysis, ends: tuple[float, float]) -> list[Part]:
     frequency, read = pose.response.frequency, pose.asymptotes
     omega = 2 * np.pi * frequency
     fine = np.geomspace(ends[0], ends[1], 400)
-    measured = points("measured", rounded(frequency), np.abs(pose.response.impedance) / omega, MEASURED)
-    measured["marker"]["size"] = 3.5
+    measured = points("measured", rounded(frequency), np.abs(pose.response.impedance) / omega, MEASURED, size=3.5)
     level = np.array([ends[0], read.locked_rotor.value])
     friction = np.array([ends[0], max(3 * read.corner.value, 3 * ends[0])])
     return [
@@ -167,7 +174,7 @@ def _fitted(analysis: AxisAnalysis, pose: PoseAnalysis, frequency: Array) -> NDA
 
 
 def _ends(pose: PoseAnalysis) -> tuple[float, float]:
-    """From half of the friction corner, within reason, to the last line."""
+    """From half the friction corner frequency, if plausible, to the last line."""
     return max(min(0.5 * pose.fit.corner.value, 0.5), 0.02), float(pose.response.frequency[-1])
 
 
@@ -175,7 +182,7 @@ def _fine(frequency: Array) -> Array:
     return np.geomspace(float(frequency[0]), float(frequency[-1]), 300)
 
 
-def _upright(number: str, frequency: float, colour: str) -> Figure:
+def _upright(number: str, frequency: float, colour: str) -> Part:
     return {
         "type": "line",
         "xref": f"x{number}",

@@ -1,4 +1,4 @@
-"""What the report says, in which order."""
+"""Content and order of the report."""
 
 import math
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from service.robot import Robot
 
 
 def estimate_page(content: Content) -> Page:
-    """The whole report; deterministic for equal content."""
+    """The complete report; deterministic for equal content."""
     page = Page(content.title, content.subtitle)
     estimate_sections(page, content)
     if content.diagnosis is not None:
@@ -25,7 +25,7 @@ def estimate_page(content: Content) -> Page:
 
 
 def estimate_sections(page: Page, content: Content) -> None:
-    """All that an estimate tells, from the facts to the base parameters."""
+    """All sections of an estimate, from the main values to the base parameters."""
     axes = axes_of(content)
     _facts(page, content, axes)
     analysis_section(page, content.robot.joints, content.estimate.analysis)
@@ -44,15 +44,16 @@ def analysis_page(robot: Robot, analysis: Analyses) -> Page:
 
 
 def analysis_section(page: Page, joints: Sequence[str], analysis: Analyses) -> None:
-    """Of the initial analysis of an estimate, in the order of `joints`; nothing where it is empty."""
+    """The initial analysis of an estimate, in the order of `joints`; nothing if it is empty."""
     analyses = analyses_from(analysis)
     if not analyses:
         return
     page.add(
         "<h2>Initial analysis</h2>",
-        "<p>Torque noise, or a stepped sine, on a slow turn in some poses from light to heavy. In between the corner "
-        "below which friction rules and the first locked-rotor frequency, where the motor stands and the load swings, "
-        "an axis shows its inertia best: at their geometric mean.</p>",
+        "<p>Torque noise, or a stepped sine, on a slow turn in some poses from light to heavy. The "
+        "inertia of an axis is identified best at the geometric mean of two frequencies: the corner "
+        "below which friction dominates, and the first locked-rotor frequency, where the motor stands "
+        "and the load oscillates.</p>",
     )
     for joint, axis in analyses.items():
         page.add(f"<h3>{escape(joint)}</h3>", "<p>Amplitude responses; dots measured, lines fitted.</p>")
@@ -62,7 +63,7 @@ def analysis_section(page: Page, joints: Sequence[str], analysis: Analyses) -> N
             "the corner, the ideal frequency (blue, in the middle) and the locked-rotor frequency of the fit.</p>"
         )
         page.figure(initial_analysis.ideal_frequencies(axis))
-    page.add("<p>Both ways side by side, with one standard deviation: by the fit, in brackets by the asymptotes.</p>")
+    page.add("<p>Both methods with one standard deviation: the fit, and in brackets the asymptotes.</p>")
     page.table(*initial_analysis.table(analyses, joints))
 
 
@@ -118,8 +119,8 @@ def _accuracy(page: Page, content: Content, axes: Sequence[Axis]) -> None:
     page.figure(figures.residuals(axes))
     if any(math.isfinite(value) for axis in axes for value in axis.paper):
         page.add(
-            "<p>The paper's formula (8) on the same sweeps. It takes the axis as stiff: where the load swings on the "
-            "drive train's elasticity, it reads too much.</p>"
+            "<p>The paper's formula (8) on the same sweeps. It assumes a stiff axis: where the load "
+            "oscillates on the elasticity of the drive train, it overestimates the inertia.</p>"
         )
         page.figure(figures.paper_residuals(axes))
 
@@ -130,8 +131,8 @@ def _convergence(page: Page, content: Content) -> None:
     names = [entry.name for entry in content.estimate.base_parameters]
     page.add(
         "<h2>Convergence</h2>",
-        "<p>Every base parameter after each sweep, with a band of two standard deviations; each curve starts where the "
-        "sweeps so far determine it. Whole names stand in the table at the end.</p>",
+        "<p>Every base parameter after each sweep, with a band of two standard deviations; each curve "
+        "starts where the sweeps so far determine it. The full names are in the table at the end.</p>",
     )
     page.figure(figures.convergence(content.revisions, names))
 
@@ -153,7 +154,7 @@ def _example(page: Page, content: Content) -> None:
 
 
 def parameters_section(page: Page, estimate: Estimate) -> None:
-    """The base parameters, and which of them are not for use."""
+    """The base parameters, and which of them must not be used."""
     page.add(
         "<h2>Base parameters</h2>",
         "<p>The combinations of inertial parameters that the inertias determine; kg, kg m and kg m², each about its "
@@ -171,8 +172,9 @@ def parameters_section(page: Page, estimate: Estimate) -> None:
     page.table(["parameter", "value", "± std", "not for use"], rows, "name")
     if any(row[-1] for row in rows):
         page.add(
-            f"<p>Not for use: a value whose standard deviation is more than {100 * UNSURE:.0f} % of it, or that the "
-            "data tell no better than the CAD model does, which then stands here.</p>"
+            f"<p>Do not use: a value whose standard deviation is more than {100 * UNSURE:.0f} % of it, "
+            "or that the data do not determine better than the CAD model, whose value is then "
+            "shown.</p>"
         )
     for symbol, of in estimate.symbols.items():
         page.add(f'<p class="note">{escape(symbol)} = {of.value:.5g} {escape(of.unit)}, {escape(of.meaning)}</p>')

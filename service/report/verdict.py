@@ -1,4 +1,4 @@
-"""The verdict of a campaign's report in one sentence: what the estimate says, and what speaks against it."""
+"""The verdict of the report of a campaign in one sentence: result of the estimate, and objections."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ CONFIRMED, OPEN, CONTRADICTED = "Confirmed", "Not confirmed", "Contradicted"
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """How the estimate stands (one of the three words above) and why; a sentence each."""
+    """The verdict on the estimate (one of the three words above) and the reasons; one sentence each."""
 
     standing: str
     sentence: str
@@ -26,7 +26,7 @@ def verdict(
     diagnosis: tuple[int, Diagnosis] | None,
     test_mass: float | None = None,
 ) -> Verdict:
-    """Of an estimate, the findings of the data's check, and number and document of the newest diagnosis."""
+    """The verdict from an estimate, the findings of the data check, and number and document of the newest diagnosis."""
     parts = (_estimate(estimate), _mass(test_mass), _check(check), _diagnosis(estimate, diagnosis))
     standings = {standing for standing, _ in parts}
     standing = next(one for one in (CONTRADICTED, OPEN, CONFIRMED) if one in standings)
@@ -36,7 +36,7 @@ def verdict(
 def _estimate(estimate: Estimate) -> tuple[str, str]:
     shares = {joint: share_of_value(axis) for joint, axis in estimate.axes.items()}
     if not shares:
-        return OPEN, "No inertia of an axis by itself was identified, only what is told below"
+        return OPEN, "No inertia of a single axis was identified, only the results below"
     unsure = [joint for joint, share in shares.items() if not share <= UNSURE]
     sure = [joint for joint in shares if joint not in unsure]
     told: list[str] = []
@@ -77,7 +77,7 @@ def _check(check: DataCheck | None) -> tuple[str, str]:
 
 
 def _diagnosis(estimate: Estimate, diagnosis: tuple[int, Diagnosis] | None) -> tuple[str, str]:
-    """An effect that the estimate took into account is none that it lacks."""
+    """An effect that is included in the estimate is not missing from it."""
     if diagnosis is None:
         return OPEN, "no diagnosis was made of it"
     number, document = diagnosis
@@ -91,7 +91,7 @@ def _diagnosis(estimate: Estimate, diagnosis: tuple[int, Diagnosis] | None) -> t
         if axis.verdict == "named" and effects:
             against.append(f"the model of {joint} lacks {_list([plain(effect) for effect in effects])}")
         elif axis.verdict == "ambiguous":
-            against.append(f"something is missing in {joint} that is not named yet")
+            against.append(f"the model of {joint} lacks an effect that is not named yet")
         elif axis.verdict == "unknown":
             against.append(f"{joint} has a gap that no known effect explains")
         elif axis.verdict == "untestable":
@@ -101,7 +101,7 @@ def _diagnosis(estimate: Estimate, diagnosis: tuple[int, Diagnosis] | None) -> t
     asked = [joint for joint in estimate.axes if joint in document.axes and joint not in untold]
     if len(asked) < len(estimate.axes):
         left = [joint for joint in estimate.axes if joint not in asked]
-        return OPEN, f"diagnosis {number} does not tell whether something is missing in {_list(left)}"
+        return OPEN, f"diagnosis {number} does not decide whether an effect is missing in {_list(left)}"
     return CONFIRMED, f"diagnosis {number} finds no effect missing"
 
 

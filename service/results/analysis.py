@@ -24,7 +24,7 @@ class AnalysedLine(Part):
 
 
 class Ideal(Part):
-    """Inertia, kg m^2 (kg), friction, N m s/rad (N s/m), and the frequencies between which the inertia shows, Hz."""
+    """Inertia, kg m^2 (kg), friction, N m s/rad (N s/m), and the frequencies between which inertia dominates, Hz."""
 
     inertia: Figure
     friction: Figure
@@ -35,7 +35,7 @@ class Ideal(Part):
 
 
 class AnalysedPose(Part):
-    """One pose, read by the fit and by its asymptotes."""
+    """One pose, evaluated by the fit and by asymptotes."""
 
     pose: tuple[float, ...]
     load_inertia: float
@@ -45,7 +45,7 @@ class AnalysedPose(Part):
 
 
 class PoseClass(Part):
-    """Poses alike: up to which inertia, kg m^2 (kg, null: no limit), locked rotor and lowest line of a sweep, Hz."""
+    """Similar poses: upper limit of inertia, kg m^2 (kg, null: none), locked rotor and lowest line of a sweep, Hz."""
 
     name: str
     inertia_up_to: float | None

@@ -1,4 +1,4 @@
-"""Cells of the map of a gap: one bin of one property, in numbers where it has any."""
+"""Cells of the map of a gap: one bin of one property, with numbers if it has any."""
 
 import math
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from service.results.part import Part
 
 @dataclass(frozen=True, slots=True)
 class Bin:
-    """From `low` to `high` (None: a single value), in `unit`; `parts`: of how many parts of the unit `low` is one."""
+    """From `low` to `high` (None: a single value), in `unit`; `parts`: divisions of the unit, which `low` counts."""
 
     low: float
     high: float | None
@@ -17,7 +17,7 @@ class Bin:
 
 
 class Cell(Part):
-    """RMS of the repeatable gap there, N m (N), before and after, and how many standard deviations it is from none."""
+    """RMS of the repeatable gap in a bin, N m (N), before and after, and its significance in standard deviations."""
 
     dimension: str
     value: str
@@ -41,7 +41,7 @@ class Cell(Part):
 
 
 def _number(text: str) -> float | None:
-    """Of digits: neither "nan" nor "1_000" is how a bin is written."""
+    """A number written with digits; not "nan" or "1_000", which are not used for bins."""
     try:
         value = float(text)
     except ValueError:

@@ -6,9 +6,9 @@ from service.results.part import Document, Part
 
 
 class Finding(Part):
-    """`severity` wrong: no physics of the `axis` (null: of the whole robot) can be trusted; warning: read it.
+    """`severity` wrong: the physics of the `axis` (null: of the whole robot) cannot be trusted; warning: read it.
 
-    `value` and `limit` are of one unit, which the sentence names; null where there is none.
+    `value` and `limit` have the unit given in the sentence; null if there is no number.
     """
 
     code: str
@@ -22,7 +22,7 @@ class Finding(Part):
 
 
 class CheckedAxis(Part):
-    """An axis that was swept, and the codes of what was found about it."""
+    """A swept axis, and the codes of its findings."""
 
     sweeps: int
     trustworthy: bool

@@ -1,4 +1,4 @@
-"""Sweeps and trajectories in one problem: "combination" of an estimate."""
+"""Joint estimate from sweeps and trajectories: "combination" of an estimate."""
 
 from pydantic import Field
 
@@ -21,23 +21,31 @@ class CombinedParameter(Part):
 
 
 class EffortNoise(Part):
-    """Of an effort harmonic, N m (N), model error included; `scatter` of the periods alone, null with single ones."""
+    """Noise of an effort harmonic, N m (N), including model error; `scatter` from periods, null with a single one.
+
+    `warning` if it still changed in the last round of weighting.
+    """
 
     harmonic: float
     scatter: float | None
+    warning: str = ""
 
 
 class FreeMotionAxis(Part):
-    """What free motion leaves of an axis' effort, N m (N): in the fit, held out, and between equal motions."""
+    """Residual of an axis' effort in free motion, N m (N): in the fit, held out, and between equal motions.
+
+    `warning` if the fit still changed in its last round.
+    """
 
     residual_rms: float
     held_out_rms: float
     held_out_percent: float
     noise_floor_rms: float | None
+    warning: str = ""
 
 
 class Combination(Part):
-    """The joint estimate; `became_identifiable`: what neither sweeps nor trajectories alone identify."""
+    """The joint estimate; `became_identifiable`: parameters that neither sweeps nor trajectories identify alone."""
 
     base_parameters: tuple[CombinedParameter, ...]
     became_identifiable: tuple[str, ...] = ()

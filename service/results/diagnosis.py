@@ -1,4 +1,4 @@
-"""A diagnosis: where model and measurement disagree, axis by axis, and the model that comes of it."""
+"""A diagnosis: the difference between model and measurement by axis, and the resulting model."""
 
 from typing import Literal
 
@@ -14,7 +14,7 @@ Verdict = Literal["none", "named", "ambiguous", "unknown", "untestable"]
 
 
 class Change(Part):
-    """A parameter of an effect that the model had: what the model says, and what is so now."""
+    """A parameter of a known effect: the value in the model, and the present value."""
 
     effect: str
     parameter: str
@@ -23,14 +23,14 @@ class Change(Part):
 
 
 class Rival(Part):
-    """Another candidate in place of the chosen explanation, and by how much of Schwarz's criterion it is `behind`."""
+    """Another candidate instead of the chosen explanation; `behind`: its difference in Schwarz's criterion."""
 
     effect: str
     behind: float
 
 
 class PoseGap(Part):
-    """RMS of what is left in one pose, N m (N); the noise floor is null where nothing was repeated."""
+    """RMS of the residual in one pose, N m (N); the noise floor is null if nothing was repeated."""
 
     pose: tuple[float, ...]
     before_rms: float
@@ -40,11 +40,11 @@ class PoseGap(Part):
 
 
 class Gap(Part):
-    """RMS of what is left, N m (N), and in percent of the effort.
+    """RMS of the residual, N m (N), and in percent of the effort.
 
-    `held_out_sweeps`: those that took no part in naming or fit. `cross_validated`: each pose (or repeat) was judged by
-    the others; documents of before the key was there were so whenever they could be. `twin_rms`: what the simulator
-    leaves with the model found.
+    `held_out_sweeps`: those not used to select or fit effects. `cross_validated`: each pose (or repeat) was tested with
+    a fit to the others; older documents without the key were cross-validated whenever possible. `twin_rms`: residual of
+    the simulator with the identified model.
     """
 
     before_rms: float
@@ -60,7 +60,7 @@ class Gap(Part):
 
 
 class Example(Part):
-    """The sweep with the largest gap: time, s; effort measured and as either model needs it, N m (N)."""
+    """The sweep with the largest gap: time, s; measured effort, and that of both models, N m (N)."""
 
     sweep: str
     block: str
@@ -71,7 +71,7 @@ class Example(Part):
 
 
 class RigidParameter(Part):
-    """A base parameter of the rigid model: what CAD or an estimate says (null: nothing), and what was found."""
+    """A base parameter of the rigid model: value of CAD or an estimate (null: none), and identified value."""
 
     name: str
     nominal: float | None
@@ -80,10 +80,10 @@ class RigidParameter(Part):
 
 
 class AxisDiagnosis(Document):
-    """What was found of one axis; `unit` is that of its effort.
+    """The result for one axis; `unit` is that of its effort.
 
-    `effects` are named (or, undecided, the simplest explanation so far), `known` those of the model, `part` those that
-    explain a part beside an unknown rest. `where` is the map of the gap, `data` what the check of the data found.
+    `effects`: named (or, if undecided, the simplest explanation so far). `known`: in the model. `part`: those that
+    explain a part; the rest is unknown. `where`: the map of the gap. `data`: findings of the data check.
     """
 
     verdict: Verdict
@@ -112,12 +112,12 @@ class AxisDiagnosis(Document):
 
     @property
     def explained(self) -> bool:
-        """Whether there is an after: effects that the model had not."""
+        """Whether there are residuals "after": effects that were not in the model."""
         return bool(self.effects)
 
 
 class DiagnosedModel(Part):
-    """The model that the axes make: effects by joint, the scenario of a virtual machine, and what that cannot hold."""
+    """The model of the axes: effects by joint, the scenario of a virtual machine, and the parts it cannot contain."""
 
     robot: str
     effects: dict[str, tuple[Effect, ...]]
@@ -126,7 +126,7 @@ class DiagnosedModel(Part):
 
 
 class Diagnosis(Document):
-    """All axes by joint, and the model that the named effects make: `sweepid diagnose --json`."""
+    """All axes by joint, and the model with the named effects: `sweepid diagnose --json`."""
 
     axes: dict[str, AxisDiagnosis]
     model: DiagnosedModel

@@ -1,4 +1,4 @@
-"""Effects of an axis, and the axis beside them: in diagnoses and in the models that people accept from them."""
+"""Effects of an axis, and its rigid model: in diagnoses and in the models that users accept from them."""
 
 from typing import Annotated, Literal
 
@@ -6,7 +6,7 @@ from pydantic import Field, JsonValue, Strict
 
 from service.results.part import Part
 
-Number = Annotated[float, Strict()]  # neither the text of one nor true
+Number = Annotated[float, Strict()]  # no strings or booleans
 
 
 class Value(Part):
@@ -20,8 +20,8 @@ class Value(Part):
 class Effect(Part):
     """An effect of the catalogue with its parameters.
 
-    `covariance` in the order in which the parameters were written. `scenario`: what it adds to the scenario of a
-    virtual machine, null where no scenario holds it.
+    `covariance` in the order in which the parameters were written. `scenario`: its part of the scenario of a
+    virtual machine, null if no scenario can contain it.
     """
 
     effect: str
@@ -52,7 +52,7 @@ class PoseGravity(Part):
 
 
 class AxisFit(Part):
-    """The rigid axis beside its effects; `torques`: as the drive recorded them, or true ones."""
+    """The rigid model of an axis with effects; `torques`: as recorded by the drive, or true ones."""
 
     inertia: tuple[PoseInertia, ...]
     gravity: tuple[PoseGravity, ...] | None = None

@@ -1,4 +1,6 @@
-"""An estimate: `sweepid identify --json`, and each revision of a campaign's."""
+"""An estimate: `sweepid identify --json`, and each revision of a campaign."""
+
+from typing import Annotated
 
 from pydantic import Field
 
@@ -7,6 +9,9 @@ from service.results.combination import Combination
 from service.results.effect import Value
 from service.results.part import Document, Part
 from service.results.revision import ModelSource
+
+LARGEST = 1e15  # of a value in SI, as in a URDF: above any robot; its square does not overflow
+Bounded = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 
 
 class ResponseLine(Part):
@@ -21,14 +26,14 @@ class ResponseLine(Part):
 
 
 class SweepInertia(Part):
-    """Inertia by one sweep, kg m^2 (kg): measured, of the nominal and the identified model, by the paper's formula."""
+    """Inertia from one sweep, kg m^2 (kg): measured, nominal and identified model, formula of the paper."""
 
     sweep: str
-    value: float
+    value: Bounded
     std: float
     std_total: float | None = None
-    reference: float
-    identified: float
+    reference: Bounded
+    identified: Bounded
     paper_value: float | None
     viscous_friction: float | None = None
     frequency_response: tuple[ResponseLine, ...] = ()
@@ -45,7 +50,7 @@ class Rmse(Part):
 
 
 class HeldOut(Part):
-    """How well poses are predicted that took no part."""
+    """Prediction errors for poses that were not used."""
 
     sweeps: int
     rmse_percent: float
@@ -54,7 +59,7 @@ class HeldOut(Part):
 
 
 class CramerRao(Part):
-    """Medians over the sweeps: the bound, and what is reached of it."""
+    """Medians over the sweeps: the bound, and the efficiency reached."""
 
     bound_percent: float
     std_over_bound: float
@@ -84,14 +89,14 @@ class Spread(Part):
 
 
 class TorqueGain(Part):
-    """Effort of the drive over true effort."""
+    """Indicated effort of the drive over true effort."""
 
     value: float
     std: float
 
 
 class EstimatedAxis(Part):
-    """What is known of one axis; null is what its sweeps cannot tell."""
+    """The identified values of one axis; null: not determined by its sweeps."""
 
     inertia: tuple[SweepInertia, ...]
     rmse_percent: Rmse
@@ -108,24 +113,24 @@ class EstimatedAxis(Part):
 
 
 class BaseParameter(Part):
-    """A combination of inertial parameters, kg, kg m or kg m^2; std null: not identified, and `reason` says why."""
+    """A combination of inertial parameters, kg, kg m or kg m^2; std null: not identified, for the given `reason`."""
 
     name: str
     symbolic: str | None = None
-    value: float
+    value: Bounded
     std: float | None
     reason: str = ""
 
 
 class Base(Part):
-    """Joints that never moved with their positions, rad (m), and the covariance of the base parameters."""
+    """Joints that never moved, with their positions, rad (m), and the covariance of the base parameters."""
 
     locked: dict[str, float] = Field(default={})
     covariance: tuple[tuple[float, ...], ...] = ()
 
 
 class Symbol(Part):
-    """A distance or an angle in the words of the base parameters."""
+    """A distance or an angle that occurs in the names of base parameters."""
 
     value: float
     unit: str
@@ -133,20 +138,22 @@ class Symbol(Part):
 
 
 class StandardParameters(Part):
-    """One physical robot with these base parameters: ten numbers a link, and the motors' inertias, by name."""
+    """One physical robot with these base parameters: ten numbers per link, and the motors' inertias, by name."""
 
-    links: dict[str, dict[str, float]]
-    motor_inertias: dict[str, float]
+    links: dict[str, dict[str, Bounded]]
+    motor_inertias: dict[str, Bounded]
 
 
 class Physical(Part):
-    """How far the base parameters had to be moved to be physical, standard deviations."""
+    """Change of the base parameters to be physically consistent, standard deviations; `warning` if the search for the
+    nearest robot did not converge."""
 
     deviation_in_std: float | None
+    warning: str = ""
 
 
 class Suspect(Part):
-    """A sweep that does not fit the others, and the weight that it has left."""
+    """A sweep inconsistent with the others, and its reduced weight."""
 
     axis: str
     sweep: str
@@ -155,7 +162,7 @@ class Suspect(Part):
 
 
 class UsedEffect(Part):
-    """A known effect, and whether and how it entered the estimate."""
+    """A known effect, and whether and how it was used in the estimate."""
 
     axis: str
     effect: str
@@ -167,7 +174,7 @@ class UsedEffect(Part):
 class Estimate(Document):
     """Axes by joint, base parameters, the initial analysis and the combination with trajectories.
 
-    `model`: from which model the effects are, null where none is known.
+    `model`: the model that contains the effects, null if there are none.
     """
 
     axes: dict[str, EstimatedAxis]

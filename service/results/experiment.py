@@ -7,7 +7,7 @@ TEST_MASS = "test_mass"  # the kind whose sweeps are run with a known mass on th
 
 
 class ExperimentSweep(Part):
-    """A sweep as it was designed; `ramp` and `settle`, s."""
+    """A designed sweep; `ramp` and `settle`, s."""
 
     spec: SweepSpec
     ramp: float
@@ -15,10 +15,10 @@ class ExperimentSweep(Part):
 
 
 class Experiment(Part):
-    """What to measure next and why; `seconds` of machine time.
+    """What to measure next, and the reason; `seconds` of machine time.
 
-    `kind`: a block, `full_design`, `more_poses`, `warm_up` or `test_mass`. `separation`: chi-squared by which it is
-    expected to tell the effects `between` apart, null where that was not computed.
+    `kind`: a block, `full_design`, `more_poses`, `warm_up` or `test_mass`. `separation`: expected chi-squared of the
+    difference of the effects `between`, null if it was not computed.
     """
 
     kind: str
@@ -31,5 +31,5 @@ class Experiment(Part):
 
     @property
     def weighs(self) -> bool:
-        """True where somebody has to bolt a known mass on."""
+        """True if a known mass must be mounted."""
         return self.kind == TEST_MASS

@@ -9,37 +9,44 @@ from service.errors import BadInput
 
 
 class Part(BaseModel):
-    """A piece of a result. Keys without a field are kept; a field with a default is one that older results lack."""
+    """A part of a result. Keys without a field are kept; a field with a default is missing in older results."""
 
     model_config = ConfigDict(frozen=True, extra="allow")
 
     def as_json(self) -> dict[str, JsonValue]:
-        """What was read or made: keys that were not there stay away."""
+        """The fields that were read or set; missing keys stay missing."""
         return self.model_dump(mode="json", exclude_unset=True)
+
+    def with_nonempty(self, **fields: object) -> Self:
+        """A copy with the fields that are not empty; an empty one stays missing in the JSON."""
+        return self.model_copy(update={name: value for name, value in fields.items() if value})
 
 
 class Document(Part):
-    """A whole result as it is stored or written to a file.
+    """A complete result as it is stored or written to a file.
 
-    `VERSION` is the newest that can be read. Documents without the key "version" are of the first; what older ones of
-    it lack has a default in the model.
+    `VERSION` is the newest readable version. Documents without the key "version" have version 1; fields missing in old
+    ones have a default in the model.
     """
 
     VERSION: ClassVar[int] = 1
 
     @classmethod
     def read(cls, document: object, place: str) -> Self:
-        """From JSON. BadInput names place and field, also where a newer version wrote it."""
+        """From JSON. BadInput names place and field, also if a newer version wrote the document."""
         if isinstance(document, Mapping):
             version = cast("Mapping[str, object]", document).get("version", 1)
             if not isinstance(version, int) or not 1 <= version <= cls.VERSION:
                 raise BadInput(
-                    f"{place}.version", f"{version!r} cannot be read, up to {cls.VERSION} can: update sweepid"
+                    f"{place}.version",
+                    f"{version!r} is newer than {cls.VERSION}, the newest that can be read: update sweepid",
                 )
         try:
             return cls.model_validate(document)
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             where = ".".join(str(key) for key in (place, *first["loc"]))
+            given = repr(first["input"])
+            got = "" if len(given) > 60 or first["type"] == "missing" else f", got {given}"
             more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-            raise BadInput(where, f"{first['msg']}{more}; give what this version of sweepid wrote") from None
+            raise BadInput(where, f"{first['msg']}{got}{more}; use a file written by this version of sweepid") from None

@@ -1,4 +1,4 @@
-"""A model revision: what a person accepted of a diagnosis, and `sweepid diagnose --model` writes."""
+"""A model revision: accepted by a user from a diagnosis, or written by `sweepid diagnose --model`."""
 
 from typing import Literal
 
@@ -9,14 +9,14 @@ from service.results.part import Document, Part
 
 
 class RevisedAxis(Part):
-    """What an axis is known to have, and the rigid axis beside it."""
+    """Known effects of an axis, and its rigid model."""
 
     effects: tuple[Effect, ...]
     fit: AxisFit
 
 
 class ModelRevision(Document):
-    """By joint; the scenario of a virtual machine that is like it, and what a scenario cannot hold."""
+    """By joint; the corresponding scenario of a virtual machine, and the parts that a scenario cannot contain."""
 
     axes: dict[str, RevisedAxis]
     scenario: dict[str, JsonValue]
@@ -24,26 +24,26 @@ class ModelRevision(Document):
 
 
 class Torques(Part):
-    """Of the rigid axis: whether its torques are as the drive recorded them."""
+    """Of the rigid axis: whether its torques are as recorded by the drive."""
 
     torques: Literal["recorded", "true"] = "recorded"
 
 
 class KnownAxis(Part):
-    """What an axis is known to have."""
+    """Known effects of an axis."""
 
     effects: tuple[Effect, ...] = ()
     fit: Torques = Torques()
 
 
 class KnownModel(Document):
-    """What an estimate needs of a model revision, or of a file with effects that somebody wrote."""
+    """The part of a model revision, or of a user's file with effects, that an estimate needs."""
 
     axes: dict[str, KnownAxis]
 
 
 class StoredModel(Part):
-    """A model revision of the store."""
+    """A model revision in the store."""
 
     id: int
     revision: int

@@ -1,1 +1,1 @@
-"""What may move, checked before anything does and while it does. Pure."""
+"""Safety checks before and during motion. Pure."""

@@ -1,16 +1,16 @@
-"""The safety envelope: what may move, checked before anything does and while it does. Pure: no I/O, no clock, no state.
+"""The safety envelope: which motion is allowed, checked before and during motion. Pure: no I/O, no clock, no state.
 
-Before a sweep, from its command alone (bounds hold for every instant, ramps included):
+Before a sweep, from its command alone (bounds apply to every instant, including ramps):
 
-    travel      v0 (ramp + settle + P T) either way,  the sines add at most  sum a_i / (pi f_i)
+    travel      v0 (ramp + settle + P T) in either direction,  the sines add at most  sum a_i / (pi f_i)
                 (second mean value theorem: the envelope e(t) rises, holds and falls, 0 <= e <= 1)
     velocity    |v0| + sum a_i
     effort      (1 + 2 s_J) J_cad a_max + (1 + s_g) |gravity|_max + (1 + s_v) mu_v v_max
                 + breakaway share of the rated effort
 
-Torque noise adds way, velocity and effort of its own (`noise_motion`), in the least inertia that the prior allows.
-with s the robot's prior. A violation names axis, quantity, value, limit and unit. What a drive enforces on top of this
-is the adapter's matter; nothing here depends on it.
+with s the robot's prior. Torque noise adds travel, velocity and effort (`noise_motion`), with the least inertia that
+the prior allows. A violation names axis, quantity, value, limit and unit. Limits that a drive enforces in addition
+are handled by the adapter; nothing here depends on them.
 """
 
 import math
@@ -24,7 +24,8 @@ from drivers.ports import NoiseCommand, SampleBlock, Sine, SweepCommand
 from service.errors import EnvelopeViolation
 from service.geometry.cell import Cell
 from service.geometry.collision import CollisionChecker
-from service.identification.design.exciting_trajectory import nominal_effort
+from service.identification.design.excitation import TRAVEL
+from service.identification.design.exciting_trajectory import BREAKAWAY, nominal_effort
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.model.regressor import gravity_terms, inertia_rows
 from service.robot import Robot
@@ -34,28 +35,32 @@ from service.safety.travel import Leg, route
 
 Array = NDArray[np.float64]
 
+LEAST_INERTIA = 0.1  # of CAD's: least that a link is taken to have, however wide the prior
+
 
 class Limits(BaseModel):
-    """Limits of the method itself; the robot's joint limits and the cell hold besides."""
+    """Limits of the method; the limits of the robot's joints and of the cell apply in addition."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    travel: float = Field(default=math.radians(4.0), gt=0)  # rad (m), most that a sweep may turn, settling included
-    window_margin: float = Field(default=math.radians(0.25), gt=0)  # rad (m), beyond that: control error
+    travel: float = Field(default=TRAVEL, gt=0)  # rad (m), maximum travel of a sweep, including settling
+    window_margin: float = Field(default=math.radians(0.25), gt=0)  # rad (m), additional margin for the control error
     sweep_velocity: float = Field(default=0.1, gt=0)  # rad/s (m/s), at any instant of a sweep
     trajectory_velocity: float = Field(default=0.8, gt=0)  # rad/s (m/s), amplitudes of several axes' sweeps summed up
     trajectory_deviation: float = Field(default=0.02, gt=0)  # rad (m), of an axis from its path
     move_velocity: float = Field(default=0.5, gt=0)  # rad/s (m/s), between poses
     sweep_duration: float = Field(default=120.0, gt=0)  # s
-    breakaway: float = Field(default=0.1, ge=0)  # Coulomb friction to reckon with, share of the rated effort
+    breakaway: float = Field(default=BREAKAWAY, ge=0)  # Coulomb friction to add, share of the rated effort
 
 
 class Envelope:
-    """What one robot may do in one cell. Every check raises EnvelopeViolation or returns None."""
+    """Allowed motion of one robot in one cell. Every check raises EnvelopeViolation or returns None."""
 
     def __init__(
         self, robot: Robot, cell: Cell, limits: Limits | None = None, test_mass: KnownMass | None = None
     ) -> None:
-        """`test_mass`: bolted on while this envelope holds. It weighs; its shape is nowhere in the way."""
+        """`test_mass`: mounted while this envelope is used. Its weight counts; its shape is not checked for
+        collision.
+        """
         self.limits = limits or Limits()
         self._inertial = robot.chain.inertial.ravel().copy()
         if test_mass is not None:
@@ -71,7 +76,9 @@ class Envelope:
         return self._robot.joints
 
     def check_sweep(self, command: Command, pose: Sequence[float]) -> None:
-        """May this sweep run from `pose` (n,), the positions of all joints at its start? The others stand still."""
+        """Whether this sweep may run from `pose` (n,), the positions of all joints at its start, with the others
+        standing.
+        """
         joint, limits = command.joint, self.limits
         index = self._index(joint)
         self._check_pose(pose)
@@ -108,7 +115,7 @@ class Envelope:
         self.check_trajectory([command for command in commands if isinstance(command, SweepCommand)], pose)
 
     def check_trajectory(self, commands: Sequence[SweepCommand], pose: Sequence[float]) -> None:
-        """May these sweeps run at once from `pose` (n,)? Their windows bound each axis; what must be free is the path.
+        """Whether these sweeps may run together from `pose` (n,). Their windows bound each axis; the path must be free.
 
         `watch_path` keeps the axes on it.
         """
@@ -139,7 +146,9 @@ class Envelope:
             )
 
     def check_move(self, joint: str, pose: Sequence[float], target: float, velocity: float) -> None:
-        """May `joint` move from `pose` (n,) to `target` at `velocity` while the others stand?"""
+        """Whether `joint` may move from `pose` (n,) to `target`, rad (m), at `velocity`, rad/s (m/s), with the others
+        standing.
+        """
         index = self._index(joint)
         self._check_pose(pose)
         _within(joint, "target", target, self.joint_range(index), self._unit(index))
@@ -147,14 +156,14 @@ class Envelope:
         _at_most(joint, "velocity of the move", velocity, limit, f"{self._unit(index)}/s")
         if not self.checker.leg_free(pose, index, target):
             raise EnvelopeViolation(
-                f"{joint}: the way from {pose[index]:.4f} to {target:.4f} {self._unit(index)} is not free: "
-                f"clearance under {self._cell.clearance} m in cell {self._cell.name}"
+                f"{joint}: the path from {pose[index]:.4f} to {target:.4f} {self._unit(index)} is not "
+                f"free: clearance under {self._cell.clearance} m in cell {self._cell.name}"
             )
 
     def check_standing(
         self, pose: Sequence[float], measured: Sequence[float], tolerance: float, moving: Collection[str] = ()
     ) -> None:
-        """Are all axes but `moving` where the plan says, within `tolerance` rad (m)?"""
+        """Whether all axes but `moving` are at the planned positions, within `tolerance` rad (m)."""
         for index, joint in enumerate(self._robot.joints):
             if joint not in moving:
                 _at_most(
@@ -166,9 +175,9 @@ class Envelope:
                 )
 
     def watch(self, command: Command, block: SampleBlock) -> None:
-        """Do these samples stay within the command's window, velocity and effort? NaN does not.
+        """Whether these samples are within the command's window, velocity and effort. NaN is a violation.
 
-        The load may stand off by the give of the drive train: another `window_margin`.
+        The load may deviate by the deflection of the drive train: a further `window_margin`.
         """
         index = self._index(block.joint)
         if block.joint != command.joint:
@@ -184,7 +193,7 @@ class Envelope:
         _all_within(block.joint, "effort", block.effort, -effort, effort, self._effort_unit(index))
 
     def watch_path(self, command: SweepCommand, start: float, block: SampleBlock) -> None:
-        """Does one axis of a trajectory stay on the path that was found free? `start`: its position at the start."""
+        """Whether one axis of a trajectory stays on the checked path. `start`: its position at the start, rad (m)."""
         way = path_of(command, block.time)
         off = block.position - start - way
         limit = self.limits.trajectory_deviation
@@ -192,18 +201,19 @@ class Envelope:
         _all_within(command.joint, "distance from the trajectory", off, -limit, limit, unit)
 
     def order_of_legs(self, start: Sequence[float], goal: Sequence[float]) -> tuple[Leg, ...]:
-        """Legs (number of the joint, target) that lead from one pose to another, each moving one axis, all free."""
+        """Collision-free legs (number of the joint, target) from one pose to another, each moving one axis."""
         self._check_pose(start)
         self._check_pose(goal)
         legs = route(self.checker, start, goal, self._home)
         if legs is None:
             raise EnvelopeViolation(
-                f"no way of single-axis moves from {_shown(start)} to {_shown(goal)} is free in cell {self._cell.name}"
+                f"no collision-free path of single-axis moves from {_shown(start)} to {_shown(goal)} "
+                f"was found in cell {self._cell.name}"
             )
         return legs
 
     def predicted_effort(self, command: Command, pose: Sequence[float]) -> float:
-        """Upper bound of the effort the sweep takes, from the CAD model and its prior, N m (N)."""
+        """Upper bound of the effort of the sweep, from the CAD model and its prior, N m (N)."""
         index = self._index(command.joint)
         prior, axis = self._robot.prior, self._robot.axis(command.joint)
         total = (1 + 2 * prior.inertia) * self._cad_inertia(index, pose) + (axis.reflected_motor_inertia or 0.0)
@@ -225,7 +235,7 @@ class Envelope:
         return low - way, high + way, peak_velocity(command) + noise_velocity(command, least)
 
     def _cad_inertia(self, index: int, pose: Sequence[float]) -> float:
-        """About a joint, without its motor, kg m^2 (kg)."""
+        """Inertia about a joint, without its motor, kg m^2 (kg)."""
         chain = self._robot.chain
         return float(inertia_rows(chain, index, np.array([pose]))[0] @ self._inertial)
 
@@ -237,12 +247,12 @@ class Envelope:
         return float(np.abs(gravity_terms(chain, self._inertial, self._robot.gravity, index, poses)[:, 0]).max())
 
     def least_inertia(self, index: int, pose: Sequence[float]) -> float:
-        """What the axis' inertia is at least, by the CAD model and its prior, kg m^2 (kg)."""
+        """Lower bound of the axis' inertia, from the CAD model and its prior, kg m^2 (kg)."""
         motor = self._robot.axes[index].reflected_motor_inertia or 0.0
-        return max(1 - 2 * self._robot.prior.inertia, 0.1) * self._cad_inertia(index, pose) + motor
+        return max(1 - 2 * self._robot.prior.inertia, LEAST_INERTIA) * self._cad_inertia(index, pose) + motor
 
     def joint_range(self, index: int) -> tuple[float, float]:
-        """Joint limits less the cell's margin, rad (m)."""
+        """Joint limits minus the cell's margin, rad (m)."""
         joint = self._robot.chain.joints[index]
         return joint.lower + self._cell.joint_margin, joint.upper - self._cell.joint_margin
 
@@ -251,7 +261,7 @@ class Envelope:
         return {joint: self._unit(index) for index, joint in enumerate(self._robot.joints)}
 
     def velocity_limit(self, index: int) -> float:
-        """Most that a sweep's velocity limit may be, rad/s (m/s)."""
+        """Largest allowed velocity limit of a sweep, rad/s (m/s)."""
         return min(self.limits.sweep_velocity, self._robot.chain.joints[index].velocity)
 
     def effort_limit(self, index: int) -> float:
@@ -272,7 +282,7 @@ class Envelope:
             _within(joint, "position", pose[index], (limits.lower, limits.upper), self._unit(index))
 
     def _check_shape(self, command: Command) -> None:
-        """Numbers that make a sweep at all; what is not finite fails here."""
+        """Checks the parameters of a sweep; values that are not finite fail here."""
         sines = _sines(command)
         numbers = [command.offset_velocity, *command.position_window]
         numbers += [number for sine in sines for number in (sine.amplitude, sine.phase)]
@@ -323,7 +333,7 @@ def _sines(command: Command) -> tuple[Sine, ...]:
 
 
 def _noise_numbers(command: Command) -> tuple[tuple[str, float], ...]:
-    """What has to be above 0 besides."""
+    """Further parameters that must be above 0."""
     if not isinstance(command, NoiseCommand):
         return ()
     below = command.sample_rate / 2 - command.highest

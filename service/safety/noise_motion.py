@@ -1,9 +1,9 @@
-r"""How far and how fast torque noise may move an axis: bounds from its command and the least inertia it may have.
+r"""Bounds of travel and velocity by torque noise, from its command and the least inertia of the axis.
 
-n lines of amplitude a = f sqrt(2/n), f the RMS, add up to no more than n a = f sqrt(2 n). In the free inertia J, which
-the speed control only holds back, they make
+n lines of amplitude a = f sqrt(2/n), f the RMS, add up to at most n a = f sqrt(2 n). With the free inertia J, whose
+motion the speed control only reduces, they cause
 
-    velocity  sum a / (2 pi f_k J),     way  sum a / ((2 pi f_k)^2 J)   to either side.
+    velocity  sum a / (2 pi f_k J),     travel  sum a / ((2 pi f_k)^2 J)   in either direction.
 """
 
 import math
@@ -16,7 +16,7 @@ from drivers.ports import NoiseCommand, SweepCommand
 Array = NDArray[np.float64]
 Command = SweepCommand | NoiseCommand
 
-ANSWER = 2.0  # most that effort grows over what is injected, by the speed control's answer
+ANSWER = 2.0  # maximum ratio of effort to injected torque, including the response of the speed control
 
 
 def noise_velocity(command: NoiseCommand, inertia: float) -> float:
@@ -26,13 +26,13 @@ def noise_velocity(command: NoiseCommand, inertia: float) -> float:
 
 
 def noise_way(command: NoiseCommand, inertia: float) -> float:
-    """Bound of the noise's way to either side, rad (m)."""
+    """Bound of the travel by the noise in either direction, rad (m)."""
     omega = _omega(command)
     return _amplitude(command) * float(np.sum(1 / omega**2)) / inertia
 
 
 def noise_effort(command: NoiseCommand) -> float:
-    """Bound of the effort that the noise takes, N m (N)."""
+    """Bound of the effort with this noise, N m (N)."""
     return ANSWER * _amplitude(command) * len(_omega(command))
 
 

@@ -1,7 +1,7 @@
-"""Do robot and machine belong together? What the robot's files and the drive profile both say must be the same.
+"""Consistency of robot and machine: values that are in the files of the robot and in the drive profile must be equal.
 
-A gear ratio that differs turns every inertia wrong by its square without a word; a plan for another robot moves joints
-that nobody checked. Pure: `COMPARED` is the table of what is compared.
+A wrong gear ratio makes every inertia wrong by its square without any error; a plan for another robot moves joints
+without a check. Pure: `COMPARED` is the table of compared values.
 """
 
 import math
@@ -13,11 +13,11 @@ from pydantic import BaseModel, ConfigDict, OnErrorOmit, field_validator
 
 from service.robot import Robot
 
-MOST_TOLD = 8  # differences in one sentence
+MOST_LISTED = 8  # differences in one sentence
 
 
 class DriveAxis(BaseModel):
-    """What a drive profile says of an axis; None where the adapter's profile does not have it."""
+    """Values of an axis in a drive profile; None if the profile of the adapter does not have them."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
     joint: str
@@ -30,7 +30,7 @@ class DriveAxis(BaseModel):
 
 
 class DriveProfile(BaseModel):
-    """What a drive profile says of its axes; entries of an adapter with other words are left out."""
+    """Axes in a drive profile; entries of an adapter with other keys are ignored."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
     axes: tuple[OnErrorOmit[DriveAxis], ...] = ()
@@ -41,14 +41,14 @@ class DriveProfile(BaseModel):
         return cast("object", given) if isinstance(given, list) else ()
 
     def of(self, joints: Sequence[str]) -> tuple[DriveAxis, ...]:
-        """In the order of a machine's `joints`; of one that has no entry nothing is known but its name."""
+        """In the order of a machine's `joints`; a joint without entry has only its name."""
         entries = {axis.joint: axis for axis in self.axes}
         return tuple(entries.get(joint, DriveAxis(joint=joint)) for joint in joints)
 
 
 @dataclass(frozen=True)
 class _Side:
-    """One axis of both: its number in the robot."""
+    """One axis of both, and its index in the robot."""
 
     robot: Robot
     index: int
@@ -60,7 +60,7 @@ Value = float | None
 
 @dataclass(frozen=True)
 class Comparison:
-    """`robot` and `drive` give a value each, None: nothing to compare; `fits` tells of both whether they do."""
+    """`robot` and `drive` return a value each, None: nothing to compare; `fits`: whether the two values agree."""
 
     what: str
     unit: Callable[[str], str]
@@ -96,9 +96,9 @@ def _effort(unit: str) -> str:
     return "N" if unit == "m" else "N m"
 
 
-# Gear ratios are whole numbers of teeth over another: a rounded one is within 0.1 %. Rated torques are rounded more.
-# Limits of position are the same, or the plan goes where the drive refuses, or the drive where the robot ends. What a
-# drive may give less than the robot bears, it may.
+# Gear ratios are quotients of numbers of teeth: a rounded one is within 0.1 %. Rated torques are rounded more.
+# Position limits must be equal: otherwise the drive refuses the plan, or allows more than the robot. The
+# drive may have lower limits of speed and effort than the robot.
 COMPARED = (
     Comparison(
         "gear ratio",
@@ -130,26 +130,26 @@ COMPARED = (
 def differences(
     robot: Robot, robot_place: str, axes: Sequence[DriveAxis], drive_place: str, moved: Collection[str] = ()
 ) -> str:
-    """Where robot and machine differ, with both places and both values, in one sentence; "" if they fit.
+    """Differences of robot and machine, with both places and both values, in one sentence; "" if they agree.
 
-    The machine's joints are the robot's, in the same order; joints that are not to be `moved` may have no drive.
+    The machine's joints are the robot's, in the same order; joints that are not in `moved` may have no drive.
     """
     joints = [axis.joint for axis in axes]
     alike = joints == [joint for joint in robot.joints if joint in joints]
     if not alike or any(joint in robot.joints and joint not in joints for joint in moved):
         return f"joints: {robot_place} has {', '.join(robot.joints)}; {drive_place} has {', '.join(joints)}"
-    told: list[str] = []
+    found: list[str] = []
     for axis in axes:
         index = robot.index(axis.joint)
         side = _Side(robot, index, axis)
         unit = "m" if robot.chain.joints[index].kind == "prismatic" else "rad"
         if axis.unit not in (None, unit):
-            told.append(f"{axis.joint} unit: {robot_place} has {unit}, {drive_place} has {axis.unit}")
+            found.append(f"{axis.joint} unit: {robot_place} has {unit}, {drive_place} has {axis.unit}")
             continue
         for row in COMPARED:
             ours, theirs = row.robot(side), row.drive(side)
             if ours is not None and theirs is not None and not row.fits(ours, theirs):
                 one, other = (f"{value:.6g} {row.unit(unit)}".rstrip() for value in (ours, theirs))
-                told.append(f"{axis.joint} {row.what}: {robot_place} has {one}, {drive_place} has {other}")
-    more = [f"and {len(told) - MOST_TOLD} more"] if len(told) > MOST_TOLD else []
-    return "; ".join([*told[:MOST_TOLD], *more])
+                found.append(f"{axis.joint} {row.what}: {robot_place} has {one}, {drive_place} has {other}")
+    more = [f"and {len(found) - MOST_LISTED} more"] if len(found) > MOST_LISTED else []
+    return "; ".join([*found[:MOST_LISTED], *more])

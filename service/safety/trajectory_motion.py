@@ -1,4 +1,4 @@
-"""The motion of all joints while several axes run their sweeps at once, as commanded."""
+"""The motion of all joints while several axes run their sweeps together, as commanded."""
 
 from collections.abc import Sequence
 
@@ -13,13 +13,13 @@ from service.recording import Sine
 
 Array = NDArray[np.float64]
 
-RATE = 50.0  # Hz, at which a trajectory is looked at: its harmonics are far below
+PATH_RATE = 50.0  # Hz, at which a trajectory is checked: its harmonics are far below
 
 
 def commanded_motion(joints: Sequence[str], commands: Sequence[SweepCommand], pose: Sequence[float]) -> Motion:
     """From standstill at `pose` (n,) to standstill, (m, n); joints without a command stand."""
     duration = commands[0].duration
-    time = np.linspace(0.0, duration, max(2, round(duration * RATE) + 1))
+    time = np.linspace(0.0, duration, max(2, round(duration * PATH_RATE) + 1))
     position = np.tile(np.asarray(pose, dtype=float), (len(time), 1))
     velocity = np.zeros_like(position)
     for command in commands:

@@ -1,4 +1,4 @@
-"""The way between poses: one axis at a time, free of collisions, short."""
+"""The path between poses: one axis at a time, collision-free, short."""
 
 from collections.abc import Sequence
 from itertools import permutations
@@ -11,17 +11,17 @@ from service.geometry.collision import CollisionChecker
 Array = NDArray[np.float64]
 Leg = tuple[int, float]  # number of the joint, position to move it to, rad (m)
 
-AT_TARGET = 2e-4  # rad (m): a joint this near is not moved
-ALL_ORDERS = 4  # joints to move up to which every order is tried
+AT_TARGET = 2e-4  # rad (m): a joint within this distance of its target is not moved
+ALL_ORDERS = 4  # up to this number of joints, every order is tried
 
 
 def route(
     checker: CollisionChecker, start: Sequence[float], goal: Sequence[float], via: Sequence[float]
 ) -> tuple[Leg, ...] | None:
-    """Legs from `start` to `goal`, each moving one joint and free; None if there is no way among those tried.
+    """Collision-free legs from `start` to `goal`, each moving one joint; None if none of those tried is free.
 
-    Tried, first to last: every order of the joints that differ (all take the same time); the same over a stop on
-    the way, in which one joint more and more, from base to tip and from tip to base, is at its `via` position.
+    Tried in this sequence: every order of the joints that differ (all take the same time); then the same with an
+    intermediate stop at which an increasing number of joints, from base to tip and from tip to base, is at `via`.
     """
     direct = _direct(checker, start, goal)
     if direct is not None:
@@ -37,10 +37,10 @@ def route(
 
 
 def order_poses(poses: Array, start: Array) -> list[int]:
-    """An order of `poses` (m, n) that makes the way from `start` through all of them short; it ends anywhere.
+    """An order of `poses` (m, n) with a short path from `start` through all of them; the end is free.
 
-    Nearest neighbour, then 2-opt (Croes 1958) until no reversal of a stretch shortens the way; of the stretches that
-    begin at one pose the best is taken.
+    Nearest neighbour, then 2-opt (Croes 1958) until no reversal of a segment shortens the path; of the segments that
+    begin at one pose the best is used.
     """
     points = np.vstack([start, poses])
     distance = np.sum(np.abs(points[:, None] - points[None]), axis=-1)
@@ -49,9 +49,9 @@ def order_poses(poses: Array, start: Array) -> list[int]:
     while improved:
         improved = False
         for i in range(1, len(tour) - 1):
-            before, first, last = tour[i - 1], tour[i], tour[i + 1 :]  # a stretch ends at any of `last`
+            before, first, last = tour[i - 1], tour[i], tour[i + 1 :]  # a segment ends at any of `last`
             gain = distance[before, first] - distance[before, last]
-            # an open way: nothing follows the last pose
+            # an open path: nothing follows the last pose
             gain[:-1] += distance[last[:-1], last[1:]] - distance[first, last[1:]]
             best = int(np.argmax(gain))
             if gain[best] > 1e-9:
@@ -61,7 +61,7 @@ def order_poses(poses: Array, start: Array) -> list[int]:
 
 
 def _nearest_neighbours(distance: Array) -> NDArray[np.intp]:
-    """From point 0 always to the nearest one left; the first of those equally near."""
+    """From point 0 always to the nearest remaining one; the first one of equal distances."""
     tour = np.zeros(len(distance), dtype=np.intp)
     far = distance.copy()
     for k in range(1, len(tour)):

@@ -1,6 +1,6 @@
-"""Measurements of a Sinumerik's own optimisation tool: frequency responses and automatic servo tuning, as XML.
+"""Measurements of the optimisation tool of a Sinumerik: frequency responses and automatic servo tuning, as XML.
 
-`members` reads the file within bounds, `base85` its number arrays, `measurement` and `tuning` say what is in it,
-`document` what it tells of the axis, in the models of `told`. Nothing is known of the format but what files show; what
-is not read is told.
+`members` reads the file with size limits, `base85` decodes its number arrays, `measurement` and `tuning` interpret it,
+`document` computes the results for the axis, with the classes of `models`. The format is only known from existing
+files; the parts of a file that are not read are listed.
 """

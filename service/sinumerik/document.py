@@ -1,7 +1,7 @@
-"""What a file of the control tells of its axis, as a document: recording, frequency response, inertia.
+"""A file of the control as a document: recording, frequency response, inertia.
 
-A closed speed loop holds no torque: its inertia comes in kg m^2 only with the controller's gain, which a person gives
-or the file has among its parameters (p1460). Without it stands J/K, in s.
+A closed speed loop contains no torque. Its inertia in kg m^2 requires the gain of the controller, which the user enters
+or the file contains as a parameter (p1460). Without the gain, the result is J/K, in s.
 """
 
 from dataclasses import dataclass
@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from service.errors import BadInput
 from service.identification.spectra.speed_loop import LoopFit, fit_closed_loop, fit_torque_response
 from service.sinumerik.measurement import Measurement
-from service.sinumerik.signals import GAIN, PARAMETERS, Quantity
-from service.sinumerik.told import (
+from service.sinumerik.models import (
     ByControl,
     Excitation,
     LoopInertia,
@@ -24,17 +23,18 @@ from service.sinumerik.told import (
     Size,
     SpeedController,
 )
+from service.sinumerik.signals import GAIN, PARAMETERS, Quantity
 from service.sinumerik.tuning import Tuning
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-COHERENT = 0.5  # of a line that takes part where the file has a coherence
+COHERENT = 0.5  # minimum coherence of a line that is used, if the file has a coherence
 
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """What a person knows beside the file: of the speed controller the gain, N m s/rad, and the reset time, s, of an
+    """Data that the user knows in addition to the file: gain of the speed controller, N m s/rad; reset time, s, of an
     integral part that acts on the control error (None: it sees the reference model, or there is none); the gear ratio,
     rad of the motor per rad (m) of the joint, where it is not the one in the file."""
 
@@ -44,7 +44,7 @@ class Given:
 
 
 def measurement_document(found: Measurement, given: Given, place: str) -> MeasuredResponse:
-    """`inertia` by its time series and by its own spectrum; BadInput at `place` where neither shows one."""
+    """`inertia` from its time series and from its own spectrum; BadInput at `place` if neither determines one."""
     ways = {"time_series": _by_series(found, given, place), "spectrum": _by_spectrum(found, given, place)}
     closed = found.input.meaning.quantity is Quantity.SPEED_SETPOINT
     ratio = given.gear_ratio or found.motor_to_axis
@@ -80,7 +80,7 @@ def measurement_document(found: Measurement, given: Given, place: str) -> Measur
 
 
 def tuning_document(found: Tuning, given: Given, place: str) -> ServoTuning:
-    """The control's own inertia, and ours from its response, with a standard deviation."""
+    """The inertia computed by the control, and that from its response, with a standard deviation."""
     plant, ratio = found.plant, given.gear_ratio or 1 / found.axis_per_motor
     good = np.ones(len(plant.frequency), dtype=bool) if plant.coherence is None else plant.coherence >= COHERENT
     fit = fit_torque_response(
@@ -115,7 +115,7 @@ def tuning_document(found: Tuning, given: Given, place: str) -> ServoTuning:
 
 
 def response_table(found: Measurement | Tuning) -> dict[str, Array]:
-    """Columns of the frequency response as the file has it, at true frequencies."""
+    """Columns of the frequency response in the file, at true frequencies."""
     if isinstance(found, Tuning):
         plant = found.plant
         coherence = {} if plant.coherence is None else {"coherence": plant.coherence}
@@ -135,7 +135,7 @@ def _response(found: Measurement | Tuning) -> Response:
 
 
 def recording_table(found: Measurement) -> dict[str, Array]:
-    """Columns of the time series: input and output of every direction, on the motor side."""
+    """Columns of the time series: input and output of each direction, on the motor side."""
     time = np.asarray(np.arange(len(found.output.series[0])) * found.sample_interval, dtype=float)
     columns = {"time": time}
     for number, (inward, outward) in enumerate(zip(found.input.series, found.output.series, strict=True), start=1):
@@ -144,7 +144,7 @@ def recording_table(found: Measurement) -> dict[str, Array]:
 
 
 def _by_series(found: Measurement, given: Given, place: str) -> LoopFit:
-    """Every direction alone, by the DFT of its period; their mean, no surer than their difference."""
+    """Each direction separately, by the DFT of its period; the mean, with at least their difference as uncertainty."""
     fits: list[LoopFit] = []
     for inward, outward in zip(found.input.series, found.output.series, strict=True):
         driven = np.fft.rfft(inward)[1 : len(found.frequency)]
@@ -170,7 +170,7 @@ def _by_series(found: Measurement, given: Given, place: str) -> LoopFit:
 
 
 def _by_spectrum(found: Measurement, given: Given, place: str) -> LoopFit:
-    """The control's averaged spectra, at the frequencies that it tells."""
+    """From the spectra averaged by the control, at the frequencies in the file."""
     good = found.spectra.coherence >= COHERENT
     good[0] = False
     frequency, response = found.spectra.frequency[good], found.spectra.response[good]
@@ -213,7 +213,7 @@ def _unknown(found: Measurement, gain: float | None) -> tuple[str, ...]:
     if gain is not None:
         return missing
     torque = (
-        "inertia in kg m^2: a closed speed loop holds no torque, and the file not the gain of its controller "
-        "(p1460, N m s/rad): give it as --speed-gain"
+        "inertia in kg m^2 cannot be computed: the file of a closed speed loop has no torque and no "
+        "gain of its controller (p1460, N m s/rad); give it as --speed-gain"
     )
     return (torque, *missing)

@@ -1,10 +1,10 @@
-"""A frequency response as the control saves it: function "frequency response", XML root `ResponseTestCustom`.
+"""A frequency response saved by the control: function "frequency response", XML root `ResponseTestCustom`.
 
 The excitation is a pseudo-random binary sequence of 2^order - 1 samples on a speed offset, run in both directions. A
 time series is one period of it, averaged by the control; the spectra are those of the series, averaged over both
 directions: auto-spectra of the input and of the output, and the cross-spectrum of output* and input.
 
-The lines lie at k / (n T), n samples T apart. The frequencies in the file run evenly from 0 to the bandwidth instead:
+The lines are at k / (n T), n samples of interval T. The frequencies in the file are uniform from 0 to the bandwidth:
 0.15 % too high for order 11, `axis_error`.
 """
 
@@ -22,14 +22,14 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 ROOT = "ResponseTestCustom"
-VERSIONS = ("4.7.", "4.96.")  # of files at hand
-SPEED_LOOP, NOISE = 2, 4  # codes of control loop and waveform in these
+VERSIONS = ("4.7.", "4.96.")  # of the available files
+SPEED_LOOP, NOISE = 2, 4  # codes of control loop and waveform in these files
 SAME = 1e-6  # relative
 
 
 @dataclass(frozen=True)
 class Signal:
-    """One signal on the motor side: a series (n,) for each direction of travel."""
+    """One signal on the motor side: a series (n,) for each direction of motion."""
 
     meaning: Meaning
     series: tuple[Array, ...]
@@ -37,9 +37,9 @@ class Signal:
 
 @dataclass(frozen=True)
 class Spectra:
-    """As the control computed them: b lines; averages went into each."""
+    """Spectra computed by the control: b lines; `averages` went into each."""
 
-    frequency: Array  # (b,) Hz, as the file tells
+    frequency: Array  # (b,) Hz, as in the file
     input_power: Array  # (b,)
     output_power: Array  # (b,)
     cross: Complex  # (b,) of output* and input
@@ -58,14 +58,14 @@ class Spectra:
 
 @dataclass(frozen=True)
 class Measurement:
-    """What a file holds. Amplitudes on the motor side; `motor_to_axis` rad of the motor per rad (m) of the axis."""
+    """The content of a file. Amplitudes on the motor side; `motor_to_axis`: motor rad per rad (m) of the axis."""
 
     version: str
     axis: int
     measured_at: str
     sample_interval: float  # s
     order: int
-    periods: int  # that the control averaged
+    periods: int  # averaged by the control
     bandwidth: float  # Hz
     offset: float  # rad/s
     amplitude: float  # unit of the input
@@ -86,19 +86,19 @@ class Measurement:
 
     @property
     def axis_error(self) -> float:
-        """By how much the frequencies in the file are too high, relative."""
+        """Relative error of the frequencies in the file, positive if they are too high."""
         return float(self.spectra.frequency[-1] / self.frequency[-1] - 1)
 
 
 def read_measurement(path: Path) -> Measurement:
-    """BadInput names file and member where something is missing, foreign or not as the rest says."""
+    """BadInput names file and member if something is missing, unknown or inconsistent."""
     root = read_members(path)
     check_family(root, ROOT)
     return measurement_of(root)
 
 
 def check_family(root: Member, kind: str) -> None:
-    """BadInput for another kind of file or a version that no file at hand has."""
+    """BadInput for another kind of file, or for a version without known files."""
     if root.kind != kind:
         raise BadInput(root.place, f"is a {root.kind}, not a {kind}")
     if not root.version.startswith(VERSIONS):
@@ -107,7 +107,7 @@ def check_family(root: Member, kind: str) -> None:
 
 
 def measurement_of(root: Member) -> Measurement:
-    """From the root of a file."""
+    """The measurement from the root of a file."""
     for name, code, words in (
         ("m_eControlLoopType", SPEED_LOOP, "of the speed control loop"),
         ("m_eWaveformType", NOISE, "with pseudo-random noise"),
@@ -147,7 +147,7 @@ def measurement_of(root: Member) -> Measurement:
     if len(found.input.series) != len(found.output.series) or len(found.spectra.cross) > 2 ** (order - 1):
         raise BadInput(root.place, "its signals or spectra are not of one length")
     if source.flag("m_bIsLinearMotor"):
-        raise BadInput(root.place, "is of a linear motor; no file at hand shows its units")
+        raise BadInput(root.place, "is of a linear motor, which is not supported: its units are not known")
     return replace(found, unread=root.unread())
 
 
@@ -161,7 +161,7 @@ def _signal(node: Member, interval: float, order: int) -> Signal:
     distortion = node.get("m_MeasurementLinearDistortion")
     gain = complex(distortion.number("m_GainValue_real"), distortion.number("m_GainValue_imag"))
     if gain != 1 or distortion.number("m_TimeDelay") != 0:
-        raise BadInput(node.place, f"signal {number} is told to be distorted by {gain}: no file at hand shows how")
+        raise BadInput(node.place, f"signal {number} is distorted by {gain}, which is not supported")
     series: list[Array] = []
     for member in node.each("TimeSeries"):
         values = member.array("m_ValueVector")
@@ -201,7 +201,7 @@ def _spectrum(info: Member) -> tuple[Complex, Array]:
 
 
 def _parameters(condition: Member) -> dict[tuple[int, int], float]:
-    """Known parameters at the time of measuring, by platform and number."""
+    """Known parameters at the time of the measurement, by platform and number."""
     found: dict[tuple[int, int], float] = {}
     for item in condition.each("PlatformDataItem"):
         key = (item.whole("m_ePlatformType"), item.whole("m_uItemId"))

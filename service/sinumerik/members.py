@@ -1,6 +1,6 @@
-"""The tree of a control's XML file, read within bounds; every member remembers whether it was used.
+"""The tree of a control's XML file, read with size limits; each member records whether it was used.
 
-No DOCTYPE is taken, hence no entity, so a small file stays small. What nobody asked for can be told afterwards.
+A DOCTYPE is rejected, so there are no entities and a small file cannot expand. Unused members can be listed.
 """
 
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ DEEPEST = 64
 
 @dataclass(slots=True)
 class Member:
-    """One element: its type (the tag), its `name`, its text, and what it holds. `used` turns true by being read."""
+    """One element: its type (the tag), `name`, text, and members. `used` becomes true when it is read."""
 
     kind: str
     name: str
@@ -45,18 +45,18 @@ class Member:
             yield from child.each(kind)
 
     def find(self, name: str) -> "Member | None":
-        """The one direct member of a name, or None."""
+        """The first direct member with this name, or None."""
         return next((child for child in self.children if child.name == name), None)
 
     def get(self, name: str) -> "Member":
-        """The same; BadInput where it is missing."""
+        """The same; BadInput if it is missing."""
         found = self.find(name)
         if found is None:
             raise BadInput(self.place, f"has no member {name}")
         return found
 
     def first(self, kind: str) -> "Member":
-        """The first member of a type at any depth; BadInput where there is none."""
+        """The first member of a type at any depth; BadInput if there is none."""
         found = next(self.each(kind), None)
         if found is None:
             raise BadInput(self.place, f"has no {kind}")
@@ -68,7 +68,7 @@ class Member:
         return member.text.strip()
 
     def number(self, name: str) -> float:
-        """A number of sensible size; BadInput where it is none."""
+        """A number of plausible size; BadInput otherwise."""
         text = self.string(name)
         try:
             value = float(text)
@@ -91,7 +91,7 @@ class Member:
         return text == "true"
 
     def array(self, name: str, per_value: int = 1) -> Array:
-        """Numbers (n,), or (n, 2) with `per_value` 2, of a NumericArray; BadInput for another number than told."""
+        """Numbers (n,), or (n, 2) with `per_value` 2, of a NumericArray; BadInput if their number is not as stated."""
         member = self.get(name)
         length, raw = member.whole("m_length"), member.get("m_pNumberArray")
         raw.used = True
@@ -101,13 +101,13 @@ class Member:
         return values if per_value == 1 else values.reshape(-1, per_value)
 
     def unread(self) -> tuple[str, ...]:
-        """`type/name` of the members with a value of which not one was read."""
+        """`type/name` of the members with values of which none was read."""
         leaves = [(f"{holder.kind}/{leaf.name or leaf.kind}", leaf.used) for holder, leaf in self._leaves()]
         used = {path for path, was_used in leaves if was_used}
         return tuple(dict.fromkeys(path for path, _ in leaves if path not in used))
 
     def _leaves(self) -> "Iterator[tuple[Member, Member]]":
-        """Each member with a value, and what holds it."""
+        """Each member with a value, and its parent."""
         for child in self.children:
             if child.children:
                 yield from child._leaves()
@@ -116,7 +116,7 @@ class Member:
 
 
 def read_members(path: Path) -> Member:
-    """The root of a file; BadInput for what is missing, too large, too deep, torn, no XML, or declares a DOCTYPE."""
+    """The root of a file; BadInput if missing, too large, too deep, truncated, no XML, or with a DOCTYPE."""
     try:
         with path.open("rb") as file:
             content = file.read(LARGEST + 1)
@@ -133,13 +133,13 @@ def read_members(path: Path) -> Member:
     parser.CharacterDataHandler = builder.characters
     try:
         parser.Parse(content, True)
-    except (expat.ExpatError, ValueError, LookupError) as error:  # torn, no XML, or of an unknown encoding
+    except (expat.ExpatError, ValueError, LookupError) as error:  # truncated, no XML, or of an unknown encoding
         raise BadInput(str(path), f"is not a complete XML file: {error}") from None
     return builder.top.children[0]
 
 
 class _Builder:
-    """What expat calls."""
+    """Callbacks of expat."""
 
     def __init__(self, place: str) -> None:
         self.top = Member("", "", "", place)

@@ -1,17 +1,17 @@
-"""What the signals and parameters of a SINAMICS drive are that the control's files name by number.
+"""Signals and parameters of a SINAMICS drive, which the files of the control identify by number.
 
-A signal of the drive goes by its display parameter (SINAMICS S120/S150 List Manual): r0061 is its actual speed. Numbers
-that stand in no file at hand are not guessed.
+The number of a signal is that of its display parameter (SINAMICS S120/S150 List Manual): r0061 is the actual speed.
+Numbers that occur in no available file are not guessed.
 """
 
 from dataclasses import dataclass
 from enum import Enum
 
-DRIVE, CONTROL = 5, 6  # platforms that signals and parameters belong to
+DRIVE, CONTROL = 5, 6  # platforms of signals and parameters
 
 
 class Quantity(Enum):
-    """On the motor side; a linear motor's are m/s and N."""
+    """A quantity on the motor side; units of a linear motor are m/s and N."""
 
     SPEED = "speed"  # rad/s
     SPEED_SETPOINT = "speed set-point"  # rad/s

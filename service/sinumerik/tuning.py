@@ -1,8 +1,8 @@
-"""What automatic servo tuning (AST) saves of an axis: XML root `DynamicModelAxisController`.
+"""Result of automatic servo tuning (AST) of an axis: XML root `DynamicModelAxisController`.
 
-In it is the model of the speed controller (`DynamicModelSpeedControllerS120`): the rotor's inertia, total inertia and
-friction that the control found, zeros of the mechanics, the measured response of speed to torque with its coherence,
-and the controller's settings before and after. The control states no uncertainty.
+It contains the model of the speed controller (`DynamicModelSpeedControllerS120`): inertia of the rotor, total inertia
+and friction as identified by the control, zeros of the mechanics, the measured response of speed to torque with its
+coherence, and the controller's settings before and after. The control gives no uncertainty.
 """
 
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ SMALLEST = 1e-12  # of an inertia, kg m^2, or of the way per turn of a motor
 
 @dataclass(frozen=True, slots=True)
 class Regulator:
-    """Settings of the speed controller: N m s/rad, s."""
+    """Settings of the speed controller: gain, N m s/rad, reset time, s."""
 
     gain: float
     reset_time: float
@@ -34,7 +34,7 @@ class Regulator:
 
 @dataclass(frozen=True)
 class Plant:
-    """Speed over torque (b,), rad/s per N m, at `frequency` (b,), Hz; coherence (b,) where the file has it."""
+    """Speed over torque (b,), rad/s per N m, at `frequency` (b,), Hz; coherence (b,) if it is in the file."""
 
     frequency: Array
     response: Complex
@@ -51,8 +51,8 @@ class Tuning:
     motor_inertia: float
     total_inertia: float
     friction: float
-    lowest_frequency: float  # from which on the control holds its response good
-    antiresonance: float | None  # the lowest zero of the mechanics; None where the control found none
+    lowest_frequency: float  # above it, the control considers its response valid
+    antiresonance: float | None  # the lowest zero of the mechanics; None if the control found none
     axis_per_motor: float
     rotary: bool
     plant: Plant
@@ -61,17 +61,17 @@ class Tuning:
 
 
 def read_tuning(path: Path) -> Tuning:
-    """BadInput names file and member where something is missing or foreign."""
+    """BadInput names file and member if something is missing or unknown."""
     root = read_members(path)
     check_family(root, ROOT)
     return tuning_of(root)
 
 
 def tuning_of(root: Member) -> Tuning:
-    """From the root of a file."""
+    """The tuning from the root of a file."""
     position, model = root.first("DynamicModelPositionController840DSL"), root.first(MODEL)
     if not model.flag("m_bMotorIsRotary"):
-        raise BadInput(root.place, "is of a linear motor; no file at hand shows its units")
+        raise BadInput(root.place, "is of a linear motor, which is not supported: its units are not known")
     zero = model.number("m_dSpeedPlantLowestEstZeroFreq")
     found = Tuning(
         version=root.version,

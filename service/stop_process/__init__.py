@@ -1,10 +1,10 @@
-"""The stop as a process of its own (docs/explanation/decisions/0014-the-stop.md): what it is told, and what it tells.
+"""The stop in a separate process (docs/explanation/decisions/0014-the-stop.md): its input and output.
 
-The service writes single bytes to its standard input: `ORDER`, `TAKEN_OVER`, `END`, or the number of a signal, which
-the interpreter itself writes there while no Python of the service runs. It writes JSON lines to its standard output.
-The input's end without `END` is the service's death.
+The service writes single bytes to its standard input: `ORDER`, `TAKEN_OVER`, `END`, or the number of a signal. The
+interpreter itself writes that number while no Python code of the service runs. The process writes JSON lines to its
+standard output. An end of the input without `END` means that the service has crashed.
 """
 
-ORDER = b"S"  # put the stop on the wire
-TAKEN_OVER = b"A"  # the service has the last stop in hand: do not insist
-END = b"E"  # the service ends in good order
+ORDER = b"S"  # send the stop on the bus
+TAKEN_OVER = b"A"  # the service handles the last stop: do not insist
+END = b"E"  # the service ends regularly

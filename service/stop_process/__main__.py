@@ -31,7 +31,7 @@ def main() -> None:
 
 
 def _context(tls: list[str]) -> ssl.SSLContext | None:
-    """None where the files are unusable by now: a stop without TLS is one too."""
+    """None if the files are unusable: the stop then works without TLS."""
     if not tls:
         return None
     certificate, key = tls
@@ -39,7 +39,7 @@ def _context(tls: list[str]) -> ssl.SSLContext | None:
     try:
         context.load_cert_chain(certificate, key, password=lambda: "")
     except OSError as error:
-        sys.stderr.write(f"the stop process speaks no TLS: {error}\n")
+        sys.stderr.write(f"TLS of the stop process failed: {error}\n")
         return None
     return context
 
@@ -54,7 +54,7 @@ def _stop(bus: Bus, wanted: Request) -> Answer:
         "type": "urn:sweepid:problem:stop-not-confirmed",
         "title": "Service Unavailable",
         "status": 503,
-        "detail": f"the stop process reached no drive: {reasons}",
+        "detail": f"the stop process could not reach any drive: {reasons}",
         "axes": dict(outcome.joints),
     }
 
@@ -64,13 +64,13 @@ def _status(bus: Bus) -> Answer:
 
 
 def _obey(bus: Bus) -> None:
-    """Until the service ends or dies; its death stops the machine."""
+    """Run until the service ends or crashes; a crash stops the machine."""
     while word := os.read(0, 1):
         if word == TAKEN_OVER:
             bus.taken_over()
         elif word == END:
             os._exit(0)
-        elif word == ORDER:  # of a service that runs, and sees to its drives
+        elif word == ORDER:  # from a running service, which monitors its drives
             bus.stop()
             bus.taken_over()
         elif word in _SIGNALS:
@@ -81,11 +81,11 @@ def _obey(bus: Bus) -> None:
 
 
 def _tell(message: dict[str, object]) -> None:
-    """Never blocks for long: a service that does not read for a while has room for thousands of lines in the pipe."""
+    """Hardly ever blocks: the pipe has room for thousands of lines if the service does not read for a while."""
     try:
         with _telling:
             os.write(1, json.dumps(message).encode() + b"\n")
-    except OSError:  # the service is gone; its death comes by the input
+    except OSError:  # the service has ended; this process learns it from its input
         return
 
 

@@ -1,4 +1,4 @@
-"""The stop process' connection to the bus, kept open by a thread, and the stop that goes out over it."""
+"""The connection of the stop process to the bus, kept open by a thread, and the stop over it."""
 
 import logging
 import threading
@@ -12,21 +12,21 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-TAKE_OVER = 0.1  # s that the service has to take a stop over before this process insists
+TAKE_OVER = 0.1  # s in which the service must take over a stop before this process insists
 _AGAIN = 1.0  # s between attempts to open the bus
-_OPENING = 1.0  # s that a stop waits for the bus to be opened again
+_OPENING = 1.0  # s that a stop waits for the bus to be reopened
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The joints to whose drives the stop went, by what may have kept it from them ("": nothing); or why none."""
+    """The joints whose drives got the stop, with a possible obstacle ("": none); or the reason if none got it."""
 
     joints: Mapping[str, str] = field(default_factory=dict[str, str])
     trouble: str = ""
 
     @property
     def told(self) -> tuple[str, ...]:
-        """The joints whose drives are there to hear it."""
+        """The joints whose drives receive the stop."""
         return tuple(joint for joint, doubt in self.joints.items() if not doubt)
 
 
@@ -34,7 +34,7 @@ class Bus:
     """`stop` may be called from any thread."""
 
     def __init__(self, profile: Path, tell: Callable[[str], None]) -> None:
-        """Opens the bus of the drive profile by and by; `tell` is given each change of `trouble`."""
+        """Opens the bus of the drive profile in the background; `tell` is called at each change of `trouble`."""
         self.trouble = "not connected yet"
         self._profile, self._tell = profile, tell
         self._sender: StopSender | None = None
@@ -45,7 +45,7 @@ class Bus:
         self._thread.start()
 
     def stop(self) -> Outcome:
-        """The stop for every axis, on the wire when this returns. Insists if nobody calls `taken_over`."""
+        """Send the stop for every axis; it is on the bus at return. Insists unless `taken_over` is called."""
         with self._sending:
             self._count += 1
             insisting = threading.Timer(TAKE_OVER, self._insist_after, [self._count])
@@ -54,11 +54,11 @@ class Bus:
             return self._send()
 
     def taken_over(self) -> None:
-        """The service sees to what has been sent so far."""
+        """The service handles the stops sent so far."""
         self._taken_over = self._count
 
     def insist(self) -> None:
-        """What makes the drives deaf to a host that cannot be trusted to have stopped."""
+        """Make the drives ignore a host that may not have stopped."""
         if self._sender is not None:
             try:
                 self._sender.insist()
@@ -83,7 +83,7 @@ class Bus:
             except Exception as error:  # noqa: BLE001 - an answer in any case
                 self._note(str(error))
             if attempt == 0:
-                if not self._thread.is_alive():  # a medium with one owner
+                if not self._thread.is_alive():  # a bus that only one process can open
                     break
                 self._open.clear()
                 self._wanted.set()
@@ -91,7 +91,7 @@ class Bus:
         return Outcome(trouble=self.trouble or "not sent")
 
     def _keep(self) -> None:
-        # here, for the process listens before these are loaded
+        # imported here, because the process listens before these are loaded
         from drivers.errors import DriveError
         from drivers.registry import load_profile, open_drive
 

@@ -1,4 +1,4 @@
-"""The service's end of the stop process: starts it, orders a stop, hears of stops, starts it anew if it ends."""
+"""The service's end of the stop process: starts it, requests a stop, receives stops, restarts it if it ends."""
 
 import json
 import os
@@ -18,37 +18,37 @@ from service.stop_process import END, ORDER, TAKEN_OVER
 
 _log = structlog.get_logger(__name__)
 
-_AGAIN = 1.0  # s until a process that ended is started anew
+_AGAIN = 1.0  # s until the process is restarted after its end
 
 Word = Callable[[str, str, str, str], None]
 
 
 class StopNotStarted(SweepidError):
-    """The process of the stop cannot listen at its port, or does not start."""
+    """The stop process cannot listen at its port, or does not start."""
 
 
 class StopProcess:
-    """A context. `drive`: profile of the machine; the port is `port`, or any free one where that is 0.
+    """A context manager. `drive`: profile of the machine; `port` 0: any free port.
 
-    `tls`: certificate and key with which it speaks TLS too, to whom begins with it.
+    `tls`: certificate and key, for clients that begin with TLS.
     """
 
     def __init__(self, drive: Path, host: str, port: int, tls: tuple[Path, Path] | None = None) -> None:
         self.port, self.trouble = port, "not started yet"
         self._drive, self._host = drive, host
         self._tls = [str(path) for path in tls or ()]
-        self._reading, self._writing = os.pipe()  # one for all processes: signals keep their way into it
+        self._reading, self._writing = os.pipe()  # one pipe for all processes: signals are always written to it
         os.set_blocking(self._writing, False)
         self.ended = False
-        """Whether it does not run, and is being started anew."""
+        """Whether it does not run, and is being restarted."""
         self._closing = threading.Event()
         self._word: Word | None = None
-        self._early: list[tuple[str, str, str, str]] = []  # stops before anybody listened
+        self._early: list[tuple[str, str, str, str]] = []  # stops before a listener was attached
         self._attaching = threading.Lock()
-        self._watching = False  # signals are told to this process' pipe
+        self._watching = False  # signals are written to this process' pipe
 
     def __enter__(self) -> Self:
-        """Returns when it listens. StopNotStarted."""
+        """Returns when the process listens. StopNotStarted."""
         self._process = self._start()
         self._thread = threading.Thread(target=self._follow, name="stop-process", daemon=True)
         self._thread.start()
@@ -64,29 +64,29 @@ class StopProcess:
             self._process.wait()
         self._thread.join()
         if self._watching:
-            signal.set_wakeup_fd(-1)  # the number of a closed descriptor is soon another file's
+            signal.set_wakeup_fd(-1)  # the number of a closed descriptor is soon used for another file
         os.close(self._writing)
         os.close(self._reading)
 
     def watch_signals(self) -> None:
-        """From here on a signal to this process is a stop, told by the interpreter before any Python runs.
+        """From now on a signal to this process is a stop, written by the interpreter before any Python code runs.
 
-        Only in the main thread, and only where nobody else uses the wake-up descriptor; no effect on Windows.
+        Only in the main thread, and only if the wake-up descriptor is not in use; no effect on Windows.
         """
         if sys.platform != "win32":
             signal.set_wakeup_fd(self._writing, warn_on_full_buffer=False)
             self._watching = True
 
     def order(self) -> None:
-        """Have the stop put on the wire. From any thread; waits for nothing."""
+        """Request the stop on the bus. From any thread; does not wait."""
         self._tell(ORDER)
 
     def taken_over(self) -> None:
-        """The service sees to the drives itself."""
+        """The service handles the drives itself."""
         self._tell(TAKEN_OVER)
 
     def attach(self, word: Word | None) -> None:
-        """`word` is given by, why, press and address of every stop from the process' port, on a thread of its own."""
+        """`word` gets by, why, press and address of every stop from the process' port, in a separate thread."""
         with self._attaching:
             self._word, early = word, self._early
             if word is not None:
@@ -105,7 +105,7 @@ class StopProcess:
     def _start(self) -> "subprocess.Popen[bytes]":
         words = [str(self._drive), self._host, str(self.port), *self._tls]
         command = [sys.executable, "-P", "-m", "service.stop_process", *words]
-        # in a session of its own: what the terminal sends is for the service, which passes it on
+        # in a session of its own: signals of the terminal are for the service, which forwards them
         process: subprocess.Popen[bytes] = subprocess.Popen(
             command, stdin=self._reading, stdout=subprocess.PIPE, start_new_session=True
         )
@@ -114,7 +114,7 @@ class StopProcess:
             process.wait()
             if process.stdout:
                 process.stdout.close()
-            raise StopNotStarted(str(first.get("error", "the stop process did not start; the log has the reason")))
+            raise StopNotStarted(str(first.get("error", "the stop process did not start; see the log")))
         self.port, self.trouble, self.ended = int(first["port"]), "not connected yet", False
         return process
 
@@ -151,6 +151,6 @@ class StopProcess:
 
     @staticmethod
     def _read(process: "subprocess.Popen[bytes]") -> dict[str, Any]:
-        """The next line; empty at the end."""
+        """The next line; empty at the end of the output."""
         line = process.stdout.readline() if process.stdout else b""
         return json.loads(line) if line.endswith(b"\n") else {}

@@ -1,8 +1,8 @@
-"""The stop process' port: plain HTTP by hand, one thread, one route. Whoever reaches it may stop.
+"""The port of the stop process: minimal HTTP, one thread, one route. Every client may stop the machine.
 
-A stop is carried out when its first line has come; no header and no body is waited for. A connection that says
-nothing is dropped when its time is over, or when others need its place. With a certificate it speaks TLS too, to whom
-begins with that: a page that came by HTTPS may send to nothing else.
+A stop is executed when its first line has arrived, without waiting for headers or body. A connection without data is
+closed after its time limit, or when others need its place. With a certificate it also accepts TLS, for clients that
+begin with it: a page loaded by HTTPS cannot send elsewhere.
 """
 
 import json
@@ -15,18 +15,18 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from urllib.parse import parse_qs, urlsplit
 
-from service.stop_process.secured import HANDSHAKE, Secured
+from service.stop_process.tls import HANDSHAKE, Secured
 
 PATHS = ("/stop", "/api/v1/stop")
 LONGEST_LINE = 4096  # bytes of a request's first line
 MOST_CONNECTIONS = 256
-PATIENCE = 5.0  # s for a connection, from its opening to its end
-_ANY_ORIGIN = "Access-Control-Allow-Origin: *\r\n"  # a stop is refused to no page
+PATIENCE = 5.0  # s for a connection, from its start to its end
+_ANY_ORIGIN = "Access-Control-Allow-Origin: *\r\n"  # every page may stop
 
 
 @dataclass(frozen=True)
 class Request:
-    """Who wants the machine stopped, why, and from where. `press` tells one press that comes by two ways from two."""
+    """Origin and reason of a stop. `press` identifies one press of a button that arrives by two ways."""
 
     by: str
     why: str
@@ -48,7 +48,7 @@ class _Connection:
 
 
 class Listener:
-    """Listens at `host`:`port` (0: any free one) from here on; OSError where that is not possible."""
+    """Listens at `host`:`port` (0: any free one) from now on; OSError if that is not possible."""
 
     def __init__(
         self,
@@ -68,12 +68,12 @@ class Listener:
         self.port: int = self._listener.getsockname()[1]
 
     def serve(self) -> None:
-        """For ever."""
+        """Run forever."""
         while True:
             for key, _ in self._selector.select(1.0):
                 if key.fileobj is self._listener:
                     self._accept()
-                elif (connection := self._connections.get(key.fileobj)) is not None:  # pyright: ignore[reportArgumentType, reportCallIssue]
+                elif (connection := self._connections.get(key.fileobj)) is not None:  # pyright: ignore[reportArgumentType]
                     self._read(connection)
             now = time.monotonic()
             for connection in [each for each in self._connections.values() if each.until < now]:
@@ -82,13 +82,13 @@ class Listener:
     def _accept(self) -> None:
         try:
             accepted, address = self._listener.accept()
-        except OSError:  # gone again, or no descriptor free
+        except OSError:  # already closed, or no descriptor free
             return
         accepted.setblocking(False)
         connection = _Connection(accepted, str(address[0]), time.monotonic() + PATIENCE)
         self._connections[accepted] = connection
         self._selector.register(accepted, selectors.EVENT_READ)
-        self._read(connection)  # most have spoken already
+        self._read(connection)  # most have already sent data
         if len(self._connections) > MOST_CONNECTIONS:
             self._drop(next(iter(self._connections.values())))
 
@@ -104,7 +104,7 @@ class Listener:
         elif not connection.answered:
             try:
                 connection.received += self._opened(connection, data)
-            except OSError:  # ssl's errors are some of them
+            except OSError:  # includes the errors of ssl
                 self._drop(connection)
                 return
             line, found, _ = bytes(connection.received).partition(b"\r\n")
@@ -112,7 +112,7 @@ class Listener:
                 self._answer(connection, line.decode("latin-1"))
 
     def _opened(self, connection: _Connection, data: bytes) -> bytes:
-        """What the bytes of the wire say."""
+        """The decrypted bytes."""
         begins = not connection.received and connection.secured is None
         if begins and self._tls is not None and data.startswith(HANDSHAKE):
             connection.secured = Secured(self._tls)
@@ -123,7 +123,7 @@ class Listener:
         return said
 
     def _answer(self, connection: _Connection, line: str) -> None:
-        """Then the rest that comes is read away: a connection closed with data unread would lose the answer."""
+        """Then read the remaining input: a connection closed with unread data would lose the answer."""
         connection.answered = True
         status, content = self._answer_to(line, connection.address)
         body = json.dumps(content).encode()
@@ -150,7 +150,7 @@ class Listener:
                 by, why, press = (asked.get(name, [""])[0] for name in ("by", "why", "press"))
                 return self._stop(Request(by[:100] or address, why[:500] or "stop requested", press[:100], address))
             return self._status() if method in ("GET", "HEAD") else (200 if method == "OPTIONS" else 405, {})
-        return 404, {"detail": "this port has POST /stop and nothing else"}
+        return 404, {"detail": "this port accepts only POST /stop"}
 
     def _drop(self, connection: _Connection) -> None:
         self._connections.pop(connection.socket, None)

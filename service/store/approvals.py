@@ -1,4 +1,4 @@
-"""Who approved which plan, by the hash of all that decides what it moves, and for how long."""
+"""Approvals of plans, with the hash of everything that determines their motion, and their validity."""
 
 from datetime import datetime, timedelta
 
@@ -11,7 +11,7 @@ from service.store.database import Database
 
 
 class ApprovalDocument(BaseModel):
-    """One approval; `sha256` is that of the motion which was approved."""
+    """One approval; `sha256` is the hash of the approved motion."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     id: int
@@ -22,12 +22,12 @@ class ApprovalDocument(BaseModel):
     expires_at: datetime
 
     def trouble(self, sha256: str, at: datetime) -> str:
-        """Why it does not hold for that motion at that time; empty if it does."""
+        """Why it is not valid for this motion at this time; empty if it is."""
         who = f"the approval by {self.approved_by} of {self.at:%Y-%m-%d %H:%M} UTC"
         if self.sha256 != sha256:
-            return f"{who} is void: robot, cell, drives, settings or program have changed since"
+            return f"{who} is no longer valid: robot, cell, drives, settings or program have changed since"
         if not self.at <= at:
-            return f"{who} lies in the future: the computer's clock was set back"
+            return f"{who} is in the future: the clock of the computer was set back"
         return f"{who} expired at {self.expires_at:%Y-%m-%d %H:%M} UTC" if at >= self.expires_at else ""
 
 
@@ -38,19 +38,29 @@ class ApprovalStore:
         self._database = database
 
     def add(self, plan_id: int, sha256: str, approved_by: str, valid: timedelta) -> ApprovalDocument:
-        """NotFound for no plan."""
+        """Raises NotFound if the plan does not exist."""
         with self._database.write(quiet=True) as session:
             rows.get(session, t.PlanRow, plan_id, "plan")
             at = t.now()
-            row = t.ApprovalRow(plan_id=plan_id, sha256=sha256, approved_by=approved_by, at=at, expires_at=at + valid)
+            row = t.ApprovalRow(
+                machine_id=rows.own(session),
+                plan_id=plan_id,
+                sha256=sha256,
+                approved_by=approved_by,
+                at=at,
+                expires_at=at + valid,
+            )
             session.add(row)
             session.flush()
             return _document(row)
 
     def of_plan(self, plan_id: int) -> tuple[ApprovalDocument, ...]:
-        """The newest first, a hundred at most."""
+        """Approvals for this service's machine, the newest first, at most a hundred."""
         query = select(t.ApprovalRow).where(t.ApprovalRow.plan_id == plan_id).order_by(t.ApprovalRow.id.desc())
         with self._database.read() as session:
+            machine = rows.owned(session)
+            if machine is not None:
+                query = query.where(t.ApprovalRow.machine_id == machine.id)
             return tuple(_document(row) for row in session.scalars(query.limit(100)))
 
 

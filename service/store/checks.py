@@ -1,4 +1,4 @@
-"""What the check of the data found in campaigns that are over."""
+"""Results of the data check of finished campaigns."""
 
 from pydantic import JsonValue
 from sqlalchemy import select
@@ -21,22 +21,22 @@ class CheckStore:
         self._database = database
 
     def document(self, campaign_id: int) -> Document | None:
-        """Findings as `sweepid check --json` gives them; None until they are there."""
+        """Findings as in `sweepid check --json`; None if there are none yet."""
         query = select(t.DataCheckRow.document).where(t.DataCheckRow.campaign_id == campaign_id)
         with self._database.read() as session:
             return session.scalar(query)
 
     def add(self, campaign_id: int, document: Document) -> None:
-        """The result of a job, with its event; one that comes twice counts once."""
+        """Store the result of a job, with its event; a second result of the same campaign is ignored."""
         with self._database.write() as session:
-            rows.get(session, t.CampaignRow, campaign_id, "campaign")
+            rows.own_campaign(session, campaign_id)
             if session.scalar(select(t.DataCheckRow.id).where(t.DataCheckRow.campaign_id == campaign_id)) is not None:
                 return
             session.add(t.DataCheckRow(campaign_id=campaign_id, document=document))
-            session.add(t.EventRow(campaign_id=campaign_id, kind=EventKind.DATA_CHECK, data={}))
+            rows.emit(session, campaign_id, EventKind.DATA_CHECK, {})
 
     def wanting(self, campaign_id: int | None = None) -> tuple[int, ...]:
-        """Campaigns (or this one) that are over, have complete sweeps and were not checked."""
+        """Finished campaigns of this machine (or this one) with complete sweeps that were not checked."""
         query = (
             select(t.CampaignRow.id)
             .join(t.SweepRow, t.SweepRow.campaign_id == t.CampaignRow.id)
@@ -48,4 +48,4 @@ class CheckStore:
         if campaign_id is not None:
             query = query.where(t.CampaignRow.id == campaign_id)
         with self._database.read() as session:
-            return tuple(session.scalars(query))
+            return tuple(session.scalars(query.where(rows.of_own(session))))

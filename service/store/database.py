@@ -1,82 +1,181 @@
-"""Opens the database: migrations, durability, transactions. SQLite by default, PostgreSQL by URL."""
+"""Opens the database: migrations, transactions. SQLite by default, PostgreSQL by URL (`engines` has the
+differences).
+"""
 
-import sqlite3
-from collections.abc import Callable, Generator
+import time
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from alembic import command
 from alembic.config import Config
-from sqlalchemy import Connection, Engine, create_engine, event, make_url
-from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
+from sqlalchemy import Connection, Engine, Table, select
+from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
 from sqlalchemy.orm import Session
-from sqlalchemy.pool import ConnectionPoolEntry
 
-BUSY_TIMEOUT = 30.0  # s to wait for another writer
+from service.errors import BadInput
+from service.store import tables as t
+from service.store.engines.address import kind_of
+from service.store.engines.kind import BUSY_TIMEOUT, PATIENCE, WRITE, Kind
+
 MIGRATIONS = Path(__file__).parent / "migrations"
+MACHINE = "machine"  # default name of a machine
+OWN = "machine"  # in the `info` of a session: the machine of its service
+_READING = 10.0  # s that a reader waits for an unavailable server
+_AGAIN = 0.2  # s between attempts
 
 
 def refusal(error: SQLAlchemyError) -> str:
-    """Why the database did not do it, in its own words, without the statement and what belongs to it."""
+    """Reason of the database, in its own words, without the statement and its parameters."""
     own = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
     reason = str(own).partition("\n")[0] if own.args else ""
     return f"the database refused: {reason or type(own).__name__}"
 
 
-class Database:
-    """Transactions over one engine; usable from any thread."""
+@dataclass(frozen=True, slots=True)
+class OwnMachine:
+    """The machine of a service, as in its row."""
 
-    def __init__(self, engine: Engine) -> None:
-        self._reading = engine
-        self._writing = engine.execution_options(write=True)
+    id: int
+    name: str
+
+
+class Database:
+    """Transactions over one engine; usable from any thread.
+
+    `machine`: written rows belong to it; None if the service owns none: then nothing of a machine can be written.
+    """
+
+    def __init__(self, engine: Engine, kind: Kind, machine: OwnMachine | None) -> None:
+        self._reading, self._kind, self.machine = engine, kind, machine
+        self._writing = engine.execution_options(**{WRITE: True})
         self._listeners: list[Callable[[], None]] = []
         self.address = engine.url.render_as_string(hide_password=True)
 
     @contextmanager
     def read(self) -> Generator[Session]:
         """A session that sees one consistent state."""
-        with Session(self._reading) as session, session.begin():
+        with self._begun(self._reading, _READING) as session:
             yield session
+            session.commit()
 
     @contextmanager
     def write(self, quiet: bool = False, patience: float = BUSY_TIMEOUT) -> Generator[Session]:
-        """A transaction: all or nothing, on disk when the block is left; listeners are told then, unless `quiet`.
+        """A transaction: all or nothing, on disk at the end of the block. Then listeners are called, unless `quiet`.
 
-        OperationalError after `patience` s in which SQLite had another writer.
+        There is no other writer meanwhile. Raises OperationalError after waiting `patience` s for another writer or
+        the server.
         """
-        engine = self._writing if patience == BUSY_TIMEOUT else self._writing.execution_options(patience=patience)
-        with Session(engine) as session, session.begin():
+        engine = self._writing
+        if patience != BUSY_TIMEOUT:
+            engine = engine.execution_options(**{PATIENCE: patience})
+        with self._begun(engine, patience) as session:
+            token = self._kind.token(session.connection())
             yield session
+            session.flush()
+            try:
+                session.commit()
+            except OperationalError as error:
+                if not (self._kind.is_away(error) and self._was_committed(token, patience)):
+                    raise
         if not quiet:
             for listener in self._listeners:
                 listener()
 
     def on_write(self, listener: Callable[[], None]) -> None:
-        """Call `listener` after every committed write that may have told an event, in the thread that wrote."""
+        """Call `listener` after every committed write that may have added an event, in the writing thread."""
         self._listeners.append(listener)
+
+    def continue_ids(self, session: Session, tables: Sequence[Table]) -> None:
+        """After rows were inserted with their ids: the next row of each table gets an unused id."""
+        self._kind.continue_ids(session.connection(), tables)
+
+    def _begun(self, engine: Engine, patience: float) -> Session:
+        """A session in its transaction; repeated for `patience` s while the server is unavailable."""
+        deadline = time.monotonic() + patience
+        while True:
+            session = Session(engine, info={OWN: self.machine})
+            try:
+                session.connection()
+            except OperationalError as error:
+                session.close()
+                if not self._kind.is_away(error) or time.monotonic() >= deadline:
+                    raise
+            except BaseException:
+                session.close()
+                raise
+            else:
+                return session
+            time.sleep(_AGAIN)
+
+    def _was_committed(self, token: str, patience: float) -> bool:
+        """Whether a transaction was committed whose COMMIT the server received but did not answer."""
+        deadline = time.monotonic() + patience
+        while time.monotonic() < deadline:
+            try:
+                committed = self._kind.was_committed(self._reading, token)
+            except OperationalError:  # the server is still unavailable
+                committed = None
+            if committed is not None:
+                return committed
+            time.sleep(_AGAIN)
+        return False
 
 
 @contextmanager
-def open_database(url: str) -> Generator[Database]:
-    """The database at `url`, brought to the newest schema; closed on leaving."""
-    parsed = make_url(url)
-    sqlite = parsed.get_backend_name() == "sqlite"
-    if sqlite and parsed.database:
-        Path(parsed.database).parent.mkdir(parents=True, exist_ok=True)
-    engine = create_engine(parsed, connect_args={"timeout": BUSY_TIMEOUT} if sqlite else {})
-    if sqlite:
-        event.listen(engine, "connect", _configure_sqlite)
-        event.listen(engine, "begin", _begin_sqlite)
+def open_database(
+    url: str, password_file: Path | None = None, machine: str | None = MACHINE, migrated: bool = True
+) -> Generator[Database]:
+    """The database at `url`, migrated to the newest schema; closed at the end of the block. Raises BadInput,
+    NotReached.
+
+    `password_file`: password of a server's user, if it is not in libpq's PGPASSFILE and one is needed. `machine`:
+    name of the owned machine, added if it is new; None: none. `migrated`: False does not change the schema, and
+    raises BadInput if it differs from that of this version.
+    """
+    kind = kind_of(url, password_file)
+    engine = kind.engine()
     try:
-        migrate(engine)
-        yield Database(engine)
+        kind.check(engine)
+        if migrated:
+            migrate(engine)
+        else:
+            _check_schema(engine)
+        yield Database(engine, kind, None if machine is None else _named(engine, machine))
     finally:
         engine.dispose()
 
 
+def _named(engine: Engine, name: str) -> OwnMachine:
+    """The row of the machine with this name, added if it is new."""
+    with Session(engine.execution_options(**{WRITE: True})) as session:
+        row = session.scalar(select(t.MachineRow).where(t.MachineRow.name == name))
+        if row is None:
+            row = t.MachineRow(name=name)
+            session.add(row)
+        session.commit()
+        return OwnMachine(row.id, row.name)
+
+
+def _check_schema(engine: Engine) -> None:
+    """Raises BadInput unless the database has this version's schema."""
+    with engine.connect() as connection:
+        found = MigrationContext.configure(connection).get_current_revision()
+    newest = ScriptDirectory(str(MIGRATIONS)).get_current_head()
+    if found != newest:
+        raise BadInput(
+            "database_url",
+            f"{engine.url.render_as_string(hide_password=True)} has schema {found or 'none'}, this version reads "
+            f"{newest}: first start a service of this version that owns a machine, or use the version of the others",
+        )
+
+
 def migrate(engine: Engine) -> None:
-    """Bring the schema to the newest revision, in one transaction."""
-    with engine.execution_options(write=True).begin() as connection:
+    """Migrate the schema to the newest revision, in one transaction."""
+    with engine.execution_options(**{WRITE: True}).begin() as connection:
         command.upgrade(alembic_config(connection), "head")
 
 
@@ -87,17 +186,3 @@ def alembic_config(connection: Connection) -> Config:
     config.set_main_option("path_separator", "os")
     config.attributes["connection"] = connection
     return config
-
-
-def _configure_sqlite(connection: sqlite3.Connection, _: ConnectionPoolEntry) -> None:
-    connection.isolation_level = None  # we say BEGIN ourselves: see _begin_sqlite
-    connection.execute("PRAGMA journal_mode = WAL")
-    connection.execute("PRAGMA synchronous = FULL")
-    connection.execute("PRAGMA foreign_keys = ON")
-
-
-def _begin_sqlite(connection: Connection) -> None:
-    # IMMEDIATE: a writer waits for its turn at the start instead of failing half-way when it upgrades its lock
-    options = connection.get_execution_options()
-    connection.exec_driver_sql(f"PRAGMA busy_timeout = {int(options.get('patience', BUSY_TIMEOUT) * 1000)}")
-    connection.exec_driver_sql("BEGIN IMMEDIATE" if options.get("write", False) else "BEGIN")

@@ -1,4 +1,4 @@
-"""What the store hands out of diagnoses and of the models that people accept from them."""
+"""Documents of diagnoses and of the models accepted from them."""
 
 from datetime import datetime
 from enum import Enum
@@ -7,19 +7,19 @@ from typing import Annotated
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
 from service.errors import Conflict
-from service.results.described import JsonOf
 from service.results.diagnosis import Diagnosis
 from service.results.revision import ModelRevision
+from service.results.stored_json import JsonOf
 from service.store.documents import LARGEST_ID
 
 
 class DiagnosisState(Enum):
-    """Where a diagnosis stands. `waiting` and `running` are open jobs: the next process takes them up again."""
+    """State of a diagnosis. `waiting` and `running` are open jobs: the next process continues them."""
 
     WAITING = "waiting"
-    RUNNING = "running"  # handed to the workers
+    RUNNING = "running"  # passed to the workers
     DONE = "done"
-    FAILED = "failed"  # `cause` says why
+    FAILED = "failed"  # reason in `cause`
 
 
 class _Document(BaseModel):
@@ -38,7 +38,7 @@ class BoltedMass(_Document):
 
 
 class Weighing(_Document):
-    """The campaign that was measured with a known mass, and the mass."""
+    """The campaign measured with a known mass, and the mass."""
 
     campaign_id: int
     mass: BoltedMass
@@ -52,12 +52,12 @@ class EstimateOf(_Document):
 
     @property
     def name(self) -> str:
-        """In words, as `started_from` has it."""
+        """Text as in `started_from`."""
         return f"campaign {self.campaign_id}, revision {self.revision}"
 
 
 class ExperimentDocument(_Document):
-    """The next experiment of one axis as it was approved; `test_mass` is bolted on while it is measured."""
+    """The approved next experiment of one axis; `test_mass` is mounted while it is measured."""
 
     axis: str
     campaign_id: int
@@ -67,11 +67,11 @@ class ExperimentDocument(_Document):
 
 
 class NewDiagnosis(_Document):
-    """What is to be diagnosed: axes of one robot, from all complete sweeps of `campaigns`.
+    """Input of a diagnosis: axes of one robot, from all complete sweeps of `campaigns`.
 
-    `model`: accepted model to start from. `estimate`: from which the rigid model starts, None: CAD. `weighed`: a
-    campaign with a known mass beside those without. `parent`: the diagnosis that this one continues. `unattended`:
-    proposed experiments are run without anybody's approval.
+    `model`: accepted model to start from. `estimate`: start of the rigid model, None: CAD. `weighed`: a campaign
+    with a known mass, in addition to those without. `parent`: the diagnosis that this one continues. `unattended`:
+    proposed experiments are run without approval.
     """
 
     robot_id: int = Field(ge=1, le=LARGEST_ID)
@@ -85,9 +85,14 @@ class NewDiagnosis(_Document):
 
 
 class DiagnosisEntry(NewDiagnosis):
-    """A diagnosis in a list; `verdicts` of the axes that are done."""
+    """A diagnosis in a list; `verdicts` of the finished axes.
+
+    `machine`: the name of the machine whose service computes it. `here`: it is the machine of this service.
+    """
 
     id: int
+    machine: str
+    here: bool
     state: DiagnosisState
     cause: str
     verdicts: dict[str, str]
@@ -102,16 +107,18 @@ class DiagnosisDocument(DiagnosisEntry):
     document: Annotated[dict[str, JsonValue], JsonOf(Diagnosis)] | None
 
     def found(self, to_do: str = "show") -> Diagnosis:
-        """What `document` says; Conflict while there is nothing `to_do`, BadInput where it is no diagnosis."""
+        """Content of `document`. Raises Conflict if it is not done yet (`to_do`: action in the message), BadInput if it
+        is invalid.
+        """
         if self.document is None:
             raise Conflict(f"diagnosis {self.id} is {self.state.value}, there is nothing to {to_do} yet")
         return Diagnosis.read(self.document, f"diagnosis {self.id}")
 
 
 class ModelDocument(_Document):
-    """Revision n of a robot's model: rigid body and effects, as somebody accepted it from a diagnosis; never changed.
+    """Revision n of a robot's model: rigid body and effects, as accepted from a diagnosis; never changed.
 
-    `parent`: the revision before, of which the axes that this one is not about are.
+    `parent`: the previous revision, which provides the axes that are not part of this one.
     """
 
     id: int
@@ -125,5 +132,5 @@ class ModelDocument(_Document):
 
     @property
     def content(self) -> ModelRevision:
-        """What `document` says; BadInput where it is no model."""
+        """Content of `document`. Raises BadInput if it is no model."""
         return ModelRevision.read(self.document, f"model {self.id}")

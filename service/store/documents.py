@@ -1,69 +1,80 @@
-"""What the store hands out: frozen documents, one a row, ready to be sent as JSON.
+"""Documents returned by the store: frozen, one per row, ready to be sent as JSON.
 
-The states stand here because rows hold them; which state may follow which is the table in `service.campaigns.session`.
+The states are defined here because rows contain them. `service.campaigns.state_machine` has the transitions.
 """
 
 import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from datetime import datetime
 from enum import Enum
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, JsonValue
 
 from drivers.ports import SweepMode
 from service.recording import SweepSpec
-from service.results.described import JsonOf
 from service.results.estimate import Estimate
+from service.results.stored_json import JsonOf
 from service.robot import Robot, RobotDescription, build_robot
 
 Json = Mapping[str, JsonValue]
 
-LARGEST_ID = 2**31 - 1  # what the integer column of every database holds
+LARGEST_ID = 2**31 - 1  # maximum of the integer column of every database
 
 
 class CampaignState(Enum):
-    """Where a campaign stands."""
+    """State of a campaign."""
 
     PLANNED = "planned"  # nothing has moved yet
     RUNNING = "running"  # owns the machine
-    PAUSING = "pausing"  # the present sweep is the last for now
-    PAUSED = "paused"  # waits for a person; `cause` says why
-    MEASURED = "measured"  # no sweep is left to run; identification may still be at work
-    COMPLETED = "completed"  # nothing is left to do
-    ABORTED = "aborted"  # a person gave it up
+    PAUSING = "pausing"  # paused after the present sweep
+    PAUSED = "paused"  # waits for a person; reason in `cause`
+    MEASURED = "measured"  # no sweep is left; identification may still run
+    COMPLETED = "completed"  # everything is finished
+    ABORTED = "aborted"  # ended by a person
 
 
 class SweepState(Enum):
-    """Where a sweep stands."""
+    """State of a sweep."""
 
     PLANNED = "planned"
     RUNNING = "running"  # its axis may move
     RECORDED = "recorded"  # complete samples on disk; this row is the durable identification job
     IDENTIFIED = "identified"  # an estimate revision contains it
-    FAILED = "failed"  # something went wrong; `cause` says what
-    INTERRUPTED = "interrupted"  # somebody stopped it, or the service ended under it
-    SKIPPED = "skipped"  # never run: its campaign was aborted, or had enough
+    FAILED = "failed"  # ended by an error; reason in `cause`
+    INTERRUPTED = "interrupted"  # stopped, or ended with the service
+    SKIPPED = "skipped"  # not run: its campaign was aborted, or reached its confidence
 
 
 class RecordingState(Enum):
-    """Whether the samples are all there."""
+    """Whether the samples are complete."""
 
     COMPLETE = "complete"
     PARTIAL = "partial"
 
 
+class BatchState(Enum):
+    """State of a batch. `waiting` and `running` are open: the next process continues them."""
+
+    WAITING = "waiting"
+    RUNNING = "running"
+    DONE = "done"
+    CANCELLED = "cancelled"  # by a person; computed results are kept
+
+
 class EventKind(Enum):
-    """What an event of the outbox is about."""
+    """Subject of an event of the outbox."""
 
     CAMPAIGN = "campaign"  # {"state", "cause", "version"}
     SWEEP = "sweep"  # {"number", "state", "cause", "axis", "attempt"}
-    CHECK_MOVE = "check_move"  # {"number", "axis", "way", "unit"}: before it is made
+    CHECK_MOVE = "check_move"  # {"number", "axis", "way", "unit"}: before it is executed
     ESTIMATE = "estimate"  # {"revision", "sweep"}
     STOP = "stop"  # {"latched", "by", "why"}; belongs to no campaign
     DIAGNOSIS = "diagnosis"  # {"diagnosis", "state", "cause", "verdicts", "parent"}; belongs to no campaign
-    DATA_CHECK = "data_check"  # {}: the campaign's findings are there
+    BATCH = "batch"  # {"batch", "state", "done", "campaigns"}; belongs to no campaign
+    DATA_CHECK = "data_check"  # {}: the findings of the campaign are stored
 
 
 class _Document(BaseModel):
@@ -71,10 +82,12 @@ class _Document(BaseModel):
 
 
 class RobotDocument(_Document):
-    """A robot as it was given; never changed afterwards (the same content has the same row)."""
+    """A robot as stored; never changed (equal content has the same row)."""
 
     id: int
     name: str
+    serial: str | None  # serial number; None: not in the file
+    revision: str | None  # manufacturer's revision of the robot
     description: RobotDescription
     urdf_text: str
     created_at: datetime
@@ -97,21 +110,27 @@ class PlanRecord(_Document):
 
 
 class CampaignDocument(_Document):
-    """A campaign; `version` grows with every change of state (ETag), `plan_id` is None for an imported one."""
+    """A campaign; `version` increases with every change of state (ETag), `plan_id` is None for an imported one.
+
+    `machine`: the name of the machine that runs it, or whose service imported it. `here`: it is the machine of this
+    service.
+    """
 
     id: int
+    machine: str
+    here: bool
     robot_id: int
     plan_id: int | None
     state: CampaignState
     cause: str
     version: int
-    sweeps: dict[SweepState, int]  # how many sweeps are in which state; states with none are left out
+    sweeps: dict[SweepState, int]  # number of sweeps by state; states without sweeps are omitted
     created_at: datetime
     started_at: datetime | None
 
 
 class SweepDocument(_Document):
-    """A sweep of a campaign; once recorded, `spec` holds what was measured (sample rate, window, start)."""
+    """A sweep of a campaign; once recorded, `spec` has the measured values (sample rate, window, start)."""
 
     campaign_id: int
     number: int  # 1, 2, ... in the order of the plan
@@ -120,6 +139,16 @@ class SweepDocument(_Document):
     state: SweepState
     cause: str
     attempt: int  # 0 before the first run, +1 with every run
+
+
+@dataclass(frozen=True, slots=True)
+class SweepStatus:
+    """State of a sweep, for frequent queries of all sweeps. `started_at` as in its spec, s."""
+
+    number: int
+    state: SweepState
+    attempt: int
+    started_at: float
 
 
 class RecordingDocument(_Document):
@@ -132,10 +161,21 @@ class RecordingDocument(_Document):
     path: str
     sha256: str
     samples: int
+    pruned_at: datetime | None = None  # its samples were removed by the retention rule
+
+
+class Recorded(NamedTuple):
+    """Recordings and their samples."""
+
+    recordings: int
+    samples: int
 
 
 class EstimateDocument(_Document):
-    """Estimate revision n of a campaign, made when sweep `number` was identified; `document` as `identify --json`."""
+    """Estimate revision n of a campaign, made when sweep `number` was identified; `document` as `identify --json`.
+
+    In an imported campaign of more than 60 sweeps a revision contains several sweeps more than the one before it.
+    """
 
     campaign_id: int
     revision: int
@@ -145,12 +185,12 @@ class EstimateDocument(_Document):
 
     @property
     def content(self) -> Estimate:
-        """What `document` says; BadInput where it is no estimate."""
+        """Content of `document`. Raises BadInput if it is no estimate."""
         return Estimate.read(self.document, f"estimate {self.revision} of campaign {self.campaign_id}")
 
 
 class EventDocument(_Document):
-    """One entry of the outbox; ids only grow."""
+    """One entry of the outbox; ids increase."""
 
     id: int
     campaign_id: int | None
@@ -171,21 +211,21 @@ class StopDocument(_Document):
 
 
 class StoredAnswer(_Document):
-    """The answer once given to a request with this idempotency key."""
+    """The answer already given to a request with this idempotency key."""
 
     status: int
     body: str
 
 
 class NewSweep(_Document):
-    """A sweep about to be planned."""
+    """A sweep to be planned."""
 
     spec: SweepSpec
     mode: SweepMode | None
 
 
 class NewRecording(_Document):
-    """A recording file just written."""
+    """A recording file that was just written."""
 
     state: RecordingState
     path: str
@@ -201,6 +241,6 @@ class SpectrumRecord(_Document):
 
 
 def robot_sha256(description: RobotDescription, urdf_text: str) -> str:
-    """Of description and URDF: the same content has the same one."""
+    """Hash of description and URDF: equal content has the same hash."""
     content = json.dumps([description.model_dump(mode="json"), urdf_text], sort_keys=True)
     return hashlib.sha256(content.encode()).hexdigest()

@@ -1,44 +1,67 @@
-"""The file of a SQLite database as others read it, beside a service that runs or without one.
+"""Reads the file of a SQLite database from outside, with or without a running service.
 
-It is not migrated, and nothing is locked that a writer needs: readers of a WAL hold nobody up. A copy is made by SQLite
-itself (its backup API), never of the files: what was committed last lies in the WAL.
+It is not migrated, and no writer is blocked: readers of a WAL do not block. A copy is made by SQLite
+itself (its backup API), never from the files, because the last commits are in the WAL.
 """
 
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import TypeVar
 
 from alembic.script import ScriptDirectory
-from sqlalchemy import make_url
 
 from service.errors import BadInput
-from service.store.database import BUSY_TIMEOUT, MIGRATIONS
+from service.store.database import MIGRATIONS
+from service.store.engines.address import parsed_url
+from service.store.engines.kind import BUSY_TIMEOUT
+
+_MOVED = "0011"  # the first schema with an object store
+_MACHINES = "0012"  # the first schema with several machines
+_PRUNED = "0013"  # the first schema with removed samples
+
+_OF_MACHINE = (
+    "SELECT file.path, campaign.machine_id FROM {table} AS file JOIN sweep ON sweep.id = file.sweep_id "
+    "JOIN campaign ON campaign.id = sweep.campaign_id WHERE campaign.machine_id <> 1"
+)
 
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What a database says of itself and of the files in its data folder."""
+    """Metadata of a database, and the files in its data folder."""
 
     schema: str
     identity: str | None
-    """None: from before a data folder belonged to one database."""
+    """None: older than the identity of data folders."""
     files: dict[str, str | None]
-    """SHA-256 by path, relative to the data folder; None for the manifest beside a recording: no row has its."""
+    """SHA-256 by path, relative to the data folder; None for the manifest of a recording, which is in no row."""
+    moved: frozenset[str]
+    """Paths of the recordings that are in the object store, and possibly only there."""
     held_by: str
-    """Who holds the machine: a service that runs or was killed; empty: nobody."""
+    """Holder of the machine: a service that runs or was killed; empty: none."""
+    machines: dict[str, int] = field(default_factory=dict[str, int])
+    """The machine of each file by its path; empty if the schema has only one machine, 1."""
+
+    def of_machine(self, machine: int) -> "Contents":
+        """With the files of this machine only: those of the others are in their own data folders."""
+        mine = {path: value for path, value in self.files.items() if self.machines.get(path, 1) == machine}
+        return replace(self, files=mine)
 
 
 def sqlite_file(url: str) -> Path:
-    """The file of the database at `url`; BadInput where it is not SQLite's."""
-    parsed = make_url(url)
+    """The file of the database at `url`. Raises BadInput if it is not SQLite."""
+    parsed = parsed_url(url)
     if parsed.get_backend_name() != "sqlite" or not parsed.database or parsed.database == ":memory:":
         shown = parsed.render_as_string(hide_password=True)
-        raise BadInput("database_url", f"{shown} is not a SQLite file: use the backup of that database")
+        raise BadInput(
+            "database_url",
+            f"{shown} is not a SQLite file: back up a PostgreSQL database with pg_dump, then copy the "
+            "data folder (docs/how-to/use-postgresql.md)",
+        )
     return Path(parsed.database)
 
 
@@ -49,15 +72,15 @@ def known_schemas() -> tuple[str, ...]:
 
 
 def look(place: Path, read: Callable[[sqlite3.Connection], Result]) -> Result:
-    """What `read` makes of one consistent state of the database at `place`; no file is written or left.
+    """Result of `read` on one consistent state of the database at `place`; no file is written or left.
 
-    BadInput where there is none; sqlite3.Error as `read` meets it, for a file that is no database too.
+    Raises BadInput if there is none; sqlite3.Error of `read`, also for a file that is no database.
     """
     if not place.is_file():
         raise BadInput(str(place), "database is missing")
     while True:
         before = _state(place)
-        # nobody has it open: a plain reader would leave an empty WAL behind
+        # no process has it open: a plain reader would leave an empty WAL
         alone = not any(before[1:])
         with closing(_connect(place, "&immutable=1" if alone else "")) as connection:
             connection.execute("BEGIN")
@@ -67,53 +90,74 @@ def look(place: Path, read: Callable[[sqlite3.Connection], Result]) -> Result:
 
 
 def copy_database(place: Path, target: Path) -> None:
-    """One consistent state of the database as a file of its own, without a WAL. sqlite3.Error if the disk is full."""
+    """One consistent state of the database as a separate file, without a WAL. Raises sqlite3.Error if the disk
+    is full.
+    """
 
     def copy(source: sqlite3.Connection) -> None:
         with closing(sqlite3.connect(target, isolation_level=None)) as copied:
-            source.backup(copied)  # in one step: with more, each commit of the service begins it anew
+            source.backup(copied)  # in one step: otherwise each commit of the service restarts it
             copied.execute("PRAGMA journal_mode = DELETE")
 
     look(place, copy)
 
 
 def contents(connection: sqlite3.Connection) -> Contents:
-    """Of a database of any schema up to ours; BadInput for a newer one and for what is not ours."""
+    """Contents of a database of any schema up to the present one. Raises BadInput for a newer one and for a foreign
+    database.
+    """
     tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    return contents_of(tables, connection.execute)
+
+
+def contents_of(tables: set[str], rows: Callable[[str], Iterable[tuple[str, ...]]]) -> Contents:
+    """As `contents`, of a database with these tables; `rows` returns those of a statement."""
     if not {"alembic_version", "recording"} <= tables:
-        raise BadInput("database", "is not one of sweepid")
-    ((schema,),) = connection.execute("SELECT version_num FROM alembic_version")
+        raise BadInput("database", "is not a database of sweepid")
+    ((schema,),) = rows("SELECT version_num FROM alembic_version")
     known = known_schemas()
     if schema not in known:
         raise BadInput("database", f"has schema {schema}, the newest known here is {known[-1]}: use a newer sweepid")
     files: dict[str, str | None] = {}
-    for path, sha256 in connection.execute("SELECT path, sha256 FROM recording ORDER BY path"):
-        files[path] = sha256
+    kept = " WHERE pruned_at IS NULL" if known.index(schema) >= known.index(_PRUNED) else ""
+    samples = {path for (path,) in rows(f"SELECT path FROM recording{kept}")}
+    for path, sha256 in rows("SELECT path, sha256 FROM recording ORDER BY path"):
+        if path in samples:
+            files[path] = sha256
         files[str(PurePosixPath(path).with_suffix(".json"))] = None
     if "spectrum_file" in tables:
-        files |= dict(connection.execute("SELECT path, sha256 FROM spectrum_file ORDER BY path"))
+        files.update((path, sha256) for path, sha256 in rows("SELECT path, sha256 FROM spectrum_file ORDER BY path"))
+    moved: frozenset[str] = frozenset()
+    if known.index(schema) >= known.index(_MOVED):
+        found = rows("SELECT path FROM recording WHERE moved_at IS NOT NULL")
+        moved = frozenset(path for (path,) in found if path in samples)
+    machines: dict[str, int] = {}
+    if known.index(schema) >= known.index(_MACHINES):
+        for table in ("recording", "spectrum_file"):
+            for path, machine in rows(_OF_MACHINE.format(table=table)):
+                machines[path] = machines[str(PurePosixPath(path).with_suffix(".json"))] = int(machine)
     identity = None
     if "identity" in tables:
-        ((identity,),) = connection.execute("SELECT id FROM identity")
+        ((identity,),) = rows("SELECT id FROM identity")
     held_by = ""
     if "lease" in tables:
-        held_by = ", ".join(owner for (owner,) in connection.execute("SELECT owner FROM lease"))
-    return Contents(schema, identity, files, held_by)
+        held_by = ", ".join(owner for (owner,) in rows("SELECT owner FROM lease"))
+    return Contents(schema, identity, files, moved, held_by, machines)
 
 
 def integrity(connection: sqlite3.Connection) -> list[str]:
     """What SQLite finds wrong with the file and with the references between its rows."""
     found = [line for (line,) in connection.execute("PRAGMA integrity_check") if line != "ok"]
     return found + [
-        f"row {row} of {table} refers to a {parent} that is not there"
+        f"row {row} of {table} refers to a {parent} that does not exist"
         for table, row, parent, _ in connection.execute("PRAGMA foreign_key_check")
     ]
 
 
 def _state(place: Path) -> tuple[object, ...]:
     """Size and time of the file, and whether somebody has it open (or died with it)."""
-    told = place.stat()
-    return (told.st_size, told.st_mtime_ns, told.st_ino), *(
+    now = place.stat()
+    return (now.st_size, now.st_mtime_ns, now.st_ino), *(
         place.with_name(place.name + end).exists() for end in ("-wal", "-journal")
     )
 

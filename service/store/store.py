@@ -27,11 +27,14 @@ from service.store.documents import (
     NewRecording,
     NewSweep,
     PlanRecord,
+    Recorded,
     RecordingDocument,
+    RecordingState,
     RobotDocument,
     SpectrumRecord,
     SweepDocument,
     SweepState,
+    SweepStatus,
     robot_sha256,
 )
 
@@ -53,12 +56,11 @@ class Store:
 
     def add_robot(self, robot: Robot) -> RobotDocument:
         """The same content gives the same row."""
-        description = robot.description.model_dump(mode="json")
         sha256 = robot_sha256(robot.description, robot.urdf_text)
         with self._database.write() as session:
             row = session.scalar(select(t.RobotRow).where(t.RobotRow.sha256 == sha256))
             if row is None:
-                row = t.RobotRow(sha256=sha256, name=robot.name, description=description, urdf_text=robot.urdf_text)
+                row = rows.robot_row(robot, sha256)
                 session.add(row)
                 session.flush()
             return rows.robot_document(row)
@@ -101,8 +103,10 @@ class Store:
             return tuple(rows.campaign_document(session, row) for row in session.scalars(query))
 
     def campaigns_in(self, *states: CampaignState) -> tuple[CampaignDocument, ...]:
+        """Of this service's machine."""
         query = select(t.CampaignRow).where(t.CampaignRow.state.in_(states)).order_by(t.CampaignRow.id)
         with self._database.read() as session:
+            query = query.where(rows.of_own(session))
             return tuple(rows.campaign_document(session, row) for row in session.scalars(query))
 
     def sweep(self, campaign_id: int, number: int) -> SweepDocument:
@@ -115,10 +119,20 @@ class Store:
             rows.get(session, t.CampaignRow, campaign_id, "campaign")
             return tuple(rows.sweep_document(row) for row in session.scalars(query))
 
-    def sweeps_in(self, state: SweepState) -> tuple[SweepDocument, ...]:
-        """Of all campaigns; RECORDED gives the open identification jobs."""
-        query = select(t.SweepRow).where(t.SweepRow.state == state).order_by(t.SweepRow.id)
+    def sweep_statuses(self, campaign_id: int) -> tuple[SweepStatus, ...]:
+        """Of all sweeps, in the order of the plan; no spec is read for it."""
+        sweep = t.SweepRow
+        started_at = sweep.spec["started_at"].as_float()
+        query = select(sweep.number, sweep.state, sweep.attempt, started_at)
         with self._database.read() as session:
+            found = session.execute(query.where(sweep.campaign_id == campaign_id).order_by(sweep.number))
+            return tuple(SweepStatus(*row) for row in found)
+
+    def sweeps_in(self, state: SweepState) -> tuple[SweepDocument, ...]:
+        """Of all campaigns of this service's machine; RECORDED gives its open identification jobs."""
+        query = select(t.SweepRow).join(t.CampaignRow, t.CampaignRow.id == t.SweepRow.campaign_id)
+        with self._database.read() as session:
+            query = query.where(t.SweepRow.state == state, rows.of_own(session)).order_by(t.SweepRow.id)
             return tuple(rows.sweep_document(row) for row in session.scalars(query))
 
     def recording(self, campaign_id: int, number: int) -> RecordingDocument:
@@ -164,7 +178,9 @@ class Store:
         `save` is given the path of the sweep's recording and the spectrum.
         """
         with self._database.write(quiet=True) as session:
-            old = session.scalar(select(t.IdentificationRow).limit(1))
+            sweep, campaign = t.SweepRow, t.CampaignRow
+            own = select(sweep.id).join(campaign, campaign.id == sweep.campaign_id).where(rows.of_own(session))
+            old = session.scalar(select(t.IdentificationRow).where(t.IdentificationRow.sweep_id.in_(own)).limit(1))
             if old is None:
                 return False
             query = select(t.RecordingRow.path).where(t.RecordingRow.sweep_id == old.sweep_id)
@@ -197,6 +213,25 @@ class Store:
         with self._database.read() as session:
             return tuple(EstimateOf(campaign_id=number, revision=last) for number, last in session.execute(query))
 
+    def latest_estimates(self) -> dict[str, EstimateOf]:
+        """The newest revision of each robot by its name: robot files of one name are one robot."""
+        newest = (
+            select(func.max(t.EstimateRow.id))
+            .join(t.CampaignRow, t.CampaignRow.id == t.EstimateRow.campaign_id)
+            .join(t.RobotRow, t.RobotRow.id == t.CampaignRow.robot_id)
+            .group_by(t.RobotRow.name)
+        )
+        query = (
+            select(t.RobotRow.name, t.EstimateRow.campaign_id, t.EstimateRow.revision)
+            .join(t.CampaignRow, t.CampaignRow.id == t.EstimateRow.campaign_id)
+            .join(t.RobotRow, t.RobotRow.id == t.CampaignRow.robot_id)
+            .where(t.EstimateRow.id.in_(newest))
+            .order_by(t.RobotRow.name)
+        )
+        with self._database.read() as session:
+            found = session.execute(query)
+            return {name: EstimateOf(campaign_id=number, revision=revision) for name, number, revision in found}
+
     def estimates(self, campaign_id: int, after: int = 0, limit: int = 100) -> tuple[EstimateDocument, ...]:
         query = rows.estimates_of(campaign_id).where(t.EstimateRow.revision > after).order_by(t.EstimateRow.revision)
         with self._database.read() as session:
@@ -211,6 +246,11 @@ class Store:
         )
         with self._database.read() as session:
             return dict(session.execute(query).all())
+
+    def confidences(self, campaign_id: int, joints: Sequence[str]) -> list[Sequence[JsonValue]]:
+        """Revision, its sweep, then "confidence_percent" of each joint; the large documents are not read."""
+        with self._database.read() as session:
+            return [tuple(row) for row in session.execute(rows.confidences_of(campaign_id, joints))]
 
     # campaigns and sweeps: write
 
@@ -249,7 +289,7 @@ class Store:
         StaleVersion if `if_version` is not the present one.
         """
         with self._database.write() as session:
-            row = rows.get(session, t.CampaignRow, campaign_id, "campaign")
+            row = rows.own_campaign(session, campaign_id)
             if if_version is not None and if_version != row.version:
                 raise StaleVersion(f"campaign {campaign_id} is at version {row.version}, not {if_version}")
             row.state = move(row.state)
@@ -266,13 +306,13 @@ class Store:
     def begin_sweep(self, campaign_id: int, number: int, move: SweepMove, last_attempt: int = 0) -> SweepDocument:
         """As `move_sweep`, and count the attempt, on from `last_attempt` on disk. Committed before anything moves."""
         with self._database.write() as session:
-            row = rows.get_sweep(session, campaign_id, number)
+            row = rows.own_sweep(session, campaign_id, number)
             row.attempt = max(row.attempt, last_attempt) + 1
             return rows.move_sweep(session, row, move, "")
 
     def move_sweep(self, campaign_id: int, number: int, move: SweepMove, cause: str = "") -> SweepDocument:
         with self._database.write() as session:
-            return rows.move_sweep(session, rows.get_sweep(session, campaign_id, number), move, cause)
+            return rows.move_sweep(session, rows.own_sweep(session, campaign_id, number), move, cause)
 
     def end_sweep(
         self,
@@ -285,7 +325,7 @@ class Store:
     ) -> SweepDocument:
         """The end of a run: state, what was measured and its file. A sweep that is `recorded` now is an open job."""
         with self._database.write() as session:
-            row = rows.get_sweep(session, campaign_id, number)
+            row = rows.own_sweep(session, campaign_id, number)
             if spec is not None:
                 row.spec = spec.model_dump(mode="json")
             if recording is not None:
@@ -295,36 +335,22 @@ class Store:
     def add_recording(self, campaign_id: int, number: int, attempt: int, recording: NewRecording) -> None:
         """A recording that was saved after its run had ended."""
         with self._database.write() as session:
-            sweep = rows.get_sweep(session, campaign_id, number)
+            sweep = rows.own_sweep(session, campaign_id, number)
             session.add(t.RecordingRow(sweep_id=sweep.id, attempt=attempt, **recording.model_dump()))
 
     def add_estimate(
         self,
-        sweep: SweepDocument,
+        identified: Sequence[tuple[SweepDocument, SpectrumRecord]],
         move: SweepMove,
-        spectrum: SpectrumRecord,
         document: dict[str, JsonValue],
     ) -> EstimateDocument | None:
-        """The result of a job: spectrum, next estimate revision, state of the sweep and event, all or nothing.
+        """The result of a job: spectra, next estimate revision, states of the sweeps and events, all or nothing.
 
-        None, without effect, if the sweep no longer waits for it: a result that comes twice counts once.
+        The revision belongs to the last of the sweeps, which are of one campaign. None, without effect, unless all of
+        them still wait to be identified: a result that is received twice counts once.
         """
         with self._database.write() as session:
-            row = rows.get_sweep(session, sweep.campaign_id, sweep.number)
-            if row.state is not SweepState.RECORDED or row.attempt != sweep.attempt:
-                return None
-            last = session.scalar(
-                select(func.max(t.EstimateRow.revision)).where(t.EstimateRow.campaign_id == row.campaign_id)
-            )
-            estimate = t.EstimateRow(
-                campaign_id=row.campaign_id, revision=(last or 0) + 1, sweep_id=row.id, document=document
-            )
-            session.add_all([t.SpectrumRow(sweep_id=row.id, **spectrum.model_dump()), estimate])
-            data: dict[str, JsonValue] = {"revision": estimate.revision, "sweep": row.number}
-            session.add(t.EventRow(campaign_id=row.campaign_id, kind=EventKind.ESTIMATE, data=data))
-            rows.move_sweep(session, row, move, "")
-            session.flush()
-            return rows.estimate_document(estimate, row.number)
+            return rows.add_estimate(session, identified, move, document)
 
     # outbox
 
@@ -332,18 +358,26 @@ class Store:
         """Tell that an axis is about to make its check move before the sweep `number`: `way` in `unit`, rad (m)."""
         data: dict[str, JsonValue] = {"number": number, "axis": axis, "way": way, "unit": unit}
         with self._database.write() as session:
-            session.add(t.EventRow(campaign_id=campaign_id, kind=EventKind.CHECK_MOVE, data=data))
+            rows.own_campaign(session, campaign_id)
+            rows.emit(session, campaign_id, EventKind.CHECK_MOVE, data)
 
     def events(self, after: int, campaign_id: int | None = None, limit: int = 100) -> tuple[EventDocument, ...]:
-        """Events of one campaign (with the machine's stops) or of all."""
+        """Events of one campaign (with the stops of its machine) or of all."""
         query = select(t.EventRow).where(t.EventRow.id > after).order_by(t.EventRow.id).limit(limit)
         if campaign_id is not None:
-            query = query.where((t.EventRow.campaign_id == campaign_id) | (t.EventRow.kind == EventKind.STOP))
+            query = query.where((t.EventRow.campaign_id == campaign_id) | rows.stops_of_machine_of(campaign_id))
         with self._database.read() as session:
             return tuple(
                 EventDocument(id=row.id, campaign_id=row.campaign_id, kind=row.kind, data=row.data, at=row.at)
                 for row in session.scalars(query)
             )
+
+    def recorded(self) -> dict[RecordingState, Recorded]:
+        """How many recordings there are of each state, with their samples."""
+        row = t.RecordingRow
+        query = select(row.state, func.count(), func.sum(row.samples)).group_by(row.state)
+        with self._database.read() as session:
+            return {state: Recorded(count, samples) for state, count, samples in session.execute(query)}
 
     def last_event_id(self) -> int:
         """0 if there was none yet."""

@@ -11,7 +11,7 @@ from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 from drivers.ports import SweepMode
 from service.store.diagnosis_documents import DiagnosisState
-from service.store.documents import CampaignState, EventKind, RecordingState, SweepState
+from service.store.documents import BatchState, CampaignState, EventKind, RecordingState, SweepState
 
 
 class Utc(TypeDecorator[datetime]):
@@ -54,15 +54,30 @@ class Base(DeclarativeBase):
         RecordingState: _states(RecordingState),
         EventKind: _states(EventKind),
         DiagnosisState: _states(DiagnosisState),
+        BatchState: _states(BatchState),
         SweepMode: _states(SweepMode),
     }
 
 
+class MachineRow(Base):
+    """One row a cell's machine; `machine_id` elsewhere is its id, and 1 for what was before there were several."""
+
+    __tablename__ = "machine"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    name: Mapped[str] = mapped_column(String(64), unique=True)
+    created_at: Mapped[datetime] = mapped_column(default=now)
+
+
 class RobotRow(Base):
+    """`serial` and `revision` as the description has them: which robot of several of one name it is."""
+
     __tablename__ = "robot"
+    __table_args__ = (Index("ix_robot_name_serial", "name", "serial"),)
     id: Mapped[int] = mapped_column(primary_key=True)
     sha256: Mapped[str] = mapped_column(String(64), unique=True)  # of description and URDF
     name: Mapped[str]
+    serial: Mapped[str | None] = mapped_column(String(100))
+    revision: Mapped[str | None] = mapped_column(String(100))
     description: Mapped[dict[str, JsonValue]]
     urdf_text: Mapped[str]
     created_at: Mapped[datetime] = mapped_column(default=now)
@@ -77,10 +92,11 @@ class PlanRow(Base):
 
 
 class ApprovalRow(Base):
-    """Append-only."""
+    """Append-only. It holds for one machine."""
 
     __tablename__ = "approval"
     id: Mapped[int] = mapped_column(primary_key=True)
+    machine_id: Mapped[int]
     plan_id: Mapped[int] = mapped_column(ForeignKey("plan.id"), index=True)
     sha256: Mapped[str] = mapped_column(String(64))  # of all that decides what the plan moves
     approved_by: Mapped[str]
@@ -91,6 +107,7 @@ class ApprovalRow(Base):
 class CampaignRow(Base):
     __tablename__ = "campaign"
     id: Mapped[int] = mapped_column(primary_key=True)
+    machine_id: Mapped[int] = mapped_column(index=True)  # runs it, and has its files
     robot_id: Mapped[int] = mapped_column(ForeignKey("robot.id"))
     plan_id: Mapped[int | None] = mapped_column(ForeignKey("plan.id"))
     state: Mapped[CampaignState]
@@ -124,6 +141,8 @@ class RecordingRow(Base):
     sha256: Mapped[str] = mapped_column(String(64))
     samples: Mapped[int]
     created_at: Mapped[datetime] = mapped_column(default=now)
+    moved_at: Mapped[datetime | None] = mapped_column(index=True)  # read back from the object store as it was written
+    pruned_at: Mapped[datetime | None]  # its samples were removed by the retention rule
 
 
 class SpectrumRow(Base):
@@ -170,6 +189,7 @@ class DiagnosisRow(Base):
 
     __tablename__ = "diagnosis"
     id: Mapped[int] = mapped_column(primary_key=True)
+    machine_id: Mapped[int]
     robot_id: Mapped[int] = mapped_column(ForeignKey("robot.id"))
     parent_id: Mapped[int | None] = mapped_column(ForeignKey("diagnosis.id"), unique=True)
     # diagnosis and model refer to each other: this one is added when both tables are there
@@ -225,12 +245,53 @@ class DataCheckRow(Base):
     at: Mapped[datetime] = mapped_column(default=now)
 
 
+class HoldRow(Base):
+    """A campaign of which the retention rule removes nothing."""
+
+    __tablename__ = "hold"
+    campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"), primary_key=True, autoincrement=False)
+    by: Mapped[str]
+    why: Mapped[str]
+    at: Mapped[datetime] = mapped_column(default=now)
+
+
+class BatchRow(Base):
+    """A computation over stored campaigns; what of `campaigns` has no result yet is still to do."""
+
+    __tablename__ = "batch"
+    id: Mapped[int] = mapped_column(primary_key=True)
+    machine_id: Mapped[int]
+    kind: Mapped[str] = mapped_column(String(16))
+    campaigns: Mapped[list[int]]
+    asked_by: Mapped[str]
+    state: Mapped[BatchState]
+    created_at: Mapped[datetime] = mapped_column(default=now)
+    started_at: Mapped[datetime | None]
+    finished_at: Mapped[datetime | None]
+
+
+class BatchResultRow(Base):
+    """Of one campaign. The unique pair makes a result that comes twice count once. `document`: None for a `cause`."""
+
+    __tablename__ = "batch_result"
+    __table_args__ = (UniqueConstraint("batch_id", "campaign_id"),)
+    id: Mapped[int] = mapped_column(primary_key=True)
+    batch_id: Mapped[int] = mapped_column(ForeignKey("batch.id"))
+    campaign_id: Mapped[int] = mapped_column(ForeignKey("campaign.id"))
+    sweeps: Mapped[int]
+    cause: Mapped[str]
+    change_percent: Mapped[float | None]
+    document: Mapped[dict[str, JsonValue] | None] = mapped_column(deferred=True)
+    at: Mapped[datetime] = mapped_column(default=now)
+
+
 class EventRow(Base):
     """The outbox. AUTOINCREMENT: an id is never given twice, even after the newest row went."""
 
     __tablename__ = "event"
     __table_args__ = ({"sqlite_autoincrement": True},)
     id: Mapped[int] = mapped_column(primary_key=True)
+    machine_id: Mapped[int]
     campaign_id: Mapped[int | None] = mapped_column(ForeignKey("campaign.id"), index=True)
     kind: Mapped[EventKind]
     data: Mapped[dict[str, JsonValue]]
@@ -239,6 +300,7 @@ class EventRow(Base):
 
 class IdempotencyRow(Base):
     __tablename__ = "idempotency_key"
+    machine_id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     key: Mapped[str] = mapped_column(String(255), primary_key=True)
     fingerprint: Mapped[str] = mapped_column(String(64))
     status: Mapped[int | None]  # None: the work is under way
@@ -256,10 +318,11 @@ class LeaseRow(Base):
 
 
 class StopRow(Base):
-    """Every stop there was; the machine is latched while one has no `reset_at`."""
+    """Every stop there was; its machine is latched while one has no `reset_at`."""
 
     __tablename__ = "stop"
     id: Mapped[int] = mapped_column(primary_key=True)
+    machine_id: Mapped[int]
     by: Mapped[str]
     why: Mapped[str]
     at: Mapped[datetime] = mapped_column(default=now)
@@ -282,13 +345,16 @@ class ApiKeyRow(Base):
 
 
 class UserRow(Base):
-    """A person. `password`: argon2's hash; None where somebody else says who it is."""
+    """A person. `password`: argon2's hash; None where a provider says who it is, by `issuer` and `subject`."""
 
     __tablename__ = "user_account"
+    __table_args__ = (Index("ix_user_account_external", "issuer", "subject", unique=True),)
     id: Mapped[int] = mapped_column(primary_key=True)
     name: Mapped[str] = mapped_column(String(100), unique=True)
     role: Mapped[str] = mapped_column(String(16))
     password: Mapped[str | None] = mapped_column(String(255))
+    issuer: Mapped[str | None] = mapped_column(String(500))
+    subject: Mapped[str | None] = mapped_column(String(255))
     created_at: Mapped[datetime] = mapped_column(default=now)
     disabled_at: Mapped[datetime | None]
 
@@ -307,7 +373,7 @@ class SessionRow(Base):
 
 
 class AuditRow(Base):
-    """Append-only, a trigger refuses the rest. `entry` is canonical JSON; `sha256` is in `service.people.chain`."""
+    """Append-only, enforced by a trigger. `entry` is canonical JSON; `sha256`: see `service.people.audit_chain`."""
 
     __tablename__ = "audit"
     number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)

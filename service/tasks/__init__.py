@@ -1,1 +1,1 @@
-"""Tasks of the event loop: one way to own them, one way to let them end (docs/explanation/concurrency.md)."""
+"""Tasks of the event loop: ownership and end of all tasks (docs/explanation/concurrency.md)."""

@@ -1,4 +1,4 @@
-"""Work on the event loop that nobody waits for."""
+"""Background tasks of the event loop."""
 
 import asyncio
 from collections.abc import Coroutine
@@ -9,13 +9,13 @@ _log = structlog.get_logger(__name__)
 
 
 class Background:
-    """The tasks of one owner. Whoever makes one closes or settles it: no task outlives its owner."""
+    """The tasks of one owner. The owner must close or settle them: no task continues after its owner."""
 
     def __init__(self) -> None:
         self._tasks: set[asyncio.Task[None]] = set()
 
     def begin(self, name: str, work: Coroutine[object, object, None]) -> None:
-        """Run `work` in a task of that name; an error that ends it is logged."""
+        """Run `work` in a task with this name; an error that ends it is logged."""
         task = asyncio.create_task(work, name=name)
         self._tasks.add(task)
         task.add_done_callback(self._ended)

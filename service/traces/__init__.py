@@ -1,1 +1,1 @@
-"""Recordings of other tools, read into bundles."""
+"""Import of recordings of other tools into bundles."""

@@ -1,11 +1,11 @@
-"""Where in a CNC's trace a sweep begins: its set position laid over the sweep's path.
+"""Finds the start of a sweep in the trace of a CNC: compares the set position with the path of the sweep.
 
-The trace runs from some trigger on. Coarse: the whole path is slid along the record, the least variance of the
-difference wins. Fine: least squares of (start, stretch of time, offset of position) over the motion, so that the start
-is known to a small part of a sample. What does not match is refused, with what it looks like:
+The trace starts at any trigger. Coarse search: the whole path is shifted along the record; the smallest variance of the
+difference is best. Fine search: least squares of (start, stretch of time, offset of position) over the motion, so that
+the start is known to a small fraction of a sample. A trace that does not match is rejected, with the probable cause:
 
-- the difference left over exceeds `RESIDUAL` of the sines' RMS way: another sweep, another axis;
-- time is stretched by more than `STRETCH` (the lines would lie beside their frequencies): feed override, cycle;
+- the residual exceeds `RESIDUAL` of the sines' RMS amplitude: another sweep, another axis;
+- time is stretched by more than `STRETCH` (the lines would be at other frequencies): feed override, cycle;
 - the path starts elsewhere by more than `START`: another pose, another zero.
 """
 
@@ -15,6 +15,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.signal import fftconvolve
 
 from service.errors import BadInput
 from service.identification.design.excitation import Excitation
@@ -22,15 +23,17 @@ from service.identification.design.sweep_path import way
 
 Array = NDArray[np.float64]
 
-RESIDUAL = 0.05  # of the sines' RMS way
+RESIDUAL = 0.05  # of the sines' RMS amplitude
 STRETCH = 5e-4
 START = 2e-3  # rad (m)
-FOLLOWS = 0.2  # a drive follows late by its position control; gear ratios and units are wrong by more
+LARGEST = 1e6  # rad (m), of a position: above any axis; its square does not overflow
+MOST_COARSE = 2**20  # points of the coarse search: a trace of almost six hours
+FOLLOWS = 0.2  # following error of the position control is smaller; errors of gear ratio or unit are larger
 
 _COARSE = 0.02  # s, a tenth of a period at 5 Hz
-_STRETCHES = np.geomspace(0.2, 5.0, 163)  # 2 % apart, tried only to tell what is wrong
-_REACH = 0.2  # s that the coarse start may be off
-_STANDSTILL = 0.5  # s before and after the motion that take part in the fit
+_STRETCHES = np.geomspace(0.2, 5.0, 163)  # 2 % apart, tried only to find the cause of a mismatch
+_REACH = 0.2  # s, largest error of the coarse start
+_STANDSTILL = 0.5  # s before and after the motion that are used in the fit
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,17 +41,20 @@ class _Match:
     start: float  # s into the trace
     stretch: float
     offset: float  # rad (m)
-    rms: float  # of what is left over, rad (m)
+    rms: float  # of the residual, rad (m)
 
 
 def motion_start(path: Excitation, position: float, time: Array, set_position: Array, place: str) -> float:
-    """When the motion starts from `position`, rad (m), in a trace of `set_position` (n,) at `time` (n,); s.
+    """Start time, s, of the motion from `position`, rad (m), in a trace of `set_position` (n,) at `time` (n,), s.
 
-    BadInput at `place` where the trace does not show this motion at its true speed, or not all of the measured window.
+    BadInput at `place` if the trace does not contain this motion at its true speed, or not the whole measured window.
     """
     measured = path.measure_from + path.periods * path.period
-    if time[-1] - time[0] < path.periods * path.period:
-        raise BadInput(place, f"trace of {time[-1] - time[0]:.3f} s cannot hold a sweep of {path.duration:.3f} s")
+    if not path.periods * path.period <= time[-1] - time[0] or not path.duration <= 2 * (time[-1] - time[0]):
+        raise BadInput(
+            place, f"a trace of {time[-1] - time[0]:.3f} s is shorter than the sweep of {path.duration:.3f} s"
+        )
+    _check_size(path, position, time, set_position, place)
     swing = float(np.sqrt(sum((sine.amplitude / (2 * np.pi * sine.frequency)) ** 2 for sine in path.sines) / 2))
     if np.ptp(set_position) < swing:
         raise BadInput(place, f"the set position moves by {np.ptp(set_position):.2g} rad (m) only: another axis?")
@@ -72,8 +78,21 @@ def motion_start(path: Excitation, position: float, time: Array, set_position: A
     return match.start
 
 
+def _check_size(path: Excitation, position: float, time: Array, set_position: Array, place: str) -> None:
+    """BadInput if the search would need numbers that overflow, or more points than its limit."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        ways = np.abs(way(path, np.linspace(0.0, path.duration, 1000)))
+    for name, value in (("pose", abs(position)), ("path", ways.max()), ("set position", np.abs(set_position).max())):
+        if not value <= LARGEST:
+            raise BadInput(place, f"{name} reaches {value:.3g} rad (m), limit {LARGEST:g}")
+    points = (len(time) - 1) / _stride(time)
+    if points > MOST_COARSE:
+        raise BadInput(place, f"trace of {time[-1] - time[0]:.0f} s is too long for the search, limit "
+                       f"{MOST_COARSE * _COARSE:.0f} s: cut it to one sweep")  # fmt: skip
+
+
 def check_follows(name: str, channel: Array, expected: Array, place: str) -> None:
-    """BadInput unless the channel moves with what is expected of it: slope 1 within `FOLLOWS`, by least squares."""
+    """BadInput unless the channel follows the expected signal: slope 1 within `FOLLOWS`, by least squares."""
     deviation = expected - expected.mean()
     slope = float(deviation @ channel) / float(deviation @ deviation)
     if not abs(slope - 1) <= FOLLOWS:
@@ -84,7 +103,7 @@ def check_follows(name: str, channel: Array, expected: Array, place: str) -> Non
 
 
 def _what_it_is(path: Excitation, position: float, time: Array, signal: Array, match: _Match, swing: float) -> str:
-    """The likeliest reason for a trace that is not this motion."""
+    """The most likely reason why the trace is not this motion."""
     slow = _match(path, position, time, signal, _STRETCHES)
     if slow.rms <= RESIDUAL * swing:
         return _slow(slow)
@@ -105,7 +124,7 @@ def _slow(match: _Match) -> str:
 
 
 def _match(path: Excitation, position: float, time: Array, signal: Array, stretches: Array) -> _Match:
-    """The best fit, begun at the best of these stretches."""
+    """The best fit, started from the best of these stretches."""
     start, stretch = _search(path, time, signal, stretches)
     first, last = start - _STANDSTILL, start + stretch * path.duration + _STANDSTILL
     part = (time >= first) & (time <= last)
@@ -114,7 +133,7 @@ def _match(path: Excitation, position: float, time: Array, signal: Array, stretc
     def difference(guess: Array) -> Array:
         return values - guess[2] - way(path, (times - guess[0]) / guess[1])
 
-    reach = _REACH * stretch  # short of half the path, which would let the motion slip out of the record
+    reach = _REACH * stretch  # less than half the path, so that the motion cannot leave the record
     fit = least_squares(
         difference,
         np.array([start, stretch, 0.0]),
@@ -126,8 +145,8 @@ def _match(path: Excitation, position: float, time: Array, signal: Array, stretc
 
 
 def _search(path: Excitation, time: Array, signal: Array, stretches: Array) -> tuple[float, float]:
-    """Start, s, and stretch of least variance; up to half of the path may lie beyond the trace's ends."""
-    stride = max(1, round(_COARSE * (len(time) - 1) / (time[-1] - time[0])))
+    """Start, s, and stretch of least variance; up to half of the path may be outside the trace."""
+    stride = _stride(time)
     step = float(time[stride] - time[0])
     least, start, found = np.inf, 0.0, float(stretches[0])
     for stretch in stretches:
@@ -136,9 +155,37 @@ def _search(path: Excitation, time: Array, signal: Array, stretches: Array) -> t
         padded = np.pad(signal[::stride], lead, constant_values=np.nan)
         if len(padded) < len(template):
             continue
-        windows = np.lib.stride_tricks.sliding_window_view(padded, len(template))
-        variance = np.nanvar(windows - template, axis=1)
+        variance = _variances(padded, template)
         best = int(np.argmin(variance))
         if variance[best] < least:
             least, start, found = float(variance[best]), float(time[0]) + (best - lead) * step, float(stretch)
     return start, found
+
+
+def _stride(time: Array) -> int:
+    """Samples between the points of the coarse search."""
+    return max(1, round(_COARSE * (len(time) - 1) / (time[-1] - time[0])))
+
+
+def _variances(signal: Array, template: Array) -> Array:
+    """(n - m + 1,) variance of signal (n,) minus template (m,) at each shift; NaN in the signal is ignored.
+
+    Uses sums and one FFT correlation for all shifts; the differences themselves would need n m numbers.
+    """
+    length = len(template)
+    there = ~np.isnan(signal)
+    values = np.where(there, signal - np.nanmean(signal), 0.0)
+    shape = template - template.mean()
+    weights = there.astype(float)
+
+    def sums(of: Array) -> Array:
+        total = np.concatenate([[0.0], np.cumsum(of)])
+        return total[length:] - total[:-length]
+
+    def correlation(of: Array, by: Array) -> Array:
+        return np.asarray(fftconvolve(of, by[::-1], mode="valid"), dtype=float)
+
+    count = sums(weights)
+    mean = (sums(values) - correlation(weights, shape)) / count
+    square = (sums(values**2) - 2 * correlation(values, shape) + correlation(weights, shape**2)) / count
+    return square - mean**2

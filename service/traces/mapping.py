@@ -1,6 +1,6 @@
-"""The mapping file of a trace import (docs/how-to/your-own-trace.md): what the columns of a trace are, in what unit.
+"""The mapping file of a trace import (docs/how-to/your-own-trace.md): meaning and unit of each column of a trace.
 
-A unit gives scale and offset from what is known of the sweep's axis, so that nobody types a gear ratio twice.
+A unit determines scale and offset from the data of the sweep's axis, so the user need not enter a gear ratio twice.
 """
 
 import math
@@ -9,11 +9,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
-from service.recording import SweepSpec
+from service.recording import Name, SweepSpec
 from service.robot import Axis, Prior
 
 Unit = Literal[
-    "axis position",  # deg or mm as the CNC shows it: with the axis' direction and zero
+    "axis position",  # deg or mm as the CNC displays it: with the direction and zero of the CNC axis
     "deg",
     "mm",
     "motor rev",
@@ -23,6 +23,7 @@ Unit = Literal[
     "ms",
     "samples",  # counts at the sweep's sample rate
 ]
+Group = str | int  # MDF4: name or number; HDF5: path
 
 
 class _Part(BaseModel):
@@ -30,7 +31,7 @@ class _Part(BaseModel):
 
 
 class CncAxis(_Part):
-    """A joint as the CNC knows it: its position is ``zero + direction * joint position``, in deg (mm)."""
+    """A joint in the CNC: the CNC position is ``zero + direction * joint position``, in deg (mm)."""
 
     name: str = Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,30}$")
     direction: Literal[1, -1] = 1
@@ -38,21 +39,30 @@ class CncAxis(_Part):
 
 
 class Column(_Part):
-    """A column of the source: ``scale * source + offset`` is SI on the joint side; a unit gives both."""
+    """A column of the source: ``scale * source + offset`` is in SI units on the joint side; a unit determines both.
+
+    Without any of them, the unit in the file itself is converted; without a unit the values are SI.
+    """
 
     source: str
+    group: Group | None = None  # instead of that of the sweep
     unit: Unit | None = None
     scale: float = 1.0
     offset: float = 0.0
 
+    @property
+    def scaled(self) -> bool:
+        """True if the mapping determines the conversion to SI, so that the unit in the file is ignored."""
+        return bool(self.model_fields_set & {"scale", "offset"})
+
     @model_validator(mode="after")
     def _one_way(self) -> "Column":
-        if self.unit is not None and self.model_fields_set & {"scale", "offset"}:
+        if self.unit is not None and self.scaled:
             raise ValueError("give a unit, or scale and offset")
         return self
 
     def to_si(self, axis: Axis, cnc: CncAxis, position_unit: float, sample_rate: float) -> tuple[float, float]:
-        """Scale and offset for a sweep of `axis`; `position_unit` is what 1 deg (1 mm) is in rad (m)."""
+        """Scale and offset for a sweep of `axis`; `position_unit` is 1 deg (1 mm) in rad (m)."""
         turn = math.tau / axis.gear_ratio
         scales: dict[Unit, float] = {
             "axis position": cnc.direction * position_unit,
@@ -77,7 +87,7 @@ class FromPosition(_Part):
     from_position: float = Field(gt=0)
 
 
-# which of the two is meant decides before the fields do, so that a complaint names the right field
+# the alternative is selected before its fields are checked, so that an error message names the right field
 def _velocity_kind(given: Any) -> str:
     derived = "from_position" in given if isinstance(given, dict) else isinstance(given, FromPosition)
     return "derived" if derived else "measured"
@@ -88,9 +98,10 @@ def _robot_kind(given: Any) -> str:
 
 
 class Columns(_Part):
-    """Where each column of the bundle comes from; without `time` the sample rate makes it.
+    """Source of each column of the bundle. Without `time`, the clock of an MDF4 group is used, else it follows from the
+    sample rate.
 
-    `set_position` is not a column of the bundle: it tells where in the trace the sweep's path begins.
+    `set_position` is not a column of the bundle: it is used to find the start of the sweep in the trace.
     """
 
     time: Column | None = None
@@ -106,11 +117,17 @@ class Columns(_Part):
     temperature: Column | None = None
     set_position: Column | None = None
 
+    @property
+    def sources(self) -> dict[str, Column]:
+        """The columns that are in the trace, by name."""
+        there = ((name, getattr(self, name)) for name in Columns.model_fields)
+        return {name: column for name, column in there if isinstance(column, Column)}
+
 
 class SingleAxis(_Part):
-    """A robot of one axis, told without a URDF: it turns about or slides along the base's x."""
+    """A robot with one axis, defined without a URDF: it rotates about or moves along the base's x."""
 
-    name: str = Field(min_length=1)
+    name: Name
     joint: str = Field(min_length=1, pattern=r"^[\w.-]+$")
     kind: Literal["revolute", "prismatic"]
     inertia: float = Field(gt=0)  # nominal, load side: kg m^2 about the axis; prismatic: kg
@@ -125,24 +142,25 @@ class SingleAxis(_Part):
 
 
 class Csv(_Part):
-    """How a CSV source is written."""
+    """Format of a CSV source."""
 
     delimiter: str = Field(default=",", min_length=1, max_length=1)
     decimal_point: str = Field(default=".", min_length=1, max_length=1)
-    skip_rows: int = Field(default=0, ge=0)
+    skip_rows: int = Field(default=0, ge=0, le=10**6)
 
 
 class Motion(_Part):
-    """What beside the fields of the sweep makes its path, s; `measure_from` is then found in the trace."""
+    """Data for the path of the sweep in addition to its fields, s; `measure_from` is then found in the trace."""
 
     ramp: float = Field(gt=0)
     settle: float = Field(ge=0)
 
 
 class TraceSweep(SweepSpec):
-    """One sweep of BUNDLE.md with the trace it was recorded in, relative to the mapping file."""
+    """One sweep of BUNDLE.md with its trace file, relative to the mapping file."""
 
     source: Path
+    group: Group | None = None  # of its channels in an MDF4 or HDF5 file
     path: Motion | None = None
 
     @model_validator(mode="after")
@@ -153,10 +171,10 @@ class TraceSweep(SweepSpec):
 
 
 class Mapping(_Part):
-    """The mapping file. `robot`: a side file of ``config/robots`` relative to this file, or one axis in place."""
+    """The mapping file. `robot`: a side file of ``config/robots`` relative to this file, or one axis defined here."""
 
     robot: Annotated[Annotated[Path, Tag("file")] | Annotated[SingleAxis, Tag("axis")], Discriminator(_robot_kind)]
-    axes: dict[str, CncAxis] = {}  # by joint; one that is not named has the joint's direction and zero
+    axes: dict[str, CncAxis] = {}  # by joint; default: the joint's direction and zero
     columns: Columns
     csv: Csv = Csv()
     sweeps: tuple[TraceSweep, ...] = Field(min_length=1)

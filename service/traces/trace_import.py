@@ -1,16 +1,16 @@
-r"""Turns trace exports (.mat, .csv, .parquet) into a bundle, as a mapping file tells (docs/how-to/your-own-trace.md).
+r"""Converts traces (.mat, .csv, .parquet, .mf4, .h5) to a bundle with a mapping (docs/how-to/your-own-trace.md).
 
-A machine that records no velocity gives position alone; the mapping then says ``velocity: {from_position: 100}``, the
-number being the corner of a low-pass filter in Hz. The way from position to velocity must not look like inertia:
+For a machine that records position but no velocity, the mapping contains ``velocity: {from_position: 100}``; the
+number is the corner of a low-pass filter in Hz. The differentiation must not look like inertia:
 
-- a central difference of second order passes ``sin(w T) / (w T) = 1 - (w T)^2 / 6`` of the velocity, an error that
-  grows with f^2 exactly as joint elasticity does; of order 8 the error is ``-(w T)^8 / 630``, 1e-10 at 20 Hz and
+- a central difference of second order has the gain ``sin(w T) / (w T) = 1 - (w T)^2 / 6``, an error that
+    increases with f^2 exactly like joint elasticity; with order 8 the error is ``-(w T)^8 / 630``, 1e-10 at 20 Hz and
   1 kHz;
-- the filter is a Butterworth of order 4 run forwards and backwards: no phase, hence no delay of speed against torque
-  and no false friction; it passes ``1 / (1 + (f / f_c)^8)``, 3e-6 short of one at a fifth of the corner.
+- the filter is a Butterworth of order 4 run forwards and backwards: no phase, so no delay of speed to torque
+    and no false friction; its gain is ``1 / (1 + (f / f_c)^8)``, 3e-6 below one at a fifth of the corner.
 
-Both ends are continued by odd reflection, which keeps value and slope. Identification looks at bins below 20 Hz; keep
-the corner five times above.
+Both ends are extended by odd reflection, which keeps value and slope. Identification uses bins below 20 Hz; the corner
+should be at least five times higher.
 """
 
 import math
@@ -19,27 +19,30 @@ from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.io import loadmat
+from pydantic import ValidationError
 from scipy.signal import butter, sosfiltfilt
 
-from service.configuration import read_robot, read_yaml
+from service.configuration import bad_field, read_robot, read_yaml
 from service.errors import BadInput
 from service.identification.design.excitation import Excitation
 from service.identification.design.sweep_path import way
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Axis, Robot, RobotDescription, build_robot
-from service.store.files.columns import CsvForm, read_table
+from service.store.files.columns import check_samples
 from service.traces.alignment import check_follows, motion_start
-from service.traces.mapping import CncAxis, Column, Columns, FromPosition, Mapping, SingleAxis, TraceSweep
+from service.traces.mapping import CncAxis, FromPosition, Mapping, SingleAxis, TraceSweep
+from service.traces.raw import Raw, read_raw
+from service.traces.units import check_same, to_si
 
 Array = NDArray[np.float64]
 
 # f'(x) h of order 8 from samples at x+1 h ... x+4 h minus those at x-1 h ... x-4 h (Fornberg 1988, table 1)
 _CENTRAL = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
+_SETTLED = 10  # periods of the corner
 
 
 def import_trace(mapping_file: Path, source: Path | None = None) -> tuple[Robot, tuple[Sweep, ...]]:
-    """Robot and sweeps as a mapping file describes them, not yet checked for gaps: `write_bundle` does that.
+    """Robot and sweeps of a mapping file, not yet checked for gaps: `write_bundle` does that.
 
     `source` replaces the trace file of a mapping with one sweep. BadInput names file, field and reason.
     """
@@ -54,15 +57,17 @@ def import_trace(mapping_file: Path, source: Path | None = None) -> tuple[Robot,
     for joint in mapping.axes:
         if joint not in robot.joints:
             raise BadInput(f"{mapping_file} axes", f"unknown joint {joint}; there are {', '.join(robot.joints)}")
-    for entry in mapping.sweeps:
-        path = source or mapping_file.parent / entry.source
-        place = f"{path} sweep {entry.id}"
+    traces = [(source or mapping_file.parent / entry.source, entry) for entry in mapping.sweeps]
+    for path, entry in traces:
         if entry.axis not in robot.joints or len(entry.pose) != len(robot.joints):
-            raise BadInput(place, f"axis {entry.axis} in pose {entry.pose} is not one of robot {robot.name}")
-        taken = _columns(mapping, robot, entry, path)
+            where = f"axis {entry.axis} in pose {entry.pose}"
+            raise BadInput(f"{path} sweep {entry.id}", f"{where} is not one of robot {robot.name}")
+    for (path, entry), raw in zip(traces, read_raw(mapping, traces), strict=True):
+        place = f"{path} sweep {entry.id}"
+        taken = _columns(mapping, robot, entry, raw, path)
         set_position = taken.pop("set_position", None)
         recording = Recording(**taken)
-        spec = SweepSpec.model_validate(entry.model_dump(exclude={"source", "path"}))
+        spec = SweepSpec.model_validate(entry.model_dump(exclude={"source", "group", "path"}))
         if entry.path is not None and set_position is not None:
             start = _aligned(entry, recording, set_position, entry.pose[robot.index(entry.axis)], place)
             spec = spec.model_copy(update={"measure_from": start + entry.path.ramp + entry.path.settle})
@@ -71,7 +76,7 @@ def import_trace(mapping_file: Path, source: Path | None = None) -> tuple[Robot,
 
 
 def differentiate(signal: Array, sample_rate: float, corner: float) -> Array:
-    """Time derivative (n,) of a signal (n,) sampled at `sample_rate` Hz, without phase; see the module's header."""
+    """Time derivative (n,) of a signal (n,) sampled at `sample_rate` Hz, without phase; see the module docstring."""
     sections = cast(Array, butter(4, corner, fs=sample_rate, output="sos"))
     run_in = _run_in(sample_rate, corner)
     smooth = np.pad(sosfiltfilt(sections, signal, padlen=run_in), len(_CENTRAL), mode="reflect", reflect_type="odd")
@@ -86,23 +91,24 @@ def differentiate(signal: Array, sample_rate: float, corner: float) -> Array:
 
 def _run_in(sample_rate: float, corner: float) -> int:
     """Samples of odd reflection until the filter has settled: its slowest pole decays as exp(-2.4 corner t)."""
-    return int(10 * sample_rate / corner)
+    return int(_SETTLED * sample_rate / corner)
 
 
 def _aligned(entry: TraceSweep, recording: Recording, set_position: Array, position: float, place: str) -> float:
-    """When the sweep's motion starts in its trace, s; BadInput where the trace does not show this motion."""
+    """Start time of the sweep's motion in its trace, s; BadInput if the trace does not contain this motion."""
     if entry.path is None or entry.period is None or entry.periods is None:
         raise BadInput(place, "has no path")
     ramp, settle = entry.path.ramp, entry.path.settle
     path = Excitation(entry.offset_velocity, entry.sines, entry.period, entry.periods, ramp, settle)
     if not np.isfinite(set_position).all():
         raise BadInput(place, "a set position is missing")
+    check_samples(recording, place)
     start = motion_start(path, position, recording.time, set_position, place)
     time = recording.time - start
     moving = (time >= 0) & (time <= path.duration)
     expected = way(path, time[moving])
     check_follows("position", recording.position[moving], expected, place)
-    # speeds by their integral, which is the way whatever the control loops make of 5 Hz
+    # speeds are compared by their integral, which hardly depends on the control loops at 5 Hz
     step = 1 / entry.sample_rate
     check_follows("velocity", np.cumsum(recording.velocity[moving]) * step, expected, place)
     if recording.velocity_setpoint is not None:
@@ -110,26 +116,27 @@ def _aligned(entry: TraceSweep, recording: Recording, set_position: Array, posit
     return start
 
 
-def _columns(mapping: Mapping, robot: Robot, entry: TraceSweep, path: Path) -> dict[str, Array]:
-    """The columns of a sweep's trace, SI on the joint side, `set_position` among them."""
+def _columns(mapping: Mapping, robot: Robot, entry: TraceSweep, raw: Raw, path: Path) -> dict[str, Array]:
+    """The columns of a sweep's trace, SI on the joint side, including `set_position`."""
     columns, sample_rate = mapping.columns, entry.sample_rate
-    wanted = {name: value for name in Columns.model_fields if isinstance(value := getattr(columns, name), Column)}
-    sources = tuple(dict.fromkeys(column.source for column in wanted.values()))
-    if path.suffix == ".mat":
-        raw = _read_mat(path, sources)
-    else:
-        raw = read_table(path, str(path), sources, form=CsvForm(**mapping.csv.model_dump()))
     axis = robot.axis(entry.axis)
     cnc = mapping.axes.get(entry.axis, CncAxis(name="axis"))
     prismatic = robot.chain.joints[robot.index(entry.axis)].kind == "prismatic"
     position_unit = 1e-3 if prismatic else math.radians(1.0)
     taken: dict[str, Array] = {}
-    for name, column in wanted.items():
-        scale, offset = column.to_si(axis, cnc, position_unit, sample_rate)
-        taken[name] = scale * raw[column.source] + offset
+    for name, column in columns.sources.items():
+        told, here = raw.units.get(name, ""), f"{path} sweep {entry.id} column {name}"
+        if told and column.unit is not None:
+            check_same(column.unit, told, here)
+        if told and column.unit is None and not column.scaled:
+            scale, offset = to_si(name, told, prismatic, here)
+        else:
+            scale, offset = column.to_si(axis, cnc, position_unit, sample_rate)
+        taken[name] = scale * raw.columns[name] + offset
     position = taken["position"]
-    if "time" in taken:
-        taken["time"] = taken["time"] - taken["time"][:1]  # a bundle's clock starts with the sweep
+    time = taken.get("time", raw.clock)
+    if time is not None:
+        taken["time"] = time - time[:1]  # the clock of a bundle starts with the sweep
     else:
         taken["time"] = np.arange(len(position)) / sample_rate
     if isinstance(columns.velocity, FromPosition):
@@ -138,32 +145,14 @@ def _columns(mapping: Mapping, robot: Robot, entry: TraceSweep, path: Path) -> d
 
 
 def _derived(position: Array, sample_rate: float, corner: float, place: str) -> Array:
-    """Velocity of a position (n,), or BadInput where the filter cannot be run."""
+    """Velocity of a position (n,); BadInput if the filter cannot be applied."""
     if corner >= sample_rate / 2:
         raise BadInput(place, f"low-pass of {corner} Hz is not below half the sample rate {sample_rate} Hz")
     if not np.isfinite(position).all():
         raise BadInput(place, "a position is missing; the filter needs all")
-    if len(position) <= _run_in(sample_rate, corner):
+    if not len(position) > _SETTLED * sample_rate / corner:
         raise BadInput(place, f"{len(position)} samples are too few for a low-pass of {corner} Hz")
     return differentiate(position, sample_rate, corner)
-
-
-def _read_mat(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
-    try:
-        content = loadmat(str(path), variable_names=list(names))
-    except FileNotFoundError:
-        raise BadInput(str(path), "file does not exist") from None
-    except (OSError, ValueError, TypeError, NotImplementedError) as error:  # not MATLAB's, torn, or of version 7.3
-        raise BadInput(str(path), f"cannot be read: {' '.join(str(error).split())}") from None
-    columns: dict[str, Array] = {}
-    for name in names:
-        if name not in content:
-            raise BadInput(str(path), f"has no variable {name!r}")
-        value = np.asarray(content[name])
-        if value.dtype.kind not in "iuf" or value.size != max(value.shape, default=0):
-            raise BadInput(str(path), f"variable {name!r} is not a column of numbers: {value.dtype} {value.shape}")
-        columns[name] = value.astype(np.float64).ravel()
-    return columns
 
 
 def _single_axis_robot(axis: SingleAxis, place: str) -> Robot:
@@ -186,12 +175,15 @@ def _single_axis_robot(axis: SingleAxis, place: str) -> Robot:
   </joint>
 </robot>
 """
-    drive = Axis(
-        joint=axis.joint,
-        gear_ratio=axis.gear_ratio,
-        motor_inertia=axis.motor_inertia,
-        rated_effort=axis.rated_effort,
-        viscous_friction=axis.viscous_friction,
-    )
-    description = RobotDescription(name=axis.name, urdf="robot.urdf", axes=(drive,), prior=axis.prior)
+    try:
+        drive = Axis(
+            joint=axis.joint,
+            gear_ratio=axis.gear_ratio,
+            motor_inertia=axis.motor_inertia,
+            rated_effort=axis.rated_effort,
+            viscous_friction=axis.viscous_friction,
+        )
+        description = RobotDescription(name=axis.name, urdf="robot.urdf", axes=(drive,), prior=axis.prior)
+    except ValidationError as error:
+        raise bad_field(f"{place} robot", error) from None
     return build_robot(description, urdf, f"{place} robot")

@@ -1,20 +1,25 @@
-"""Identification and diagnosis in another process: a busy Python thread would delay the set-points."""
+"""Identification and diagnosis in a separate process: a busy Python thread would delay the set-points."""
 
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 
-from service.worker.jobs import CheckJob, DiagnosisJob, Job, RecordedSweep, Result, Work
+from service.settings.telemetry import Telemetry
+from service.settings.workers import Cluster
+from service.worker.jobs import CheckJob, DiagnosisJob, Job, RecordedSweep, Reidentified, ReidentifyJob, Result, Work
 from service.worker.process import WorkerProcess
-from service.worker.report_job import DiagnosisReportJob, ReportJob, Written
+from service.worker.report_job import DiagnosisReportJob, FleetReportJob, ReportJob, Written
 from service.worker.worker import JobFailed, Worker, WorkerLost, work
 
 __all__ = [
     "CheckJob",
     "DiagnosisJob",
     "DiagnosisReportJob",
+    "FleetReportJob",
     "Job",
     "JobFailed",
     "RecordedSweep",
+    "Reidentified",
+    "ReidentifyJob",
     "ReportJob",
     "Result",
     "Work",
@@ -27,15 +32,17 @@ __all__ = [
 
 
 @asynccontextmanager
-async def open_worker(scheduler: str | None) -> AsyncGenerator[Worker]:
-    """The workers of the Dask scheduler at an address, or (None) one worker process of our own."""
-    if scheduler is None:
-        worker: Worker = WorkerProcess()
+async def open_worker(
+    cluster: Cluster | None, telemetry: Telemetry | None = None, machine: str = ""
+) -> AsyncGenerator[Worker]:
+    """The workers of a Dask cluster, or (None) one local worker process; its jobs are spans of `telemetry`."""
+    if cluster is None:
+        worker: Worker = WorkerProcess(telemetry, machine)
     else:
-        # only who has a cluster pays for what Dask imports
+        # Dask is imported only if a cluster is used
         from service.worker.dask_workers import DaskWorkers
 
-        worker = DaskWorkers(scheduler)
+        worker = DaskWorkers(cluster)
     try:
         yield worker
     finally:

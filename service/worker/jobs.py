@@ -1,33 +1,35 @@
-"""What is done in the worker: identification, diagnosis, the check of data.
+"""Jobs of the worker: identification, diagnosis, data check.
 
-A job refers to files and carries no samples and no spectra: what it reads there is named by its content. It is a
-function of that content alone, so that a killed worker's job gives the same result when it is done again. Nothing is
-kept here: the durable job is the row of the sweep or of the diagnosis.
+A job refers to files and contains no samples and no spectra; the files are named by their content. The result depends
+only on that content, so a job that is repeated after its worker was killed gives the same result. The durable job is
+the row of the sweep or of the diagnosis. A worker keeps the spectra that it has read, because the next revision of a
+long campaign needs them again.
+
+The numerical libraries are loaded by the first job that needs them: a process that only submits jobs does not load
+them, and an idle worker needs few resources.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Protocol, TypeVar
+from functools import lru_cache
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from pydantic import JsonValue
 
-from service.data_check import check, findings_document
-from service.diagnosis import axis_document, diagnose_axis, started_from
-from service.diagnosis.fit.calibration import Weighed
-from service.diagnosis.fit.parameters import Parameter
-from service.estimation import estimate_document, spectrum_from, sweep_spectrum
-from service.identification.axis.known_effects import known_effects
-from service.identification.estimates.analysis_document import analyses_from
-from service.identification.estimates.torque_gain import KnownMass
 from service.recording import Sweep, SweepSpec
 from service.results.analysis import Analyses
+from service.results.estimate import Estimate
 from service.results.identified.spectrum import AnySpectrum
 from service.results.revision import KnownModel, StoredModel
 from service.robot import RobotDescription, build_robot
 from service.store.diagnosis_documents import ModelDocument
-from service.store.files.columns import read_columns
 from service.store.files.spectra import SpectrumFile, read_spectrum
+
+if TYPE_CHECKING:  # numerical modules
+    from service.diagnosis.fit.parameters import Parameter
+    from service.estimation import SweepSpectrum
+    from service.identification.estimates.torque_gain import KnownMass
+    from service.store.files.recordings import RecordingFile
 
 Answer = TypeVar("Answer", covariant=True)
 
@@ -37,65 +39,79 @@ class Work(Protocol[Answer]):
 
     @property
     def key(self) -> str:
-        """The same work has the same key."""
+        """Equal work has an equal key."""
         ...
 
     @property
     def priority(self) -> int:
-        """What waits in the workers' queue gives way to more."""
+        """Jobs with a higher number run first."""
         ...
 
     def __call__(self) -> Answer:
-        """Do it."""
+        """Do the job and return its result."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
+class RecordedSweep:
+    """A sweep with its samples in a file or in the object store."""
+
+    spec: SweepSpec
+    file: "RecordingFile"
+
+    def read(self) -> Sweep:
+        from service.store.objects.reading import read_recording
+
+        return Sweep(self.spec, read_recording(self.file))
+
+
+@dataclass(frozen=True, slots=True)
 class Job:
-    """Identify one recorded sweep and, with the spectra of the sweeps before it, the robot. Paths are absolute."""
+    """Identify recorded sweeps and, with the spectra of the sweeps before them, the robot."""
 
     key: str
     robot: RobotDescription
     urdf_text: str
-    spec: SweepSpec
-    path: Path
+    sweeps: tuple[RecordedSweep, ...]
     earlier: tuple[SpectrumFile, ...]
-    analyses: Analyses  # of the campaign that the plan names, {} if it names none
-    model: ModelDocument | None = None  # the robot's; None: it has none yet
+    analyses: Analyses  # of the campaign that the plan names; {} without one
+    model: ModelDocument | None = None  # the robot's model; None: it has none yet
 
     @property
     def priority(self) -> int:
-        return 1  # the campaign that is under way may end when enough is known
+        return 1  # a running campaign may end when its confidence is reached
 
     def __call__(self) -> "Result":
+        from service.estimation import estimate_document, sweep_spectrum
+        from service.identification.axis.known_effects import known_effects
+        from service.identification.estimates.analysis_document import analyses_from
+
         robot = build_robot(self.robot, self.urdf_text)
-        new = sweep_spectrum(robot, Sweep(self.spec, read_columns(self.path)))
-        earlier = [spectrum_from(read_spectrum(file)) for file in self.earlier]
+        new = [sweep_spectrum(robot, sweep.read()) for sweep in self.sweeps]
+        earlier = [_spectrum(file) for file in self.earlier]
         known = None
         if self.model is not None:
             source = StoredModel(id=self.model.id, revision=self.model.revision)
             known = known_effects(KnownModel.read(self.model.document, "model"), robot.joints, source)
         analyses = analyses_from(self.analyses)
-        return Result(new.to_document(), estimate_document(robot, [*earlier, new], analyses, known=known).as_json())
+        found = estimate_document(robot, [*earlier, *new], analyses, known=known)
+        return Result(tuple(spectrum.to_document() for spectrum in new), found.as_json())
+
+
+@lru_cache(maxsize=2048)  # about 10 kB each; a paper's campaign has 900
+def _spectrum(file: SpectrumFile) -> "SweepSpectrum":
+    """A file is named by its content, so the cached spectrum of a file is always valid."""
+    from service.estimation import spectrum_from
+
+    return spectrum_from(read_spectrum(file))
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """`to_document()` of the sweep's spectrum and `estimate_document` with it."""
+    """`to_document()` of the spectrum of each sweep, in their order, and the `estimate_document` with them."""
 
-    spectrum: AnySpectrum
+    spectra: tuple[AnySpectrum, ...]
     estimate: dict[str, JsonValue]
-
-
-@dataclass(frozen=True, slots=True)
-class RecordedSweep:
-    """A sweep whose samples lie in a file."""
-
-    spec: SweepSpec
-    path: Path
-
-    def read(self) -> Sweep:
-        return Sweep(self.spec, read_columns(self.path))
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,17 +123,20 @@ class DiagnosisJob:
     urdf_text: str
     joint: str
     sweeps: tuple[RecordedSweep, ...]
-    known: Mapping[str, Mapping[str, Parameter]]
-    mass: KnownMass | None
+    known: "Mapping[str, Mapping[str, Parameter]]"
+    mass: "KnownMass | None"
     weighed: tuple[RecordedSweep, ...]
     estimate: Mapping[str, JsonValue] | None = None  # document from which the rigid model starts; None: CAD
-    started_from: str = ""  # which estimate that is
+    started_from: str = ""  # name of that estimate
 
     @property
     def priority(self) -> int:
         return 0
 
     def __call__(self) -> dict[str, JsonValue]:
+        from service.diagnosis import axis_document, diagnose_axis, started_from
+        from service.diagnosis.fit.calibration import Weighed
+
         robot = build_robot(self.robot, self.urdf_text)
         if self.estimate is not None:
             robot = started_from(robot, self.estimate, self.started_from)
@@ -129,8 +148,61 @@ class DiagnosisJob:
 
 
 @dataclass(frozen=True, slots=True)
+class ReidentifyJob:
+    """Identify all sweeps of a campaign again. `before`: document of its stored estimate, {} if there is none."""
+
+    key: str
+    robot: RobotDescription
+    urdf_text: str
+    sweeps: tuple[RecordedSweep, ...]
+    analyses: Analyses
+    model: ModelDocument | None
+    before: Mapping[str, JsonValue]
+
+    @property
+    def priority(self) -> int:
+        return -1  # after all jobs for which a person waits
+
+    def __call__(self) -> "Reidentified":
+        from service.estimation import estimate_document, sweep_spectrum
+        from service.identification.axis.known_effects import known_effects
+        from service.identification.estimates.analysis_document import analyses_from
+        from service.store.files.recordings import check_file
+
+        robot = build_robot(self.robot, self.urdf_text)
+        for sweep in self.sweeps:
+            if sweep.file.store is None:
+                check_file(sweep.file.path, sweep.file.sha256)
+        spectra = [sweep_spectrum(robot, sweep.read()) for sweep in self.sweeps]
+        known = None
+        if self.model is not None:
+            source = StoredModel(id=self.model.id, revision=self.model.revision)
+            known = known_effects(KnownModel.read(self.model.document, "model"), robot.joints, source)
+        found = estimate_document(robot, spectra, analyses_from(self.analyses), known=known)
+        before = Estimate.read(self.before, "stored estimate") if self.before else None
+        return Reidentified(found.as_json(), len(spectra), _largest_change(before, found))
+
+
+@dataclass(frozen=True, slots=True)
+class Reidentified:
+    """The estimate's document. `change_percent`: largest change of J of any sweep from the stored estimate, percent."""
+
+    estimate: dict[str, JsonValue]
+    sweeps: int
+    change_percent: float | None
+
+
+def _largest_change(before: Estimate | None, now: Estimate) -> float | None:
+    """None if no sweep has an inertia in both."""
+    old = {} if before is None else {(k, one.sweep): one.value for k, a in before.axes.items() for one in a.inertia}
+    new = {(joint, one.sweep): one.value for joint, axis in now.axes.items() for one in axis.inertia}
+    changes = [100 * abs(new[key] / value - 1) for key, value in old.items() if key in new and value]
+    return max(changes, default=None)
+
+
+@dataclass(frozen=True, slots=True)
 class CheckJob:
-    """Check the data of sweeps, before any physics."""
+    """Check the data of sweeps, before the identification."""
 
     key: str
     robot: RobotDescription
@@ -142,6 +214,8 @@ class CheckJob:
         return 0
 
     def __call__(self) -> dict[str, JsonValue]:
+        from service.data_check import check, findings_document
+
         robot = build_robot(self.robot, self.urdf_text)
         sweeps = [sweep.read() for sweep in self.sweeps]
         return findings_document(robot, sweeps, check(robot, sweeps))

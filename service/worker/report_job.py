@@ -1,42 +1,48 @@
-"""Reports, drawn in the worker: they take seconds that would delay set-points."""
+"""Jobs that draw reports in the worker: this takes seconds and would delay set-points."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
 
 from pydantic import JsonValue, TypeAdapter
 
+from service.fleet.document import Fleet
 from service.recording import SweepSpec
-from service.report import CampaignReport, Form, NoPdf, Page, campaign_page, content_of, diagnosis_page
 from service.results.diagnosis import Diagnosis
 from service.results.estimate import BaseParameter, Estimate
 from service.robot import RobotDescription, build_robot
 from service.worker.jobs import RecordedSweep
+
+if TYPE_CHECKING:  # loaded when a report is drawn
+    from service.report import CampaignReport, Form, NoPdf, Page
 
 _PARAMETERS = TypeAdapter(tuple[BaseParameter, ...])
 
 
 @dataclass(frozen=True, slots=True)
 class ReportJob:
-    """Of an estimate.
+    """The report of an estimate.
 
-    `specs`: of the sweeps whose inertia it has, none where it has no axis; `example` is one of them. `revisions`:
-    number and "base_parameters" of estimates on the way.
+    `specs`: of the sweeps whose inertia it contains, empty without axes; `example`: one of them. `revisions`:
+    number and "base_parameters" of earlier revisions of the estimate.
     """
 
     key: str
     robot: RobotDescription
     urdf_text: str
-    report: CampaignReport
+    report: "CampaignReport"
     estimate: Estimate
     specs: tuple[SweepSpec, ...]
     example: RecordedSweep | None
     revisions: tuple[tuple[int, JsonValue], ...]
-    form: Form
+    form: "Form"
 
     @property
     def priority(self) -> int:
         return 0
 
     def __call__(self) -> "Written":
+        from service.report import campaign_page, content_of
+
         robot = build_robot(self.robot, self.urdf_text)
         content = None
         if self.example is not None:
@@ -54,28 +60,51 @@ class ReportJob:
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisReportJob:
-    """Of a diagnosis. `origin`: what, and what is known of it."""
+    """The report of a diagnosis. `origin`: names and values of the data that it was made from."""
 
     key: str
     diagnosis: Diagnosis
     title: str
     subtitle: str
     origin: tuple[tuple[str, str], ...]
-    form: Form
+    form: "Form"
 
     @property
     def priority(self) -> int:
         return 0
 
     def __call__(self) -> "Written":
+        from service.report import diagnosis_page
+
         return _written(diagnosis_page(self.diagnosis, self.title, self.subtitle, self.origin), self.form)
 
 
-Written = str | bytes | NoPdf
-"""A report, or why there is none in its form."""
+@dataclass(frozen=True, slots=True)
+class FleetReportJob:
+    """The report of the robots of a plant. `origin`: names and values of its scope and of its program."""
+
+    key: str
+    fleet: Fleet
+    origin: tuple[tuple[str, str], ...]
+    form: "Form"
+
+    @property
+    def priority(self) -> int:
+        return 0
+
+    def __call__(self) -> "Written":
+        from service.report import fleet_page
+
+        return _written(fleet_page(self.fleet, self.origin), self.form)
 
 
-def _written(page: Page, form: Form) -> Written:
+Written: TypeAlias = "str | bytes | NoPdf"
+"""A report, or the reason why it is not available in this form."""
+
+
+def _written(page: "Page", form: "Form") -> Written:
+    from service.report import NoPdf
+
     try:
         return page.written(form)
     except NoPdf as error:

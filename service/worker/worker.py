@@ -1,49 +1,57 @@
-"""Where jobs are done, whatever is behind it."""
+"""Interface of the workers that execute jobs."""
 
 import asyncio
 import os
 import sys
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from types import MappingProxyType
 
 import structlog
+from structlog.contextvars import bound_contextvars
 
 from service.errors import SweepidError
+from service.telemetry.spans import TRACING
 from service.worker.jobs import Answer, Work
 
 _log = structlog.get_logger(__name__)
 
 _AGAIN = 2.0  # s between attempts to reach the workers
 _NICE = 10
+TRACEPARENT = "traceparent"
 
 
 class JobFailed(SweepidError):
-    """The job could not be done, and could not be another time: the message says why."""
+    """The job failed, and would fail again: the message gives the reason."""
 
 
 class WorkerLost(SweepidError):
-    """Nobody answers who could do the job, or it was forgotten: it may be submitted again."""
+    """No worker can do the job now, or the job was lost: it can be submitted again."""
 
 
 class Worker(ABC):
-    """One process of our own, or the workers of a cluster."""
+    """One local process, or the workers of a cluster."""
 
     trouble: str = ""
-    """Why no job can be done now; empty while none is known."""
+    """Why no job can be done now; empty if no reason is known."""
 
     @abstractmethod
     async def run(self, job: Work[Answer]) -> Answer:
-        """The result of a job; JobFailed or WorkerLost. A worker that dies is replaced and its job done again."""
+        """The result of a job. JobFailed, WorkerLost, or the job's own NotNow.
+
+        A worker that has died is replaced, and its job is repeated.
+        """
 
     @abstractmethod
     async def processes(self) -> tuple[int, ...]:
-        """Process ids of the workers; WorkerLost while nobody answers."""
+        """Process ids of the workers; WorkerLost while no worker answers."""
 
     @abstractmethod
     async def close(self) -> None:
-        """Give up what is under way."""
+        """Cancel all jobs."""
 
     async def run_patiently(self, job: Work[Answer]) -> Answer:
-        """As `run`, again and again until somebody answers; JobFailed."""
+        """As `run`, repeated until a worker answers; JobFailed or NotNow."""
         while True:
             try:
                 return await self.run(job)
@@ -53,12 +61,17 @@ class Worker(ABC):
 
 
 def give_way(process: int = 0) -> None:
-    """A worker (by process id, 0: this one) gives way to the process that streams set-points."""
+    """Give a worker (by process id, 0: this one) a lower priority than the process that streams set-points."""
     if sys.platform != "win32":
         os.setpriority(os.PRIO_PROCESS, process, _NICE)
 
 
-def work(job: Work[Answer]) -> Answer:
-    """Do a job. Runs in the worker process."""
+def work(job: Work[Answer], about: Mapping[str, object] = MappingProxyType({})) -> Answer:
+    """Do a job. Runs in the worker process. `about`: fields of its log lines, as in the log of the caller, and the
+    span to which it belongs.
+    """
     give_way()
-    return job()
+    lines = {name: value for name, value in about.items() if name != TRACEPARENT}
+    parent = str(about.get(TRACEPARENT, ""))
+    with bound_contextvars(job=job.key, **lines), TRACING.span(type(job).__name__, parent, job=job.key):
+        return job()

@@ -1,5 +1,5 @@
-"""The virtual machine tool on a CAN bus: SDO, PDO, a node an axis, one clock.
+"""The virtual machine tool on a CAN bus: SDO, PDO, one node per axis, one clock.
 
-Physics (`simulator.machine`), meaning (`simulator.drive`) and wire (`sdo`, `pdo`, `node`) are apart. Nothing here does
-I/O or reads a clock: frames and times come in, frames go out (`cabinet`).
+Physics (`simulator.machine`), drive behaviour (`simulator.drive`) and protocol (`sdo`, `pdo`, `node`) are separate.
+Nothing here does I/O or reads a clock: frames and times are inputs, frames are outputs (`cabinet`).
 """

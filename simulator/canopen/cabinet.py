@@ -1,4 +1,4 @@
-"""The drive cabinet on a CAN bus: frames and times in, frames out; nothing else.
+"""The drive cabinet on a CAN bus: frames and times are its only inputs, frames its only outputs.
 
 While an axis is in cyclic synchronous velocity, each SYNC advances the machine by one communication cycle 1006h.
 """
@@ -37,10 +37,10 @@ class Cabinet(cabinet.Cabinet[Node]):
         self.switch()
 
     def status(self) -> dict[str, object]:
-        """As behind any fieldbus, and the SYNC counter."""
+        """As on any fieldbus, and the SYNC counter."""
         counter = max(node.dictionary[0x2120, 1] for node in self.nodes.values())
         return super().status() | {"sync_counter": counter}
 
     def axis_status(self, info: AxisInfo, axis: Axis) -> dict[str, object]:
-        """As behind any fieldbus, and the node's NMT state."""
+        """As on any fieldbus, and the NMT state of the node."""
         return super().axis_status(info, axis) | {"nmt": self.nodes[info.joint].nmt.name.lower()}

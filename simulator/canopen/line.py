@@ -16,7 +16,7 @@ from simulator.socketcand import SocketcandServer
 class CanLine:
     """`bus`: "socketcand" at `host`:`port`, or python-can's name. Raises OSError or can.CanError if it cannot open.
 
-    `eds`: the dictionary of the virtual drive; a mapping gives each joint another maker's drive.
+    `eds`: the dictionary of the virtual drive; a mapping gives each joint a drive of another manufacturer.
     """
 
     device = None
@@ -46,15 +46,15 @@ class CanLine:
 
     @property
     def port(self) -> int | None:
-        """Of the socketcand server; None on any other bus."""
+        """Port of the socketcand server; None on any other bus."""
         return self.bus.port if isinstance(self.bus, SocketcandServer) else None
 
     def due(self, now: float) -> float:
-        """Seconds from `now` until `run` is wanted; infinity if never."""
+        """Seconds from `now` until `run` must be called; infinity if never."""
         return self.bus.due(now)
 
     def run(self, now: float) -> None:
-        """Flush what was kept back."""
+        """Send buffered frames."""
         self.bus.run(now)
 
     def close(self) -> None:

@@ -1,4 +1,6 @@
-"""One CANopen node: NMT, heartbeat, SDO, PDO and EMCY around an `Axis` (CiA 301). Frames in, frames out by `send`."""
+"""One CANopen node: NMT, heartbeat, SDO, PDO and EMCY of an `Axis` (CiA 301). Frames are received and sent by
+`send`.
+"""
 
 from collections.abc import Callable
 from enum import IntEnum
@@ -23,7 +25,7 @@ SYNC_ID = 0x80
 
 
 class Nmt(IntEnum):
-    """NMT states as the heartbeat shows them."""
+    """NMT states as in the heartbeat."""
 
     STOPPED = 4
     OPERATIONAL = 5
@@ -36,7 +38,7 @@ _CLOCKED_BY_SYNC = 240
 
 
 class Node:
-    """A node that answers to the id `number`."""
+    """A node with the id `number`."""
 
     def __init__(
         self,
@@ -59,13 +61,13 @@ class Node:
         self.dictionary.on_download((0x1016, 1), self._forget_host)
         self.nmt = Nmt.PRE_OPERATIONAL
         self._pending: dict[int, bytes] = {}
-        self._late: list[tuple[int, Frame]] = []  # TPDOs to be sent with a SYNC to come
+        self._late: list[tuple[int, Frame]] = []  # TPDOs to be sent with a later SYNC
         self._syncs = 0
         self._next_heartbeat: float | None = None
         self._host_seen: float | None = None
 
     def renumber(self, number: int) -> None:
-        """Another node id, by another setting of its switches: the node boots with it. The device stays what it is."""
+        """Change the id, as by its address switches: the node boots with it. The device itself stays the same."""
         self.number = number
         self.dictionary.renumber(number)
         self.boot()
@@ -84,7 +86,7 @@ class Node:
         self._send(Frame(0x700 + self.number, b"\0"))
 
     def receive(self, frame: Frame, now: float) -> None:
-        """Any frame of the bus but SYNC."""
+        """Process any frame of the bus except SYNC."""
         if frame.id == 0:
             self._command(frame.data)
         elif frame.id == 0x600 + self.number:
@@ -103,7 +105,7 @@ class Node:
         self._send_emergencies()
 
     def sync(self, now: float) -> None:
-        """Transmit the state at this instant, then let the values received before it act."""
+        """Send the present state, then apply the values received before this SYNC."""
         self._syncs += 1
         if not self.disturbance.counter_frozen:
             self.dictionary[0x2120, 1] = (self.dictionary[0x2120, 1] + 1) & 0xFFFFFFFF
@@ -120,7 +122,7 @@ class Node:
         self._send_emergencies()
 
     def run(self, now: float) -> None:
-        """What falls due by `now`, s: heartbeats, time-outs, emergency messages."""
+        """Process everything that is due at `now`, s: heartbeats, time-outs, emergency messages."""
         period = self.dictionary[0x1017, 0] * 1e-3
         if period == 0:
             self._next_heartbeat = None
@@ -135,7 +137,7 @@ class Node:
         self._send_emergencies()
 
     def due(self, now: float) -> float:
-        """When `run` is wanted at the latest, s; infinity if nothing is pending."""
+        """Latest time at which `run` must be called, s; infinity if nothing is pending."""
         times = [now if self.dictionary[0x1017, 0] and self._next_heartbeat is None else self._next_heartbeat]
         if self._host_seen is not None and self._host_timeout > 0:
             times.append(self._host_seen + self._host_timeout)
@@ -167,7 +169,7 @@ class Node:
             try:
                 self.dictionary.download(index, subindex, value)
             except Abort:
-                continue  # a drive ignores what it cannot take; monitoring ends the motion if need be
+                continue  # a drive ignores invalid values; monitoring ends the motion if necessary
 
     def _check_cycle(self, value: int) -> None:
         if value % round(self._cycle * 1e6):
@@ -177,7 +179,7 @@ class Node:
         self._host_seen = None
 
     def _send_tpdos(self) -> None:
-        """Those of this SYNC, after what was ordered to come late; each may be lost, doubled or late in its turn."""
+        """Send the TPDOs of this SYNC after delayed ones. Each can be ordered to be lost, duplicated or late."""
         order = self.disturbance
         frames = [
             Frame(pdo.cob_id, pdo.pack())

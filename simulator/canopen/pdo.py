@@ -11,8 +11,8 @@ _ID = 0x7FF
 class Pdo:
     """Configured by the objects `communication` (1400h.., 1800h..) and `mapping` (1600h.., 1A00h..).
 
-    The configuration procedure is enforced: while the PDO is valid only its COB-ID's bit 31 and its type may change,
-    and entries only while their number is 0.
+    The configuration procedure is enforced: while the PDO is valid, only bit 31 of its COB-ID and its type may
+    change; entries may change only while their number is 0.
     """
 
     def __init__(self, dictionary: Dictionary, communication: int, mapping: int, *, receive: bool) -> None:
@@ -38,21 +38,21 @@ class Pdo:
 
     @property
     def valid(self) -> bool:
-        """Whether the PDO exists at all."""
+        """Whether the PDO is in use."""
         return not self._dictionary[self._communication, 1] & _INVALID
 
     @property
     def transmission_type(self) -> int:
-        """1 to 240: every n-th SYNC; 254, 255: at once."""
+        """1 to 240: every n-th SYNC; 254, 255: immediately."""
         return self._dictionary[self._communication, 2]
 
     def pack(self) -> bytes:
-        """The mapped values of this instant."""
+        """The present values of the mapped objects."""
         layout, keys = self._layout()
         return layout.pack(*[self._dictionary[key] for key in keys])
 
     def unpack(self, data: bytes) -> list[tuple[Key, bytes]]:
-        """The bytes of each mapped object; none at all if the frame is too short."""
+        """The bytes of each mapped object; empty if the frame is too short."""
         layout, keys = self._layout()
         if len(data) < layout.size:
             return []
@@ -114,7 +114,7 @@ class Pdo:
 
 
 def process_data(dictionary: Dictionary) -> tuple[list[Pdo], list[Pdo]]:
-    """(receive, transmit) PDOs that the dictionary describes."""
+    """(receive, transmit) PDOs defined by the dictionary."""
 
     def build(first: int, *, receive: bool) -> list[Pdo]:
         present = [index for index in range(first, first + 0x200) if (index, 1) in dictionary]

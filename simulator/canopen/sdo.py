@@ -17,11 +17,11 @@ class Objects(Protocol):
     def traits(self) -> Traits: ...
 
     def upload(self, index: int, subindex: int) -> bytes:
-        """What the bus gets to read. Raises `Abort`."""
+        """Value for the bus. Raises `Abort`."""
         ...
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
-        """Take a value from the bus. Raises `Abort`; then nothing changed."""
+        """Store a value from the bus. Raises `Abort`; then nothing is changed."""
 
 
 @dataclass(slots=True)
@@ -34,12 +34,12 @@ class _Transfer:
     download: bool
     toggle: int = 0
     offset: int = 0  # block upload: acknowledged bytes
-    block_size: int = 0  # block upload: segments a block
-    ended: bool = False  # block upload: all is sent and acknowledged
+    block_size: int = 0  # block upload: segments per block
+    ended: bool = False  # block upload: everything is sent and acknowledged
 
 
 class SdoServer:
-    """One server channel. `handle` never raises for anything that a client may send."""
+    """One server channel. `handle` does not raise for any request of a client."""
 
     def __init__(self, dictionary: Objects) -> None:
         self._dictionary = dictionary
@@ -47,7 +47,7 @@ class SdoServer:
         self._multiplexer = (0, 0)
 
     def reset(self) -> None:
-        """Forget a transfer under way."""
+        """Discard a transfer in progress."""
         self._transfer = None
 
     def handle(self, request: bytes) -> list[bytes]:

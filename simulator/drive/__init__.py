@@ -1,1 +1,1 @@
-"""A CiA 402 axis behind any fieldbus: dictionary, states, modes, measuring function. No I/O and no clock of its own."""
+"""A CiA 402 axis behind any fieldbus: dictionary, states, modes, measuring function. No I/O and no own clock."""

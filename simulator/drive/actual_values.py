@@ -1,4 +1,4 @@
-"""What the drive tells of its motion: 6064h, 606Ch and 6077h, means over the cycles just run."""
+"""Actual values of the drive: 6064h, 606Ch and 6077h, means over the last cycles."""
 
 from simulator.drive.dictionary import Dictionary
 from simulator.drive.limits import Limits
@@ -19,15 +19,15 @@ class ActualValues:
         d[0x6064, 0] = clamp(position * INCREMENTS, 32)
         d[0x606C, 0] = d[0x6077, 0] = 0
 
-    def tell(self, samples: Samples) -> None:
-        """What an energised axis did."""
+    def update(self, samples: Samples) -> None:
+        """Values of an energised axis."""
         d = self._dictionary
         d[0x6064, 0] = clamp(float(samples.position.mean()) * INCREMENTS, 32)
         d[0x606C, 0] = clamp(float(samples.speed.mean()) * self._limits.speed_unit, 32)
         d[0x6077, 0] = clamp(float(samples.torque.mean()) * PER_MILLE * PER_MILLE / max(d[0x6076, 0], 1), 16)
 
     def glitch(self, revolutions: float, span: float) -> None:
-        """The encoder was off by `revolutions` for the `span`, s, of the values told last."""
+        """The encoder was wrong by `revolutions` for the `span`, s, of the last values."""
         d = self._dictionary
         d[0x6064, 0] = clamp(d[0x6064, 0] + revolutions * INCREMENTS, 32)
         d[0x606C, 0] = clamp(d[0x606C, 0] + revolutions / span * self._limits.speed_unit, 32)

@@ -1,6 +1,6 @@
-"""The meaning of one axis: CiA 402 states, modes and supervision over a dictionary. No I/O, no clock, no plant.
+"""The behaviour of one axis: CiA 402 states, modes and supervision over a dictionary. No I/O, no clock, no plant.
 
-In: controlword and set-points (through the dictionary), orders, and the samples of the cycles just run. Out:
+Inputs: controlword and set-points (through the dictionary), orders, and the samples of the last cycles. Outputs:
 `energised`, the next speed set-points, and values in the dictionary. Positions in rev, speeds in rev/s of the motor.
 """
 
@@ -22,14 +22,14 @@ from simulator.drive.units import INCREMENTS
 
 Array = NDArray[np.float64]
 
-_POSITION_GAIN = 10.0  # 1/s, position controller of mode 1 and of standing
+_POSITION_GAIN = 10.0  # 1/s, position controller of mode 1 and at standstill
 _STANDSTILL = 0.5 / 60  # rev/s; below that a ramp has ended
-_PATIENCE = 0.5  # s after the end of a ramp until the brake closes in any case
-_SETTLING = 3.0  # s after the end of a move until it counts as at rest in any case
+_PATIENCE = 0.5  # s after the end of a ramp until the brake closes regardless of the speed
+_SETTLING = 3.0  # s after the end of a move until it counts as at rest
 
 
 class Axis:
-    """One axis. `can_move` is False where the machine has no power section for it."""
+    """One axis. `can_move` is False if the machine has no power section for it."""
 
     def __init__(self, dictionary: Dictionary, cycle: float, *, can_move: bool) -> None:
         self._dictionary = dictionary
@@ -51,7 +51,7 @@ class Axis:
         self.reset()
 
     def reset(self) -> None:
-        """Power-on: no torque, nothing remembered but where the axis stands, safe torque off and the limit switch."""
+        """Power-on: no torque. Only the position, safe torque off and the limit switch are kept."""
         self.state = State.SWITCH_ON_DISABLED
         self.mode = Mode.NONE
         self.measuring.reset()
@@ -71,7 +71,7 @@ class Axis:
             self.stop_safely(on=True)
         self._publish()
 
-    # What others may know
+    # Status
 
     @property
     def energised(self) -> bool:
@@ -90,17 +90,17 @@ class Axis:
 
     @property
     def settling(self) -> bool:
-        """Whether a move has still to come to rest at its target (for a few seconds at most)."""
+        """Whether a move has not yet come to rest at its target (limited to a few seconds)."""
         return self._settling > 0
 
     @property
     def watch_until(self) -> float | None:
-        """When SYNC counts as missing, s; None while it is not monitored."""
+        """Time at which SYNC counts as missing, s; None while it is not monitored."""
         return self._cyclic_velocity.watch_until if self._cyclic else None
 
     @property
     def torque_limit(self) -> float:
-        """What the drive gives at most, as a part of the rated torque."""
+        """Maximum torque of the drive, relative to the rated torque."""
         return min(self.limits.torque, self.disturbance.torque_cap)
 
     @property
@@ -110,7 +110,7 @@ class Axis:
     # Commands
 
     def control(self, controlword: int) -> None:
-        """Take a controlword (6040h)."""
+        """Process a controlword (6040h)."""
         before, self._controlword = self._controlword, controlword
         if self.state is State.FAULT:
             if fault_reset(before, controlword) and not self.emergency_stop and not self.disturbance.limit_switch:
@@ -123,7 +123,7 @@ class Axis:
         self._publish()
 
     def fail(self, code: int) -> None:
-        """A fault: enter it and react as 605Eh says; the axis ends in FAULT. Its speed control is no softer now."""
+        """Enter a fault and react as set in 605Eh; ends in FAULT, with the commissioned speed control restored."""
         self.errors.enter(code)
         self.speed_control.restore()
         if self.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
@@ -136,7 +136,7 @@ class Axis:
         self._publish()
 
     def quick_stop(self) -> None:
-        """Quick stop of an enabled axis as 605Ah says; any other state stays."""
+        """Quick stop of an enabled axis as set in 605Ah; other states do not change."""
         if self.state is State.OPERATION_ENABLED:
             self._obey(Command.QUICK_STOP)
             self._publish()
@@ -148,7 +148,7 @@ class Axis:
             self._publish()
 
     def stop_safely(self, *, on: bool) -> None:
-        """Safe torque off: torque away at once, FAULT; no reset before it is released."""
+        """Safe torque off: immediate loss of torque, FAULT; no reset until it is released."""
         self.emergency_stop = on
         self._dictionary[0x2130, 1] = int(on)
         if on:
@@ -158,7 +158,7 @@ class Axis:
         self._publish()
 
     def hit_limit_switch(self, *, on: bool) -> None:
-        """The hardware limit switch: a fault, and no reset before it is free again."""
+        """Hardware limit switch: a fault, and no reset until it is free again."""
         self.disturbance.limit_switch = on
         if on:
             self.fail(ErrorCode.LIMIT_SWITCH)
@@ -172,7 +172,7 @@ class Axis:
             self.fail(code)
 
     def watch(self, now: float) -> None:
-        """Real time went on to `now`, s: is SYNC missing?"""
+        """Real time is now `now`, s: check whether SYNC is missing."""
         limit = self.watch_until
         if limit is not None and now > limit:
             self.fail(ErrorCode.SYNC_MISSING)
@@ -204,10 +204,10 @@ class Axis:
         return np.clip(speeds + correction, -limit, limit)
 
     def observe(self, samples: Samples) -> None:
-        """What the axis did in the cycles just asked for."""
+        """Samples of the last cycles."""
         self.position, self.speed = float(samples.position[-1]), float(samples.speed.mean())
         if self.energised:
-            self._actual.tell(samples)
+            self._actual.update(samples)
             recording = self.measuring.run is Run.RUNNING and not self._ramping
             if recording:
                 self.measuring.record(samples)
@@ -221,7 +221,7 @@ class Axis:
         self._publish()
 
     def _disturb(self, recording: bool, span: float) -> None:
-        """Let an ordered glitch or fault happen whose sample is among the last cycles, which took `span`, s."""
+        """Apply an ordered glitch or fault whose sample is among the last cycles, which took `span`, s."""
         recorded = self.measuring.count if recording else 0
         glitch, code = self.disturbance.take_glitch(recorded), self.disturbance.take_fault(recorded)
         if glitch is not None:
@@ -256,7 +256,7 @@ class Axis:
             if self._after is not None:
                 self._release(self._after)
 
-    # Inside
+    # Internal
 
     def _obey(self, command: Command | None) -> None:
         to = None if command is None else TRANSITIONS.get(self.state, {}).get(command)
@@ -292,7 +292,7 @@ class Axis:
             self._enter_mode()
 
     def _enter_mode(self) -> None:
-        """Start the mode from standstill: hold where the axis is, no set-point yet."""
+        """Start the mode from standstill: hold the position, no set-point yet."""
         self._hold()
         self._target = None
         self._cyclic_velocity.restart()
@@ -312,7 +312,7 @@ class Axis:
         self._publish()
 
     def _operate(self, before: int) -> None:
-        """Bits of the controlword that belong to the mode."""
+        """Process the bits of the controlword that belong to the mode."""
         now = self._controlword
         if now & 0x100 and self.moving and not self._ramping:
             self._brake(fast=self._dictionary[0x605D, 0] == 2, then=None)
@@ -370,12 +370,12 @@ class Axis:
     def _hold(self) -> None:
         self._motion: Motion | None = None  # a move, or a ramp to standstill
         self._ramping = False  # the motion is a ramp
-        self._settling = 0.0  # s left for coming to rest after a move
-        self._origin = self.position  # where the motion began, or where the axis is held
+        self._settling = 0.0  # s remaining to come to rest after a move
+        self._origin = self.position  # start position of the motion, or position held
         self._command = 0.0  # speed set-point at the end of the cycles so far
 
     def _reference(self) -> float:
-        """Where the axis should be now, rev."""
+        """Present set-point of the position, rev."""
         if self._motion is None or self._ramping:
             return self._origin
         return self._origin + float(self._motion.position(np.array([self._motion_time]))[0])

@@ -1,4 +1,4 @@
-"""Cyclic synchronous velocity: the set-point 60FFh between two SYNCs, and what is missing."""
+"""Cyclic synchronous velocity: the set-point 60FFh between two SYNCs, and the monitoring of both."""
 
 import math
 
@@ -8,7 +8,7 @@ from simulator.drive.limits import Limits
 
 
 class CyclicVelocity:
-    """The goal of the present cycle in rev/s, and the monitoring of SYNC and set-points (2121h)."""
+    """Set-point of the present cycle in rev/s, and monitoring of SYNC and set-points (2121h)."""
 
     def __init__(self, dictionary: Dictionary, limits: Limits) -> None:
         self._dictionary = dictionary
@@ -17,7 +17,7 @@ class CyclicVelocity:
         self.restart()
 
     def restart(self) -> None:
-        """From standstill: no set-point yet, no SYNC seen."""
+        """Start from standstill: no set-point and no SYNC received yet."""
         self.goal = 0.0
         self._dictionary[0x60FF, 0] = 0
         self._last_sync: float | None = None
@@ -26,17 +26,17 @@ class CyclicVelocity:
 
     @property
     def period_agrees(self) -> bool:
-        """Whether 60C2h says what 1006h says."""
+        """Whether 60C2h and 1006h agree."""
         period = self._dictionary[0x60C2, 1] * 10.0 ** self._dictionary[0x60C2, 2]
         return math.isclose(period, self._dictionary[0x1006, 0] * 1e-6)
 
     @property
     def watch_until(self) -> float | None:
-        """When SYNC counts as missing, s; None before the first one."""
+        """Time at which SYNC counts as missing, s; None before the first SYNC."""
         return None if self._last_sync is None else self._last_sync + self._dictionary[0x2121, 1] * 1e-3
 
     def sync(self, now: float) -> ErrorCode | None:
-        """Take the set-point received before this SYNC as the goal; the fault if that must not be."""
+        """Use the set-point received before this SYNC as target. Returns the fault if it is missing or not allowed."""
         self._last_sync = now
         self._missing = 0 if self._fresh else self._missing + 1
         self._fresh = False

@@ -1,7 +1,7 @@
-"""What the drive's own logic works with where its EDS has no such object: the same drive, but the bus cannot see it.
+"""Values that the drive uses internally if its EDS lacks the object: the same drive, but the object is not on the bus.
 
-A drive without 607Dh has no position window but the range of its encoder; limits of the motor (6072h, 6080h) hold
-inside whether or not they have an object.
+A drive without 607Dh has no position window except the range of its encoder. Limits of the motor (6072h, 6080h)
+apply internally with or without an object.
 """
 
 from collections.abc import Iterable

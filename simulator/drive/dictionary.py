@@ -1,9 +1,12 @@
 """The object dictionary of one node: typed values with the access rules and ranges of the EDS (CiA 301, 7.2.4).
 
-Inside the drive values are read and written by key, ``d[0x6041, 0]``, whether or not the EDS has that object; from the
-bus they pass `upload` and `download`, which know the EDS' objects only.
+Inside the drive, values are read and written by key, ``d[0x6041, 0]``, whether or not the EDS has that object. From
+the bus they pass through `upload` and `download`, which only accept objects of the EDS.
 """
 
+import simulator.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
+
+# isort: split
 import configparser
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,10 +14,11 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any, cast
 
-import canopen
 from canopen.objectdictionary import ObjectDictionaryError, ODVariable, datatypes
 
 from simulator.drive.defaults import ABSENT, Key
+from simulator.eds import object_dictionary
+from simulator.eds_file import read_eds
 from simulator.scenario import ScenarioError
 
 Value = int | float | str | bytes
@@ -54,16 +58,18 @@ class Abort(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Traits:
-    """What an EDS has no words for: its section [VirtualDrive], 0 or 1 each."""
+    """Properties that have no EDS entry: section [VirtualDrive], 0 or 1 each."""
 
     block_upload: bool = True
     load_encoder: bool = True
 
 
 class Dictionary:
-    """Values of one node, from the EDS at `eds`; `node` resolves ``$NODEID``. ScenarioError for what is no EDS.
+    """Values of one node, from the EDS at `eds`; `node` replaces ``$NODEID``. Raises ScenarioError for a file that is
+    no EDS.
 
-    `nameplate` holds what the EDS cannot know of this very device (motor, serial number): it wins at every `restore`.
+    `nameplate`: values of the device that the EDS cannot contain (motor, serial number). They have priority at every
+    `restore`.
     """
 
     def __init__(self, eds: Path, node: int) -> None:
@@ -75,12 +81,12 @@ class Dictionary:
         self._on_download: dict[Key, Callable[[Any], None]] = {}
         self._on_upload: dict[Key, Callable[[], bytes]] = {}
         self.renumber(node)
-        self.nameplate[0x1018, 4] = self[0x1018, 4]  # stays with the device whatever its node id
+        self.nameplate[0x1018, 4] = self[0x1018, 4]  # belongs to the device and does not depend on its node id
 
     def renumber(self, node: int) -> None:
-        """The dictionary of another node id, with every value as at power-on."""
+        """Dictionary of another node id, with every value as at power-on."""
         try:
-            objects = cast(Any, canopen).import_od(str(self._eds), node)
+            objects = object_dictionary(self._eds, node)
         except (configparser.Error, ObjectDictionaryError, KeyError, ValueError) as error:
             raise ScenarioError(f"{self._eds}: not an EDS: {' '.join(str(error).split())}") from None
         self._variables = {}
@@ -91,7 +97,7 @@ class Dictionary:
         self.restore()
 
     def restore(self) -> None:
-        """Every value as nameplate, EDS or `ABSENT` say; what has no default there is 0."""
+        """Set every value from nameplate, EDS or `ABSENT`; a value without default is 0."""
         self._values = dict(ABSENT)
         for key, variable in self._variables.items():
             default = cast("Value | None", variable.default)
@@ -118,11 +124,11 @@ class Dictionary:
         self._on_download[key] = hook
 
     def on_upload(self, key: Key, hook: Callable[[], bytes]) -> None:
-        """Ask `hook()` for the bytes of a domain when the bus wants them; it may raise `Abort`."""
+        """Call `hook()` for the bytes of a domain when the bus reads it; it may raise `Abort`."""
         self._on_upload[key] = hook
 
     def upload(self, index: int, subindex: int) -> bytes:
-        """What the bus gets to read. Raises `Abort`."""
+        """Value for the bus. Raises `Abort`."""
         variable = self._variable(index, subindex)
         if not variable.readable:
             raise Abort(AbortCode.WRITE_ONLY)
@@ -132,7 +138,7 @@ class Dictionary:
         return self.encode((index, subindex))
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
-        """Take a value from the bus: access, length, range, hook, store. Raises `Abort`; then nothing changed."""
+        """Store a value from the bus: access, length, range, hook, store. Raises `Abort`; then nothing is changed."""
         variable = self._variable(index, subindex)
         if not variable.writable:
             raise Abort(AbortCode.READ_ONLY)
@@ -152,7 +158,7 @@ class Dictionary:
         self._values[index, subindex] = value
 
     def encode(self, key: Key) -> bytes:
-        """The present value as it goes over the bus."""
+        """The present value as sent on the bus."""
         return bytes(cast(Any, self._variables[key]).encode_raw(self._values[key]))
 
     def struct_format(self, key: Key) -> str:
@@ -183,7 +189,7 @@ class Dictionary:
 def _traits(eds: Path) -> Traits:
     parser = configparser.RawConfigParser(strict=False)
     try:
-        parser.read_string(eds.read_text(encoding="utf-8"))
+        parser.read_string(read_eds(eds).decode("utf-8"))
         return Traits(
             block_upload=parser.getboolean("VirtualDrive", "BlockUpload", fallback=True),
             load_encoder=parser.getboolean("VirtualDrive", "LoadEncoder", fallback=True),

@@ -7,7 +7,9 @@ from simulator.drive.dictionary import Dictionary
 
 
 class ErrorCode(IntEnum):
-    """Error codes that the drive raises by itself (CiA 402-2, table of error codes; 9000h external, FFxxh maker's)."""
+    """Error codes of the drive itself (CiA 402-2, table of error codes; 9000h external, FFxxh
+    manufacturer-specific).
+    """
 
     TORQUE_LIMIT = 0x2310
     NO_POWER_SECTION = 0x5400
@@ -53,11 +55,11 @@ class ErrorLog:
         self._messages.append(struct.pack("<HB5x", code, register))
 
     def announce(self, code: int) -> None:
-        """An emergency message and nothing else: no error in the dictionary, no fault state."""
+        """Only an emergency message: no error in the dictionary, no fault state."""
         self._messages.append(struct.pack("<HB5x", code, self._dictionary[0x1001, 0]))
 
     def clear(self) -> None:
-        """The fault was reset: EMCY with code 0; the history stays."""
+        """The fault was reset: EMCY with code 0; the history is kept."""
         self._dictionary[0x603F, 0] = self._dictionary[0x1001, 0] = 0
         self._messages.append(bytes(8))
 

@@ -1,8 +1,8 @@
-"""What the measuring function makes of its parameters: speed set-points, and torque noise on top of them.
+"""Excitation from the parameters of the measuring function: speed set-points, and torque noise added to them.
 
 Set-point ``e(t) (offset + sum a_i sin(2 pi f_i (t - t0) + phi_i))``, t0 = ramp + settle, with the envelope
 ``e = (1 - cos(pi t / ramp)) / 2`` while rising, one, and mirrored while falling. Injected torque ``e(t) n(t)``, where n
-repeats one period from t = 0 on.
+has the given period from t = 0 on.
 """
 
 import math
@@ -41,7 +41,7 @@ class Sweep:
         return abs(self.offset) + sum(abs(amplitude) for _, amplitude, _ in self.sines)
 
     def valid(self) -> bool:
-        """Whether every number is finite, times are positive and neither length nor frequencies are absurd."""
+        """Whether all numbers are finite, times are positive, and duration and frequencies are within their limits."""
         numbers = [self.offset, self.ramp, self.settle, self.period, *(n for sine in self.sines for n in sine)]
         return (
             all(math.isfinite(number) for number in numbers)
@@ -80,7 +80,9 @@ class Noise:
     seed: int
 
     def torques(self, sweep: Sweep, cycle: float) -> Array:
-        """Injected torque at the end of every drive cycle of a valid sweep (m,), N m; ValueError for what cannot be."""
+        """Injected torque at the end of every drive cycle of a valid sweep (m,), N m. Raises ValueError for invalid
+        parameters.
+        """
         if not (math.isfinite(self.rms) and self.rms >= 0 and 0 <= self.lowest <= self.highest <= _HIGHEST):
             raise ValueError(f"{self} cannot be")
         period = torque_noise(self.rms, self.lowest, self.highest, sweep.period, self.seed, cycle)

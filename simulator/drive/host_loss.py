@@ -1,4 +1,4 @@
-"""What an axis does when nobody has been heard for too long: the abort connection option 6007h, on any fieldbus."""
+"""Reaction of an axis to the loss of its host: the abort connection option 6007h, on any fieldbus."""
 
 from simulator.drive.axis import Axis
 from simulator.drive.dictionary import Dictionary
@@ -6,7 +6,7 @@ from simulator.drive.errors import ErrorCode
 
 
 def lose_host(axis: Axis, dictionary: Dictionary) -> None:
-    """React as 6007h says, under the commissioned speed control. An axis without torque stands already."""
+    """React as set in 6007h, with the commissioned speed control. An axis without torque already stands."""
     axis.speed_control.restore()
     match dictionary[0x6007, 0] if axis.energised else 0:
         case 1:

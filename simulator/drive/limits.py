@@ -1,11 +1,13 @@
-"""Limits and ramps as the dictionary has them just now, in rev and rev/s of the motor."""
+"""Present limits and ramps in the dictionary, in rev and rev/s of the motor."""
 
 from simulator.drive.dictionary import Dictionary
 from simulator.drive.units import INCREMENTS, PER_MILLE, speed_unit
 
 
 class Limits:
-    """A view of one dictionary; kept is only the unit of speed, a constant. ScenarioError for a unit not in use."""
+    """A view of one dictionary; only the unit of speed, a constant, is stored. Raises ScenarioError for an unsupported
+    unit.
+    """
 
     def __init__(self, dictionary: Dictionary) -> None:
         self._dictionary = dictionary
@@ -13,7 +15,7 @@ class Limits:
 
     @property
     def torque(self) -> float:
-        """Least of 6072h, 60E0h, 60E1h as a part of the rated torque."""
+        """Minimum of 6072h, 60E0h, 60E1h, relative to the rated torque."""
         d = self._dictionary
         return min(d[0x6072, 0], d[0x60E0, 0], d[0x60E1, 0]) / PER_MILLE
 
@@ -24,7 +26,7 @@ class Limits:
 
     @property
     def profile_speed(self) -> float:
-        """Of a move: least of 6081h, 607Fh, 6080h."""
+        """Of a move: minimum of 6081h, 607Fh, 6080h."""
         d = self._dictionary
         return min(d[0x6081, 0], d[0x607F, 0], d[0x6080, 0]) / self.speed_unit
 

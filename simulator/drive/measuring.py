@@ -1,7 +1,7 @@
-"""The measuring function: parameters in, speed set-points and torque noise out, a trace of every sample kept.
+"""The measuring function: from its parameters to speed set-points and torque noise, with a trace of every sample.
 
-Motion and injected torque are those of `excitation`. Motor side: parameters and trace in rev, rev/min and N m as the
-dictionary has them; speeds that go to and come from the axis are in rev/s.
+Motion and injected torque are those of `excitation`. Motor side: parameters and trace in rev, rev/min and N m as in
+the dictionary; speeds to and from the axis in rev/s.
 """
 
 from dataclasses import dataclass, replace
@@ -24,7 +24,7 @@ _NOISE_RECORD = np.dtype([*_RECORD.descr, ("injected", "<f4")])
 
 
 class Kind(IntEnum):
-    """Of excitation, 2100h:0C."""
+    """Kind of excitation, 2100h:0C."""
 
     MULTI_SINE = 0
     TORQUE_NOISE = 1
@@ -53,7 +53,7 @@ class Rejection(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """What one axis did in m drive cycles, motor side; each (m,)."""
+    """Samples of one axis in m drive cycles, motor side; each (m,)."""
 
     torque: Array  # N m
     torque_limited: NDArray[np.bool_]
@@ -65,10 +65,10 @@ class Samples:
 
 
 class Trace:
-    """Block means over `stride` drive cycles, at most `capacity` samples; of torque noise with the injected torque."""
+    """Block means over `stride` drive cycles, at most `capacity` samples; for torque noise with the injected torque."""
 
     def __init__(self, stride: int, capacity: int, cycle: float, kind: Kind = Kind.MULTI_SINE) -> None:
-        self.period = stride * cycle  # of a sample, s
+        self.period = stride * cycle  # sample interval, s
         self._stride = stride
         self._fields = ("torque", "command", "speed", "position", "load")
         self._fields += ("injected",) if kind is Kind.TORQUE_NOISE else ()
@@ -77,7 +77,7 @@ class Trace:
         self.count = 0
 
     def extend(self, samples: Samples) -> None:
-        """Take the samples of some drive cycles."""
+        """Add the samples of some drive cycles."""
         columns = (
             samples.torque,
             60 * samples.command,
@@ -98,18 +98,20 @@ class Trace:
         self.count += blocks
 
     def falsify(self, sample: int, revolutions: float) -> None:
-        """The motor encoder was off by `revolutions` during a sample that is recorded already."""
+        """The motor encoder was wrong by `revolutions` during a sample that is already recorded."""
         record = self._records[sample]
         record["position"] += revolutions
         record["speed"] += 60 * revolutions / self.period
 
     def page(self, first: int, number: int) -> bytes:
-        """The bytes of at most `number` samples from `first`; what is not recorded yet is left out."""
+        """The bytes of at most `number` samples from `first`, as far as they are recorded."""
         return self._records[first : min(first + number, self.count)].tobytes()
 
 
 class MeasuringFunction:
-    """The function behind 2100h to 2110h: gives the axis set-points while it runs; the axis brakes after `stop`."""
+    """The function behind 2100h to 2110h. It provides set-points to the axis while it runs; the axis brakes after
+    `stop`.
+    """
 
     def __init__(self, dictionary: Dictionary, limits: Limits, cycle: float) -> None:
         self._dictionary = dictionary
@@ -125,12 +127,12 @@ class MeasuringFunction:
 
     @property
     def driving(self) -> bool:
-        """Whether the set-points come from here (running, and not being aborted)."""
+        """Whether this function provides the set-points (running, and not being aborted)."""
         return self._next < len(self._setpoints)
 
     @property
     def injecting(self) -> bool:
-        """Whether `injection` may be other than zero."""
+        """Whether `injection` may differ from zero."""
         return self._next < len(self._injected)
 
     @property
@@ -139,14 +141,14 @@ class MeasuringFunction:
         return self._trace.count
 
     def reset(self) -> None:
-        """Forget everything, as at power-on."""
+        """Discard everything, as at power-on."""
         self._setpoints: Array = np.empty(0)
         self._injected: Array = np.empty(0)
         self._next = 0
         self._trace = Trace(1, 0, self._cycle)
 
     def start(self, position: float, *, ready: bool) -> None:
-        """Check the parameters and start from `position`, rev, or say why not."""
+        """Check the parameters and start from `position`, rev; otherwise set the reason of the rejection."""
         sweep, reason = self._sweep(), Rejection.NOT_ENABLED
         if ready:
             reason = self._begin(sweep, position) if sweep.valid() else Rejection.PARAMETERS
@@ -154,7 +156,7 @@ class MeasuringFunction:
         self._dictionary[0x2100, 3] = reason
 
     def injection(self, cycles: int) -> Array:
-        """Torque to inject at the end of each of the next cycles (cycles,), N m: to be asked before `setpoints`."""
+        """Torque to inject at the end of each of the next cycles (cycles,), N m; call before `setpoints`."""
         return _padded(self._injected[self._next : self._next + cycles], cycles)
 
     def setpoints(self, cycles: int) -> Array:
@@ -164,7 +166,7 @@ class MeasuringFunction:
         return _padded(part, cycles)
 
     def record(self, samples: Samples) -> None:
-        """Keep what the axis did, and be done after the last set-point."""
+        """Store samples; the state is DONE after the last set-point."""
         if not self._dictionary.traits.load_encoder:
             samples = replace(samples, load=np.full_like(samples.load, np.nan))
         self._trace.extend(samples)
@@ -173,11 +175,11 @@ class MeasuringFunction:
             self._dictionary[0x2100, 2] = Run.DONE
 
     def falsify(self, sample: int, revolutions: float) -> None:
-        """Put the motor encoder of a sample off that is recorded already."""
+        """Shift the motor encoder of a sample that is already recorded."""
         self._trace.falsify(sample, revolutions)
 
     def stop(self) -> None:
-        """No more set-points and torque, no more samples; `aborted` follows when the axis stands."""
+        """No more set-points, torque and samples; call `aborted` when the axis stands."""
         self._setpoints = self._injected = np.empty(0)
 
     def aborted(self) -> None:
@@ -211,7 +213,7 @@ class MeasuringFunction:
         return Rejection.NONE
 
     def _sweep(self) -> Sweep:
-        """Noise lies on the offset alone."""
+        """With noise, the set-point has only the offset."""
         d = self._dictionary
         number = d[0x2100, 9] if d[0x2100, 0x0C] == Kind.MULTI_SINE else 0
         sines = tuple((d[0x2101, k], d[0x2102, k], d[0x2103, k]) for k in range(1, number + 1))

@@ -1,7 +1,8 @@
-"""Motion of piecewise constant acceleration: positioning by a trapezoid, and the ramp to standstill.
+"""Motion with piecewise constant acceleration: positioning by a trapezoid, and the ramp to standstill.
 
-From speed v with acceleration a to speed w the way is (w^2 - v^2) / 2a. A trapezoid over the distance D from speed
-v0 >= 0 in the direction of D reaches at most vp^2 = (2 a d D + d v0^2) / (a + d) with acceleration a, deceleration d.
+From speed v to speed w with acceleration a the distance is (w^2 - v^2) / 2a. A trapezoid over the distance D from
+speed v0 >= 0 in the direction of D reaches at most vp^2 = (2 a d D + d v0^2) / (a + d) with acceleration a,
+deceleration d.
 """
 
 import math
@@ -15,7 +16,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Speeds `velocities` (k + 1,) at the corners of k phases of `durations` (k,), linear between, last kept."""
+    """Speeds `velocities` (k + 1,) at the ends of k phases of `durations` (k,), linear between them; the last one is
+    kept.
+    """
 
     durations: tuple[float, ...]
     velocities: tuple[float, ...]
@@ -26,11 +29,11 @@ class Motion:
 
     @property
     def distance(self) -> float:
-        """The whole way."""
+        """Total distance."""
         return float(self.position(np.array([self.duration]))[0])
 
     def position(self, time: Array) -> Array:
-        """The way since the start at each time >= 0; shapes (m,) -> (m,)."""
+        """Distance since the start at each time >= 0; shapes (m,) -> (m,)."""
         corners = np.concatenate(([0.0], np.cumsum(self.durations)))
         speeds = np.array(self.velocities)
         ways = np.concatenate(([0.0], np.cumsum(np.diff(corners) * (speeds[:-1] + speeds[1:]) / 2)))
@@ -57,7 +60,7 @@ def brake(velocity: float, deceleration: float) -> Motion:
 def travel(distance: float, start: float, limit: float, acceleration: float, deceleration: float) -> Motion:
     """From speed `start` over `distance` (both signed) to standstill, at most at `limit` > 0.
 
-    Where the present speed leads away from the target or past it, the axis brakes to standstill first and comes back.
+    If the present speed leads away from the target or past it, the axis first brakes to standstill and returns.
     """
     direction = math.copysign(1.0, distance)
     way, speed = abs(distance), start * direction
@@ -68,10 +71,10 @@ def travel(distance: float, start: float, limit: float, acceleration: float, dec
     if speed > limit:
         slow = Motion(((speed - limit) / deceleration,), (start, limit * direction))
         return _joined(slow, travel(distance - slow.distance, limit * direction, limit, acceleration, deceleration))
-    if way == 0.0:
-        return Motion((), (0.0,))
     peak = math.sqrt((2 * acceleration * deceleration * way + deceleration * speed**2) / (acceleration + deceleration))
     peak = max(min(peak, limit), speed)
+    if peak == 0.0:  # zero distance, or so small that its square is zero
+        return Motion((), (0.0,))
     cruise = way - (peak**2 - speed**2) / (2 * acceleration) - peak**2 / (2 * deceleration)
     durations = ((peak - speed) / acceleration, max(cruise, 0.0) / peak, peak / deceleration)
     return Motion(durations, (start, peak * direction, peak * direction, 0.0))

@@ -1,6 +1,7 @@
-"""The speed controller's gain and reset time (2140h), N m s/rad of the motor and s.
+"""Gain and reset time of the speed controller (2140h), N m s/rad of the motor and s.
 
-The active ones lie in RAM and may be made softer while the axis moves; the commissioned ones are stored and only read.
+The active values are in RAM and may be softened while the axis moves; the commissioned values are stored and
+read-only.
 """
 
 from simulator.drive.dictionary import Abort, AbortCode, Dictionary
@@ -16,16 +17,16 @@ class SpeedControl:
 
     @property
     def active(self) -> tuple[float, float]:
-        """Gain and reset time just now."""
+        """Present gain and reset time."""
         return self._dictionary[0x2140, 1], self._dictionary[0x2140, 2]
 
     @property
     def softened(self) -> bool:
-        """Whether the active ones are not the commissioned ones."""
+        """Whether the active values differ from the commissioned ones."""
         return self.active != (self._dictionary[0x2140, 3], self._dictionary[0x2140, 4])
 
     def restore(self) -> None:
-        """Back to what was commissioned."""
+        """Set the commissioned values."""
         d = self._dictionary
         d[0x2140, 1], d[0x2140, 2] = d[0x2140, 3], d[0x2140, 4]
 

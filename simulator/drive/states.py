@@ -4,7 +4,7 @@ from enum import Enum, IntEnum
 
 
 class State(IntEnum):
-    """The eight states; the value is what the statusword shows under its mask."""
+    """The eight states; the value is the statusword under its mask."""
 
     NOT_READY_TO_SWITCH_ON = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -25,7 +25,7 @@ class Mode(IntEnum):
 
 
 class Command(Enum):
-    """What a controlword says. (mask, value); tried in this order."""
+    """Commands in a controlword. (mask, value); checked in this order."""
 
     DISABLE_VOLTAGE = (0x82, 0x00)
     QUICK_STOP = (0x86, 0x02)
@@ -43,7 +43,7 @@ TRANSITIONS: dict[State, dict[Command, State]] = {
         Command.DISABLE_VOLTAGE: State.SWITCH_ON_DISABLED,
         Command.QUICK_STOP: State.SWITCH_ON_DISABLED,
         Command.SWITCH_ON: State.SWITCHED_ON,
-        Command.ENABLE_OPERATION: State.OPERATION_ENABLED,  # transitions 3 and 4 in one
+        Command.ENABLE_OPERATION: State.OPERATION_ENABLED,  # transitions 3 and 4 together
     },
     State.SWITCHED_ON: {
         Command.DISABLE_VOLTAGE: State.SWITCH_ON_DISABLED,
@@ -62,7 +62,7 @@ TRANSITIONS: dict[State, dict[Command, State]] = {
         Command.ENABLE_OPERATION: State.OPERATION_ENABLED,  # transition 16, at standstill only
     },
 }
-"""Commanded transitions; what is not in the table changes nothing. Faults and their reset are not commands."""
+"""Commanded transitions; other pairs change nothing. Faults and their reset are not commands."""
 
 
 def command_of(controlword: int) -> Command | None:

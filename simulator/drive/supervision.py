@@ -1,4 +1,4 @@
-"""What an enabled axis may not do: leave the position limits, run too fast, lag behind, stay at its torque limit."""
+"""Supervision of an enabled axis: position limits, speed, following error, time at the torque limit."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ _LIMITED_FOR = 0.1  # s at the torque limit
 
 
 class Supervision:
-    """Judges the samples of each chunk of cycles against the axis' limits."""
+    """Checks the samples of each chunk of cycles against the limits of the axis."""
 
     def __init__(self, limits: Limits, cycle: float) -> None:
         self._limits = limits
@@ -23,14 +23,14 @@ class Supervision:
 
     @property
     def limited(self) -> bool:
-        """Whether the torque is at its limit just now."""
+        """Whether the torque is at its limit now."""
         return self._limited > 0
 
     def check(self, samples: Samples, command: float, following_error: float) -> ErrorCode | None:
         """The fault in these samples, if any; `command` in rev/s, `following_error` in rev.
 
-        The position limits hold for where the axis would come to stand by the quick stop ramp, with the
-        position window 6067h as tolerance.
+        The position limits apply to the position where the axis would come to standstill by the quick stop ramp,
+        with the position window 6067h as tolerance.
         """
         limits = self._limits
         span = len(samples.speed) * self._cycle

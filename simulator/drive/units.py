@@ -1,25 +1,26 @@
-"""Units of the dictionary against rev and rev/s of the motor (docs/reference/virtual-drive.md, "Units")."""
+"""Units of the dictionary and rev, rev/s of the motor (docs/reference/virtual-drive.md, "Units")."""
 
 from simulator.drive.dictionary import Dictionary
 from simulator.scenario import ScenarioError
 
 INCREMENTS = 1 << 20
-"""Position: increments a motor revolution, 608Fh."""
+"""Position: increments per motor revolution, 608Fh."""
 
 SPEED = 60_000
-"""Speed and acceleration where there is no 60A9h: 10^-3 rev/min (a second) in 1 rev/s (a second)."""
+"""Speed and acceleration without 60A9h: units of 10^-3 rev/min (per s) in 1 rev/s (per s)."""
 
 PER_MILLE = 1000
-"""Torque in parts of the rated torque 6076h, which is in 10^-3 N m."""
+"""Torque relative to the rated torque 6076h, which is in 10^-3 N m."""
 
 _NUMERATORS = {0xB4: 1.0, 0xB5: float(INCREMENTS)}  # revolutions, increments
 _DENOMINATORS = {0x03: 1.0, 0x47: 60.0}  # second, minute
 
 
 def speed_unit(dictionary: Dictionary) -> float:
-    """Units of speed (and, a second, of acceleration) in 1 rev/s by 60A9h; ScenarioError for a unit not in use.
+    """Units of speed (and, per second, of acceleration) in 1 rev/s by 60A9h. Raises ScenarioError for an unsupported
+    unit.
 
-    The code is prefix (power of ten), numerator, denominator, 0, a byte each (CiA 303-2, CiA 402-2).
+    The code has one byte each for prefix (power of ten), numerator, denominator, 0 (CiA 303-2, CiA 402-2).
     """
     code = dictionary[0x60A9, 0]
     prefix = (code >> 24) - (256 if code >> 31 else 0)

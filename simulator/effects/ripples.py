@@ -1,4 +1,4 @@
-"""What repeats with the motor's angle: sums of ``amplitude sin(order * motor angle + phase)``."""
+"""Effects periodic in the motor angle: sums of ``amplitude sin(order * motor angle + phase)``."""
 
 from collections.abc import Callable, Sequence
 from math import sin
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 class Ripples:
-    """One sum a row, as a function of the motor position (rows,) on the joint side, rad."""
+    """One sum per row, as a function of the motor position (rows,) on the joint side, rad."""
 
     def __init__(self, axes: Sequence[MovingAxis], sums: Sequence[Sequence[Ripple | GearError]]) -> None:
         most = max(map(len, sums))
@@ -35,13 +35,13 @@ class Ripples:
         return lambda position: sum([amplitude * sin(order * position + phase) for amplitude, order, phase in waves])
 
     def slope(self, position: Array) -> Array:
-        """Their derivatives (..., rows) by the joint's angle."""
+        """Their derivatives (..., rows) with respect to the joint angle."""
         waves = np.cos(self._order * position[..., None, :] + self._phase)
         return (self._amplitude * self._order * waves).sum(axis=-2)
 
 
 class KnownRipples:
-    """Ripples where a led motor will be, known for all steps to come; who leads it sets `step`."""
+    """Ripples of a motor with prescribed motion, known for all steps; the user sets `step`."""
 
     def __init__(self, sums: Array, slopes: Array) -> None:
         """Both (steps, rows)."""
@@ -58,10 +58,10 @@ class KnownRipples:
 
 
 def cogging(axes: Sequence[MovingAxis]) -> Ripples | None:
-    """Torque against the motor, N m; None if no row has any."""
+    """Torque against the motor, N m; None if no row has cogging."""
     return Ripples(axes, [a.train.cogging for a in axes]) if any(a.train.cogging for a in axes) else None
 
 
 def gear_error(axes: Sequence[MovingAxis]) -> Ripples | None:
-    """How far the gear turns ahead of its ratio, rad of the joint; None if every gear is true."""
+    """Lead of the gear over its ratio, rad of the joint; None if no gear has an error."""
     return Ripples(axes, [a.train.gear_error for a in axes]) if any(a.train.gear_error for a in axes) else None

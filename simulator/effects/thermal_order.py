@@ -1,4 +1,4 @@
-"""How warm a gear is when a sweep begins: from the sweeps that went before, in the order in which they were run."""
+"""Temperature of a gear at the start of a sweep, from the earlier sweeps in the order in which they were run."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """One motion of an axis: when it began, s since the campaign did, its sample interval, s, and speed (n,), rad/s."""
+    """One motion of an axis: start, s since the campaign start, sample interval, s, and speed (n,), rad/s."""
 
     started_at: float
     interval: float
@@ -22,9 +22,10 @@ class Turn:
 
 
 def warmth(train: DriveTrain, turns: Sequence[Turn]) -> Array:
-    """Temperature rise (m,) K at the start of each turn, from a cold start; turns that overlap follow one another.
+    """Temperature rise (m,) K at the start of each turn, from a cold start. Overlapping turns are put one after the
+    other.
 
-    The power of a turn is its mean at the temperature of its start, without what friction owes to the load.
+    The power of a turn is its mean at the temperature of its start, without load-dependent friction.
     """
     rises, warming = np.zeros(len(turns)), train.warming
     if warming is None:

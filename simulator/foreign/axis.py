@@ -1,7 +1,8 @@
-"""The meaning of one foreign drive: the CiA 402 state machine, its faults and limits over an exact dictionary.
+"""The behaviour of one foreign drive: the CiA 402 state machine, its faults and limits over an exact dictionary.
 
-In: objects that the bus wrote, and the samples of the cycles just run. Out: `energised`, speed set-points, torque on
-top of the speed controller's, and actual values. Positions in rev, speeds in rev/s, torque in N m of the motor.
+Inputs: objects written by the bus, and the samples of the last cycles. Outputs: `energised`, speed set-points,
+torque added to that of the speed controller, and actual values. Positions in rev, speeds in rev/s, torque in N m of
+the motor.
 """
 
 from math import copysign
@@ -16,20 +17,20 @@ from simulator.drive.states import ENERGISED, TRANSITIONS, Command, State, comma
 from simulator.foreign.dictionary import ForeignDictionary
 from simulator.foreign.faults import ErrorCode, ErrorLog
 from simulator.foreign.modes import CYCLIC, Guide, Mode, supported
-from simulator.foreign.statusword import statusword, tell_actual_values
+from simulator.foreign.statusword import set_actual_values, statusword
 from simulator.foreign.units import Plate, Units
 
 Array = NDArray[np.float64]
 
 _STANDSTILL = 0.5 / 60  # rev/s; below that a ramp has ended
-_PATIENCE = 0.5  # s after the end of a ramp until torque goes in any case
-_OVERSPEED = 0.1  # of the motor's highest speed, beyond the limit
-_STAYS = 4  # option codes of quick stop above it stay in QUICK STOP ACTIVE
+_PATIENCE = 0.5  # s after the end of a ramp until the torque is switched off regardless of the speed
+_OVERSPEED = 0.1  # share of the motor's maximum speed, above the limit
+_STAYS = 4  # with option codes of quick stop above it the drive stays in QUICK STOP ACTIVE
 _SLOW_STOPS = (1, 5)
 
 
 class Axis:
-    """One axis. `can_move` is False where the machine has no power section for it."""
+    """One axis. `can_move` is False if the machine has no power section for it."""
 
     def __init__(self, dictionary: ForeignDictionary, plate: Plate, cycle: float, *, can_move: bool) -> None:
         self._dictionary = dictionary
@@ -47,13 +48,13 @@ class Axis:
         self.reset()
 
     def reset(self) -> None:
-        """Power-on: no torque, nothing remembered but where the axis stands, safe torque off and the limit switch."""
+        """Power-on: no torque. Only the position, safe torque off and the limit switch are kept."""
         self.state = State.SWITCH_ON_DISABLED
         self.errors.reset()
         self._controlword = 0
         self._after: State | None = None  # state at the end of the ramp
         self._acknowledged = False
-        self._lagging = 0.0  # s beyond the following window
+        self._lagging = 0.0  # s outside the following window
         self.speed = self.torque = 0.0
         self.mode = Mode.NONE
         self._take_mode(self._dictionary[0x6060, 0])
@@ -70,24 +71,24 @@ class Axis:
 
     @property
     def following(self) -> bool:
-        """Whether set-points of a host may turn the axis: enabled in a mode that a host feeds, and not braking."""
+        """Whether set-points of a host move the axis: enabled in a cyclic mode, and not braking."""
         fed = self.mode in CYCLIC or self.mode is Mode.PROFILE_VELOCITY
         return self.state is State.OPERATION_ENABLED and fed and not self.guide.stopped
 
     @property
     def moving(self) -> bool:
-        """Whether a move, a ramp or a speed is asked for, or the axis has still to come to rest."""
+        """Whether a move, a ramp or a speed is commanded, or the axis has not yet come to rest."""
         return self.energised and (self.guide.moving or abs(self.speed) > _STANDSTILL)
 
     @property
     def torque_limit(self) -> float:
-        """What the drive gives at most, N m."""
+        """Maximum torque of the drive, N m."""
         return min(self.units.torque_limit, self.disturbance.torque_cap * self.units.plate.rated_torque)
 
     # Commands
 
     def control(self, controlword: int) -> None:
-        """Take a controlword (6040h)."""
+        """Process a controlword (6040h)."""
         before, self._controlword = self._controlword, controlword
         if self.state is State.FAULT:
             if fault_reset(before, controlword) and not self.emergency_stop and not self.disturbance.limit_switch:
@@ -100,7 +101,7 @@ class Axis:
         self.publish()
 
     def fail(self, code: int) -> None:
-        """A fault: enter it and react as 605Eh says; the axis ends in FAULT."""
+        """Enter a fault and react as set in 605Eh; the axis ends in FAULT."""
         self.errors.enter(code)
         if self.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
             option = self._dictionary[0x605E, 0]
@@ -112,7 +113,7 @@ class Axis:
         self.publish()
 
     def lose_connection(self) -> None:
-        """React as the abort connection option code 6007h says."""
+        """React as set in the abort connection option code 6007h."""
         match self._dictionary[0x6007, 0]:
             case 1:
                 self.fail(ErrorCode.HEARTBEAT)
@@ -124,7 +125,7 @@ class Axis:
                 pass
 
     def quick_stop(self) -> None:
-        """Quick stop of an enabled axis as 605Ah says; any other state stays."""
+        """Quick stop of an enabled axis as set in 605Ah; other states do not change."""
         if self.state is State.OPERATION_ENABLED:
             self._obey(Command.QUICK_STOP)
             self.publish()
@@ -136,7 +137,7 @@ class Axis:
             self.publish()
 
     def stop_safely(self, *, on: bool) -> None:
-        """Safe torque off: torque away at once, FAULT; no reset before it is released."""
+        """Safe torque off: immediate loss of torque, FAULT; no reset until it is released."""
         self.emergency_stop = on
         if on:
             self.errors.enter(ErrorCode.EMERGENCY_STOP)
@@ -144,7 +145,7 @@ class Axis:
         self.publish()
 
     def hit_limit_switch(self, *, on: bool) -> None:
-        """The hardware limit switch: a fault, and no reset before it is free again."""
+        """Hardware limit switch: a fault, and no reset until it is free again."""
         self.disturbance.limit_switch = on
         if on:
             self.fail(ErrorCode.LIMIT_SWITCH)
@@ -161,13 +162,13 @@ class Axis:
         return offset * 1e-3 * self.units.rated_torque if offset and self.following and self.mode in CYCLIC else 0.0
 
     def observe(self, samples: Samples) -> None:
-        """What the axis did in the cycles just asked for."""
+        """Samples of the last cycles."""
         self.position, self.speed = float(samples.position[-1]), float(samples.speed.mean())
         self.torque = float(samples.torque.mean())
         span = len(samples.speed) * self._cycle
         glitch, code = self.disturbance.take_glitch(0), self.disturbance.take_fault()
         off = 0.0 if glitch is None else glitch.revolutions
-        tell_actual_values(self._dictionary, self.units, self.guide, samples, off, span)
+        set_actual_values(self._dictionary, self.units, self.guide, samples, off, span)
         if abs(off) > self.units.following_window:
             code = ErrorCode.ENCODER
         if code is None:
@@ -204,7 +205,7 @@ class Axis:
         if self.mode != self._asked and not self.moving:
             self._take_mode(self._asked)
 
-    # Inside
+    # Internal
 
     def _obey(self, command: Command | None) -> None:
         to = None if command is None else TRANSITIONS.get(self.state, {}).get(command)
@@ -252,7 +253,7 @@ class Axis:
         self.guide.start(self.mode, self.position)
 
     def _operate(self, before: int) -> None:
-        """Bits of the controlword that belong to the mode."""
+        """Process the bits of the controlword that belong to the mode."""
         now, guide = self._controlword, self.guide
         guide.halted = bool(now & 0x100)
         if before & ~now & 0x100 and not guide.ramping:
@@ -283,10 +284,10 @@ class Axis:
         self.guide.hold(self.position)
 
     def publish(self) -> None:
-        """Statusword, mode and, without torque, actual values: after whatever may have changed them or their units."""
-        self._dictionary.tell(0x6041, statusword(self, acknowledged=self._acknowledged))
-        self._dictionary.tell(0x6061, int(self.mode))
+        """Set statusword, mode and, without torque, actual values; call after any change of them or of their units."""
+        self._dictionary.set_actual(0x6041, statusword(self, acknowledged=self._acknowledged))
+        self._dictionary.set_actual(0x6061, int(self.mode))
         if not self.energised:
-            self._dictionary.tell(0x6064, round(self.position * self.units.position))
+            self._dictionary.set_actual(0x6064, round(self.position * self.units.position))
             for index in (0x606C, 0x6077, 0x6078, 0x6074, 0x606B):
-                self._dictionary.tell(index, 0)
+                self._dictionary.set_actual(index, 0)

@@ -1,8 +1,8 @@
-"""A cabinet of foreign drives on a CAN bus, a node an axis: one machine, one clock. Frames and times in, frames out.
+"""A cabinet of foreign drives on a CAN bus, one node per axis: one machine, one clock. Frames and times in, frames out.
 
-Whose clock? While set-points come with SYNC, the bus': each SYNC advances the machine by its period (1006h, else 60C2h,
-else as measured). Otherwise, and when SYNC stays away, real time is, times `speed_factor` while something moves in
-profile position. Without any torque the machine stands.
+While set-points come with SYNC, the bus is the clock: each SYNC advances the machine by its period (1006h, else
+60C2h, else as measured). Otherwise, and if SYNC is missing, real time is the clock, multiplied by `speed_factor`
+during motion in profile position. Without any torque the machine stands.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,17 +21,17 @@ from simulator.foreign.units import Plate
 from simulator.machine import AxisInfo, Machine
 from simulator.scenario import ScenarioError
 
-_CHUNK = (4, 16)  # cycles run at a time while something moves
-_HOLDING_CHUNK = 20  # cycles run at a time while nothing does
-_BACKLOG = 4  # chunks that may be made up for when the computer was busy
-_SYNC_LOST = 5.0  # s; so long after the last SYNC the machine goes on by real time, as a real axis would
-_CURRENT = 10.0  # A at rated torque, of every motor
+_CHUNK = (4, 16)  # cycles per call during motion
+_HOLDING_CHUNK = 20  # cycles per call at standstill
+_BACKLOG = 4  # chunks that may be caught up after the computer was busy
+_SYNC_LOST = 5.0  # s after the last SYNC, from which the machine continues in real time, as a real axis does
+_CURRENT = 10.0  # A at rated torque, for every motor
 
 
 class ForeignCabinet:
     """Node ids 1, 2, ... in the order of the machine's joints; `files`: the EDS or DCF of each joint's drive.
 
-    ScenarioError for a joint without a file, or a file that is none.
+    Raises ScenarioError for a joint without a file, or a file of another kind.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class ForeignCabinet:
     ) -> None:
         self._machine = machine
         self._speed_factor = speed_factor
-        self._time: float | None = None  # real time up to which the machine ran
+        self._time: float | None = None  # real time up to which the machine has run
         self._now = 0.0
         self.cycles = 0
         limits = joint_limits(machine.scenario.robot.urdf)
@@ -77,7 +77,7 @@ class ForeignCabinet:
         self.switch()
 
     def run(self, now: float) -> None:
-        """Let machine and timers go on to `now`, by one chunk of cycles at most: call it again when `due`."""
+        """Advance machine and timers to `now`, at most by one chunk of cycles; call it again when `due`."""
         self._now = now
         pace, chunk = self._pace()
         if pace == 0.0 or self._time is None:
@@ -93,7 +93,7 @@ class ForeignCabinet:
         self.switch()
 
     def due(self, now: float) -> float:
-        """Seconds from `now` until `run` is wanted; infinity if never."""
+        """Seconds from `now` until `run` must be called; infinity if never."""
         pace, chunk = self._pace()
         times = [node.due(now) for node in self.nodes.values()]
         times += [node.synced_at + _SYNC_LOST for node in self.nodes.values() if node.led_by_sync and pace == 0.0]
@@ -108,12 +108,12 @@ class ForeignCabinet:
         self.switch()
 
     def status(self) -> dict[str, object]:
-        """What the control port tells: SI units of the joint side."""
+        """Status for the control port, in SI units on the joint side."""
         axes = {info.joint: self.axis_status(info, axis) for info, axis in self._axes}
         return {"axes": axes, "plant_time": self.cycles * self._machine.cycle}
 
     def axis_status(self, info: AxisInfo, axis: Axis) -> dict[str, object]:
-        """One axis of it; `effort` is what the motor really gives, N m of the joint."""
+        """Status of one axis; `effort` is the true torque of the motor, N m on the joint side."""
         node = self.nodes[info.joint]
         return {
             "position": axis.position * tau / info.gear_ratio,
@@ -128,7 +128,7 @@ class ForeignCabinet:
         }
 
     def advance(self, cycles: int) -> None:
-        """Run the machine for so many of its cycles."""
+        """Run the machine for `cycles` of its cycles."""
         setpoints, injected = np.zeros((2, cycles, len(self._axes)))
         for k, (info, axis) in enumerate(self._axes):
             if axis.energised:
@@ -153,13 +153,15 @@ class ForeignCabinet:
                 )
 
     def switch(self) -> None:
-        """Torque and brakes of the machine as the axes' states say: after whatever may have changed a state."""
+        """Set torque and brakes of the machine according to the states of the axes; call after any change of a
+        state.
+        """
         for info, axis in self._axes:
             if axis.energised != self._machine.energised(info.joint):
                 self._machine.energise(info.joint, axis.energised)
 
     def _pace(self) -> tuple[float, int]:
-        """(simulated seconds a real second, cycles a chunk)."""
+        """(simulated seconds per real second, cycles per chunk)."""
         axes = [axis for _, axis in self._axes if axis.energised]
         if not axes or any(n.led_by_sync and self._now - n.synced_at < _SYNC_LOST for n in self.nodes.values()):
             return 0.0, 1

@@ -1,4 +1,4 @@
-"""Values that CiA 301 and CiA 402 forbid beyond an object's limits: option codes and identifiers on the bus."""
+"""Values that CiA 301 and CiA 402 forbid in addition to the limits of an object: option codes and identifiers."""
 
 from simulator.drive.dictionary import Abort, AbortCode
 from simulator.foreign.dictionary import ForeignDictionary
@@ -11,7 +11,7 @@ _RESTRICTED = ((0x000, 0x07F), (0x101, 0x180), (0x581, 0x5FF), (0x601, 0x67F), (
 
 
 def check_options(dictionary: ForeignDictionary) -> None:
-    """Have option codes that no drive here has refused, and so identifiers of SYNC and EMCY that others need."""
+    """Refuse option codes that no drive supports, and identifiers of SYNC and EMCY that are reserved."""
     for index in _OPTIONS:
         dictionary.on_download((index, 0), lambda value, index=index: _check_option(index, value))
     dictionary.on_download((0x1005, 0), check_identifier)
@@ -19,7 +19,7 @@ def check_options(dictionary: ForeignDictionary) -> None:
 
 
 def check_identifier(cob_id: int) -> None:
-    """Raise `Abort` for flags other than none, an extended identifier, or one that CiA 301, 7.3.5 reserves."""
+    """Raise `Abort` for any flag, an extended identifier, or one reserved by CiA 301, 7.3.5."""
     if cob_id & ~NUMBER or any(low <= cob_id <= high for low, high in _RESTRICTED):
         raise Abort(AbortCode.VALUE)
 

@@ -1,33 +1,36 @@
 """The object dictionary of a foreign drive: exactly the objects of its EDS or DCF (CiA 301, CiA 306).
 
-At power-on the communication area has the file's defaults, the rest what the file says was commissioned
-(ParameterValue) or else its defaults. Inside the drive ``d[0x6041, 0]`` also reads what the maker has for objects that
-the file lacks; from the bus there is no such object.
+At power-on the communication area has the defaults of the file; the rest has the commissioned values
+(ParameterValue) or else the defaults. Inside the drive ``d[0x6041, 0]`` also reads the manufacturer's values of
+objects that the file lacks; on the bus these objects do not exist.
 """
 
+import simulator.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
+
+# isort: split
 import configparser
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
-import canopen
 from canopen.objectdictionary import ObjectDictionaryError, ODVariable, datatypes
 
 from simulator.drive.dictionary import Abort, AbortCode, Key, Traits, Value
+from simulator.eds import object_dictionary
 from simulator.foreign.makers import Maker, maker_of
 from simulator.scenario import ScenarioError
 
-_PROFILE = 0x2000  # first index that is not of the communication profile
-_DUMMIES = 0x20  # indices below are data types: they fill RPDOs, and are no objects
+_PROFILE = 0x2000  # first index after the communication profile
+_DUMMIES = 0x20  # indices below are data types that fill RPDOs, not objects
 _STORING = {0x1010: 0x65766173, 0x1011: 0x64616F6C}  # "save", "load"
 _VELOCITIES = (0x607F, 0x6080, 0x6081, 0x6099, 0x60FF)
 
 
 class ForeignDictionary:
-    """Values of one node, from `file`; `node` resolves ``$NODEID``. ScenarioError for what is no EDS or DCF.
+    """Values of one node, from `file`; `node` replaces ``$NODEID``. Raises ScenarioError if the file is no EDS or DCF.
 
-    `nameplate` holds what the file cannot know of this very device (motor, limits, serial number); keys that the file
-    has no object for hold inside alone.
+    `nameplate`: values of the device that the file cannot contain (motor, limits, serial number). Keys without an
+    object in the file are used only inside the drive.
     """
 
     traits = Traits(block_upload=False, load_encoder=False)
@@ -38,25 +41,26 @@ class ForeignDictionary:
         self.nameplate: dict[Key, Value] = {}
         self._read(node)
         information = self._objects.device_information
-        vendor = information.vendor_number or self._told((0x1018, 1)) or 0
+        vendor = information.vendor_number or self._stated((0x1018, 1)) or 0
         self.maker: Maker = maker_of(vendor, information.vendor_name or "", information.product_name or "")
         self.nameplate |= {
             (0x1018, 1): vendor,
-            (0x1018, 2): self._told((0x1018, 2)) or information.product_number or 0,
-            (0x1018, 3): self._told((0x1018, 3)) or information.revision_number or 0,
-            (0x1018, 4): (self._told((0x1018, 4)) or 0x5D000000) + node,  # the file is of one device, and here are more
+            (0x1018, 2): self._stated((0x1018, 2)) or information.product_number or 0,
+            (0x1018, 3): self._stated((0x1018, 3)) or information.revision_number or 0,
+            (0x1018, 4): (self._stated((0x1018, 4)) or 0x5D000000)
+            + node,  # different for each device that uses the file
             (0x1008, 0): information.product_name or self.maker.name,
         }
         self.restore()
 
     def renumber(self, node: int) -> None:
-        """The dictionary of another node id, with every value as at power-on."""
+        """Dictionary of another node id, with every value as at power-on."""
         self._read(node)
         self.restore()
 
     def _read(self, node: int) -> None:
         try:
-            objects = cast(Any, canopen).import_od(str(self._file), node)
+            objects = object_dictionary(self._file, node)
         except (OSError, configparser.Error, ObjectDictionaryError, KeyError, ValueError, UnicodeError) as error:
             raise ScenarioError(f"{self._file}: not an EDS or DCF: {' '.join(str(error).split())}") from None
         self._objects: Any = objects
@@ -71,18 +75,18 @@ class ForeignDictionary:
         self._indices = {index for index, _ in self._variables}
 
     def restore(self) -> None:
-        """Every value as nameplate, file or maker say; what nobody tells is 0, or empty."""
+        """Set every value from nameplate, file or manufacturer; a value without source is 0, or empty."""
         self._values: dict[Key, Value] = dict(self.maker.absent)
         for key, variable in self._variables.items():
-            told = self._told(key)
-            if told is None:
+            stated = self._stated(key)
+            if stated is None:
                 text = variable.data_type not in datatypes.NUMBER_TYPES and variable.data_type != datatypes.BOOLEAN
-                told = self.maker.absent.get(key, b"" if text else 0)
-            self._values[key] = told
+                stated = self.maker.absent.get(key, b"" if text else 0)
+            self._values[key] = stated
         self._values |= self.nameplate
 
-    def _told(self, key: Key) -> Any:
-        """The file's value of an object; None where it tells none."""
+    def _stated(self, key: Key) -> Any:
+        """Value of an object in the file; None if it has none."""
         variable = self._variables.get(key)
         if variable is None:
             return None
@@ -100,11 +104,11 @@ class ForeignDictionary:
         self._values[key] = value
 
     def get(self, index: int, subindex: int = 0, default: Any = 0) -> Any:
-        """The value, or `default` where neither file nor nameplate nor maker has one."""
+        """The value, or `default` if file, nameplate and manufacturer have none."""
         return self._values.get((index, subindex), default)
 
-    def tell(self, index: int, value: int, subindex: int = 0) -> None:
-        """Set an actual value where the file has the object, at the nearest that its type holds."""
+    def set_actual(self, index: int, value: int, subindex: int = 0) -> None:
+        """Set an actual value if the file has the object, limited to the range of its type."""
         variable = self._variables.get((index, subindex))
         if variable is not None:
             bits, signed = len(variable), variable.data_type in datatypes.SIGNED_TYPES
@@ -124,14 +128,14 @@ class ForeignDictionary:
         self._hooks[key] = hook
 
     def upload(self, index: int, subindex: int) -> bytes:
-        """What the bus gets to read. Raises `Abort`."""
+        """Value for the bus. Raises `Abort`."""
         variable = self._variable(index, subindex)
         if not variable.readable:
             raise Abort(AbortCode.WRITE_ONLY)
         return self.encode((index, subindex))
 
     def download(self, index: int, subindex: int, data: bytes) -> None:
-        """Take a value from the bus: access, length, range, hook, store. Raises `Abort`; then nothing changed."""
+        """Store a value from the bus: access, length, range, hook, store. Raises `Abort`; then nothing is changed."""
         variable = self._variable(index, subindex)
         if not variable.writable:
             raise Abort(AbortCode.READ_ONLY)
@@ -144,14 +148,14 @@ class ForeignDictionary:
         if index in _STORING and subindex:
             if value != _STORING[index]:
                 raise Abort(AbortCode.NOT_STORED)
-            return  # nothing outlives the power here
+            return  # values are not kept over power-off
         hook = self._hooks.get((index, subindex))
         if hook is not None:
             hook(value)
         self._values[index, subindex] = value
 
     def encode(self, key: Key) -> bytes:
-        """The present value as it goes over the bus."""
+        """The present value as sent on the bus."""
         return bytes(cast(Any, self._variables[key]).encode_raw(self._values[key]))
 
     def bits(self, key: Key) -> int:
@@ -159,7 +163,7 @@ class ForeignDictionary:
         return self._dummies[key[0]] if key[0] in self._dummies else len(self._variables[key])
 
     def check_mapping(self, key: Key, bits: int, *, receive: bool) -> None:
-        """Raise `Abort` unless the object may stand in a PDO with so many bits."""
+        """Raise `Abort` unless the object may be mapped to a PDO with this number of bits."""
         if key[0] in self._dummies and receive and key[1] == 0:
             if bits != self._dummies[key[0]]:
                 raise Abort(AbortCode.NOT_MAPPABLE)
@@ -172,10 +176,10 @@ class ForeignDictionary:
 
     def _check_range(self, variable: ODVariable, value: float) -> None:
         low, high = variable.min, variable.max
-        if variable.index == 0x1016:  # the limits of makers' files are those of the time, in the low word
+        if variable.index == 0x1016:  # the limits in manufacturers' files apply to the time, in the low word
             value = int(value) & 0xFFFF
         if variable.index in _VELOCITIES and (0x60A9, 0) in self:  # limits are in the unit that the file has
-            finer = 10.0 ** (_prefix(self._told((0x60A9, 0))) - _prefix(self[0x60A9, 0]))
+            finer = 10.0 ** (_prefix(self._stated((0x60A9, 0))) - _prefix(self[0x60A9, 0]))
             low = round(low * finer) if low is not None and low < 0 else low
             high = None if high is None else round(high * finer)
         if high is not None and value > high:

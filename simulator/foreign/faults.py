@@ -1,4 +1,4 @@
-"""Error objects of a foreign drive, as far as it has them (603Fh, 1001h, 1003h), and its emergency messages."""
+"""Error objects of a foreign drive, if it has them (603Fh, 1001h, 1003h), and its emergency messages."""
 
 import struct
 from enum import IntEnum
@@ -8,7 +8,7 @@ from simulator.foreign.dictionary import ForeignDictionary
 
 
 class ErrorCode(IntEnum):
-    """Codes that these drives raise by themselves (CiA 301, table 26; CiA 402-2; FF10h is the virtual machine's)."""
+    """Codes of these drives (CiA 301, table 26; CiA 402-2; FF10h is used by the virtual machine)."""
 
     NO_POWER_SECTION = 0x5400
     ENCODER = 0x7305
@@ -49,11 +49,11 @@ class ErrorLog:
         self.announce(code)
 
     def announce(self, code: int) -> None:
-        """An emergency message and nothing else: no error in the dictionary, no fault state."""
+        """Only an emergency message: no error in the dictionary, no fault state."""
         self._messages.append(struct.pack("<HB5x", code, self.register))
 
     def clear(self) -> None:
-        """The fault was reset: EMCY with code 0; the history stays."""
+        """The fault was reset: EMCY with code 0; the history is kept."""
         self.code = self.register = 0
         self._publish()
         self.announce(0)
@@ -64,11 +64,11 @@ class ErrorLog:
         return messages
 
     def _publish(self) -> None:
-        self._dictionary.tell(0x603F, self.code)
-        self._dictionary.tell(0x1001, self.register)
-        self._dictionary.tell(0x1003, len(self._history))
+        self._dictionary.set_actual(0x603F, self.code)
+        self._dictionary.set_actual(0x1001, self.register)
+        self._dictionary.set_actual(0x1003, len(self._history))
         for sub in range(1, len(self._dictionary.keys(0x1003))):
-            self._dictionary.tell(0x1003, self._history[sub - 1] if sub <= len(self._history) else 0, sub)
+            self._dictionary.set_actual(0x1003, self._history[sub - 1] if sub <= len(self._history) else 0, sub)
 
     def _clear_history(self, value: int) -> None:
         if value:

@@ -1,4 +1,4 @@
-"""Heartbeats of a node: its own (1017h), and those of others that it waits for (1016h; CiA 301, 7.2.8.2.2)."""
+"""Heartbeats of a node: its own (1017h), and those of other nodes that it monitors (1016h; CiA 301, 7.2.8.2.2)."""
 
 from math import inf
 
@@ -7,7 +7,7 @@ from simulator.foreign.dictionary import ForeignDictionary
 
 
 class Heartbeats:
-    """Producer and consumers of one node. Others are watched from their first heartbeat on."""
+    """Producer and consumers of one node. Other nodes are monitored from their first heartbeat on."""
 
     def __init__(self, dictionary: ForeignDictionary) -> None:
         self._dictionary = dictionary
@@ -27,7 +27,7 @@ class Heartbeats:
             self._heard[number] = now
 
     def beat(self, now: float) -> bool:
-        """Whether the node's own heartbeat is due; it counts as sent."""
+        """Whether the heartbeat of the node is due; it then counts as sent."""
         period = self._dictionary.get(0x1017) * 1e-3
         if period == 0:
             self._next = None
@@ -38,14 +38,14 @@ class Heartbeats:
         return True
 
     def missed(self, now: float) -> bool:
-        """Whether a heartbeat is missing just now; told once, until it is heard again."""
+        """Whether a heartbeat is missing now; reported once, until it is received again."""
         late = [n for n, time in self._watched() if n in self._heard and now - self._heard[n] > time]
         for number in late:
             del self._heard[number]
         return bool(late)
 
     def due(self, now: float) -> float:
-        """When to ask again, s; infinity if never."""
+        """Time of the next call, s; infinity if never."""
         times = [self._heard[number] + time for number, time in self._watched() if number in self._heard]
         if self._dictionary.get(0x1017):
             times.append(now if self._next is None else self._next)

@@ -1,4 +1,4 @@
-"""What a drive's file does not tell: its maker's units, defaults of objects that it lacks, and habits.
+"""Properties of a drive that its file does not contain: units, defaults of missing objects, and special behaviour.
 
 Sources: maxon "EPOS4 Firmware Specification"; Elmo "DSP 402 Implementation Guide" (MAN-CAN402IG) and "Gold DS-402";
 SCHUNK "CANopen" of the Powerball and its ROS configuration (cob_robots); CiA 301 and CiA 402-2 for the plain drive.
@@ -11,7 +11,7 @@ Key = tuple[int, int]
 
 
 class Scaling(Enum):
-    """How position units follow from the encoder."""
+    """How position units are derived from the encoder."""
 
     RESOLUTION = "608Fh increments a motor revolution, over the gear ratio 6091h"
     ENCODER = "increments of the encoder, a motor revolution"
@@ -22,16 +22,16 @@ class Scaling(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Maker:
-    """One drive family. `absent`: what holds inside where the file has no such object, or no value for it."""
+    """One drive family. `absent`: internal values of objects that are missing or have no value in the file."""
 
     name: str
     scaling: Scaling
-    increments: int = 0  # of the encoder a motor revolution, where no object tells
-    torque_unit: float = 1e-3  # N m in a step of 6076h
+    increments: int = 0  # of the encoder per motor revolution, if no object gives them
+    torque_unit: float = 1e-3  # N m per unit of 6076h
     motor_speed_in_rpm: bool = True  # 6080h; else in units of velocity
-    acceleration_in_rpm: bool = False  # a second; else in units of velocity a second
+    acceleration_in_rpm: bool = False  # per second; else in units of velocity per second
     position_limit_code: int = 0x8612
-    refuses_modes: bool = False  # an unsupported 6060h is aborted; else taken, and 6061h does not follow
+    refuses_modes: bool = False  # an unsupported 6060h is aborted; else accepted, and 6061h does not change
     remaps_operational: bool = True  # PDOs may be configured in NMT operational
     absent: dict[Key, int] = field(default_factory=dict[Key, int])
 
@@ -77,7 +77,7 @@ POWERBALL = Maker("SCHUNK Powerball", Scaling.JOINT, absent=_OPTIONS)
 
 
 def maker_of(vendor: int, vendor_name: str, product_name: str) -> Maker:
-    """By vendor id (1018h:01 or [DeviceInfo]) and the names in [DeviceInfo]; the standard's drive for any other."""
+    """By vendor id (1018h:01 or [DeviceInfo]) and the names in [DeviceInfo]; the standard drive for all others."""
     if vendor == 0xFB:
         return EPOS4
     if vendor == 0x9A:

@@ -1,6 +1,6 @@
 """Modes of operation of a foreign drive: from targets in the dictionary to speed set-points (CiA 402-2).
 
-Positions in rev, speeds in rev/s of the motor. Which modes a drive has say the bits of its 6502h.
+Positions in rev, speeds in rev/s of the motor. The modes of a drive are the bits of its 6502h.
 """
 
 from enum import IntEnum
@@ -18,7 +18,7 @@ _POSITION_GAIN = 10.0  # 1/s, position controller
 
 
 class Mode(IntEnum):
-    """Of 6060h, those that turn an axis here; a drive's other modes are refused like ones that it does not have."""
+    """Values of 6060h that move an axis here. Other modes of a drive are refused like unsupported ones."""
 
     NONE = 0
     PROFILE_POSITION = 1
@@ -30,17 +30,17 @@ class Mode(IntEnum):
 
 CYCLIC = (Mode.INTERPOLATED_POSITION, Mode.CYCLIC_POSITION, Mode.CYCLIC_VELOCITY)
 SET_POINTS = ((0x607A, 0), (0x60B0, 0), (0x60B1, 0), (0x60B2, 0), (0x60C1, 1), (0x60FF, 0))
-"""What a host may feed with SYNC."""
+"""Modes in which a host sends set-points with SYNC."""
 _TRACKING = (Mode.PROFILE_POSITION, Mode.INTERPOLATED_POSITION, Mode.CYCLIC_POSITION)
 
 
 def supported(modes: int, value: int) -> bool:
-    """Whether 6502h `modes` has the mode of 6060h `value`, and it turns an axis here; 0 is always there."""
+    """Whether 6502h `modes` includes the mode of 6060h `value`, and it moves an axis here; 0 is always included."""
     return value == 0 or (value in tuple(Mode) and bool(modes >> (value - 1) & 1))
 
 
 class Guide:
-    """Set-points of one energised axis. `command` is the speed asked for last, `reference` the position."""
+    """Set-points of one energised axis. `command` is the last speed, `reference` the position."""
 
     def __init__(self, dictionary: ForeignDictionary, units: Units, cycle: float) -> None:
         self._dictionary = dictionary
@@ -50,23 +50,23 @@ class Guide:
         self.start(Mode.NONE, 0.0)
 
     def start(self, mode: Mode, position: float) -> None:
-        """Begin a mode from standstill at `position`. Targets stay what the host wrote."""
+        """Begin a mode from standstill at `position`. Targets keep the values written by the host."""
         self.mode = mode
-        self.running = True  # interpolated position waits for bit 4 of the controlword
+        self.running = True  # interpolated position starts with bit 4 of the controlword
         self.halted = False
-        self.limited = False  # a target was cut to its limit
-        self.stopped = False  # braked by order: targets mean nothing until `resume` or `start`
+        self.limited = False  # a target was limited
+        self.stopped = False  # braked by a command: targets are ignored until `resume` or `start`
         self.hold(position)
 
     def hold(self, position: float) -> None:
-        """Stand at `position` until a target asks for something else."""
+        """Stand at `position` until a target commands a motion."""
         self.reference, self.command = position, 0.0
         self._motion: Motion | None = None
         self.ramping = False
-        self._time = 0.0  # in the motion
+        self._time = 0.0  # since the start of the motion
         self._origin = position  # of the motion
         self._target: float | None = None  # of the last move or interpolation
-        self._left = 0  # cycles of the interpolation under way
+        self._left = 0  # remaining cycles of the interpolation
 
     # Commands
 
@@ -85,24 +85,24 @@ class Guide:
             self._time, self.ramping, self.stopped = 0.0, False, False
 
     def ramp_down(self, deceleration: float) -> None:
-        """Brake to standstill, rev/s^2, whatever the mode says."""
+        """Brake to standstill with `deceleration`, rev/s^2, in any mode."""
         self._motion, self._time, self.ramping = brake(self.command, deceleration), 0.0, True
         self.stopped = True
 
     def resume(self) -> None:
-        """Targets count again: a halt is over."""
+        """Accept targets again after a halt."""
         self.stopped = False
 
     # State
 
     @property
     def moving(self) -> bool:
-        """Whether set-points are other than zero, or may be so with the next cycle."""
+        """Whether set-points differ from zero, or may do so in the next cycle."""
         return self._motion is not None or self.command != 0.0 or self._left > 0
 
     @property
     def ended(self) -> float | None:
-        """Seconds since a ramp to standstill ended; None while it runs, or where there is none."""
+        """Seconds since a ramp to standstill ended; None while it runs, or if there is none."""
         if self._motion is None or not self.ramping or self._time < self._motion.duration:
             return None
         return self._time - self._motion.duration
@@ -114,13 +114,13 @@ class Guide:
 
     @property
     def target(self) -> float | None:
-        """Of the last profile position move, rev."""
+        """Target of the last profile position move, rev."""
         return self._target
 
     # Cycles
 
     def setpoints(self, cycles: int, position: float) -> Array:
-        """Speeds at the end of each of the next cycles (cycles,), the axis being at `position` now."""
+        """Speeds at the end of each of the next cycles (cycles,), with the axis at `position` now."""
         limit = self._units.speed_limit
         if self._motion is not None:
             speeds = self._along(self._motion, cycles)
@@ -139,7 +139,7 @@ class Guide:
         return np.clip(speeds, -limit, limit)
 
     def finish(self) -> None:
-        """A move that has come to its end is over."""
+        """End a move that has reached its end."""
         if self._motion is not None and not self.ramping and self._time >= self._motion.duration:
             self._motion = None
 
@@ -202,6 +202,6 @@ class Guide:
 
     @property
     def period(self) -> int:
-        """60C2h in cycles, at least 1: over so many a new set-point is reached."""
+        """60C2h in cycles, at least 1: time in which a new set-point is reached."""
         d = self._dictionary
         return max(round(d.get(0x60C2, 1) * 10.0 ** d.get(0x60C2, 2, -3) / self._cycle), 1)

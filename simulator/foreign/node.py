@@ -1,4 +1,4 @@
-"""One foreign CANopen node: NMT, heartbeat, SDO, SYNC, PDO and EMCY around an `Axis` (CiA 301). Frames in and out."""
+"""One foreign CANopen node: NMT, heartbeat, SDO, SYNC, PDO and EMCY of an `Axis` (CiA 301). Frames in, frames out."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +23,7 @@ _AFTER_ERROR = {0: Nmt.PRE_OPERATIONAL, 2: Nmt.STOPPED}  # 1029h:01; 1: no chang
 
 
 class ForeignNode:
-    """A node that answers to the id `number`, with the objects of `file` before the motor of `plate`."""
+    """A node with the id `number`, with the objects of `file` and the motor of `plate`."""
 
     def __init__(
         self, number: int, file: Path, plate: Plate, cycle: float, send: Callable[[Frame], None], *, can_move: bool
@@ -43,12 +43,12 @@ class ForeignNode:
         self._heartbeats = Heartbeats(self.dictionary)
         self.nmt = Nmt.PRE_OPERATIONAL
         self._pending: dict[int, bytes] = {}
-        self._synced: float | None = None  # when the last SYNC came, s
+        self._synced: float | None = None  # time of the last SYNC, s
         self._period = 0.0  # s between the last two
-        self._syncs = 0  # since power-on
+        self._syncs = 0  # number of SYNCs since power-on
 
     def renumber(self, number: int) -> None:
-        """Another node id, by another setting of its switches: the node boots with it. The device stays what it is."""
+        """Change the id, as by its address switches: the node boots with it. The device itself stays the same."""
         self.number = number
         self.dictionary.renumber(number)
         self.boot()
@@ -74,7 +74,7 @@ class ForeignNode:
 
     @property
     def led_by_sync(self) -> bool:
-        """Whether the set-points of the axis come with SYNC: then the machine's time goes with it."""
+        """Whether the set-points of the axis come with SYNC, which is then the clock of the machine."""
         return (
             self.axis.following
             and self.nmt is Nmt.OPERATIONAL
@@ -84,18 +84,18 @@ class ForeignNode:
 
     @property
     def synced_at(self) -> float:
-        """When the last SYNC came, s of the clock of `sync`; 0 if none did."""
+        """Time of the last SYNC, s of the clock of `sync`; 0 if there was none."""
         return self._synced or 0.0
 
     @property
     def sync_cycles(self) -> int:
-        """How long a SYNC period is, in the machine's cycles: by 1006h, else 60C2h, else by the clock."""
+        """Length of a SYNC period in cycles of the machine: from 1006h, else 60C2h, else measured."""
         d = self.dictionary
-        told = d.get(0x1006) * 1e-6 or d.get(0x60C2, 1) * 10.0 ** d.get(0x60C2, 2, -3) or self._period
-        return max(round(told / self._cycle), 1)
+        period = d.get(0x1006) * 1e-6 or d.get(0x60C2, 1) * 10.0 ** d.get(0x60C2, 2, -3) or self._period
+        return max(round(period / self._cycle), 1)
 
     def receive(self, frame: Frame, now: float) -> None:
-        """Any frame of the bus but SYNC."""
+        """Process any frame of the bus except SYNC."""
         if frame.id == 0:
             self._command(frame.data)
         elif frame.id == 0x600 + self.number:
@@ -112,8 +112,8 @@ class ForeignNode:
         self._send_emergencies()
 
     def sync(self, data: bytes, now: float) -> None:
-        """Transmit the state at this instant, then let the values received before it act."""
-        if data:  # none of these drives has a counter in SYNC (1019h)
+        """Send the present state, then apply the values received before this SYNC."""
+        if data:  # none of these drives supports a SYNC counter (1019h)
             self.axis.errors.announce(ErrorCode.SYNC_LENGTH)
         elif self.nmt is Nmt.OPERATIONAL:
             self._period = 0.0 if self._synced is None else now - self._synced
@@ -128,7 +128,7 @@ class ForeignNode:
         self._send_emergencies()
 
     def run(self, now: float) -> None:
-        """What falls due by `now`, s: heartbeats, time-outs, TPDOs of events, emergency messages."""
+        """Process everything that is due at `now`, s: heartbeats, time-outs, event TPDOs, emergency messages."""
         if self._heartbeats.beat(now):
             self._send(Frame(0x700 + self.number, bytes([self.nmt])))
         if self._heartbeats.missed(now):
@@ -138,7 +138,7 @@ class ForeignNode:
         self._send_emergencies()
 
     def due(self, now: float) -> float:
-        """When `run` is wanted at the latest, s; infinity if nothing is pending."""
+        """Latest time at which `run` must be called, s; infinity if nothing is pending."""
         events = self._transmission.due(now) if self.nmt is Nmt.OPERATIONAL else float("inf")
         return min(self._heartbeats.due(now), events)
 
@@ -183,12 +183,12 @@ class ForeignNode:
             self._apply(pdo.unpack(data))
 
     def _apply(self, items: list[tuple[tuple[int, int], bytes]]) -> None:
-        """Write what came at one instant, the controlword last: it speaks of the values beside it."""
+        """Write the values received together, the controlword last, because it refers to the others."""
         for (index, subindex), value in sorted(items, key=lambda item: item[0] == _CONTROLWORD):
             try:
                 self.dictionary.download(index, subindex, value)
             except Abort:
-                continue  # a drive ignores what it cannot take
+                continue  # a drive ignores invalid values
 
     def _send_emergencies(self) -> None:
         cob_id = self.dictionary.get(0x1014, 0, 0x80 + self.number)

@@ -1,8 +1,8 @@
 """One process data object of a foreign drive: its configuration objects and its bytes (CiA 301, 7.2.2 and 7.5.2.36).
 
-The configuration procedure is enforced: COB-ID (but for bit 31), inhibit time, mapped objects and their number change
-only while the PDO is invalid, and mapped objects only while their number is 0. A drive whose file lets nobody write the
-COB-ID asks for that number alone. The sub-indices that the file has are those that the PDO has.
+The configuration procedure is enforced: COB-ID (except bit 31), inhibit time, mapped objects and their number change
+only while the PDO is invalid, and mapped objects only while their number is 0. If the file makes the COB-ID read-only,
+only the number must be 0. The PDO has the sub-indices of the file.
 """
 
 from simulator.drive.dictionary import Abort, AbortCode, Key
@@ -22,9 +22,9 @@ class Pdo:
         self._communication = communication
         self._mapping = mapping
         self._receive = receive
-        self.configurable = True  # in the present NMT state
+        self.configurable = True  # whether the present NMT state allows configuration
         self._mapped: tuple[Key, ...] | None = None
-        self._types = {*_CYCLIC, *_EVENT, dictionary[communication, 2]}  # 0 only where the file says so
+        self._types = {*_CYCLIC, *_EVENT, dictionary[communication, 2]}  # 0 only if the file has it
         self._switchable = dictionary.writable((communication, 1))
         dictionary.on_download((communication, 1), self._check_cob_id)
         dictionary.on_download((communication, 2), self._check_type)
@@ -41,12 +41,12 @@ class Pdo:
 
     @property
     def valid(self) -> bool:
-        """Whether the PDO exists at all."""
+        """Whether the PDO is in use."""
         return not self._dictionary[self._communication, 1] & _INVALID
 
     @property
     def transmission_type(self) -> int:
-        """0: with a SYNC after a change; 1 to 240: every n-th SYNC; 254, 255: at once."""
+        """0: with a SYNC after a change; 1 to 240: every n-th SYNC; 254, 255: immediately."""
         return self._dictionary[self._communication, 2]
 
     @property
@@ -55,12 +55,12 @@ class Pdo:
 
     @property
     def inhibit_time(self) -> float:
-        """Shortest time between two transmissions at once, s."""
+        """Shortest time between two event transmissions, s."""
         return self._dictionary.get(self._communication, 3) * 1e-4
 
     @property
     def event_time(self) -> float:
-        """Longest time between two transmissions at once, s; 0: without end."""
+        """Longest time between two event transmissions, s; 0: unlimited."""
         return self._dictionary.get(self._communication, 5) * 1e-3
 
     def reset(self) -> None:
@@ -82,15 +82,15 @@ class Pdo:
 
     @property
     def size(self) -> int:
-        """Bytes of what is mapped."""
+        """Bytes of the mapped objects."""
         return sum(self._dictionary.bits(key) for key in self.keys) // 8
 
     def pack(self) -> bytes:
-        """The mapped values of this instant."""
+        """The present values of the mapped objects."""
         return b"".join(self._dictionary.encode(key) for key in self.keys)
 
     def unpack(self, data: bytes) -> list[tuple[Key, bytes]]:
-        """The bytes of each mapped object, dummies left out; `data` has at least `size` bytes."""
+        """The bytes of each mapped object without dummies; `data` has at least `size` bytes."""
         result: list[tuple[Key, bytes]] = []
         start = 0
         for key in self.keys:
@@ -142,7 +142,7 @@ class Pdo:
 
 
 def process_data(dictionary: ForeignDictionary) -> tuple[list[Pdo], list[Pdo]]:
-    """(receive, transmit) PDOs that the dictionary describes."""
+    """(receive, transmit) PDOs defined by the dictionary."""
 
     def build(first: int, *, receive: bool) -> list[Pdo]:
         present = [index for index in range(first, first + 0x200) if (index, 1) in dictionary]

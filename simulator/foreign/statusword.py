@@ -1,4 +1,4 @@
-"""What a foreign drive tells of itself: the statusword with the bits of its mode, and actual values in its units."""
+"""Feedback of a foreign drive: the statusword with the bits of its mode, and actual values in its units."""
 
 from math import inf
 from typing import Protocol
@@ -14,8 +14,8 @@ _STANDSTILL = 0.5 / 60  # rev/s
 _PER_MILLE = 1000
 
 
-class Told(Protocol):
-    """An axis, as far as the statusword tells of it."""
+class MotionValues(Protocol):
+    """The properties of an axis used in the statusword."""
 
     position: float
     speed: float
@@ -30,7 +30,7 @@ class Told(Protocol):
     def following(self) -> bool: ...
 
 
-def statusword(axis: Told, *, acknowledged: bool) -> int:
+def statusword(axis: MotionValues, *, acknowledged: bool) -> int:
     """6041h: the state, voltage (4), remote (9), target reached (10), limit (11) and the mode's 12 and 13."""
     guide, enabled = axis.guide, axis.state is State.OPERATION_ENABLED
     reached = axis.state is State.QUICK_STOP_ACTIVE and not guide.moving
@@ -58,33 +58,33 @@ def statusword(axis: Told, *, acknowledged: bool) -> int:
     return int(axis.state) | sum(bit for bit, on in bits.items() if on)
 
 
-def _arrived(axis: Told) -> bool:
+def _arrived(axis: MotionValues) -> bool:
     target = axis.guide.target
     return abs(axis.speed) < _STANDSTILL and (target is None or abs(target - axis.position) < 1e-3)
 
 
-def _at_speed(axis: Told) -> bool:
+def _at_speed(axis: MotionValues) -> bool:
     return abs(axis.speed - axis.guide.command) < max(0.05 * abs(axis.guide.command), _STANDSTILL)
 
 
-def tell_actual_values(
+def set_actual_values(
     dictionary: ForeignDictionary, units: Units, guide: Guide, samples: Samples, glitch: float, span: float
 ) -> None:
-    """Position, speed, torque and current as means over the cycles just run; the encoder off by `glitch`, rev."""
+    """Position, speed, torque and current as means over the last cycles; the encoder is wrong by `glitch`, rev."""
     d, rated = dictionary, units.rated_torque
     position = float(samples.position.mean()) + glitch
     speed = float(samples.speed.mean()) + glitch / span
     permille = round(float(samples.torque.mean()) / rated * _PER_MILLE)
-    d.tell(0x6064, round(position * units.position))
-    d.tell(0x6063, round(position * d.maker.increments))
-    d.tell(0x6062, round(guide.reference * units.position))
+    d.set_actual(0x6064, round(position * units.position))
+    d.set_actual(0x6063, round(position * d.maker.increments))
+    d.set_actual(0x6062, round(guide.reference * units.position))
     for index in (0x6069, 0x606C):
-        d.tell(index, round(speed * units.velocity))
-    d.tell(0x606B, round(guide.command * units.velocity))
+        d.set_actual(index, round(speed * units.velocity))
+    d.set_actual(0x606B, round(guide.command * units.velocity))
     for index in (0x6074, 0x6077):
-        d.tell(index, permille)
+        d.set_actual(index, permille)
     current = float(samples.torque.mean()) / units.plate.torque_constant
     rated_current = d.get(0x6075) * 1e-3 or inf
-    d.tell(0x6078, round(current / rated_current * _PER_MILLE))
+    d.set_actual(0x6078, round(current / rated_current * _PER_MILLE))
     if (0x60F4, 0) in d and guide.tracking:
-        d.tell(0x60F4, round((guide.reference - position) * units.position))
+        d.set_actual(0x60F4, round((guide.reference - position) * units.position))

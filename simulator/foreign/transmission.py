@@ -1,4 +1,6 @@
-"""When a node sends its TPDOs: with SYNC, or at once on a change (CiA 301, 7.2.2.2); disturbed as ordered."""
+"""Transmission of a node's TPDOs: with SYNC, or immediately on a change (CiA 301, 7.2.2.2); with ordered
+disturbances.
+"""
 
 from collections.abc import Callable, Sequence
 from math import inf
@@ -18,13 +20,13 @@ class Transmission:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing was sent yet: as when the node becomes operational."""
+        """Nothing was sent yet, as when the node becomes operational."""
         self._syncs = 0
         self._sent: dict[int, tuple[bytes, float]] = {}
-        self._late: list[tuple[int, Frame]] = []  # to be sent with a SYNC to come
+        self._late: list[tuple[int, Frame]] = []  # to be sent with a later SYNC
 
     def sync(self) -> None:
-        """Those of this SYNC, after what was ordered to come late; each may be lost, doubled or late in its turn."""
+        """Send the TPDOs of this SYNC after delayed ones. Each can be ordered to be lost, duplicated or late."""
         self._syncs += 1
         order = self._order
         frames = [Frame(pdo.cob_id, pdo.pack()) for k, pdo in enumerate(self.pdos) if self._of_this_sync(k, pdo)]
@@ -44,7 +46,7 @@ class Transmission:
                 self._send(frame)
 
     def run(self, now: float) -> None:
-        """Those of events: a value changed, or the event timer ran out; never within the inhibit time."""
+        """Send event TPDOs: a value changed, or the event timer expired; never within the inhibit time."""
         for k, pdo in enumerate(self.pdos):
             if pdo.synchronous or not pdo.valid or not pdo.keys:
                 continue
@@ -55,7 +57,7 @@ class Transmission:
                 self._send(Frame(pdo.cob_id, data))
 
     def due(self, now: float) -> float:
-        """When `run` is wanted at the latest, s; infinity if nothing is pending."""
+        """Latest time at which `run` must be called, s; infinity if nothing is pending."""
         times: list[float] = []
         for k, pdo in enumerate(self.pdos):
             if pdo.synchronous or not pdo.valid or not pdo.keys:

@@ -1,4 +1,4 @@
-"""A foreign drive's units and limits against rev, rev/s and N m of the motor, as its dictionary has them just now."""
+"""Units and limits of a foreign drive in rev, rev/s and N m of the motor, from the present dictionary."""
 
 from dataclasses import dataclass
 from math import inf
@@ -9,13 +9,13 @@ from simulator.foreign.makers import Scaling
 
 _REVOLUTIONS, _INCREMENTS = 0xB4, 0xB5  # numerators of 60A9h (CiA 303-2)
 _SECONDS = {0x03: 1.0, 0x47: 60.0}
-_DEGREES = 360_000.0  # 10^-3 degrees in a turn
+_DEGREES = 360_000.0  # 10^-3 degrees per revolution
 _PER_MILLE = 1000
 
 
 @dataclass(frozen=True, slots=True)
 class Plate:
-    """Motor and gear behind a drive; motor side: N m, N m/A, rev/s, rev. The window is that of the joint."""
+    """Motor and gear of a drive; motor side: N m, N m/A, rev/s, rev. The window is that of the joint."""
 
     gear_ratio: float  # motor revolutions per joint revolution
     rated_torque: float
@@ -37,7 +37,7 @@ class Units:
 
     @property
     def position(self) -> float:
-        """Units in a motor revolution."""
+        """Units per motor revolution."""
         match self._maker.scaling:
             case Scaling.RESOLUTION:
                 return self._ratio(0x608F) / self._ratio(0x6091)
@@ -52,7 +52,7 @@ class Units:
 
     @property
     def velocity(self) -> float:
-        """Units in 1 rev/s of the motor."""
+        """Units per 1 rev/s of the motor."""
         d = self._dictionary
         if (0x60A9, 0) in d:
             return self._of_code(d[0x60A9, 0])
@@ -62,17 +62,17 @@ class Units:
 
     @property
     def acceleration(self) -> float:
-        """Units in 1 rev/s^2 of the motor."""
+        """Units per 1 rev/s^2 of the motor."""
         return 60.0 if self._maker.acceleration_in_rpm else abs(self.velocity)
 
     @property
     def motor_speed(self) -> float:
-        """Units of 6080h in 1 rev/s."""
+        """Units of 6080h per 1 rev/s."""
         return 60.0 if self._maker.motor_speed_in_rpm else abs(self.velocity)
 
     @property
     def rated_torque(self) -> float:
-        """What 1000 in 6077h means, N m: 6076h, or the rated current 6075h where there is none, or the motor's."""
+        """Torque of 1000 in 6077h, N m: 6076h, or the rated current 6075h if it is missing, or that of the motor."""
         d = self._dictionary
         if (0x6076, 0) in d:
             return d[0x6076, 0] * self._maker.torque_unit or self.plate.rated_torque
@@ -84,7 +84,7 @@ class Units:
 
     @property
     def torque_limit(self) -> float:
-        """Least of motor, 6072h and 6073h, N m."""
+        """Minimum of motor, 6072h and 6073h, N m."""
         d, limit = self._dictionary, self.plate.most_torque
         if (0x6072, 0) in d:
             limit = min(limit, d[0x6072, 0] / _PER_MILLE * self.rated_torque)
@@ -95,17 +95,17 @@ class Units:
 
     @property
     def speed_limit(self) -> float:
-        """Of every mode: least of motor and 6080h, rev/s."""
+        """For all modes: minimum of motor and 6080h, rev/s."""
         return min(self.plate.most_speed, self._dictionary.get(0x6080, 0, inf) / self.motor_speed)
 
     @property
     def profile_limit(self) -> float:
-        """Of the profile modes: 607Fh as well, rev/s."""
+        """For the profile modes: also 607Fh, rev/s."""
         return min(self.speed_limit, self._dictionary.get(0x607F, 0, inf) / abs(self.velocity))
 
     @property
     def window(self) -> tuple[float, float]:
-        """607Dh, rev; without end where there is none, or where it is empty (so it is switched off)."""
+        """607Dh, rev; unlimited if it is missing or empty (which disables it)."""
         d = self._dictionary
         low, high = d.get(0x607D, 1), d.get(0x607D, 2)
         if low >= high:
@@ -115,20 +115,20 @@ class Units:
 
     @property
     def following_window(self) -> float:
-        """6065h, rev; 0 and FFFFFFFFh switch it off, and so does its absence."""
-        told = self._dictionary.get(0x6065)
-        return inf if told in (0, 0xFFFFFFFF) else told / abs(self.position)
+        """6065h, rev; disabled by 0, by FFFFFFFFh, or if it is missing."""
+        limit = self._dictionary.get(0x6065)
+        return inf if limit in (0, 0xFFFFFFFF) else limit / abs(self.position)
 
     def ramp(self, index: int) -> float:
-        """6083h, 6084h or 6085h, rev/s^2; where it is missing, the first of them that is there."""
+        """6083h, 6084h or 6085h, rev/s^2; if it is missing, the first of them that exists."""
         d = self._dictionary
         for candidate in (index, 0x6084, 0x6083):
             if (candidate, 0) in d:
                 return max(d[candidate, 0], 1) / self.acceleration
-        return self.plate.most_speed / 0.2  # nothing tells: from full speed in a fifth of a second
+        return self.plate.most_speed / 0.2  # no source: from full speed in 0.2 s
 
     def _ratio(self, index: int) -> float:
-        """Sub 1 over sub 2 of a factor; 1 where the drive has none. A zero in it counts as 1."""
+        """Sub-index 1 over sub-index 2 of a factor; 1 if the drive has none. A zero in it counts as 1."""
         d = self._dictionary
         return (d.get(index, 1, 1) or 1) / (d.get(index, 2, 1) or 1)
 
@@ -138,14 +138,14 @@ class Units:
         return numerator * _SECONDS[code >> 8 & 0xFF] * 10.0**-prefix
 
     def _check_velocity_unit(self, code: int) -> None:
-        """Powers of ten of the unit that the drive has anyway: the numerator and the time are fixed."""
+        """Only the power of ten of the drive's own unit may change; numerator and time are fixed."""
         prefix = (code >> 24) - (256 if code >> 31 else 0)
         if (code ^ self._dictionary[0x60A9, 0]) & 0xFFFFFF or not -6 <= prefix <= 0:
             raise Abort(AbortCode.VALUE)
 
 
 def nameplate(units: Units, dictionary: ForeignDictionary) -> dict[tuple[int, int], int]:
-    """What a commissioner wrote into the drive for this motor, as far as it has objects for it."""
+    """Values commissioned in the drive for this motor, if it has objects for them."""
     plate, maker = units.plate, dictionary.maker
     position, velocity, acceleration = units.position, abs(units.velocity), units.acceleration
     ends = sorted((round(plate.window[0] * position), round(plate.window[1] * position)))

@@ -1,1 +1,1 @@
-"""The virtual machine behind Modbus TCP and RTU: a unit id an axis, registers as `config/registers/*.yaml` map them."""
+"""The virtual machine on Modbus TCP and RTU: one unit id per axis, registers as mapped in `config/registers/*.yaml`."""

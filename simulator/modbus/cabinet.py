@@ -1,4 +1,4 @@
-"""The drive cabinet on a Modbus line: requests and times in, responses out; nothing else."""
+"""The drive cabinet on a Modbus line: requests and times are its only inputs, responses its only outputs."""
 
 from pathlib import Path
 
@@ -33,7 +33,7 @@ class ModbusCabinet(Cabinet[Unit]):
         super().__init__(machine, units, speed_factor)
 
     def answer(self, request: ModbusPDU, now: float) -> ModbusPDU | None:
-        """The response to a request at `now`, s of a monotonic clock; None where no unit speaks."""
+        """The response to a request at `now`, s of a monotonic clock; None if no unit answers."""
         unit = next((unit for unit in self.nodes.values() if unit.number == request.dev_id), None)
         if unit is None:
             return None

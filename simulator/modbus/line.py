@@ -1,4 +1,4 @@
-"""The cabinet on its Modbus line: TCP, a serial device, or a pseudo-terminal made here."""
+"""The cabinet on its Modbus line: TCP, a serial device, or a pseudo-terminal created here."""
 
 import selectors
 import time
@@ -9,16 +9,15 @@ from pymodbus.pdu import ModbusPDU
 
 from simulator.machine import Machine
 from simulator.modbus.cabinet import ModbusCabinet
-from simulator.modbus.pty_pair import PtyPair
+from simulator.modbus.pty_pair import PTY, PtyPair
 from simulator.modbus.register_map import RegisterMap
 from simulator.modbus.server import ModbusServer, SerialLine, TcpLine
 
-PTY = "pty"
-"""Device of a serial line that is made here."""
+"""Device of a serial line that is created here."""
 
 
 class ModbusLine:
-    """Raises OSError if the line cannot be opened. `device` tells where the host finds a serial line."""
+    """Raises OSError if the line cannot be opened. `device`: the path of the serial line for the host."""
 
     bus = None
 
@@ -44,12 +43,12 @@ class ModbusLine:
         self.port = self._server.port
 
     def due(self, now: float) -> float:
-        """Nothing is ever kept back."""
+        """Infinity: nothing is buffered."""
         del now
         return inf
 
     def run(self, now: float) -> None:
-        """Nothing is ever kept back."""
+        """Nothing to do: nothing is buffered."""
 
     def close(self) -> None:
         """Release the line."""

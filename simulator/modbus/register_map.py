@@ -1,6 +1,6 @@
-"""Register maps, `config/registers/*.yaml`: where each signal of a drive lies, how wide it is and what scale it has.
+"""Register maps, `config/registers/*.yaml`: address, width and scale of each signal of a drive.
 
-The wire gives ``physical = raw * scale`` in the signal's unit; values of two registers come in the map's word order.
+On the wire ``physical = raw * scale`` in the signal's unit; values of two registers have the word order of the map.
 """
 
 import math
@@ -36,7 +36,7 @@ class _Data(BaseModel):
 
 
 class Wire(_Data):
-    """How one number lies in registers."""
+    """Format of one number in registers."""
 
     type: WireType
     scale: float = Field(default=1.0, gt=0)
@@ -47,7 +47,9 @@ class Wire(_Data):
         return struct.calcsize(FORMATS[self.type]) // 2
 
     def encode(self, value: float, order: WordOrder) -> list[int]:
-        """Registers of a physical value; an integer type takes the nearest it can hold, NaN is its lowest."""
+        """Registers of a physical value. An integer type uses the nearest value it can hold; its lowest value means
+        NaN.
+        """
         raw = value / self.scale
         if self.type in _RANGES:
             low, high = _RANGES[self.type]
@@ -63,7 +65,7 @@ class Wire(_Data):
 
 
 class MappedSignal(Wire):
-    """One signal; `count` elements follow one another. `value`: what a constant always reads."""
+    """One signal with `count` consecutive elements. `value`: the value of a constant."""
 
     address: int = Field(ge=0, le=0xFFFF)
     access: Literal["ro", "rw"]
@@ -83,7 +85,7 @@ class SampleField(Wire):
 
 
 class Page(_Data):
-    """The registers through which the trace is read."""
+    """The registers from which the trace is read."""
 
     address: int = Field(ge=0, le=0xFFFF)
     registers: int = Field(ge=1, le=0x10000)
@@ -106,7 +108,7 @@ class TraceMap(_Data):
 
 
 class RegisterMap(_Data):
-    """A checked map: every signal once, nothing overlaps, units are the signals'."""
+    """A checked map: every signal once, no overlap, units of the signals."""
 
     word_order: WordOrder
     max_read: int = Field(ge=2, le=125)
@@ -161,4 +163,4 @@ def _check(name: str, signal: MappedSignal) -> None:
     if signal.count != elements:
         raise ValueError(f"signals.{name}: count {signal.count} must be {elements}")
     if (signal.value is not None) != (name == CONSTANT):
-        raise ValueError(f"signals.{name}: {CONSTANT} has a value, and nothing else has")
+        raise ValueError(f"signals.{name}: value is needed for {CONSTANT} and not allowed elsewhere")

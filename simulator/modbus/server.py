@@ -1,8 +1,7 @@
-"""A Modbus server on TCP or a serial line: pymodbus speaks the wire in a thread of its own, the owner's answers.
+"""A Modbus server on TCP or a serial line: pymodbus handles the protocol in its own thread, the owner answers.
 
-pymodbus hands every request that it took from the line to its `trace_pdu` hook; from there it goes to `answer` in the
-owner's thread, which knows all units. Its own data store, which would answer some functions with dummies, is never
-asked.
+pymodbus passes every request to its `trace_pdu` hook; from there it goes to `answer` in the owner's thread, which
+handles all units. pymodbus' own data store, which would answer some functions with dummy data, is not used.
 """
 
 import asyncio
@@ -22,7 +21,7 @@ from pymodbus.server import ModbusBaseServer, ModbusSerialServer, ModbusTcpServe
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 Answer = Callable[[ModbusPDU], ModbusPDU | None]
-"""A response, or None for silence."""
+"""A response, or None for no answer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +59,7 @@ class ModbusServer:
             raise
 
     def close(self) -> None:
-        """Drop every client and the line."""
+        """Disconnect every client and close the line."""
         self._end()
         self._release()
 
@@ -78,7 +77,7 @@ class ModbusServer:
         server = self._server(line)
         try:
             await server.serve_forever(background=True)
-        except (RuntimeError, ValueError):  # RuntimeError is pymodbus' for whatever kept it from listening
+        except (RuntimeError, ValueError):  # pymodbus raises RuntimeError for any failure to listen
             opened.set_exception(OSError(f"{line}: cannot be opened"))
             return
         sockets = cast(Any, server.transport).sockets if isinstance(line, TcpLine) else ()
@@ -121,7 +120,7 @@ class ModbusServer:
 
 
 class _Asked(ModbusPDU):
-    """A request as pymodbus sees it: updating its data store is asking the owner."""
+    """A request as pymodbus handles it: the update of its data store asks the owner."""
 
     def __init__(self, request: ModbusPDU, ask: Callable[[ModbusPDU], Future[ModbusPDU | None]]) -> None:
         super().__init__(dev_id=request.dev_id, transaction_id=request.transaction_id)
@@ -130,7 +129,7 @@ class _Asked(ModbusPDU):
         self._ask = ask
 
     async def datastore_update(self, context: ModbusServerContext, device_id: int) -> ModbusPDU:
-        """The response; NoSuchIdException, which pymodbus answers with silence."""
+        """The response. Raises NoSuchIdException, after which pymodbus does not answer."""
         del context
         response = await asyncio.wrap_future(self._ask(self._request))
         if response is None:

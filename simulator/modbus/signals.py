@@ -1,4 +1,4 @@
-"""What the signals of a register map are in the drive: object of the dictionary and unit."""
+"""Signals of a register map in the drive: object of the dictionary and unit."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ from simulator.drive.dictionary import Dictionary, Key
 from simulator.drive.units import INCREMENTS, speed_unit
 
 ELEMENTS = 16
-"""Of the signals in `ARRAYS`."""
+"""Number of elements of the signals in `ARRAYS`."""
 
 CONSTANT = "constant"
 WATCHDOG = "watchdog"
@@ -19,12 +19,12 @@ PAGE_RECORD = (
     ("position", "<f8", "rev"),
     ("load_position", "<f8", "rev"),
 )
-"""A trace sample as 2110h:03 gives it: (signal, NumPy type, unit)."""
+"""Fields of a trace sample in 2110h:03: (signal, NumPy type, unit)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """`key` is that of the first element; None for what the unit has beside the dictionary."""
+    """`key` is that of the first element; None for a signal that is not in the dictionary."""
 
     key: Key | None
     unit: str | None = None
@@ -86,7 +86,7 @@ _INCREMENTS = (0x6064, 0x607A, 0x607D)
 
 
 def factor(dictionary: Dictionary, key: Key) -> float:
-    """The object's unit in that of its signal: physical = value in the dictionary * factor."""
+    """Unit of the object relative to that of its signal: physical = value in the dictionary * factor."""
     index = key[0]
     if index in _BY_SPEED_UNIT:
         return 60 / speed_unit(dictionary)

@@ -1,4 +1,4 @@
-"""Trace samples of the drive (2110h:03) as they lie in the registers of the page."""
+"""Trace samples of the drive (2110h:03) in the registers of the page."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ _RECORD = np.dtype([(name, layout) for name, layout, _ in PAGE_RECORD])
 
 
 def page_registers(page: bytes, trace: TraceMap, order: WordOrder, first: int, count: int) -> list[int]:
-    """Registers `first` to `first + count - 1` of the page; 0 where there is no sample."""
+    """Registers `first` to `first + count - 1` of the page; 0 if there is no sample."""
     width = trace.sample_registers
     sample, skipped = divmod(first, width)
     last = min(-(-(first + count) // width), trace.capacity)
@@ -23,7 +23,7 @@ def page_registers(page: bytes, trace: TraceMap, order: WordOrder, first: int, c
 
 
 def _words(values: NDArray[np.float64], field: SampleField, order: WordOrder) -> Words:
-    """(n, registers) of one field; an integer type takes the nearest it can hold, its lowest value stands for NaN."""
+    """(n, registers) of one field. An integer type uses the nearest value it can hold; its lowest value means NaN."""
     raw = values.astype(np.float64) / field.scale
     if field.type == "f32":
         numbers = raw.astype(">f4")

@@ -1,4 +1,4 @@
-"""One axis at a Modbus unit id: registers in and out of its dictionary, its identification, its watchdog."""
+"""One axis at a Modbus unit id: register access to its dictionary, its identification, its watchdog."""
 
 import math
 import struct
@@ -22,7 +22,7 @@ _EXCEPTIONS = {
     AbortCode.WRITE_ONLY: ExcCodes.ILLEGAL_ADDRESS,
     AbortCode.STATE: ExcCodes.DEVICE_FAILURE,
     AbortCode.NO_DATA: ExcCodes.DEVICE_FAILURE,
-}  # every other abort is about the value
+}  # every other abort concerns the value
 _SERIAL = (0x1018, 4)
 _MODE = (0x6060, 0)
 _PAGE_COUNT = (0x2110, 2)
@@ -46,7 +46,7 @@ class _Element(NamedTuple):
 
 
 class Unit:
-    """The axis' node: everything happens in the thread of whoever owns it."""
+    """The node of an axis. All calls are made in the owner's thread."""
 
     def __init__(self, number: int, eds: Path, registers: RegisterMap, cycle: float, *, can_move: bool) -> None:
         self.number = number
@@ -66,7 +66,7 @@ class Unit:
         self._heard: float | None = None
 
     def renumber(self, number: int) -> None:
-        """Another unit id, by another setting of its switches: it boots with it. The device stays what it is."""
+        """Change the unit id, as by its address switches: the unit boots with it. The device itself stays the same."""
         self.number = number
         self.boot()
 
@@ -77,18 +77,18 @@ class Unit:
         self._watchdog, self._heard = 0.0, None
 
     def hear(self, now: float) -> None:
-        """A request for this unit came at `now`, s."""
+        """A request for this unit arrived at `now`, s."""
         self._heard = now
 
     def run(self, now: float) -> None:
-        """The watchdog at `now`, s."""
+        """Check the watchdog at `now`, s."""
         if now > self.due(now):
             self._heard = None
             lose_host(self.axis, self.dictionary)
-        self.axis.errors.take_messages()  # Modbus has no messages of its own accord; error_code tells
+        self.axis.errors.take_messages()  # Modbus has no unsolicited messages; the error is read as error_code
 
     def due(self, now: float) -> float:
-        """When the watchdog expires, s; infinity if it does not watch."""
+        """Time at which the watchdog expires, s; infinity if it is off."""
         del now
         watching = self._watchdog > 0 and self.axis.energised and self._heard is not None
         return self._heard + self._watchdog * 1e-3 if watching and self._heard is not None else math.inf
@@ -96,7 +96,7 @@ class Unit:
     # Registers
 
     def read(self, address: int, count: int) -> list[int]:
-        """Whole values, or any part of the page. Raises Refusal."""
+        """Read whole values, or any part of the page. Raises Refusal."""
         if not 1 <= count <= self._map.max_read:
             raise Refusal(ExcCodes.ILLEGAL_VALUE)
         order, trace = self._map.word_order, self._map.trace
@@ -109,7 +109,7 @@ class Unit:
         return registers
 
     def write(self, address: int, registers: Sequence[int]) -> None:
-        """Whole values, by rising address; what stands before a refused one is written. Raises Refusal."""
+        """Write whole values in order of the address; values before a refused one are written. Raises Refusal."""
         elements = self._elements(address, len(registers))
         if any(element.wire.access == "ro" for element in elements):
             raise Refusal(ExcCodes.ILLEGAL_ADDRESS)
@@ -125,7 +125,7 @@ class Unit:
         return {number: f"{self.dictionary[0x1018, sub]:08X}" for number, sub in subs.items()}
 
     def _elements(self, address: int, count: int) -> list[_Element]:
-        """The values that these registers are, cut at neither end and with nothing unknown between."""
+        """The values in these registers. Values must not be cut at either end, and unknown registers are refused."""
         elements: list[_Element] = []
         end = address + count
         while address < end:
@@ -137,7 +137,7 @@ class Unit:
         return elements
 
     def _get(self, element: _Element) -> float:
-        """The value in its signal's unit."""
+        """The value in the unit of its signal."""
         key = _key(element)
         if key is None:
             return self._watchdog if element.signal == WATCHDOG else float(element.wire.value or 0)
@@ -149,7 +149,7 @@ class Unit:
         return value * factor(self.dictionary, key)
 
     def _set(self, element: _Element, value: float) -> None:
-        """Download a value in its signal's unit."""
+        """Write a value in the unit of its signal to the dictionary."""
         key = _key(element)
         try:
             if key is None:
@@ -159,7 +159,7 @@ class Unit:
                 raise Abort(AbortCode.NO_OBJECT)
             kind = self.dictionary.struct_format(key)
             raw = value if kind in "fd" else round(value / factor(self.dictionary, key))
-            if key == _MODE and raw == Mode.CYCLIC_VELOCITY:  # which no host can stream through Modbus
+            if key == _MODE and raw == Mode.CYCLIC_VELOCITY:  # cannot be streamed through Modbus
                 raise Abort(AbortCode.VALUE)
             self.dictionary.download(*key, struct.pack("<" + kind, raw))
         except Abort as abort:

@@ -50,7 +50,7 @@ def test_all_arrows_hold(root: Path) -> None:
             "service.data_check.check -> service.diagnosis",
         ),
         ("service/urdf.py", "import pathlib", "mathematics", "service.urdf -> pathlib"),
-        ("service/campaigns/session.py", "import scipy", "motion", "service.campaigns.session -> scipy"),
+        ("service/campaigns/state_machine.py", "import scipy", "motion", "service.campaigns.state_machine -> scipy"),
         ("drivers/registry.py", "import drivers.contract", "contract", "drivers.registry -> drivers.contract"),
         ("service/hmi/__init__.py", "import service.store", "page", "service.hmi -> service.store"),
     ],

@@ -115,3 +115,20 @@ def test_every_example_robot_is_one(path: Path) -> None:
 @pytest.mark.parametrize("path", sorted((ROOT / "config/traces").glob("*.yaml")), ids=lambda path: path.stem)
 def test_every_example_mapping_is_one(path: Path) -> None:
     assert read_yaml(path, Mapping).sweeps
+
+
+PICTURE = re.compile(r"!\[([^\]]+)\]\(([^)\s]+\.png)\)")  # its text in words, and its file
+LARGEST_PICTURE = 150_000  # bytes
+
+
+def test_every_picture_is_shown_with_words_and_small() -> None:
+    """A picture that no page shows is out of date unnoticed; one without words is nothing to who cannot see it."""
+    shown = {
+        (path.parent / place).resolve(): words
+        for path in DOCUMENTS
+        for words, place in PICTURE.findall(path.read_text("utf-8"))
+    }
+    pictures = {path: path.stat().st_size for path in (ROOT / "docs" / "images").iterdir()}
+    assert set(pictures) == set(shown)
+    assert {path.name: size for path, size in pictures.items() if size > LARGEST_PICTURE} == {}
+    assert [path.name for path, words in shown.items() if len(words.split()) < 4] == []

@@ -1,4 +1,4 @@
-"""The processes of `make test` do not tear a group of tests apart: what the scheduler really does."""
+"""How `make test` shares its files out to processes: what the scheduler really does."""
 
 import os
 import re
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import BESIDE, group_of
+from tests.conftest import KEEP_TIME_TOO, LONGEST, SHARED_OUT, keeps_time, unit_of
 
 TWO_FILES = ("tests/unit/drivers/test_stop_sequence.py", "tests/unit/drivers/test_states.py")
 
@@ -25,20 +25,44 @@ def test_each_file_runs_in_one_process(root: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("nodeid", "group"),
+    ("nodeid", "it_does"),
     [
-        ("tests/contract/test_faults.py::test_a[canopen-a/b]", "drives"),
-        ("tests/system/test_rest_death.py::test_a", "machines"),
-        ("tests/system/test_demo.py::test_a", "drives"),
-        ("tests/unit/drivers/test_stop_sequence.py::test_a[system]", "tests/unit/drivers/test_stop_sequence.py"),
+        ("tests/contract/test_faults.py::test_a[canopen-a/b]", True),
+        ("tests/system/test_rest_death.py", True),
+        ("tests/unit/drivers/test_host_sweep.py::test_a", True),
+        ("tests/unit/drivers/test_stop_sequence.py::test_a[system]", False),
     ],
 )
-def test_what_moves_machines_is_one_group(nodeid: str, group: str) -> None:
-    assert group_of(nodeid) == group
+def test_what_keeps_to_time_is_known(nodeid: str, it_does: bool) -> None:
+    assert keeps_time(nodeid) is it_does
+
+
+@pytest.mark.parametrize(
+    ("nodeid", "unit"),
+    [
+        ("tests/unit/drivers/test_states.py::test_a[b]", "tests/unit/drivers/test_states.py"),
+        (
+            "tests/contract/test_faults.py::TestFaults::test_a[modbus-tcp-drive_side]",
+            "tests/contract/test_faults.py::[modbus-tcp]",
+        ),
+        (
+            "tests/system/test_fault_table.py::test_a[CANopen, drive's own sweep-silent node]",
+            "tests/system/test_fault_table.py::[CANopen, drive's own sweep]",
+        ),
+        ("tests/system/test_stop.py::test_a[canopen-b]", "tests/system/test_stop.py::test_a[canopen-b]"),
+    ],
+)
+def test_long_files_are_shared_out_by_machine_or_by_test(nodeid: str, unit: str) -> None:
+    assert unit_of(nodeid) == unit
+
+
+def test_tests_that_share_a_machine_are_not_shared_out_one_by_one(root: Path) -> None:
+    alone = [file for file, words in SHARED_OUT.items() if words == 0]
+    assert [file for file in alone if 'scope="module"' in (root / file).read_text("utf-8")] == []
 
 
 def test_the_files_that_are_named_are_there(root: Path) -> None:
-    assert [file for file in sorted(BESIDE) if not (root / file).is_file()] == []
+    assert [file for file in sorted({*KEEP_TIME_TOO, *LONGEST, *SHARED_OUT}) if not (root / file).is_file()] == []
 
 
 def test_what_keeps_to_time_starts_first(root: Path) -> None:

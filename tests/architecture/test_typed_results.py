@@ -1,4 +1,4 @@
-"""Results have types: `Any` and raw JSON objects stay at the edges, and a folder that is clean stays clean."""
+"""Results have types: `Any` and raw JSON objects stay at the edges."""
 
 import ast
 from collections import Counter
@@ -11,6 +11,10 @@ EDGES = {
     "client.py": "the wire, from the other side",
     "data_check": "makes its document; held by the digest of the second plant's score",
     "diagnosis": "makes its documents; held by the same digest",
+    "export/recordings": "files, by libraries without types",
+    "logs": "fields of lines of the log, which may hold anything",
+    "people/provider": "the wire to an identity provider: keys and claims as it sends them",
+    "publishing/opcua": "nodes, by a library whose types do not hold",
     "results": "reads JSON into models",
     "stop_process": "a pipe",
     "store": "rows and files",
@@ -18,12 +22,6 @@ EDGES = {
     "worker": "a pipe",
 }
 """Rooms (or files) of the service where JSON has no type yet or no more, and why."""
-
-LEFT = {
-    "report": 5,
-    "report/paper": 9,
-}
-"""What is left elsewhere, folder by folder. It may only become less: say so here when it does."""
 
 
 def raw(tree: ast.AST) -> int:
@@ -43,17 +41,17 @@ def raw(tree: ast.AST) -> int:
 
 
 def counted(service: Path) -> dict[str, int]:
-    """By folder, without the edges; clean folders are left out."""
+    """By folder, without the edges; folders without any are left out."""
     count: Counter[str] = Counter()
     for path in service.rglob("*.py"):
         place = path.relative_to(service)
-        if place.parts[0] not in EDGES:
+        if not any(place.is_relative_to(edge) for edge in EDGES):
             count[place.parent.as_posix()] += raw(ast.parse(path.read_text("utf-8")))
     return {folder: number for folder, number in sorted(count.items()) if number}
 
 
-def test_what_is_clean_stays_clean(root: Path) -> None:
-    assert counted(root / "service") == LEFT
+def test_results_have_types(root: Path) -> None:
+    assert counted(root / "service") == {}
 
 
 def test_every_edge_is_there(root: Path) -> None:

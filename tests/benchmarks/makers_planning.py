@@ -49,7 +49,7 @@ def figures(maker: Maker, poses: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--poses", type=int, default=300)
     wanted = parser.parse_args()
     found: dict[str, Any] = {"poses": wanted.poses, "load before": os.getloadavg()[0]}

@@ -18,7 +18,7 @@ from rich.table import Table
 from service.geometry.cell import read_cell
 from service.geometry.collision import CollisionChecker
 from service.identification import Estimate, identify
-from service.identification.design.pose_selection import select_poses
+from service.identification.design.pose_selection import Criterion, select_poses
 from service.identification.estimates.axis_document import rmse_percent
 from service.identification.model.base_parameters import base_parameters, joint_ranges
 from service.identification.model.regressor import lock
@@ -52,7 +52,7 @@ def chosen(robot: Robot, grid: np.ndarray, count: int) -> np.ndarray:
     chain = lock(robot.chain, {3: 0.0, 4: 0.0, 5: 0.0})
     base = base_parameters(chain, (0, 1, 2))
     rows = np.stack([base.rows(chain, axis, grid[:, :3]) for axis in range(3)], axis=1)
-    return grid[list(select_poses(rows, count).picks)]
+    return grid[list(select_poses(rows, count, Criterion.CONDITION).picks)]
 
 
 def figures(estimate: Estimate, campaign: SimulatedCampaign, grid: np.ndarray) -> dict[str, Any]:

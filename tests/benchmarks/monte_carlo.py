@@ -115,7 +115,7 @@ def _derivatives(
     time_ = sweep.recording.time[:count]
     way, velocity = sweep.recording.position[part] - sweep.spec.pose[number], sweep.recording.velocity[part]
     acceleration = np.gradient(sweep.recording.velocity, sweep.recording.time)[part]
-    system = _load(load_inertia, *shared[2:], 0.0)
+    system = _load(load_inertia, float(shared[2]), float(shared[3]), float(shared[4]), 0.0)
     moved = [(np.stack([way, velocity, np.zeros(count)], axis=1), np.zeros(2))]
     moved += [(np.zeros((count, 3)), state) for state in np.eye(2)]
     moved += [(np.outer(torque, [0.0, 0.0, 1.0]), np.zeros(2)) for torque in (np.ones(count), way)]
@@ -182,6 +182,11 @@ def _acceleration(sweep: Sweep, spectrum: Spectrum) -> np.ndarray:
 def simulate(joint: str, poses: np.ndarray, runs: int, seed: int) -> dict[str, Any]:
     """Figures of one axis: `runs` estimates of its inertia in `poses` (n, 6)."""
     campaign = measure_at(still(scenario_named("max100-full")), seed, poses, direct_encoder=True, axes=(joint,))
+    return scattered(campaign, joint, poses, runs, seed)
+
+
+def scattered(campaign: SimulatedCampaign, joint: str, poses: np.ndarray, runs: int, seed: int) -> dict[str, Any]:
+    """The same of one axis' sweeps recorded without noise, with the load's motion, in `poses` (n, 6)."""
     robot, rng = campaign.robot, np.random.default_rng(seed)
     number = robot.index(joint)
     chain, unlocked = moving_chain(robot, [0, 1, 2], poses)
@@ -205,7 +210,7 @@ def simulate(joint: str, poses: np.ndarray, runs: int, seed: int) -> dict[str, A
         error[run] = axis.values - truth - heavier
         std[run] = np.sqrt(np.diag(axis.covariance))
         freedom[run] = axis.fit.freedom if axis.fit is not None else np.nan
-    inside = np.abs(error) <= student.isf(0.025, freedom)[:, None] * std
+    inside = np.abs(error) <= np.asarray(student.isf(0.025, freedom))[:, None] * std
     spread = np.sqrt(np.mean(error**2, axis=0))
     return {
         "runs": runs,

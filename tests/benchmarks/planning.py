@@ -91,8 +91,8 @@ def three_axes(robot: Robot, cell: Cell, poses: int) -> dict[str, Any]:
     return figures
 
 
-def six_axes(robot: Robot, cell: Cell, poses: int, count: int, subsample: int) -> dict[str, Any]:
-    base = base_parameters(robot.chain, tuple(range(6)))
+def free_of_six(robot: Robot, cell: Cell, count: int) -> np.ndarray:
+    """Random poses (count, 6) on the 5 deg grid that touch nothing."""
     lower, upper = joint_ranges(robot.chain)
     rng, free = np.random.default_rng(0), np.zeros((0, 6))
     checker = Envelope(robot, cell).checker
@@ -100,7 +100,11 @@ def six_axes(robot: Robot, cell: Cell, poses: int, count: int, subsample: int) -
         drawn = np.round(rng.uniform(lower, upper, (count, 6)) / STEP) * STEP
         drawn[:, 0] = 0.0  # no inertia depends on it
         free = np.unique(np.vstack([free, drawn[checker.collision_free(drawn)]]), axis=0)
-    free = rng.permutation(free)[:count]
+    return rng.permutation(free)[:count]
+
+
+def six_axes(robot: Robot, cell: Cell, poses: int, count: int, subsample: int) -> dict[str, Any]:
+    base, free = base_parameters(robot.chain, tuple(range(6))), free_of_six(robot, cell, count)
     rows = np.stack([base.rows(robot.chain, axis, free) for axis in range(6)], axis=1)
     chosen, choosing = timed(lambda: select_poses(rows, poses, Criterion.CONDITION))
     few = rows[:subsample]

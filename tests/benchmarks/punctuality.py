@@ -1,4 +1,4 @@
-"""From a witness' time stamps to how punctual SYNC and samples were."""
+"""From the time stamps of a bus monitor to how punctual SYNC and samples were."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.benchmarks.bus_monitor import SYNC
 from tests.benchmarks.sweeps import Run
-from tests.benchmarks.witness import SYNC
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ class Punctuality:
 
 
 def punctuality(frames: NDArray[np.void], runs: Sequence[Run], period: float) -> Punctuality:
-    """`frames` as `witness.FRAME`; every run must have some."""
+    """`frames` as `bus_monitor.FRAME`; every run must have some."""
     missed = 0
     lateness: list[Array] = []
     interval: list[Array] = []

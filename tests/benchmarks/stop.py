@@ -20,8 +20,10 @@ from urllib.parse import urlsplit
 import httpx
 
 from service.client import ServiceClient
+from tests.system.bus_listener import QUICK_STOP, Ear, listening
 from tests.system.rest_bench import Service, VirtualMachine, serving, until, virtual_machine
-from tests.system.test_stop import JOINTS, NODES, QUICK_STOP, Ear, listening, service_process, stop_url
+from tests.system.rest_bench import release as release_stops
+from tests.system.test_stop import JOINTS, NODES, service_process, stop_url
 
 IDLE = 1100  # connections
 SETTLE = 1.0  # s that an attack has before the stop
@@ -179,8 +181,7 @@ def tell(attack: str, needed: list[float]) -> None:
 def release(service: Service) -> None:
     with ServiceClient(service.url) as client:
         until(lambda: all(stop["id"] > 0 for stop in client.stops()), "every stop is latched")
-        while stops := client.stops():
-            client.reset_stop("benchmark", [stop["id"] for stop in stops])
+        release_stops(client, "benchmark")
 
 
 if __name__ == "__main__":

@@ -3,10 +3,10 @@
     python -m tests.benchmarks.streamed_run --bus vcan|socketcand --minutes 5 --axes 3 --rate 100 --busy 2 --json FILE
     tests/vcan/run .venv/bin/python -m tests.benchmarks.streamed_run --bus vcan ...     where the kernel has no CAN
 
-The virtual machine (`sweepid drive`) is a process of its own, and so is a witness on the bus (with --bus virtual both
+The virtual machine (`sweepid drive`) is a process of its own, and so is the bus monitor (with --bus virtual both
 are threads of this process: python-can's virtual bus reaches no further). Of every sweep the sample
-indices, which are the drive's own counter, must be 0, 1, 2, ...; the witness counts on the wire what the adapter may
-have left out. Then all sweeps of an axis are identified together, drive-side ones of the same pose before and after
+indices, which are the drive's own counter, must be 0, 1, 2, ...; the bus monitor counts on the wire what the adapter
+may have left out. Then all sweeps of an axis are identified together, drive-side ones of the same pose before and after
 among them: J must agree within the stated standard deviation. Exit code 0 if all that holds, else 1.
 
 Three axes stream at once, each with lines of its own. Their robot's axes do not feel each other's inertia (`coupled:
@@ -43,8 +43,8 @@ from drivers.ports import DrivePort, SweepCommand, SweepMode
 from drivers.registry import open_drive
 from service.robot import Robot
 from tests.benchmarks import sweeps
+from tests.benchmarks.bus_monitor import TPDO2, bus_monitor
 from tests.benchmarks.punctuality import punctuality
-from tests.benchmarks.witness import TPDO2, witness
 from tests.contract import bench as contract
 from tests.contract.bench import BENCHES, DRIVES
 
@@ -132,7 +132,7 @@ def _line(run: sweeps.Run, streamed: float) -> str:
 
 
 def on_the_wire(frames: NDArray[np.void], run: sweeps.Run) -> dict[str, sweeps.Indices]:
-    """The sample frames that a witness saw of a host-streamed run, by joint."""
+    """The sample frames that a bus monitor saw of a host-streamed run, by joint."""
     seen: dict[str, sweeps.Indices] = {}
     for joint, delivered in run.indices.items():
         own = (frames["id"] == TPDO2 + int(joint[-1])) & (frames["time"] >= run.begin) & (frames["time"] <= run.end)
@@ -149,7 +149,7 @@ def report(
     rate: float,
     seen: Callable[[NDArray[np.void], sweeps.Run], dict[str, sweeps.Indices]] = on_the_wire,
 ) -> dict[str, Any]:
-    """Everything there is to say; `passed` is the verdict. `seen`: what the witness saw of a run."""
+    """Everything there is to say; `passed` is the verdict. `seen`: what the bus monitor saw of a run."""
     streamed = [run for run in runs if run.mode is SweepMode.HOST_STREAMED]
     wire = [seen(frames, run) for run in streamed]
     axes: dict[str, Any] = {}
@@ -232,7 +232,7 @@ def stream(
     bench, robot = BENCHES[f"canopen-{bus}"], sweeps.robot()
     with contextlib.ExitStack() as stack:
         if thread:
-            stack.enter_context(patch.object(host_sweep, "set_point_source", lambda _: "thread"))
+            stack.enter_context(patch.object(host_sweep, "set_point_source", lambda *_, **__: "thread"))
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         stack.enter_context(patch.object(contract, "SCENARIO", uncoupled(contract.SCENARIO, folder)))
         machine = stack.enter_context(bench.machine(bench))
@@ -247,7 +247,7 @@ def stream(
                 await port.close()
 
         began = time.monotonic()
-        with witness(where) as frames, busy(processes):
+        with bus_monitor(where) as frames, busy(processes):
             runs = asyncio.run(connected())
     return {
         "bus": bus,

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from tests.benchmarks import timing
+from tests.benchmarks.bus_monitor import SYNC, TPDO2, Lines
 from tests.benchmarks.punctuality import lateness_of
 from tests.benchmarks.sweeps import Indices, count
-from tests.benchmarks.witness import SYNC, TPDO2, Lines
 
 
 @pytest.mark.parametrize(
@@ -29,7 +29,7 @@ def test_lateness_is_told_against_the_grid_of_most_cycles() -> None:
     sync = np.arange(200) * 0.004
     sync[50] += 0.001
     sync[120] += 0.0035
-    late, missed = lateness_of(sync + 1e9, 0.004)
+    late, missed = lateness_of(np.asarray(sync + 1e9, np.float64), 0.004)
     assert np.flatnonzero(late > 1e-4).tolist() == [49, 119]  # of each SYNC but the first
     assert late[[49, 119]] == pytest.approx([0.001, 0.0035], abs=2e-6)
     assert missed == 0
@@ -38,7 +38,7 @@ def test_lateness_is_told_against_the_grid_of_most_cycles() -> None:
 def test_deadlines_that_were_left_out_are_counted_and_shift_nothing() -> None:
     deadlines = np.delete(np.arange(200), [51, 52]) * 0.004
     deadlines[50] += 0.0101  # so late that two more deadlines passed
-    late, missed = lateness_of(deadlines + 1e9, 0.004)
+    late, missed = lateness_of(np.asarray(deadlines + 1e9, np.float64), 0.004)
     assert missed == 2
     assert late.max() == pytest.approx(0.0101, abs=2e-6)
     assert np.median(late) < 1e-5

@@ -1,9 +1,10 @@
-"""How punctual set-points and samples are on each bus, and what that does to J: measures, and writes the page.
+"""Measures the punctuality of set-points and samples on each bus and its effect on J, and writes the page.
 
-    python -m tests.benchmarks.timing measure [CASE...]   a case takes some three minutes; without any, all of them
-    python -m tests.benchmarks.timing write               docs/reference/timing.md from all results there are
+    python -m tests.benchmarks.timing measure [CASE...]   about three minutes per case; default: all cases
+    python -m tests.benchmarks.timing write               docs/reference/timing.md from all stored results
 
-A result is one JSON file of `streamed_run` in tests/benchmarks/results; its --json puts long runs there (long-*.json).
+A result is one JSON file of `streamed_run` in tests/benchmarks/results; long runs are stored there by --json
+(long-*.json).
 """
 
 import json
@@ -27,56 +28,57 @@ SOURCES = {"thread": "thread", "bcm": "kernel (BCM)"}
 
 TEXT = """# Timing: set-points and samples
 
-How punctual host-streamed sweeps are, and what unpunctuality does to the inertia. Written by
-`python -m tests.benchmarks.timing write` from the runs in `tests/benchmarks/results`; every number is measured, none
-is typed. One axis, 250 Hz, {seconds:.0f} s of sweeps a row. The machine is {processors} shared cores of a virtual
-server (Linux {kernel}): no real-time kernel, no priorities. vcan is in user-mode Linux on one of these cores, where a
-system call costs some ten times as much. "Loaded" means two more processes that do nothing but calculate: host and
-virtual machine share the cores with them, on vcan host, virtual machine and kernel one core with one of them. A
-computer at a machine does better. Short jobs of the lowest priority (SCHED_IDLE) ran beside all rows now and then.
+This page shows how punctual host-streamed sweeps are, and the effect of late set-points on the inertia. It is written
+by `python -m tests.benchmarks.timing write` from the runs in `tests/benchmarks/results`; every number is measured. One
+axis, 250 Hz, {seconds:.0f} s of sweeps per row. The computer has {processors} shared cores of a virtual server (Linux
+{kernel}), without real-time kernel and without priorities. vcan runs in user-mode Linux on one of these cores, where a
+system call takes about ten times as long. "Loaded" means two additional processes that only compute: host and virtual
+machine share the cores with them; on vcan, host, virtual machine and kernel share one core with one of them. A
+dedicated computer at a machine is more punctual. During all rows, short jobs with the lowest priority (SCHED_IDLE) ran
+from time to time.
 
 ## On the bus
 
-A witness, a third party on the bus, has every SYNC and every sample frame stamped where the drive sees it: by the
-kernel on vcan, by the drive's server on socketcand. SYNC is late against the grid that most cycles keep; a deadline
-that passes before the set-point can be sent is left out, never made up in a burst. The kernel's broadcast manager
-counts an interval from when it woke and is steered back to the grid once in a while, so it wanders about the grid:
-compare it by SYNC to SYNC. All times in ms.
+A bus monitor, a separate process, uses time stamps of every SYNC and every sample frame taken where the drive receives
+them: by the kernel on vcan, by the server of the drive on socketcand. The lateness of SYNC is relative to the grid that
+most cycles keep. If a deadline passes before the set-point can be sent, that cycle is left out and never compensated by
+a burst. The kernel's broadcast manager counts an interval from its wake-up and is corrected to the grid from time to
+time, so it drifts around the grid: assess it by the columns SYNC to SYNC. All times are in ms.
 
 {punctuality}
 
-## What it does to J
+## Effect on J
 
-Nothing. The samples' clock is the drive's: a set-point takes effect at its SYNC, and the sample carries the drive's own
-counter, so a late cycle stretches the wall clock for both sides alike. J of axis 1 in one pose, kg m², the host's
-sweeps beside the drive's own measuring function before and after; z is their difference in its standard deviations
-(one in twenty is beyond 2).
+None. The clock of the samples is that of the drive: a set-point takes effect at its SYNC, and the sample contains the
+drive's own counter, so a late cycle stretches the wall clock for both. The table shows J of axis 1 in one pose, kg m²,
+from the host's sweeps and from the drive's own measuring function before and after them. z is their difference in its
+standard deviations (one in twenty is beyond 2).
 
 {inertia}
 
-What unpunctuality can do is end a sweep: the drive's own watchdogs stop an axis whose set-points stay away (2121h of
-the virtual drive, 2 s in its profile), and the host ends a sweep that misses more deadlines than the profile's
-`missed_cycles`.
+Late set-points can end a sweep: the drive's watchdogs stop an axis if set-points are missing (2121h of the virtual
+drive, 2 s in its profile), and the host ends a sweep that misses more deadlines than the profile's `missed_cycles`.
 {long_runs}"""
 
 LONG = """
 ## Long runs
 
-Several axes stream on one clock. Of every sweep the drive's sample counters must be 0, 1, 2, ... without a gap, as
-delivered, and J must agree with the drive-side sweeps; "wire" is what the witness counted. The axes of this virtual
-machine do not feel each other (`coupled: false`), so J of axes that move together can be compared with that of an axis
-alone; on a real arm their coupling shows, and wants the inverse dynamics of six-axes trajectories.
+Several axes are streamed on one clock. In every sweep the drive's sample counters must be 0, 1, 2, ... without a gap,
+as delivered, and J must agree with the drive-side sweeps; "on the wire" is the count of the bus monitor. The axes of
+this virtual machine are not coupled (`coupled: false`), so that J of axes that move together can be compared with that
+of a single axis. On a real arm they are coupled, and the inverse dynamics of six-axes trajectories is required.
 
-Drives other than `virtual` are nodes of makers' dictionaries without a counter (`tests/benchmarks/uncounted_run.py`):
-their samples belong to the SYNC before them, the host waits with the next SYNC for their answers, and "wire" counts the
-answers between two SYNCs. J drive-side is the virtual drive's before the same plant. {others}
+Drives other than `virtual` are nodes with manufacturers' dictionaries without a counter
+(`tests/benchmarks/uncounted_run.py`): their samples belong to the SYNC before them, the host waits for their answers
+before the next SYNC, and "on the wire" counts the answers between two SYNCs. J drive-side is that of the virtual drive
+with the same plant. {others}
 
 {rows}
 """
 
 BUS_HEAD = ("bus", "set-points by", "load", "cycles", "missed", "late: median", "p99", "worst")
-BUS_HEAD += ("SYNC to SYNC off: p99", "worst", "sample after SYNC: median", "p99", "worst")
-BUS_HEAD += ("samples", "lost, doubled, misordered")
+BUS_HEAD += ("SYNC to SYNC, deviation: p99", "worst", "sample after SYNC: median", "p99", "worst")
+BUS_HEAD += ("samples", "lost, duplicated, misordered")
 J_HEAD = ("bus", "set-points by", "J idle", "z", "J loaded", "z", "J drive-side: idle, loaded", "std of the difference")
 LONG_HEAD = ("bus", "drive", "set-points by", "minutes", "Hz", "busy processes", "axis", "sweeps", "samples")
 LONG_HEAD += ("lost, doubled, misordered", "on the wire", "J streamed", "J drive-side", "z", "verdict")
@@ -99,7 +101,7 @@ def measure(*names: str) -> None:
 
 
 def page() -> str:
-    """The page of all results there are."""
+    """The page of all stored results."""
     runs = {path.stem: json.loads(path.read_text("utf-8")) for path in sorted(RESULTS.glob("*.json"))}
     short = {(name, load): runs[f"{name}-{load}"] for name in CASES for load in LOADS if f"{name}-{load}" in runs}
     long = [run for name, run in runs.items() if name.startswith("long-")]
@@ -164,11 +166,9 @@ def _long(run: dict[str, Any]) -> list[Row]:
 
 
 def _others(runs: Sequence[dict[str, Any]]) -> str:
-    """What else the computer did during the runs that noted it."""
+    """Load of the computer by other work, for the runs that recorded it."""
     loads = [f"{run['drive']} {run['load']:.0f}" for run in runs if "load" in run]
-    return (
-        f"Others worked on the same computer meanwhile; load average at the end: {', '.join(loads)}." if loads else ""
-    )
+    return f"Other work ran on the same computer; load average at the end: {', '.join(loads)}." if loads else ""
 
 
 def _faults(samples: dict[str, int]) -> str:

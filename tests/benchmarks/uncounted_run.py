@@ -4,7 +4,7 @@
 
 As `streamed_run`, over socketcand, on nodes made of that drive's dictionary (`sweepid drive --foreign`, a process of
 its own). They have no sweep of their own: J is compared with the virtual drive's before the same plant, measured first.
-On the wire the witness counts the answers between one SYNC and the next: none is a lost one, a second one doubled.
+On the wire the bus monitor counts the answers between one SYNC and the next: none is a lost one, a second one doubled.
 """
 
 import argparse
@@ -31,8 +31,8 @@ from drivers.canopen.device_map import Way
 from drivers.contract.bench import closing
 from drivers.registry import load_profile, open_drive
 from tests.benchmarks import sweeps
+from tests.benchmarks.bus_monitor import SYNC, TPDO2, bus_monitor
 from tests.benchmarks.streamed_run import busy, drive_side, host_streamed, report, summary, uncoupled
-from tests.benchmarks.witness import SYNC, TPDO2, witness
 from tests.contract import bench as contract
 from tests.contract.bench import BENCHES, DRIVES, ROOT
 from tests.contract.makers import profile
@@ -52,7 +52,8 @@ def machine(drive: str, scenario: Path) -> Iterator[Foreign]:
             assert process.stdout is not None
             ready = json.loads(process.stdout.readline())
             bus = {"interface": "socketcand", "channel": "can0", "host": "127.0.0.1", "port": ready["port"]}
-            joints = [axis["joint"] for axis in load_profile(DRIVES / "virtual-max100.yaml")["axes"]]
+            profile: Any = load_profile(DRIVES / "virtual-max100.yaml")
+            joints = [axis["joint"] for axis in profile["axes"]]
             yield Foreign(bus, ready["control_port"], dict.fromkeys(joints, file_of(drive)))
         finally:
             process.terminate()
@@ -110,7 +111,7 @@ def stream(drive: str, way: Way, joints: Sequence[str], seconds: float, processe
         with machine(drive, scenario) as foreign:
             content = by(way, profile(drive, foreign, DRIVES, patient=True, sync_period=period), Path(folder))
             began = time.monotonic()
-            with witness(foreign.bus) as frames, busy(processes):
+            with bus_monitor(foreign.bus) as frames, busy(processes):
                 runs = asyncio.run(streamed(content, way, joints, seconds, 1 / period))
             took = time.monotonic() - began
     return {

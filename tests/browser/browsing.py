@@ -17,16 +17,29 @@ WITHOUT_BROWSER = pytest.mark.skipif(
 
 
 @contextmanager
-def browsing(url: str, any_certificate: bool = False) -> Iterator[Page]:
-    """The page at `url`; an error of its scripts fails the test."""
+def browsing(url: str, any_certificate: bool = False, locale: str = "en-US") -> Iterator[Page]:
+    """The page at `url` in a browser that wants `locale`; an error of its scripts fails the test."""
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET)
-        page = browser.new_page(ignore_https_errors=any_certificate)
+        page = browser.new_page(ignore_https_errors=any_certificate, locale=locale)
         page.set_default_timeout(PATIENCE)
         expect.set_options(timeout=PATIENCE)
         errors: list[str] = []
+        missing: list[str] = []
         page.on("pageerror", lambda error: errors.append(str(error)))
+        page.on("requestfailed", lambda request: missing.append(f"{request.url}: {request.failure}"))
+        page.on("response", lambda answer: missing.extend([f"{answer.url}: {answer.status}"] * (answer.status >= 400)))
         page.goto(url, wait_until="commit")
-        yield page
+        try:
+            yield page
+        except Exception as error:
+            error.add_note(f"the page did not get: {missing}; its errors: {errors}")
+            raise
         browser.close()
         assert errors == []
+
+
+def load_again(page: Page) -> None:
+    """Load the page again; Chromium refuses that of a page that it has not begun to show."""
+    page.wait_for_load_state("domcontentloaded")
+    page.reload(wait_until="commit")

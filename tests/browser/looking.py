@@ -59,6 +59,20 @@ _SMALL = """(targets) => [...document.querySelectorAll(targets)]
   .filter(([box]) => box.height < 48 || box.width < 48)
   .map(([box, name]) => `${name}: ${box.width.toFixed(0)} x ${box.height.toFixed(0)}`)"""
 
+_CUT = """() => [...document.querySelectorAll("section, header, #head")]
+  .filter((one) => one.checkVisibility() && one.scrollWidth > one.clientWidth)
+  .map((one) => `${one.id || one.textContent.trim().slice(0, 40)}: ${one.scrollWidth} in ${one.clientWidth}`)"""
+
+
+_OTHER_INK = """() => [...document.querySelectorAll(".js-plotly-plot text")]
+  .filter((one) => one.checkVisibility() && getComputedStyle(one).fill !== getComputedStyle(document.body).color)
+  .map((one) => one.textContent)"""
+
+
+def unlike_ink(page: Page) -> list[str]:
+    """Texts of charts in another colour than the page's own, as of a chart drawn before the scheme changed."""
+    return cast("list[str]", page.evaluate(_OTHER_INK))
+
 
 def green(page: Page) -> list[str]:
     """Everything on the page that is painted green."""
@@ -78,3 +92,13 @@ def small(page: Page) -> list[str]:
 def too_wide(page: Page) -> bool:
     """Must the page be scrolled sideways?"""
     return bool(page.evaluate("document.documentElement.scrollWidth > document.documentElement.clientWidth"))
+
+
+def cut(page: Page) -> list[str]:
+    """Panels that must be scrolled sideways."""
+    return cast("list[str]", page.evaluate(_CUT))
+
+
+def settled(page: Page) -> None:
+    """Until what was asked for is drawn; the second frame has the layout of the first."""
+    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")

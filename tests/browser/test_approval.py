@@ -9,7 +9,7 @@ from playwright.sync_api import Page, expect
 from service.client import ServiceClient
 from tests.browser.browsing import WITHOUT_BROWSER, browsing
 from tests.browser.looking import faint, small
-from tests.system.rest_bench import PATIENT_LEASE, Service, add_plan, serving
+from tests.system.rest_bench import Service, add_plan, serving
 from tests.unit.service.api.conftest import profile  # noqa: F401 - no machine
 
 pytestmark = WITHOUT_BROWSER
@@ -17,7 +17,7 @@ pytestmark = WITHOUT_BROWSER
 
 @pytest.fixture
 def service(tmp_path: Path, profile: Path) -> Iterator[Service]:  # noqa: F811
-    with serving(tmp_path, profile, PATIENT_LEASE, approval=True) as service:
+    with serving(tmp_path, profile, approval=True) as service:
         yield service
 
 
@@ -31,7 +31,7 @@ def test_a_plan_is_approved_where_it_is_shown(service: Service, page: Page) -> N
     with ServiceClient(service.url) as client:
         plan = add_plan(client, axes=["joint_1"], poses=1)
         client.add_campaign(plan)
-        why = f"an engineer must approve plan {plan} first: nobody has"
+        why = f"plan {plan} requires the approval of an engineer: not approved yet"
         expect(page.locator("#why-start")).to_have_text(why)
         expect(page.locator("#start")).to_be_disabled()
         expect(page.locator("#approve-why")).to_have_text(why)

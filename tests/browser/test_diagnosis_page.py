@@ -14,7 +14,7 @@ from service.diagnosis.sensitivity.design import DesignedSweep, full_design, pap
 from service.recording import Recording, Sweep
 from service.store.files.bundle import write_bundle
 from simulator import Scenario, SweepRun, load_scenario, run_sweeps
-from tests.browser.browsing import WITHOUT_BROWSER, browsing
+from tests.browser.browsing import WITHOUT_BROWSER, browsing, load_again
 from tests.system.rest_bench import ROBOT, Service, VirtualMachine, serving, until, virtual_machine
 from tests.system.test_diagnosis_campaign import AXIS, hiding
 
@@ -121,6 +121,9 @@ def test_a_named_effect_is_shown_and_accepted(service: Service, page: Page) -> N
     with ServiceClient(service.url) as client:
         (model,) = client.models()
     assert model["accepted_by"] == "Ada"
+    page.locator("#language").select_option("de")
+    expect(page.locator("#verdict")).to_contain_text(f"{AXIS}: Dem Modell fehlt: ")
+    expect(page.locator("#verdict small")).to_contain_text(f"{AXIS}: the model lacks")  # the service's own words
 
 
 def test_what_is_known_in_part_the_check_of_the_data_and_where_it_started_are_shown(
@@ -147,8 +150,8 @@ def test_what_is_known_in_part_the_check_of_the_data_and_where_it_started_are_sh
         diagnosis = int(client.diagnosed(int(client.add_diagnosis([BOTH_WAYS], start="cad")["id"]))["id"])
         page.route(f"**/api/v1/diagnoses/{diagnosis}", in_part)
         page.goto(f"{service.url}/diagnosis#{diagnosis}", wait_until="commit")
-        page.reload(wait_until="commit")
-        expect(page.locator("#part")).to_contain_text("Known in part, beside a rest")
+        load_again(page)
+        expect(page.locator("#part")).to_contain_text("Known in part; a part of the gap")
         expect(page.locator("#part")).to_contain_text("Coulomb")
         expect(page.locator("#effects")).to_be_empty()
         expect(page.locator("#data")).to_contain_text("warning: Torque has steps of 4 N m. Record finer.")
@@ -159,7 +162,7 @@ def test_what_is_known_in_part_the_check_of_the_data_and_where_it_started_are_sh
 
 def test_a_campaign_tells_what_the_check_of_its_data_found(service: Service, page: Page) -> None:
     page.goto(f"{service.url}/#campaign-{BOTH_WAYS}", wait_until="commit")
-    expect(page.locator("#data-check")).to_contain_text("Check of the data: nothing found.")
+    expect(page.locator("#data-check")).to_contain_text("Data check: no finding.")
 
 
 def test_nothing_moves_before_the_experiment_is_approved_and_the_stop_is_at_hand(
@@ -170,7 +173,7 @@ def test_nothing_moves_before_the_experiment_is_approved_and_the_stop_is_at_hand
     page.get_by_label("Cell").fill("workshop")
     page.get_by_role("button", name="Prepare").click()
     expect(page.locator("#motion")).to_contain_text("joint_2 is moved between")
-    expect(page.locator("#intent")).to_contain_text("No motion is ordered")
+    expect(page.locator("#intent")).to_contain_text("No motion is commanded")
     page.get_by_role("button", name="Approve").click()  # without a name: the browser asks for it
     with ServiceClient(service.url) as client:
         assert len(client.campaigns()) == BOTH_WAYS
@@ -190,7 +193,7 @@ def test_nothing_moves_before_the_experiment_is_approved_and_the_stop_is_at_hand
         page.get_by_role("button", name="I looked at the machine: release").click()
         expect(page.locator("#held")).to_be_hidden()
         page.get_by_role("button", name="Abort").click()
-        page.get_by_role("button", name="Give it up").click()
+        page.get_by_role("button", name="End campaign").click()
         expect(page.locator("#campaign-state")).to_have_text("aborted")
         assert len(client.diagnoses()) == diagnoses  # nothing went on
 
@@ -216,7 +219,7 @@ def test_a_test_mass_is_told_with_its_place_in_units_of_the_shop(service: Servic
         campaigns = len(client.campaigns())
         page.route(f"**/api/v1/diagnoses/{diagnosis}", with_mass)
         page.goto(f"{service.url}/diagnosis#{diagnosis}", wait_until="commit")
-        page.reload(wait_until="commit")
+        load_again(page)
         page.get_by_label("Cell").fill("workshop")
         page.get_by_role("button", name="Prepare").click()
         told = {"#mass-kg": "40", "#mass-x": "100", "#mass-y": "0", "#mass-z": "-12,5", "#approved-by": "Ada"}
@@ -224,11 +227,13 @@ def test_a_test_mass_is_told_with_its_place_in_units_of_the_shop(service: Servic
             page.locator(field).fill(text)
         with page.expect_request("**/experiment") as request:
             page.get_by_role("button", name="Approve").click()
-        assert request.value.post_data_json["test_mass"] == {
+        sent = request.value.post_data_json
+        assert sent is not None
+        assert sent["test_mass"] == {
             "mass": 40,
             "center": [0.1, 0, -0.0125],
             "inertia": [0, 0, 0, 0, 0, 0],
         }
-        expect(page.locator("#error")).to_contain_text("take the mass off")
+        expect(page.locator("#error")).to_contain_text("remove the mass from the machine")
         assert len(client.campaigns()) == campaigns
         page.unroute_all(behavior="wait")

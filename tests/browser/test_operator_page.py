@@ -1,35 +1,14 @@
 """The operator's page in a real browser, on a real service with the virtual machine behind it."""
 
 import math
-from collections.abc import Iterator
-from pathlib import Path
 
-import pytest
 from playwright.sync_api import Page, Route, expect
 
 from service.client import ServiceClient
-from tests.browser.browsing import WITHOUT_BROWSER, browsing
-from tests.system.rest_bench import Service, VirtualMachine, add_plan, serving, until, virtual_machine
+from tests.browser.browsing import WITHOUT_BROWSER, load_again
+from tests.system.rest_bench import Service, VirtualMachine, add_plan, until
 
 pytestmark = WITHOUT_BROWSER
-
-
-@pytest.fixture
-def machine(tmp_path: Path) -> Iterator[VirtualMachine]:
-    with virtual_machine(tmp_path, speed_factor=1.0) as machine:
-        yield machine
-
-
-@pytest.fixture
-def service(tmp_path: Path, machine: VirtualMachine) -> Iterator[Service]:
-    with serving(tmp_path, machine.profile) as service:
-        yield service
-
-
-@pytest.fixture
-def page(service: Service) -> Iterator[Page]:
-    with browsing(service.url) as page:
-        yield page
 
 
 def test_stop_and_release(machine: VirtualMachine, service: Service, page: Page) -> None:
@@ -44,7 +23,7 @@ def test_stop_and_release(machine: VirtualMachine, service: Service, page: Page)
         expect(page.locator("#campaign-state")).to_have_text("paused")
         client.add_campaign(plan)  # a newer one hides neither the paused one nor its cause
         expect(page.locator("#campaigns option")).to_have_count(2)
-        page.reload(wait_until="commit")
+        load_again(page)
         expect(page.locator("#campaigns")).to_have_value(str(campaign))
         expect(page.locator("#cause")).to_contain_text("stopped by operator page: stop button")
         page.get_by_label("Your name").fill("Ada")

@@ -1,38 +1,18 @@
 """The page tells the truth first: what moves, never green in trouble, the way out, and nothing it does not know."""
 
 import math
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
 
 from service.client import ServiceClient
-from tests.browser.browsing import WITHOUT_BROWSER, browsing
-from tests.browser.looking import faint, green, small, too_wide
-from tests.system.rest_bench import Service, VirtualMachine, add_plan, release, serving, until, virtual_machine
+from tests.browser.browsing import WITHOUT_BROWSER, load_again
+from tests.browser.looking import faint, green, settled, small, too_wide
+from tests.system.rest_bench import Service, VirtualMachine, add_plan, release, until
 
 pytestmark = WITHOUT_BROWSER
 MOVES = 1e-3  # rad/s
 SILENCE = "The service does not answer. Assume that the machine moves: use the emergency stop"
-
-
-@pytest.fixture
-def machine(tmp_path: Path) -> Iterator[VirtualMachine]:
-    with virtual_machine(tmp_path, speed_factor=1.0) as machine:
-        yield machine
-
-
-@pytest.fixture
-def service(tmp_path: Path, machine: VirtualMachine) -> Iterator[Service]:
-    with serving(tmp_path, machine.profile) as service:
-        yield service
-
-
-@pytest.fixture
-def page(service: Service) -> Iterator[Page]:
-    with browsing(service.url) as page:
-        yield page
 
 
 def degrees(angle: float) -> str:
@@ -83,14 +63,14 @@ def test_nothing_is_green_in_trouble_and_the_way_out_stands_there(machine: Virtu
     assert machine.order("fault", joint="joint_2", code=0x2310)["ok"]
     expect(page.locator("#machine")).to_have_text("fault of joint_2")
     assert green(page) == []
-    expect(way_out).to_contain_text(["Look at joint_2", "Acknowledge"])
+    expect(way_out).to_contain_text(["Check joint_2", "Acknowledge"])
     page.get_by_role("button", name="I looked: acknowledge").click()
     expect(page.locator("#machine")).to_have_text("machine connected")
 
     assert machine.order("emergency_stop", on=True)["ok"]
     expect(page.locator("#machine")).to_have_text("EMERGENCY STOP")
     assert green(page) == []
-    expect(way_out).to_contain_text(["Look at the machine", "Unlock the machine's own emergency stop", "Acknowledge"])
+    expect(way_out).to_contain_text(["Check the machine", "Unlock the machine's own emergency stop", "Acknowledge"])
     assert machine.order("emergency_stop", on=False)["ok"]
     page.get_by_role("button", name="acknowledge all axes").click()
     expect(page.locator("#machine")).to_have_text("machine connected")
@@ -98,7 +78,7 @@ def test_nothing_is_green_in_trouble_and_the_way_out_stands_there(machine: Virtu
     page.get_by_role("button", name="STOP").click()
     expect(page.locator("#machine")).to_have_text("stopped")
     assert green(page) == []
-    expect(way_out).to_contain_text(["Look at the machine", "Type your name and release"])
+    expect(way_out).to_contain_text(["Check the machine", "Type your name and release"])
 
     machine.power_off()
     expect(page.locator("#machine")).to_contain_text("no machine")
@@ -165,7 +145,7 @@ def test_the_campaign_that_matters_is_shown_first(service: Service, page: Page) 
         plan = add_plan(client, axes=["joint_1"], poses=1)
         planned, given_up = (int(client.add_campaign(plan)["id"]) for _ in range(2))
         client.abort(given_up, "a test")
-    page.reload(wait_until="commit")
+    load_again(page)
     expect(page.locator("#campaigns option")).to_have_count(2)
     expect(page.locator("#campaigns")).to_have_value(str(planned))
 
@@ -179,8 +159,8 @@ def test_stop_is_first_by_keyboard_and_abort_asks(machine: VirtualMachine, servi
         page.get_by_role("button", name="Start").click()
         until(lambda: not machine.stands(), "an axis with energy")
         page.get_by_role("button", name="Abort", exact=True).click()
-        expect(page.locator("#abort-question")).to_contain_text(f"Give campaign {campaign} up for good?")
-        page.get_by_role("button", name="Keep it").click()
+        expect(page.locator("#abort-question")).to_contain_text(f"End campaign {campaign} permanently?")
+        page.get_by_role("button", name="Keep campaign").click()
         assert client.campaign(campaign)["state"] == "running"
         page.get_by_label("Campaign", exact=True).focus()
         page.keyboard.press("F8")
@@ -188,7 +168,7 @@ def test_stop_is_first_by_keyboard_and_abort_asks(machine: VirtualMachine, servi
         until(machine.stands, "standing axes")
         expect(page.locator("#campaign-state")).to_have_text("paused")
         page.get_by_role("button", name="Abort", exact=True).click()
-        page.get_by_role("button", name="Give it up").click()
+        page.get_by_role("button", name="End campaign").click()
         expect(page.locator("#campaign-state")).to_have_text("aborted")
 
 
@@ -222,8 +202,3 @@ def look(page: Page) -> None:
         for banner in page.locator(".banner:visible").all():
             expect(banner).to_be_in_viewport()  # however far it is scrolled
         assert (faint(page), small(page), too_wide(page)) == ([], [], False), width
-
-
-def settled(page: Page) -> None:
-    """Until what was asked for is drawn; the second frame has the layout of the first."""
-    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")

@@ -24,8 +24,8 @@ from simulator.machine import Machine
 from simulator.scenario import load_scenario
 from simulator.virtual_drive import VirtualDrive
 from tests.contract import makers
-from tests.durand_nodes.bench import machine as durand_machine
 from tests.foreign_bench import bench as foreign_bench
+from tests.independent_bench import machine as independent_machine
 
 ROOT = Path(__file__).parents[2]
 DRIVES = ROOT / "config" / "drives"
@@ -155,14 +155,15 @@ def in_one_process(bench: Bench, eds: Path = EDS) -> Iterator[Virtual]:
 def _foreign(bench: Bench, dictionary: str, bus: str = "virtual") -> Iterator[Virtual]:
     """Drives of another maker's dictionary; skipped where that is in ../shared and the folder is absent."""
     with foreign_bench(dictionary, bus=bus, scenario=SCENARIO, speed_factor=SPEED_FACTOR) as foreign:
-        yield Virtual(bench, makers.profile(dictionary, foreign, DRIVES), foreign.control_port)
+        content = makers.profile(dictionary, foreign, DRIVES, patient=bench.vcan)  # the guest has one slow CPU
+        yield Virtual(bench, content, foreign.control_port)
 
 
 @contextmanager
-def _durand(bench: Bench, modes: str) -> Iterator[Virtual]:
-    """Nodes of a stack that neither this project nor python-canopen made, before a plant of their own."""
-    with durand_machine(modes) as durand:
-        yield Virtual(bench, durand.profile, durand.control_port, durand.process)
+def _of_stack(bench: Bench, stack: str, bus: str, modes: str) -> Iterator[Virtual]:
+    """Nodes of a stack that neither this project nor python-canopen made, with plants of their own."""
+    with independent_machine(stack, modes, bus=bus) as machine:
+        yield Virtual(bench, machine.profile, machine.control_port, machine.process)
 
 
 def _over_modbus_tcp(bench: Bench) -> AbstractContextManager[Virtual]:
@@ -182,7 +183,7 @@ BOTH, DRIVE_SIDE = frozenset(SweepMode), frozenset({SweepMode.DRIVE_SIDE})
 STREAMED = BOTH - DRIVE_SIDE
 ORDERS = frozenset({"fault", "emergency_stop", "silence", "limit", "glitch", "saturate", "reboot", "swap", "identity"})
 FOREIGN_ORDERS = ORDERS | {"emcy", "drop_tpdos", "bus_off"}
-DURAND_ORDERS = frozenset({"fault", "emergency_stop", "silence", "identity", "drop_tpdos", "reboot"})
+INDEPENDENT_ORDERS = frozenset({"fault", "emergency_stop", "silence", "identity", "drop_tpdos", "reboot"})
 CAN_ORDERS = ORDERS | {"emcy", "drop_tpdos", "duplicate_tpdos", "delay_tpdos", "freeze_counter", "bus_off"}
 LASTING: dict[str, dict[str, object]] = {  # what takes an order back
     "silence": {"on": False},
@@ -215,30 +216,43 @@ def _modbus(machine: Callable[[Bench], AbstractContextManager[Virtual]], **more:
 def _other_maker(dictionary: str, bus: str = "virtual", **more: Any) -> Bench:
     return Bench(
         adapter="canopen-402", modes=STREAMED, orders=FOREIGN_ORDERS, exclusive=True, own_process=False,
-        machine=partial(_foreign, dictionary=dictionary, bus=bus), **more,
+        machine=partial(_foreign, dictionary=dictionary, bus=bus), vcan=bus == "socketcan", **more,
     )  # fmt: skip
 
 
-def _independent(modes: str, **more: Any) -> Bench:
+def _independent(stack: str, bus: str = "socketcand", modes: str = "csv", **more: Any) -> Bench:
     return Bench(
-        adapter="durand", modes=STREAMED, orders=DURAND_ORDERS, exclusive=True, effort=2500.0,
-        machine=partial(_durand, modes=modes), **more,
+        adapter="independent", modes=STREAMED, orders=INDEPENDENT_ORDERS, exclusive=True, effort=2500.0,
+        machine=partial(_of_stack, stack=stack, bus=bus, modes=modes), vcan=bus == "socketcan", **more,
     )  # fmt: skip
 
 
 STEPS = 5.01  # of the position unit in an amplitude, with what a conversion rounds
+LEAST_SINES = {  # rad; only positions have one
+    "plain": 0.0,
+    "epos4": 0.0,
+    "gold": 0.0,
+    "simpliq": STEPS * math.tau / (8192 * 171),  # axis 1's gear
+    "powerball": STEPS * math.radians(1e-3),
+}
+BUSES = {"virtual": "virtual", "socketcand": "socketcand", "vcan": "socketcan"}
 
 BENCHES: dict[str, Bench] = {
     "canopen-socketcand": _canopen(_over_socketcand),
     "canopen-virtual": _canopen(in_one_process, own_process=False),
     "canopen-vcan": _canopen(_over_vcan, vcan=True),
     "plain-virtual": _other_maker("plain"),
-    "plain-socketcand": _other_maker("plain", "socketcand", alike=True),
-    "epos4-virtual": _other_maker("epos4"),  # these two read ../shared
-    "gold-virtual": _other_maker("gold", alike=True),
-    "simpliq-virtual": _other_maker("simpliq", least_sine=STEPS * math.tau / (8192 * 171), alike=True),  # axis 1's gear
-    "powerball-virtual": _other_maker("powerball", least_sine=STEPS * math.radians(1e-3), alike=True),
-    "durand-csv": _independent("csv"),
+    "epos4-virtual": _other_maker("epos4"),  # the makers' dictionaries are in ../shared
+    **{
+        f"{dictionary}-{name}": _other_maker(dictionary, bus, least_sine=least, alike=True)
+        for (dictionary, least), (name, bus) in product(LEAST_SINES.items(), BUSES.items())
+        if (dictionary, name) not in (("plain", "virtual"), ("epos4", "virtual"))
+    },
+    "durand-socketcand": _independent("durand"),
+    "durand-vcan": _independent("durand", "socketcan", alike=True),
+    "node-socketcand": _independent("node-canopen"),
+    "node-csp-socketcand": _independent("node-canopen", modes="csp", alike=True),
+    "node-vcan": _independent("node-canopen", "socketcan"),
     "modbus-tcp": _modbus(_over_modbus_tcp),
     "modbus-rtu": _modbus(_over_modbus_rtu, exclusive=True),
 }

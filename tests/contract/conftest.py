@@ -1,6 +1,6 @@
 """The fixtures of the contract suite: every adapter on every bus. What a bench lacks is no test of it, and no skip.
 
-Of marks there is one, ``adapter(name)``: a test of this adapter alone. All else is said by `drivers.contract.needs`.
+There is one mark, ``adapter(name)``: a test of this adapter alone. The rest is in `drivers.contract.requirements`.
 """
 
 from collections.abc import AsyncIterator, Iterator

@@ -45,5 +45,6 @@ def profile(
         "device": f"../devices/{DEVICES[dictionary]}.yaml",
         "bus": content["bus"] | bus,
         "maker_settings": [],
+        "travel_limits": {"rad": 1e3},
         "axes": [axis | own for axis in content["axes"] if axis["joint"] in foreign.files],
     }

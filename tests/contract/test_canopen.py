@@ -175,7 +175,7 @@ async def test_a_speed_control_that_cannot_be_restored_costs_the_axis_its_energy
     sdo.write = write
     await port.enable(AXIS)
     assert virtual.truth()["softened"] is False
-    assert "joint_1 (node 1): its speed control had been left soft and is restored" in caplog.text
+    assert "joint_1 (node 1): speed control was left softened, now restored" in caplog.text
 
 
 async def test_a_drive_that_is_lost_while_the_consumer_hangs_is_told_to_stop(port: DrivePort, virtual: Virtual) -> None:

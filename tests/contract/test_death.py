@@ -12,7 +12,7 @@ from typing import cast
 import pytest
 
 from drivers.contract.bench import closing, consume
-from drivers.contract.needs import needs
+from drivers.contract.requirements import needs
 from drivers.errors import CommunicationLost
 from drivers.ports import AxisState, SweepMode
 from drivers.registry import open_drive
@@ -82,7 +82,7 @@ def test_connect_restores_the_speed_control_that_a_killed_host_left_soft(
 ) -> None:
     """The next host is there before the drive misses the first one: the drive itself has noticed nothing."""
     bus = {**cast("dict[str, object]", mortal.profile["bus"]), "host_timeout": 60.0}
-    profile = {**mortal.profile, "bus": bus}
+    profile = {**mortal.profile, "bus": bus, "travel_limits": {"rad": 1e3}}
     command = [sys.executable, "-c", HOST, json.dumps(profile), str(DRIVES), "noise"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as host:
         assert host.stdout is not None
@@ -98,7 +98,7 @@ def test_connect_restores_the_speed_control_that_a_killed_host_left_soft(
             assert mortal.truth()["softened"] is False
 
     asyncio.run(connect())
-    assert "joint_1 (node 1): its speed control had been left soft and is restored: active gain" in caplog.text
+    assert "joint_1 (node 1): speed control was left softened, now restored: active gain" in caplog.text
 
 
 def test_axes_stand_after_the_host_hung_and_nothing_resumes(mortal: Virtual, mode: SweepMode) -> None:

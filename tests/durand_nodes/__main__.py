@@ -1,6 +1,6 @@
-"""Machine of durand's nodes: python -m tests.durand_nodes [csv|pv]. Prints one line of JSON when it is ready.
+"""Machine of durand's nodes: python -m tests.durand_nodes socketcand|FD csv|pv
 
-Ports of socketcand and of the orders (JSON lines), the EDS that durand writes, and the truth of its inertias.
+FD is the number of an open SocketCAN socket. `tests/independent_bench.py` says what it prints when it is ready.
 """
 
 import json
@@ -19,7 +19,8 @@ from durand import set_scheduler
 from simulator.canopen.node import Frame
 from simulator.socketcand import SocketcandServer
 from tests.durand_nodes.drive import ENERGISED, Drive
-from tests.durand_nodes.network import Network, Timers
+from tests.durand_nodes.network import KernelBus, Network, Timers
+from tests.durand_nodes.objects import GEAR, PRODUCT, RATED, REVISION, VENDOR
 from tests.durand_nodes.plant import STEP, Plant
 
 INERTIAS = {"joint_1": 137.0, "joint_3": 61.0}  # kg m^2
@@ -30,11 +31,15 @@ BACKLOG = 2.0  # s that are made up for on a busy computer
 
 
 class Machine:
-    def __init__(self, modes: str) -> None:
+    def __init__(self, bus: str, modes: str) -> None:
         self.selector = selectors.SelectSelector()
         self._timers = Timers(time.monotonic())
         set_scheduler(self._timers)
-        self.bus = SocketcandServer(self.selector, "127.0.0.1", 0, "can0", self._receive)
+        self.bus: SocketcandServer | KernelBus
+        if bus == "socketcand":
+            self.bus = SocketcandServer(self.selector, "127.0.0.1", 0, "can0", self._receive)
+        else:
+            self.bus = KernelBus(self.selector, int(bus), self._receive)
         self.drives: dict[str, Drive] = {}
         for number, (joint, inertia) in enumerate(INERTIAS.items(), 1):
             network = Network(lambda cob_id, msg: self.bus.send(Frame(cob_id, msg)))
@@ -48,7 +53,8 @@ class Machine:
     def ready(self) -> dict[str, Any]:
         eds = self.drives["joint_1"].node.eds.content
         ports = {"port": self.bus.port, "control_port": self._orders.getsockname()[1]}
-        return ports | {"eds": eds, "inertias": INERTIAS}
+        kind = {"identity": [VENDOR, PRODUCT, REVISION], "gear": GEAR, "rated": RATED}
+        return ports | kind | {"eds": eds, "inertias": INERTIAS}
 
     def serve(self) -> None:
         while self.running:
@@ -112,7 +118,7 @@ def _truth(drive: Drive) -> dict[str, Any]:
 
 def main() -> None:
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.ERROR))  # stdout: the ready line
-    machine = Machine(*(sys.argv[1:] or ["csv"]))
+    machine = Machine(*sys.argv[1:])
     signal.signal(signal.SIGTERM, lambda *_: setattr(machine, "running", False))
     print(json.dumps(machine.ready), flush=True)
     machine.serve()

@@ -35,7 +35,7 @@ class Drive:
         self._reference, self._target = plant.position, None
         self._acknowledged = False
         self._lagging = 0.0
-        self._means = plant.position, 0.0, 0.0  # position, speed, effort over the time just gone by: what is told
+        self._means = plant.position, 0.0, 0.0  # position, speed, effort over the last SYNC period: what TPDOs say
         self._synced = -math.inf
         self.syncs = 0
         self._now = 0.0
@@ -58,6 +58,8 @@ class Drive:
         self._now = now
         if not self.led:
             self._advance(steps)
+            plant = self.plant  # a mean over the time that a busy computer took would lag behind "target reached"
+            self._means = plant.position, plant.velocity, plant.effort
             self._tell()
         timeout = (self._od.read(0x1016, 1) & 0xFFFF) * 1e-3
         if self._heard is not None and timeout and now - self._heard > timeout:
@@ -87,7 +89,11 @@ class Drive:
             self._watch(wanted)
             if self.state not in ENERGISED:
                 return
-            position, velocity, effort = position + plant.position, velocity + plant.velocity, effort + plant.effort
+            position, velocity, effort = (
+                position + plant.position,
+                velocity + plant.mean_velocity,
+                effort + plant.effort,
+            )
         if steps:
             self._means = position / steps, velocity / steps, effort / steps
 

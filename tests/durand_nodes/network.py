@@ -1,7 +1,11 @@
 """A node's way to the bus and to time, as durand wants them: one thread, no clock of its own."""
 
+import errno
 import heapq
 import itertools
+import selectors
+import socket
+import struct
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -9,8 +13,13 @@ from typing import Any
 from durand.network import NetworkABC
 from durand.scheduler import AbstractScheduler
 
+from simulator.canopen.node import Frame
+
 Take = Callable[[int, bytes], None]
 _TPDOS = (0x180, 0x280, 0x380, 0x480)
+_CAN_FRAME = struct.Struct("=IB3x8s")  # of the kernel
+_NO_DATA_FRAME = 0xE0000000  # extended, remote or error frame
+_LOST = (errno.EAGAIN, errno.ENOBUFS, errno.ENETDOWN)
 
 
 class Network(NetworkABC):
@@ -39,6 +48,42 @@ class Network(NetworkABC):
         callback = self._subscriptions.get(cob_id)
         if callback is not None:
             callback(cob_id, msg)
+
+
+class KernelBus:
+    """Frames of the kernel's bus on the open SocketCAN socket `number`; what it does not take is lost."""
+
+    port = None
+
+    def __init__(self, selector: selectors.BaseSelector, number: int, receive: Callable[[Frame], None]) -> None:
+        self._socket = socket.socket(fileno=number)
+        self._socket.setblocking(False)
+        self._receive = receive
+        selector.register(self._socket, selectors.EVENT_READ, self._read)
+
+    def send(self, frame: Frame) -> None:
+        try:
+            self._socket.send(_CAN_FRAME.pack(frame.id, len(frame.data), frame.data))
+        except OSError as error:
+            if error.errno not in _LOST:
+                raise
+
+    def _read(self, _: int) -> None:
+        try:
+            identifier, length, data = _CAN_FRAME.unpack(self._socket.recv(_CAN_FRAME.size))
+        except OSError as error:
+            if error.errno not in _LOST:
+                raise
+            return
+        if not identifier & _NO_DATA_FRAME:
+            self._receive(Frame(identifier, data[:length]))
+
+    def due(self, _: float) -> float:
+        """As of `SocketcandServer`: nothing is held back here."""
+        return float("inf")
+
+    def run(self, _: float) -> None:
+        """Nothing is held back here."""
 
 
 class Timers(AbstractScheduler[Any]):

@@ -1,6 +1,8 @@
 """The third plant: one axis, an inertia with friction under a PI speed controller, in equations of its own.
 
-J w' = M - Fc tanh(w / w0) - Fv w, explicit Euler; SI units of the joint.
+J w' = M - Fc tanh(w / w0) - Fv w; SI units of the joint. The torque is constant over a step, viscous friction is taken
+at its middle, and so is the speed that TPDOs report: mean torque and mean speed are then of the same time. (With
+explicit Euler, and the speed of the end of the step, J came out 0.27 % low.)
 """
 
 import math
@@ -25,12 +27,13 @@ class Plant:
     position: float = 0.0
     velocity: float = 0.0
     effort: float = 0.0
+    mean_velocity: float = 0.0  # over the last step
     _sum: float = 0.0  # of the controller's integrator, N m
     noise: random.Random = field(default_factory=lambda: random.Random(1))
 
     def stand(self) -> None:
         """The brake is closed."""
-        self.velocity = self.effort = self._sum = 0.0
+        self.velocity = self.mean_velocity = self.effort = self._sum = 0.0
 
     def step(self, wanted: float) -> None:
         """One `STEP` at a speed set-point, rad/s."""
@@ -40,6 +43,8 @@ class Plant:
         self.effort = min(max(effort, -self.effort_limit), self.effort_limit)
         if effort == self.effort:  # no wind-up in the limit
             self._sum += gain * math.tau * RESET * error * STEP
-        friction = self.coulomb * math.tanh(self.velocity / SLOPE) + self.viscous * self.velocity
-        self.position += self.velocity * STEP
-        self.velocity += (self.effort - friction) / self.inertia * STEP
+        before, dry = self.velocity, self.coulomb * math.tanh(self.velocity / SLOPE)
+        momentum, half = self.inertia / STEP, self.viscous / 2
+        self.velocity = ((momentum - half) * before + self.effort - dry) / (momentum + half)
+        self.mean_velocity = (before + self.velocity) / 2
+        self.position += self.mean_velocity * STEP

@@ -1,7 +1,8 @@
 """``make fuzz``: every parser of files from outside reads what no program wrote.
 
 Allowed is that it is read or that the parser's documented error says why not. Anything else (another exception, death,
-20 s, 1 GiB) is a finding, which is written to a file: ``python -m tests.fuzz --case FILE`` repeats it. Exit code 1.
+20 s, 1 GiB) is a finding. The files of its case are kept in the folder of findings, some of each kind, and
+``python -m tests.fuzz --case FILE`` repeats it. Exit code 1.
 """
 
 import argparse
@@ -26,7 +27,9 @@ def main() -> int:
     wanted.add_argument("--least", type=int, default=1, help="cases a parser")
     wanted.add_argument("--seed", type=int, help="of chance; told if it is not given")
     wanted.add_argument("--parser", action="append", choices=list(KNOWN), help="this one, and others so named")
-    wanted.add_argument("--findings", type=Path, default=Path("var/fuzz"), help="folder for what is found")
+    wanted.add_argument(
+        "--findings", type=Path, default=Path("var/fuzz"), help="folder where the cases of findings are kept"
+    )
     wanted.add_argument("--case", type=Path, nargs="+", help="repeat the case of a finding's file, or of some")
     given = wanted.parse_args()
     if given.case is not None:
@@ -34,10 +37,16 @@ def main() -> int:
     seed = SystemRandom().randrange(10**6) if given.seed is None else given.seed
     names = given.parser or list(PARSERS)
     print(f"seed {seed}, {given.cpu:g} s of CPU for {len(names)} parsers", flush=True)
-    given.findings.mkdir(parents=True, exist_ok=True)
+    folder = given.findings.resolve()
+    folder.mkdir(parents=True, exist_ok=True)
     share = given.cpu / len(names)
-    tallies = {name: fuzz(name, seed, share, given.least, given.findings, _Progress(name)) for name in names}
-    return _table(tallies)
+    heads = f"{'parser':24}{'cases':>8}{'read':>8}{'refused':>9}{'findings':>10}{'CPU s':>8}"
+    print(f"\n{heads}{'slowest (number)':>20}{'largest (number)':>22}", flush=True)
+    tallies: dict[str, Tally] = {}
+    for name in names:
+        tallies[name] = fuzz(name, seed, share, given.least, folder, _Progress(name))
+        _row(name, tallies[name])  # as soon as it is known: the whole takes long
+    return _sum(tallies)
 
 
 class _Progress:
@@ -60,20 +69,20 @@ def _show(file: Path, tally: Tally) -> int:
     return int(bool(tally.findings))
 
 
-def _table(tallies: dict[str, Tally]) -> int:
-    heads = f"{'parser':24}{'cases':>8}{'read':>8}{'refused':>9}{'findings':>10}{'CPU s':>8}"
-    print(f"\n{heads}{'slowest (number)':>20}{'largest (number)':>22}")
-    for name, tally in tallies.items():
-        refused = tally.cases - tally.outcomes["read"] - tally.outcomes["finding"] - tally.outcomes["death"]
-        row = f"{name:24}{tally.cases:8}{tally.outcomes['read']:8}{refused:9}{tally.found:10}{tally.cpu:8.1f}"
-        slow, large = f"{tally.slowest[0]:.3f} s", f"{tally.largest[0] / 2**20:.1f} MiB"
-        print(f"{row}{slow + f' ({tally.slowest[1]})':>20}{large + f' ({tally.largest[1]})':>22}")
+def _row(name: str, tally: Tally) -> None:
+    refused = tally.cases - tally.outcomes["read"] - tally.outcomes["finding"] - tally.outcomes["death"]
+    row = f"{name:24}{tally.cases:8}{tally.outcomes['read']:8}{refused:9}{tally.found:10}{tally.cpu:8.1f}"
+    slow, large = f"{tally.slowest[0]:.3f} s", f"{tally.largest[0] / 2**20:.1f} MiB"
+    print(f"{row}{slow + f' ({tally.slowest[1]})':>20}{large + f' ({tally.largest[1]})':>22}", flush=True)
+
+
+def _sum(tallies: dict[str, Tally]) -> int:
     found = sum(tally.found for tally in tallies.values())
     cases, cpu = sum(tally.cases for tally in tallies.values()), sum(tally.cpu for tally in tallies.values())
     print(f"{cases} cases, {found} findings in {cpu:.0f} s of CPU")
     for tally in tallies.values():
-        for kind, path in tally.findings.items():
-            print(f"{kind}\n  python -m tests.fuzz --case {path}")
+        for kind, paths in tally.findings.items():
+            print(f"{kind}\n  python -m tests.fuzz --case {' '.join(str(path) for path in paths)}")
     return int(found > 0)
 
 

@@ -72,8 +72,9 @@ _ROOMS = ("service", "drivers", "simulator")
 
 
 def _peak() -> int:
-    """Bytes that this process had in memory at most."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    """Bytes that this process, or one of those that it started, had in memory at most."""
+    own, others = (resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return max(own, others) * 1024
 
 
 def _limit_memory() -> None:

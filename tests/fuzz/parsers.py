@@ -18,6 +18,7 @@ from drivers.errors import BadProfile
 from drivers.modbus.profile import parse_profile as modbus_profile
 from drivers.modbus.registers import load_registers
 from drivers.registry import load_profile
+from service.backup.manifest import read_manifest
 from service.cli.campaign.measure import plan_number
 from service.cli.documents import read_document
 from service.cli.exports.export_path import export_path
@@ -29,9 +30,9 @@ from service.diagnosis.start import started_from
 from service.errors import BadInput
 from service.execution.recording.recorder import read_stream
 from service.export import identified_model
-from service.export.load import load_of
-from service.export.sheet import check_sheet, sheet
-from service.export.sheet_text import as_markdown
+from service.export.sheets.load import load_of
+from service.export.sheets.making import check_sheet, sheet
+from service.export.sheets.text import as_markdown
 from service.geometry.cell import read_cell
 from service.geometry.collision import CollisionChecker
 from service.maker_urdf.check import check_urdf
@@ -53,7 +54,7 @@ from simulator.drive.dictionary import Dictionary
 from simulator.foreign.dictionary import ForeignDictionary
 from simulator.modbus.register_map import RegisterMapError, load_register_map
 from simulator.scenario import ScenarioError, load_scenario
-from tests.fuzz import seeds
+from tests.fuzz import measurement_files, seeds
 from tests.fuzz.seeds import CONFIG, Seed
 
 ROBOT = "robots/max100-class.yaml"
@@ -201,6 +202,12 @@ PARSERS: Mapping[str, Parser] = {
     "foreign eds": Parser(_dictionaries, lambda path, _: ForeignDictionary(path, 3), (ScenarioError,)),
     "scenario": Parser(_scenarios, lambda path, _: load_scenario(path), (ScenarioError,)),
     "trace": Parser(lambda: list(seeds.traces()), _trace),
+    "backup": Parser(
+        lambda: [seeds.one("manifest.json", seeds.manifest())], lambda path, _: read_manifest(path.parent)
+    ),
+    "mat": Parser(measurement_files.mat, lambda path, _: measurement_files.read(path)),
+    "mdf4": Parser(measurement_files.mdf4, lambda path, _: measurement_files.read(path)),
+    "hdf5": Parser(measurement_files.hdf5, lambda path, _: measurement_files.read(path)),
     "sinumerik": Parser(
         lambda: list(seeds.controls()), lambda path, work: import_control_file(path, Given(0.8), work / "out", "-")
     ),

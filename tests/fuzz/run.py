@@ -16,6 +16,7 @@ from typing import IO
 from tests.fuzz.case import KNOWN, Case, keep, kept, make, read
 from tests.fuzz.child import TIME, read_all
 
+KEPT = 20  # cases of a kind whose files are written
 HUNG = 600.0  # s without a word: it waits for something; what takes CPU time, its own limit ends
 
 
@@ -24,7 +25,7 @@ class Tally:
     """Of one parser."""
 
     outcomes: Counter[str] = field(default_factory=Counter)
-    findings: dict[str, Path | None] = field(default_factory=dict)  # one a kind
+    findings: dict[str, list[Path]] = field(default_factory=dict[str, list[Path]])  # by kind, as far as they are kept
     found: int = 0
     cpu: float = 0.0  # s
     slowest: tuple[float, int] = (0.0, -1)  # s, number
@@ -124,11 +125,11 @@ def _line(lines: IO[str], child: int) -> str:
 
 
 def _found(case: Case, what: str, findings: Path | None, tally: Tally) -> None:
-    """Keep the first of a kind: same place, same error."""
+    """Keep the first `KEPT` of a kind: same place, same error."""
     tally.found += 1
-    kind = " ".join(what.split()[:2])
-    if kind not in tally.findings:
-        tally.findings[kind] = None if findings is None else keep(case, what, findings)
+    kept_of_kind = tally.findings.setdefault(" ".join(what.split()[:2]), [])
+    if findings is not None and len(kept_of_kind) < KEPT:
+        kept_of_kind.append(keep(case, what, findings))
 
 
 def _ended(code: int) -> str:

@@ -9,23 +9,25 @@ import struct
 import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, cast
 
 import numpy as np
 import pyarrow as pa
-from scipy.io import savemat
 
+from service.backup.manifest import Manifest, StoredFile
 from service.cli.recordings.identify import identify_bundle
 from service.configuration import read_robot
 from service.geometry.cell import read_cell
 from service.identification.design.excitation import Excitation
 from service.identification.design.sweep_path import way
 from service.planning.plan import PlanRequest, build_plan
-from service.recording import Recording, Sine, Sweep, SweepSpec
+from service.recording import Sine, Sweep
 from service.store.files.bundle import read_bundle, write_bundle
 from tests.control_file import Loop, tuning_xml
+from tests.rigid_sweep import rigid_sweep
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config"
@@ -61,26 +63,8 @@ def shared(pattern: str) -> Iterator[Seed]:
 
 
 def sweep(number: int) -> Sweep:
-    """Of a rigid body with viscous friction about axis 1, and noise."""
-    rate, periods, offset, inertia, friction = 50.0, 2, 0.0105, 300.0, 180.0
-    sines = tuple(Sine(frequency=f, amplitude=0.002, phase=f**2) for f in (2.0, 3.0, 4.0, 5.0))
-    time = np.arange(int(rate * periods)) / rate
-    angles = [2 * np.pi * sine.frequency * time + sine.phase for sine in sines]
-    velocity = offset + sum(0.002 * np.sin(angle) for angle in angles)
-    acceleration = sum(0.004 * np.pi * s.frequency * np.cos(angle) for s, angle in zip(sines, angles, strict=True))
-    effort = inertia * acceleration + friction * velocity + np.random.default_rng(number).normal(size=len(time))
-    spec = SweepSpec(
-        id=f"{number:04d}",
-        axis="joint_1",
-        pose=(0.0, 0.1 * number, 0.0, 0.0, 0.0, 0.0),
-        offset_velocity=offset,
-        sines=sines,
-        period=1.0,
-        periods=periods,
-        sample_rate=rate,
-        started_at=10.0 * number,
-    )
-    return Sweep(spec, Recording(time, np.asarray(effort), np.asarray(velocity), np.cumsum(velocity) / rate))
+    """A short one: what is edited should not be large."""
+    return rigid_sweep(number, 0.1 * number, rate=50.0, periods=2)
 
 
 def columns(number: int = 1) -> dict[str, np.ndarray]:
@@ -172,6 +156,19 @@ def payload() -> bytes:
     return json.dumps(document).encode()
 
 
+def manifest() -> str:
+    """Of a backup."""
+    file = StoredFile(size=3, sha256="0" * 64)
+    return Manifest(
+        made_at=datetime(2026, 11, 24, tzinfo=UTC),
+        schema_version="0012",
+        database="1" * 32,
+        files={"sweepid.sqlite": file, "recordings/campaign-000001/0001-1.parquet": file},
+        streams_left_out=("recordings/campaign-000001/0002-1.arrow",),
+        in_store={"recordings/campaign-000001/0003-1.parquet": "2" * 64},
+    ).model_dump_json()
+
+
 def model() -> bytes:
     """As `sweepid diagnose --model` writes what is known of an axis."""
     number = {"value": 3.5, "std": 0.2, "unit": "N m"}
@@ -222,11 +219,6 @@ def traces() -> Iterator[Seed]:
     targets = ("mapping.yaml", "trace.csv")
     yield Seed({"mapping.yaml": TRACE_MAPPING.encode(), "trace.csv": as_csv(columns())}, "mapping.yaml", targets)
     yield Seed({"mapping.yaml": ALIGNED.encode(), "trace.csv": aligned_trace()}, "mapping.yaml", targets)
-    mat = io.BytesIO()
-    savemat(mat, columns())
-    stamped = mat.getvalue()[:20].ljust(116) + mat.getvalue()[116:]  # without the time of writing
-    files = {"mapping.yaml": TRACE_MAPPING.replace(".csv", ".mat").encode(), "trace.mat": stamped}
-    yield Seed(files, "mapping.yaml", ("mapping.yaml", "trace.mat"))
 
 
 def controls() -> Iterator[Seed]:

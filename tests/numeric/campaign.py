@@ -66,6 +66,17 @@ def measure_at(
     axes: Sequence[str] = AXES,
 ) -> SimulatedCampaign:
     """Sweeps of `axes` in `poses` (m, 6). Recordings have the load's motion only with `direct_encoder`."""
+    specs, runs = planned_at(scenario, poses, sample_rate, axes)
+    recordings = [Recording(**columns) for columns in run_sweeps(scenario, runs, seed)]
+    if not direct_encoder:
+        recordings = [replace(one, load_position=None, load_velocity=None) for one in recordings]
+    return SimulatedCampaign(max100(), scenario, tuple(map(Sweep, specs, recordings)))
+
+
+def planned_at(
+    scenario: Scenario, poses: np.ndarray, sample_rate: float = 1000.0, axes: Sequence[str] = AXES
+) -> tuple[list[SweepSpec], list[SweepRun]]:
+    """The sweeps of `axes` in `poses` (m, 6), to be recorded and to be run."""
     robot = max100()
     locked = lock(robot.chain, {3: 0.0, 4: 0.0, 5: 0.0})
     specs: list[SweepSpec] = []
@@ -102,7 +113,4 @@ def measure_at(
                     sample_rate=sample_rate,
                 )
             )
-    recordings = [Recording(**columns) for columns in run_sweeps(scenario, runs, seed)]
-    if not direct_encoder:
-        recordings = [replace(one, load_position=None, load_velocity=None) for one in recordings]
-    return SimulatedCampaign(robot, scenario, tuple(map(Sweep, specs, recordings)))
+    return specs, runs

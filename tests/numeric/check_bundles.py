@@ -7,6 +7,7 @@ half of them, records end with their window in half, a third has no holds, a fif
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -69,7 +70,8 @@ def _trimmed(sweep: Sweep) -> Sweep:
         return sweep
     last = round((spec.measure_from + spec.period * spec.periods) * spec.sample_rate)
     columns = {field.name: getattr(sweep.recording, field.name) for field in fields(Recording)}
-    return Sweep(spec, Recording(**{n: None if column is None else column[:last] for n, column in columns.items()}))
+    cut: dict[str, Any] = {n: None if column is None else column[:last] for n, column in columns.items()}
+    return Sweep(spec, Recording(**cut))
 
 
 def _with_holds(random: np.random.Generator, robot: Robot, sweeps: Sequence[Sweep]) -> list[Sweep]:

@@ -177,7 +177,8 @@ def _lost(random: Random, sound: Sound) -> Bundle:
         step = 1 / sweep.spec.sample_rate
         fill = {n: getattr(record, n)[keep] for n in ("effort", "velocity", "position")}
         tail = {n: np.concatenate([v, v[-lost:]]) for n, v in fill.items()}
-        return Sweep(sweep.spec, type(record)(time=np.arange(len(record.time)) * step, **tail))
+        time = np.asarray(np.arange(len(record.time)) * step, np.float64)
+        return Sweep(sweep.spec, type(record)(time=time, **tail))
 
     turning = [s.spec.id for s in sound.bundle.sweeps if s.spec.axis == sound.joint and s.spec.offset_velocity]
     chosen = set(random.choice(turning, max(1, len(turning) // 4), replace=False).tolist())

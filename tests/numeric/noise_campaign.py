@@ -43,6 +43,7 @@ class SimulatedAnalysis:
         """In the order of `service.identification.spectra.axis_inertia.DriveTrain`."""
         train, gear = self.train, self.robot.axis(self.joint).gear_ratio
         motor, load, spring = train.motor_friction.viscous, train.load_friction.viscous, train.spring
+        assert spring is not None
         return np.array(
             [train.motor_inertia * gear**2, motor, load, 1 / spring.stiffness, spring.damping / spring.stiffness]
         )
@@ -61,7 +62,9 @@ def measure_noise(name: str, joint: str, seed: int, repeats: int = 2, poses: np.
     specs: list[SweepSpec] = []
     runs: list[NoiseRun] = []
     for pose, load in zip(poses.tolist(), loads, strict=True):
-        inertia = float(load) + robot.axis(joint).reflected_motor_inertia
+        motor = robot.axis(joint).reflected_motor_inertia
+        assert motor is not None
+        inertia = float(load) + motor
         for direction in (1, -1) * repeats:
             design = design_noise(
                 robot, joint, inertia=inertia, travel=0.066, seed=100 * seed + len(specs), direction=direction

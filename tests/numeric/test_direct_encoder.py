@@ -1,5 +1,7 @@
 """A direct encoder on the joint makes the inertia independent of what the spring really does."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -26,7 +28,7 @@ def test_no_spring_is_needed(scenario: str) -> None:
         )
         assert np.sqrt(np.mean(z**2)) < 1.5
         assert abs(error.mean()) < 0.4
-    document = as_document(estimate, estimate.workspace).as_json()
+    document: Any = as_document(estimate, estimate.workspace).as_json()
     assert document["suspect"] == []
     for joint in AXES:
         axis = document["axes"][joint]

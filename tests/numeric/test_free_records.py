@@ -1,6 +1,7 @@
 """Records without lines on an elastic axis: fitted as rigid, they must not promise more than they keep."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,8 @@ def test_what_the_spring_does_to_a_rigid_fit_is_in_the_deviation() -> None:
     spectra = [spectrum(campaign.robot, sweep) for sweep in (*campaign.sweeps, *told)]
     estimate = identify(campaign.robot, spectra)
     truth = dict(zip((sweep.spec.id for sweep in told), campaign.truth("joint_1"), strict=True))
-    entries = as_document(estimate, estimate.workspace).as_json()["axes"]["joint_1"]["inertia"]
+    document: Any = as_document(estimate, estimate.workspace).as_json()
+    entries = document["axes"]["joint_1"]["inertia"]
     records = [entry for entry in entries if entry["sweep"] in truth]
     z = [(entry["value"] - truth[entry["sweep"]]) / entry["std"] for entry in records]
     error = [100 * (entry["value"] / truth[entry["sweep"]] - 1) for entry in records]

@@ -99,6 +99,7 @@ def _bound(campaign: SimulatedCampaign, joint: str) -> np.ndarray:
     train = campaign.scenario.driven(joint).train
     gear = campaign.robot.axis(joint).gear_ratio
     motor = train.motor_inertia * gear**2
+    assert train.spring is not None
     stiffness = train.spring.stiffness
     shared = np.array(
         [

@@ -66,7 +66,7 @@ def _naive(sweeps: Sequence[Sweep], frequency: np.ndarray) -> np.ndarray:
     """H1 of effort over velocity from the single periods of some runs."""
     spectra = []
     for sweep in sweeps:
-        period, first = round(1000 * sweep.spec.period), round(1000 * sweep.spec.measure_from)
+        period, first = round(1000 * (sweep.spec.period or 0.0)), round(1000 * sweep.spec.measure_from)
         columns = np.stack([sweep.recording.effort, sweep.recording.velocity])[:, first : first + 3 * period]
         spectra.append(np.fft.rfft(columns.reshape(2, 3, period)))
     effort, velocity = np.concatenate(spectra, axis=1)[..., np.round(frequency * sweeps[0].spec.period).astype(int)]

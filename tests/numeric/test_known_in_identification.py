@@ -4,6 +4,7 @@ What the estimate is told is one standard deviation off the truth, as a diagnosi
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from service.identification.axis.known_effects import KnownEffects
 from simulator import Scenario
 from simulator.scenario import DriveTrain, Friction, Hose, PowerLaw, Stribeck
 from tests.numeric.campaign import AXES, SimulatedCampaign, measure_at, scenario_named
-from tests.unit.service.identification.known import Told, known
+from tests.unit.service.identification.known import Parameters, known
 
 POSES, SEED = 16, 71
 BOUND = 1e-3  # of J: what may be left as a bias of an axis, where its standard deviation is no larger
@@ -38,8 +39,9 @@ def measured(machine: Scenario, seed: int = SEED) -> SimulatedCampaign:
     return measure_at(machine, seed, poses)
 
 
-def told(machine: Scenario, effect: Callable[[Friction], dict[str, Told]]) -> KnownEffects:
-    return known(**{joint: effect(machine.axes[joint].train.motor_friction) for joint in AXES})
+def told(machine: Scenario, effect: Callable[[Friction], dict[str, Parameters]]) -> KnownEffects:
+    effects: dict[str, Any] = {joint: effect(machine.axes[joint].train.motor_friction) for joint in AXES}
+    return known(**effects)
 
 
 def near(value: float, part: float) -> tuple[float, float]:
@@ -105,7 +107,7 @@ def test_in_the_usual_noise_a_known_delay_moves_no_inertia(seed: int) -> None:
 def test_a_known_nonlinear_friction_costs_less_inertia() -> None:
     """What is left is the plant's: its nonlinear friction comes half of its step of 0.25 ms late."""
     machine = scenario(lambda train: rubbed(train, power=PowerLaw(coefficient=60.0 / 0.01**0.5, exponent=0.5)))
-    effects: dict[str, Told] = {
+    effects: dict[str, Parameters] = {
         "nonlinear_viscous_friction": {"coefficient": near(60.0, 0.02), "exponent": near(0.5, 0.02)}
     }
     without, with_it = compare(machine, told(machine, lambda _: effects))
@@ -118,7 +120,7 @@ def test_a_known_stribeck_friction_costs_no_inertia() -> None:
         lambda train: rubbed(train, stribeck=Stribeck(extra=0.7 * train.motor_friction.coulomb, velocity=0.01))
     )
 
-    def effect(friction: Friction) -> dict[str, Told]:
+    def effect(friction: Friction) -> dict[str, Parameters]:
         coulomb = {"coulomb": near(friction.coulomb, 0.02), "extra": near(0.7 * friction.coulomb, 0.02)}
         return {"stribeck_friction": coulomb | {"velocity": near(0.01, 0.02), "exponent": near(2.0, 0.02)}}
 
@@ -131,7 +133,7 @@ def test_a_known_stribeck_friction_costs_no_inertia() -> None:
 def test_friction_that_is_known_to_grow_with_the_load_costs_no_inertia_or_is_told_as_doubt() -> None:
     machine = scenario(lambda train: rubbed(train, load_dependence=0.05))
 
-    def effect(friction: Friction) -> dict[str, Told]:
+    def effect(friction: Friction) -> dict[str, Parameters]:
         return {
             "load_dependent_friction": {"coulomb": near(friction.coulomb, 0.02), "load_dependence": near(0.05, 0.02)}
         }

@@ -12,7 +12,7 @@ from service.errors import BadInput
 from service.identification.estimates.torque_gain import KnownMass
 from service.identification.payloads.payload import Payload, body_of, payload
 from service.recording import Sweep
-from service.store.files.bundle import Bundle, read_bundle, write_bundle
+from service.store.files.bundle import read_bundle, write_bundle
 from simulator import LinkDeviation
 from simulator.scenario import AddedBody
 from tests.command import sweepid
@@ -63,11 +63,11 @@ def test_free_motions_tell_the_payload() -> None:
 def test_a_torque_constant_is_in_the_total() -> None:
     truth = draw(230, 4)
     before, after = before_and_after(truth, 230)
-    wrong = [
+    first, second = (
         [replace(s, recording=replace(s.recording, effort=1.05 * s.recording.effort)) for s in part]
         for part in (before, after)
-    ]
-    found = payload(truth.robot, *wrong)
+    )
+    found = payload(truth.robot, first, second)
     assert found.body[0] == pytest.approx(1.05 * PAYLOAD[0], abs=3 * found.body_std[0])
     assert found.body_std_total[0] > 0.02 * PAYLOAD[0]
     assert abs(found.body[0] - PAYLOAD[0]) < 3 * found.body_std_total[0]
@@ -141,8 +141,7 @@ def test_sweeps_tell_the_payload(tmp_path: Path) -> None:
     before, after = measure_at(bare, 3, poses), measure_at(loaded, 4, poses)
     for name, campaign in (("before", before), ("after", after)):
         write_bundle(tmp_path / name, campaign.robot, campaign.sweeps)
-    bundles: list[Bundle] = [read_bundle(tmp_path / name) for name in ("before", "after")]
-    found = payload_of(*bundles, "after")
+    found = payload_of(read_bundle(tmp_path / "before"), read_bundle(tmp_path / "after"), "after")
     figures = [found.mass, *found.center.values(), *found.inertia.values()]
     for figure, value in zip(figures, true, strict=True):
         print(f"{figure.value} +- {figure.std}, true {value:.4f}")

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -78,7 +79,7 @@ def stated(plan: PlanDocument, direct_encoder: bool) -> float:
         recordings = [replace(one, load_position=None, load_velocity=None) for one in recordings]
     robot = max100()
     sweeps = [Sweep(planned.spec, recording) for planned, recording in zip(plan.sweeps, recordings, strict=True)]
-    document = estimate_document(robot, [spectrum(robot, sweep) for sweep in sweeps]).as_json()
+    document: Any = estimate_document(robot, [spectrum(robot, sweep) for sweep in sweeps]).as_json()
     return max(document["axes"][joint]["confidence_percent"] for joint in AXES)
 
 
@@ -94,5 +95,6 @@ def test_confidence_falls_about_as_the_root_of_the_number_of_poses(plan: PlanDoc
     told = [(n, percent) for n, percent in enumerate(plan.confidence, 1) if percent is not None]
     assert len(told) >= 15
     assert all(after <= before for (_, before), (_, after) in pairwise(told))
-    slope = np.polyfit(*np.log(told).T, 1)[0]
+    count, percent = np.log(told).T
+    slope = np.polyfit(count, percent, 1)[0]
     assert -1.5 < slope < -0.3

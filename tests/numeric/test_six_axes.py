@@ -5,6 +5,7 @@ The full size is `tests/benchmarks/six_axes.py`.
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -79,7 +80,7 @@ def test_a_bundle_with_trajectories_is_identified_by_both(measured: Measured, tm
     few = [sweep for sweep in measured.sweeps if sweep.spec.axis in ("joint_2", "joint_6")]
     write_bundle(tmp_path / "b", measured.robot, [*few, *measured.trajectories[0]])
     bundle = read_bundle(tmp_path / "b")
-    document = identify_bundle(bundle, None, "b").as_json()
+    document: Any = identify_bundle(bundle, None, "b").as_json()
     assert set(document["axes"]) == {"joint_2", "joint_6"}
     assert [len(sweeps) for sweeps in document["combination"]["trajectories"]] == [6]
     found = {parameter["name"]: parameter for parameter in document["combination"]["base_parameters"]}

@@ -30,8 +30,8 @@ def test_resonance_and_stiffness(joint: str) -> None:
             pose=sweep.spec.pose,
             offset_velocity=sweep.spec.offset_velocity,
             sines=tuple((sine.frequency, sine.amplitude, sine.phase) for sine in sweep.spec.sines),
-            period=sweep.spec.period,
-            periods=sweep.spec.periods,
+            period=sweep.spec.period or 0.0,
+            periods=sweep.spec.periods or 0,
             ramp=sweep.ramp,
             settle=sweep.settle,
             sample_rate=sweep.spec.sample_rate,
@@ -44,6 +44,7 @@ def test_resonance_and_stiffness(joint: str) -> None:
     ]
     analysis = analyse(robot, [], spectra)[joint]
     train = scenario.driven(joint).train
+    assert train.spring is not None
     truth = np.array([train.motor_inertia * robot.axis(joint).gear_ratio ** 2, 1 / train.spring.stiffness])
     off = (analysis.mean[[0, 3]] - truth) / np.sqrt(np.diag(analysis.covariance)[[0, 3]])
     print(f"{joint} stepped sine: motor inertia and compliance off by {off.round(2)} standard deviations")

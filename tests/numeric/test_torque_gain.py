@@ -1,6 +1,7 @@
 """A known mass bolted on calibrates the torque constants; then every inertia is known in true units."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -48,7 +49,7 @@ def test_a_test_mass_calibrates_the_torque() -> None:
 
     gains = {joint: one.gain for joint, one in found.items()}
     wrong, right = identify(robot, told), identify(robot, told, gains=gains)
-    document = as_document(right, right.workspace).as_json()
+    document: Any = as_document(right, right.workspace).as_json()
     for axis, known in zip(wrong.axes, right.axes, strict=True):
         truth = before.truth(axis.joint)
         assert np.median(np.abs(axis.values / truth - 1)) > 0.03

@@ -34,17 +34,18 @@ def main() -> int:
         tempfile.TemporaryDirectory() as folder,
         walking(way, Path(folder), seed, lambda line: print(line, flush=True)) as (walk, watch),
     ):
-        for disturbance in order:
-            if monotonic() > began + 60 * given.minutes:
-                break
-            walk.disturb(disturbance)
-        walk.finish()
-        tally = walk.tally
-    result = document(way.name, seed, tally, watch)
-    if given.json:
-        given.json.write_text(json.dumps(result, indent=1) + "\n", "utf-8")
-    print(json.dumps(result, indent=1))
-    return int(bool(watch.unasked or tally.broken))
+        try:
+            for disturbance in order:
+                if monotonic() > began + 60 * given.minutes:
+                    break
+                walk.disturb(disturbance)
+            walk.finish()
+        finally:  # hours of it are told even if something unforeseen ends them
+            result = json.dumps(document(way.name, seed, walk.tally, watch), indent=1)
+            print(result, flush=True)
+            if given.json:
+                given.json.write_text(result + "\n", "utf-8")
+    return int(bool(watch.unasked or walk.tally.broken))
 
 
 def document(way: str, seed: int, tally: Tally, watch: Watch) -> dict[str, object]:

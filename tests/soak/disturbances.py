@@ -1,8 +1,8 @@
 """What goes wrong on a shop floor, and what people do, each to be done at any moment of a campaign and undone.
 
 The twelve faults of a machine hall (bus-off, lost or doubled PDO, drive fault, suspended host, full disk, power cut,
-two clients, wrong axis or pose, emergency stop, identity of another drive, killed worker; a step of the clock cannot be
-made without the whole computer), data that cannot be written, and commands that cross one another.
+two clients, wrong axis or pose, emergency stop, step of the clock, identity of another drive, killed worker), data that
+cannot be written, and commands that cross one another.
 """
 
 import os
@@ -20,6 +20,7 @@ import httpx
 import psutil
 
 from service.client import ServiceClient, ServiceProblem, ServiceUnreachable
+from tests.soak import data_faults
 from tests.system.rest_bench import PATIENCE, Service, VirtualMachine
 
 AXIS, OTHER = "joint_1", "joint_3"
@@ -39,18 +40,24 @@ class Bench(Protocol):
 
     def client_anew(self) -> None: ...
 
+    def started(self, campaign: int) -> None: ...
+
 
 Act = Callable[[Bench], None]
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """`ends`: whatever happens, nothing may move afterwards until a person acts; else the service decides."""
+    """`ends`: whatever happens, nothing may move afterwards until a person acts; else the service decides.
+
+    `keeps`: the disk keeps what it said it had kept, so that of what was measured only the last moment may be lost.
+    """
 
     name: str
     make: Act
     undo: tuple[Act, ...] = ()
     ends: bool = True
+    keeps: bool = True
     only: frozenset[str] = field(default=EVERYWHERE)
 
 
@@ -123,7 +130,10 @@ def _restart(bench: Bench) -> None:
 
 
 def _ended_kindly(bench: Bench) -> None:
-    bench.service.running().send_signal(bench.chance.choice([signal.SIGTERM, signal.SIGINT, signal.SIGHUP]))
+    signals = [signal.SIGTERM, signal.SIGINT]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # under nohup the service does not end by it either
+        signals.append(signal.SIGHUP)
+    bench.service.running().send_signal(bench.chance.choice(signals))
     assert bench.service.end() == 0, bench.service.log()[-2000:]
 
 
@@ -170,6 +180,12 @@ def _locked(bench: Bench) -> None:
         other.execute("ROLLBACK")
 
 
+def _clock_set(bench: Bench) -> None:
+    """By hand or by NTP; the drives have no clock of the wall."""
+    assert bench.service.clock is not None
+    bench.service.clock.step(bench.chance.choice([-1, 1]) * bench.chance.choice([0.5, 20.0, 3600.0, 86400.0]))
+
+
 def _stopped(bench: Bench) -> None:
     """503 tells that a drive did not confirm; the stop holds all the same."""
     with suppress(ServiceProblem):
@@ -187,7 +203,9 @@ def _crossing(bench: Bench) -> None:
     def wanting(what: int) -> None:
         with ServiceClient(bench.service.url) as client, suppress(ServiceProblem):
             if what == 0:
-                client.start(int(client.add_campaign(bench.plan)["id"]))
+                another = int(client.add_campaign(bench.plan)["id"])
+                client.start(another)
+                bench.started(another)
             elif what == 1:
                 client.resume(bench.campaign, repeat=True)
             elif what == 2:
@@ -240,6 +258,11 @@ DISTURBANCES = (
     Disturbance("stop process killed", _stop_process_killed, ends=False),
     Disturbance("disk full", _full_disk, (_room_again,), ends=False),
     Disturbance("database locked", _locked, ends=False),
+    Disturbance("stream torn by a power cut", data_faults.torn_stream, (_restart,), keeps=False),
+    Disturbance("commits lost in a power cut", data_faults.lost_commits, (_restart,), keeps=False),
+    Disturbance("damaged recording", data_faults.damaged_recording, ends=False),
+    Disturbance("read-only folder", data_faults.locked_folder, ends=False),
+    Disturbance("clock set", _clock_set, ends=False),
     Disturbance("STOP", _stopped),
     Disturbance("pause", _paused, ends=False),  # what moves comes to its end first
     Disturbance("clients that cross one another", _crossing, ends=False),

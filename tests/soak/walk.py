@@ -11,12 +11,12 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-
-import httpx
+from typing import Any
 
 from service.client import Json, ServiceClient, ServiceProblem, ServiceUnreachable
 from tests.soak.disturbances import CAN, DISTURBANCES, MODBUS, Disturbance
 from tests.soak.watch import Watch
+from tests.system.clock import Clock
 from tests.system.rest_bench import (
     PATIENCE,
     PATIENT_LEASE,
@@ -24,7 +24,6 @@ from tests.system.rest_bench import (
     Service,
     VirtualMachine,
     add_plan,
-    serving,
     until,
     virtual_machine,
 )
@@ -32,6 +31,7 @@ from tests.system.rest_bench import (
 LONGEST = 6.0  # s into a run that a disturbance comes; a sweep with its way takes some 4 s
 GOES_ON = 4.0  # s after what need not end a run
 UNDER_WAY = ("running", "pausing", "measured")
+STORED = 10.0  # s after a resume within which a recording is stored that the disk had refused before
 LOOK = (0.3, 1.0)  # s that nothing may move before a person acts
 
 
@@ -78,8 +78,10 @@ class Tally:
 
 @dataclass(frozen=True)
 class Measured:
-    """What a drive had measured of a sweep at some moment."""
+    """What a drive had measured of a sweep at some moment, before a disturbance."""
 
+    disturbance: str
+    campaign: int
     number: int
     attempt: int
     samples: int
@@ -110,6 +112,8 @@ class Walk:
         )
         self._way, self._watch, self._say = way, watch, say
         self._campaigns: list[int] = []
+        self._measured_before: Measured | None = None
+        """Compared with the recordings once the run goes on: until then the service may still store what it holds."""
 
     def __enter__(self) -> "Walk":
         return self
@@ -121,15 +125,21 @@ class Walk:
         """Of a service that was started again, at another address."""
         self.client = self._closing.enter_context(ServiceClient(self.service.url))
 
+    def started(self, campaign: int) -> None:
+        """A client started this campaign while others wanted something else: from now on it is the present one."""
+        self.campaign = campaign
+        self._campaigns.append(campaign)
+
     def disturb(self, disturbance: Disturbance) -> None:
         """Once, at some moment of a run, and everything put right again."""
         self._run()
+        self._count_lost()
         time.sleep(self.chance.uniform(0.0, LONGEST))
         before = self._state()
         if before["state"] == "paused":
             self.tally.unplanned.append(f"before {disturbance.name}: {before['cause']}")
             self._rests(disturbance)
-        measured = self._measured(before)
+        self._measured_before = self._measured(before, disturbance.name) if disturbance.keeps else None
         disturbance.make(self)
         if disturbance.ends:
             self._watch.must_rest(disturbance.name)
@@ -138,9 +148,6 @@ class Walk:
             act(self)
         time.sleep(self.chance.uniform(*LOOK))
         self.tally.done[disturbance.name] += 1
-        if measured is not None:
-            lost = self._lost(measured)
-            self.tally.lost[disturbance.name] = max(self.tally.lost.get(disturbance.name, 0.0), lost)
         if disturbance.ends and before["state"] == "running":
             until(lambda: self._state()["state"] not in UNDER_WAY, f"{disturbance.name} ends the run")
         self._report(disturbance)
@@ -150,6 +157,7 @@ class Walk:
         for campaign in self._campaigns:
             self.campaign = campaign
             until(self._goes_on, f"campaign {self.campaign} comes to its end", 3 * PATIENCE)
+        self._count_lost()
         for campaign in self._campaigns:
             self.kept(campaign)
 
@@ -227,7 +235,7 @@ class Walk:
             self.machine.axes()
             until(lambda: self._watch.rests_now, f"{disturbance.name}: the axes stand")
 
-    def _measured(self, campaign: Json) -> Measured | None:
+    def _measured(self, campaign: Json, disturbance: str) -> Measured | None:
         """Of the sweep that a drive makes now by itself; a streamed one is counted by the host alone."""
         sweep = campaign["progress"]["current"]
         if sweep is None or campaign["state"] != "running" or self._way.modes != "drive_side":
@@ -235,17 +243,30 @@ class Walk:
         axis = self.machine.axes()[sweep["spec"]["axis"]]
         rate = float(sweep["spec"]["sample_rate"]) * self._way.speed_factor
         running = axis["measuring"] == "running"
-        return Measured(sweep["number"], sweep["attempt"], axis["samples"], rate) if running else None
+        if not running:
+            return None
+        return Measured(disturbance, self.campaign, sweep["number"], sweep["attempt"], axis["samples"], rate)
 
-    def _lost(self, measured: Measured) -> float:
-        """ms of it that are in no recording, whole or partial."""
-        at = f"{self.service.url}/api/v1/campaigns/{self.campaign}/sweeps/{measured.number}"
-        answer = httpx.get(f"{at}/recording", timeout=PATIENCE, trust_env=False)
-        there = answer.is_success and answer.json()["attempt"] >= measured.attempt
-        kept = int(answer.json()["samples"]) if there else 0
-        if not there and self.client.sweeps(self.campaign)[measured.number - 1]["state"] == "running":
-            return 0.0  # it goes on
-        return 1000 * max(0, measured.samples - kept) / measured.per_second
+    def _count_lost(self) -> None:
+        """Of what a drive had measured before the last disturbance: what no recording, whole or partial, has."""
+        measured, self._measured_before = self._measured_before, None
+        if measured is None:
+            return
+        asked = (
+            "SELECT sweep.state, sweep.attempt, recording.samples FROM sweep"
+            " LEFT JOIN recording ON recording.sweep_id = sweep.id AND recording.attempt = ?"
+            " WHERE sweep.campaign_id = ? AND sweep.number = ?"
+        )
+        deadline = time.monotonic() + STORED
+        while True:
+            ((state, attempt, samples),) = self._rows(asked, (measured.attempt, measured.campaign, measured.number))
+            if samples is None and state == "running" and attempt == measured.attempt:
+                return  # it still runs
+            if samples is not None or time.monotonic() > deadline:
+                break
+            time.sleep(0.1)
+        lost = 1000 * max(0, measured.samples - (samples or 0)) / measured.per_second
+        self.tally.lost[measured.disturbance] = max(self.tally.lost.get(measured.disturbance, 0.0), lost)
 
     def _report(self, disturbance: Disturbance) -> None:
         after = self._state()
@@ -269,13 +290,17 @@ class Walk:
             self.tally.broken.append(f"campaign {campaign}: complete recordings {dict(whole)}")
 
     def _recordings(self, campaign: int, state: str) -> Iterator[int]:
-        (file,) = self.service.data.glob("sweepid.sqlite")
         asked = (
             "SELECT sweep.number FROM recording JOIN sweep ON sweep.id = recording.sweep_id"
             " WHERE sweep.campaign_id = ? AND recording.state = ?"
         )
+        yield from (int(number) for (number,) in self._rows(asked, (campaign, state)))
+
+    def _rows(self, query: str, values: tuple[int | str, ...]) -> list[tuple[Any, ...]]:
+        """Of the service's database, read without a lock."""
+        (file,) = self.service.data.glob("sweepid.sqlite")
         with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as database:
-            yield from (int(number) for (number,) in database.execute(asked, (campaign, state)))
+            return database.execute(query, values).fetchall()
 
 
 @contextmanager
@@ -283,7 +308,10 @@ def walking(way: Way, folder: Path, seed: int, say: Callable[[str], None]) -> It
     """A machine, a service on it, and somebody who looks on."""
     with ExitStack() as stack:
         machine = stack.enter_context(virtual_machine(folder, way.speed_factor, way.fieldbus))
-        service = stack.enter_context(serving(folder, machine.profile, PATIENT_LEASE))
+        service = Service(folder, machine.profile, PATIENT_LEASE)
+        service.clock = Clock(folder)
+        service.start()
+        stack.callback(service.close)
         watch = stack.enter_context(Watch(machine))
         walk = Walk(way, machine, service, watch, random.Random(seed), say)
         yield stack.enter_context(walk), watch

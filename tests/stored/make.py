@@ -7,6 +7,7 @@ of older formats stay as they are.
 import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,7 @@ def rubbing(folder: Path, blocks: tuple[str, ...] | None = None, sign: float = 1
     """The vertical axis of the representative robot, with dry friction and noise; `sign` of the effort as recorded."""
     robot, random = max100(), np.random.default_rng(5)
     poses = np.array([[0.0, -0.6, 0.4, 0, 0, 0], [0.5, 0.4, -0.7, 0, 0, 0]])
-    chosen = {} if blocks is None else {"blocks": blocks}
+    chosen: dict[str, Any] = {} if blocks is None else {"blocks": blocks}
     sweeps: list[Sweep] = []
     for designed in full_design(robot, "joint_1", poses, sample_rate=250.0, **chosen):
         sweep = expected(designed, designed.spec.pose[0])

@@ -17,13 +17,15 @@ import psutil
 import yaml
 
 from service.client import Json, ServiceClient, ServiceProblem
+from tests.system.clock import Clock
 
 CONFIG = Path(__file__).parents[2] / "config"
 ROBOT = CONFIG / "robots" / "max100-class.yaml"
 SCENARIO = CONFIG / "scenarios" / "max100-full.yaml"
 SWEEPID = str(Path(sys.executable).with_name("sweepid"))
 PATIENCE = 180.0  # s for anything on a busy computer
-PATIENT_LEASE = 30.0  # s, where no service is killed: a disk that others use may take long over a renewal
+PATIENT_LEASE = 30.0  # s: a disk that others use may take long over a renewal
+SHORT_LEASE = 6.0  # s, where a service is killed and started again: it waits for so long
 SYNC_PERIOD = 0.008  # s: half the rate of the default, which a computer that does other work cannot always keep
 
 
@@ -89,7 +91,10 @@ class VirtualMachine:
 class Service:
     """`sweepid serve` on a data directory; may be killed and started again."""
 
-    def __init__(self, folder: Path, profile: Path, lease_time: float = 6.0, **settings_too: object) -> None:
+    clock: Clock | None = None
+    """What it sees, from its next start on, instead of the computer's."""
+
+    def __init__(self, folder: Path, profile: Path, lease_time: float = PATIENT_LEASE, **settings_too: object) -> None:
         """`lease_time`: s that a busy disk may take; also what a service that follows on a killed one waits for."""
         self.data = folder / "data"
         self._log = folder / "service.log"
@@ -110,8 +115,9 @@ class Service:
     def start(self) -> str:
         """Start and wait until it is ready; its address."""
         command = [SWEEPID, "serve", "--config", str(self._settings), "--port", "0"]
+        environment = os.environ | (self.clock.environment if self.clock else {})
         with self._log.open("ab") as log:
-            self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log)
+            self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, env=environment)
         line = self._process.stdout.readline() if self._process.stdout else b""
         if not line:
             raise RuntimeError(self._log.read_text("utf-8"))
@@ -172,7 +178,9 @@ def virtual_machine(
 
 
 @contextmanager
-def serving(folder: Path, profile: Path, lease_time: float = 6.0, **settings_too: object) -> Iterator[Service]:
+def serving(
+    folder: Path, profile: Path, lease_time: float = PATIENT_LEASE, **settings_too: object
+) -> Iterator[Service]:
     service = Service(folder, profile, lease_time, **settings_too)
     service.start()
     try:
@@ -213,9 +221,25 @@ def release(client: ServiceClient, by: str = "Ada") -> None:
         try:
             client.reset_stop(by, [stop["id"] for stop in client.stops()])
         except ServiceProblem as problem:
-            if "is under way" in str(problem):
+            if "is not finished yet" in str(problem):
                 return False
             raise
         return True
 
     until(released, "released")
+
+
+def differences(one: Any, other: Any, path: str = "") -> Iterator[tuple[str, float]]:
+    """Relative differences of the numbers in two documents of one shape."""
+    if isinstance(one, dict):
+        assert one.keys() == other.keys(), path
+        for key in one:
+            yield from differences(one[key], other[key], f"{path}/{key}")
+    elif isinstance(one, list):
+        assert len(one) == len(other), path
+        for number, (mine, yours) in enumerate(zip(one, other, strict=True)):
+            yield from differences(mine, yours, f"{path}/{number}")
+    elif isinstance(one, float):
+        yield path, abs(one - other) / max(abs(one), abs(other), 1e-12)
+    else:
+        assert one == other, path

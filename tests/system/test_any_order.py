@@ -7,10 +7,10 @@ import random
 from collections.abc import Iterator
 from pathlib import Path
 
-import can
 import pytest
 import yaml
 
+from drivers.canopen.socketcand import SocketcandBus
 from tests.soak.walk import WAYS, Way, of, walking
 from tests.soak.watch import Watch
 from tests.system.rest_bench import VirtualMachine, until, virtual_machine
@@ -43,7 +43,7 @@ def machine(tmp_path: Path) -> Iterator[VirtualMachine]:
 def stranger(machine: VirtualMachine) -> Iterator[Host]:
     """Somebody on the bus who asks nobody."""
     line = yaml.safe_load(machine.profile.read_text("utf-8"))["bus"]
-    with can.Bus(interface="socketcand", host=line["host"], port=line["port"], channel="can0") as bus:
+    with SocketcandBus("can0", line["host"], line["port"]) as bus:
         yield Host(bus)
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -119,8 +120,9 @@ async def test_a_campaign_from_plan_to_estimate_and_bundle(application: Applicat
     assert await standing(application)
     estimate = application.store.estimate(campaign.id)
     assert estimate.revision == 6
+    document: Any = estimate.document
     for joint in AXES:
-        for sweep in estimate.document["axes"][joint]["inertia"]:
+        for sweep in document["axes"][joint]["inertia"]:
             assert sweep["value"] > 0
     await application.export_bundle(campaign.id, tmp_path / "bundle")
     bundle = read_bundle(tmp_path / "bundle")
@@ -151,8 +153,8 @@ async def test_a_campaign_ends_when_the_confidence_wanted_is_reached(application
     assert {sweep.cause for sweep in application.store.sweeps(campaign.id)[measured:]} == {done.cause}
     told = [event.data for event in application.store.events(0, campaign.id, 1000) if event.kind is EventKind.CAMPAIGN]
     assert ("measured", done.cause) in [(data["state"], data["cause"]) for data in told]
-    known = application.store.estimate(campaign.id).document["axes"]["joint_2"]["confidence_percent"]
-    assert known <= 0.33
+    document: Any = application.store.estimate(campaign.id).document
+    assert document["axes"]["joint_2"]["confidence_percent"] <= 0.33
     assert await standing(application)
 
 
@@ -176,14 +178,14 @@ async def test_axes_that_move_at_once_are_identified_together(application: Appli
     assert await standing(application)
     first, second = (sweep.spec for sweep in application.store.sweeps(campaign.id))
     assert (first.started_at, first.block) == (second.started_at, "trajectory 1 of 2 axes")
-    estimate = application.store.estimate(campaign.id).document
+    estimate: Any = application.store.estimate(campaign.id).document
     assert estimate["axes"].keys() == {"joint_3"}
     found = {parameter["name"]: parameter for parameter in estimate["combination"]["base_parameters"]}
     assert found["Fc(joint_3)"]["value"] == pytest.approx(75, rel=0.1)  # motor and load side of the scenario
     assert found["Fc(joint_5)"]["value"] == pytest.approx(23, rel=0.1)
     assert not found["Fc(joint_1)"]["identified"]
     await application.export_bundle(campaign.id, tmp_path / "bundle")
-    offline = identify_bundle(read_bundle(tmp_path / "bundle"), None, "bundle").as_json()
+    offline: Any = identify_bundle(read_bundle(tmp_path / "bundle"), None, "bundle").as_json()
     assert offline["axes"] == {}
     assert offline["combination"]["trajectories"] == estimate["combination"]["trajectories"] == [["0001", "0002"]]
     parts = {parameter["name"]: parameter for parameter in offline["combination"]["base_parameters"]}
@@ -230,7 +232,7 @@ async def test_stop_in_a_sweep_leaves_standing_axes_and_a_partial_recording(
 
 
 async def test_a_second_service_on_the_same_data_is_refused(application: Application, settings: Settings) -> None:
-    with pytest.raises(MachineTaken, match="stop that one first"):
+    with pytest.raises(MachineTaken, match="stop that service"):
         async with open_application(settings):
             pytest.fail("two services own the machine")
     assert application.machine.connected

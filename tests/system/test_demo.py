@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from service.benefit import Benefit
 from service.store.files.bundle import read_bundle
 from tests.system.test_rest_campaign import INTERRUPTIBLE
 
@@ -85,6 +86,13 @@ def test_demo_from_end_to_end(root: Path, tmp_path: Path) -> None:
         """Median errors of the axes in a row of the table against the truth."""
         line = next(line for line in words.splitlines() if label in line)
         return [float(value) for value in re.findall(r"([\d.]+) \(", line)]
+
+    worth = Benefit.read(json.loads((tmp_path / "benefit.json").read_text()), "benefit").axes
+    assert [len(axis.held_out) for axis in worth.values()] == [2, 2, 2]
+    assert all(axis.lines_ratio > 1 and axis.smallest_ratio > 1 for axis in worth.values())
+    assert "<h2>What you gain</h2>" in report
+    assert "<h3>The same path with either model</h3>" in report
+    assert "a torque feed-forward leaves" in words
 
     ours, paper = error("our model, workspace"), error("paper's formula, workspace")
     assert len(ours) == len(paper) == 3

@@ -84,7 +84,7 @@ def test_a_person_approves_until_the_effect_has_a_name(
         assert (campaign["state"], campaign["plan_id"] is not None) == ("running", True)
         experiment = client.diagnosis(found["id"])["experiment"]
         assert (experiment["campaign_id"], experiment["approved_by"]) == (campaign["id"], "Ada")
-        with pytest.raises(ServiceProblem, match="has its experiment"):
+        with pytest.raises(ServiceProblem, match="already has an experiment"):
             client.approve_experiment(found["id"], AXIS, "Bob")
         campaigns.append(campaign["id"])
         found = continued(client, found)

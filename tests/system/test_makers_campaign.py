@@ -77,8 +77,8 @@ async def measured(drive: Path, data: Path, modes: str) -> Inertias:
                 await asyncio.sleep(0.1)
         done = application.store.campaign(campaign.id)
         assert f"{done.state.value}: {done.cause}" == "completed: "
-        axes = application.store.estimate(campaign.id).document["axes"]
-        return {joint: [(one["value"], one["std"]) for one in axes[joint]["inertia"]] for joint in AXES}
+        document: Any = application.store.estimate(campaign.id).document
+        return {joint: [(one["value"], one["std"]) for one in document["axes"][joint]["inertia"]] for joint in AXES}
 
 
 @pytest.fixture(scope="module")

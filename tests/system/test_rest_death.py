@@ -10,11 +10,11 @@ import pyarrow.parquet as pq
 from websockets.sync.client import connect
 
 from service.client import ServiceClient
-from tests.system.rest_bench import add_plan, serving, until, virtual_machine
+from tests.system.rest_bench import SHORT_LEASE, add_plan, serving, until, virtual_machine
 
 
 def test_the_service_dies_during_a_sweep(tmp_path: Path) -> None:
-    with virtual_machine(tmp_path) as machine, serving(tmp_path, machine.profile) as service:
+    with virtual_machine(tmp_path) as machine, serving(tmp_path, machine.profile, SHORT_LEASE) as service:
         with ServiceClient(service.url) as client:
             plan = add_plan(client, axes=["joint_1"], poses=1, modes="host_streamed")
             campaign = int(client.add_campaign(plan)["id"])

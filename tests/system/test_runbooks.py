@@ -3,6 +3,7 @@
 The tests go through a machine's life in their order: reference, check, fault, stop, repair, another load.
 """
 
+import importlib
 import json
 import os
 import signal
@@ -15,13 +16,14 @@ import pytest
 import yaml
 
 from service.client import Json, ServiceClient
+from service.errors import BadInput
 from tests.system.rest_bench import (
     PATIENCE,
-    PATIENT_LEASE,
     ROBOT,
     SCENARIO,
     Service,
     VirtualMachine,
+    run,
     serving,
     until,
     virtual_machine,
@@ -47,7 +49,7 @@ def machine(folder: Path) -> Iterator[VirtualMachine]:
 
 @pytest.fixture(scope="module")
 def service(folder: Path, machine: VirtualMachine) -> Iterator[Service]:
-    with serving(folder, machine.profile, PATIENT_LEASE) as service:
+    with serving(folder, machine.profile) as service:
         yield service
 
 
@@ -69,8 +71,9 @@ class Books:
         self._runs += 1
         protocol = self._folder / f"protocol-{self._runs}.json"
         command = [sys.executable, str(RUNBOOKS / f"{name}.py"), "--by", "Ada", "--protocol", str(protocol), *arguments]
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        return subprocess.Popen(command, text=True, env=os.environ | {"SWEEPID_URL": self._url}, **pipes), protocol
+        pipe, environment = subprocess.PIPE, os.environ | {"SWEEPID_URL": self._url}
+        run = subprocess.Popen(command, text=True, env=environment, stdin=pipe, stdout=pipe, stderr=pipe)
+        return run, protocol
 
     def run(self, name: str, *arguments: str, typed: str = "") -> tuple[int, Json, str]:
         """Exit code, protocol and what was printed."""
@@ -123,11 +126,23 @@ def test_a_dry_run_tells_every_axis_and_moves_nothing(
     assert machine.stands()
 
 
+def test_the_cell_is_the_robots_own_or_the_only_one_and_never_a_guess(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", [str(RUNBOOKS), *sys.path])
+    chosen_cell = importlib.import_module("runbook").chosen_cell
+    assert chosen_cell(None, ["workshop"], "my-robot") == "workshop"
+    assert chosen_cell(None, ["my-robot", "workshop"], "my-robot") == "my-robot"
+    assert chosen_cell("workshop", ["my-robot", "workshop"], "my-robot") == "workshop"
+    with pytest.raises(BadInput, match="name the cell in which robot-2 stands; the service has: my-robot, workshop"):
+        chosen_cell(None, ["my-robot", "workshop"], "robot-2")
+
+
 def test_bad_input_is_told_before_anything_moves(books: Books, client: ServiceClient) -> None:
     known = len(client.campaigns())
     code, protocol, printed = books.run("overnight", "nobody", *PLAN[1:], "--confidence", "2", "--yes", "--dry-run")
     assert (code, "knows no robot nobody" in printed) == (BAD_INPUT, True)
     assert "knows no robot nobody" in protocol["result"]
+    code, protocol, printed = books.run(*OVERNIGHT, "--cell", "nowhere", "--yes", "--dry-run")
+    assert (code, "the service has no cell nowhere; it has: workshop" in printed) == (BAD_INPUT, True)
     assert len(client.campaigns()) == known
 
 
@@ -238,6 +253,23 @@ def test_another_load_is_red(books: Books, heavier: str) -> None:
     assert axis["colour"] == "red"
     assert axis["significance"] > 4
     assert axis["deviation_percent"] > 20
+
+
+def test_the_sheet_tells_the_robot_from_one_with_another_load(
+    client: ServiceClient, service: Service, heavier: str, folder: Path
+) -> None:
+    """The sheet of the first night against every campaign since: the checks before the power cut and those after it."""
+    assert run("export", heavier, str(folder / "night"), url=service.url).returncode == 0
+    sheet = folder / "sheet.json"
+    assert run("export-sheet", str(folder / "night"), "--json", str(sheet), url=service.url).returncode == 0
+    later = [one["id"] for one in client.campaigns() if one["state"] == "completed" and one["id"] > int(heavier)]
+    assert len(later) >= 3
+    before, after = later[0], later[-1]  # the daily check of an unchanged machine, and that of the heavier one
+    same = run("check-sheet", str(sheet), "--campaign", str(before), url=service.url)
+    assert "changed since the sheet" not in same.stdout.replace("perhaps changed", ""), same.stdout + same.stderr
+    changed = run("check-sheet", str(sheet), "--campaign", str(after), url=service.url)
+    assert (changed.returncode, "max100-class: changed since the sheet" in changed.stdout) == (1, True), changed.stdout
+    assert "joint_3: " in changed.stdout
 
 
 def test_another_load_is_a_change(books: Books, heavier: str, machine: VirtualMachine) -> None:

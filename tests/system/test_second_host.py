@@ -9,7 +9,7 @@ import pytest
 from drivers.canopen import frames
 from drivers.cia402 import states
 from service.client import ServiceClient
-from tests.system.ear import SDO_REQUEST, Ear, listening
+from tests.system.bus_listener import SDO_REQUEST, Ear, listening
 from tests.system.rest_bench import (
     Fieldbus,
     Service,
@@ -26,7 +26,10 @@ HOST = 127
 WATCHED = 1.0  # s
 
 WORDS = {
-    "heartbeat of node 127, which is ours (COB-ID 77Fh)": (frames.HEARTBEAT + HOST, bytes([frames.OPERATIONAL])),
+    "heartbeat with node number 127, which this host uses (COB-ID 77Fh)": (
+        frames.HEARTBEAT + HOST,
+        bytes([frames.OPERATIONAL]),
+    ),
     "SYNC (COB-ID 080h)": (frames.SYNC, b""),
     "NMT command 01h to every node (COB-ID 000h)": (frames.NMT, b"\x01\x00"),
     "RPDO1 to node 2 (COB-ID 202h)": (frames.RPDO1 + 2, frames.rpdo1(states.ENABLE_OPERATION, 0)),

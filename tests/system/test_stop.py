@@ -15,9 +15,10 @@ import psutil
 import pytest
 
 from service.client import ServiceClient, ServiceProblem
-from tests.system.ear import listening
+from tests.system.bus_listener import listening
 from tests.system.rest_bench import (
     PATIENCE,
+    SHORT_LEASE,
     SWEEPID,
     Fieldbus,
     Service,
@@ -48,7 +49,7 @@ def machine(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[VirtualM
 
 @pytest.fixture
 def service(tmp_path: Path, machine: VirtualMachine) -> Iterator[Service]:
-    with serving(tmp_path, machine.profile) as service:
+    with serving(tmp_path, machine.profile, SHORT_LEASE) as service:
         yield service
 
 

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from service.client import ServiceClient
-from service.people.chain import verify
+from service.people.audit_chain import verify
 from service.store.database import open_database
 from service.store.people.audit import AuditStore
 from tests.system.rest_bench import Service, VirtualMachine, add_plan, serving, until, virtual_machine
@@ -64,9 +64,11 @@ def test_the_end_of_the_service(service: Service, machine: VirtualMachine) -> No
     service.running().send_signal(signal.SIGTERM)
     assert service.end() == 0
     assert machine.stands()
-    (entry,) = stops(service)
+    found = stops(service)
+    assert len(found) == 1, found
+    (entry,) = found
     assert (entry["way"], entry["actor"]) == ("end of the service", "end of the service")
-    assert entry["why"] == f"the service ended by SIGTERM, and campaign {campaign} was under way"
+    assert entry["why"] == f"the service ended by SIGTERM while campaign {campaign} was in progress"
 
 
 def test_the_end_of_a_service_that_moves_nothing_is_no_stop(service: Service) -> None:
@@ -81,7 +83,10 @@ def test_a_service_that_was_killed_is_told_by_the_next(service: Service, machine
     service.kill()
     service.start()
     (entry,) = stops(service)
-    assert (entry["way"], entry["why"]) == (f"campaign {campaign}", "the service before this one ended without a word")
+    assert (entry["way"], entry["why"]) == (
+        f"campaign {campaign}",
+        "the previous service process ended without a shutdown",
+    )
 
 
 def test_a_lease_that_the_locked_database_does_not_renew(service: Service, machine: VirtualMachine) -> None:
@@ -108,26 +113,31 @@ def test_a_lease_that_another_has_taken(service: Service, machine: VirtualMachin
         until(machine.stands, "the axes stand")
         until(lambda: stops(service), "it is told")
     (entry,) = stops(service)
-    assert (entry["way"], entry["why"]) == ("lease", "another service has taken the machine; restart this one")
+    assert (entry["way"], entry["why"]) == ("lease", "another service has taken the machine; restart this service")
 
 
 def test_set_points_that_came_too_late(service: Service, machine: VirtualMachine) -> None:
     with ServiceClient(service.url) as client:
-        plan = add_plan(client, axes=["joint_1"], poses=1, modes="host_streamed")
+        plan = add_plan(client, axes=["joint_1"], poses=4, modes="host_streamed")
         campaign = int(client.add_campaign(plan)["id"])
         client.start(campaign)
 
         def sweeps() -> bool:
             axis = machine.axes()["joint_1"]
-            return bool(axis["mode"] == 9 and axis["velocity"] != 0) or client.campaign(campaign)["state"] == "paused"
+            return bool(axis["mode"] == 9 and axis["velocity"] != 0)
 
-        until(sweeps, "its sweep is under way, or has broken off for what is to be seen here")
-        process = psutil.Process(service.running().pid)
-        process.suspend()
-        with pytest.raises(psutil.TimeoutExpired):
-            process.wait(SUSPENDED)
-        process.resume()
-        until(lambda: client.campaign(campaign)["state"] == "paused", "paused")
+        def paused() -> bool:
+            return bool(client.campaign(campaign)["state"] == "paused")
+
+        while not paused():  # a suspension may fall on the end of a sweep, where no set-point is missed: then the next
+            until(lambda: sweeps() or paused(), "a sweep is under way, or has broken off for what is to be seen here")
+            process = psutil.Process(service.running().pid)
+            process.suspend()
+            with pytest.raises(psutil.TimeoutExpired):
+                process.wait(SUSPENDED)
+            process.resume()
+            until(lambda: not sweeps(), "the sweep has ended, whole or not")
+            assert client.campaign(campaign)["state"] != "completed", "no suspension fell into a sweep"
         until(lambda: stops(service), "it is told")
         cause = client.campaign(campaign)["cause"]
         assert client.stops() == []  # nothing is latched

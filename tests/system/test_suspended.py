@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from service.client import ServiceClient
-from tests.system.ear import Ear, listening
+from tests.system.bus_listener import Ear, listening
 from tests.system.rest_bench import (
     PATIENCE,
     Service,

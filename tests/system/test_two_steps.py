@@ -8,7 +8,7 @@ import yaml
 from service.client import ServiceClient, ServiceProblem
 from service.store.database import open_database
 from service.store.people.audit import AuditStore
-from tests.system.rest_bench import PATIENT_LEASE, Service, VirtualMachine, add_plan, serving, until, virtual_machine
+from tests.system.rest_bench import Service, VirtualMachine, add_plan, serving, until, virtual_machine
 
 WITHIN = 1.0  # s, the shortest that is taken
 
@@ -21,18 +21,18 @@ def test_nothing_moves_before_the_approval_and_a_changed_cell_voids_it(tmp_path:
     settings = {"approval": True, "cells_dir": str(cell.parent)}
     with (
         virtual_machine(tmp_path) as machine,
-        serving(tmp_path, machine.profile, PATIENT_LEASE, **settings) as service,
+        serving(tmp_path, machine.profile, **settings) as service,
         ServiceClient(service.url) as client,
     ):
         plan = add_plan(client, axes=["joint_1"], poses=1, modes="drive_side")
         campaign = int(client.add_campaign(plan)["id"])
-        refused(client, campaign, "nobody has")
+        refused(client, campaign, "not approved yet")
         assert machine.stands()
         client.approve(plan, client.approvals(plan)["sha256"], "Ada")
         changed = yaml.safe_load(cell.read_text("utf-8"))
         changed["clearance"] -= 0.001  # what was planned with more stays allowed
         cell.write_text(yaml.safe_dump(changed), "utf-8")
-        refused(client, campaign, "is void")
+        refused(client, campaign, "is no longer valid")
         assert machine.stands()
         client.approve(plan, client.approvals(plan)["sha256"], "Berta")
         client.start(campaign)
@@ -50,7 +50,7 @@ def refused(client: ServiceClient, campaign: int, why: str) -> None:
 def test_a_missed_sign_of_life_is_standstill(tmp_path: Path) -> None:
     with (
         virtual_machine(tmp_path, 1.0) as machine,
-        serving(tmp_path, machine.profile, PATIENT_LEASE) as service,
+        serving(tmp_path, machine.profile) as service,
         ServiceClient(service.url) as client,
     ):
         silent(service, machine, client)
@@ -71,9 +71,9 @@ def silent(service: Service, machine: VirtualMachine, client: ServiceClient) -> 
     until(lambda: client.campaign(campaign)["state"] == "paused", "paused")
     until(machine.stands, "the axes stand")
     found = client.campaign(campaign)
-    assert found["cause"].startswith("no sign of life for 1 s")
+    assert found["cause"].startswith("no sign of life within 1 s")
     assert (found["attended"], client.stops()) == (None, [])
-    with pytest.raises(ServiceProblem, match="does not run"):
+    with pytest.raises(ServiceProblem, match="is not running"):
         client.sign_of_life(campaign)
     with open_database(f"sqlite:///{service.data / 'sweepid.sqlite'}") as database:
         store = AuditStore(database)

@@ -72,7 +72,7 @@ class Host:
     def registers(self, address: int, count: int, unit: int, wire: dict[str, Any]) -> float:
         answer = self.client.read_holding_registers(address, count=count, device_id=unit)
         assert not answer.isError(), answer
-        return self.value(answer.registers, wire)
+        return self.value(list(answer.registers), wire)
 
     def value(self, registers: list[int], wire: dict[str, Any]) -> float:
         raw = self.client.convert_from_registers(registers, self._type(wire), WORDS[self.map["word_order"]])  # type: ignore[arg-type]
@@ -176,7 +176,7 @@ def test_identification_and_constant(host: Host) -> None:
     for unit in (1, 6):
         serial = 1000 + unit
         assert host.get("serial", unit) == serial
-        answer = host.client.read_device_information(read_code=3, device_id=unit)
+        answer: Any = host.client.read_device_information(read_code=3, device_id=unit)
         assert answer.information == identity | {0x80: f"{serial:08X}".encode()}
     assert (host.get("vendor"), host.get("product"), host.get("revision")) == (0x5357, 0x0402, 0x10000)
     assert host.get("rated_torque") == pytest.approx(17.544)
@@ -309,7 +309,8 @@ def test_faults_to_order_are_told_by_the_registers(host: Host) -> None:
     assert host.order("identity", joint=JOINT, product=7)["ok"]
     try:
         assert host.get("product") == 7
-        assert host.client.read_device_information(read_code=1).information[1] == b"00000007"
+        answer: Any = host.client.read_device_information(read_code=1)
+        assert answer.information[1] == b"00000007"
     finally:
         assert host.order("identity", joint=JOINT, product=0x0402)["ok"]
 

@@ -79,6 +79,17 @@ def obeyed(drive: Drive) -> list[int]:
     return [target for controlword, target in drive.obeyed if controlword == 0x0F]
 
 
+async def test_a_host_that_waits_for_answers_times_the_set_points_itself() -> None:
+    """The kernel sends SYNC whether a drive has answered or not."""
+    async with bench(Drive(1, counts=False), interface="socketcan", channel=INTERFACE, sync_period=0.02) as on:
+        assert set_point_source(on.bus) == "bcm"
+        assert set_point_source(on.bus, waits=True) == "thread"
+        run = on.start(on.request(1, periods=3))
+        await run_to_end(run)
+        assert run.ending is Ending.COMPLETED, run.reason
+        assert run.timing().source == "thread"
+
+
 @pytest.mark.parametrize(("nodes", "period"), [(1, 0.01), (3, 0.02)])
 async def test_a_sweep_timed_by_the_kernel_sends_every_set_point_once_and_in_order(nodes: int, period: float) -> None:
     drives = [Drive(node) for node in range(1, nodes + 1)]
@@ -148,5 +159,5 @@ async def test_an_interface_that_goes_down_is_lost_communication_and_nothing_is_
 
 
 async def test_an_interface_that_is_not_there() -> None:
-    with pytest.raises(CommunicationLost, match="vcan9: the kernel's timer is not to be had"):
+    with pytest.raises(CommunicationLost, match="vcan9: the kernel's CAN_BCM timer is not available"):
         KernelStream("vcan9", 0.01, plan, plan(0))

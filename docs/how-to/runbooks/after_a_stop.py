@@ -1,8 +1,8 @@
-"""After a stop, a crash or a power cut: where machine and campaign stand, and what is to be done, step by step.
+"""After a stop, a crash or a power failure: state of machine and campaign, and the required steps, one by one.
 
     python after_a_stop.py --by "your name"
 
-Each step says what it moves and is done only after its word was typed. Exit codes: 0 nothing (more) is to be done,
+Each step states what it moves and is executed only after you type its word. Exit codes: 0 no step is left,
 1 a step failed or the campaign paused again, 2 bad input, 3 a step was declined or the machine stopped.
 """
 
@@ -21,7 +21,7 @@ NOTHING = "moves nothing"
 
 @dataclass(frozen=True)
 class Step:
-    """`word` that the person types; `do` does it."""
+    """One step. `word`: what the person types; `do`: executes it."""
 
     what: str
     word: str
@@ -62,7 +62,7 @@ def after_a_stop(book: Runbook) -> Exit:
 
 
 def paused(book: Runbook) -> Json | None:
-    """The campaign to go on with; None: there is none. BadInput while one has the machine."""
+    """The campaign to continue; None: there is none. BadInput while a campaign uses the machine."""
     every = book.client.campaigns()
     busy = next((one for one in every if one["state"] in ("running", "pausing")), None)
     if busy is not None:
@@ -75,7 +75,7 @@ def paused(book: Runbook) -> Json | None:
 
 
 def tell(book: Runbook, campaign: Json | None) -> None:
-    """The state of machine and campaign."""
+    """Print the state of machine and campaign."""
     drives, ready = book.client.drives(), book.client.ready()
     book.step("machine", "connected" if drives["connected"] else f"not connected: {drives['trouble']}")
     for axis in drives["axes"]:
@@ -96,7 +96,7 @@ def fault_of(axis: Json) -> str:
 
 
 def due(book: Runbook) -> list[Step]:
-    """What stands before motion, in its order: stops one by one, drives, faults axis by axis."""
+    """The steps before motion, in the required order: each stop, drives, the fault of each axis."""
     client, by = book.client, book.given.by
     steps = [
         Step(
@@ -127,7 +127,7 @@ def confirmed(book: Runbook, step: Step) -> bool:
 
 
 def left(book: Runbook, campaign: Json) -> list[Json]:
-    """The plan's sweeps that a resume runs."""
+    """The sweeps of the plan that a resume runs."""
     sweeps = book.client.plan(campaign["plan_id"])["document"]["sweeps"]
     states = {sweep["number"]: sweep["state"] for sweep in book.client.sweeps(campaign["id"])}
     again = ("planned", "failed", "interrupted")
@@ -135,7 +135,7 @@ def left(book: Runbook, campaign: Json) -> list[Json]:
 
 
 def resumed(book: Runbook, campaign: Json) -> Exit:
-    """The last step: the campaign, with its failed and interrupted sweeps once more."""
+    """The last step: resume the campaign, and repeat its failed and interrupted sweeps."""
     client, number = book.client, campaign["id"]
     tell_resume(book, campaign)
     step = Step(f"resume campaign {number}", "resume", "moves as told above", lambda: None)

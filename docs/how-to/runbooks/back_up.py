@@ -1,9 +1,9 @@
-"""A backup that is known to be good: look for damage, copy, and rehearse the way back in a folder that goes again.
+"""A verified backup: search for damage, copy, and test the restore in a temporary folder.
 
     python back_up.py /mnt/backups/2026-03-01 --by "your name"
 
-Run it where the service runs, as its user; the service may run and measure. Exit codes: 0 the backup is whole and came
-back whole, 1 damage was found or the disk failed, 2 bad input, 3 ended by a person.
+Run it on the computer of the service, as its user; the service may run and measure. Exit codes: 0 the backup and its
+test restore are complete, 1 damage was found or the disk failed, 2 bad input, 3 ended by a person.
 """
 
 import os
@@ -42,7 +42,7 @@ def back_up(book: Runbook) -> Exit:
         if not folder.is_dir():
             raise BadInput(name, f"there is no folder {folder}: is the disk mounted?")
     if hasattr(os, "nice"):
-        os.nice(10)  # it gives way to the process that streams set-points
+        os.nice(10)  # lower priority than the process that streams set-points
     database = sqlite_file(settings.url)
     if found(book, "data folder", database, settings.data_dir, settings.least_free_disk):
         return Exit.FAILED
@@ -67,7 +67,7 @@ def back_up(book: Runbook) -> Exit:
 
 
 def found(book: Runbook, what: str, database: Path, data: Path, least_free: int) -> bool:
-    """Tell what is wrong with a data folder; whether anything is."""
+    """Print the findings in a data folder; returns whether there are any."""
     findings = examine(database, data, least_free)
     for finding in findings:
         book.step(what, finding.line, finding=finding.place)

@@ -1,13 +1,13 @@
-"""Has a repair changed the robot? Two campaigns of one plan, before and after it, axis by axis.
+"""Has a repair changed the robot? Compares two campaigns of one plan, before and after the repair, for each axis.
 
     python before_and_after.py max100-class --axes joint_2,joint_3 --varied joint_3 --by "your name"
     python before_and_after.py max100-class --before 7 --by "your name"
     python before_and_after.py max100-class --before 7 --after 9 --by "your name"
 
-The first measures before the repair, the second the same plan after it, the third moves nothing. For each axis: its
-inertia over the poses that both campaigns measured, before and after, with the difference, its standard deviation and
-significance. Exit codes: 0 no axis changed (or: before is measured), 1 an axis changed by more than 4 standard
-deviations, or failed, 2 bad input, 3 stopped, 4 an axis between 2 and 4.
+The first command measures before the repair, the second one measures the same plan after it, the third one moves
+nothing. Printed for each axis: its inertia over the common poses of both campaigns, before and after, the difference,
+its standard deviation and significance. Exit codes: 0 no axis changed (or: before is measured), 1 an axis changed by
+more than 4 standard deviations, or failed, 2 bad input, 3 stopped, 4 an axis between 2 and 4.
 """
 
 import sys
@@ -16,7 +16,7 @@ import numpy as np
 from inertias import inertias
 from moves import STILL
 from numpy.typing import NDArray
-from runbook import Exit, Runbook, judged, optional_list, parser_of, run, worst
+from runbook import CELL_HELP, Exit, Runbook, judged, optional_list, parser_of, run, worst
 
 from service.client import Json
 from service.errors import BadInput
@@ -30,7 +30,7 @@ def main() -> int:
     parser.add_argument("--after", type=int, help="campaign after the repair; left out: measure it")
     parser.add_argument("--axes", type=optional_list, default=[], help="before: joints to measure, comma separated")
     parser.add_argument("--varied", type=optional_list, default=[], help="before: joints that make the poses")
-    parser.add_argument("--cell", default="workshop")
+    parser.add_argument("--cell", help=CELL_HELP)
     parser.add_argument("--step", type=float, default=5.0, help="before: deg (cm) between the positions of the grid")
     parser.add_argument("--poses", type=int, default=8, help="before: how many")
     return run("before_and_after", parser, before_and_after)
@@ -65,7 +65,7 @@ def first(book: Runbook) -> Exit:
         raise BadInput("before", "name a campaign, or --axes and --varied to measure one")
     document = book.robot_named(given.robot)
     robot = book.identify_machine(document)
-    request = {"robot_id": document["id"], "cell": given.cell, "axes": given.axes, "varied": given.varied}
+    request = {"robot_id": document["id"], "cell": book.cell(), "axes": given.axes, "varied": given.varied}
     campaign = book.measured(robot, book.client.add_plan(request | {"step": given.step, "poses": given.poses}))
     if campaign is None:
         return Exit.DONE
@@ -86,7 +86,7 @@ def completed(book: Runbook, number: int) -> Json:
 
 
 def compared(book: Runbook, robot: Robot, before: Json, after: Json) -> Exit:
-    """Tell each axis' inertia, the mean over the common poses, and the verdict."""
+    """Print each axis' inertia, the mean over the common poses, and the verdict."""
     if before["robot_id"] != after["robot_id"]:
         raise BadInput("after", f"campaign {after['id']} is of another revision of the robot than {before['id']}")
     estimates = [book.client.estimate(campaign["id"])["document"] for campaign in (before, after)]
@@ -99,7 +99,7 @@ def compared(book: Runbook, robot: Robot, before: Json, after: Json) -> Exit:
     for joint in axes:
         means, variances = np.array(
             [
-                (values.mean(), covariance.mean())  # of the mean over the poses
+                (values.mean(), covariance.mean())  # mean over the poses
                 for campaign, estimate in zip((before, after), estimates, strict=True)
                 for values, covariance in [inertias(robot, estimate, joint, poses, f"campaign {campaign['id']}")]
             ]
@@ -128,7 +128,7 @@ def compared(book: Runbook, robot: Robot, before: Json, after: Json) -> Exit:
 
 
 def common(sweeps: list[list[Json]]) -> NDArray[np.float64]:
-    """The poses (m, n) that were identified in both lists."""
+    """The poses (m, n) that are identified in both lists."""
     first, second = (
         np.unique([sweep["spec"]["pose"] for sweep in each if sweep["state"] == "identified"], axis=0)
         for each in sweeps

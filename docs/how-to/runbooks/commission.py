@@ -1,10 +1,10 @@
-"""The first day of a machine: robot file, cell, drives, a first plan of two poses, its campaign, and what came of it.
+"""The first day of a machine: robot file, cell, drives, a first plan of two poses, its campaign, and the results.
 
     python commission.py robots/my-robot.yaml cells/workshop.yaml --varied joint_2,joint_3 --by "your name"
 
-Each axis is measured in a few poses, so that wrong axes, signs and ratios show before a long campaign. Exit codes:
-0 every axis tells its inertia, 1 failed or something of the data is wrong, 2 bad input, 3 stopped, 4 an axis was left
-open or the data has warnings.
+Each axis is measured in a few poses, to find wrong axes, signs and ratios before a long campaign. Exit codes:
+0 every axis has an inertia, 1 failed or the data is wrong, 2 bad input, 3 stopped, 4 the inertia of an axis is not
+known or the data has warnings.
 """
 
 import sys
@@ -55,7 +55,7 @@ def commission(book: Runbook) -> Exit:
 
 
 def ready(book: Runbook) -> bool:
-    """Drives and service; a dry run goes on without a machine."""
+    """Checks drives and service; a dry run continues without a machine."""
     drives, causes = book.client.drives(), book.client.ready()["causes"]
     book.step("drives", "connected" if drives["connected"] else f"not connected: {drives['trouble']}")
     for cause in causes:
@@ -64,7 +64,7 @@ def ready(book: Runbook) -> bool:
 
 
 def checked(book: Runbook, campaign: int) -> Exit:
-    """Does the data fit together, and to the robot file?"""
+    """Checks whether the data is consistent and agrees with the robot file."""
     with TemporaryDirectory() as folder:
         archive = Path(folder) / "campaign.zip"
         book.client.export_bundle(campaign, archive)
@@ -74,7 +74,7 @@ def checked(book: Runbook, campaign: int) -> Exit:
 
 
 def told(book: Runbook, robot: Robot, campaign: int, joint: str) -> Exit:
-    """One axis of the first estimate."""
+    """Prints one axis of the first estimate."""
     axis = book.client.estimate(campaign)["document"]["axes"].get(joint)
     if axis is None or not axis["inertia"]:
         book.step(joint, "its sweeps show no inertia", axis=joint)

@@ -1,9 +1,9 @@
-"""Is the machine as it was? One sweep of each axis in one or two poses against the robot's stored estimate.
+"""Has the machine changed? One sweep of each axis in one or two poses is compared with the robot's stored estimate.
 
     python daily_check.py max100-class --by "your name"
 
-For each axis: green up to 2 standard deviations, amber up to 4, red beyond, those of the estimate and of the sweep
-both counted. Exit codes: 0 all green, 1 an axis red or the check failed, 2 bad input, 3 stopped, 4 an axis amber.
+For each axis: green up to 2 standard deviations, amber up to 4, red above. The standard deviation includes estimate
+and sweep. Exit codes: 0 all green, 1 an axis red or the check failed, 2 bad input, 3 stopped, 4 an axis amber.
 """
 
 import sys
@@ -16,7 +16,7 @@ from service.client import Json, ServiceProblem
 from service.errors import BadInput
 from service.robot import Robot
 
-LEAST_POSES = 3  # of each axis; a campaign with fewer is a check itself and no reference
+LEAST_POSES = 3  # per axis; a campaign with fewer poses is itself a check and no reference
 COLOUR = {Exit.DONE: "green", Exit.AMBER: "amber", Exit.FAILED: "red"}
 
 
@@ -45,7 +45,7 @@ def check(book: Runbook) -> Exit:
 
 
 def stored(book: Runbook) -> tuple[Json, Json]:
-    """The campaign of reference, and its latest estimate's document."""
+    """The reference campaign, and the document of its latest estimate."""
     given, client = book.given, book.client
     ids = {robot["id"] for robot in client.robots() if robot["name"] == given.robot}
     if not ids:
@@ -57,7 +57,7 @@ def stored(book: Runbook) -> tuple[Json, Json]:
         try:
             estimate = client.estimate(campaign["id"])["document"]
         except ServiceProblem:
-            continue  # it measured, but nothing was identified
+            continue  # measured, but not identified
         if suffices(estimate, given.axes) and "kind" not in client.plan(campaign["plan_id"])["document"]["request"]:
             return campaign, estimate
     which = f"campaign {given.campaign}" if wanted else "no completed campaign of the robot"
@@ -75,7 +75,7 @@ def suffices(estimate: Json, wanted: list[str]) -> bool:
 
 
 def compared(book: Runbook, robot: Robot, estimate: Json, campaign: Json, joint: str) -> Exit:
-    """Tell the axis' sweeps against the estimate; the worst counts."""
+    """Print the axis' sweeps compared with the estimate; the worst one counts."""
     poses = {sweep["spec"]["id"]: sweep["spec"]["pose"] for sweep in book.client.sweeps(campaign["id"])}
     found = book.client.estimate(campaign["id"])["document"]["axes"].get(joint)
     if found is None:

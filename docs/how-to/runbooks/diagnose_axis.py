@@ -1,111 +1,140 @@
-"""Diagnose an axis of a running machine, experiment by experiment; a person says yes before anything moves.
+"""Diagnose a deviation: find the cause why an axis differs from its model, experiment by experiment.
 
     python diagnose_axis.py max100-class joint_3 --varied joint_2,joint_3 --by "your name"
+    python diagnose_axis.py max100-class joint_3 --campaigns 4,5 --by "your name"
 
-Measures the sweeps of a diagnosis, tells what they say, offers the next experiment as long as the diagnosis asks for
-one, and offers a named effect for the robot's model. Ctrl-C stops the machine. `--yes` answers every question: for
-virtual machines alone.
-Exit codes: 0 named or nothing missing, 1 left undecided or unknown, 2 the campaign did not come to its end.
+The first command measures the sweeps of a diagnosis; the second one uses completed campaigns, and moves nothing before
+the first experiment. Both report what the sweeps show, offer the next experiment as long as one is proposed,
+and offer to accept named effects into the model of the robot. Exit codes: 0 the effect is named or nothing is missing,
+1 a campaign or the diagnosis failed or the data is wrong, 2 bad input, 3 stopped or declined, 4 not decided.
 """
 
-import argparse
 import sys
-from collections.abc import Callable
-from typing import Any
 
-from service.client import ServiceClient
+from runbook import CELL_HELP, Exit, Runbook, minutes, optional_list, parser_of, run, worst
 
-Json = dict[str, Any]
+from service.client import Json
+from service.errors import BadInput
+from service.robot import Robot
+
 SETTLED = ("none", "named")
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="Diagnose an axis.")
+    parser = parser_of(__doc__)
     parser.add_argument("robot", help="name of a robot that the service knows")
-    parser.add_argument("axis")
-    parser.add_argument("--varied", required=True, help="joints that make the poses, comma separated")
-    parser.add_argument("--by", required=True, help="who stands at the machine")
-    parser.add_argument("--url", default="http://127.0.0.1:8642")
-    parser.add_argument("--cell", default="workshop")
+    parser.add_argument("axis", help="the joint that deviates")
+    parser.add_argument("--varied", type=optional_list, default=[], help="joints that make the poses, comma separated")
+    parser.add_argument("--campaigns", type=optional_list, default=[], help="completed campaigns to diagnose instead")
+    parser.add_argument("--cell", help=CELL_HELP)
     parser.add_argument("--poses", type=int, default=4)
-    parser.add_argument("--yes", action="store_true", help="no questions: virtual machines alone")
-    given = parser.parse_args()
-
-    def agreed(question: str) -> bool:
-        return given.yes or input(f"{question} [y/N] ").strip().lower() == "y"
-
-    with ServiceClient(given.url) as client:
-        robot = next((robot for robot in client.robots() if robot["name"] == given.robot), None)
-        if robot is None:
-            sys.exit(f"{given.url} knows no robot {given.robot}")
-        wanted = {"kind": "diagnosis", "robot_id": robot["id"], "cell": given.cell, "axes": [given.axis]}
-        plan = client.add_plan(wanted | {"varied": given.varied.split(","), "poses": given.poses})
-        document = plan["document"]
-        print(f"plan {plan['id']}: {len(document['sweeps'])} sweeps, about {document['duration'] / 60:.0f} min")
-        for dropped in document["dropped"]:
-            print(f"  left out: {dropped['reason']}")
-        if not agreed(f"Is the cell clear? Move {given.axis} now?"):
-            return 1
-        campaign = int(client.add_campaign(plan["id"])["id"])
-        if not completed(client, int(client.start(campaign)["id"])):
-            return 2
-        diagnosis = client.diagnosed(client.add_diagnosis([campaign], [given.axis])["id"])
-        return settled(client, diagnosis, given.axis, given.by, agreed)
+    return run("diagnose_axis", parser, diagnose)
 
 
-def settled(client: ServiceClient, diagnosis: Json, axis: str, by: str, agreed: Callable[[str], bool]) -> int:
-    """Tell what was found and go on as long as the diagnosis asks and the person agrees."""
+def diagnose(book: Runbook) -> Exit:
+    given, client = book.given, book.client
+    document = book.robot_named(given.robot)
+    robot = book.identify_machine(document)
+    if given.axis not in robot.joints:
+        raise BadInput("axis", f"robot {given.robot} has no joint {given.axis}, but {', '.join(robot.joints)}")
+    if bool(given.campaigns) == bool(given.varied):
+        raise BadInput("--varied", "give either --varied to measure, or --campaigns to use recordings that exist")
+    if given.campaigns:
+        campaigns = completed(book, document["id"])
+        if given.dry_run:
+            book.step("diagnosis", f"campaigns {', '.join(given.campaigns)} would be diagnosed; moves nothing")
+            return Exit.DONE
+    else:
+        wanted = {"kind": "diagnosis", "robot_id": document["id"], "cell": book.cell(), "axes": [given.axis]}
+        plan = client.add_plan(wanted | {"varied": given.varied, "poses": given.poses})
+        campaign = book.measured(robot, plan)
+        if campaign is None:
+            return Exit.DONE
+        if campaign["state"] != "completed":
+            return book.not_completed(campaign)
+        campaigns = [int(campaign["id"])]
+    return settled(book, robot, int(client.add_diagnosis(campaigns, [given.axis])["id"]))
+
+
+def completed(book: Runbook, robot_id: int) -> list[int]:
+    """The numbers of --campaigns. BadInput for one of another robot, or one that is not completed."""
+    for text in book.given.campaigns:
+        if not text.isdecimal():
+            raise BadInput("--campaigns", f"{text} is not the number of a campaign")
+        campaign = book.client.campaign(int(text))
+        if campaign["robot_id"] != robot_id or campaign["state"] != "completed":
+            state = f"campaign {text} of robot {campaign['robot_id']} is {campaign['state']}"
+            raise BadInput("--campaigns", f"{state}; it must be completed, and of robot {robot_id}")
+    return [int(text) for text in book.given.campaigns]
+
+
+def settled(book: Runbook, robot: Robot, number: int) -> Exit:
+    """Report a diagnosis; continue while it proposes an experiment and the person agrees."""
+    client, axis = book.client, book.given.axis
     while True:
+        diagnosis = client.diagnosed(number)
         if diagnosis["state"] != "done":
-            sys.exit(f"diagnosis {diagnosis['id']} failed: {diagnosis['cause']}")
-        found = diagnosis["document"]["axes"][axis]
-        print(f"diagnosis {diagnosis['id']}: {found['summary']}")
-        wanted = found["next_experiment"]
-        if not wanted or not wanted["sweeps"]:
+            book.step(f"diagnosis {number}", f"failed: {diagnosis['cause']}", diagnosis=number)
+            return Exit.FAILED
+        found: Json = diagnosis["document"]["axes"][axis]
+        wrong = book.findings(found["data"])
+        book.step(f"diagnosis {number}", found["summary"], diagnosis=number, verdict=found["verdict"])
+        experiment = found["next_experiment"]
+        if not experiment or not experiment["sweeps"] or wrong is Exit.FAILED:
             break
-        print(
-            f"  next: {wanted['kind']}, {len(wanted['sweeps'])} sweeps, {wanted['seconds']:.0f} s: {wanted['reason']}"
-        )
-        if wanted["kind"] == "test_mass":
-            print("  needs a known mass bolted on: see docs/how-to/diagnose-a-machine.md")
-            break
-        if not agreed("Is the cell clear? Run it now?"):
-            break
-        campaign = int(client.approve_experiment(diagnosis["id"], axis, by)["id"])
-        if not completed(client, campaign):
-            return 2
-        diagnosis = continued(client, int(diagnosis["id"]))
-    accept = found["verdict"] == "named" and len(found["rolled_back"]) < len(found["effects"])
-    if accept and agreed("Take it into the robot's model?"):
-        model = client.accept_model(diagnosis["id"], by, [axis])
-        print(f"model {model['id']}, revision {model['revision']}")
-    return 0 if found["verdict"] in SETTLED else 1
+        code = measured(book, robot, number, experiment)
+        if code is not None:
+            return code
+        number = continued(book, number)
+    if found["verdict"] in SETTLED:
+        return worst([wrong, accepted(book, number, found)])
+    return worst([wrong, Exit.AMBER])
 
 
-def completed(client: ServiceClient, campaign: int) -> bool:
-    """Wait for the campaign's end. A fault pauses it: then somebody must look at the machine, so this ends."""
-    try:
-        for event in client.events(campaign):
-            if event["kind"] == "sweep" and event["data"]["state"] == "identified":
-                print(f"  sweep {event['data']['number']} identified")
-            state = client.campaign(campaign)
-            if state["state"] in ("completed", "paused", "aborted"):
-                print(f"campaign {campaign} {state['state']}{': ' if state['cause'] else ''}{state['cause']}")
-                return bool(state["state"] == "completed")
-    except BaseException as error:
-        client.stop("diagnose_axis", type(error).__name__)
-        raise
-    return False
+def measured(book: Runbook, robot: Robot, number: int, experiment: Json) -> Exit | None:
+    """Run the experiment that a diagnosis proposes; None when it is completed."""
+    client, axis = book.client, book.given.axis
+    size = f"{len(experiment['sweeps'])} sweeps, {minutes(experiment['seconds'])}"
+    book.step("next experiment", f"{experiment['kind']}, {size}: {experiment['reason']}")
+    if experiment["kind"] == "test_mass":
+        book.step("test mass", "mount a known mass and approve it: docs/how-to/diagnose-a-machine.md")
+        return Exit.AMBER
+    plan = client.plan_experiment(number, axis, book.given.cell)
+    book.tell_moves(robot, plan["document"]["sweeps"])
+    if not book.agreed("Is the cell clear, may the machine move?", "yes"):
+        book.step("next experiment", "declined")
+        return Exit.STOPPED
+    book.moving = True
+    campaign = client.approve_experiment(number, axis, book.given.by, cell=book.given.cell)
+    if campaign["state"] == "planned":
+        book.moving = False
+        book.step(f"campaign {campaign['id']}", "needs the approval of its plan and a start by a person; "
+                  "then run this again with --campaigns")  # fmt: skip
+        return Exit.AMBER
+    book.protocol["campaign"] = campaign["id"]
+    campaign = book.followed(campaign["id"], {sweep["number"]: 0 for sweep in client.sweeps(campaign["id"])})
+    return None if campaign["state"] == "completed" else book.not_completed(campaign)
 
 
-def continued(client: ServiceClient, parent: int) -> Json:
-    """The diagnosis that the service began by itself with the experiment's sweeps, once it is done."""
-    for event in client.events():
-        if event["kind"] == "diagnosis":
-            found = client.diagnosis(event["data"]["diagnosis"])
+def continued(book: Runbook, parent: int) -> int:
+    """The diagnosis that the service starts automatically with the sweeps of the experiment."""
+    for event in book.client.events():
+        if event["kind"] == "diagnosis" and event["data"]["diagnosis"] > parent:
+            found = book.client.diagnosis(event["data"]["diagnosis"])
             if found["parent"] == parent:
-                return client.diagnosed(found["id"])
-    sys.exit("the service tells no more events")
+                return int(found["id"])
+    raise BadInput("diagnosis", f"the service sends no more events; diagnosis {parent} was not continued")
+
+
+def accepted(book: Runbook, number: int, found: Json) -> Exit:
+    """Offer the named effects that were not rolled back for acceptance into the robot's model."""
+    if found["verdict"] == "named" and len(found["rolled_back"]) < len(found["effects"]):
+        if book.agreed("Accept the named effects into the model of the robot?", "accept"):
+            model = book.client.accept_model(number, book.given.by, [book.given.axis])
+            book.step("model", f"{model['id']}, revision {model['revision']}", model=model["id"])
+        else:
+            book.step("model", "unchanged")
+    return Exit.DONE
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""From another control's trace to an inertia: import by a mapping file, check, identify. Nothing moves.
+"""From the trace of another control to an inertia: import by a mapping file, check, identify. Nothing moves.
 
     python from_a_trace.py mapping.yaml --source trace.csv --out bundle --by "your name"
 
-Exit codes: 0 identified and nothing found, 1 something of the data is wrong or tells no inertia, 2 bad input, 3 ended
+Exit codes: 0 identified without findings, 1 the data is wrong or gives no inertia, 2 bad input, 3 ended
 by a person, 4 identified, with warnings.
 """
 

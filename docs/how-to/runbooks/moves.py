@@ -1,4 +1,4 @@
-"""What a plan moves, axis by axis, from the API's documents of plan and robot."""
+"""The motion of a plan for each axis, from the API's documents of plan and robot."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -7,27 +7,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from service.export.sheets.inertias import STILL
 from service.robot import Robot, RobotDescription, build_robot, link_frames
 
 Array = NDArray[np.float64]
 Json = Mapping[str, Any]
 
-STILL = 2e-3  # rad (m): less is no move
-
 
 @dataclass(frozen=True)
 class Move:
-    """How far an axis moves at most: rad (m), with the arm's end in mm (None: a linear axis), and s of its sweeps."""
+    """Largest motion of an axis: rad (m); at the arm's end in mm (None: a linear axis); duration of its sweeps, s."""
 
     joint: str
     lowest: float
     highest: float
-    unit: str  # shown: deg or mm
+    unit: str  # for display: deg or mm
     arm_mm: float | None
     seconds: float
 
     def range_shown(self) -> tuple[float, float]:
-        """In `unit`."""
+        """The range in `unit`."""
         if self.unit == "deg":
             return float(np.degrees(self.lowest)), float(np.degrees(self.highest))
         return 1e3 * self.lowest, 1e3 * self.highest
@@ -38,14 +37,15 @@ class Move:
 
 
 def robot_of(document: Json) -> Robot:
-    """The robot of the service's document."""
+    """The robot from the document of the service."""
     return build_robot(RobotDescription.model_validate(document["description"]), document["urdf_text"])
 
 
 def moves(robot: Robot, sweeps: Sequence[Json], stands: Mapping[str, float | None]) -> list[Move]:
-    """Of sweeps of a plan's document, from where the joints stand (None: not known). Axes that stay are left out.
+    """Motion of the sweeps in a plan's document, from the present joint positions (None: not known). Axes without
+    motion are left out.
 
-    The range of a sweep is its position window, which it never leaves.
+    The range of a sweep is its position window, which the sweep never leaves.
     """
     places: dict[str, list[float]] = {joint: [] for joint in robot.joints}
     seconds = dict.fromkeys(robot.joints, 0.0)

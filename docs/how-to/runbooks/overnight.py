@@ -1,16 +1,18 @@
-"""Measure until the wanted confidence is reached, and tell in the morning what ended it.
+"""Measure until the required confidence is reached, and report the cause of the end in the morning.
 
     python overnight.py max100-class --axes joint_2,joint_3 --varied joint_3 --confidence 0.3 --by "your name"
 
-After a stop or a fault it ends; it never resumes a campaign by itself. Exit codes: 0 confidence reached, 1 paused by a
-fault, 2 bad input, 3 stopped by a person, 4 the sweeps were used up before the confidence was reached.
+It ends after a stop or a fault and never resumes a campaign automatically. Exit codes: 0 confidence reached, 1 paused
+by a fault, 2 bad input, 3 stopped by a person, 4 no sweeps left before the confidence was reached.
 """
 
 import sys
 
-from runbook import Exit, Runbook, optional_list, parser_of, run
+from runbook import CELL_HELP, Exit, Runbook, optional_list, parser_of, run
 
 from service.client import Json
+
+LEFT_OPEN = "J is left open: the sweeps determine a base parameter no better than CAD does; measure more poses"
 
 
 def main() -> int:
@@ -19,7 +21,7 @@ def main() -> int:
     parser.add_argument("--axes", type=optional_list, required=True, help="joints to measure, comma separated")
     parser.add_argument("--varied", type=optional_list, required=True, help="joints that make the poses")
     parser.add_argument("--confidence", type=float, required=True, help="largest std of J over the workspace, percent")
-    parser.add_argument("--cell", default="workshop")
+    parser.add_argument("--cell", help=CELL_HELP)
     parser.add_argument("--step", type=float, default=5.0, help="deg (cm) between the positions of the grid")
     return run("overnight", parser, overnight)
 
@@ -28,7 +30,7 @@ def overnight(book: Runbook) -> Exit:
     given, client = book.given, book.client
     document = book.robot_named(given.robot)
     robot = book.identify_machine(document)
-    request = {"robot_id": document["id"], "cell": given.cell, "axes": given.axes, "varied": given.varied}
+    request = {"robot_id": document["id"], "cell": book.cell(), "axes": given.axes, "varied": given.varied}
     plan = client.add_plan(request | {"step": given.step, "confidence": given.confidence})
     campaign = book.measured(robot, plan)
     if campaign is None:
@@ -41,11 +43,12 @@ def overnight(book: Runbook) -> Exit:
 
 
 def confidence(book: Runbook, campaign: Json) -> Exit:
-    """Of a campaign that is completed: was the confidence reached, or were the sweeps used up?"""
+    """For a completed campaign: was the confidence reached, or were all sweeps used?"""
     axes = book.client.estimate(campaign["id"])["document"]["axes"]
     reached = {joint: axes[joint]["confidence_percent"] if joint in axes else None for joint in book.given.axes}
     for joint, percent in reached.items():
-        book.step(joint, "J is left open" if percent is None else f"J known to {percent:.3g} %", percent=percent)
+        told = LEFT_OPEN if percent is None else f"J known to {percent:.3g} %"
+        book.step(joint, told, percent=percent)
     wanted = book.given.confidence
     if all(percent is not None and percent <= wanted for percent in reached.values()):
         book.step("ended by", f"confidence of {wanted:g} % reached", cause=campaign["cause"])

@@ -1,8 +1,8 @@
-"""What the runbooks share: arguments, a line and an entry of the protocol a step, a campaign under watch, the stop.
+"""Common parts of the runbooks: arguments, steps with a line and a protocol entry, monitored campaigns, the stop.
 
-The protocol is a JSON file that is whole after every step, so that it tells also of a run that was interrupted. What
-ends a run while the machine may move (Ctrl-C, SIGTERM, a lost terminal, a failure of this program or of the network)
-stops the machine before anything else is done.
+The protocol is a JSON file that is complete after every step, so it also documents an interrupted run. If a run ends
+while the machine may move (Ctrl-C, SIGTERM, a lost terminal, a failure of this program or of the network), the
+machine is stopped first.
 """
 
 import json
@@ -10,7 +10,7 @@ import os
 import platform
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from enum import IntEnum
 from importlib.metadata import version
@@ -19,20 +19,21 @@ from typing import Any
 
 from moves import Move, moves, robot_of
 
-from service.cli.told import Told
+from service.cli.termination_signals import TerminationSignals
 from service.client import Json, ServiceClient
 from service.errors import BadInput, SweepidError
 from service.robot import Robot
 
 OVER = ("completed", "paused", "aborted")
-TOLD = ("recorded", "failed", "interrupted")  # states of a sweep that are a step
-BY_REQUEST = "paused by request"  # the service's cause of a pause that a person asked for
-HOST_WATCH = "host watch"  # stops the machine where no person did
+TOLD = ("recorded", "failed", "interrupted")  # states of a sweep that make a step
+BY_REQUEST = "paused by request"  # cause of a pause that a person requested, as the service gives it
+HOST_WATCH = "host watch"  # source of stops without a person
 AMBER, RED = 2.0, 4.0  # standard deviations
+CELL_HELP = "cell in which the robot stands; default: the one with the robot's name, or the only one"
 
 
 class Exit(IntEnum):
-    """What the shell is told."""
+    """Exit code for the shell."""
 
     DONE = 0
     FAILED = 1
@@ -45,18 +46,33 @@ OUTCOME = {Exit.DONE: "done", Exit.FAILED: "red or failed", Exit.STOPPED: "stopp
 
 
 def judged(significance: float) -> Exit:
-    """Of a deviation in standard deviations: done (green) up to 2, amber up to 4, failed (red) beyond."""
+    """Verdict on a deviation in standard deviations: done (green) up to 2, amber up to 4, failed (red) above."""
     size = abs(significance)
     return Exit.DONE if size <= AMBER else Exit.AMBER if size <= RED else Exit.FAILED
 
 
 def worst(codes: Sequence[Exit]) -> Exit:
-    """Red before amber before green."""
+    """The worst code: red before amber before green."""
     return next((code for code in (Exit.FAILED, Exit.AMBER) if code in codes), Exit.DONE)
 
 
+def chosen_cell(asked: str | None, cells: Sequence[str], robot: str) -> str:
+    """The requested cell, else the one with the robot's name, else the only one. BadInput if it is not unique.
+
+    Paths are checked for collisions with the obstacles of the cell: a wrong cell must never be assumed.
+    """
+    known = ", ".join(cells) or "none"
+    if asked is not None and asked not in cells:
+        raise BadInput("--cell", f"the service has no cell {asked}; it has: {known}")
+    if asked is not None or robot in cells:
+        return asked or robot
+    if len(cells) != 1:
+        raise BadInput("--cell", f"name the cell in which {robot} stands; the service has: {known}")
+    return cells[0]
+
+
 def parser_of(text: str) -> ArgumentParser:
-    """The arguments that every runbook has."""
+    """The common arguments of all runbooks."""
     parser = ArgumentParser(description=text.partition("\n")[0])
     parser.add_argument("--by", required=True, help="who stands at the machine")
     parser.add_argument("--url", default=os.environ.get("SWEEPID_URL", "http://127.0.0.1:8642"))
@@ -67,11 +83,11 @@ def parser_of(text: str) -> ArgumentParser:
 
 
 class Runbook:
-    """One run: its steps, its protocol and the campaign that it watches."""
+    """One run: its steps, its protocol and the campaign that it monitors."""
 
     def __init__(self, name: str, given: Namespace, client: ServiceClient) -> None:
         self.name, self.given, self.client = name, given, client
-        self.moving = False  # while the machine may move by what this run asked for
+        self.moving = False  # while the machine may move because of this run
         begun = datetime.now(UTC)
         self._file: Path = given.protocol or Path(f"{name}-{begun:%Y%m%dT%H%M%SZ}.json")
         self.protocol: Json = {
@@ -89,7 +105,7 @@ class Runbook:
         }
 
     def step(self, what: str, result: str, left: float | None = None, **details: object) -> None:
-        """One line on the screen and one entry in the protocol; `left`: s that the campaign still takes."""
+        """Print a line and add an entry to the protocol. `left`: remaining time of the campaign, s."""
         time_left = "" if left is None else f", {minutes(left)} left"
         print(f"{what}: {result}{time_left}", flush=True)
         entry = {"at": datetime.now(UTC).isoformat(), "step": what, "result": result, "left_s": left}
@@ -97,7 +113,7 @@ class Runbook:
         self.write()
 
     def write(self) -> None:
-        """The protocol, whole or as it was."""
+        """Write the protocol. After an error the old file is unchanged. BadInput if it cannot be written."""
         fresh = self._file.with_name(f"{self._file.name}.part")
         try:
             fresh.write_text(json.dumps(self.protocol, indent=1) + "\n", "utf-8")
@@ -106,21 +122,25 @@ class Runbook:
             raise BadInput(str(self._file), f"the protocol cannot be written: {error.strerror}") from None
 
     def identify_machine(self, robot: Json) -> Robot:
-        """Into the protocol: robot, service and drives. The robot of the service's document."""
+        """Write robot, service and drives to the protocol. Returns the robot from the document of the service."""
         self.protocol["robot"] = {"id": robot["id"], "name": robot["name"]}
         drives = {axis["joint"]: axis["identity"] for axis in self.client.drives()["axes"]}
         self.protocol["versions"] |= {"service": self.client.version(), "drives": drives}
         return robot_of(robot)
 
     def robot_named(self, name: str) -> Json:
-        """The newest robot of a name."""
+        """The newest robot with this name. BadInput if there is none."""
         found = [robot for robot in self.client.robots() if robot["name"] == name]
         if not found:
             raise BadInput("robot", f"{self.given.url} knows no robot {name}")
         return self.client.robot(found[-1]["id"])
 
+    def cell(self) -> str:
+        """The cell of `--cell`, or the robot's cell by `chosen_cell`."""
+        return chosen_cell(self.given.cell, self.client.cells(), self.given.robot)
+
     def agreed(self, question: str, word: str) -> bool:
-        """Did the person type `word`? Nobody at the keyboard is a no."""
+        """Whether the person typed `word`. The answer is no if there is no input."""
         if self.given.yes:
             return True
         try:
@@ -129,7 +149,7 @@ class Runbook:
             return False
 
     def findings(self, found: Sequence[Json]) -> Exit:
-        """Tell what a check of the data found: red where something is wrong, amber for warnings."""
+        """Print the findings of a data check: red for wrong data, amber for warnings."""
         for one in found:
             self.step(f"data, {one['severity']}", f"{one['sentence']} {one['action']}", finding=one)
         if not found:
@@ -138,20 +158,20 @@ class Runbook:
         return Exit.FAILED if "wrong" in severities else Exit.AMBER if severities else Exit.DONE
 
     def tell_moves(self, robot: Robot, sweeps: Sequence[Json], indent: str = "") -> None:
-        """What sweeps of a plan would move, axis by axis, from where the axes stand now."""
+        """Print the motion of a plan's sweeps for each axis, from the present positions."""
         stands = {axis["joint"]: axis["position"] for axis in self.client.drives()["axes"]}
         for move in moves(robot, sweeps, stands):
             self.step(f"{indent}{move.joint}", told(move), motion=move.document())
 
     def measured(self, robot: Robot, plan: Json) -> Json | None:
-        """Tell a plan and, unless it is a dry run or the person says no, run it; the campaign as it ended."""
+        """Print a plan and run it. Returns the ended campaign; None in a dry run. KeyboardInterrupt if declined."""
         document = plan["document"]
         self.step(
             f"plan {plan['id']}",
-            f"{len(document['sweeps'])} sweeps, {minutes(document['duration'])}; first each axis goes half a degree "
+            f"{len(document['sweeps'])} sweeps, {minutes(plan['expected_time'])}; first each axis goes half a degree "
             "there and back",
             plan=plan["id"],
-            duration_s=document["duration"],
+            duration_s=plan["expected_time"],
         )
         for dropped in document["dropped"]:
             self.step("left out", dropped["reason"])
@@ -164,11 +184,18 @@ class Runbook:
         return self.watched(campaign, lambda: self.client.start(campaign))
 
     def watched(self, campaign_id: int, begin: Callable[[], object]) -> Json:
-        """Begin or resume a campaign and tell its sweeps as they end; the campaign once it is over or holds."""
+        """Start or resume a campaign and report its sweeps. Returns the campaign when it is over or paused."""
         before = {sweep["number"]: sweep["attempt"] for sweep in self.client.sweeps(campaign_id)}
         self.protocol["campaign"] = campaign_id
         self.moving = True
         begin()
+        return self.followed(campaign_id, before)
+
+    def followed(self, campaign_id: int, before: Mapping[int, int]) -> Json:
+        """Report the sweeps of a running campaign. Returns the campaign when it is over or paused.
+
+        `before`: number of attempts of each sweep before this run.
+        """
         self.step(f"campaign {campaign_id}", "started", self.client.campaign(campaign_id)["progress"]["remaining"])
         for event in self.client.events(campaign_id):
             data = event["data"]
@@ -184,7 +211,7 @@ class Runbook:
         return campaign
 
     def not_completed(self, campaign: Json) -> Exit:
-        """Of a campaign that holds or was given up: did a person stop it, or did something go wrong?"""
+        """Exit code of a paused or aborted campaign: stopped by a person, or failed."""
         stops = self.client.stops()
         for stop in stops:
             self.step(f"stop {stop['id']}", f"latched by {stop['by']}: {stop['why']}", stop=stop)
@@ -201,7 +228,7 @@ def ending(campaign: Json) -> str:
 
 
 def told(move: Move) -> str:
-    """An axis' way in words: range in deg or mm, the arm's end in mm, how long."""
+    """The motion of an axis as text: range in deg or mm, motion of the arm's end in mm, duration."""
     low, high = move.range_shown()
     arm = "" if move.arm_mm is None else f" (the arm's end by up to {move.arm_mm:.0f} mm)"
     time = (
@@ -211,9 +238,9 @@ def told(move: Move) -> str:
 
 
 def run(name: str, parser: ArgumentParser, work: Callable[[Runbook], Exit]) -> int:
-    """One runbook from its arguments to its exit code."""
+    """Run a runbook, from its arguments to its exit code."""
     given = parser.parse_args()
-    with ServiceClient(given.url) as client, Told() as signals:
+    with ServiceClient(given.url) as client, TerminationSignals() as signals:
         book = Runbook(name, given, client)
         code, result = Exit.FAILED, "failed"
         try:
@@ -222,7 +249,7 @@ def run(name: str, parser: ArgumentParser, work: Callable[[Runbook], Exit]) -> i
             result = OUTCOME[code]
         except BaseException as error:
             told_by = signals.by
-            signals.by = told_by or type(error).__name__  # a signal that comes now waits: the stop goes out first
+            signals.by = told_by or type(error).__name__  # later signals wait: the stop is sent first
             stop = stopped(book, signals.by) if book.moving else ""
             if isinstance(error, KeyboardInterrupt):
                 code, result = Exit.STOPPED, f"stopped: {told_by or 'nobody said yes'}"
@@ -245,7 +272,7 @@ def run(name: str, parser: ArgumentParser, work: Callable[[Runbook], Exit]) -> i
 
 
 def stopped(book: Runbook, why: str) -> str:
-    """Stop the machine; what a person is told of it."""
+    """Stop the machine. Returns the text about it for the person."""
     try:
         book.client.stop(book.name, why)
     except SweepidError as error:
@@ -254,11 +281,11 @@ def stopped(book: Runbook, why: str) -> str:
 
 
 def optional_list(text: str) -> list[str]:
-    """Names, comma separated."""
+    """Names, separated by commas."""
     return [name for name in text.split(",") if name]
 
 
 def request_of(plan: Json) -> dict[str, Any]:
-    """What a stored plan was asked for, without its budget."""
+    """The request of a stored plan, without its budget."""
     request = plan["document"]["request"]
     return {name: value for name, value in request.items() if name not in ("poses", "duration", "confidence")}

@@ -1,4 +1,4 @@
-"""Approvals of plans: with the setting `approval` nothing of a plan moves that no engineer has approved."""
+"""Approvals of plans: with the setting `approval`, a plan moves nothing before an engineer has approved it."""
 
 from typing import Annotated
 
@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, StringConstraints
 
 from service.api.dependencies import ApplicationOf, Id
 from service.api.idempotent import IdempotentRoute
-from service.api.people.trail import trail_of
+from service.api.people.audit_trail import audit_trail_of
 from service.people.keys import masked
 from service.store.approvals import ApprovalDocument
 from service.store.tables import now
@@ -16,7 +16,7 @@ router = APIRouter(prefix="/plans/{plan_id}/approvals", tags=["plans"], route_cl
 
 
 class NewApproval(BaseModel):
-    """`sha256` of what the person looked at, as GET tells it. `approved_by`: who; with login it is who asks."""
+    """`sha256`: of the reviewed plan, as GET gives it. `approved_by`: the name; with login, the name of the caller."""
 
     model_config = ConfigDict(extra="forbid")
     sha256: Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
@@ -24,15 +24,15 @@ class NewApproval(BaseModel):
 
 
 class ApprovalView(ApprovalDocument):
-    """`void`: why it does not hold now; empty if it does."""
+    """`void`: why the approval is not valid now; empty if it is valid."""
 
     void: str
 
 
 class PlanApprovals(BaseModel):
-    """`needed`: whether a start wants one. `sha256`: of all that decides what the plan moves now.
+    """`needed`: a start requires an approval. `sha256`: of all data that determine the motion of the plan now.
 
-    `missing`: why who asks may not start a campaign of the plan; empty if he may. `items`: the newest first.
+    `missing`: why the caller may not start a campaign of the plan; empty if allowed. `items`: newest first.
     """
 
     needed: bool
@@ -54,19 +54,19 @@ def list_approvals(plan_id: Id, request: Request, application: ApplicationOf) ->
 
 @router.post("", status_code=201)
 def approve_plan(plan_id: Id, new: NewApproval, request: Request, application: ApplicationOf) -> ApprovalView:
-    """Approve what the plan moves, for as long as the setting `approval_valid` says. Nothing moves by this.
+    """Approve the motion of the plan, for the time that the setting `approval_valid` gives. Nothing moves.
 
-    409 where robot, cell, drives, settings or program are no longer what was looked at.
+    409 if robot, cell, drives, settings or program have changed since the review.
     """
     by = who_asks(request, application) or new.approved_by or ""
-    trail_of(request.scope).told = {"plan": plan_id, "sha256": new.sha256, "by": masked(by)}
+    audit_trail_of(request.scope).told = {"plan": plan_id, "sha256": new.sha256, "by": masked(by)}
     sha256 = application.motion_sha256(plan_id)
     return _view(application.approvals.add(plan_id, new.sha256, sha256, by), sha256)
 
 
 def who_asks(request: Request, application: ApplicationOf) -> str:
-    """The name, where the service knows it; "" where it asks nobody."""
-    return trail_of(request.scope).actor if application.settings.login else ""
+    """The name of the authenticated caller; "" without login."""
+    return audit_trail_of(request.scope).actor if application.settings.login else ""
 
 
 def _view(approval: ApprovalDocument, sha256: str) -> ApprovalView:

@@ -1,4 +1,4 @@
-"""Bundles in and out, as a zip of the folder that BUNDLE format `sweepid-bundle/1` describes."""
+"""Import and export of bundles: a zip of the folder that the BUNDLE format `sweepid-bundle/1` describes."""
 
 import shutil
 import tempfile
@@ -13,8 +13,8 @@ from starlette.concurrency import run_in_threadpool
 
 from service.api.campaign.campaigns import CampaignView, view
 from service.api.dependencies import ApplicationOf, Id, set_etag
-from service.api.spooled import SpooledRoute
-from service.tasks.ending import to_its_end
+from service.api.uploads import SpooledRoute
+from service.tasks.run_to_end import run_to_end
 
 router = APIRouter(tags=["bundles"], route_class=SpooledRoute)
 
@@ -27,7 +27,7 @@ _BODY: dict[str, Any] = {
 
 @router.post(BUNDLES, status_code=201, openapi_extra=_BODY)
 async def import_bundle(request: Request, response: Response, application: ApplicationOf) -> CampaignView:
-    """A campaign of measured sweeps, which are then identified. What cannot be read is refused as a whole."""
+    """Import a campaign of measured sweeps; they are then identified. A bundle with an unreadable part is refused."""
     campaign = await application.import_bundle(request.state.body)
     set_etag(response, campaign.version)
     response.headers["Location"] = str(request.url_for("get_campaign", campaign_id=campaign.id))
@@ -40,13 +40,13 @@ async def import_bundle(request: Request, response: Response, application: Appli
     responses={200: {"content": {_ZIP: {"schema": {"type": "string", "format": "binary"}}}}},
 )
 async def export_bundle(campaign_id: Id, application: ApplicationOf) -> FileResponse:
-    """The completely recorded sweeps of a campaign."""
+    """A bundle with the completely recorded sweeps of a campaign."""
     folder = FilePath(await run_in_threadpool(tempfile.mkdtemp, prefix="export-", dir=application.files.transfer()))
     try:
         await application.export_bundle(campaign_id, folder / "bundle")
         packed = await run_in_threadpool(_pack, folder / "bundle", folder / "bundle.zip")
     except BaseException:
-        await to_its_end(run_in_threadpool(shutil.rmtree, folder))
+        await run_to_end(run_in_threadpool(shutil.rmtree, folder))
         raise
     return FileResponse(
         packed,
@@ -57,7 +57,7 @@ async def export_bundle(campaign_id: Id, application: ApplicationOf) -> FileResp
 
 
 def _pack(folder: FilePath, target: FilePath) -> FilePath:
-    with zipfile.ZipFile(target, "w", zipfile.ZIP_STORED) as archive:  # Parquet is compressed already
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_STORED) as archive:  # Parquet is already compressed
         for path in sorted(folder.rglob("*")):
             archive.write(path, path.relative_to(folder))
     return target

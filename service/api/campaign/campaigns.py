@@ -1,22 +1,24 @@
-"""Campaigns: the ordered sweeps of one session at the machine, and the commands of the person who runs them.
+"""Campaigns: the ordered sweeps of one session at the machine, and the operator's commands.
 
-Commands take `If-Match` with the campaign's ETag: 412 when the campaign has changed since the client read it.
+Commands need `If-Match` with the campaign's ETag: 412 if the campaign has changed since the client read it.
 """
+
+from collections.abc import Sequence
 
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
 from service.api.campaign.approvals import who_asks
-from service.api.campaign.progress import Progress, StepView, planned_times, progress, steps
+from service.api.campaign.progress import Progress, StepView, progress, steps
 from service.api.dependencies import After, ApplicationOf, Id, IfMatch, Limit, Page, set_etag
 from service.api.idempotent import IdempotentRoute
-from service.api.people.trail import trail_of
+from service.api.people.audit_trail import audit_trail_of
 from service.application import Application
-from service.execution.attendance import Attendance
 from service.execution.check_move import CheckMove
+from service.execution.sign_of_life import SignOfLife
 from service.results.check import DataCheck
-from service.store.documents import LARGEST_ID, CampaignDocument
+from service.store.documents import LARGEST_ID, CampaignDocument, SweepDocument, SweepState, SweepStatus
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=IdempotentRoute)
 
@@ -27,14 +29,14 @@ class NewCampaign(BaseModel):
 
 
 class Attended(BaseModel):
-    """Somebody shows a sign of life at least every so many seconds, or the axes stop and the campaign is paused."""
+    """`within_s`: maximum time between two signs of life, s; otherwise the axes stop and the campaign is paused."""
 
     model_config = ConfigDict(extra="forbid")
     within_s: float = Field(ge=1, le=3600)
 
 
 class Start(BaseModel):
-    """`attended`: null where nobody waits for a sign of life."""
+    """`attended`: null if no sign of life is required."""
 
     model_config = ConfigDict(extra="forbid")
     attended: Attended | None = None
@@ -45,7 +47,7 @@ class Start(BaseModel):
 
 
 class Resume(Start):
-    """`repeat`: failed and interrupted sweeps are measured once more."""
+    """`repeat`: failed and interrupted sweeps are measured again."""
 
     repeat: bool = False
 
@@ -56,7 +58,7 @@ class Abort(BaseModel):
 
 
 class CheckMoveView(BaseModel):
-    """An axis goes `way` rad (m) and back: the right one, the right way? Only a person sees that from outside."""
+    """An axis moves by `way` rad (m) and back. Only a person sees if it is the right axis and the right direction."""
 
     axis: str
     way: float
@@ -64,18 +66,18 @@ class CheckMoveView(BaseModel):
 
 
 class AttendedView(BaseModel):
-    """`left_s`: until the campaign is paused."""
+    """`left_s`: time until the campaign is paused, s."""
 
     within_s: float
     left_s: float
 
 
 class CampaignView(CampaignDocument):
-    """A campaign with its progress, what moves now (`motion`, with what follows in this sweep) and what was found.
+    """A campaign with its progress, the present motion (`motion`, with the next steps of this sweep) and the findings.
 
-    `check_move`: the one that it makes at this moment.
-    `attended`: while it runs and was started so.
-    `data_check` as `sweepid check --json` gives it; null until the campaign is over and was checked.
+    `check_move`: the check move that runs now.
+    `attended`: only while the campaign runs and requires a sign of life.
+    `data_check`: as `sweepid check --json` gives it; null until the campaign is over and was checked.
     """
 
     progress: Progress
@@ -89,7 +91,7 @@ class CampaignView(CampaignDocument):
 async def add_campaign(
     new: NewCampaign, request: Request, response: Response, application: ApplicationOf
 ) -> CampaignView:
-    """A campaign of a stored plan. Nothing moves until it is started."""
+    """Create a campaign of a stored plan. Nothing moves until the campaign is started."""
     campaign = await application.add_campaign(new.plan_id)
     response.headers["Location"] = str(request.url_for("get_campaign", campaign_id=campaign.id))
     return await _answer(application, campaign, response)
@@ -115,17 +117,17 @@ async def start_campaign(
     version: IfMatch,
     start: Start | None = None,
 ) -> CampaignView:
-    """Begin to move and measure. 409 with the reason, also where the plan needs an approval and has none that holds."""
+    """Start to move and measure. 409 with the reason, also if the plan needs an approval and has no valid one."""
     by, within = who_asks(request, application), (start or Start()).within
-    trail_of(request.scope).told = {"attended": within}
+    audit_trail_of(request.scope).told = {"attended": within}
     return await _answer(application, await application.runner.start(campaign_id, version, by, within), response)
 
 
 @router.post("/{campaign_id}/sign_of_life")
 async def show_life(campaign_id: Id, application: ApplicationOf) -> AttendedView | None:
-    """Somebody looks after the machine; null where nobody waits for it. 409 if the campaign does not run.
+    """A person monitors the machine; null if no sign of life is required. 409 if the campaign does not run.
 
-    Needs neither audit nor database, but to look at the key: a campaign ends by silence alone.
+    Needs no audit entry; the database is read only to check the key. Without signs of life the campaign is paused.
     """
     return _attended(application.runner.sign_of_life(campaign_id))
 
@@ -134,7 +136,7 @@ async def show_life(campaign_id: Id, application: ApplicationOf) -> AttendedView
 async def pause_campaign(
     campaign_id: Id, response: Response, application: ApplicationOf, version: IfMatch
 ) -> CampaignView:
-    """Hold after the present sweep."""
+    """Pause after the present sweep."""
     return await _answer(application, await application.runner.pause(campaign_id, version), response)
 
 
@@ -147,9 +149,9 @@ async def resume_campaign(
     version: IfMatch,
     resume: Resume | None = None,
 ) -> CampaignView:
-    """Go on with the next planned sweep. 409 as for a start."""
+    """Continue with the next planned sweep. 409 as for a start."""
     wanted, by = resume or Resume(), who_asks(request, application)
-    trail_of(request.scope).told = {"attended": wanted.within}
+    audit_trail_of(request.scope).told = {"attended": wanted.within}
     campaign = await application.runner.resume(campaign_id, version, wanted.repeat, by, wanted.within)
     return await _answer(application, campaign, response)
 
@@ -158,28 +160,37 @@ async def resume_campaign(
 async def abort_campaign(
     campaign_id: Id, response: Response, application: ApplicationOf, version: IfMatch, abort: Abort | None = None
 ) -> CampaignView:
-    """Stop the present sweep now and give the campaign up. What was recorded stays."""
+    """Stop the present sweep now and abort the campaign. Recorded data are kept."""
     why = (abort or Abort()).why
     return await _answer(application, await application.runner.abort(campaign_id, why, version), response)
 
 
 def view(application: Application, campaign: CampaignDocument) -> CampaignView:
-    """The campaign with its progress; reads the store."""
+    """The campaign with its progress. Reads the store."""
     checked = application.checks.document(campaign.id)
-    times = () if campaign.plan_id is None else planned_times(application.store.plan(campaign.plan_id).document)
-    owns = application.runner.running == campaign.id
-    under_way, check_move = (application.runner.under_way, application.runner.check_move) if owns else (None, None)
+    times = () if campaign.plan_id is None else application.planned_times(campaign.plan_id)
+    statuses = application.store.sweep_statuses(campaign.id)
+    current = _current(application, campaign.id, statuses)
+    runner = None if application.cell is None or application.runner.running != campaign.id else application.runner
+    under_way, check_move = (None, None) if runner is None else (runner.under_way, runner.check_move)
     return CampaignView(
         **campaign.model_dump(),
-        progress=progress(campaign.state, application.store.sweeps(campaign.id), times, under_way),
+        progress=progress(campaign.state, statuses, times, under_way, current=current),
         motion=steps(under_way, check_move),
         check_move=_check_move(check_move),
-        attended=_attended(application.runner.attendance) if owns else None,
+        attended=None if runner is None else _attended(runner.attendance),
         data_check=None if checked is None else DataCheck.read(checked, f"data check of campaign {campaign.id}"),
     )
 
 
-def _attended(attendance: Attendance | None) -> AttendedView | None:
+def _current(application: Application, campaign_id: int, statuses: Sequence[SweepStatus]) -> SweepDocument | None:
+    """The sweep that runs; None also if it has just ended."""
+    running = next((one.number for one in statuses if one.state is SweepState.RUNNING), None)
+    found = None if running is None else application.store.sweep(campaign_id, running)
+    return found if found is not None and found.state is SweepState.RUNNING else None
+
+
+def _attended(attendance: SignOfLife | None) -> AttendedView | None:
     return None if attendance is None else AttendedView(within_s=attendance.within, left_s=attendance.left)
 
 

@@ -1,16 +1,18 @@
-"""Plans: which sweeps in which poses and in which order. A plan that leaves the safety envelope is not made."""
+"""Plans: the sweeps, their poses and their order. A plan that leaves the safety envelope is refused."""
 
 from typing import Annotated, cast
 
 from fastapi import APIRouter, Request, Response
-from pydantic import Discriminator, JsonValue, Tag
+from pydantic import Discriminator, JsonValue, Tag, computed_field
 
+from service.api.campaign.progress import expected_time
 from service.api.dependencies import After, ApplicationOf, Id, Limit, Page
 from service.api.idempotent import IdempotentRoute
 from service.api.problem import TAG
 from service.application import Application
 from service.campaigns.linked_analysis import latest_analysis
 from service.campaigns.linked_campaign import check_beside
+from service.campaigns.planned_time import planned_times
 from service.errors import BadInput
 from service.geometry.cell import read_cell
 from service.identification.estimates.analysis_document import analyses_from
@@ -23,7 +25,7 @@ from service.planning.plan import PlanRequest, build_plan
 from service.planning.trajectories.documents import TrajectoryRequest
 from service.planning.trajectories.plan import build_trajectory_plan
 from service.results.analysis import Analyses
-from service.results.described import JsonOf
+from service.results.stored_json import JsonOf
 from service.store.documents import PlanRecord
 
 
@@ -42,9 +44,15 @@ Wanted = Annotated[
 
 
 class PlanView(PlanRecord):
-    """A stored plan; `document` is of the kind that its request names."""
+    """A stored plan; its request selects the kind of `document`. `expected_time`: s, with the check moves."""
 
     document: Annotated[dict[str, JsonValue], JsonOf(Plan)]
+
+    @computed_field
+    @property
+    def expected_time(self) -> float:
+        """Remaining time of a campaign of this plan before its start, s."""
+        return expected_time(planned_times(self))
 
 
 router = APIRouter(prefix="/plans", tags=["plans"], route_class=IdempotentRoute)
@@ -54,23 +62,23 @@ router = APIRouter(prefix="/plans", tags=["plans"], route_class=IdempotentRoute)
 def add_plan(
     wanted: Wanted, request: Request, response: Response, application: ApplicationOf, elsewhere: bool = False
 ) -> PlanRecord:
-    """Choose poses and excitation and store the plan. Takes seconds to minutes; nothing moves.
+    """Choose poses and excitation, and store the plan. This takes seconds to minutes; nothing moves.
 
-    With `kind` "analysis": an initial analysis. A plan of sweeps may name the campaign of one (`analysis`). With `kind`
-    "trajectory": exciting trajectories of several axes at once. With `kind` "diagnosis": all kinds of sweeps in a few
-    poses, for a diagnosis.
+    `kind` "analysis": an initial analysis. A plan of sweeps can use the campaign of an initial analysis (`analysis`).
+    `kind` "trajectory": exciting trajectories of several axes at the same time. `kind` "diagnosis": all kinds of sweeps
+    in a few poses, for a diagnosis.
 
-    The robot has to be that of this service's drives: gear ratios, rated efforts, limits. `elsewhere`: the plan is for
-    another machine (part programs of a CNC), and a campaign of it cannot be started here.
+    The robot must match the drives of this service: gear ratios, rated efforts, limits. `elsewhere`: the plan is for
+    another machine (part programs of a CNC); a campaign of it cannot be started here.
     """
     robot = application.store.robot(wanted.robot_id).build()
     other = (
         ""
         if elsewhere
-        else other_machine(robot, wanted.robot_id, application.settings, application.drive_axes, _moved(wanted))
+        else other_machine(robot, wanted.robot_id, application.settings, application.own.drive_axes, _moved(wanted))
     )
     if other:
-        raise BadInput("robot_id", f"is of another machine: {other}")
+        raise BadInput("robot_id", f"belongs to another machine: {other}")
     cell = read_cell(application.settings.cells_dir / f"{wanted.cell}.yaml")
     if isinstance(wanted, AnalysisRequest):
         document = build_analysis_plan(robot, _with_excitation(wanted, application), cell)
@@ -93,7 +101,7 @@ def _moved(wanted: PlanRequest | AnalysisRequest | TrajectoryRequest | Diagnosis
 
 
 def _with_excitation(wanted: AnalysisRequest, application: Application) -> AnalysisRequest:
-    """The kind of excitation that the machine can give; noise while nobody knows the machine."""
+    """The request with an excitation that the machine supports; noise if the machine is not known."""
     if wanted.excitation is not None:
         return wanted
     able = not application.machine.connected or application.machine.capabilities.torque_injection

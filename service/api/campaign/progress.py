@@ -1,32 +1,38 @@
-"""How far a campaign is, how long it still takes, and what moves now and next: one answer for page and commands."""
+"""Progress of a campaign, its remaining time, and what moves now and next. The page and the commands use it."""
 
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from itertools import pairwise
 from statistics import median
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import BaseModel
 
+from service.campaigns.planned_time import PlannedTime
 from service.execution.check_move import DURATION, CheckMove
-from service.execution.under_way import UnderWay
-from service.store.documents import CampaignState, SweepDocument, SweepState
+from service.execution.current_activity import CurrentActivity
+from service.store.documents import CampaignState, SweepDocument, SweepState, SweepStatus
 
-CHECK_MOVE = 2 * DURATION + 1.0  # s, there and back, with switching on and off
+CHECK_MOVE = 2 * DURATION + 1.0  # s: motion in both directions, switching on and off
 
 _LEFT = (SweepState.PLANNED, SweepState.RUNNING)
 _RECORDED = (SweepState.RECORDED, SweepState.IDENTIFIED)
 _AGAIN = (SweepState.FAILED, SweepState.INTERRUPTED)
 _OPEN = (CampaignState.PLANNED, CampaignState.RUNNING, CampaignState.PAUSING, CampaignState.PAUSED)
-_PAUSE = 2.0  # times the usual pace: between two such sweeps the campaign was held
+_PAUSE = 2.0  # ratio to the median pace: the campaign was paused between two sweeps with a larger ratio
+
+
+def expected_time(times: Sequence[PlannedTime]) -> float:
+    """Duration of a campaign that has not begun, s: moves, sweeps, and one check move of each axis that moves."""
+    moving = frozenset[str]().union(*(each.joints for each in times))
+    return sum(each.duration for each in times) + CHECK_MOVE * len(moving)
 
 
 class Progress(BaseModel):
-    """How far the measuring is: `done` sweeps recorded of `total`; `current` is the sweep that runs.
+    """Progress of the measurement: `done` sweeps of `total` are recorded; `current` is the sweep that runs.
 
-    `remaining` s with moves, check moves and settling; of a paused campaign from its resume on. Null where it cannot
-    be told. `repeat` s more if a resume has failed and interrupted sweeps measured again.
+    `remaining`: s, with moves, check moves and settling; for a paused campaign, the time after its resume. Null if
+    it is not known. `repeat`: additional s if a resume repeats the failed and interrupted sweeps.
     """
 
     done: int
@@ -37,9 +43,9 @@ class Progress(BaseModel):
 
 
 class StepView(BaseModel):
-    """One thing the machine does: `travel` of an axis to `target` rad (m), its `check_move`, or the `sweep` itself.
+    """One step of the machine: `travel` of an axis to `target` rad (m), its `check_move`, or the `sweep` itself.
 
-    `seconds`: of the whole step, null where the drives alone know.
+    `seconds`: duration of the whole step, s; null if only the drives know it.
     """
 
     kind: Literal["check_move", "travel", "sweep"]
@@ -48,37 +54,17 @@ class StepView(BaseModel):
     seconds: float | None
 
 
-@dataclass(frozen=True)
-class PlannedTime:
-    """What a plan says of a sweep: s with the way to it, its start in the plan, and the joints that it moves."""
-
-    duration: float
-    start: float
-    joints: frozenset[str]
-
-
-def planned_times(document: Mapping[str, Any]) -> tuple[PlannedTime, ...]:
-    """By sweep, of the document of any stored plan."""
-    return tuple(
-        PlannedTime(
-            sweep["duration"],
-            sweep["spec"]["started_at"],
-            frozenset({sweep["spec"]["axis"], *(leg["joint"] for leg in sweep["legs"])}),
-        )
-        for sweep in document["sweeps"]
-    )
-
-
 def progress(
     state: CampaignState,
-    sweeps: Sequence[SweepDocument],
+    sweeps: Sequence[SweepStatus],
     times: Sequence[PlannedTime],
-    under_way: UnderWay | None = None,
+    under_way: CurrentActivity | None = None,
     now: float | None = None,
+    current: SweepDocument | None = None,
 ) -> Progress:
-    """Remaining time: what the plan says of the sweeps left, at the pace of the sweeps so far.
+    """Progress with the remaining time: the planned time of the sweeps left, times the pace of the recorded sweeps.
 
-    `times` () for a campaign without plan. `now`: of the clock of `under_way`, s.
+    `times`: () for a campaign without plan. `now`: s, of the clock of `under_way`. `current`: the sweep that runs.
     """
     left = [sweep for sweep in sweeps if sweep.state in _LEFT]
     told = state in _OPEN and len(times) == len(sweeps)
@@ -88,18 +74,18 @@ def progress(
         total=len(sweeps),
         remaining=remaining if left else 0.0,
         repeat=_pace(sweeps, times) * _sum(sweeps, times, _AGAIN) if told else 0.0,
-        current=next((sweep for sweep in sweeps if sweep.state is SweepState.RUNNING), None),
+        current=current,
     )
 
 
 def _time_left(
     state: CampaignState,
-    sweeps: Sequence[SweepDocument],
+    sweeps: Sequence[SweepStatus],
     times: Sequence[PlannedTime],
-    under_way: UnderWay | None,
+    under_way: CurrentActivity | None,
     now: float | None,
 ) -> float:
-    """Of a campaign with sweeps left, s."""
+    """Remaining time of a campaign with sweeps left, s."""
     pace, by_number = _pace(sweeps, times), dict(zip((sweep.number for sweep in sweeps), times, strict=True))
     left = [sweep.number for sweep in sweeps if sweep.state in _LEFT]
     moving = frozenset[str]().union(*(by_number[number].joints for number in left))
@@ -115,21 +101,21 @@ def _time_left(
     return seconds
 
 
-def _sum(sweeps: Sequence[SweepDocument], times: Sequence[PlannedTime], states: Sequence[SweepState]) -> float:
+def _sum(sweeps: Sequence[SweepStatus], times: Sequence[PlannedTime], states: Sequence[SweepState]) -> float:
     return sum(each.duration for sweep, each in zip(sweeps, times, strict=True) if sweep.state in states)
 
 
-def _pace(sweeps: Sequence[SweepDocument], times: Sequence[PlannedTime]) -> float:
-    """Time from sweep to sweep so far over the plan's; 1 before there are two. Where it was held does not count."""
+def _pace(sweeps: Sequence[SweepStatus], times: Sequence[PlannedTime]) -> float:
+    """Ratio of measured to planned time from sweep to sweep; 1 below two sweeps. Pauses do not count."""
     ways: list[tuple[float, float]] = []
     recorded = sorted(
         ((sweep, each) for sweep, each in zip(sweeps, times, strict=True) if sweep.state in _RECORDED),
-        key=lambda pair: pair[0].spec.started_at,
+        key=lambda pair: pair[0].started_at,
     )
     for (before, planned_before), (after, planned) in pairwise(recorded):
         gap = planned.start - planned_before.start
         if after.number == before.number + 1 and gap > 0:
-            ways.append((after.spec.started_at - before.spec.started_at, gap))
+            ways.append((after.started_at - before.started_at, gap))
     if not ways:
         return 1.0
     usual = median(taken / gap for taken, gap in ways)
@@ -137,8 +123,8 @@ def _pace(sweeps: Sequence[SweepDocument], times: Sequence[PlannedTime]) -> floa
     return sum(taken for taken, _ in counted) / sum(gap for _, gap in counted)
 
 
-def steps(under_way: UnderWay | None, check_move: CheckMove | None) -> tuple[StepView, ...]:
-    """What moves now, first, and what follows it up to the end of the present sweep; () while nothing is known."""
+def steps(under_way: CurrentActivity | None, check_move: CheckMove | None) -> tuple[StepView, ...]:
+    """The step that moves now, then the steps up to the end of the present sweep; () while they are not known."""
     found: list[StepView] = []
     if check_move is not None:
         found.append(StepView(kind="check_move", axes=(check_move.joint,), target=None, seconds=2 * DURATION))

@@ -1,4 +1,4 @@
-"""Sweeps of a campaign and what was recorded of them."""
+"""Sweeps of a campaign and their recordings."""
 
 import re
 from typing import Annotated
@@ -17,8 +17,8 @@ _PARQUET = "application/vnd.apache.parquet"
 
 @router.get("")
 def list_sweeps(campaign_id: Id, application: ApplicationOf) -> tuple[SweepDocument, ...]:
-    """All sweeps in the order of the plan."""
-    application.store.campaign(campaign_id)  # NotFound, where an unknown campaign would look like one without sweeps
+    """All sweeps, in the order of the plan."""
+    application.store.campaign(campaign_id)  # NotFound: an unknown campaign must not look like one without sweeps
     return application.store.sweeps(campaign_id)
 
 
@@ -29,7 +29,7 @@ def get_sweep(campaign_id: Id, number: Number, application: ApplicationOf) -> Sw
 
 @router.get("/{number}/recording")
 def get_recording(campaign_id: Id, number: Number, application: ApplicationOf) -> RecordingDocument:
-    """The latest recording of a sweep: how much of it there is, and its SHA-256."""
+    """The latest recording of a sweep: its extent and its SHA-256."""
     return application.store.recording(campaign_id, number)
 
 
@@ -39,11 +39,11 @@ def get_recording(campaign_id: Id, number: Number, application: ApplicationOf) -
     responses={200: {"content": {_PARQUET: {"schema": {"type": "string", "format": "binary"}}}}},
 )
 def get_recording_file(campaign_id: Id, number: Number, application: ApplicationOf) -> FileResponse:
-    """The samples as Parquet, columns as in the bundle format; a part of them if the recording is partial."""
+    """The samples as Parquet, with the columns of the bundle format; only a part of them for a partial recording."""
     recording = application.store.recording(campaign_id, number)
     name = re.sub(r"\W+", "-", f"campaign-{campaign_id}-sweep-{number:04d}-attempt-{recording.attempt}") + ".parquet"
     return FileResponse(
-        application.files.path(recording),
+        application.files.local(recording),
         media_type=_PARQUET,
         filename=name,
         headers={"X-Content-SHA256": recording.sha256, "X-Recording-State": recording.state.value},

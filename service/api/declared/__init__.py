@@ -1,1 +1,1 @@
-"""The OpenAPI document beside what the routes make of it: problems as they are sent, roles, descriptions, examples."""
+"""Additions to the OpenAPI document of the routes: problems as they are sent, roles, descriptions, examples."""

@@ -1,7 +1,7 @@
-"""Every answer of the OpenAPI document has a description and an example.
+"""Gives every answer of the OpenAPI document a description and an example.
 
-`examples.json` has one answer a model, as a service gave it; pages and lists are made of it. A model without one stays
-without: a test names it.
+`examples.json` has one answer per model, as a service gave it; pages and lists are made from it. A model without an
+example gets none: a test lists it.
 """
 
 import json
@@ -11,7 +11,7 @@ from typing import Any
 Json = dict[str, Any]
 
 _EXAMPLES: Json = json.loads(files("service.api.declared").joinpath("examples.json").read_text("utf-8"))
-_UNTOLD = "Successful Response"  # FastAPI's word for an answer that nobody has described
+_UNTOLD = "Successful Response"  # FastAPI's text for an answer without description
 _MODELS = "#/components/schemas/"
 _TEXTS: dict[str, tuple[str, str]] = {
     "application/pdf": ("The file: pages of A4, or the tables.", "%PDF and pages"),
@@ -27,11 +27,11 @@ _TEXTS: dict[str, tuple[str, str]] = {
     "text/html": ("One page with figures, complete in one file.", '<!doctype html>\n<html lang="en">...</html>'),
     "text/plain": ("Metrics in the text format of Prometheus.", "sweepid_machine_connected 1.0\n"),
 }
-"""What an answer is that no model describes, and how it begins."""
+"""Description of the answers without a model, and their first bytes."""
 
 
 def complete(document: Json) -> None:
-    """Describe the answers of an OpenAPI document, in place."""
+    """Add descriptions and examples to the answers of an OpenAPI document, in place."""
     examples: Json = document["components"].setdefault("examples", {})
     for path in document["paths"].values():
         for operation in path.values():
@@ -49,8 +49,8 @@ def complete(document: Json) -> None:
 
 
 def _described(document: Json, schema: Json, media: str) -> tuple[str, str]:
-    """What the answer is, and the name of its example."""
-    some = schema.get("anyOf", [schema])[0]  # null beside it needs no word of its own
+    """Description of the answer, and the name of its example."""
+    some = schema.get("anyOf", [schema])[0]  # an alternative null needs no description of its own
     of = some.get("items", some).get("$ref", "").removeprefix(_MODELS)
     if not of:
         return _TEXTS.get(media, ("", ""))[0] or _UNTOLD, media.replace("/", ".")
@@ -62,7 +62,7 @@ def _described(document: Json, schema: Json, media: str) -> tuple[str, str]:
 
 
 def _example(name: str, status: str, media: str) -> Any:
-    """None where there is none."""
+    """The example; None if there is none."""
     kind, _, of = name.removesuffix("_").partition("_")
     if kind == "Page" and of in _EXAMPLES:
         return {"items": [_EXAMPLES[of]], "next": None}

@@ -1,4 +1,4 @@
-"""The application whose OpenAPI document says of problems what is sent."""
+"""The application; its OpenAPI document declares problems with the media type that is sent."""
 
 from typing import Any, cast
 
@@ -26,7 +26,7 @@ _SESSION = {
 
 
 class DeclaredApi(FastAPI):
-    """FastAPI declares every model as `application/json`; problems are sent as something else."""
+    """FastAPI declares every model as `application/json`; problems have another media type."""
 
     def openapi(self) -> dict[str, Any]:
         document = super().openapi()
@@ -35,7 +35,7 @@ class DeclaredApi(FastAPI):
             for method, operation in path.items():
                 needed = PERMISSIONS.get((method.upper(), where))
                 if needed is not None:
-                    operation["security"] = [{}, {"key": []}, {"session": []}]  # none where the service has no login
+                    operation["security"] = [{}, {"key": []}, {"session": []}]  # no security in a service without login
                     operation["x-least-role"] = needed.word
                     operation["responses"] |= _refusals(needed)
                 for response in operation["responses"].values():
@@ -50,6 +50,6 @@ def _refusals(needed: Role) -> dict[str, Any]:
     content = {MEDIA_TYPE: {"schema": _PROBLEM}}
     asked = {"WWW-Authenticate": {"schema": {"type": "string"}}}
     return {
-        "401": {"description": "no key, or none that opens anything", "headers": asked, "content": content},
-        "403": {"description": f"needs {needed.word}, or was sent by another page", "content": content},
+        "401": {"description": "no API key, or a key that is not valid", "headers": asked, "content": content},
+        "403": {"description": f"requires {needed.word}, or was sent by a page of another origin", "content": content},
     }

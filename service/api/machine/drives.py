@@ -1,4 +1,4 @@
-"""The machine's drives: what they are, how they stand, and what a person may do about it without moving anything."""
+"""The machine's drives: identity, state, and the commands of a person that move nothing."""
 
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -13,13 +13,14 @@ from service.api.idempotent import IdempotentRoute
 from service.api.problem import Problem
 from service.errors import NotFound
 from service.execution.machine import Machine
+from service.store.rows import NoMachine
 
 router = APIRouter(prefix="/drives", tags=["drives"], route_class=IdempotentRoute)
 _NO_ANSWER: dict[int | str, dict[str, Any]] = {503: {"model": Problem, "description": "the drives do not answer"}}
 
 
 class FaultView(BaseModel):
-    """A pending fault; `code` is the CiA 402 error code (603Fh) or the maker's."""
+    """A pending fault; `code` is the CiA 402 error code (603Fh) or the manufacturer's code."""
 
     code: int
     text: str
@@ -27,7 +28,7 @@ class FaultView(BaseModel):
 
 
 class IdentityView(BaseModel):
-    """What the device says of itself (CiA 301 object 1018h)."""
+    """Identity object of the device (CiA 301 object 1018h)."""
 
     address: str
     vendor: int
@@ -38,7 +39,7 @@ class IdentityView(BaseModel):
 
 
 class AxisView(BaseModel):
-    """One axis: position rad (m), velocity rad/s (m/s), effort N m (N); null where there is no word from the drive."""
+    """One axis: position rad (m), velocity rad/s (m/s), effort N m (N); null if the drive does not answer."""
 
     joint: str
     state: AxisState
@@ -50,7 +51,11 @@ class AxisView(BaseModel):
 
 
 class CapabilitiesView(BaseModel):
-    """What the drives can do; a limit that is not in the drive is watched by the service alone."""
+    """Capabilities of the drives. Only the service monitors a limit that is not set in the drive.
+
+    `bus_load`: for one, two, ... axes at the same time, the largest share of `bus_bitrate` (bit/s) of a streamed sweep.
+    Empty if the bit rate is not known or the fieldbus has none. A load above 0.7 is refused.
+    """
 
     sweep_modes: tuple[SweepMode, ...]
     load_encoder: bool
@@ -62,12 +67,14 @@ class CapabilitiesView(BaseModel):
     simultaneous_axes: int
     hears_other_hosts: bool
     set_points: str
+    bus_bitrate: int | None
+    bus_load: tuple[float, ...]
 
 
 class DrivesView(BaseModel):
-    """The machine; `trouble` says why it is not connected, `capabilities` are known while it is.
+    """The machine. `trouble`: why it is not connected. `capabilities`: known only while it is connected.
 
-    `held` says why nothing may move although it is connected: stops, the host watch, the lease.
+    `held`: why nothing may move although it is connected: stops, the host watch, the lease.
     """
 
     connected: bool
@@ -79,7 +86,10 @@ class DrivesView(BaseModel):
 
 @router.get("")
 async def get_drives(application: ApplicationOf) -> DrivesView:
-    """State, position, faults and identity of every axis."""
+    """State, position, faults and identity of every axis. `trouble` also reports a service without a machine."""
+    if application.cell is None:
+        why = str(NoMachine())
+        return DrivesView(connected=False, trouble=why, held=why, capabilities=None, axes=())
     machine = application.machine
     status: Mapping[str, AxisStatus] = await machine.recent_status() if machine.connected else {}
     identities = {identity.joint: identity for identity in machine.identities}
@@ -94,14 +104,14 @@ async def get_drives(application: ApplicationOf) -> DrivesView:
 
 @router.post("/connect", responses=_NO_ANSWER)
 async def connect(application: ApplicationOf) -> DrivesView:
-    """Connect, or connect again after a loss. Every axis is disabled afterwards."""
+    """Connect, or reconnect after a loss. Every axis is disabled afterwards."""
     await application.machine.connect()
     return await get_drives(application)
 
 
 @router.post("/{joint}/acknowledge", responses=_NO_ANSWER)
 async def acknowledge(joint: str, application: ApplicationOf) -> AxisView:
-    """Clear the fault of one axis after a person looked. The axis stays without energy."""
+    """Clear the fault of one axis after a person has checked it. The axis stays without energy."""
     machine = application.machine
     _check_joint(machine, joint)
     await machine.acknowledge(joint)
@@ -112,7 +122,7 @@ async def acknowledge(joint: str, application: ApplicationOf) -> AxisView:
 
 def _check_joint(machine: Machine, joint: str) -> None:
     if joint not in machine.joints:
-        raise NotFound(f"drive {joint}: the machine has {', '.join(machine.joints)}")
+        raise NotFound(f"unknown drive {joint}; the machine has {', '.join(machine.joints)}")
 
 
 def _capabilities(can: Capabilities) -> CapabilitiesView:

@@ -1,6 +1,6 @@
-"""The stop: always accepted, from anybody. What moves afterwards waits for a person's release, stop by stop.
+"""The stop: accepted always and from all callers. Afterwards a person must release each stop before motion.
 
-The service's own answer; `service.stop_process` listens beside it for when the service has no time.
+This is the answer of the service itself. `service.stop_process` listens in parallel if the service is too busy.
 """
 
 from http import HTTPStatus
@@ -11,15 +11,16 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from drivers.errors import StopNotConfirmed
 from service.api.dependencies import ApplicationOf
-from service.api.people.trail import trail_of
+from service.api.people.audit_trail import audit_trail_of
 from service.api.problem import Problem, problem_response
 from service.application import Application
 from service.people.keys import masked
 from service.store.documents import LARGEST_ID, StopDocument
+from service.store.rows import NoMachine
 
 router = APIRouter(prefix="/stop", tags=["stop"])
 
-_SHOWN = 100  # stops in an answer
+_SHOWN = 100  # stops in one answer
 _UNCONFIRMED = Problem(
     type="urn:sweepid:problem:stop-not-confirmed",
     title="Service Unavailable",
@@ -37,16 +38,23 @@ _NOT_CONFIRMED: dict[int | str, dict[str, Any]] = {
     }
 }
 _NOT_RELEASED: dict[int | str, dict[str, Any]] = {
-    503: {"model": Problem, "description": "nothing released: the database or the audit does not take it"}
+    503: {"model": Problem, "description": "not released: the database or the audit cannot be written"}
 }
 
 
-class StopView(BaseModel):
-    """Whether the machine is held, the stop that was spoken of last, and the stops that hold it (the oldest 100).
+_NOTHING_STOPPED = (
+    "nothing was stopped: this service has no machine (`--no-machine`); press STOP on the page of the machine's own "
+    "service, or the emergency stop at the machine"
+)
 
-    A stop has a negative id until the database has taken it, which stays good for its release. `port` is where the
-    stop process listens for ``POST /stop``, null where there is none; `process_trouble` is why its own way to the
-    drives is not open.
+
+class StopView(BaseModel):
+    """Whether the machine is held (`latched`), and the stops that hold it (`stops`, the oldest 100).
+
+    `stop`: the oldest one that holds it; after a stop the new one; after a release the first released one.
+    A stop has a negative id until the database has stored it. This id stays valid for the release. `port`: where the
+    stop process listens for ``POST /stop``, null without a stop process. `process_trouble`: why its own connection to
+    the drives is not open.
     """
 
     latched: bool
@@ -57,13 +65,13 @@ class StopView(BaseModel):
 
 
 class Stopped(StopView):
-    """`confirmed`: the axes that said that they stand without energy; all of them, or the answer is 503."""
+    """`confirmed`: the axes that confirmed standstill without energy. The answer is 503 if an axis is missing."""
 
     confirmed: tuple[str, ...]
 
 
 class Reset(BaseModel):
-    """Who looked at the machine, and which stops that releases."""
+    """`by`: the person who checked the machine. `stops`: ids of the stops to release."""
 
     model_config = ConfigDict(extra="forbid")
     by: Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=100)]
@@ -74,7 +82,7 @@ class Reset(BaseModel):
 
 @router.get("")
 async def get_stop(application: ApplicationOf) -> StopView:
-    return _view(application, application.machine.latched)
+    return _view(application, None if application.cell is None else application.machine.latched)
 
 
 @router.post("", response_model=Stopped, responses=_NOT_CONFIRMED)
@@ -83,15 +91,21 @@ async def stop(
     application: ApplicationOf,
     by: Annotated[str, Query(description="who stops; default: the client's address")] = "",
     why: Annotated[str, Query()] = "",
-    press: Annotated[str, Query(description="the same at the port of the stop process: then both are one stop")] = "",
+    press: Annotated[
+        str, Query(description="same value as at the port of the stop process: both requests are then one stop")
+    ] = "",
 ) -> Stopped | Response:
-    """Stop every axis now and hold the machine. No body is needed, none is waited for or read.
+    """Stop every axis now and hold the machine. A body is not required and is not read.
 
-    503 names the axes that did not confirm that they stand; the machine is held all the same.
+    503 lists the axes that did not confirm standstill; the machine is held in this case too. A service without a
+    machine stops nothing and answers 503 (`no-machine`).
     """
     client = "unknown" if request.client is None else request.client.host
     by, why = by[:100] or client, why[:500] or "stop requested"
-    trail_of(request.scope).told = {"by": masked(by), "reason": masked(why)}
+    audit_trail_of(request.scope).told = {"by": masked(by), "reason": masked(why)}
+    if application.cell is None:
+        # no database query for its machines: a stop must not wait
+        return problem_response(request, HTTPStatus.SERVICE_UNAVAILABLE, "no-machine", _NOTHING_STOPPED)
     try:
         held = await application.machine.stop(by, why, press[:100])
     except StopNotConfirmed as error:
@@ -104,18 +118,20 @@ async def stop(
 
 @router.post("/reset", responses=_NOT_RELEASED)
 async def reset_stop(request: Request, reset: Reset, application: ApplicationOf) -> StopView:
-    """Release these stops and no other; sent again it changes nothing. The machine may move when none is left.
+    """Release these stops and no others. A repeated request changes nothing. Motion is possible when no stop is left.
 
-    Nothing moves by this; a campaign goes on when it is resumed. 503 with `Retry-After` where the database does not
-    take it within some seconds: every stop holds on.
+    Nothing moves by this request; a campaign continues after its resume. 503 with `Retry-After` if the database does
+    not store the release within some seconds: then all stops stay active.
     """
-    trail_of(request.scope).told = {"by": masked(reset.by), "stops": list(reset.stops)}
+    audit_trail_of(request.scope).told = {"by": masked(reset.by), "stops": list(reset.stops)}
     released = await application.machine.reset_stop(reset.by, reset.stops)
     return _view(application, released[0])
 
 
 def _view(application: Application, spoken_of: StopDocument | None) -> StopView:
-    process, stops = application.stop_process, application.machine.stops
+    if application.cell is None:
+        return StopView(latched=False, stop=None, stops=(), port=None, process_trouble=str(NoMachine()))
+    process, stops = application.cell.stop_process, application.machine.stops
     return StopView(
         latched=bool(stops),
         stop=spoken_of,

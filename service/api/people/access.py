@@ -1,7 +1,7 @@
-"""Who is it, and may he? Asked of each request after the gate, before anything of it is read.
+"""Authentication and authorization of each request, after the gate and before its body is read.
 
-With `login: false` everybody is `local` with all rights. A stop is asked nothing and waits for nothing. A change whose
-beginning cannot be written to the audit is refused, and so is, for a while, an address that showed too many wrong keys.
+With `login: false` every caller is `local` with all rights. A stop needs no authentication and waits for nothing. A
+change is refused if its first audit entry cannot be written; so is, for a while, an address with many wrong keys.
 """
 
 import time
@@ -13,15 +13,15 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.api.gate import from_own_page
+from service.api.people.audit_trail import AuditTrail, audit_trail_of, put, written
+from service.api.people.credentials import Credentials, shown
 from service.api.people.refusals import too_many, unauthorized
-from service.api.people.shown import Shown, shown
-from service.api.people.trail import Trail, put, trail_of, written
 from service.api.problem import AGAIN, Refused
 from service.application import Application
 from service.people.callers import Caller
-from service.people.guesses import Guesses
 from service.people.keys import key_sha256
-from service.people.permissions import LOCAL, LOGIN, PERMISSIONS, STOP, Permissions, Role
+from service.people.permissions import LOCAL, LOGINS, PERMISSIONS, STOP, Permissions, Role
+from service.people.rate_limit import Guesses
 from service.people.scopes import lacking
 from service.store.people.writer import NotAudited
 from service.store.tables import now
@@ -31,10 +31,10 @@ _POLICY = 1008  # close code of WebSockets: policy violation
 
 
 class Access:
-    """ASGI middleware, inside of `Audited`."""
+    """ASGI middleware, inside `AuditMiddleware`."""
 
     def __init__(self, app: ASGIApp, login: bool, guesses: Guesses) -> None:
-        """`guesses`: how many wrong keys an address may show."""
+        """`guesses`: limits the wrong keys of an address."""
         self._app = app
         self._login = login
         self._guesses = guesses
@@ -44,7 +44,7 @@ class Access:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        trail = trail_of(scope)
+        trail = audit_trail_of(scope)
         trail.route = self._permissions.entry(trail.method, scope["path"])
         trail.stop = trail.route == STOP
         if trail.stop and self._login:
@@ -56,20 +56,21 @@ class Access:
                 trail.actor = _ANYBODY
             else:
                 await self._identify(scope, trail)
-            if trail.changes and trail.route not in (STOP, LOGIN):  # a login's one entry tells what came of it
+            if trail.changes and trail.route not in (STOP, *LOGINS):  # a login has one entry, with its outcome
                 trail.request = await _begin(scope, trail)
         except Refused as refused:
             await _answer(refused, scope, receive, send)
             return
         await self._app(scope, receive, send)
 
-    async def _identify(self, scope: Scope, trail: Trail) -> None:
+    async def _identify(self, scope: Scope, trail: AuditTrail) -> None:
         given = shown(scope)
         if not given.key:
-            raise unauthorized("no key: send Authorization: Bearer KEY, or log in")
+            raise unauthorized("not authenticated: send the header Authorization: Bearer KEY, or log in")
         if given.cookie and trail.changes and not from_own_page(Headers(scope=scope)):
             detail = (
-                "sent with a session by no page of this service: a program sends a key, as Authorization: Bearer KEY"
+                "request with a session cookie that does not come from a page of this service: "
+                "programs send a key, as Authorization: Bearer KEY"
             )
             raise Refused(HTTPStatus.FORBIDDEN, "foreign-request", detail)
         found = await self._find(scope["app"].state.application, given, trail)
@@ -78,10 +79,13 @@ class Access:
             raise unauthorized(trouble)
         if needed := lacking(found.role, found.scopes, trail.route):
             limited = "" if found.scopes is None else f", limited to {', '.join(found.scopes)}"
-            detail = f"{trail.method} {scope['path']} needs {needed}; {found.name} is {found.role.word}{limited}"
+            detail = (
+                f"{trail.method} {scope['path']} requires {needed}; {found.name} has the role "
+                f"{found.role.word}{limited}"
+            )
             raise Refused(HTTPStatus.FORBIDDEN, "forbidden", detail)
 
-    async def _find(self, application: Application, given: Shown, trail: Trail) -> Caller:
+    async def _find(self, application: Application, given: Credentials, trail: AuditTrail) -> Caller:
         value, guesses = key_sha256(given.key), self._guesses
         if wait := guesses.wait(trail.address, value, time.monotonic()):
             trail.hushed = not guesses.first_refusal(trail.address)
@@ -94,17 +98,20 @@ class Access:
             found = await run_in_threadpool(application.api_keys.find, given.key)
         if found is None or value is None:
             guesses.wrong(trail.address, time.monotonic())
-            raise unauthorized(f"this {'session' if given.cookie else 'key'} is not one of the service's")
+            raise unauthorized(
+                f"this {'session' if given.cookie else 'key'} is not known to the service: log in again, "
+                "or create a key with `sweepid people add-key`"
+            )
         guesses.opened(value)
         return found
 
 
-async def _begin(scope: Scope, trail: Trail) -> int:
+async def _begin(scope: Scope, trail: AuditTrail) -> int:
     try:
         return await written(put(scope, trail.entry("request")))
     except NotAudited as error:
         trail.unwritten = True
-        detail = f"nothing was done, because {error}"
+        detail = f"not executed: {error}"
         raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, "not-audited", detail, AGAIN) from None
 
 

@@ -1,6 +1,6 @@
-"""One password after the other, and not many wrong ones: each costs 64 MiB and some 0.1 s of all processors.
+"""Checks one password at a time and limits wrong ones: each check needs 64 MiB and about 0.1 s of all processors.
 
-They are reckoned by a thread that gives way to all others: the set-points of a moving axis are among those.
+The checks run in a thread with the lowest priority: set-points of a moving axis are computed in other threads.
 """
 
 import asyncio
@@ -12,31 +12,31 @@ from concurrent.futures import ThreadPoolExecutor
 
 from starlette.concurrency import run_in_threadpool
 
+from service.api.people.audit_trail import AuditTrail
 from service.api.people.refusals import too_many, unauthorized
-from service.api.people.trail import Trail
-from service.people.guesses import Guesses
+from service.people.rate_limit import Guesses
 from service.store.people.users import UserDocument, UserStore
 
 _MOST_WAITING = 8
 
 
 class PasswordCheck:
-    """Counts the wrong ones of an address, with its wrong keys, and those for a name, from wherever they come."""
+    """Counts wrong passwords by address, together with its wrong keys, and by name, for all addresses."""
 
     def __init__(self, of_addresses: Guesses, most: int) -> None:
-        """`most`: wrong ones for a name within a minute."""
+        """`most`: wrong passwords for a name within one minute."""
         self._of_addresses, self._of_names = of_addresses, Guesses(most)
         self._one = asyncio.Lock()
         self._reckoning = ThreadPoolExecutor(1, thread_name_prefix="password", initializer=_give_way)
         self._waiting = 0
 
     def close(self) -> None:
-        """Ends its thread, when the last password is reckoned."""
+        """Stops its thread after the last check."""
         self._reckoning.shutdown()
 
-    async def user(self, users: UserStore, name: str, password: str, trail: Trail) -> UserDocument:
-        """Who that is, whose name the trail then has. Refused: the same words, after the same time, for a name that
-        nobody has."""
+    async def user(self, users: UserStore, name: str, password: str, trail: AuditTrail) -> UserDocument:
+        """The user with this name and password; his name is added to the trail. Refused: same text and same time for an
+        unknown name as for a wrong password."""
         if self._waiting >= _MOST_WAITING:
             trail.hushed = True
             raise too_many("attempts to log in", 1.0)
@@ -47,8 +47,8 @@ class PasswordCheck:
         finally:
             self._waiting -= 1
 
-    async def _look(self, users: UserStore, name: str, password: str, trail: Trail) -> UserDocument:
-        here = f"{name} {trail.address}"  # who logged in from here before is not locked out by who guesses elsewhere
+    async def _look(self, users: UserStore, name: str, password: str, trail: AuditTrail) -> UserDocument:
+        here = f"{name} {trail.address}"  # wrong passwords from elsewhere do not lock out users known at this address
         now = time.monotonic()
         for guesses, place, what in (
             (self._of_addresses, trail.address, f"wrong keys and passwords from {trail.address}"),
@@ -58,7 +58,7 @@ class PasswordCheck:
                 trail.hushed = not guesses.first_refusal(place)
                 raise too_many(what, wait)
         user = await asyncio.get_running_loop().run_in_executor(self._reckoning, users.check, name, password)
-        if await run_in_threadpool(users.knows, name):  # what is no name may be a password in the wrong field
+        if await run_in_threadpool(users.knows, name):  # an unknown name may be a password in the wrong field
             trail.actor = name
         if user is None:
             now = time.monotonic()
@@ -71,6 +71,6 @@ class PasswordCheck:
 
 
 def _give_way() -> None:
-    """The threads that argon2 starts in this one do so as well. Elsewhere a thread has no priority of its own."""
+    """Sets the lowest priority, also for the threads that argon2 starts here. Only Linux has priorities of threads."""
     if sys.platform == "linux":
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 19)

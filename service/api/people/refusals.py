@@ -1,10 +1,10 @@
-"""The refusals of who asks."""
+"""Refusals of authentication."""
 
 import math
 from http import HTTPStatus
 
 from service.api.problem import Refused
-from service.people.guesses import WINDOW
+from service.people.rate_limit import WINDOW
 
 _CHALLENGE = {"WWW-Authenticate": 'Bearer realm="sweepid"'}
 
@@ -14,7 +14,7 @@ def unauthorized(detail: str) -> Refused:
 
 
 def too_many(what: str, wait: float) -> Refused:
-    """`wait`: s until the next one is looked at."""
+    """`wait`: s until the next attempt is checked."""
     seconds = math.ceil(wait)
-    detail = f"too many {what} within {WINDOW:g} s: no further one is looked at for {seconds} s; a stop needs none"
+    detail = f"too many {what} within {WINDOW:g} s: wait {seconds} s. STOP works without a login"
     return Refused(HTTPStatus.TOO_MANY_REQUESTS, "too-many-wrong-keys", detail, {"Retry-After": str(seconds)})

@@ -1,13 +1,13 @@
-"""Diagnoses: where a robot's model and its measurement disagree, what is missing, and what to measure next.
+"""Diagnoses: where a robot's model and its measurement differ, the missing effects, and the next experiment.
 
-Asking for one moves nothing: it is computed from campaigns that are over. An experiment moves the machine; it begins
-with a person's approval and is a campaign like any other from then on (pause, abort, stop).
+A request for a diagnosis moves nothing: it is computed from campaigns that are over. An experiment moves the machine:
+it starts with a person's approval, and is then a campaign like any other (pause, abort, stop).
 """
 
 from typing import Annotated
 
-from fastapi import APIRouter, Request, Response
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from fastapi import APIRouter, Query, Request, Response
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, StringConstraints
 from starlette.concurrency import run_in_threadpool
 
 from service.api.campaign.campaigns import CampaignView, view
@@ -18,7 +18,6 @@ from service.diagnosis_loop.starting import Start
 from service.errors import Conflict
 from service.planning.diagnosis.documents import CELL_NAME
 from service.report.diagnosis import diagnosis_figures
-from service.report.drawing import Figure
 from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, DiagnosisEntry, ModelDocument
 from service.store.documents import LARGEST_ID, PlanRecord
 
@@ -34,12 +33,12 @@ class _Body(BaseModel):
 
 
 class WantedDiagnosis(_Body):
-    """All complete sweeps of `campaigns`, which are of one robot and over; `axes` null: all that moved.
+    """All complete sweeps of `campaigns`, which are over and of one robot; `axes` null: all axes that moved.
 
-    `model`: number of an accepted model to start from, null: the nominal one. `start`: the rigid model is that of the
-    robot's latest estimate that was not made of these campaigns, or CAD's; `estimate` of the answer tells which.
-    `unattended`: proposed experiments are run without approval, which only a service whose settings call its machine
-    virtual does.
+    `model`: number of the accepted model to start from; null: the nominal model. `start`: the rigid model is that of
+    the robot's latest estimate that does not use these campaigns, or the CAD model; `estimate` in the answer shows it.
+    `unattended`: proposed experiments run without approval; only a service whose settings declare its machine virtual
+    allows it.
     """
 
     campaigns: tuple[Number, ...] = Field(min_length=1, max_length=100)
@@ -50,40 +49,48 @@ class WantedDiagnosis(_Body):
 
 
 class PlanOfExperiment(_Body):
-    """`cell` null: the one in which the newest evidence was planned."""
+    """`cell` null: the cell of the plan of the newest evidence."""
 
     axis: str
     cell: CellName | None = None
 
 
 class Approval(PlanOfExperiment):
-    """Who looked at the machine, and the mass that is bolted on where the experiment wants one."""
+    """The person who checked the machine, and the mounted mass if the experiment requires one."""
 
     approved_by: Name
     test_mass: BoltedMass | None = None
 
 
 class Acceptance(_Body):
-    """`axes` null: all whose effect is named and proven."""
+    """`axes` null: all axes whose effect is named and proven."""
 
     accepted_by: Name
     axes: tuple[str, ...] | None = Field(default=None, min_length=1)
 
 
+class PlotlyFigure(BaseModel):
+    """The arguments of `Plotly.newPlot`. The layout has a "height" in px."""
+
+    data: list[dict[str, JsonValue]]
+    layout: dict[str, JsonValue]
+
+
 class Figures(BaseModel):
     """Plotly figures by joint and name, as in the report."""
 
-    axes: dict[str, dict[str, Figure]]
+    axes: dict[str, dict[str, PlotlyFigure]]
 
 
 @router.post("", status_code=202)
 async def add_diagnosis(
     wanted: WantedDiagnosis, request: Request, response: Response, application: ApplicationOf
 ) -> DiagnosisDocument:
-    """Diagnose. Takes seconds an axis; an event tells when it is done."""
+    """Start a diagnosis. It takes seconds per axis; an event reports its end."""
     if wanted.unattended and not application.settings.virtual_machine:
         raise Conflict(
-            "unattended experiments are for virtual machines alone; the settings do not call this one virtual"
+            "unattended experiments are allowed only on virtual machines; the settings do not mark "
+            "this machine as virtual"
         )
     diagnosis = await application.diagnosing.request(
         wanted.campaigns, wanted.axes, wanted.model, wanted.unattended, wanted.start
@@ -93,9 +100,14 @@ async def add_diagnosis(
 
 
 @router.get("")
-def list_diagnoses(application: ApplicationOf, after: After = 0, limit: Limit = 50) -> Page[DiagnosisEntry]:
-    """Without their documents."""
-    diagnoses = application.diagnoses.diagnoses(after, limit)
+def list_diagnoses(
+    application: ApplicationOf,
+    machine: Annotated[str | None, Query(max_length=64, description="only those of this machine")] = None,
+    after: After = 0,
+    limit: Limit = 50,
+) -> Page[DiagnosisEntry]:
+    """Diagnoses of all machines of the plant, or of one machine; without their documents."""
+    diagnoses = application.diagnoses.diagnoses(after, limit, machine)
     return Page(items=diagnoses, next=diagnoses[-1].id if len(diagnoses) == limit else None)
 
 
@@ -107,14 +119,14 @@ def get_diagnosis(diagnosis_id: Id, application: ApplicationOf) -> DiagnosisDocu
 @router.get("/{diagnosis_id}/figures")
 def get_diagnosis_figures(diagnosis_id: Id, application: ApplicationOf) -> Figures:
     """409 until the diagnosis is done."""
-    return Figures(axes=diagnosis_figures(application.diagnoses.diagnosis(diagnosis_id).found()))
+    return Figures.model_validate({"axes": diagnosis_figures(application.diagnoses.diagnosis(diagnosis_id).found())})
 
 
 @router.post("/{diagnosis_id}/plan", status_code=201, response_model=PlanView)
 def plan_experiment(
     diagnosis_id: Id, wanted: PlanOfExperiment, request: Request, response: Response, application: ApplicationOf
 ) -> PlanRecord:
-    """Store the plan of an axis's next experiment, to be read. Nothing moves."""
+    """Store the plan of an axis's next experiment, for review. Nothing moves."""
     plan = application.experiments.plan(diagnosis_id, wanted.axis, wanted.cell)
     record = application.store.add_plan(plan.request.robot_id, plan.model_dump(mode="json"))
     response.headers["Location"] = str(request.url_for("get_plan", plan_id=record.id))
@@ -125,7 +137,7 @@ def plan_experiment(
 async def approve_experiment(
     diagnosis_id: Id, approval: Approval, request: Request, response: Response, application: ApplicationOf
 ) -> CampaignView:
-    """Plan an axis's next experiment and begin to move and measure. When it is completed, the diagnosis goes on."""
+    """Plan the next experiment of an axis, start to move and measure. When it is completed, the diagnosis continues."""
     campaign = await application.experiments.approve(
         diagnosis_id, approval.axis, approval.approved_by, approval.test_mass, approval.cell
     )
@@ -138,7 +150,7 @@ async def approve_experiment(
 def accept_model(
     diagnosis_id: Id, acceptance: Acceptance, request: Request, response: Response, application: ApplicationOf
 ) -> ModelDocument:
-    """Take named effects into the robot's model. 409 for an axis without a name, or whose effects were rolled back."""
+    """Accept named effects into the robot's model. 409 for an axis without a named effect or with removed ones."""
     model = application.accept_model(diagnosis_id, acceptance.axes, acceptance.accepted_by)
     response.headers["Location"] = str(request.url_for("get_model_revision", model_id=model.id))
     return model

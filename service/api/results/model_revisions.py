@@ -1,4 +1,4 @@
-"""Models of robots as people accepted them from diagnoses: rigid body and effects; append-only."""
+"""Models of robots that people accepted from diagnoses: rigid body and effects; append-only."""
 
 from typing import Annotated
 
@@ -34,9 +34,9 @@ def get_model_revision(model_id: Id, application: ApplicationOf) -> ModelDocumen
     responses={200: {"content": {"application/yaml": {"schema": {"type": "object"}}}}},
 )
 def get_model_scenario(model_id: Id, application: ApplicationOf) -> Response:
-    """The model as a scenario that a virtual machine runs on, beside the robot's description as `robot.yaml`.
+    """The model as a scenario of a virtual machine; it needs the robot's description as `robot.yaml` in its folder.
 
-    What a scenario cannot hold stands in comments at its head.
+    Comments at the head of the file list the parts that a scenario cannot contain.
     """
     model = application.models.model(model_id).content
     notes = "".join(f"# {note}\n" for note in model.notes)

@@ -11,7 +11,7 @@ router = APIRouter(prefix="/campaigns/{campaign_id}", tags=["estimates"])
 
 
 class ModelFile(StrEnum):
-    """By the file's ending: URDF, MJCF (MuJoCo), or all parameters as YAML."""
+    """Selected by the file extension: URDF, MJCF (MuJoCo), or all parameters as YAML."""
 
     URDF = "urdf"
     MJCF = "xml"
@@ -28,7 +28,7 @@ _TYPES = {ModelFile.URDF: "application/xml", ModelFile.MJCF: "application/xml", 
     responses={200: {"content": _CONTENT}},
 )
 def get_model(campaign_id: Id, ending: ModelFile, application: ApplicationOf) -> Response:
-    """404 until the first sweep is identified; 422 while none of them shows inertia."""
+    """404 until the first sweep is identified; 422 while no sweep gives an inertia."""
     robot = application.store.robot(application.store.campaign(campaign_id).robot_id).build()
     estimate = application.store.estimate(campaign_id)
     model = model_of(robot, estimate.content, f"estimate {estimate.revision} of campaign {campaign_id}")

@@ -1,4 +1,4 @@
-"""Reports of campaigns and diagnoses: one page to read, print and keep, as PDF, or their tables alone."""
+"""Reports of campaigns and diagnoses: one HTML page, a PDF, or the tables only."""
 
 from enum import StrEnum
 from typing import Any
@@ -12,16 +12,16 @@ router = APIRouter(tags=["reports"])
 
 
 class ReportFile(StrEnum):
-    """By the file's ending: for paper (A4), or all tables of the report, by section, as text."""
+    """Selected by the file extension: PDF (A4), or all tables of the report, by section, as text in JSON."""
 
     PDF = "pdf"
     JSON = "json"
 
 
-_HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {"schema": {"type": "string"}}}}}
+HTML: dict[int | str, dict[str, Any]] = {200: {"content": {"text/html": {"schema": {"type": "string"}}}}}
 _TABLE = {"section": "Estimate", "head": ["sweep", "J, kg m²"], "rows": [["0001", "642"]]}
 _TABLES = {"title": "Inertias of the robot max100-class", "tables": [_TABLE]}
-_FILES: dict[int | str, dict[str, Any]] = {
+FILES: dict[int | str, dict[str, Any]] = {
     200: {
         "content": {
             "application/pdf": {"schema": {"type": "string", "format": "binary"}},
@@ -29,35 +29,36 @@ _FILES: dict[int | str, dict[str, Any]] = {
         }
     }
 }
-_FORMS: dict[ReportFile, Form] = {ReportFile.PDF: "pdf", ReportFile.JSON: "json"}
+FORMS: dict[ReportFile, Form] = {ReportFile.PDF: "pdf", ReportFile.JSON: "json"}
 
 
-@router.get("/campaigns/{campaign_id}/report", response_class=Response, responses=_HTML)
+@router.get("/campaigns/{campaign_id}/report", response_class=Response, responses=HTML)
 async def get_campaign_report(campaign_id: Id, application: ApplicationOf) -> Response:
-    """One file that needs no network, of the latest estimate. 409 until a sweep is identified."""
+    """One HTML file of the latest estimate; it needs no network. 409 until a sweep is identified."""
     return Response(await application.campaign_report(campaign_id, "html"), media_type="text/html")
 
 
-@router.get("/campaigns/{campaign_id}/report.{ending}", response_class=Response, responses=_FILES)
+@router.get("/campaigns/{campaign_id}/report.{ending}", response_class=Response, responses=FILES)
 async def get_campaign_report_file(campaign_id: Id, ending: ReportFile, application: ApplicationOf) -> Response:
-    """409 until a sweep is identified; 501 where the service cannot make PDF."""
-    written = await application.campaign_report(campaign_id, _FORMS[ending])
-    return _file(written, ending, f"campaign-{campaign_id}")
+    """409 until a sweep is identified; 501 if the service cannot make PDF."""
+    written = await application.campaign_report(campaign_id, FORMS[ending])
+    return file_of(written, ending, f"campaign-{campaign_id}")
 
 
-@router.get("/diagnoses/{diagnosis_id}/report.html", response_class=Response, responses=_HTML)
+@router.get("/diagnoses/{diagnosis_id}/report.html", response_class=Response, responses=HTML)
 async def get_diagnosis_report(diagnosis_id: Id, application: ApplicationOf) -> Response:
-    """One file that needs no network. 409 until the diagnosis is done."""
+    """One HTML file; it needs no network. 409 until the diagnosis is done."""
     return Response(await application.diagnosis_report(diagnosis_id, "html"), media_type="text/html")
 
 
-@router.get("/diagnoses/{diagnosis_id}/report.{ending}", response_class=Response, responses=_FILES)
+@router.get("/diagnoses/{diagnosis_id}/report.{ending}", response_class=Response, responses=FILES)
 async def get_diagnosis_report_file(diagnosis_id: Id, ending: ReportFile, application: ApplicationOf) -> Response:
-    """409 until the diagnosis is done; 501 where the service cannot make PDF."""
-    written = await application.diagnosis_report(diagnosis_id, _FORMS[ending])
-    return _file(written, ending, f"diagnosis-{diagnosis_id}")
+    """409 until the diagnosis is done; 501 if the service cannot make PDF."""
+    written = await application.diagnosis_report(diagnosis_id, FORMS[ending])
+    return file_of(written, ending, f"diagnosis-{diagnosis_id}")
 
 
-def _file(written: str | bytes, ending: ReportFile, name: str) -> Response:
+def file_of(written: str | bytes, ending: ReportFile, name: str) -> Response:
+    """The answer with the file of a report."""
     disposition = {"Content-Disposition": f'attachment; filename="{name}-report.{ending.value}"'}
     return Response(written, media_type=f"application/{ending.value}", headers=disposition)

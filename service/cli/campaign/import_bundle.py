@@ -10,13 +10,13 @@ from typing import Annotated
 import typer
 
 from service.cli.address import DEFAULT_URL, Url
+from service.cli.progress_indicator import waiting
 from service.cli.recordings.check import as_lines
-from service.cli.waiting import waiting
 from service.client import ServiceClient
 from service.data_check import check
 from service.errors import BadInput
-from service.store.files.apart import read_apart
 from service.store.files.intake import read_from
+from service.store.files.isolated_reader import read_isolated
 
 
 def import_bundle(
@@ -35,7 +35,7 @@ def import_bundle(
             campaign = client.import_bundle(archive)
         sys.stdout.write(f"{campaign['id']}\n")
         try:
-            lines: list[str] = asyncio.run(read_apart(found, (bundle, Path(folder) / "bundle"), str(bundle)))
+            lines: list[str] = asyncio.run(read_isolated(found, (bundle, Path(folder) / "bundle"), str(bundle)))
         except BadInput as error:  # it is imported all the same, and the service checks it too
             lines = [f"not checked: {error}"]
         for line in lines:

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from service.cli.address import DEFAULT_URL, Url
-from service.cli.told import Told
+from service.cli.termination_signals import TerminationSignals
 from service.client import Json, ServiceClient
 from service.errors import BadInput, SweepidError
 
@@ -36,7 +36,7 @@ def measure(
     """
     with ServiceClient(url) as client:
         campaign_id = int(client.add_campaign(plan_number(plan))["id"])
-        with Told() as told:
+        with TerminationSignals() as told:
             try:
                 client.start(campaign_id)
                 watch(client, campaign_id)
@@ -57,12 +57,19 @@ def _stopped(client: ServiceClient, campaign_id: int, why: str, url: str) -> Not
     return NotCompleted(f"campaign {campaign_id}: machine stopped; {then}")
 
 
+LARGEST_PLAN = 2**26  # bytes
+
+
 def plan_number(plan: str) -> int:
     """The number of a plan given as such or as the file of a plan."""
     if plan.isascii() and plan.isdigit():
         return int(plan)
     try:
-        return _PlanFile.model_validate_json(Path(plan).read_text(encoding="utf-8")).id
+        with Path(plan).open("rb") as file:
+            content = file.read(LARGEST_PLAN + 1)
+        if len(content) > LARGEST_PLAN:
+            raise BadInput(plan, f"is larger than {LARGEST_PLAN} bytes")
+        return _PlanFile.model_validate_json(content).id
     except OSError as error:
         raise BadInput(plan, f"neither the number of a plan nor a readable file: {error.strerror}") from None
     except ValueError:
@@ -99,4 +106,4 @@ def _doing(campaign: Json) -> str:
     if current is None:
         return "identifying" if campaign["state"] == "measured" else campaign["state"]
     left = "" if remaining is None else f"{int(remaining // 60)}:{int(remaining % 60):02d} left, "
-    return f"{left}sweep {current['number']} of {current['spec']['axis']}, with the way to its pose"
+    return f"{left}sweep {current['number']} of {current['spec']['axis']}, with the path to its pose"

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from service.cli.address import DEFAULT_URL, Url
-from service.cli.waiting import waiting
+from service.cli.progress_indicator import waiting
 from service.client import Json, ServiceClient
 from service.configuration import read_robot
 from service.errors import BadInput
@@ -32,22 +32,30 @@ def plan(
     poses: Annotated[int | None, typer.Option(min=1, help="Budget: how many poses to choose (usually 24).")] = None,
     duration: Annotated[float | None, typer.Option(help="Budget: s for the whole campaign.")] = None,
     confidence: Annotated[
-        float | None, typer.Option(help="Budget: until J is known to so many percent everywhere in the workspace.")
+        float | None, typer.Option(help="Budget: required confidence of J in the whole workspace, percent.")
     ] = None,
     criterion: Annotated[
-        Criterion | None, typer.Option(help="What makes a pose the best next one (usually d_optimal).")
+        Criterion | None, typer.Option(help="Criterion for the choice of the next pose (default: d_optimal).")
     ] = None,
     realisations: Annotated[
-        int | None, typer.Option(min=1, help="Sweeps of an axis in a pose, of random phases each (usually 1).")
+        int | None,
+        typer.Option(
+            min=1, help="Realisations: sweeps of an axis in a pose, with different random phases (default: 1)."
+        ),
     ] = None,
     step: Annotated[float | None, typer.Option(help="deg (cm) between grid positions.")] = None,
     cell: Annotated[str | None, typer.Option(help="Name of the cell around the robot.")] = None,
     modes: Annotated[Modes | None, typer.Option(help="Who generates the motion; the last: one sweep an axis.")] = None,
     lines: Annotated[str | None, typer.Option(help="Frequencies of the sines, whole Hz, separated by commas.")] = None,
     sample_rate: Annotated[float | None, typer.Option(help="Hz.")] = None,
-    warm_up: Annotated[float | None, typer.Option(help="s of sweeps before the first that counts.")] = None,
+    warm_up: Annotated[
+        float | None, typer.Option(help="Warm-up: s of sweeps before the first one that is evaluated.")
+    ] = None,
     initial_analysis: Annotated[
-        bool, typer.Option("--initial-analysis", help="Noise runs that tell drive trains and ideal frequencies.")
+        bool,
+        typer.Option(
+            "--initial-analysis", help="Initial analysis: noise runs that identify drive trains and ideal frequencies."
+        ),
     ] = False,
     diagnosis: Annotated[
         bool, typer.Option("--diagnosis", help="All kinds of sweeps in a few poses, for a diagnosis.")
@@ -58,11 +66,14 @@ def plan(
     repeats: Annotated[
         int | None, typer.Option(min=1, help="Of a diagnosis or initial analysis, in each pose.")
     ] = None,
-    analysis: Annotated[int | None, typer.Option(help="Campaign whose initial analysis the sweeps stand on.")] = None,
+    analysis: Annotated[
+        int | None, typer.Option(help="Campaign whose initial analysis is used to design the sweeps.")
+    ] = None,
     elsewhere: Annotated[
         bool,
         typer.Option(
-            "--elsewhere", help="For another machine than the service's: nothing is compared with its drives."
+            "--elsewhere",
+            help="For a machine other than that of the service: the plan is not compared with its drives.",
         ),
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Write the plan to this file as well.")] = None,
@@ -75,7 +86,7 @@ def plan(
         if number is not None and not math.isfinite(number):
             raise BadInput(name, f"{number} is not a finite number")
     if initial_analysis and diagnosis:
-        raise BadInput("--diagnosis", "is another plan than --initial-analysis: name one")
+        raise BadInput("--diagnosis", "cannot be combined with --initial-analysis: give one of them")
     known = read_robot(robot)
     options: Json = {
         "poses": poses,
@@ -98,30 +109,30 @@ def plan(
     request |= {"axes": _names(axes), "varied": _names(varied)}
     with ServiceClient(url) as client:
         stored = client.add_robot(known.description.model_dump(mode="json"), known.urdf_text)
-        with waiting("planning: poses, sweeps and free ways are sought"):
+        with waiting("planning: poses, sweeps and collision-free paths are computed"):
             planned = client.add_plan(request | {"robot_id": stored["id"]}, elsewhere=elsewhere)
-    _tell(planned["document"])
+    _tell(planned["document"], planned["expected_time"])
     if out is not None:
         _write(out, planned)
     sys.stdout.write(f"{planned['id']}\n")
 
 
-def _tell(document: Json) -> None:
+def _tell(document: Json, seconds: float) -> None:
     """What a person wants to know of a plan before it is run."""
     for dropped in document["dropped"]:
         sys.stderr.write(f"pose {dropped['pose']} left out: {dropped['reason']}\n")
     if document["request"].get("kind") in ("analysis", "diagnosis"):
-        sys.stderr.write(f"{len(document['sweeps'])} runs, {document['duration'] / 60:.0f} min\n")
+        sys.stderr.write(f"{len(document['sweeps'])} runs, {seconds / 60:.0f} min\n")
         return
     confidence, spare = document["confidence"], document["spare"]
     known = "will not be known" if confidence[-1] is None else f"should be known to {confidence[-1]:.2g} % or better"
     sys.stderr.write(
-        f"{len(confidence)} poses, {len(document['sweeps'])} sweeps, {document['duration'] / 60:.0f} min; "
+        f"{len(confidence)} poses, {len(document['sweeps'])} sweeps, {seconds / 60:.0f} min; "
         f"J {known} everywhere in the workspace\n"
     )
     if spare:
         numbers = ", ".join(str(pose["number"]) for pose in spare)
-        sys.stderr.write(f"poses that add nothing to this, in the order of choice: {numbers}\n")
+        sys.stderr.write(f"poses that do not improve this, in the order of choice: {numbers}\n")
 
 
 def _names(text: str) -> list[str]:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from service.cli.address import DEFAULT_URL, Url
-from service.cli.waiting import waiting
+from service.cli.progress_indicator import waiting
 from service.client import Json, ServiceClient
 from service.configuration import read_robot
 
@@ -18,9 +18,11 @@ def plan_trajectories(
     trajectories: Annotated[int | None, typer.Option(help="How many (usually 3).")] = None,
     period: Annotated[float | None, typer.Option(help="s, of the fundamental (usually 10).")] = None,
     harmonics: Annotated[int | None, typer.Option(help="How many of the fundamental (usually 5).")] = None,
-    velocity: Annotated[float | None, typer.Option(help="rad/s (m/s), that an axis' amplitudes add up to.")] = None,
+    velocity: Annotated[
+        float | None, typer.Option(help="rad/s (m/s): largest sum of the amplitudes of an axis.")
+    ] = None,
     acceleration: Annotated[float | None, typer.Option(help="rad/s^2 (m/s^2).")] = None,
-    seed: Annotated[int | None, typer.Option(help="Other seeds, other trajectories.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the random trajectories.")] = None,
     sweeps: Annotated[
         int | None, typer.Option(help="Campaign whose sweeps are combined with the trajectories.")
     ] = None,
@@ -43,9 +45,9 @@ def plan_trajectories(
     request |= {"kind": "trajectory", "axes": [name.strip() for name in axes.split(",") if name.strip()]}
     with ServiceClient(url) as client:
         stored = client.add_robot(known.description.model_dump(mode="json"), known.urdf_text)
-        with waiting("planning: trajectories and free ways are sought"):
+        with waiting("planning: trajectories and collision-free paths are computed"):
             planned = client.add_plan(request | {"robot_id": stored["id"]})
     document = planned["document"]
     conditions = ", ".join(f"{condition:.0f}" for condition in document["condition"])
-    sys.stderr.write(f"condition numbers {conditions}; {document['duration'] / 60:.0f} min\n")
+    sys.stderr.write(f"condition numbers {conditions}; {planned['expected_time'] / 60:.0f} min\n")
     sys.stdout.write(f"{planned['id']}\n")

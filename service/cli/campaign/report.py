@@ -9,7 +9,7 @@ import typer
 from service.cli.address import DEFAULT_URL, Url
 from service.cli.campaign.tables import write_tables
 from service.cli.documents import write_file
-from service.cli.waiting import waiting
+from service.cli.progress_indicator import waiting
 from service.client import ServiceClient
 from service.errors import BadInput
 

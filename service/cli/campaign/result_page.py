@@ -28,7 +28,7 @@ def result_page(path: Path) -> Page:
         robot = found.model.robot
         return diagnosis_page(found, f"Diagnosis of the robot {robot}", str(path), (("robot", robot), *_origin(path)))
     if not (some.axes or some.analysis or some.combination):
-        raise BadInput(str(path), "is no result of `sweepid identify --json` or `sweepid diagnose --json`")
+        raise BadInput(str(path), "is not a result of `sweepid identify --json` or `sweepid diagnose --json`")
     return _estimate_page(read_document(path, Estimate), path)
 
 

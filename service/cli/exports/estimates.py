@@ -30,5 +30,7 @@ def read_estimate(source: Path, side_file: Path | None) -> tuple[Robot, Estimate
         bundle = read_bundle(source)
         return bundle.robot, identify_bundle(bundle, None, str(source)), bundle
     if side_file is None:
-        raise BadInput("--robot", "is needed with an estimate, which holds neither geometry nor gears of the robot")
+        raise BadInput(
+            "--robot", "is required with an estimate, which contains neither geometry nor gear ratios of the robot"
+        )
     return read_robot(side_file), read_document(source, Estimate), None

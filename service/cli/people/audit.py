@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from service.cli.documents import write_file
-from service.cli.people.opened import Config, DataDir, opened
-from service.people.chain import read_head, verify
+from service.cli.people.open_database import Config, DataDir, opened
+from service.people.audit_chain import read_head, verify
 from service.store.people.audit import AuditStore
 
 audit = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Who asked the service for what.")
@@ -18,7 +18,7 @@ audit = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Who asked
 @audit.command("verify")
 def verify_audit(
     head: Annotated[
-        str | None, typer.Option(metavar="NUMBER:SHA256", help="What an earlier run printed, and you kept elsewhere.")
+        str | None, typer.Option(metavar="NUMBER:SHA256", help="Output of an earlier run that was stored elsewhere.")
     ] = None,
     config: Config = None,
     data_dir: DataDir = None,

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from service.cli.people.named import ROLES, Name, name_of, role_of, scopes_of
-from service.cli.people.opened import Config, DataDir, opened, shell_entry
+from service.cli.people.arguments import ROLES, Name, name_of, role_of, scopes_of
+from service.cli.people.open_database import Config, DataDir, opened, shell_entry
 from service.cli.people.sessions import revoke_session, sessions
-from service.cli.people.users import add_user, change_password, disable_user
+from service.cli.people.users import add_user, change_password, disable_user, enable_user
 from service.people.permissions import Role
 from service.people.scopes import SCOPES
 from service.store.people.keys import KeyDocument, KeyStore
@@ -22,6 +22,7 @@ people = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Users an
 people.command("add-user")(add_user)
 people.command("change-password")(change_password)
 people.command("disable-user")(disable_user)
+people.command("enable-user")(enable_user)
 people.command("sessions")(sessions)
 people.command("revoke-session")(revoke_session)
 
@@ -29,10 +30,10 @@ people.command("revoke-session")(revoke_session)
 @people.command("add-key")
 def add_key(
     name: Name,
-    role: Annotated[str, typer.Option(help=f"What the key opens: {', '.join(ROLES)}.")],
-    days: Annotated[int, typer.Option(min=1, max=3650, help="After so many days it opens nothing.")] = 90,
+    role: Annotated[str, typer.Option(help=f"Role of the key: {', '.join(ROLES)}.")],
+    days: Annotated[int, typer.Option(min=1, max=3650, help="Days until the key expires.")] = 90,
     scope: Annotated[
-        list[str] | None, typer.Option(help=f"Limit it to this, within the role, again for more: {', '.join(SCOPES)}.")
+        list[str] | None, typer.Option(help=f"Limit the key to this scope; repeatable: {', '.join(SCOPES)}.")
     ] = None,
     config: Config = None,
     data_dir: DataDir = None,

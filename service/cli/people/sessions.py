@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.people.opened import Config, DataDir, opened, shell_entry
+from service.cli.people.open_database import Config, DataDir, opened, shell_entry
 from service.settings import load_settings
 from service.store.database import Database
 from service.store.people.sessions import SessionStore
@@ -21,7 +21,7 @@ def sessions(config: Config = None, data_dir: DataDir = None) -> None:
 
 
 def revoke_session(
-    number: Annotated[int, typer.Argument(metavar="ID", help="As `sweepid people sessions` tells it.")],
+    number: Annotated[int, typer.Argument(metavar="ID", help="Number from `sweepid people sessions`.")],
     config: Config = None,
     data_dir: DataDir = None,
 ) -> None:

@@ -5,14 +5,14 @@ from typing import Annotated
 
 import typer
 
-from service.cli.people.named import ROLES, Name, name_of, password_for, role_of
-from service.cli.people.opened import Config, DataDir, opened, shell_entry
+from service.cli.people.arguments import ROLES, Name, name_of, password_for, role_of
+from service.cli.people.open_database import Config, DataDir, opened, shell_entry
 from service.store.people.users import UserStore
 
 
 def add_user(
     name: Name,
-    role: Annotated[str, typer.Option(help=f"What the person may: {', '.join(ROLES)}.")],
+    role: Annotated[str, typer.Option(help=f"Role of the person: {', '.join(ROLES)}.")],
     config: Config = None,
     data_dir: DataDir = None,
 ) -> None:
@@ -31,7 +31,14 @@ def change_password(name: Name, config: Config = None, data_dir: DataDir = None)
 
 
 def disable_user(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
-    """From now on nobody logs in by this name, for good, and its sessions are over."""
+    """From now on nobody logs in by this name, and its sessions are over."""
     with opened(config, data_dir) as database:
         disabled = UserStore(database).shut_out(name, shell_entry())
     sys.stdout.write(f"{disabled.name}\n")
+
+
+def enable_user(name: Name, config: Config = None, data_dir: DataDir = None) -> None:
+    """Let one who was disabled log in again, with the same password and role."""
+    with opened(config, data_dir) as database:
+        enabled = UserStore(database).let_in(name, shell_entry())
+    sys.stdout.write(f"{enabled.name}\n")

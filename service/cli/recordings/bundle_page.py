@@ -14,7 +14,7 @@ from service.store.files.bundle import Bundle
 def bundle_page(bundle: Bundle, found: Estimate, place: str) -> Page:
     """Of an estimate that was made of the bundle; BadInput if it holds nothing to report."""
     if not (found.axes or found.analysis or found.combination):
-        raise BadInput(place, "has neither sweeps that show the inertia of one axis nor an initial analysis to report")
+        raise BadInput(place, "has neither sweeps of one axis nor an initial analysis to report")
     sweeps = {sweep.spec.id: sweep for sweep in bundle.sweeps}
     specs = used_sweeps(found, [sweep.spec for sweep in bundle.sweeps])
     subtitle = f"Identified from {len(specs) or len(sweeps)} sweeps of the bundle {place}."

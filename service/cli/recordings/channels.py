@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import track
 
 from service.cli.documents import JsonTo, put_json
+from service.cli.progress_indicator import waiting
 from service.errors import BadInput
 from service.identification.axis.channel_timing import ChannelLags, Lag, channel_lags
 from service.results.analysis import Figure
@@ -45,7 +46,8 @@ def channels(
     json_to: JsonTo = None,
 ) -> None:
     """Measure how far effort and velocity lag behind position. Prints the lines for the drive profile."""
-    found = measure_channels(read_bundle(bundle), axis, str(bundle))
+    with waiting("measuring delays"):
+        found = measure_channels(read_bundle(bundle), axis, str(bundle))
     if put_json(Channels(axes={joint: as_document(lags) for joint, lags in found.items()}), json_to):
         return
     for joint, lags in found.items():
@@ -72,7 +74,7 @@ def profile_lines(joint: str, lags: ChannelLags) -> str:
     found = f"free resonance {lags.resonance:.3g} Hz" if math.isfinite(lags.resonance) else "no free resonance found"
     lines = [f"# {joint}: {found}", "channels:"]
     for name, lag in (("effort", lags.effort), ("velocity", lags.velocity)):
-        apart = "" if lag.apart else ", delay and smoothing together: they cannot be told apart"
+        apart = "" if lag.apart else ", delay and smoothing together: they cannot be separated"
         lines.append(f"  {name}_delay: {lag.delay:.7f} # s, +- {lag.delay_std:.2g}{apart}")
         smoothing = f" # s, +- {lag.smoothing_std:.2g}" if lag.apart else ""
         lines.append(f"  {name}_smoothing: {lag.smoothing:.7f}{smoothing}")

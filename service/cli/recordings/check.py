@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from service.cli.documents import JsonTo, put_json
+from service.cli.progress_indicator import waiting
 from service.data_check import Finding, findings_document
 from service.data_check import check as check_data
 from service.results.check import DataCheck
@@ -20,8 +21,9 @@ def check(
     json_to: JsonTo = None,
 ) -> None:
     """Tell what is wrong with recordings and robot file, before any physics."""
-    measured = read_bundle(bundle)
-    findings = check_data(measured.robot, measured.sweeps)
+    with waiting("checking the data"):
+        measured = read_bundle(bundle)
+        findings = check_data(measured.robot, measured.sweeps)
     document = findings_document(measured.robot, measured.sweeps, findings)
     if put_json(DataCheck.read(document, str(bundle)), json_to):
         return

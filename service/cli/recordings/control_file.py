@@ -20,7 +20,7 @@ from service.sinumerik.document import (
     tuning_document,
 )
 from service.sinumerik.members import read_members
-from service.sinumerik.told import LoopInertia, MeasuredResponse, Response, ServoTuning, Size
+from service.sinumerik.models import LoopInertia, MeasuredResponse, Response, ServoTuning, Size
 
 Array = NDArray[np.float64]
 

@@ -12,6 +12,7 @@ from rich.progress import track
 from rich.table import Table
 
 from service.cli.documents import JsonTo, as_json, put_json, read_document, write_file
+from service.cli.progress_indicator import waiting
 from service.diagnosis import AxisDiagnosis, as_document, diagnose_axis, is_evidence, model_document, started_from
 from service.diagnosis.start import CAD
 from service.errors import BadInput
@@ -31,23 +32,27 @@ def diagnose(
     bundle: Annotated[Path, typer.Argument(help="Directory of the bundle.", show_default=False)],
     axis: Annotated[str | None, typer.Option(help="Diagnose this joint only.")] = None,
     json_to: JsonTo = None,
-    known: Annotated[
-        list[str] | None, typer.Option(help="Effect that the axes are known to have; may be repeated.")
-    ] = None,
+    known: Annotated[list[str] | None, typer.Option(help="Known effect of the axes; repeatable.")] = None,
     estimate: Annotated[
         Path | None,
-        typer.Option(help="Start from this estimate, JSON file of `sweepid identify`, not from CAD.", metavar="FILE"),
+        typer.Option(
+            help="Start from this estimate (JSON file of `sweepid identify`) instead of the CAD model.", metavar="FILE"
+        ),
     ] = None,
-    twin: Annotated[bool, typer.Option(help="Run the simulator with the model found, and tell what it leaves.")] = True,
+    twin: Annotated[
+        bool, typer.Option(help="Run the simulator with the model found and print the remaining gap.")
+    ] = True,
     model: Annotated[Path | None, typer.Option(help="Write the model with named effects here.", metavar="FILE")] = None,
     scenario: Annotated[
-        Path | None, typer.Option(help="Write what the twin is here, with its robot beside.", metavar="FILE")
+        Path | None,
+        typer.Option(help="Write the scenario of the twin to this file, with its robot next to it.", metavar="FILE"),
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Write a page with figures here.", metavar="FILE")] = None,
 ) -> None:
     """Find where simulation and measurement disagree, and name the missing effect."""
-    measured = read_bundle(bundle)
-    found = diagnose_bundle(measured, axis, str(bundle), known or (), estimate, twin=twin)
+    with waiting("diagnosing"):
+        measured = read_bundle(bundle)
+        found = diagnose_bundle(measured, axis, str(bundle), known or (), estimate, twin=twin)
     if model is not None:
         write_file(model, as_json(ModelRevision.read(model_document(measured.robot, found.as_json()), str(bundle))))
     if scenario is not None:
@@ -132,7 +137,7 @@ def print_diagnosis(document: Diagnosis, console: Console) -> None:
         for effect in axis.effects:
             _print_effect(effect, "If it is that: " if effect.effect in axis.candidates else "", console)
         for effect in axis.part:
-            _print_effect(effect, "Part of it, beside what nobody knows: ", console)
+            _print_effect(effect, "Part of it, in addition to an unknown effect: ", console)
         console.print(_rigid_table(joint, axis.rigid_model, "CAD" if axis.started_from == CAD else "estimate"))
         if axis.next_experiment is not None:
             console.print(f"{joint}: next, {axis.next_experiment.kind}. {axis.next_experiment.reason}")

@@ -10,10 +10,10 @@ from rich.progress import track
 from rich.table import Table
 
 from service.cli.documents import JsonTo, put_json, read_document, write_file
+from service.cli.progress_indicator import waiting
 from service.cli.recordings.bundle_page import bundle_page
 from service.cli.recordings.combination import print_combination
 from service.cli.recordings.gains_file import read_gains
-from service.cli.waiting import waiting
 from service.errors import BadInput
 from service.estimation import SweepSpectrum, estimate_document, sweep_spectrum
 from service.identification.axis.ideal_frequency import Figure
@@ -46,10 +46,11 @@ def identify(
     model: Annotated[
         Path | None, typer.Option(help="Known effects: JSON file of `sweepid diagnose --model`.", metavar="FILE")
     ] = None,
-    report: Annotated[Path | None, typer.Option(help="Write what was found, with figures, to this HTML file.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write the result with figures to this HTML file.")] = None,
 ) -> None:
     """Identify a robot from the sweeps of a bundle."""
-    measured = read_bundle(bundle)
+    with waiting("reading the bundle"):
+        measured = read_bundle(bundle)
     found = identify_bundle(
         measured,
         axis,
@@ -71,7 +72,7 @@ def identify_bundle(
     gains: Mapping[str, TorqueGain] | None = None,
     known: KnownEffects | None = None,
 ) -> Estimate:
-    """The estimate as in DESIGN.md, of all sweeps or of those of one joint; BadInput if that leaves none."""
+    """The estimate of all sweeps or of those of one joint; BadInput if that leaves none."""
     if axis is not None:
         bundle.robot.index(axis)
     together = {spec.id for group in at_once([sweep.spec for sweep in bundle.sweeps]) for spec in group}

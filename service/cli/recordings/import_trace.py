@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from service.cli.progress_indicator import waiting
 from service.cli.recordings.check import warn
 from service.cli.recordings.control_file import import_control_file
 from service.data_check import check
@@ -50,10 +51,11 @@ def import_trace(
     }
     for name, value in options.items():
         if value is not None:
-            raise BadInput(name, f"is for a Sinumerik's measurement (.xml), and {mapping} is a mapping")
+            raise BadInput(name, f"applies only to a measurement of a Sinumerik (.xml); {mapping} is a mapping")
     if out is None:
-        raise BadInput("--out", "is needed: the directory of the new bundle")
-    robot, sweeps = trace_import.import_trace(mapping, source)
+        raise BadInput("--out", "is missing: give the directory of the new bundle")
+    with waiting("reading the traces"):
+        robot, sweeps = trace_import.import_trace(mapping, source)
     write_bundle(out, robot, sweeps)
     warn(check(robot, sweeps))
     typer.echo(f"{out}: {len(sweeps)} sweep{'s' if len(sweeps) > 1 else ''} of {robot.name}", err=True)

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from service.cli.documents import JsonTo, put_json
+from service.cli.progress_indicator import waiting
 from service.cli.recordings.gains_file import read_gains
 from service.errors import BadInput
 from service.identification.payloads.document import payload_document
@@ -23,7 +24,8 @@ def payload_command(
     json_to: JsonTo = None,
 ) -> None:
     """Identify a payload on the last link from the same motions with and without it."""
-    document = payload_of(read_bundle(before), read_bundle(after), str(after), gains)
+    with waiting("identifying the payload"):
+        document = payload_of(read_bundle(before), read_bundle(after), str(after), gains)
     if put_json(document, json_to):
         return
     _print(document, Console())
@@ -32,7 +34,7 @@ def payload_command(
 def payload_of(before: Bundle, after: Bundle, place: str, gains: Path | None = None) -> Payload:
     """The document; BadInput where the bundles are not of one robot or have no motion in common."""
     if (before.robot.description, before.robot.urdf_text) != (after.robot.description, after.robot.urdf_text):
-        raise BadInput(place, f"was not measured on the same robot {before.robot.name} as the bundle before")
+        raise BadInput(place, f"is of another robot than {before.robot.name} of the bundle before")
     found = payload(before.robot, before.sweeps, after.sweeps, read_gains(gains) if gains else None)
     return payload_document(before.robot, found)
 

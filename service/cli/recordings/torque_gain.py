@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from service.cli.documents import JsonTo, put_json
+from service.cli.progress_indicator import waiting
 from service.cli.recordings.gains_file import AxisGain, Gain, TorqueGains
 from service.errors import BadInput
 from service.identification import spectrum
@@ -37,7 +38,8 @@ def torque_gain(
     body = KnownMass(
         mass, cast(tuple[float, float, float], place), cast(tuple[float, float, float, float, float, float], shape)
     )
-    found = calibrate(read_bundle(before), read_bundle(after), body, str(after))
+    with waiting("comparing the bundles"):
+        found = calibrate(read_bundle(before), read_bundle(after), body, str(after))
     axes = {
         joint: AxisGain(gain=Gain(value=one.gain.gain, std=one.gain.std), poses=one.poses, added_inertia=one.added)
         for joint, one in found.items()
@@ -50,7 +52,7 @@ def torque_gain(
 def calibrate(before: Bundle, after: Bundle, mass: KnownMass, place: str) -> dict[str, Calibration]:
     """By joint; BadInput where the bundles are not of one robot or share no pose, or cannot be without and with it."""
     if (before.robot.description, before.robot.urdf_text) != (after.robot.description, after.robot.urdf_text):
-        raise BadInput(place, f"was not measured on the same robot {before.robot.name} as the bundle before")
+        raise BadInput(place, f"is of another robot than {before.robot.name} of the bundle before")
     _check_place(before.robot, mass)
     spectra = [
         [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps if sweep.spec.periodic] for bundle in (before, after)
@@ -70,8 +72,8 @@ def _check_place(robot: Robot, mass: KnownMass) -> None:
     if away > longest:
         raise BadInput(
             "--center",
-            f"is {away:.3g} m from the last joint, limit {longest:.3g} m, the length of the robot's links: "
-            "are these meters?",
+            f"is {away:.3g} m from the last joint, limit {longest:.3g} m, the length of the robot's "
+            "links: check that the unit is m",
         )
 
 
@@ -80,14 +82,16 @@ def _check_shown(joint: str, gain: TorqueGain) -> None:
     if not gain.gain > SHOWN * gain.std:
         raise BadInput(
             joint,
-            "the second campaign shows no added inertia beyond its uncertainty "
-            f"(gain {gain.gain:.3f}, standard deviation {gain.std:.3f}): was the mass on? kg and m?",
+            f"the second campaign shows no added inertia beyond its uncertainty (gain {gain.gain:.3f}, "
+            f"standard deviation {gain.std:.3f}): check that the mass was mounted, and its units (kg, "
+            "m)",
         )
     if not SENSIBLE[0] <= gain.gain <= SENSIBLE[1]:
         raise BadInput(
             joint,
-            f"the second campaign shows {gain.gain:.3f} times the inertia that the mass adds, and a gain lies within "
-            f"{SENSIBLE[0]} to {SENSIBLE[1]}: was the mass on, the right one? kg and m?",
+            f"the second campaign shows {gain.gain:.3f} times the inertia that the mass adds, and a "
+            f"gain must be within {SENSIBLE[0]} to {SENSIBLE[1]}: check that this mass was mounted, "
+            "and its units (kg, m)",
         )
 
 
@@ -102,7 +106,7 @@ def _numbers(option: str, text: str, count: int) -> tuple[float, ...]:
 
 
 def _print(found: dict[str, Calibration]) -> None:
-    table = Table(title="Torque as the drive tells it over true torque")
+    table = Table(title="Torque reported by the drive over true torque")
     table.add_column("axis")
     for name in ("gain", "std", "poses", "added inertia, kg m^2"):
         table.add_column(name, justify="right")

@@ -1,8 +1,8 @@
-"""Effort against motion: its sign, its unit, and whether it is of this axis at all.
+"""Effort compared with motion: its sign, its unit, and whether it belongs to this axis.
 
-Two signs must be right at the lowest line: inertia takes effort in phase with acceleration, friction in phase with
-velocity. Both reversed: the sign of effort. The size is compared with CAD, all that moves and the motor; a model within
-its prior, a payload, and a spring of 5 Hz stay within `OFF`.
+Two signs are checked at the lowest line: inertia torque is in phase with acceleration, friction torque in phase with
+velocity. If both are reversed, the sign of effort is wrong. The size is compared with CAD: all moving links and the
+motor. Model errors within the prior, a payload, and a spring of 5 Hz stay within `OFF`.
 """
 
 from collections.abc import Sequence
@@ -17,16 +17,16 @@ from service.data_check.record import AxisRecords
 from service.data_check.units import effort_unit
 from service.recording import Array
 
-OFF = 2.5  # factor to either side of CAD that a sound axis keeps
+OFF = 2.5  # largest factor of a correct axis, above or below CAD
 SURE = 4.0  # standard errors
-MODEL = 0.1  # of CAD: by how much records differ anyway
-UNIT = np.log(2.2)  # how far a unit's factor may be from what is found: CAD is no better
-RESISTS = 0.15  # of the robot file's viscous friction (prior: 50 %), dry friction not counted: less has no axis
+MODEL = 0.1  # of CAD: normal difference between records
+UNIT = np.log(2.2)  # ln of the largest ratio between a unit's factor and the measured one: CAD is no more accurate
+RESISTS = 0.15  # of viscous friction in the robot file (prior: 50 %), without dry friction: each axis has more
 
 
 @dataclass(frozen=True)
 class Seen:
-    """All records of an axis together: apparent inertia over CAD's, its error, and the sign of the resistance."""
+    """All records of an axis: apparent inertia over that of CAD, its error, and the sign of the resistance."""
 
     records: tuple[Response, ...]
     ratios: Array  # (m,)
@@ -48,7 +48,7 @@ class Seen:
 
 
 def seen(axis: AxisRecords, found: Sequence[Response]) -> Seen | None:
-    """Weighted by their errors; None where nothing tells inertia."""
+    """Means weighted by the errors; None if no record determines the inertia."""
     if not found:
         return None
     nominal = axis.nominal_inertias(np.array([one.record.spec.pose for one in found]))
@@ -69,7 +69,7 @@ def seen(axis: AxisRecords, found: Sequence[Response]) -> Seen | None:
 
 
 def effort(axis: AxisRecords, all_: Seen | None, *, placed: bool) -> list[Finding]:
-    """At most one finding: a wrong sign would make any factor meaningless. `placed`: position can be trusted."""
+    """At most one finding, because a factor is meaningless with a wrong sign. `placed`: the position is correct."""
     if all_ is None:
         return []
     likely = origins(axis, all_.records) if placed else []
@@ -90,7 +90,7 @@ def effort(axis: AxisRecords, all_: Seen | None, *, placed: bool) -> list[Findin
 
 
 def _friction(axis: AxisRecords, all_: Seen) -> float | None:
-    """Resistance over the robot file's: the larger of that at the lines and that of turning round; None if unknown."""
+    """Resistance over that of the robot file: the larger one from lines and from reversal; None if unknown."""
     nominal, held = axis.axis.viscous_friction, weighed(axis, [one.record for one in all_.records])
     lines = [one for one in all_.records if one.impedance.size]
     if not nominal or held is None or not lines:
@@ -134,7 +134,7 @@ def _sign(axis: AxisRecords, all_: Seen) -> Finding:
 
 
 def _unrelated(axis: AxisRecords, all_: Seen) -> list[Finding]:
-    """No inertia is seen where CAD's would have been: effort knows nothing of this motion."""
+    """The inertia of CAD would be visible but is not: the effort does not belong to this motion."""
     if abs(all_.ratio) + SURE * all_.error > 1 / OFF:
         return []
     return [
@@ -168,7 +168,7 @@ def _size(axis: AxisRecords, all_: Seen) -> Finding:
 
 
 def _motor(axis: AxisRecords, all_: Seen) -> Finding | None:
-    """The robot file's motor alone is too much, and without it CAD would do."""
+    """The motor inertia of the robot file is too large, and without it CAD agrees."""
     reflected = axis.axis.reflected_motor_inertia or 0.0
     measured = float(np.median([one.inertia for one in all_.records]))
     loads = np.array([axis.load_inertia(one.record.spec.pose) for one in all_.records])

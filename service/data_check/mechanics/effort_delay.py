@@ -1,7 +1,7 @@
-r"""Effort late against motion by several milliseconds.
+r"""Effort with a delay of several milliseconds with respect to motion.
 
-A delay D turns the impedance at all lines by an angle that grows with frequency, Z = (i w J + mu) exp(-i w D). Some
-2 ms and less are a matter of physics and filters, which the diagnosis tells apart; here D is only told where it is
+A delay D rotates the impedance of each line by an angle proportional to frequency, Z = (i w J + mu) exp(-i w D). Delays
+up to about 2 ms come from physics and filters, which the diagnosis separates. Here D is only reported if it is
 large, explains the lines, and a spring does not:  Z = i w J / (1 - (w/w0)^2 + i w c) + mu.
 """
 
@@ -19,12 +19,12 @@ LIMIT = 5e-3  # s
 DELAYS = np.arange(-30e-3, 30.25e-3, 0.25e-3)  # s
 SPRINGS = np.geomspace(4.0, 60.0, 60)  # Hz
 DAMPING = (0.02, 0.1)
-MODEL = 0.02  # of Z: what the rigid model may miss besides
-EXPLAINS = 0.25  # of the misfit without a delay
+MODEL = 0.02  # of Z: other errors of the rigid model
+EXPLAINS = 0.25  # of the misfit without delay: a smaller misfit confirms the delay
 
 
 def effort_delay(axis: AxisRecords, found: Sequence[Response]) -> list[Finding]:
-    """At most one finding, of all records with two lines or more."""
+    """At most one finding, from all records with at least two lines."""
     some = [one for one in found if len(one.frequency) > 1]
     if not some:
         return []
@@ -51,14 +51,14 @@ def effort_delay(axis: AxisRecords, found: Sequence[Response]) -> list[Finding]:
 
 
 def _springs(frequency: Array) -> Complex:
-    """What makes an inertia behind a spring of i w J (s, l), for all frequencies and dampings."""
+    """Factors (s, l) of i w J for an inertia behind a spring, for all frequencies and dampings."""
     ratio = frequency / np.repeat(SPRINGS, len(DAMPING))[:, None]
     damping = np.tile(DAMPING, len(SPRINGS))[:, None]
     return 1 / (1 - ratio**2 + 2j * damping * ratio)
 
 
 def _misfit(one: Response, on_inertia: Complex, on_friction: Complex) -> Array:
-    """Weighted sum of squares (m,) that J and mu, free in each record, leave; (m, l) multiply i w and 1."""
+    """Weighted sum of squares (m,) of the fit of J and mu to each record; their columns are i w and 1, times (m, l)."""
     weight = 1 / np.hypot(one.error, MODEL * np.abs(one.impedance))
     a, b = 2j * np.pi * one.frequency * on_inertia * weight, on_friction * weight
     wanted = one.impedance * weight

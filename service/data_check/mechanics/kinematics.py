@@ -1,11 +1,11 @@
-r"""Velocity against the slope of position: one encoder gives both.
+r"""Velocity compared with the derivative of position; both come from one encoder.
 
 Over the window
 
     position(t) = p0 + k W(t) + k D velocity(t),        W = integral of velocity
 
-with k = 1 where the units agree. A velocity that comes D late has W(t) = way(t - D) = way(t) - D v(t), so D is the
-coefficient of velocity itself. Nothing is differentiated, so noise costs nothing.
+with k = 1 if the units agree. For a velocity with delay D, W(t) = way(t - D) = way(t) - D v(t), so D is the
+coefficient of velocity. Nothing is differentiated, so noise is not amplified.
 """
 
 from dataclasses import dataclass
@@ -15,23 +15,23 @@ import numpy as np
 from service.data_check.record import AxisRecords, Record
 from service.recording import Array
 
-TRAVEL = 20.0  # steps of the position's resolution that a window must go through
-VARIES = 0.02  # of the fastest: a velocity that varies less shows no delay
+TRAVEL = 20.0  # steps of the position: minimum travel in a window
+VARIES = 0.02  # of the maximum: with less variation of velocity, a delay is invisible
 
 
 @dataclass(frozen=True)
 class Slope:
-    """Of one record: `gain` k and by how much noise and rounding may make it wrong, `delay` D in s the same."""
+    """Result for one record: `gain` k and its error by noise and rounding, `delay` D in s and its error."""
 
     record: Record
     gain: float
     gain_error: float
-    delay: float | None  # None where velocity hardly varies
+    delay: float | None  # None if velocity is nearly constant
     delay_error: float
 
 
 def slopes(axis: AxisRecords) -> tuple[Slope, ...]:
-    """Of all records that go somewhere."""
+    """The slopes of all records with enough travel."""
     found = [_slope(record) for record in axis.those(lambda record: record.travels)]
     return tuple(slope for slope in found if slope is not None)
 
@@ -62,6 +62,6 @@ def _slope(record: Record) -> Slope | None:
 
 
 def _errors(columns: Array, rest: Array) -> Array:
-    """Standard errors (c,) of least squares whose rest is slow: as if a twentieth of the samples were independent."""
+    """Standard errors (c,) of least squares with correlated residuals: one sample in twenty counts as independent."""
     covariance = np.linalg.pinv(columns.T @ columns) * float(rest @ rest) / max(len(rest) / 20, 1.0)
     return np.sqrt(np.diag(covariance))

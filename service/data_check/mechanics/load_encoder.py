@@ -1,6 +1,6 @@
-"""The direct encoder against the motor's: a gear ratio, unit or sign that is not that of the robot file.
+"""Load encoder compared with motor encoder: a gear ratio, unit or sign that differs from the robot file.
 
-Twist under gravity and gear error are milliradians; over the way of all poses together that is below the limit.
+Twist by gravity and transmission error are milliradians; relative to the travel of all poses they are below the limit.
 """
 
 import numpy as np
@@ -10,11 +10,11 @@ from service.data_check.record import AxisRecords
 from service.data_check.units import motion_unit
 
 LIMIT = 0.02  # relative
-WAY = 0.05  # rad (m): with less, twist and gear error outweigh the way
+WAY = 0.05  # rad (m): with less travel, twist and transmission error dominate
 
 
 def load_encoder(axis: AxisRecords) -> list[Finding]:
-    """Slope of load position over motor position, over all records that travel."""
+    """Slope of load position over motor position, from all records with enough travel."""
     records = axis.those(lambda record: record.travels and record.load_position is not None)
     motor = np.concatenate([record.position for record in records]) if records else np.zeros(0)
     load = np.concatenate([part for record in records if (part := record.load_position) is not None] or [np.zeros(0)])

@@ -1,7 +1,7 @@
-"""Position, velocity and set-point of an axis against one another: signs, units, scale, delay.
+"""Position, velocity and set-point of an axis compared: signs, units, scale, delay.
 
-The slope of position over velocity (`kinematics`) tells that the two differ; the commanded offset velocity tells which
-of them is wrong, or that both are. Without a commanded velocity (free trajectories) the two can only be compared.
+The slope of position over velocity (`kinematics`) shows that the two differ. The commanded offset velocity shows which
+of them is wrong, or both. Without a commanded velocity (free trajectories), only the two can be compared.
 """
 
 from collections.abc import Sequence
@@ -15,10 +15,10 @@ from service.data_check.mechanics.kinematics import Slope
 from service.data_check.record import AxisRecords, Record, spread
 from service.data_check.units import motion_unit
 
-GAIN = 0.005  # sensor and both channels are one: rounding apart they agree to 1e-4; J is off by as much
-FOLLOWS = 0.06  # of the commanded speed: a soft loop still settles, and a ripple bends the mean
+GAIN = 0.005  # both channels come from one sensor: except for rounding they agree to 1e-4; J gets the same error
+FOLLOWS = 0.06  # of the commanded speed: a soft loop settles within it, and ripple changes the mean
 SURE = 5.0  # standard errors
-DELAY = 0.5e-3  # s; a speed taken as a difference of positions is half a sample late
+DELAY = 0.5e-3  # s; a speed computed from differences of positions is half a sample late
 SAMPLES = 0.75
 
 Channel = Literal["position", "velocity", "both"]
@@ -26,7 +26,7 @@ Channel = Literal["position", "velocity", "both"]
 
 @dataclass(frozen=True)
 class Commanded:
-    """Mean velocity of a record over that commanded, and what rounding may make it wrong."""
+    """Mean velocity of a record over the commanded one, and the possible error by rounding."""
 
     record: Record
     gain: float
@@ -34,7 +34,7 @@ class Commanded:
 
 
 def commanded(axis: AxisRecords) -> tuple[Commanded, ...]:
-    """Of the records that turn one way over whole periods."""
+    """Values for the records that move in one direction over complete periods."""
     found: list[Commanded] = []
     for record in axis.those(lambda record: record.turns and record.spec.periodic):
         steady = record.spec.offset_velocity
@@ -44,32 +44,32 @@ def commanded(axis: AxisRecords) -> tuple[Commanded, ...]:
 
 
 def motion(axis: AxisRecords, slopes: Sequence[Slope], followed: Sequence[Commanded]) -> list[Finding]:
-    """All findings on the motion of an axis."""
+    """All findings about the motion of an axis."""
     speed = {one.record.id: one for one in followed}
     found: dict[tuple[Code, Channel, str | None], list[tuple[str, float]]] = {}
-    # a loop that ripples or is soft follows each sweep differently well: a wrong scale is the same in all
+    # a soft loop, or one with ripple, has a different error in each sweep; a wrong scale is the same in all
     differ = min(spread(np.array([one.gain for one in followed])), FOLLOWS)
     judged: set[str] = set()
     for slope in slopes:
-        told = _of_slope(axis, slope, speed.get(slope.record.id))
-        if told is not None:
+        kind = _of_slope(axis, slope, speed.get(slope.record.id))
+        if kind is not None:
             judged.add(slope.record.id)
-            found.setdefault(told[0], []).append((slope.record.id, told[1]))
+            found.setdefault(kind[0], []).append((slope.record.id, kind[1]))
     for one in followed:
         if one.record.id not in judged and abs(one.gain - 1) > FOLLOWS + one.error + differ:
-            told = _kind(axis, one.gain, "both")
-            found.setdefault(told, []).append((one.record.id, one.gain))
+            kind = _kind(axis, one.gain, "both")
+            found.setdefault(kind, []).append((one.record.id, one.gain))
     return [_finding(axis, *kind, rows) for kind, rows in found.items()] + _delay(axis, slopes)
 
 
 def _of_slope(
     axis: AxisRecords, slope: Slope, speed: Commanded | None
 ) -> tuple[tuple[Code, Channel, str | None], float] | None:
-    """What is wrong between position and velocity of a record, and by what factor; None where nothing is."""
+    """What is wrong between position and velocity of a record, and the factor; None if both are correct."""
     gain = slope.gain
     if gain == 0 or abs(gain - 1) <= GAIN + SURE * slope.gain_error:
         return None
-    if speed is not None and abs(gain * speed.gain - 1) > abs(speed.gain - 1):  # velocity follows better
+    if speed is not None and abs(gain * speed.gain - 1) > abs(speed.gain - 1):  # velocity is nearer to the command
         return _kind(axis, gain, "position"), gain
     if speed is None and gain > 1 and motion_unit(axis, gain, velocity=False) is not None:
         return _kind(axis, gain, "position"), gain
@@ -116,7 +116,7 @@ def _finding(
 
 
 def _delay(axis: AxisRecords, slopes: Sequence[Slope]) -> list[Finding]:
-    """Velocity late (or early) against position: told where several records, or one clearly, agree."""
+    """Delay (or advance) of velocity with respect to position, if several records, or one clearly, show it."""
     shown = [(slope, slope.delay) for slope in slopes if slope.delay is not None and slope.gain > 0]
     late = [
         (slope.record.id, delay)

@@ -1,14 +1,14 @@
-"""Whose effort is it? Inertia, weight and friction in all poses, of this axis in any unit and of every other axis.
-
+"""Which axis has this effort? Compares inertia, weight and friction in all poses with this axis in each unit and with
+the other axes. For another axis, the recorded pose is used as it is, or with the entries of both axes exchanged.
 Of another axis either the pose is told as it stood, or its entry and this axis' have changed places with the columns.
-CAD is off by some tens of per cent, so is friction; a unit or another axis is off by more, or does not fit every pose.
+Errors of CAD and of friction are some tens of per cent. A wrong unit or axis gives more, or does not fit all poses.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from service.data_check.mechanics.response import Response
 from service.data_check.record import AxisRecords, Record
@@ -16,19 +16,19 @@ from service.data_check.units import effort_units
 from service.identification.model.regressor import gravity_rows
 from service.recording import Array
 
-SURE = 4.0  # standard errors by which inertia must be seen
-INERTIA = 0.2  # of CAD's, standard deviation, all poses alike
-SHAPE = 0.1  # from pose to pose
-WEIGHT = 0.2  # of the larger of both
-FRICTION = 0.5  # of the robot file's, the prior's
-FITS = float(chi2.ppf(0.99, 3))  # of three numbers
-BETTER = 9.2  # by how much: a hundred times as likely, -2 ln
-REFUSED = 25.0  # so unlikely must SI of this axis be: five standard deviations, as loads and springs are no faults
+SURE = 4.0  # standard errors: minimum significance of the inertia
+INERTIA = 0.2  # of that in CAD, standard deviation, common to all poses
+SHAPE = 0.1  # standard deviation between poses
+WEIGHT = 0.2  # of the larger of both values
+FRICTION = 0.5  # of that in the robot file, as in the prior
+FITS = float(chdtri(3, 0.01))  # of three numbers
+BETTER = 9.2  # difference of -2 ln likelihood: a hundred times as likely
+REFUSED = 25.0  # the same for SI units of this axis: five standard deviations, because loads and springs are not errors
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Where effort may come from: a joint, or this axis' in a unit; `misfit` in squares of standard deviations."""
+    """Possible origin of effort: a joint, or this axis in another unit; `misfit` in squared standard deviations."""
 
     name: str
     joint: int
@@ -37,7 +37,7 @@ class Origin:
 
 
 def origins(axis: AxisRecords, found: Sequence[Response]) -> list[Origin]:
-    """Every one, the likeliest first; empty where no pose tells inertia and weight."""
+    """All origins, the most likely first; empty if no pose determines inertia and weight."""
     clear = [one for one in found if one.inertia > SURE * one.inertia_error]
     if not clear:
         return []
@@ -45,7 +45,7 @@ def origins(axis: AxisRecords, found: Sequence[Response]) -> list[Origin]:
     resistance = float(np.median([one.resistance for one in clear]))
     poses = np.array([one.record.spec.pose for one in clear])
     weight = weighed(axis, [one.record for one in clear])
-    told: list[Origin] = []
+    origins: list[Origin] = []
     for joint, swapped, name, factor in _candidates(axis):
         nominal = axis.nominal_inertias(_stood(axis, poses, joint, swapped=swapped), joint)
         if not (nominal > 0).all():
@@ -57,12 +57,12 @@ def origins(axis: AxisRecords, found: Sequence[Response]) -> list[Origin]:
             misfit += (np.log(resistance / (factor * viscous)) / FRICTION) ** 2
         if weight is not None:
             misfit += _of_weight(axis, joint, weight, factor, swapped=swapped)
-        told.append(Origin(name, joint, factor != 1.0, float(misfit)))
-    return sorted(told, key=lambda one: one.misfit)
+        origins.append(Origin(name, joint, factor != 1.0, float(misfit)))
+    return sorted(origins, key=lambda one: one.misfit)
 
 
 def another(axis: AxisRecords, likely: Sequence[Origin]) -> Origin | None:
-    """Another axis, where it fits, this one does not, and none of its units comes near."""
+    """Another axis, if it fits and this one does not in any unit."""
     others = [one for one in likely if one.joint != axis.index]
     own = [one for one in likely if one.joint == axis.index]
     if not others or not own:
@@ -73,7 +73,7 @@ def another(axis: AxisRecords, likely: Sequence[Origin]) -> Origin | None:
 
 
 def _candidates(axis: AxisRecords) -> Iterator[tuple[int, bool, str, float]]:
-    """Joint, whether its pose has changed places, name, factor of effort."""
+    """Joint, whether the entries of the pose are exchanged, name, factor of effort."""
     yield axis.index, False, axis.joint, 1.0
     for name, factor in effort_units(axis).items():
         yield axis.index, False, name, factor
@@ -84,7 +84,7 @@ def _candidates(axis: AxisRecords) -> Iterator[tuple[int, bool, str, float]]:
 
 
 def _stood(axis: AxisRecords, poses: Array, joint: int, *, swapped: bool) -> Array:
-    """Poses (m, joints), with the entries of both axes in each other's place if `swapped`."""
+    """Poses (m, joints); if `swapped`, the entries of both axes are exchanged."""
     order = list(range(poses.shape[1]))
     if swapped:
         order[axis.index], order[joint] = joint, axis.index
@@ -92,7 +92,7 @@ def _stood(axis: AxisRecords, poses: Array, joint: int, *, swapped: bool) -> Arr
 
 
 def _of_weight(axis: AxisRecords, joint: int, held: "Weighed", factor: float, *, swapped: bool) -> float:
-    """How far CAD's holding effort is off what was held, squared, in parts of what both may be wrong; friction adds."""
+    """Squared difference of holding effort between CAD and measurement, over the errors of both and of friction."""
     poses = _stood(axis, held.poses, joint, swapped=swapped)
     rows = gravity_rows(axis.robot.chain, axis.robot.gravity, joint, poses)[:, 0]
     weight = factor * (rows @ axis.robot.chain.inertial.ravel())
@@ -102,8 +102,8 @@ def _of_weight(axis: AxisRecords, joint: int, held: "Weighed", factor: float, *,
 
 @dataclass(frozen=True)
 class Weighed:
-    """Between both directions at the slowest: `poses` (p, joints), what effort holds there (p,), N m (N), and half of
-    what it differs by.
+    """Mean of both directions at the lowest speed: `poses` (p, joints), holding effort there (p,), N m (N), and half of
+    the difference between the directions.
     """
 
     poses: Array
@@ -112,7 +112,7 @@ class Weighed:
 
 
 def weighed(axis: AxisRecords, records: Sequence[Record]) -> Weighed | None:
-    """At the poses themselves, by a line of effort over position; None where no pose was swept in both directions."""
+    """Values at the poses, from a line fit of effort over position; None if no pose was swept in both directions."""
     start: dict[tuple[float, ...], dict[float, list[float]]] = {}
     slow = min(abs(record.spec.offset_velocity) for record in records)
     for record in records:

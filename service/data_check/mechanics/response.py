@@ -1,9 +1,9 @@
-r"""What effort does at the lines: the apparent inertia of each record, beside what CAD says.
+r"""Frequency response of effort at the lines: apparent inertia of each record, for comparison with CAD.
 
-Z = Effort/Velocity at each commanded line over whole periods; a rigid axis has  Z = i w J + mu. Elasticity makes
-Im Z / w grow towards the locked-rotor frequency and negative beyond, gravity lowers it as 1/w^2; so inertia is read at
-the lowest line, and only where that is low. What lies on the bins between the lines is noise; the ripple of known
-orders is taken out before, as it may lie on a line.
+Z = Effort/Velocity at each commanded line over complete periods; for a rigid axis  Z = i w J + mu. With elasticity,
+Im Z / w increases towards the locked-rotor frequency and is negative above; gravity decreases it by 1/w^2. Therefore
+the inertia is taken from the lowest line, if that is low enough. Bins between the lines give the noise. The ripple of
+known orders is subtracted first, because it may coincide with a line.
 Records without lines are fitted as the identification does (`time_domain`).
 """
 
@@ -18,13 +18,13 @@ from service.identification.spectra.frequency_response import Complex, ripple_or
 from service.identification.spectra.time_domain import fit_record
 from service.recording import Array
 
-LOWEST = 4.5  # Hz: at locked-rotor frequencies of 5 Hz and above a line below still shows mass, not spring
-ABOVE = 3.0  # Hz above the last line: where noise is still read
+LOWEST = 4.5  # Hz: below it, with locked-rotor frequencies of 5 Hz and more, a line shows the inertia, not the spring
+ABOVE = 3.0  # Hz above the last line: upper end of the noise band
 
 
 @dataclass(frozen=True)
 class Response:
-    """Of one record: apparent inertia, resistance (apparent viscous friction) and their errors, SI on the joint side.
+    """Result of one record: apparent inertia, resistance (apparent viscous friction), errors; SI units, joint side.
 
     `frequency`, `impedance`, `error` (l,) at its lines, empty without lines.
     """
@@ -40,7 +40,7 @@ class Response:
 
 
 def responses(axis: AxisRecords, followed: dict[str, Commanded]) -> tuple[Response, ...]:
-    """Of all records that tell inertia; velocity is taken in the unit and the sign that was commanded."""
+    """The responses of all records that determine inertia; velocity is converted to the commanded unit and sign."""
     found: list[Response] = []
     for record in axis.those(lambda record: record.alone and record.spec.shows_inertia):
         one = _at_lines(axis, record, followed.get(record.id)) if record.spec.periodic else _free(axis, record)
@@ -80,7 +80,7 @@ def _at_lines(axis: AxisRecords, record: Record, followed: Commanded | None) -> 
 
 
 def _without_ripple(axis: AxisRecords, record: Record, frequency: Array) -> Array:
-    """Effort (n,) without its line and without the ripple of known orders, as far as both differ from the lines."""
+    """Effort (n,) without trend and without the ripple of known orders, as far as these differ from the lines."""
     count = record.count
     ramp = np.linspace(-0.5, 0.5, count)
     angles = [2 * np.pi * line * np.arange(count) / record.rate for line in frequency]
@@ -96,7 +96,7 @@ def _without_ripple(axis: AxisRecords, record: Record, frequency: Array) -> Arra
 def _free(axis: AxisRecords, record: Record) -> Response | None:
     try:
         fit = fit_record(spectrum(axis.robot, record.sweep))
-    except BadInput:  # too short, or its motion does not show inertia
+    except BadInput:  # too short, or the motion does not determine inertia
         return None
     empty = np.zeros(0)
     resistance, error = fit.terms["viscous_friction"]

@@ -1,48 +1,48 @@
-r"""Lines in the motor's angle: what effort does beside its periods, in which order does it repeat?
+r"""Lines in the motor angle: at which orders is the non-periodic part of effort periodic in the motor angle?
 
-What effort does beside its periods (sines, friction and inertia repeat with them) is taken as a function of the motor's
-angle theta = gear ratio x position. A ripple of order o is a line there, in each sweep
+The part of effort that does not repeat with the period (sines, friction and inertia do) is a function of the
+motor angle theta = gear ratio x position. A ripple of order o is a line in it, for each sweep
 
     a(o) = 2 / N  sum  left(t) exp(-i o theta(t))
 
-and it has one phase in all poses, because theta is absolute: settling and friction have not. Of the c places where the
-axis was swept alike (one offset and one set of sines) the coherent part of the power
+with the same phase in all poses, because theta is absolute. Settling and friction have none. For the c places
+where the axis was swept in the same way (one offset, one set of sines), the coherent part of the power is
 
-    rho = |sum a|^2 / (c sum |a|^2),    chance of that or more with random phases: (1 - rho)^(c - 1)
+        rho = |sum a|^2 / (c sum |a|^2),    probability of at least rho with random phases: (1 - rho)^(c - 1)
 
-(a of a complex normal distribution: rho is of the beta distribution B(1, c - 1)). Fisher's sum of -2 ln chance over the
-sets of sweeps alike is chi-squared of twice as many degrees of freedom. Over the range of the axis the phases tell o to
-some 1e-4, fine enough to see a wrong gear ratio.
+(for complex normal a, rho has the beta distribution B(1, c - 1)). Fisher's sum of -2 ln probability over the sets of
+equal sweeps is chi-squared with twice as many degrees of freedom. Over the range of the axis, the phases give o to
+about 1e-4, which is accurate enough to detect a wrong gear ratio.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
+from service.data_check.probabilities import log_chi2_above
 from service.data_check.record import AxisRecords, Record
 from service.identification.spectra.frequency_response import Complex, ripple_orders
 from service.recording import Array
 
-RATE = 400.0  # Hz at least that are kept of effort: a ripple of 200 Hz moves no axis
+RATE = 400.0  # Hz, minimum rate of effort after decimation: a ripple of 200 Hz moves no axis
 HIGHEST = 100.0  # order
-SLOWEST = 3.0  # periods in the slowest sweep: fewer are no line
-CHANCE = 1e-6  # that phases of something else lie like this, at any order that was tried
-PLACES = 3  # that must be swept alike
-ABOVE = 8.0  # times the median of the power over the orders: a line
-SAME = 0.01  # part by which an order of the robot file may be off and still be meant
-MOST = 3  # lines that are looked at
-HIDDEN = 0.1  # of a ripple that is nearly one with the periods
-FINE = 0.1  # of the order that all sweeps together resolve
+SLOWEST = 3.0  # periods in the slowest sweep: minimum for a line
+CHANCE = 1e-6  # probability of such phases without ripple, over all tried orders
+PLACES = 3  # minimum number of places with the same sweep
+ABOVE = 8.0  # times the median power over the orders: a line
+SAME = 0.01  # relative difference up to which an order of the robot file is the same order
+MOST = 3  # largest number of lines
+HIDDEN = 0.1  # of a ripple that nearly coincides with the periods
+FINE = 0.1  # of the order resolution of all sweeps together
 
 
 @dataclass(frozen=True)
 class Line:
-    """A ripple: `order` in periods a motor turn by the robot file's gear ratio, RMS in N m (N).
+    """A ripple: `order` in periods per motor turn with the gear ratio of the robot file, RMS in N m (N).
 
-    `chance`: natural logarithm of that its phases are one by chance; the same `as_known` at the order of the robot file
-    that is nearest, `known`, if one is near. `resolved`: the order that the range of the axis tells apart.
+    `chance`: natural logarithm of the probability of such phases by chance. `as_known`: the same at the nearest order
+    of the robot file, `known`, if one is near. `resolved`: order resolution over the range of the axis.
     """
 
     order: float
@@ -55,7 +55,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Turning:
-    """A record in the motor's angle: `angle` (n,) rad, `left` (n,) N m (N); samples a period."""
+    """A record as a function of the motor angle: `angle` (n,) rad, `left` (n,) N m (N); samples per period."""
 
     record: Record
     angle: Array
@@ -64,7 +64,7 @@ class Turning:
 
     @property
     def alike(self) -> object:
-        """What all records that are measured alike have in common."""
+        """Key that is equal for all records with the same motion."""
         return self.record.spec.offset_velocity, self.record.spec.sines
 
     @property
@@ -77,7 +77,7 @@ class Turning:
 
 
 def _turning(axis: AxisRecords, record: Record) -> Turning | None:
-    """None where the axis turns round or the window is not of two periods and more."""
+    """None if the axis reverses or the window is shorter than two periods."""
     spec = record.spec
     if not (record.turns and record.alone and spec.periodic and spec.period and spec.periods and spec.periods > 1):
         return None
@@ -93,11 +93,11 @@ def _turning(axis: AxisRecords, record: Record) -> Turning | None:
 
 
 def _beside_periods(values: Array, period: int) -> Array:
-    """(n, ...) without a parabola and without what repeats with the period."""
+    """(n, ...) minus a parabola and minus the part that repeats with the period."""
     count = len(values)
     powers = np.polynomial.legendre.legvander(np.linspace(-1, 1, count), 2)
     shaped = values.reshape(count, -1)
-    for _ in range(2):  # what the one leaves of the other is small
+    for _ in range(2):  # each subtraction leaves a small part of the other
         shaped = shaped - powers @ np.linalg.lstsq(powers, shaped, rcond=None)[0]
         turns = shaped.reshape(count // period, period, -1)
         shaped = (turns - turns.mean(axis=0)).reshape(count, -1)
@@ -105,7 +105,7 @@ def _beside_periods(values: Array, period: int) -> Array:
 
 
 def _places(turning: Sequence[Turning], one: Turning) -> int:
-    """Where else the axis was swept like that."""
+    """Number of places where the axis had the same sweep."""
     return len({_place(other) for other in turning if other.alike == one.alike})
 
 
@@ -114,7 +114,7 @@ def _place(one: Turning) -> float:
 
 
 def ripple_lines(axis: AxisRecords) -> list[Line]:
-    """The strongest first; of records that turn one way, alike in `PLACES` places at least."""
+    """The lines, strongest first; from records in one direction, with the same sweep in at least `PLACES` places."""
     every = [one for record in axis.records if (one := _turning(axis, record)) is not None]
     turning = [one for one in every if _places(every, one) >= PLACES]
     found: list[Line] = []
@@ -130,7 +130,7 @@ def ripple_lines(axis: AxisRecords) -> list[Line]:
 
 
 def _without(one: Turning, order: float) -> Turning:
-    """With the line taken out of the record."""
+    """The record without this line."""
     waves = np.stack([np.cos(order * one.angle), np.sin(order * one.angle)], -1)
     columns = _beside_periods(waves, one.period)
     return replace(one, left=one.left - columns @ np.linalg.lstsq(columns, one.left, rcond=None)[0])
@@ -138,9 +138,9 @@ def _without(one: Turning, order: float) -> Turning:
 
 @dataclass(frozen=True)
 class _Spectra:
-    """`amplitude` (m, o) of each record at `order` (o,), NaN where its speed shows none.
+    """`amplitude` (m, o) of each record at `order` (o,), NaN if its speed is too low or high for the order.
 
-    `groups` of records alike, each of places, each of the records there.
+    `groups`: sets of equal records; each contains places, each of these the records there.
     """
 
     turning: Sequence[Turning]
@@ -178,7 +178,7 @@ class _Spectra:
 
     @property
     def tried(self) -> float:
-        """Orders that all records together tell apart."""
+        """Number of orders that all records together can separate."""
         middle = [one.middle for one in self.turning]
         return HIGHEST * float(np.ptp(middle)) / (2 * np.pi)
 
@@ -202,7 +202,7 @@ class _Spectra:
         return Line(order, rms, self.chance(grid, order), near, as_known, HIGHEST / max(self.tried, 1e-9))
 
     def chance(self, grid: int, order: float) -> float:
-        """Logarithm, at an order near one of the grid."""
+        """Logarithm of the probability, at an order near one of the grid."""
         turn = np.exp(-1j * (order - self.order[grid]) * np.array([one.middle for one in self.turning]))
         amplitude = self.amplitude[:, grid] * turn
         total, sets = 0.0, 0
@@ -212,10 +212,10 @@ class _Spectra:
                 share = abs(values.sum()) ** 2 / (len(values) * float(np.sum(np.abs(values) ** 2)))
                 total -= 2 * (len(values) - 1) * float(np.log(max(1 - share, 1e-12)))
                 sets += 1
-        return float(chi2.logsf(total, 2 * sets)) if sets else 0.0
+        return log_chi2_above(total, sets)
 
     def refined(self, grid: int) -> tuple[int, float, float]:
-        """Where in the grid, which order near it both explains most and has phases least by chance, and its RMS."""
+        """Index in the grid, the nearby order with the largest power and the least probable phases, and its RMS."""
         middle = np.array([one.middle for one in self.turning])
         everywhere = float(np.ptp(middle)) + 1e-9
         reach = 2 * np.pi / min(one.span for one in self.turning)

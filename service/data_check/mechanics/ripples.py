@@ -1,6 +1,6 @@
-"""Torque that ripples with the motor's angle: at orders that the robot file knows, and with its gear ratio?
+"""Torque ripple in the motor angle: are its orders those of the robot file, with its gear ratio?
 
-The lines are those of `ripple_lines`: one phase in all poses, so they are of the motor and of no other thing.
+The lines are those of `ripple_lines`. They have one phase in all poses, so they come from the motor.
 """
 
 from collections.abc import Sequence
@@ -12,23 +12,23 @@ from service.data_check.mechanics.ripple_lines import CHANCE, SAME, Line, ripple
 from service.data_check.record import AxisRecords
 from service.identification.spectra.frequency_response import ripple_orders
 
-LEAST = 0.001  # of rated effort, RMS: one step of a common drive
-RATIO = 5e-4  # of the gear ratio: a difference that is told
-WHOLE = 0.02  # magnets and teeth are counted: the orders of a motor are whole numbers
-SIDE = (1.0, 2.0)  # an eccentric rotor turns a line of order o into weaker ones beside it
-TRANSMISSION = 5.0  # below this order it is the gear that turns unevenly, above it the motor's magnets
-APART = 0.25  # of the order that the range of the axis tells apart
-WEAKER = 0.25  # of the strongest: less may be what the drive makes of that one
+LEAST = 0.001  # of rated effort, RMS: one step of typical drives
+RATIO = 5e-4  # of the gear ratio: a larger difference is reported
+WHOLE = 0.02  # tolerance: orders of a motor are whole numbers (magnets, teeth)
+SIDE = (1.0, 2.0)  # an eccentric rotor gives weaker lines at this distance from a line of order o
+TRANSMISSION = 5.0  # order: below, transmission error of the gear; above, cogging of the motor
+APART = 0.25  # of the order resolution over the range of the axis
+WEAKER = 0.25  # of the strongest line: a weaker one may be caused by the drive from that one
 
 
 def ripples(axis: AxisRecords) -> list[Finding]:
-    """A gear ratio with which the known orders repeat too often or too seldom, and unknown orders."""
+    """Findings: a gear ratio with which the known orders are too high or too low, and unknown orders."""
     lines = ripple_lines(axis)
     return [*_ratio(axis, lines), *_unknown(axis, lines)]
 
 
 def _ratio(axis: AxisRecords, lines: Sequence[Line]) -> list[Finding]:
-    """Told by the strongest line of a known order, where its phases do not fit at all that order itself."""
+    """From the strongest line of a known order, if its phases do not agree with that order."""
     scale = _scale(lines)
     if scale is None:
         return []
@@ -44,7 +44,7 @@ def _ratio(axis: AxisRecords, lines: Sequence[Line]) -> list[Finding]:
 
 
 def _scale(lines: Sequence[Line]) -> float | None:
-    """By which the gear ratio is off; None where it is not."""
+    """Factor by which the gear ratio is wrong; None if it is correct."""
     line = next((line for line in lines if line.known is not None), None)
     if line is None or line.known is None:
         return None
@@ -54,7 +54,7 @@ def _scale(lines: Sequence[Line]) -> float | None:
 
 
 def _unknown(axis: AxisRecords, lines: Sequence[Line]) -> list[Finding]:
-    """Those that are neither of the robot file nor beside a stronger one."""
+    """Lines that are neither in the robot file nor side lines of a stronger one."""
     scale, findings = _scale(lines) or 1.0, list[Finding]()
     known = list(ripple_orders(axis.axis))
     for line in lines:

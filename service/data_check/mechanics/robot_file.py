@@ -1,4 +1,4 @@
-"""The robot's description by itself and against what was recorded: gravity, prior, rated effort, limits, nulls."""
+"""The robot file by itself and compared with recordings: gravity, prior, rated effort, limits, null values."""
 
 import numpy as np
 
@@ -6,16 +6,16 @@ from service.data_check.finding import Finding, named
 from service.data_check.record import AxisRecords
 from service.robot import Robot
 
-EARTH = (9.7, 9.9)  # m/s^2, 9.76 to 9.84 on the ground; a tilted base keeps the length
-WIDEST = 1.0  # relative standard deviation: more is no knowledge (or percent)
+EARTH = (9.7, 9.9)  # m/s^2, 9.76 to 9.84 on the ground; a tilted base does not change the magnitude
+WIDEST = 1.0  # relative standard deviation: a larger one is no information (or is in percent)
 TIGHTEST = 1e-4
-OVER = 5.0  # times the rated effort that no drive gives
-UNDER = 0.002  # of the rated effort that every moving axis needs
+OVER = 5.0  # times the rated effort: no drive gives more
+UNDER = 0.002  # of the rated effort: each moving axis needs more
 ROOM = 0.02  # rad (m) beyond a limit
 
 
 def description(robot: Robot) -> list[Finding]:
-    """What is wrong with the robot file whatever was recorded."""
+    """Errors of the robot file that need no recordings."""
     findings: list[Finding] = []
     length = float(np.linalg.norm(robot.gravity))
     if length and not EARTH[0] <= length <= EARTH[1]:
@@ -39,7 +39,7 @@ def description(robot: Robot) -> list[Finding]:
 
 
 def nominals(axis: AxisRecords) -> list[Finding]:
-    """Null where sweeps with lines need a number, and poses beyond the URDF's limits."""
+    """Null values that sweeps with lines need, and poses outside the limits of the URDF."""
     findings: list[Finding] = []
     lines = axis.those(lambda record: record.turns and record.spec.periodic)
     unknown = [name for name in ("viscous_friction", "motor_inertia") if getattr(axis.axis, name) is None]
@@ -67,7 +67,7 @@ def nominals(axis: AxisRecords) -> list[Finding]:
 
 
 def rated_effort(axis: AxisRecords) -> list[Finding]:
-    """Recorded effort beyond what a drive of that rating gives, or nothing beside it. Asked where inertia fits."""
+    """Recorded effort that is impossibly large or small for the rated effort. Only used if inertia is plausible."""
     moving = axis.those(lambda record: record.travels)
     if not moving:
         return []

@@ -1,4 +1,4 @@
-"""A channel that stands still while the axis moves: one that was never connected, held its last value, or is zero."""
+"""A channel that is constant while the axis moves: not connected, last value held, or zero."""
 
 import numpy as np
 
@@ -6,12 +6,12 @@ from service.data_check.finding import Finding, named
 from service.data_check.record import AxisRecords, Record
 from service.recording import Array
 
-HOLD = 0.02  # s: shorter holds spoil nothing below 20 Hz
-LIKELY = 1e-6  # chance of a run of equal values in one record, by which a hold differs from chance
+HOLD = 0.02  # s: shorter holds have no effect below 20 Hz
+LIKELY = 1e-6  # probability of a run of equal values in one record: below, the run is a hold
 
 
 def frozen(axis: AxisRecords) -> list[Finding]:
-    """Channels with one value, or with a run of equal values that their own steps do not explain."""
+    """Channels with one value only, or with a run of equal values that quantisation does not explain."""
     findings: list[Finding] = []
     moving = axis.channels(chosen=lambda record: record.spec.moves and (record.travels or record.alone))
     for name, samples in moving:
@@ -45,10 +45,10 @@ def frozen(axis: AxisRecords) -> list[Finding]:
 
 
 def _hold(record: Record, values: Array) -> float:
-    """Length in s of the longest run of equal values, 0 where the channel's own steps explain it.
+    """Length in s of the longest run of equal values, 0 if quantisation of the channel explains it.
 
-    With a share p of equal neighbours, chance makes a run of r equal ones among n with n p^r. In a channel of coarse
-    steps the motion makes runs as well, all about as long. A value held again and again is a limit (`clipping`).
+    With a fraction p of equal neighbours, the expected number of runs of r equal values among n is n p^r. In a channel
+    with coarse steps the motion also gives runs, of similar length. A value held repeatedly is a limit (`clipping`).
     """
     edges = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1, [len(values)]])
     runs = np.diff(edges)

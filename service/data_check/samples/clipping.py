@@ -1,27 +1,27 @@
-"""Flat tops: the extreme value of a channel occurs far more often than the values beside it.
+"""Clipping: the extreme value of a channel occurs much more often than the values next to it.
 
-Noise that is added before a limit piles up on it; without a limit the extreme of a channel without steps occurs once,
-and of one with steps about as often as its neighbour. What rests on an extreme because the axis hardly moves there is
-told apart by the neighbour, too: a rounded top fills the last steps alike.
+If noise is added before a limit, samples accumulate on the limit. Without a limit, the extreme value of a continuous
+channel occurs once, and that of a quantised one about as often as its neighbour. If the axis hardly moves at the
+extreme, the neighbouring value also occurs often, and there is no limit: a round top fills the last steps equally.
 """
 
 import numpy as np
-from scipy.stats import poisson
 
 from service.data_check.finding import Finding, named
+from service.data_check.probabilities import poisson_quantile
 from service.data_check.record import AxisRecords
 from service.recording import Array
 
-PILE = 10  # samples on the extreme
+PILE = 10  # samples on the extreme value
 SHARE = 0.003  # of the window
 ALONE = 0.02  # of the window, in a single sweep
-CREST = 3.0  # times the mean of the next three steps that a parabola's last step holds: 1 against (sqrt(4) - 1) / 3
-CHANCE = 1e-6  # that a crest of the mean count holds as many
-OVER = 4.0  # times what lies on the neighbouring step, or within as much of the range
+CREST = 3.0  # times the mean of the next three steps: last step of a parabola, 1 against (sqrt(4) - 1) / 3
+CHANCE = 1e-6  # probability that the last step of a parabola has so many samples
+OVER = 4.0  # times the number on the neighbouring step, or within the same distance
 
 
 def clipping(axis: AxisRecords) -> list[Finding]:
-    """One finding a channel, with the share of samples that lie on the limit."""
+    """One finding per channel, with the fraction of samples on the limit."""
     findings: list[Finding] = []
     for name, samples in axis.channels(("effort", "velocity"), lambda record: record.spec.moves):
         found: list[tuple[str, float, float]] = []
@@ -30,7 +30,7 @@ def clipping(axis: AxisRecords) -> list[Finding]:
                 share = _on_limit(sign * values, record.steps[name])
                 if share > 0:
                     found.append((record.id, share, sign * float((sign * values).max())))
-        # a limit holds for all sweeps: a few samples of a single one may lie alike by chance
+        # a limit applies to all sweeps: a few samples of one sweep may be there by chance
         if len({sweep for sweep, _, _ in found}) > 1 or any(share > ALONE for _, share, _ in found):
             ids = tuple(dict.fromkeys(sweep for sweep, _, _ in found))
             _, share, limit = max(found, key=lambda one: one[1])
@@ -47,7 +47,7 @@ def clipping(axis: AxisRecords) -> list[Finding]:
 
 
 def _on_limit(values: Array, step: float) -> float:
-    """Share of the window on the largest value, 0 where that is no limit."""
+    """Fraction of the window on the largest value, 0 if that is no limit."""
     top = float(values.max())
     width = float(np.ptp(values))
     if width == 0:
@@ -55,9 +55,9 @@ def _on_limit(values: Array, step: float) -> float:
     grain = step if step > 1e-5 * width else 1e-5 * width
     on = int(np.count_nonzero(values > top - 0.5 * grain))
     beside = int(np.count_nonzero((values > top - 1.5 * grain) & (values <= top - 0.5 * grain)))
-    if step > 0.02 * width:  # a handful of steps: a sine rests on its last one
+    if step > 0.02 * width:  # few steps: a sine stays on its last one
         beside = max(beside, on // 2)
     near = np.count_nonzero((values > top - 3.5 * grain) & (values <= top - 0.5 * grain)) / 3
-    by_chance = float(poisson.ppf(1 - CHANCE, CREST * max(float(near), 1.0)))
+    by_chance = poisson_quantile(1 - CHANCE, CREST * max(float(near), 1.0))
     enough = on > max(PILE, SHARE * len(values), by_chance)
     return on / len(values) if enough and on > OVER * beside else 0.0

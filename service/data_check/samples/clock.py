@@ -1,6 +1,6 @@
-"""Time, sample rate and measured window: do they fit together?
+"""Consistency of time, sample rate and measured window.
 
-A bundle's reader refuses gaps and a wrong rate; what comes from elsewhere, and jitter, is told here.
+The reader of a bundle rejects gaps and a wrong rate; this check finds jitter, and errors in data from other sources.
 """
 
 import numpy as np
@@ -9,14 +9,14 @@ from service.data_check.finding import Finding, named
 from service.data_check.record import AxisRecords
 from service.recording import Sweep
 
-JITTER = 0.1  # of a sample, RMS: at 1 kHz and 5 Hz a phase error of 0.003 rad in each sample
+JITTER = 0.1  # of a sample, RMS: at 1 kHz and 5 Hz a phase error of 0.003 rad per sample
 GAP = 1.5  # samples
 RATE = 1e-3  # relative: shifts a line of 5 Hz by a twentieth of a bin in 10 s
 SINGLE = float(np.finfo(np.float32).eps)  # time may have been stored in 32 bits
 
 
 def clock(axis: AxisRecords, sweeps: tuple[Sweep, ...]) -> list[Finding]:
-    """Findings of each kind with all sweeps that show it. `sweeps`: all of the axis, however short."""
+    """One finding of each kind, with all sweeps that show it. `sweeps`: all of the axis, also short ones."""
     kinds: dict[str, list[tuple[str, float]]] = {"gap": [], "rate": [], "jitter": [], "window": []}
     for sweep in sweeps:
         spec, time = sweep.spec, sweep.recording.time

@@ -1,8 +1,8 @@
-"""Samples lost on the way: time goes on evenly, but position steps by more than velocity explains.
+"""Lost samples: time is uniform, but position has a larger step than velocity explains.
 
-Where an axis turns one way, position goes on by v dt in a sample; each lost one adds as much. What the change of
-velocity between two samples may add is allowed for. Where samples are missing, the sines of velocity go on from a later
-phase as well; where they do not, the encoder lost counts.
+While an axis moves in one direction, position changes by v dt per sample; each lost sample adds the same amount. The
+limit includes the change of velocity between two samples. If samples are missing, the sines of velocity also jump to a
+later phase; if not, the encoder lost counts.
 """
 
 import numpy as np
@@ -13,12 +13,12 @@ from service.recording import Array
 
 FAR = 15.0  # robust standard deviations
 LEAST = 0.7  # samples
-LONGER = 1.5  # times the jump at the velocity beside it: how late the sines may go on
-BETTER = 0.5  # of what they leave of velocity without a jump
+LONGER = 1.5  # times the jump at the velocity next to it: largest delay of the sines that is tried
+BETTER = 0.5  # of the residual of velocity without a jump
 
 
 def lost_samples(axis: AxisRecords) -> list[Finding]:
-    """One finding a kind with the number of samples lost at most in one place."""
+    """One finding of each kind, with the largest number of samples lost in one place."""
     found: dict[Code, list[tuple[str, float]]] = {}
     for record in axis.those(lambda record: record.turns):
         lost, at = _lost(record)
@@ -42,7 +42,7 @@ def _finding(axis: AxisRecords, code: Code, rows: list[tuple[str, float]]) -> Fi
 
 
 def _lost(record: Record) -> tuple[float, int]:
-    """Largest jump in samples and the sample before it; 0 where there is none that stays."""
+    """Largest permanent jump in samples, and the sample before it; 0 if there is none."""
     velocity, position = record.velocity, record.position
     if not (np.all(velocity > 0) or np.all(velocity < 0)):
         return 0.0, 0
@@ -53,26 +53,26 @@ def _lost(record: Record) -> tuple[float, int]:
     rounding = 3 * record.steps["position"] + record.steps["velocity"] / record.rate
     allowed = np.abs(np.diff(velocity)) / record.rate + FAR * spread(off) + rounding
     jumps = np.flatnonzero(np.abs(off) > allowed)
-    stays = [int(k) for k in jumps if abs(off[max(k - 2, 0) : k + 3].sum()) > allowed[k]]  # a spike goes back
+    stays = [int(k) for k in jumps if abs(off[max(k - 2, 0) : k + 3].sum()) > allowed[k]]  # a spike returns
     sizes = [(abs(float(off[k] / explained[k])), k) for k in stays]
     return max((one for one in sizes if one[0] > LEAST), default=(0.0, 0))
 
 
 def _phases_jump(record: Record, at: int, lost: float) -> bool:
-    """Whether velocity after the jump goes on later; without lines nothing says that it does not."""
+    """Whether velocity after the jump has a later phase; if there are no lines, yes."""
     lines = [sine.frequency for sine in record.spec.sines]
     if not lines:
         return True
     time = np.arange(record.count) / record.rate
     before, after = time <= time[at], time > time[at]
-    tried = np.linspace(-LONGER * lost, LONGER * lost, 61) / record.rate  # counts may be lost backwards, too
+    tried = np.linspace(-LONGER * lost, LONGER * lost, 61) / record.rate  # counts may also be lost backwards
     left = [_left(record.velocity, lines, time + late * after) for late in (0.0, *tried)]
     enough = min(np.count_nonzero(before), np.count_nonzero(after)) > 4 * len(lines)
     return not enough or min(left[1:]) < BETTER * left[0]
 
 
 def _left(velocity: Array, lines: list[float], time: Array) -> float:
-    """Sum of squares beside an offset and the lines."""
+    """Sum of squares of the residual of a fit of offset and lines."""
     angles = [2 * np.pi * line * time for line in lines]
     columns = np.stack([np.ones_like(time), *(wave(angle) for angle in angles for wave in (np.cos, np.sin))], -1)
     rest = velocity - columns @ np.linalg.lstsq(columns, velocity, rcond=None)[0]

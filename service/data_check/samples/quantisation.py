@@ -1,7 +1,7 @@
-"""Steps of a channel: too large to see what a sweep shows.
+"""Quantisation of a channel: steps too large for the effects in a sweep.
 
-Drives tell torque in per mille of the rated torque (CiA 402, object 6077): that is a common step, which noise rounds
-off. An 8-bit channel over both directions of the rated torque has steps eight times as large.
+Drives give torque in per mille of the rated torque (CiA 402, object 6077). This is a usual step; noise averages it
+out. An 8-bit channel over both directions of the rated torque has steps eight times as large.
 """
 
 import numpy as np
@@ -10,12 +10,12 @@ from service.data_check.finding import Finding, named
 from service.data_check.record import AxisRecords, Record
 
 EFFORT = 0.0025  # of rated effort
-VELOCITY = 0.05  # of the fastest that was commanded
-POSITION = 0.02  # of the way through the window
+VELOCITY = 0.05  # of the largest commanded speed
+POSITION = 0.02  # of the travel in the window
 
 
 def quantisation(axis: AxisRecords) -> list[Finding]:
-    """One finding a channel."""
+    """One finding per channel."""
     findings: list[Finding] = []
     for name, limit, of in (
         ("effort", EFFORT, "rated effort"),
@@ -24,7 +24,7 @@ def quantisation(axis: AxisRecords) -> list[Finding]:
     ):
         found: list[tuple[str, float]] = []
         for record in axis.those(lambda record: record.spec.moves):
-            if name != "effort" and not record.turns:  # a slow axis about standstill makes few steps
+            if name != "effort" and not record.turns:  # a slow axis near standstill has few steps
                 continue
             whole = _whole(axis, record, name)
             step = record.steps[name] / whole if whole else 0.0

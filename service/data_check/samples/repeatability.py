@@ -1,11 +1,11 @@
-"""What does not repeat: two sweeps back to back that differ by more than the sensor's own noise.
+"""Repeatability: two sweeps back to back that differ by more than the sensor noise.
 
-The difference of two repeats holds noise alone where all that moves the axis is the same twice. Below `BAND` its
-density is compared with that of holds at standstill, or, without holds, with its own density between 25 and 100 Hz.
-Sensor noise that rises towards low frequencies stays below three times that. Single pairs count where they are of most
-kinds of motion and of none more than chance allows: what shakes a machine does not know how it moves, but a load that
-is thrown to and fro within the play of its gear differs under one motion and not under another. What is found cannot
-be named by a diagnosis, which takes it for noise: a floor that shakes, stick events, a loose cable.
+The difference of two repeats contains only noise if all causes of motion repeat. Below `BAND`'s end, its spectral
+density is compared with that of standstill records or, without these, with its own density between 25 and 100 Hz.
+Sensor noise that increases towards low frequencies stays below three times that. Single pairs count if they occur in
+most kinds of motion, and in none more often than by chance: vibration of the machine does not depend on the motion, but
+a load that moves within the backlash of its gear does. The diagnosis cannot name such a cause, because it
+takes the difference for noise: floor vibration, stick-slip, a loose cable.
 """
 
 from collections.abc import Sequence
@@ -14,50 +14,50 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import hypergeom
 
 from service.data_check.finding import Finding, named
+from service.data_check.probabilities import hypergeometric_tail
 from service.data_check.record import AxisRecords, Record
 from service.identification.spectra.frequency_response import Complex
 from service.recording import Array
 
 BAND = (1.0, 20.0)  # Hz
-OWN = (25.0, 100.0)  # Hz, of the sensor
-OFTEN = 4.0  # times the noise's density, in the median of all pairs
-SELDOM = 8.0  # times, in single pairs
-PAIRS = 0.05  # of all, and two at least, that must show it then
-LEAST = 0.001  # of rated effort, RMS: one step of a common drive
-CHANCE = 0.05  # below it one kind of motion has more of those pairs than the others
-LEVEL = 0.005  # of rated effort: five steps of a common drive; friction that warms up changes less in ten seconds
-PEAK = 0.3  # of the difference's power within two bins of its peak: then it has a frequency
-BETWEEN = 120.0  # s at most from one repeat to the next
+OWN = (25.0, 100.0)  # Hz, noise of the sensor
+OFTEN = 4.0  # times the density of the noise, median of all pairs
+SELDOM = 8.0  # times the density of the noise, in single pairs
+PAIRS = 0.05  # of all pairs, and at least two, must then show it
+LEAST = 0.001  # of rated effort, RMS: one step of typical drives
+CHANCE = 0.05  # probability: below, one kind of motion has more of these pairs than the others
+LEVEL = 0.005  # of rated effort: five steps of typical drives; warming friction changes less in ten seconds
+PEAK = 0.3  # of the power of the difference within two bins of its peak: then the finding gives a frequency
+BETWEEN = 120.0  # s: longest time from one repeat to the next
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Difference of two repeats (n,), as if of one; `low` and `high`: its densities in both bands."""
+    """Difference of two repeats (n,), scaled to one; `low` and `high`: its spectral densities in both bands."""
 
     first: Record
     second: Record
-    level: float  # by which their means differ, N m (N)
+    level: float  # difference of their means, N m (N)
     difference: Array
     low: float
     high: float
 
     @property
     def rounding(self) -> float:
-        """Density that the steps of effort make, evenly spread to half of the sample rate; a hold may show none."""
+        """Density of the quantisation noise of effort, uniform up to half the sample rate; a hold may show none."""
         return max(one.steps["effort"] for one in (self.first, self.second)) / np.sqrt(6 * len(self.difference))
 
     @property
     def excess(self) -> float:
-        """RMS below `BAND`'s end, N m (N)."""
+        """RMS below the end of `BAND`, N m (N)."""
         width = (BAND[1] - BAND[0]) * len(self.difference) / self.first.rate
         return self.low * float(np.sqrt(width))
 
 
 def repeatability(axis: AxisRecords) -> list[Finding]:
-    """One warning, with where and at which frequency."""
+    """One warning, with the motions and the frequency."""
     found = _pairs(axis)
     if (level := _level(axis, found)) is not None:
         return [level]
@@ -86,9 +86,9 @@ def repeatability(axis: AxisRecords) -> list[Finding]:
 
 
 def _level(axis: AxisRecords, found: Sequence[Pair]) -> Finding | None:
-    """A mean effort that is another the second time, in half of the pairs: more drag, an offset, another load."""
+    """A mean effort that differs in the second repeat, in half of the pairs: more drag, an offset, another load."""
     pairs, holds = [pair for pair in found if not _still(pair)], [pair.low for pair in found if _still(pair)]
-    # effort in another unit knows no rated effort
+    # effort in another unit cannot be compared with the rated effort
     largest = max((float(np.abs(one.effort).max()) for pair in pairs for one in (pair.first, pair.second)), default=0.0)
     limit = max(LEVEL * max(axis.axis.rated_effort, largest), SELDOM * max(holds, default=0.0))
     value = float(np.median([pair.level for pair in pairs])) if pairs else 0.0
@@ -104,11 +104,11 @@ def _level(axis: AxisRecords, found: Sequence[Pair]) -> Finding | None:
 
 
 def _anywhere(pairs: Sequence[Pair], those: NDArray[np.bool_]) -> bool:
-    """Whether those pairs are of any motion, by Fisher's exact test of that which has most of them."""
+    """Whether these pairs occur in all kinds of motion, by Fisher's exact test of the kind with the most of them."""
     alike: dict[object, list[bool]] = {}
     for pair, yes in zip(pairs, those, strict=True):
         alike.setdefault((pair.first.spec.offset_velocity, pair.first.spec.sines), []).append(bool(yes))
-    chances = [float(hypergeom.sf(sum(one) - 1, len(pairs), those.sum(), len(one))) for one in alike.values()]
+    chances = [hypergeometric_tail(sum(one), len(pairs), int(those.sum()), len(one)) for one in alike.values()]
     return 2 * sum(map(any, alike.values())) >= len(alike) and min(chances) > CHANCE
 
 
@@ -117,7 +117,7 @@ def _still(pair: Pair) -> bool:
 
 
 def _pairs(axis: AxisRecords) -> list[Pair]:
-    """Consecutive repeats of one another, measured back to back."""
+    """Consecutive repeats, measured back to back."""
     groups: dict[object, list[Record]] = {}
     for record in axis.those(lambda record: record.alone and record.spec.excitation != "noise"):
         spec = record.spec
@@ -136,7 +136,7 @@ def _pairs(axis: AxisRecords) -> list[Pair]:
 
 
 def _pair(first: Record, second: Record) -> Pair | None:
-    """None where the windows are too short to tell the bands apart."""
+    """None if the windows are too short for the bands."""
     count, rate = first.count, first.rate
     difference = (second.effort - first.effort) / np.sqrt(2)
     level = float(np.sqrt(2) * abs(difference.mean()))
@@ -152,7 +152,7 @@ def _pair(first: Record, second: Record) -> Pair | None:
 
 
 def _power(difference: Array, rate: float) -> tuple[Array, Array]:
-    """Power a bin, its sum being the mean square, and the bins' frequencies."""
+    """Power per bin (their sum is the mean square), and the frequencies of the bins."""
     count = len(difference)
     window = np.hanning(count)
     transform: Complex = np.fft.rfft(difference * window)
@@ -162,7 +162,7 @@ def _power(difference: Array, rate: float) -> tuple[Array, Array]:
 
 
 def _how(pairs: Sequence[Pair]) -> str:
-    """At which frequency, in bursts, or at large."""
+    """Description: at a frequency, in bursts, or broadband."""
     sizes = {len(pair.difference) for pair in pairs}
     count = max(sizes, key=lambda size: sum(len(pair.difference) == size for pair in pairs))
     some = [pair for pair in pairs if len(pair.difference) == count]

@@ -1,8 +1,8 @@
-"""Single samples far off: spikes and drop-outs.
+"""Single outlier samples: spikes and drop-outs.
 
-What a sample is off is measured from the median of the seven around it, which passes steps and ramps. Noise of standard
-deviation s leaves about s there; physics of a drive takes longer than two samples, or its pulse is no larger than what
-happens beside it.
+The deviation of a sample is computed from the median of seven samples around it, which preserves steps and ramps. Noise
+of standard deviation s gives a deviation of about s. Physical effects in a drive last longer than two samples, or their
+pulse is no larger than the deviations near it.
 """
 
 import numpy as np
@@ -16,18 +16,18 @@ from service.recording import Array
 Indices = NDArray[np.intp]
 
 WIDTH = 7  # samples of the median
-FAR = 12.0  # robust standard deviations: not reached by noise, nor by impacts of play
-EFFORT = 0.02  # of rated effort: smaller ones change no result
-VELOCITY = 0.1  # of the fastest commanded
-NEAR = 3  # samples in which a pulse of motion shows in effort and velocity
+FAR = 12.0  # robust standard deviations: noise and impacts in backlash stay below
+EFFORT = 0.02  # of rated effort: smaller spikes do not change the result
+VELOCITY = 0.1  # of the largest commanded speed
+NEAR = 3  # samples within which a pulse of motion is visible in effort and velocity
 PULSE = 8.0  # robust standard deviations
-SINGLE = float(np.finfo(np.float32).eps)  # numbers may have been stored in 32 bits
-LONGEST = 3  # samples side by side
-BESIDE = 3.0  # times the largest deviation near by (20 samples) that is no part of the spike
+SINGLE = float(np.finfo(np.float32).eps)  # values may have been stored in 32 bits
+LONGEST = 3  # consecutive samples
+BESIDE = 3.0  # times the largest other deviation within 20 samples
 
 
 def spikes(axis: AxisRecords) -> list[Finding]:
-    """One finding a channel: how many, and the largest."""
+    """One finding per channel: the number of spikes, and the largest one."""
     findings: list[Finding] = []
     for name, samples in axis.channels():
         found: list[tuple[str, int, float]] = []
@@ -54,17 +54,17 @@ def spikes(axis: AxisRecords) -> list[Finding]:
 
 
 def _off(values: Array) -> Array:
-    """From the median around."""
+    """Deviation from the median of the samples around."""
     return values - np.asarray(median_filter(values, WIDTH, mode="nearest"), dtype=float)
 
 
 def _noise(values: Array, off: Array) -> float:
-    """Standard deviation by both ways: on steep parts the median is the sample itself and leaves nothing."""
+    """Standard deviation from values and deviations: on steep parts the median is the sample, the deviation 0."""
     return max(spread(off), spread(np.diff(values, 2)) / np.sqrt(6))
 
 
 def _off_course(values: Array, first: int, last: int) -> float:
-    """Largest distance from the cubic through three samples on either side: a smooth peak of few samples has none."""
+    """Largest distance from the cubic through three samples on either side; for a smooth short peak it is small."""
     around = np.r_[max(first - 3, 0) : first, last + 1 : min(last + 4, len(values))]
     course = np.polynomial.Polynomial.fit(around, values[around], min(3, len(around) - 1))
     group = np.arange(first, last + 1)
@@ -72,7 +72,7 @@ def _off_course(values: Array, first: int, last: int) -> float:
 
 
 def _moved(record: Record, name: str, single: Indices) -> NDArray[np.bool_]:
-    """Where the other of effort and velocity shows the pulse as well, or velocity a kink: play that closes, a load that
+    """Where the other of effort and velocity also has the pulse, or velocity has a kink: backlash closes, or a load
     breaks loose.
     """
     other = "velocity" if name == "effort" else "effort"
@@ -87,18 +87,18 @@ def _moved(record: Record, name: str, single: Indices) -> NDArray[np.bool_]:
 
 
 def _way(record: Record, single: Indices) -> NDArray[np.bool_]:
-    """Where position goes the way that a pulse of velocity makes."""
+    """Where position changes by the integral of a velocity pulse."""
     first, last = np.maximum(single - NEAR, 0), np.minimum(single + NEAR, record.count - 1)
     usual = np.asarray(median_filter(record.velocity, 2 * WIDTH, mode="nearest"), dtype=float)[single]
     gone = record.position[last] - record.position[first] - usual * (last - first) / record.rate
     off = _off(record.velocity) / record.rate
-    told, size = (np.concatenate([[0.0], np.cumsum(part)]) for part in (off, np.abs(off)))
-    missed = np.abs(gone - (told[last + 1] - told[first]))
+    counted, size = (np.concatenate([[0.0], np.cumsum(part)]) for part in (off, np.abs(off)))
+    missed = np.abs(gone - (counted[last + 1] - counted[first]))
     return missed < (size[last + 1] - size[first]) / 2
 
 
 def _floor(axis: AxisRecords, record: Record, name: str, values: Array) -> float:
-    """Deviations below change nothing."""
+    """Deviation below which a spike changes nothing."""
     if name == "effort":
         return EFFORT * axis.axis.rated_effort
     fastest = axis.fastest or 3 * float(np.std(record.velocity))
@@ -107,7 +107,7 @@ def _floor(axis: AxisRecords, record: Record, name: str, values: Array) -> float
 
 
 def _single(values: Array, off: Array, limit: float) -> Indices:
-    """Samples beyond the limit, at most `LONGEST` side by side, that stand alone among their neighbours and go back."""
+    """Samples beyond the limit: at most `LONGEST` consecutive ones, isolated, after which the value returns."""
     size = np.abs(off)
     beyond = np.flatnonzero(size > limit)
     if not beyond.size or limit == 0:

@@ -1,4 +1,4 @@
-"""The catalogue of effects; the order is that of explanation, simple things first, those of other packages last."""
+"""The catalogue of effects, in the order of explanation: simple effects first, those of other packages last."""
 
 from service.diagnosis.effects.catalogue import Catalogue
 from service.diagnosis.effects.drive_train import backlash, cogging_torque, joint_elasticity, transmission_error
@@ -35,4 +35,4 @@ _MODULES = (
 )
 
 CATALOGUE = Catalogue(module.EFFECT for module in _MODULES)
-"""All effects by name (DESIGN.md, "Effect names")."""
+"""All effects by name."""

@@ -1,4 +1,4 @@
-"""The shipped effects and, behind them, those that installed packages bring by an entry point ``sweepid.effects``."""
+"""The effects of sweepid, followed by those that installed packages add with the entry point ``sweepid.effects``."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
@@ -11,10 +11,10 @@ GROUP = "sweepid.effects"
 
 
 class Catalogue(Mapping[str, Effect]):
-    """Effects by name: the shipped ones in their order, then the others by name.
+    """Effects by name: those of sweepid in their order, then the others in alphabetical order.
 
-    Installed packages are asked at the first look, not at import: theirs import this one, in whichever order. Until all
-    of them can be used, every look is a BadInput that names package and entry point.
+    Entry points are loaded at the first access, not at import, because the packages import this module. If one
+    cannot be used, each access raises BadInput with the names of the package and the entry point.
     """
 
     def __init__(self, shipped: Iterable[Effect]) -> None:
@@ -31,7 +31,7 @@ class Catalogue(Mapping[str, Effect]):
 
     @property
     def brought(self) -> dict[str, str]:
-        """The effects that are not shipped, and from which package each is."""
+        """The effects of other packages, with the name of the package of each."""
         return {entry.name: _package(entry) for entry in _entries() if entry.name in self._all}
 
     @cached_property
@@ -51,7 +51,7 @@ def _entries() -> list[EntryPoint]:
 def _loaded(entry: EntryPoint) -> Effect:
     try:
         effect = entry.load()
-    except Exception as error:  # whatever a foreign module does while it is imported
+    except Exception as error:  # a foreign module may raise any exception during its import
         raise BadInput(_place(entry), f"cannot be loaded: {type(error).__name__}: {error}") from error
     if not isinstance(effect, Effect):
         raise BadInput(_place(entry), f"is {type(effect).__name__}, not service.diagnosis.effects.effect.Effect")

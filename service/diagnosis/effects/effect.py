@@ -1,4 +1,4 @@
-"""What the catalogue says of each effect, and what a column may be made of."""
+"""Definition of an effect in the catalogue, and the rigid model that its columns may use."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ Readout = Mapping[str, tuple[float, float, str]]
 @dataclass(frozen=True)
 class Model:
     """The rigid model as fitted so far: axis inertia of each sweep (n,), reflected motor inertia, viscous friction,
-    gravity torque along the motion (n, t), and at the pose (n,) with its slope (n,).
+    gravity torque along the motion (n, t), and gravity torque at the pose (n,) with its slope (n,).
     """
 
     inertia: Array
@@ -29,7 +29,7 @@ class Model:
     slope: Array
 
     def transmitted(self, acceleration: Array) -> Array:
-        """Torque (n, t) through a stiff gear."""
+        """Torque (n, t) transmitted by a rigid gear."""
         return self.gravity + self.load_inertia * acceleration
 
     @property
@@ -40,25 +40,25 @@ class Model:
 
 @dataclass(frozen=True, slots=True)
 class ShapeParameter:
-    """A parameter in which the columns are not linear: values to scan, limits of the refinement."""
+    """A parameter on which the columns depend nonlinearly: values of the scan, limits of the refinement."""
 
     name: str
     unit: str
     grid: tuple[float, ...]
     low: float
     high: float
-    richer: float = 0.0  # part of its value by which physics richer than the columns' shifts it, one sigma
+    richer: float = 0.0  # part of its value: one sigma of the bias that simplified columns cause
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One entry of the catalogue.
+    """An effect of the catalogue.
 
-    `columns(tracks, model, shape)` are signals (n, t) before the filter, N m (N) for coefficients of one unit;
-    `coefficients(tracks)` name them with their units. An effect without columns frees directions of the load
-    (`rigid.Rigid.freed`), and `readout(tracks, change, covariance)` makes parameters of the change (3, m) that it makes
-    of the load, and its covariance (3 m, 3 m). `entry` is what of a scenario carries the effect, and
-    `scenario(parameters, tracks, model)` gives it for coefficients and shape by name; it raises Inexpressible.
+    `columns(tracks, model, shape)` are signals (n, t) before the filter, in N m (N) for coefficients of one unit.
+    `coefficients(tracks)` gives their names and units. An effect without columns frees directions of the load
+    (`rigid.Rigid.freed`); `readout(tracks, change, covariance)` computes its parameters from the change (3, m) of the
+    load and the covariance (3 m, 3 m) of that. `entry` is the part of a scenario that contains the effect, and
+    `scenario(parameters, tracks, model)` computes it from coefficients and shape by name; it raises Inexpressible.
     """
 
     name: str
@@ -72,26 +72,26 @@ class Effect:
     scenario: Callable[[Mapping[str, float], Tracks, Model], Patch] = lambda parameters, tracks, model: {}
     readout: Callable[[Tracks, Array, Array], Readout] | None = None
     shape: Callable[[Tracks, Model], tuple[ShapeParameter, ...]] = lambda tracks, model: ()
-    scan: Callable[[Tracks, Model, Sequence[Shape]], Sequence[Sequence[Array]]] | None = None  # many shapes at once
-    essential: int = 0  # number of the column without which it is another, simpler effect
-    # whether its parameters are ones that its physics allows: beyond, something else is at work
+    scan: Callable[[Tracks, Model, Sequence[Shape]], Sequence[Sequence[Array]]] | None = None  # many shapes in one call
+    essential: int = 0  # index of the column without which this is another, simpler effect
+    # whether the parameters are physically possible; otherwise the cause is another effect
     possible: Callable[[Mapping[str, float], Tracks, Model], bool] = lambda parameters, tracks, model: True
-    rest: float = 0.1  # part of the repeatable excess that its columns may leave: real physics is richer
-    by_load: bool = False  # no columns: it frees directions of the load
-    # what inertia, torque and slope of the load are multiplied by (3, n, t) behind this effect, to first order
+    rest: float = 0.1  # part of the repeatable excess that its simplified columns may leave
+    by_load: bool = False  # no columns: the effect frees directions of the load
+    # signals (3, n, t) that multiply inertia, torque and slope of the load with this effect, to first order
     parts: Callable[[Tracks, Model, Shape], Array] | None = None
     of_model: bool = False  # whether the columns depend on the fitted inertia and friction
-    late: bool = False  # whether its first coefficient, s, is a delay of the whole torque, that of other effects too
-    by_test_mass: bool = False  # only a known mass tells it from its likes
-    contains: tuple[str, ...] = ()  # simpler effects that it can be
+    late: bool = False  # whether its first coefficient, s, is a delay of the whole torque, including other effects
+    by_test_mass: bool = False  # only a test mass separates it from similar effects
+    contains: tuple[str, ...] = ()  # simpler effects that are special cases of this one
     applies: Callable[[Tracks], bool] = lambda tracks: True
 
 
 def named(*pairs: tuple[str, str]) -> Callable[[Tracks], Sequence[tuple[str, str]]]:
-    """Coefficients that are the same for every axis."""
+    """Names and units of coefficients that are the same for each axis."""
     return lambda tracks: pairs
 
 
 def spread(low: float, high: float, count: int) -> tuple[float, ...]:
-    """`count` values from low to high, at equal ratios."""
+    """`count` values from low to high with a constant ratio."""
     return tuple(np.geomspace(low, high, count).tolist())

@@ -1,7 +1,7 @@
-"""What an effect adds to a scenario, as plain data in the scenario's own words (docs/reference/scenario.md).
+"""The contribution of an effect to a scenario, in the format of the scenario (docs/reference/scenario.md).
 
-"train" and "measurement" belong to the axis, "links" to the robot. Numbers of several patches add up, lists follow one
-another. All torques are as recorded: `scenario.axis_entry` takes care of what a wrong torque constant does to the rest.
+"train" and "measurement" belong to the axis, "links" to the robot. To merge patches, numbers are added and lists are
+concatenated. All torques are as recorded; `scenario.axis_entry` corrects the rest for a wrong torque constant.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,18 +13,18 @@ Patch = dict[str, Any]
 
 
 class Inexpressible(Exception):
-    """A parameter came out with a value that no scenario can hold; the text says which."""
+    """A parameter has a value that no scenario can contain; the text names it."""
 
 
 def positive(parameters: Mapping[str, float], name: str) -> float:
-    """A parameter that must be above 0; Inexpressible if it is not."""
+    """The value of a parameter; Inexpressible if it is not above 0."""
     if parameters[name] <= 0:
         raise Inexpressible(f"{name} = {parameters[name]:.3g} is not above 0")
     return parameters[name]
 
 
 def dry(forward: float, backward: float | None = None, **more: Any) -> Patch:
-    """Dry friction of the motor, N m, the same in both directions unless `backward` is given."""
+    """Dry friction of the motor, N m; the same in both directions unless `backward` is given."""
     other = forward if backward is None else backward
     return {"train": {"motor_friction": {"coulomb": forward, "backward_coulomb": other} | more}}
 
@@ -39,7 +39,7 @@ def ripples(parameters: Mapping[str, float], orders: Sequence[float]) -> list[di
 
 
 def merged(first: Mapping[str, Any], second: Mapping[str, Any]) -> Patch:
-    """Both: numbers added, lists joined, the rest of the second."""
+    """Both patches: numbers added, lists concatenated, all other values from the second."""
     result = dict(first)
     for key, value in second.items():
         old = result.get(key)

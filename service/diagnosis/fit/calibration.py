@@ -1,14 +1,15 @@
-r"""A known mass bolted on tells the torque gain, and so a wrong torque constant from an unknown payload.
+r"""Identifies the torque gain with a known test mass; this separates a wrong torque constant from an unknown payload.
 
-The same slow sweeps before and after differ by the mass alone. A drive that tells g times the true effort tells in each
-sweep, on average over its samples,
+The same slow sweeps with and without the mass differ only by the mass. If a drive indicates g times the true effort,
+then in each sweep, for the mean over its samples,
 
     effort_after - effort_before = g (M(q) + D a) + change of the friction,
 
-M the mass' gravity torque and D its inertia, both known. The motions' own differences are taken at nominal values. The
-friction may have drifted in between, and a part of it may grow with the weight: both get a column, held by a prior. The
-latter looks like a gain wherever the axis turns one way only, so that the gain is known well from both directions
-alone. Of an axis that carries no weight D tells the gain (`torque_gains`).
+M is the gravity torque of the mass and D its inertia, both known. The differences between the motions are computed with
+nominal values. The friction may have changed in between, and a part of it may increase with the load: each of these has
+a column with a prior. In one direction alone, friction that increases with the load looks like a gain. Therefore the
+gain is only accurate if both directions were measured. On an axis without gravity load, D determines the gain
+(`torque_gains`).
 """
 
 from collections.abc import Iterable, Sequence
@@ -30,15 +31,15 @@ from service.robot import Robot
 Array = NDArray[np.float64]
 Visit = tuple[int, tuple[int, ...]]
 
-CERTAIN = 3.0  # standard deviations of a gain that is not one
-DECIDED = 0.006  # standard deviation of a gain, above which a mass decides nothing
-KNOWN = 0.003  # of the mass' torque: how well mass, place and the axis' angle under it are known
-PULLS = 0.01  # of the rated effort: less weight tells nothing
-FRICTION = 0.005  # of it: what friction may change while a mass is bolted on
-BY_LOAD = 0.1  # of the torque through the gear: friction that grows with it
-LEAST = 0.0003  # of it: scatter of a sweep's mean
-SAME = 1e-3  # rad (m) between positions of one pose
-SPEED = 1e-5  # rad/s (m/s) between speeds
+CERTAIN = 3.0  # standard deviations: above, the gain differs from 1
+DECIDED = 0.006  # standard deviation of the gain: above, the test with the mass decides nothing
+KNOWN = 0.003  # of the torque of the mass: accuracy of mass, position of the mass and axis angle
+PULLS = 0.01  # of the rated effort: with less gravity torque, the gain cannot be determined
+FRICTION = 0.005  # of the rated effort: change of friction while a mass is mounted
+BY_LOAD = 0.1  # of the torque through the gear: friction that increases with it
+LEAST = 0.0003  # of the rated effort: scatter of the mean of a sweep
+SAME = 1e-3  # rad (m): largest difference between positions of one pose
+SPEED = 1e-5  # rad/s (m/s): largest difference between equal speeds
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class Weighed:
 
 
 def weighed_gain(robot: Robot, joint: str, bare: Sequence[Sweep], weighed: Weighed) -> TorqueGain:
-    """Effort as told over true effort; BadInput where no sweep of the axis was run both without and with the mass."""
+    """Indicated effort over true effort; BadInput if no sweep of the axis was run both without and with the mass."""
     if not weighed.mass.mass > 0:
         raise BadInput("mass", f"{weighed.mass.mass} kg is not above 0")
     turning = [[s for s in part if s.spec.axis == joint and s.spec.offset_velocity] for part in (bare, weighed.sweeps)]
@@ -70,17 +71,17 @@ def weighed_gain(robot: Robot, joint: str, bare: Sequence[Sweep], weighed: Weigh
 
 
 def is_wrong(gain: TorqueGain) -> bool:
-    """Whether a gain differs from one by more than chance."""
+    """Whether a gain differs significantly from 1."""
     return abs(gain.gain - 1) > CERTAIN * gain.std
 
 
 def is_decided(gain: TorqueGain) -> bool:
-    """Whether a gain tells a wrong torque constant from a right one."""
+    """Whether a gain is accurate enough to separate a wrong torque constant from a correct one."""
     return is_wrong(gain) or gain.std < DECIDED
 
 
 def corrected(sweeps: Iterable[Sweep], gain: TorqueGain) -> list[Sweep]:
-    """The sweeps with the effort that a right torque constant would have told."""
+    """The sweeps with the effort corrected by the gain."""
     return [replace(s, recording=replace(s.recording, effort=s.recording.effort / gain.gain)) for s in sweeps]
 
 
@@ -90,7 +91,7 @@ def _visit(spec: SweepSpec) -> Visit:
 
 
 def _added(motion: Tracks, mass: KnownMass) -> Array:
-    """Torque of the mass along the motion, (n, t)."""
+    """Torque of the mass along the motion, N m (N), (n, t)."""
     robot, index = motion.robot, motion.robot.index(motion.joint)
     last = robot.chain.inertial.size
     rows = load_rows(robot, index, motion.poses)[:, last - len(mass.parameters) : last]
@@ -98,7 +99,7 @@ def _added(motion: Tracks, mass: KnownMass) -> Array:
 
 
 def _means(motion: Tracks, signal: Array, visits: Sequence[Visit]) -> Array:
-    """Mean of a signal (n, t) over the rows that count in the sweeps of each visit, (visits,)."""
+    """Mean of a signal (n, t) over the usable rows in the sweeps of each visit, (visits,)."""
     means = [float(row[good].mean()) for row, good in zip(motion.rows(signal), motion.usable, strict=True)]
     where = [_visit(spec) for spec in motion.specs]
     of_visit = ([mean for mean, at in zip(means, where, strict=True) if at == visit] for visit in visits)
@@ -106,7 +107,7 @@ def _means(motion: Tracks, signal: Array, visits: Sequence[Visit]) -> Array:
 
 
 def _solved(columns: Array, right: Array, scatter: float, prior: Array) -> TorqueGain:
-    """The first coefficient, all held at zero by their `prior` (k,); the scatter grows to what the fit leaves."""
+    """The first coefficient; each has a zero-mean `prior` (k,). The scatter is increased to the residual of the fit."""
     held = np.diag(prior**-2.0)
     values = np.zeros(len(prior))
     for _ in range(2):

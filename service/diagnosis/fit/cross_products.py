@@ -1,14 +1,15 @@
 r"""Inner products of whitened columns between different repeats of the same motion.
 
-The noise of one repeat is in residual and regressors of that repeat at once (a noisy acceleration multiplies the
-inertia), so ordinary least squares finds effects that are not there. Products between different repeats have no such
+Residual and regressors of one repeat contain the same noise (for example, a noisy acceleration multiplies the inertia).
+Ordinary least squares therefore finds effects that are not present. Products between different repeats have no such
 bias: with R repeats of a group, sums over all pairs r != s,
 
     G = sum X_r' X_s / (R - 1) = ((sum X_r)' (sum X_s) - sum X_r' X_r) / (R - 1)   ->   R X'X
 
-A group that has no repeat enters with its plain products. What repeats leave of each other is the noise; an
-autoregressive model of it whitens every column alike, so that one row's variance is 1. A drive may repeat far better
-than any model can follow, above all at high frequencies; a share of the gap counts as noise, so that they don't rule.
+A group without repeats enters with its plain products. The differences between repeats are the noise; an
+autoregressive model of it whitens all columns in the same way, to unit variance of each row. A drive may repeat better
+than any model can follow, above all at high frequencies. Therefore a part of the gap counts as noise and limits the
+weight of these frequencies.
 """
 
 from collections.abc import Sequence
@@ -25,12 +26,12 @@ Index = NDArray[np.int_]
 Gathered = tuple[Array, ...]  # for each fold (k, rows)
 
 ORDER = 8  # of the autoregressive model
-MODEL_ERROR = 0.03  # of what the rigid model leaves: white, as no catalogue is exact, however quiet the drive
+MODEL_ERROR = 0.03  # of the residual of the rigid model: white noise for model errors, as each effect is simplified
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A stretch of rows of one sweep that another piece repeats."""
+    """An interval of rows of one sweep that another piece repeats."""
 
     sweep: int
     first: int
@@ -39,7 +40,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Group:
-    """Pieces of equal length with the same motion; `fold` names what is left out together when effects are tested."""
+    """Pieces of equal length with the same motion. `fold` is the index of the fold for cross-validation."""
 
     pieces: tuple[Piece, ...]
     fold: int
@@ -62,7 +63,7 @@ class Whitening:
 
     @property
     def taps(self) -> Array:
-        """The same as weights of rows from the oldest to the newest."""
+        """The same filter as weights of rows, from the oldest to the newest."""
         return np.append(self.coefficients[::-1], 1.0) / self.sigma
 
 
@@ -71,22 +72,22 @@ PLAIN = Whitening(np.empty(0), 1.0)
 
 @dataclass(frozen=True)
 class Pairing:
-    """Where the rows that count lie: for each fold blocks (repeats, rows) of flat indices into (sweeps, rows)."""
+    """The usable rows: for each fold, blocks (repeats, rows) of flat indices into (sweeps, rows)."""
 
     blocks: tuple[tuple[Index, ...], ...]
 
     @property
     def rows(self) -> int:
-        """Rows that count, over all repeats."""
+        """Number of usable rows in all repeats."""
         return sum(block.size for fold in self.blocks for block in fold)
 
     @property
     def alone(self) -> Array:
-        """(folds,): rows that nothing repeats; the noise of each adds 1 to a cost."""
+        """(folds,): number of rows without repeats; the noise of each adds 1 to the cost."""
         return np.array([float(sum(block.size for block in fold if len(block) == 1)) for fold in self.blocks])
 
     def gathered(self, columns: Array) -> Gathered:
-        """The rows that count of columns (sweeps, rows, k), fold by fold (k, rows): products of them are `crossed`."""
+        """The usable rows of columns (sweeps, rows, k), by fold (k, rows); `crossed` computes their products."""
         n, rows, count = columns.shape
         flat = np.ascontiguousarray(columns.reshape(n * rows, count).T)
         none = np.empty((len(flat), 0))
@@ -103,11 +104,11 @@ class Pairing:
 
     @cached_property
     def _signs(self) -> tuple[Array, ...]:
-        """Of each fold's gathered rows: sums of repeats count, their squares go off."""
+        """Signs of the gathered rows of each fold: + for sums over repeats, - for the rows of single repeats."""
         return tuple(np.concatenate([np.empty(0), *map(_signed, fold)]) for fold in self.blocks)
 
     def plain(self, columns: Array) -> Array:
-        """(folds, k, k): products of the columns of each repeat with themselves."""
+        """(folds, k, k): products of the columns within each repeat."""
         left = columns.reshape(-1, columns.shape[-1])
         return np.stack(
             [sum((_within(left[b], left[b]) for b in fold), start=_none(left, left)) for fold in self.blocks]
@@ -115,7 +116,7 @@ class Pairing:
 
 
 def pairing(usable: Mask, groups: Sequence[Group], order: int, folds: int) -> Pairing:
-    """Rows that count in every repeat, with a past of `order` rows that does."""
+    """Rows that are usable in all repeats, and whose `order` previous rows are usable too."""
     collected: list[dict[int, list[Index]]] = [{} for _ in range(folds)]
     width = usable.shape[1]
     for group in groups:
@@ -131,9 +132,9 @@ def pairing(usable: Mask, groups: Sequence[Group], order: int, folds: int) -> Pa
 
 
 def noise_model(residual: Array, usable: Mask, groups: Sequence[Group], alone: Array) -> Whitening:
-    """The autoregression (Yule and Walker) of what the repeats of residual rows (n, t) leave of their mean.
+    """The autoregressive model (Yule-Walker) of residual rows (n, t) minus their mean over the repeats.
 
-    `alone` (ORDER + 1,): the noise's autocovariance where nothing was repeated.
+    `alone` (ORDER + 1,): autocovariance of the noise, used if nothing was repeated.
     """
     parts: list[Array] = []
     for group in groups:
@@ -156,9 +157,9 @@ def noise_model(residual: Array, usable: Mask, groups: Sequence[Group], alone: A
 
 
 def between_periods(residual: Array, usable: Mask, period: int) -> Array | None:
-    """Autocovariance (ORDER + 1,) of the noise that residual rows (n, t) show from one period of so many rows to the
-    next; None where fewer than a period's rows have a partner. For sweeps that nothing repeats (Pintelon and Schoukens,
-    System Identification, 2012, 2.4: periods of one record are repeats but for what depends on the position).
+    """Autocovariance (ORDER + 1,) of the noise from differences of residual rows (n, t) between successive periods of
+    `period` rows; None if fewer pairs than one period. For sweeps without repeats (Pintelon and Schoukens, System
+    Identification, 2012, 2.4: periods of one record are repeats, except for effects of the position).
     """
     if not 0 < period < residual.shape[1]:
         return None
@@ -172,7 +173,7 @@ def between_periods(residual: Array, usable: Mask, period: int) -> Array | None:
 
 
 def _summed(flat: Array, block: Index) -> Array:
-    """Rows (k, all) at a block (repeats, rows): their sum over the repeats, then each repeat, as `_signed` wants it."""
+    """Rows (k, all) at a block (repeats, rows): sum over the repeats, then each repeat, in the order of `_signs`."""
     rows: Array = flat[:, block]
     count = len(block)
     if count == 1:

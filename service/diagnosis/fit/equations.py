@@ -1,10 +1,10 @@
-r"""The equations of one axis: what the rigid model leaves of the effort, as a sum of columns.
+r"""The equations of one axis: the residual effort of the rigid model is a sum of columns.
 
     effort - nominal = Q z + db v + effects + noise
 
-`nominal` is the torque of CAD and data sheet along the motion; Q z is by how much the load (inertia and gravity of all
-poses, `rigid`) differs from it and db the viscous friction, both held by the robot's prior, which enters as
-pseudo-data. Only what these cannot take within the prior is evidence.
+`nominal` is the torque of CAD and data sheet along the motion. Q z is the deviation of the load (inertia and gravity of
+all poses, `rigid`) from it, and db that of the viscous friction. The prior of the robot limits both; it enters as
+pseudo-data. Only a residual that these cannot explain within the prior is evidence for an effect.
 """
 
 from collections.abc import Sequence
@@ -35,13 +35,13 @@ from service.diagnosis.rows.signals import EVERY, Tracks, white_covariance
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SAME = 1e-3  # a model that moved by less is the same
+SAME = 1e-3  # relative change of the model below which it counts as unchanged
 SAME_TIME = 2e-6  # s
-UNKNOWN_MOTOR = 0.1  # of the axis' inertia: a motor that the robot file does not know
-LEAST_INERTIA = 0.05  # of CAD's
-ENOUGH_POSES = 4  # of which one may be held back
-COLOURED = 3.0  # times the RMS of the sensor's noise were it white: flicker and drift make about twice
-REPEATED = 0.2  # of the velocity, RMS, by which a repeat may differ
+UNKNOWN_MOTOR = 0.1  # of the axis' inertia: assumed motor inertia if the robot file does not contain it
+LEAST_INERTIA = 0.05  # of the inertia in CAD
+ENOUGH_POSES = 4  # with so many poses, one may be held back
+COLOURED = 3.0  # times the RMS of white sensor noise: flicker noise and drift give about 2
+REPEATED = 0.2  # of the velocity, RMS: largest difference between repeats
 
 
 @dataclass(frozen=True)
@@ -54,9 +54,9 @@ class Term:
 
 @dataclass(frozen=True)
 class Equations:
-    """Filtered, whitened rows of base columns and right side, and how to add columns to them.
+    """Filtered and whitened rows of the base columns and of the right side, and methods to add columns.
 
-    The base columns (n, rows, b) are those of the load (`rigid.basis`) and the velocity, which stands last.
+    The base columns (n, rows, b) are those of the load (`rigid.basis`), followed by the velocity.
     """
 
     tracks: Tracks
@@ -65,44 +65,44 @@ class Equations:
     whitening: Whitening
     rigid: Rigid
     model: Model
-    coefficients: Array  # (b,) of the base, from which the model is
-    load: Array  # (3, m), that of the model
-    parts: Array  # (3, n, t): what the load is multiplied by, see `reshaped`
+    coefficients: Array  # (b,) of the base columns; they define the model
+    load: Array  # (3, m), of the model
+    parts: Array  # (3, n, t): signals that multiply the load, see `reshaped`
     base: Array  # (n, rows, b)
     right: Array  # (n, rows)
     viscous_precision: float
     sensor_noise: float  # RMS in the band of the rows, N m (N)
-    period_noise: float | None  # the same from period to period, where no sweep is repeated and their periods show it
-    late: float = 0.0  # s, by which the columns of effects come late, with the whole torque
+    period_noise: float | None  # the same from differences between periods, if there are no repeats but periods
+    late: float = 0.0  # s, delay of the whole torque, which also delays the columns of effects
     kept: dict[Term, Gathered] = field(init=False, repr=False, compare=False, default_factory=dict[Term, Gathered])
 
     @property
     def folds(self) -> int:
-        """How many poses."""
+        """Number of folds; each pose is one."""
         return len(self.pairs.blocks)
 
     @property
     def width_of_base(self) -> int:
-        """b."""
+        """b, the number of base columns."""
         return self.base.shape[-1]
 
     def precision(self, terms: Sequence[Term]) -> Array:
-        """(b, b): the prior of the base columns' coefficients, without what some terms free."""
+        """(b, b): the prior of the coefficients of the base columns, without the directions that the terms free."""
         result = np.zeros((self.width_of_base, self.width_of_base))
         result[:-1, :-1] = self.rigid.precision_without([term.effect for term in terms])
         result[-1, -1] = self.viscous_precision
         return result
 
     def freedom(self, terms: Sequence[Term]) -> int:
-        """Parameters of terms that are no columns: shapes, and directions of the load that are freed."""
+        """Number of parameters of terms that are not columns: shapes, and freed directions of the load."""
         return sum(len(term.shape) + self.rigid.freedom(term.effect) for term in terms)
 
     def base_signals(self) -> list[Array]:
-        """Of the base columns, (n, t) each."""
+        """Signals of the base columns, (n, t) each."""
         return [*(self.tracks.summed(load, self.parts) for load in self.rigid.basis), self.tracks.velocity]
 
     def target(self) -> Array:
-        """What base and effects are to make, (n, t): the effort less that of CAD and data sheet; see `reshaped`."""
+        """The signal (n, t) that base and effects fit: effort minus that of CAD and data sheet; see `reshaped`."""
         return nominal_right(self.tracks) + self.tracks.summed(
             self.load - self.rigid.nominal, self.parts - self.tracks.parts
         )
@@ -112,7 +112,7 @@ class Equations:
         return self._as_measured(term.effect, CATALOGUE[term.effect].columns(self.tracks, self.model, term.shape))
 
     def _as_measured(self, name: str, columns: Sequence[Array]) -> Sequence[Array]:
-        """Columns of an effect behind the delay that the model has."""
+        """Columns of an effect with the measurement delay of the model."""
         if not self.late or CATALOGUE[name].late:
             return columns
         rate = self.tracks.rate
@@ -121,7 +121,7 @@ class Equations:
         return [through(column, rate, delayed) for column in columns]
 
     def rows(self, term: Term) -> Array:
-        """The same filtered and whitened, (n, rows, k)."""
+        """Columns of an effect, filtered and whitened, (n, rows, k)."""
         return self._whitened(self.columns(term))
 
     def _whitened(self, columns: Sequence[Array]) -> Array:
@@ -134,7 +134,7 @@ class Equations:
         return self.pairs.gathered(self._whitened(columns))
 
     def gathered(self, term: Term, *, keep: bool = True) -> Gathered:
-        """Of these the rows that count; once found, kept."""
+        """The usable rows of these columns; the result is cached if `keep`."""
         if term in self.kept:
             return self.kept[term]
         found = self._gathered(self.columns(term))
@@ -143,7 +143,7 @@ class Equations:
         return found
 
     def scanned(self, name: str, shapes: Sequence[Shape], *, keep: bool = True) -> list[Gathered]:
-        """The same of many shapes of an effect."""
+        """`gathered` for many shapes of an effect."""
         terms = [Term(name, shape) for shape in shapes]
         new = [term for term in terms if term not in self.kept]
         scan = CATALOGUE[name].scan
@@ -160,7 +160,7 @@ class Equations:
         return tuple(fold[number : number + 1] for fold in self.gathered(term))
 
     def width(self, term: Term) -> int:
-        """How many columns an effect has."""
+        """Number of columns of an effect."""
         return len(self.gathered(term)[0])
 
     @cached_property
@@ -180,7 +180,7 @@ class Equations:
         return symmetric(self.pairs.crossed(columns, columns))
 
     def system_against(self, right: Gathered, terms: Sequence[Term]) -> Array:
-        """(k, k) products of [base, terms, right], with a right side of its own, summed over folds."""
+        """(k, k) products of [base, terms, right] for another right side, summed over folds."""
         parts = [self.ends[0], *(self.gathered(term) for term in terms), right]
         columns = tuple(np.concatenate(fold) for fold in zip(*parts, strict=True))
         return symmetric(self.pairs.crossed(columns, columns)).sum(axis=0)
@@ -196,7 +196,7 @@ class Equations:
 
 
 def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | None = None) -> Equations:
-    """The base model's equations, whitened by what the repeats show unless told how."""
+    """The equations of the base model. The whitening is computed from the repeats unless it is given."""
     axis, prior = tracks.robot.axis(tracks.joint), tracks.robot.prior
     model = rigid(tracks.robot, tracks.joint, tracks.poses, tracks.sizes)
     viscous = axis.viscous_friction or 0.0
@@ -232,7 +232,7 @@ def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | No
 
 
 def nominal_right(tracks: Tracks) -> Array:
-    """What CAD and data sheet leave of the effort, (n, t)."""
+    """Effort minus the torque of CAD and data sheet, (n, t)."""
     viscous = tracks.robot.axis(tracks.joint).viscous_friction or 0.0
     return (
         tracks.effort - tracks.along(nominal_load(tracks.robot, tracks.joint, tracks.poses)) - viscous * tracks.velocity
@@ -240,14 +240,14 @@ def nominal_right(tracks: Tracks) -> Array:
 
 
 def _refitted(tracks: Tracks, rows: Array, right: Array) -> Array:
-    """What the best rigid model leaves of rows (n, rows): noise alike at all frequencies, no prior."""
+    """Residual of rows (n, rows) for the best rigid model: noise equal at all frequencies, no prior."""
     matrix, target = rows[tracks.usable], right[tracks.usable]
     return right - rows @ np.linalg.lstsq(matrix, target, rcond=None)[0]
 
 
 def _between_periods(tracks: Tracks, left: Array, alone: Array) -> Array | None:
-    """Autocovariance of the noise by what periods of each sweep leave of one another, no more than a sensor with noise
-    `alone` makes: beyond, the machine moves otherwise in the next one. None without periods.
+    """Autocovariance of the noise from differences between the periods of each sweep; limited to that of sensor noise
+    `alone`, because a larger difference is a different motion in the next period. None without periods.
     """
     lengths = {spec.period for spec in tracks.specs}
     period = lengths.pop() if len(lengths) == 1 else None
@@ -260,58 +260,58 @@ def _between_periods(tracks: Tracks, left: Array, alone: Array) -> Array | None:
 
 
 def _model(tracks: Tracks, load: Array, motor_inertia: float, viscous: float) -> Model:
-    """What columns are made of, for a load (3, m)."""
-    inertia, torque, slope = load[:, tracks.spot]
+    """The rigid model from which columns are computed, for a load (3, m)."""
+    inertia, torque, slope = load[:, tracks.pose_index]
     return Model(
         inertia, motor_inertia, viscous, tracks.along(np.stack([0 * load[0], load[1], load[2]])), torque, slope
     )
 
 
 def grouped(tracks: Tracks) -> tuple[Group, ...]:
-    """Repeats put together: same pose, block and measured motion; a pose is a fold."""
+    """Groups of repeats: same pose, block and measured motion. Each pose is a fold."""
     motion, width = tracks.rows(tracks.velocity), tracks.usable.shape[1]
     collected: list[tuple[int, str, list[int]]] = []
     for number, spec in enumerate(tracks.specs):
-        spot = int(tracks.spot[number])
+        pose_index = int(tracks.pose_index[number])
         for other, block, numbers in collected:
-            if (other, block) == (spot, spec.block) and _same_motion(motion, tracks.usable, numbers[0], number):
+            if (other, block) == (pose_index, spec.block) and _same_motion(motion, tracks.usable, numbers[0], number):
                 numbers.append(number)
                 break
         else:
-            collected.append((spot, spec.block, [number]))
-    return tuple(Group(tuple(Piece(k, 0, width) for k in numbers), spot) for spot, _, numbers in collected)
+            collected.append((pose_index, spec.block, [number]))
+    return tuple(Group(tuple(Piece(k, 0, width) for k in numbers), pose_index) for pose_index, _, numbers in collected)
 
 
 def held_back(tracks: Tracks, groups: Sequence[Group]) -> int | None:
-    """The pose, by its number, that is to take no part in the naming: the one of middling weight; None of too few."""
+    """Index of the pose that is not used to select effects: the one of median weight; None if too few poses."""
     folds = sorted({group.fold for group in groups})
     if len(folds) < ENOUGH_POSES:
         return None
-    weight = {fold: float(tracks.gravity[tracks.spot == fold].mean()) for fold in folds}
+    weight = {fold: float(tracks.gravity[tracks.pose_index == fold].mean()) for fold in folds}
     return sorted(folds, key=lambda fold: weight[fold])[len(folds) // 2]
 
 
 def applies(given: Equations, name: str) -> bool:
-    """Whether an axis can have an effect at all."""
+    """Whether the effect is possible for this axis."""
     effect = CATALOGUE[name]
     return name in given.rigid.freed if effect.by_load else effect.applies(given.tracks)
 
 
 def _same_motion(motion: Array, usable: Mask, one: int, other: int) -> bool:
-    """Whether two sweeps moved alike where both count: names alone may be missing, or wrong."""
+    """Whether two sweeps have the same motion where both are usable; names may be missing or wrong."""
     both = usable[one] & usable[other]
     first, second = motion[one][both], motion[other][both]
     return bool(both.any() and np.sum((first - second) ** 2) < REPEATED**2 * np.sum(first**2))
 
 
 def remodelled(given: Equations, terms: Sequence[Term]) -> Equations:
-    """With the load and the friction that a fit with these terms finds, of which some columns are made."""
+    """The equations with load and friction from a fit with these terms; some columns are computed from them."""
     values = solve(given.system_with(terms).sum(axis=0), given.precision(terms))[0]
     return reshaped(_delayed(with_base(given, values[: given.width_of_base]), terms, values), terms)
 
 
 def _delayed(given: Equations, terms: Sequence[Term], values: Array) -> Equations:
-    """With the columns of all effects as late as a delay among these terms, with coefficients (k,), says."""
+    """The equations with all columns delayed by the delay terms of `terms`, if any; coefficients `values` (k,)."""
     late, first = 0.0, given.width_of_base
     for term in terms:
         late += float(values[first]) if CATALOGUE[term.effect].late else 0.0
@@ -324,10 +324,10 @@ def _delayed(given: Equations, terms: Sequence[Term], values: Array) -> Equation
 
 
 def reshaped(given: Equations, terms: Sequence[Term]) -> Equations:
-    """With base columns as these terms make them.
+    """The equations with the base columns that result from these terms.
 
-    Behind a spring, a load that differs by dz makes another torque than on a stiff gear. Columns E of that, and the
-    target beside them, stand for a step of Gauss and Newton from the model's load z0:
+    Behind a spring, a load change dz causes another torque than with a rigid gear. Columns E for it, and the matching
+    target, give a Gauss-Newton step from the load z0 of the model:
 
         effort - nominal + (E - Q) z0 = E z + effects(z0),      the same as  Q z + effects(z0)  at z = z0
     """
@@ -346,7 +346,7 @@ def reshaped(given: Equations, terms: Sequence[Term]) -> Equations:
 
 
 def with_base(given: Equations, values: Array) -> Equations:
-    """With the load and friction of base coefficients (b,)."""
+    """The equations with the load and friction of base coefficients (b,)."""
     tracks = given.tracks
     viscous = (tracks.robot.axis(tracks.joint).viscous_friction or 0.0) + float(values[-1])
     load = given.rigid.load(values[:-1])

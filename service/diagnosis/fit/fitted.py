@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Point:
-    """A model: coefficients (b,) of the base; of each term its coefficients, and what it adds to a scenario (None:
-    nothing can, for a reason); viscous friction, N m s/rad; load (3, m), see `rigid`.
+    """A model: coefficients (b,) of the base; for each term its coefficients and its part of a scenario (None: no
+    scenario can contain it); viscous friction, N m s/rad; load (3, m), see `rigid`.
     """
 
     terms: tuple[Term, ...]
@@ -30,7 +30,7 @@ class Point:
 
 
 def of_columns(given: Equations, terms: Sequence[Term]) -> Point:
-    """What the fit of all sweeps says."""
+    """The fit to all sweeps."""
     values = solve(given.system_with(terms).sum(axis=0), given.precision(terms))[0]
     edges = np.cumsum([given.width_of_base, *(given.width(term) for term in terms)])
     coefficients = tuple(np.split(values, edges)[1:-1])
@@ -54,7 +54,7 @@ def of_columns(given: Equations, terms: Sequence[Term]) -> Point:
 
 
 def expressible(point: Point) -> list[Patch]:
-    """What the terms of a model add to the scenario; Inexpressible if one cannot."""
+    """The contributions of the terms to the scenario; Inexpressible if one cannot be written into a scenario."""
     for patch in point.patches:
         if isinstance(patch, Inexpressible):
             raise patch
@@ -62,7 +62,7 @@ def expressible(point: Point) -> list[Patch]:
 
 
 def uncertainty(given: Equations, point: Point) -> tuple[Array, Array]:
-    """Covariance (3 m, 3 m) of the load, and (k, k) of base, coefficients and, linearised, nothing else."""
+    """Covariance (3 m, 3 m) of the load, and (k, k) of the linear coefficients (base and terms)."""
     spread = covariance(given.system_with(point.terms).sum(axis=0), given.precision(point.terms))
     count = given.width_of_base - 1
     basis = given.rigid.basis.reshape(count, -1)

@@ -1,8 +1,8 @@
-"""How far model and measurement are apart, in N m (N), on sweeps that took no part in the fit.
+"""The difference between model and measurement, in N m (N), on sweeps that were not used in the fit.
 
-Poses are left out one after the other; where there is one pose, its repeats are. The coefficients of the effects come
-from the others; the rigid model, before and after, is fitted to all, as nothing else tells the inertia of a pose left
-out.
+Cross-validation: one pose after the other is left out, or with a single pose one repeat after the other. The
+coefficients of the effects are fitted to the others. The rigid model, before and after, is fitted to all sweeps,
+because only the left-out pose itself determines its inertia.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -17,15 +17,15 @@ from service.diagnosis.fit.solving import given_rest, solve, symmetric
 
 Array = NDArray[np.float64]
 
-ALIKE = 4  # neighbouring rows share a filter: so many are one independent value
-CERTAIN = 3.0  # standard deviations of a gain that is not chance
-HELD = 1e12  # of a column's product: what holds a coefficient at zero
-RIDGE = 1e-6  # of a column's product: what the others do not tell is drawn to zero
+ALIKE = 4  # neighbouring rows that count as one independent value, because the filter correlates them
+CERTAIN = 3.0  # standard deviations: above, an improvement is significant
+HELD = 1e12  # times the product of a column: prior that keeps a coefficient at zero
+RIDGE = 1e-6  # times the product of a column: regularisation of coefficients that the data do not determine
 
 
 @dataclass(frozen=True, slots=True)
 class PoseGap:
-    """The same of one pose (all joints)."""
+    """The gap of one pose (all joints)."""
 
     pose: tuple[float, ...]
     before_rms: float
@@ -36,10 +36,10 @@ class PoseGap:
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """RMS of what is left, N m (N): rigid model, with effects, repeats against one another (None: nothing is repeated).
+    """RMS of the residual, N m (N): rigid model, model with effects, differences between repeats (None: no repeats).
 
-    `held_out_sweeps`: of how many, none of which took part in naming or fit; 0: it is that of all sweeps, each judged
-    by a fit of the others as far as there were `others`.
+    `held_out_sweeps`: number of sweeps if none was used to select or fit effects. 0: the gap is that of all sweeps,
+    each with a fit to the others, as far as there were `others`.
     """
 
     before_rms: float
@@ -52,15 +52,15 @@ class Gap:
 
 
 def gap(given: Equations, before: Array, after: Array, unseen: Sequence[int]) -> Gap:
-    """Of what sweeps leave (n, rows) before and after; `unseen`: those that took no part in the naming."""
+    """The gap of residuals (n, rows) before and after. `unseen`: sweeps that were not used to select effects."""
     tracks = given.tracks
     every = np.arange(len(tracks.specs))
     judged = np.array(unseen, dtype=int) if unseen else every
     counted = np.zeros_like(tracks.usable)
     counted[judged] = tracks.usable[judged]
     poses: list[PoseGap] = []
-    for spot, pose in enumerate(tracks.poses):
-        here = every[tracks.spot == spot]
+    for pose_index, pose in enumerate(tracks.poses):
+        here = every[tracks.pose_index == pose_index]
         usable = tracks.usable[here]
         if usable.any():
             sizes = (_rms(before[here][usable]), _rms(after[here][usable]), noise_floor(given, after, here))
@@ -77,7 +77,7 @@ def gap(given: Equations, before: Array, after: Array, unseen: Sequence[int]) ->
 
 
 def improves(given: Equations, before: Array, after: Array) -> bool:
-    """Whether less is left after, beyond what the noise of the same rows could make of it."""
+    """Whether the residual decreases significantly with respect to the noise of the same rows."""
     usable = given.tracks.usable
     old, new = before[usable], after[usable]
     chance = 2 * noise(given, after) * _rms(old - new) * np.sqrt(ALIKE / len(old))
@@ -85,7 +85,7 @@ def improves(given: Equations, before: Array, after: Array) -> bool:
 
 
 def by_prior(given: Equations, before: Sequence[Term], after: Sequence[Term]) -> bool:
-    """Whether what speaks for terms more is mostly the prior: a load that could take their place, if CAD let it."""
+    """Whether added terms are justified mostly by the prior: without it, a load could replace them."""
     costs: list[float] = []
     priors: list[float] = []
     for terms in (before, after):
@@ -98,8 +98,8 @@ def by_prior(given: Equations, before: Sequence[Term], after: Sequence[Term]) ->
 
 
 def residual(given: Equations, terms: Sequence[Term], *, by_repeat: bool = False, as_cad: bool = False) -> Array:
-    """What each sweep leaves of its effort (n, rows), N m (N), filtered alike: the effects' coefficients are those of
-    the other sweeps, the rigid model is fitted to all. `as_cad`: the load is CAD's.
+    """Filtered residual (n, rows), N m (N), of each sweep: the effects' coefficients are fitted to the other sweeps,
+    the rigid model to all. `as_cad`: the load is that of CAD.
     """
     given = reshaped(given, terms)
     tracks, b = given.tracks, given.width_of_base
@@ -124,13 +124,13 @@ def residual(given: Equations, terms: Sequence[Term], *, by_repeat: bool = False
 
 
 def rows_of(given: Equations, terms: Sequence[Term]) -> list[Array]:
-    """Base columns and those of terms (n, rows), filtered but not whitened, N m for coefficients of one unit."""
+    """Base columns and columns of terms (n, rows), filtered, not whitened, N m (N) for coefficients of one unit."""
     signals = [*given.base_signals(), *(column for term in terms for column in given.columns(term))]
     return [given.tracks.rows(signal) for signal in signals]
 
 
 def over_floor(given: Equations, terms: Sequence[Term]) -> float:
-    """RMS of what a fit to all grouped sweeps leaves of them, over the noise floor; infinite where none repeats."""
+    """RMS of the residual of a fit to all grouped sweeps, over the noise floor; infinite if nothing is repeated."""
     values = solve(given.system_with(terms).sum(axis=0), given.precision(terms))[0]
     left = given.tracks.rows(given.target()) - np.stack(rows_of(given, terms), axis=-1) @ values
     grouped = sorted({piece.sweep for group in given.groups for piece in group.pieces})
@@ -139,7 +139,7 @@ def over_floor(given: Equations, terms: Sequence[Term]) -> float:
 
 
 def splits(groups: Sequence[Group], *, by_repeat: bool = False) -> Iterator[tuple[list[Group], list[Group]]]:
-    """What is fitted and what is left out: pose by pose, or repeat by repeat where there is one pose."""
+    """Fitted groups and left-out groups: by pose, or by repeat if there is one pose."""
     folds = sorted({group.fold for group in groups})
     if len(folds) > 1 and not by_repeat:
         for fold in folds:
@@ -152,18 +152,18 @@ def splits(groups: Sequence[Group], *, by_repeat: bool = False) -> Iterator[tupl
 
 
 def left_out(given: Equations) -> bool:
-    """Whether sweeps can take no part in the fit that judges them: not where one pose was measured without repeats."""
+    """Whether cross-validation is possible: not with one pose that was measured without repeats."""
     return given.folds > 1 or any(len(group.pieces) > 1 for group in given.groups)
 
 
 def noise(given: Equations, left: Array) -> float:
-    """RMS that chance makes of what is left, N m (N): the noise floor; where nothing is repeated, all of it."""
+    """RMS of the noise in the residual, N m (N): the noise floor; without repeats the whole residual."""
     floor = noise_floor(given, left, range(len(left)))
     return _rms(left[given.tracks.usable]) if floor is None else floor
 
 
 def noise_floor(given: Equations, left: Array, sweeps: Iterable[int]) -> float | None:
-    """RMS of what repeats of some sweeps leave of their mean, N m (N); None where none is repeated."""
+    """RMS of some sweeps' residual minus its mean over repeats, N m (N); None if none is repeated."""
     squares, rows, own = 0.0, 0.0, np.array(list(sweeps))
     for group in given.groups:
         if group.pieces[0].sweep not in own:

@@ -1,7 +1,7 @@
-"""Steps of Gauss and Newton for an effect and the load together: behind a spring, either decides what the other is.
+"""Gauss-Newton steps for an effect and the load together, needed if the load acts through a spring.
 
-Fitted in turn, a spring, the inertia behind it and the motor's before it would creep along the valley of what they have
-in common.
+If the spring, the load inertia and the motor inertia were fitted in turn, convergence would be very slow, because they
+are strongly correlated.
 """
 
 from collections.abc import Sequence
@@ -13,27 +13,27 @@ from numpy.typing import NDArray
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.equations import Equations, Term, remodelled, reshaped, with_base
 from service.diagnosis.fit.gap import over_floor
-from service.diagnosis.fit.search import LITTLE, LONGEST, Beside, Explanation, derivatives, from_vector, to_vector
+from service.diagnosis.fit.search import LITTLE, LONGEST, CurrentModel, Explanation, derivatives, from_vector, to_vector
 from service.diagnosis.fit.solving import solve, symmetric
 
 Array = NDArray[np.float64]
 
 STEPS = 15
-DAMPING = (0.0, 0.03, 0.3, 3.0, 30.0)  # of a derivative's own product
+DAMPING = (0.0, 0.03, 0.3, 3.0, 30.0)  # times the diagonal product of a derivative
 ELSEWHERE = (0.5, 2.0, 0.25, 4.0)
-NEAR_FLOOR = 1.3  # times the noise floor
+NEAR_FLOOR = 1.3  # times the noise floor: below, the fit is good
 
 
 def bends(terms: Sequence[Term]) -> list[int]:
-    """Which of some terms change what the load does."""
+    """Indices of the terms that change the effect of the load on the motor."""
     return [k for k, term in enumerate(terms) if CATALOGUE[term.effect].parts is not None]
 
 
 def together(given: Equations, start: Explanation) -> tuple[Equations, Explanation]:
-    """Load and shape of the term that changes what the load does, moved together to the least cost.
+    """Minimise the cost over the load and the shape of the term that changes its effect, together.
 
-    A load taken for too light hides how stiff its spring is, so that there may be several valleys: unless what is left
-    is the noise, the steps begin anew from springs of other stiffness (the shape's first entry).
+    With a load that is too light, the cost may have several minima in stiffness. Unless the residual is near the noise
+    floor, the steps start again from other stiffnesses (the first entry of the shape).
     """
     best = _from(given, start)
     for factor in ELSEWHERE:
@@ -43,14 +43,14 @@ def together(given: Equations, start: Explanation) -> tuple[Equations, Explanati
         plain = [entry.grid[0] for entry in CATALOGUE[term.effect].shape(given.tracks, given.model)]
         other = replace(term, shape=(factor * term.shape[0], *plain[1:]))
         terms = (*start.terms[:number], other, *start.terms[number + 1 :])
-        best = min(best, _from(given, Beside(given, terms).alone()), key=lambda found: found[1].cost)
+        best = min(best, _from(given, CurrentModel(given, terms).alone()), key=lambda found: found[1].cost)
     return best
 
 
 def _from(given: Equations, start: Explanation) -> tuple[Equations, Explanation]:
     number = bends(start.terms)[0]
     given = remodelled(given, start.terms)
-    best = Beside(given, start.terms).alone()
+    best = CurrentModel(given, start.terms).alone()
     for _ in range(STEPS):
         further = _step(given, best, number)
         if further is None:
@@ -63,7 +63,7 @@ def _from(given: Equations, start: Explanation) -> tuple[Equations, Explanation]
 
 
 def _step(given: Equations, best: Explanation, number: int) -> tuple[Equations, Explanation] | None:
-    """One step, shorter and shorter (Levenberg and Marquardt) until it gains; None if it does not."""
+    """A Gauss-Newton step, with increasing damping (Levenberg-Marquardt) until the cost decreases; else None."""
     term = best.terms[number]
     shapes = CATALOGUE[term.effect].shape(given.tracks, given.model)
     at = to_vector(shapes, term.shape)
@@ -78,15 +78,15 @@ def _step(given: Equations, best: Explanation, number: int) -> tuple[Equations, 
         moved = replace(term, shape=from_vector(shapes, at + step))
         terms = (*best.terms[:number], moved, *best.terms[number + 1 :])
         tried = reshaped(with_base(given, found[: given.width_of_base]), terms)
-        explanation = Beside(tried, terms).alone()
+        explanation = CurrentModel(tried, terms).alone()
         if explanation.cost < best.cost:
             return tried, explanation
     return None
 
 
 def _solved(system: Array, precision: Array, damping: float, at: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Coefficients of all columns but the last ones, and how far the shape's vector `at` moves within its limits; what
-    is at a limit and would go beyond it stays there while the rest is solved for.
+    """Coefficients of all columns but the last ones, and the step of the shape vector `at` in its limits. An entry at
+    a limit that would exceed it stays constant, and the others are solved again.
     """
     count, k = len(system) - 1, len(at)
     free = np.ones(k, dtype=bool)

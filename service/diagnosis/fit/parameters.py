@@ -1,10 +1,10 @@
-"""What a fit says of the parameters of its effects, with standard deviations that do not promise too much.
+"""The identified parameters of the effects, with standard deviations that include model errors.
 
-Shapes are linearised about their best values. Where columns and physics differ, coefficients are less certain than
-noise makes them: a share of what is left counts as having moved them too, and if leaving out one pose after the other
-moves a coefficient further (the jackknife), that movement is its standard deviation.
+Shapes are linearised at their best values. Because columns are simplified physics, coefficients are less certain than
+the noise implies: a part of the residual counts as an additional error. If the jackknife (leaving out one pose after
+the other) gives a larger standard deviation, that one is used.
 
-An effect that frees directions D of the load (z = prior + D c) is as large as what they are beyond the prior P,
+The size c of an effect that frees directions D of the load (z = prior + D c) is the part beyond the prior P,
 
     c = (D' P D)^-1 D' P z,      cov c = (D' P D)^-1 + G cov z G',   G = (D' P D)^-1 D' P
 """
@@ -21,9 +21,9 @@ from service.diagnosis.fit.solving import covariance, solve
 
 Array = NDArray[np.float64]
 
-NUDGE = 1e-3  # of a shape parameter, for its derivative
-ROUGH = 3e-2  # the same where costs are rough
-ABSORBED = 0.01  # part of what is left that may also have moved a parameter
+NUDGE = 1e-3  # of a shape parameter: step of its numerical derivative
+ROUGH = 3e-2  # the same for costs that are not smooth
+ABSORBED = 0.01  # part of the residual that counts as an additional parameter error
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Parameter:
 
 
 def parameters(given: Equations, terms: Sequence[Term]) -> list[tuple[dict[str, Parameter], Array]]:
-    """Coefficients and shapes of each term by name, and their correlation (k, k) in that order."""
+    """Coefficients and shapes of each term by name, and their correlation (k, k) in the same order."""
     columns, precision = [given.rows(term) for term in terms], given.precision(terms)
     system = given.system(np.concatenate(columns, axis=-1))
     values = solve(system.sum(axis=0), precision)[0]
@@ -81,7 +81,7 @@ def parameters(given: Equations, terms: Sequence[Term]) -> list[tuple[dict[str, 
 
 
 def of_load(given: Equations, terms: Sequence[Term], values: Array, effect: str) -> dict[str, Parameter]:
-    """Parameters of an effect that is a wrong load, for the coefficients (k,) of base and terms; none of any other."""
+    """Parameters of an effect that changes the load, from coefficients (k,) of base and terms; else empty."""
     readout = CATALOGUE[effect].readout
     if readout is None or effect not in given.rigid.freed:
         return {}
@@ -94,12 +94,12 @@ def of_load(given: Equations, terms: Sequence[Term], values: Array, effect: str)
     change = directions @ gain @ load
     spread = directions @ (inner + gain @ measured @ gain.T) @ directions.T
     basis = given.rigid.basis.reshape(count, -1)
-    told = readout(given.tracks, (change @ basis).reshape(3, -1), basis.T @ spread @ basis)
-    return {name: Parameter(*entry) for name, entry in told.items()}
+    found = readout(given.tracks, (change @ basis).reshape(3, -1), basis.T @ spread @ basis)
+    return {name: Parameter(*entry) for name, entry in found.items()}
 
 
 def by_name(given: Equations, term: Term, values: Array) -> dict[str, float]:
-    """Coefficients and shape of a term."""
+    """Coefficients and shape of a term, by name."""
     effect = CATALOGUE[term.effect]
     names = [name for name, _ in effect.coefficients(given.tracks)]
     names += [shape.name for shape in effect.shape(given.tracks, given.model)]

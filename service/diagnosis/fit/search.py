@@ -1,4 +1,4 @@
-"""What sets of effects cost: shapes scanned over their grids and refined, everything else multiplied once."""
+"""The cost of sets of effects: shapes are scanned on grids and refined; all other products are computed once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,19 +15,19 @@ from service.diagnosis.fit.solving import solve, symmetric
 
 Array = NDArray[np.float64]
 
-STEPS = 4  # of one refinement
-HALVINGS = 3  # of a step that gains nothing
-LONGEST = 0.7  # step of a shape's logarithm
-NUDGE = 1e-3  # of it, for derivatives
-WIDTHS = (1.0, 0.3)  # of a grid's step, for rough costs
-POINTS = 7  # within it, either side
-REACH = 0.4  # where the grid has one point
-LITTLE = 0.5  # gain of a step after which none is worth while
+STEPS = 4  # largest number of steps of one refinement
+HALVINGS = 3  # largest number of times that a step is halved
+LONGEST = 0.7  # largest step of the logarithm of a shape parameter
+NUDGE = 1e-3  # step for numerical derivatives
+WIDTHS = (1.0, 0.3)  # of the step of the grid, for costs that are not smooth
+POINTS = 7  # grid points within it, on each side
+REACH = 0.4  # half width if the grid has one point
+LITTLE = 0.5  # decrease of the cost below which refinement ends
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """A set of effects with shapes: its cost, the same by Schwarz's criterion, how many parameters it has."""
+    """A set of effects with shapes: its cost, the value of Schwarz's criterion, the number of parameters."""
 
     terms: tuple[Term, ...]
     cost: float
@@ -39,8 +39,8 @@ class Explanation:
         return tuple(term.effect for term in self.terms)
 
 
-class Beside:
-    """The rigid model and some terms; `explanation` puts one term more beside them."""
+class CurrentModel:
+    """The rigid model and some terms; `explanation` adds one more term."""
 
     def __init__(self, given: Equations, terms: Sequence[Term]) -> None:
         self._given, self._terms = given, tuple(terms)
@@ -48,15 +48,15 @@ class Beside:
         self._products = given.pairs.crossed(self._fixed, self._fixed)
 
     def alone(self) -> Explanation:
-        """Without any more."""
+        """The explanation without a further term."""
         return self._judged(self._terms, self._products)
 
     def explanation(self, term: Term) -> Explanation:
-        """With one term more."""
+        """The explanation with one more term."""
         return self._judged((*self._terms, term), self._with(self._given.gathered(term, keep=False)))
 
     def best(self, name: str) -> Explanation:
-        """An effect at the best shape of its grid."""
+        """The explanation with an effect at the best shape of its grid."""
         shapes = CATALOGUE[name].shape(self._given.tracks, self._given.model)
         found = self._at(name, list(product(*(shape.grid for shape in shapes))), keep=True)
         return min(found, key=lambda one: one.cost)
@@ -68,7 +68,7 @@ class Beside:
         ]
 
     def refined(self, start: Explanation) -> Explanation:
-        """The last term's shape moved to the least cost."""
+        """The explanation with the shape of the last term optimised."""
         effect = CATALOGUE[start.terms[-1].effect]
         shapes = effect.shape(self._given.tracks, self._given.model)
         if not shapes:
@@ -76,7 +76,7 @@ class Beside:
         return self._stepped(start, shapes) if effect.scan is None else self._rescanned(start, shapes)
 
     def _rescanned(self, start: Explanation, shapes: Sequence[ShapeParameter]) -> Explanation:
-        """One parameter after the other over the middles of narrower and narrower grids: for costs that are rough."""
+        """Scan one parameter after the other on finer and finer grids: for costs that are not smooth."""
         best = start
         for width in WIDTHS:
             for k, shape in enumerate(shapes):
@@ -90,7 +90,7 @@ class Beside:
         return best
 
     def _stepped(self, start: Explanation, shapes: Sequence[ShapeParameter]) -> Explanation:
-        """By Gauss and Newton, each step shortened until it gains."""
+        """Gauss-Newton steps, each shortened until the cost decreases."""
         best, name = start, start.terms[-1].effect
         for _ in range(STEPS):
             at = to_vector(shapes, best.terms[-1].shape)
@@ -108,7 +108,7 @@ class Beside:
         return best
 
     def _step(self, term: Term, shapes: Sequence[ShapeParameter], at: Array) -> Array:
-        """Of the shape's vector `at`, from derivatives beside the columns themselves."""
+        """The step of the shape vector `at`, from derivatives fitted together with the columns."""
         own, terms = self._given.gathered(term, keep=False), (*self._terms, term)
         values = self._values(self._with(own), terms)[-len(own[0]) :]
         bent = derivatives(self._given, term, shapes, values)
@@ -116,7 +116,7 @@ class Beside:
         return np.clip(self._values(self._with(extended), terms)[-len(at) :], -LONGEST, LONGEST)
 
     def _with(self, columns: Gathered) -> Array:
-        """Products with columns put before the right side, which stays last."""
+        """Products with columns inserted before the right side, which stays last."""
         across = self._given.pairs.crossed(columns, self._fixed)
         within = self._given.pairs.crossed(columns, columns)
         old, new = self._products, across.transpose(0, 2, 1)
@@ -136,7 +136,7 @@ class Beside:
 
 
 def derivatives(given: Equations, term: Term, shapes: Sequence[ShapeParameter], values: Array) -> Gathered:
-    """Of a term's columns with coefficients `values`, by each entry of its shape's vector."""
+    """Derivatives of a term's torque, for coefficients `values`, by each entry of its shape vector."""
     own, at = given.gathered(term, keep=False), to_vector(shapes, term.shape)
     limits = to_vector(shapes, [shape.high for shape in shapes])
     parts: list[Gathered] = []
@@ -147,7 +147,7 @@ def derivatives(given: Equations, term: Term, shapes: Sequence[ShapeParameter], 
 
 
 def to_vector(shapes: Sequence[ShapeParameter], shape: Sequence[float]) -> Array:
-    """Logarithms of what is positive, and parts of the range of what is not: steps of the order of one."""
+    """Shape vector: logarithms of positive parameters, else the fraction of the range; steps of the order of 1."""
     return np.array([np.log(x) if s.low > 0 else x / (s.high - s.low) for s, x in zip(shapes, shape, strict=True)])
 
 

@@ -1,15 +1,15 @@
-r"""Which effects explain what the rigid model leaves: forward steps, swaps and drops, and a test on unseen poses.
+r"""Selection of the effects that explain the residual of the rigid model: forward steps, swaps, drops, held-out test.
 
-Costs are cross-repeat sums of squares in units of the noise: the gain of a column that explains nothing is chi-squared
-with one degree of freedom, and  cost + k ln n  is Schwarz's criterion. An effect enters only if its gain
+Costs are cross-repeat sums of squares in units of the noise variance. Without an effect, a column's gain is chi-squared
+with one degree of freedom, and  cost + k ln n  is Schwarz's criterion. An effect is added only if its gain
 
-- is beyond chance over all candidates and shapes (`CHANCE`, family-wise),
-- is material: `MATERIAL` of the noise power and, after the first, `SHARE` of what the rigid model left, and unless it
-  is `LARGE` also most of what is still left: columns that cannot follow the richer physics of the effect before leave a
-  rest of which others explain a part each, while a second effect explains nearly all of it,
-- holds in poses that took no part in the fit.
+- is significant over all candidates and shapes (`CHANCE`, family-wise),
+- is large enough: `MATERIAL` of the noise power and, after the first effect, `SHARE` of the rigid model's residual.
+    If it is not `LARGE`, it must also be most of the present residual. Columns of the previous effect are simplified
+    and leave a residual that other effects explain in part; a real second effect explains nearly all of it,
+- is confirmed in poses that were not used in the fit.
 
-Of explanations that cost the same within `TOLERANCE` the simplest is taken.
+Of explanations with equal cost within `TOLERANCE` the simplest is chosen.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.cross_products import ORDER, Group, pairing
@@ -25,32 +25,32 @@ from service.diagnosis.fit.equations import Equations, Term, remodelled, with_ba
 from service.diagnosis.fit.gap import over_floor
 from service.diagnosis.fit.joint_steps import NEAR_FLOOR, bends, together
 from service.diagnosis.fit.parameters import by_name, of_load
-from service.diagnosis.fit.search import Beside, Explanation
+from service.diagnosis.fit.search import CurrentModel, Explanation
 from service.diagnosis.fit.solving import given_rest, solve
 
 Array = NDArray[np.float64]
 
-CHANCE = 1e-4  # that anything is named where there is nothing
+CHANCE = 1e-4  # probability that an effect is named although there is none
 MATERIAL = 0.004  # of the noise variance
 SHARE = 0.001  # of the repeatable excess
-LARGE = 0.03  # of it
-MOSTLY = 0.6  # of what is left
-TOLERANCE = 0.001  # of it: a difference that richer physics than the columns' may make
-CERTAIN = 6.0  # standard deviations of an excess that chance makes
-ROUNDS = 6  # of fitting inertias and shapes in turn
-UNCERTAIN = 2.0  # standard deviations by which a parameter of a load may be more than it seems
+LARGE = 0.03  # of the repeatable excess
+MOSTLY = 0.6  # of the present residual
+TOLERANCE = 0.001  # of the repeatable excess: cost difference that simplified columns may cause
+CERTAIN = 6.0  # standard deviations: above, an excess is significant
+ROUNDS = 6  # of alternating fits of inertias and shapes
+UNCERTAIN = 2.0  # standard deviations by which a parameter of a load may exceed its estimate
 OF_SPEED = frozenset({"coulomb_friction", "asymmetric_friction", "stribeck_friction", "nonlinear_viscous_friction"})
-MOST = 4  # effects at once
-RIVAL = 10.0  # of Schwarz's criterion
-LOCAL = 0.9  # of the gain in one pose: other poses cannot confirm it, repeats do
-RIDGE = 1e-6  # of a column's product
-REFINED = 3  # best of the scan whose shapes are refined
-NEAR = 0.5  # of the best one's gain, that refining may be worth while
+MOST = 4  # largest number of effects
+RIVAL = 10.0  # difference in Schwarz's criterion
+LOCAL = 0.9  # of the gain in one pose: other poses cannot confirm it, but repeats can
+RIDGE = 1e-6  # times the product of a column
+REFINED = 3  # number of best candidates of the scan whose shapes are refined
+NEAR = 0.5  # of the best gain: below, a candidate is not refined
 
 
 @dataclass(frozen=True)
 class Selection:
-    """What was chosen, on which equations, what the rigid model costs, and what else was tried beside the rest."""
+    """The chosen explanation, its equations, the cost of the rigid model, and the other explanations tried."""
 
     given: Equations
     chosen: Explanation
@@ -59,24 +59,24 @@ class Selection:
 
     @property
     def unexplained(self) -> float:
-        """Part of the repeatable excess that is left."""
+        """Remaining part of the repeatable excess."""
         return max(self.chosen.cost, 0.0) / max(self.rigid.cost, 1e-300)
 
 
 def select(given: Equations, known: Sequence[str], candidates: Sequence[str]) -> Selection:
-    """The explanation of an axis: `known` effects belong to the base, `candidates` may be added."""
+    """The explanation of an axis. `known` effects belong to the base; `candidates` may be added."""
     fixed: tuple[Term, ...] = ()
     for name in known:
-        beside = Beside(given, fixed)
-        fixed = beside.refined(beside.best(name)).terms
+        current = CurrentModel(given, fixed)
+        fixed = current.refined(current.best(name)).terms
     if fixed:
         given = remodelled(given, fixed)
-    rigid = Beside(given, fixed).alone()
+    rigid = CurrentModel(given, fixed).alone()
     chance = CHANCE / (8 * max(1, len(candidates)))
     chosen, tried = rigid, list[Explanation]()
     for _ in range(MOST):
         if chosen is not rigid and over_floor(given, chosen.terms) < NEAR_FLOOR:
-            break  # what is left is little, and its likeliest cause are laws simpler than the world
+            break  # the small residual is probably due to simplified effects
         table = _table(given, chosen.terms, [c for c in candidates if c not in chosen.names])
         step = _step(given, chosen, table, rigid.cost, chance, first=chosen is rigid)
         if step is None:
@@ -92,7 +92,7 @@ def select(given: Equations, known: Sequence[str], candidates: Sequence[str]) ->
 
 
 def with_groups(selection: Selection, groups: Sequence[Group]) -> Selection:
-    """The same explanation on all sweeps, with the load of the poses that took no part in the naming."""
+    """The same explanation on all sweeps, with the load of the poses that were not used to select effects."""
     given = selection.given
     if len(groups) == len(given.groups):
         return selection
@@ -106,7 +106,7 @@ def with_groups(selection: Selection, groups: Sequence[Group]) -> Selection:
         if whole is before:
             break
     costs = {
-        terms: Beside(whole, terms).alone()
+        terms: CurrentModel(whole, terms).alone()
         for terms in (selection.chosen.terms, selection.rigid.terms, *(one.terms for one in selection.tried))
     }
     return Selection(
@@ -118,7 +118,7 @@ def with_groups(selection: Selection, groups: Sequence[Group]) -> Selection:
 
 
 def settled(selection: Selection, known: Sequence[str]) -> Selection:
-    """The same with the shapes that all sweeps say."""
+    """The same explanation with the shapes fitted to all sweeps."""
     fixed = sum(term.effect in known for term in selection.chosen.terms)
     if len(selection.chosen.terms) == fixed:
         return selection
@@ -127,9 +127,9 @@ def settled(selection: Selection, known: Sequence[str]) -> Selection:
 
 
 def held_out(given: Equations, terms: Sequence[Term]) -> Array:
-    """Cost of each fold (folds,) with the effects' coefficients from all others; the rigid model is fitted to all.
+    """Cost of each fold (folds,); the effects' coefficients are fitted to the others, the rigid model to all.
 
-    With a single fold the fit is on all of it: repeats then hold one another out.
+    With a single fold, the fit uses all of it; then the repeats are left out one by one.
     """
     system, precision = given.system_with(terms), given.precision(terms)
     total = system.sum(axis=0)
@@ -141,7 +141,7 @@ def held_out(given: Equations, terms: Sequence[Term]) -> Array:
 
 
 def allowed_by_physics(given: Equations, explanation: Explanation) -> bool:
-    """Whether every effect's parameters are ones that its physics allows."""
+    """Whether the parameters of all effects are physically possible."""
     terms = explanation.terms
     values = solve(given.system_with(terms).sum(axis=0), given.precision(terms))[0]
     start, model = given.width_of_base, with_base(given, values[: given.width_of_base]).model
@@ -149,8 +149,8 @@ def allowed_by_physics(given: Equations, explanation: Explanation) -> bool:
         width = given.width(term)
         found = by_name(given, term, values[start : start + width])
         if CATALOGUE[term.effect].by_load:
-            told = of_load(given, terms, values, term.effect)
-            found = {name: one.value + UNCERTAIN * one.std for name, one in told.items()}
+            known = of_load(given, terms, values, term.effect)
+            found = {name: one.value + UNCERTAIN * one.std for name, one in known.items()}
         if not CATALOGUE[term.effect].possible(found, given.tracks, model):
             return False
         start += width
@@ -158,7 +158,7 @@ def allowed_by_physics(given: Equations, explanation: Explanation) -> bool:
 
 
 def local(given: Equations, before: Sequence[Term], after: Sequence[Term]) -> bool:
-    """Whether one fold alone shows the difference, so that no other can tell what it should be there."""
+    """Whether the difference is visible in one fold alone, so that other folds cannot predict its size."""
     gains = _in_sample(given, before) - _in_sample(given, after)
     return float(gains.max()) > LOCAL * float(np.abs(gains).sum())
 
@@ -170,7 +170,7 @@ def _in_sample(given: Equations, terms: Sequence[Term]) -> Array:
 
 
 def _elsewhere(total: Array, own: Array, precision: Array) -> Array:
-    """Coefficients without a fold, drawn to zero as far as nothing else tells them."""
+    """Coefficients without one fold, regularised to zero where the other folds do not determine them."""
     system = total - own
     k = len(system) - 1
     system[range(k), range(k)] += RIDGE * np.abs(np.diag(total)[:k])
@@ -183,28 +183,28 @@ def _cost(system: Array, values: Array) -> float:
 
 
 def _table(given: Equations, terms: Sequence[Term], names: Sequence[str]) -> list[Explanation]:
-    """Each candidate beside some terms; those of the scan that may turn out best refined."""
-    beside = Beside(given, terms)
-    alone = beside.alone()
-    scanned = sorted((beside.best(name) for name in names), key=lambda one: one.criterion)
+    """Each candidate added to some terms; those of the scan that may become the best are refined."""
+    current = CurrentModel(given, terms)
+    alone = current.alone()
+    scanned = sorted((current.best(name) for name in names), key=lambda one: one.criterion)
     most = alone.cost - scanned[0].cost if scanned else 0.0
     near = [one for one in scanned[:REFINED] if alone.cost - one.cost > NEAR * most]
-    refined = [beside.refined(one) if one in near else one for one in scanned]
+    refined = [current.refined(one) if one in near else one for one in scanned]
     return sorted(refined, key=lambda one: one.criterion)
 
 
 def _step(
     given: Equations, before: Explanation, table: Sequence[Explanation], excess: float, chance: float, *, first: bool
 ) -> tuple[Equations, Explanation] | None:
-    """The best of a table that enters, on the load that goes with it; one that other poses or physics refuse gives way
-    to the next.
+    """The best candidate of a table that is accepted, with the load fitted for it. If other poses or its physics reject
+    it, the next one is tried.
     """
     wanted = list(table)
     for _ in range(REFINED):
         step = _simplest(given, wanted, excess)
         if step is None or not _gains(given, before, step, excess, chance, first=first):
             return None
-        # columns that are made of the load say what they are only with the load that goes with them
+        # columns that depend on the load are only correct with the load fitted for them
         there, settled = _consistent(given, step, len(before.terms)) if _of_model(step) else (given, step)
         if _holds(given, before, there, settled) and allowed_by_physics(there, settled):
             return there, settled
@@ -213,8 +213,8 @@ def _step(
 
 
 def _simplest(given: Equations, table: Sequence[Explanation], excess: float) -> Explanation | None:
-    """The best, or a simpler one that is as good, of those that physics allows if any. A wrong load has only the prior
-    against it, which physics richer than the columns' does not touch.
+    """The best, or a simpler one that is as good; physically possible ones first. For a wrong load only the prior
+    adds cost; simplified columns do not affect that.
     """
     if not table:
         return None
@@ -230,22 +230,22 @@ def _simplest(given: Equations, table: Sequence[Explanation], excess: float) -> 
 
 
 def _leaves(given: Equations, explanation: Explanation) -> bool:
-    """Whether an explanation leaves more than chance."""
+    """Whether the residual of an explanation is significant."""
     return explanation.cost > CERTAIN * float(np.sqrt(2 * given.pairs.rows))
 
 
 def _gains(
     given: Equations, before: Explanation, after: Explanation, excess: float, chance: float, *, first: bool
 ) -> bool:
-    """Whether an effect more explains enough."""
+    """Whether an additional effect explains enough."""
     gain = before.cost - after.cost
-    # what explains the whole rest need not be a large part of the excess
+    # an effect that explains the whole residual need not be a large part of the excess
     whole = _leaves(given, before) and not _leaves(given, after)
-    limit = float(chi2.isf(chance, max(2, after.parameters - before.parameters)))
+    limit = float(chdtri(max(2, after.parameters - before.parameters), chance))
     material = 0.0 if CATALOGUE[after.terms[-1].effect].by_load else MATERIAL * given.pairs.rows
     least = max(limit, material, 0.0 if first or whole else SHARE * excess)
     large, mostly = LARGE * excess, MOSTLY * before.cost
-    # of two laws of the same speed one is but the other's shape, unless it is large
+    # two laws of the same speed: one may only correct the shape of the other, unless its gain is large
     alike = after.terms[-1].effect in OF_SPEED and not OF_SPEED.isdisjoint(before.names)
     if not first and gain < (large if alike else min(large, mostly)):
         return False
@@ -253,9 +253,9 @@ def _gains(
 
 
 def _holds(given: Equations, before: Explanation, there: Equations, after: Explanation) -> bool:
-    """Whether it does so in poses that took no part as well, on the load that goes with it."""
+    """Whether the gain is confirmed in poses that were not used in the fit, with the load fitted for it."""
     if CATALOGUE[after.terms[-1].effect].by_load or local(given, before.terms, after.terms):
-        return True  # what the prior alone speaks against, no pose can confirm
+        return True  # no pose can confirm a gain that comes from the prior alone
     return float(held_out(there, after.terms).sum()) < float(held_out(given, before.terms).sum())
 
 
@@ -264,7 +264,7 @@ def _of_model(explanation: Explanation) -> bool:
 
 
 def _consistent(given: Equations, chosen: Explanation, fixed: int) -> tuple[Equations, Explanation]:
-    """Load and shapes fitted in turn until neither moves; together where the load is behind a spring."""
+    """Load and shapes fitted in turn until both converge; together if the load is behind a spring."""
     if any(number >= fixed for number in bends(chosen.terms)):
         given, chosen = together(given, chosen)
         if len(chosen.terms) - fixed > 1:
@@ -279,29 +279,29 @@ def _consistent(given: Equations, chosen: Explanation, fixed: int) -> tuple[Equa
 
 
 def _settled(given: Equations, start: Explanation, fixed: int, *, anew: bool) -> Explanation:
-    """All shapes refined in turn, as each changes what is best for the others; the last one's found `anew`, for other
-    inertias may have moved it far away.
+    """All shapes refined in turn, because they depend on each other. `anew`: scan for the last one again, because other
+    inertias may have changed it much.
     """
-    beside, last = Beside(given, start.terms[:-1]), start.terms[-1]
-    result = beside.explanation(last)
+    current, last = CurrentModel(given, start.terms[:-1]), start.terms[-1]
+    result = current.explanation(last)
     if anew:
-        result = min(result, beside.best(last.effect), key=lambda one: one.cost)
+        result = min(result, current.best(last.effect), key=lambda one: one.cost)
     if len(start.terms) - fixed == 1:
-        return beside.refined(result)
+        return current.refined(result)
     for number in range(fixed, len(start.terms)):
         term = result.terms[number]
         others = (*result.terms[:number], *result.terms[number + 1 :])
-        beside = Beside(given, others)
-        moved = beside.refined(beside.explanation(term))
+        current = CurrentModel(given, others)
+        moved = current.refined(current.explanation(term))
         result = replace(moved, terms=(*others[:number], moved.terms[-1], *others[number:]))
     return result
 
 
 def _without_needless(given: Equations, chosen: Explanation, excess: float, chance: float, fixed: int) -> Explanation:
-    """Without the terms that the others make superfluous."""
-    limit = float(chi2.isf(chance, 2))
+    """The explanation without terms that the other terms make unnecessary."""
+    limit = float(chdtri(2, chance))
     for term in chosen.terms[fixed:-1]:
-        fewer = Beside(given, [other for other in chosen.terms if other is not term]).alone()
+        fewer = CurrentModel(given, [other for other in chosen.terms if other is not term]).alone()
         needed = _leaves(given, fewer) and not _leaves(given, chosen)
         if fewer.cost - chosen.cost < max(limit, 0.0 if needed else SHARE * excess):
             chosen = fewer
@@ -321,7 +321,7 @@ def _exchanges(given: Equations, chosen: Explanation, candidates: Sequence[str],
 def _exchange(
     given: Equations, chosen: Explanation, tried: Sequence[Explanation], excess: float, fixed: int
 ) -> Explanation:
-    """The best exchange of one of several terms, if better than what tolerance allows, or simpler and as good."""
+    """The best exchange of one of several terms, if it is better by more than the tolerance, or as good and simpler."""
     if len(chosen.terms) - fixed < 2 or not tried:
         return chosen
     tolerance = max(RIVAL, TOLERANCE * excess)

@@ -1,1 +1,1 @@
-"""Where in the motion model and measurement differ."""
+"""Where in the motion the model and the measurement differ."""

@@ -1,4 +1,4 @@
-"""One held-out sweep to look at: what was measured, and what the model says of it before and after."""
+"""One held-out sweep as an example: measured effort, and the model before and after."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ MOST = 500  # points
 
 @dataclass(frozen=True)
 class Example:
-    """Torques (n,) N m (N) over time (n,) s, filtered alike."""
+    """Torques (n,) N m (N) over time (n,) s, all with the same filter."""
 
     sweep: str
     block: str
@@ -26,7 +26,7 @@ class Example:
 
 
 def example(given: Equations, before: Array, after: Array) -> Example:
-    """The sweep of which most was left (n, rows) before."""
+    """The sweep with the largest residual (n, rows) before."""
     tracks = given.tracks
     most = int(np.argmax(np.sum(np.where(tracks.usable, before, 0.0) ** 2, axis=1)))
     recorded = row_samples(tracks.effort.shape[1], tracks.rate)

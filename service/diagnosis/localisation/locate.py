@@ -1,7 +1,7 @@
-"""Where model and measurement are apart: the gap cut along every property of a sweep and of a sample.
+"""Where model and measurement differ: the gap as a function of each property of a sweep and of a sample.
 
-A cell's significance is the sum of its residuals' products between repeats over what chance makes of it, so noise that
-does not repeat counts for nothing. Without repeats the squares beyond the noise power stand in.
+The significance of a cell is the sum of the products of its residuals between repeats, over the standard deviation for
+noise, so noise that does not repeat has no effect. Without repeats, the squares minus the noise power are used.
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,8 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as fisher
-from scipy.stats import norm
+from scipy.special import fdtrc, ndtri
 
 from service.diagnosis.fit.cross_products import Group
 from service.diagnosis.rows.signals import EVERY, Tracks, row_samples
@@ -20,20 +19,20 @@ Array = NDArray[np.float64]
 
 SIGNIFICANT = 5.0
 BINS = 6
-MANY = 1.5  # times the RMS of the whole: a cell that stands out
-HARDLY = 0.3  # of the gap in one direction: there is none to speak of in the other
-STEADY = 0.8  # correlation of ranks with a property along which the gap grows
+MANY = 1.5  # times the total RMS: a cell above is reported
+HARDLY = 0.3  # of the gap in one direction: below, the other direction has no relevant gap
+STEADY = 0.8  # rank correlation with a property: above, the gap increases with it
 LEAST_BINS = 3
-SMALLEST = 1e-300  # power, and chance that a normal distribution can still tell
-SURE = 1 - 1e-15  # the largest such chance
+SMALLEST = 1e-300  # smallest power, and smallest probability for the inverse normal distribution
+SURE = 1 - 1e-15  # the largest such probability
 WAYS = ("direction", "weight")
 ORDERED = ("speed", "|gravity torque|", "time since start", "temperature", "line frequency")
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One bin of one property: RMS of the repeatable gap, N m (N), how many standard deviations it is from none, and
-    what the effects found leave of it.
+    """One bin of one property: RMS of the repeatable gap, N m (N), its significance in standard deviations, and the RMS
+    of the gap after the detected effects.
     """
 
     dimension: str
@@ -45,7 +44,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rows that count, flat: products of both repeats' residuals, before and after, and the signals to cut along."""
+    """Usable rows, flat: products of residuals of two repeats, before and after, and the signals used for the bins."""
 
     product: Array
     after: Array
@@ -54,7 +53,7 @@ class _Rows:
 
 
 def cells(tracks: Tracks, groups: Sequence[Group], residual: Array, after: Array, noise: float) -> tuple[Cell, ...]:
-    """The map of a residual (n, rows), N m (N), and of that after, over the properties of sweeps and samples."""
+    """The gap of residuals (n, rows), N m (N), before and after, in bins of the properties of sweeps and samples."""
     rows = _rows(tracks, groups, residual, after, noise)
     if rows.product.size == 0:
         return ()
@@ -65,19 +64,19 @@ def cells(tracks: Tracks, groups: Sequence[Group], residual: Array, after: Array
 
 
 def lines(tracks: Tracks, residual: Array, after: Array) -> tuple[Cell, ...]:
-    """The gap at the excited frequencies: RMS of the residual's part at each line over the sweeps that have it, and how
-    far it stands out from the bins between the lines, as standard deviations of the same chance.
+    """The gap at the excited frequencies: RMS of the residual at each line over the sweeps that contain it, and its
+    significance with respect to the bins between the lines, in standard deviations of equal probability.
     """
     every = EVERY / tracks.rate
     start = row_samples(tracks.effort.shape[1], tracks.rate)[0] / tracks.rate
-    power: dict[float, list[Array]] = {}  # of a line, its neighbours, and the line after
+    power: dict[float, list[Array]] = {}  # of a line, its neighbouring bins, and the line after
     for number, spec in enumerate(tracks.specs):
         if spec.period is None or spec.periods is None or spec.periods < 2 or not spec.sines:
             continue
         first, count = round((spec.measure_from - start) / every), round(spec.period * spec.periods / every)
         inside = (np.count_nonzero(tracks.inside[number]) - 1) / tracks.rate
         if first < 0 or first + count > residual.shape[1] or start + (first + count - 1) * every > inside:
-            continue  # no whole window
+            continue  # shorter than one window
         time = np.arange(count, dtype=np.float64) * every
         beside = (np.arange(1, spec.periods) / (spec.period * spec.periods)).tolist()
         window, later = residual[number, first : first + count], after[number, first : first + count]
@@ -90,15 +89,15 @@ def lines(tracks: Tracks, residual: Array, after: Array) -> tuple[Cell, ...]:
     for frequency, found in sorted(power.items()):
         means: list[float] = np.mean(found, axis=0).tolist()
         line, floor, left, sides = means
-        freedom = 2 * len(found)  # squares of normal values: two of each bin
-        chance = float(fisher.sf(line / max(floor, SMALLEST), freedom, freedom * sides))
-        significance = float(norm.isf(min(max(chance, SMALLEST), SURE)))
+        freedom = 2 * len(found)  # sum of squares of normal values: two of each bin
+        chance = float(fdtrc(freedom, freedom * sides, line / max(floor, SMALLEST)))
+        significance = float(-ndtri(min(max(chance, SMALLEST), SURE)))
         result.append(Cell("line frequency", f"{frequency:g} Hz", line**0.5, significance, left**0.5))
     return tuple(result)
 
 
 def sentences(joint: str, found: Sequence[Cell]) -> tuple[str, ...]:
-    """What the map says, for a person: when the gap is there and with what it grows, then where it is largest."""
+    """The gap in sentences for the user: when it occurs, with what it increases, and where it is largest."""
     significant = [cell for cell in found if cell.significance > SIGNIFICANT]
     if not significant:
         return (f"{joint}: no repeatable gap beyond the noise.",)
@@ -120,7 +119,7 @@ def sentences(joint: str, found: Sequence[Cell]) -> tuple[str, ...]:
 
 
 def _only(dimension: str, own: Sequence[Cell]) -> str:
-    """Of two ways to move, that in which the gap is, if it is hardly there in the other."""
+    """The one of two directions that contains the gap, if the other hardly contains it."""
     ways = sorted(own, key=lambda cell: cell.rms)
     if dimension not in WAYS or len(ways) != 2 or ways[1].significance < SIGNIFICANT:
         return ""
@@ -128,7 +127,7 @@ def _only(dimension: str, own: Sequence[Cell]) -> str:
 
 
 def _trend(dimension: str, own: Sequence[Cell]) -> str:
-    """Whether the gap rises or falls all along a property."""
+    """Whether the gap increases or decreases monotonically with a property."""
     cells = sorted(own, key=lambda cell: float(cell.value.split()[0])) if dimension in ORDERED else []
     if len(cells) < LEAST_BINS or max(cell.significance for cell in cells) < SIGNIFICANT:
         return ""
@@ -142,13 +141,13 @@ def _trend(dimension: str, own: Sequence[Cell]) -> str:
 
 
 def _power(signal: Array, time: Array, frequency: float) -> float:
-    """Mean square of a signal's part at one frequency."""
+    """Mean square of the component of a signal at one frequency."""
     return float(2 * np.abs(np.mean(signal * np.exp(-2j * np.pi * frequency * time))) ** 2)
 
 
 def _cell(dimension: str, value: str, rows: _Rows, here: NDArray[np.bool_], noise: float) -> Cell:
     mean, after = float(rows.product[here].mean()), float(rows.after[here].mean())
-    # neighbouring rows share a filter: about four of them are one independent value
+    # the filter correlates neighbouring rows: about four are one independent value
     significance = mean / max(noise**2, 1e-300) * np.sqrt(np.count_nonzero(here) / 4)
     return Cell(dimension, value, float(np.sqrt(max(mean, 0.0))), float(significance), float(np.sqrt(max(after, 0.0))))
 
@@ -169,21 +168,24 @@ def _rows(tracks: Tracks, groups: Sequence[Group], residual: Array, after: Array
 
 
 def _repeated(group: Group, residual: Array, noise: float) -> Array:
-    """Mean product (rows,) of a residual between different repeats."""
+    """Mean product (rows,) of the residuals of different repeats."""
     parts = np.stack([residual[p.sweep, p.first : p.first + p.rows] for p in group.pieces])
     count, square = len(parts), np.sum(parts**2, axis=0)
     return (np.sum(parts, axis=0) ** 2 - square) / (count * (count - 1)) if count > 1 else square - noise**2
 
 
 def _labels(tracks: Tracks, rows: _Rows) -> Iterator[tuple[str, NDArray[np.str_]]]:
-    """For each property the bin of every row, as words."""
+    """For each property the name of the bin of each row."""
     index = tracks.robot.index(tracks.joint)
     samples = row_samples(tracks.effort.shape[1], tracks.rate)[rows.row]
 
     def at(signal: Array) -> Array:
         return signal[rows.number, samples]
 
-    yield "pose", np.array([f"{position:+.2f} rad" for position in tracks.poses[:, index]])[tracks.spot[rows.number]]
+    yield (
+        "pose",
+        np.array([f"{position:+.2f} rad" for position in tracks.poses[:, index]])[tracks.pose_index[rows.number]],
+    )
     yield "block", np.array([spec.block or "sweep" for spec in tracks.specs])[rows.number]
     speed = at(tracks.velocity)
     yield "direction", np.where(speed >= 0, "forward", "backward")

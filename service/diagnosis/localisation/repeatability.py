@@ -1,8 +1,8 @@
-"""What does not repeat: a floor far above the noise of the sensor itself is no noise.
+"""Disturbances that do not repeat: a noise floor far above the sensor noise is not noise.
 
-Repeats give the noise floor, so whatever moves an axis otherwise each time (a vibration of the floor, friction that
-sticks and slips, a brake that drags now and then) raises the floor and hides in it. The sensor's own noise shows in the
-top band of the record, where no machine moves.
+The noise floor comes from repeats. Motion or torque that differs in each repeat (floor vibration, stick-slip friction,
+a brake that drags intermittently) increases the floor and cannot be distinguished from it. The sensor noise is measured
+in the top band of the record, where there is no machine motion.
 """
 
 from dataclasses import dataclass
@@ -15,14 +15,14 @@ from service.diagnosis.rows.signals import EVERY
 
 Array = NDArray[np.float64]
 
-FAR = 4.0  # times the sensor's noise in the same band: coloured sensor noise makes about twice
-LINE = 0.5  # of the power of what does not repeat, at one frequency
+FAR = 4.0  # times the sensor noise in the same band: coloured sensor noise gives about 2
+LINE = 0.5  # of the power that does not repeat, at one frequency
 
 
 @dataclass(frozen=True, slots=True)
 class Unrepeated:
-    """RMS, N m (N), of what repeats leave of one another, and of the sensor's own noise in the same band; the
-    frequency, Hz, at which most of it is, None if at no single one.
+    """RMS, N m (N), of the differences between repeats, and of the sensor noise in the same band; the
+    frequency, Hz, that contains most of the difference, None if there is no such frequency.
     """
 
     rms: float
@@ -42,7 +42,7 @@ class Unrepeated:
 
 
 def unrepeated(given: Equations, left: Array) -> Unrepeated | None:
-    """Of what a model leaves (n, rows), N m (N); None where nothing is repeated."""
+    """Analysis of residuals (n, rows), N m (N), of a model; None if nothing is repeated."""
     usable, parts = given.tracks.usable, list[Array]()
     for group in given.groups:
         count = len(group.pieces)
@@ -62,7 +62,7 @@ def unrepeated(given: Equations, left: Array) -> Unrepeated | None:
 
 
 def _between(power: Array, highest: int) -> float:
-    """Where between two bins a line is: what a wave leaves in either falls with its distance from it."""
+    """Frequency of a line between two bins, from the ratio of the power in both."""
     beside = {k: float(np.sqrt(power[k])) for k in (highest - 1, highest + 1) if 0 <= k < len(power)}
     other = max(beside, key=lambda k: beside[k])
     return highest + (other - highest) * beside[other] / (beside[other] + float(np.sqrt(power[highest])))

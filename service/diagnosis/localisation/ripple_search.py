@@ -1,12 +1,12 @@
-r"""Ripples that the robot file does not know: at which orders of the motor's angle does what is left repeat?
+r"""Search for torque ripples that are not in the robot file: orders of the motor angle with a periodic residual.
 
-A ripple of order o is a line in the motor's angle theta, whatever the speed. Of each sweep
+A ripple of order o is a spectral line in the motor angle theta at each speed. For each sweep
 
     a(o) = 2 / N  sum  left(t) exp(-i o theta(t)),     power(o) = mean over pairs of repeats  Re a_1 conj(a_2) / 2
 
-so noise, which does not repeat, drops out. A peak of the power that stands far above the rest is an order; the phases
-of all sweeps together (theta is absolute) tell it to a fraction of one turn over the whole range of the axis, fine
-enough to see a wrong gear ratio in it.
+so noise, which does not repeat, is removed. A peak of the power far above the median is an order. Because theta is
+absolute, the phases of all sweeps together give the order to a fraction of one turn over the whole range of the axis,
+which is accurate enough to detect a wrong gear ratio.
 """
 
 from collections.abc import Sequence
@@ -23,28 +23,28 @@ from service.robot import Axis, Robot
 Array = NDArray[np.float64]
 
 HIGHEST = 100.0  # order
-STEP = 0.25  # of the order that one sweep resolves
-PEAK = 0.3  # of what is left, power: a ripple worth a name
+STEP = 0.25  # of the order resolution of one sweep
+PEAK = 0.3  # of the residual power: a ripple above is reported
 ABOVE = 8.0  # times the median over the orders
-MOST = 4  # orders
-SLOWEST = 0.5  # Hz: a slower ripple is no ripple in a sweep of seconds
-TRANSMISSION = 5.0  # below this order it is the gear that turns unevenly, above it the motor's magnets
-NEAR_WHOLE = 0.02  # of an order of 20: orders are whole numbers
-SAME = 0.02  # part by which an order of the robot file may be off and still be meant
-RATIO = 5e-4  # of the gear ratio: a difference that is told
-FINE = 0.05  # of the order that all sweeps together resolve
+MOST = 4  # largest number of orders
+SLOWEST = 0.5  # Hz: slower signals are not ripple in a sweep of seconds
+TRANSMISSION = 5.0  # order: below, transmission error of the gear; above, cogging of the motor
+NEAR_WHOLE = 0.02  # tolerance relative to an order of 20: orders are whole numbers
+SAME = 0.02  # relative difference up to which an order of the robot file is the same order
+RATIO = 5e-4  # of the gear ratio: a larger difference is reported
+FINE = 0.05  # of the order resolution of all sweeps together
 
 
 @dataclass(frozen=True, slots=True)
 class Ripple:
-    """A line in the motor's angle: periods a motor turn by the robot file's gear ratio, RMS, N m (N)."""
+    """A line in the motor angle: periods per motor turn with the gear ratio of the robot file; RMS, N m (N)."""
 
     order: float
     rms: float
 
 
 def ripples(given: Equations, left: Array) -> tuple[Ripple, ...]:
-    """The lines in what a model leaves (n, rows), strongest first."""
+    """The lines in the residual (n, rows) of a model, strongest first."""
     tracks = given.tracks
     ratio = abs(tracks.robot.axis(tracks.joint).gear_ratio)
     angle = ratio * tracks.position[:, row_samples(tracks.effort.shape[1], tracks.rate)]
@@ -72,8 +72,8 @@ def ripples(given: Equations, left: Array) -> tuple[Ripple, ...]:
 
 
 def with_ripples(robot: Robot, joint: str, found: Sequence[Ripple]) -> tuple[Robot, tuple[Finding, ...]]:
-    """The robot with its orders completed, or its gear ratio corrected, and what was changed; the same robot where the
-    file knows all of it.
+    """The robot with the orders added or the gear ratio corrected, and the changes; the same robot if the file contains
+    all of the ripples.
     """
     axis, said = robot.axis(joint), list[Finding]()
     known = (*axis.cogging_orders, *axis.transmission_orders)
@@ -119,7 +119,7 @@ def _changed(robot: Robot, joint: str, axis: Axis) -> Robot:
 
 
 def _orders(given: Equations, turning: Sequence[tuple[int, int]], ratio: float, travel: float) -> Array:
-    """Orders that the slowest sweeps show in the band, as finely as one sweep resolves them."""
+    """Orders in the band of the slowest sweeps, with the resolution of one sweep."""
     speed = min(abs(given.tracks.specs[k].offset_velocity) for k, _ in turning) * ratio / (2 * np.pi)
     step = STEP * 2 * np.pi / travel
     lowest, highest = max(SLOWEST / speed, 4 * step), min(2 * BAND / speed, HIGHEST)
@@ -146,7 +146,7 @@ def _spectrum(
 
 
 def _power(left: Array, usable: NDArray[np.bool_], turning: Sequence[tuple[int, int]]) -> float:
-    """Of what repeats, N^2 m^2."""
+    """Repeatable power, N^2 m^2."""
     powers: list[float] = []
     for one, other in turning:
         product: Array = np.multiply(left[one], left[other], dtype=np.float64)
@@ -162,7 +162,7 @@ def _refined(
     order: float,
     travel: float,
 ) -> float:
-    """The order at which one amplitude and phase fit all sweeps best."""
+    """The order for which one amplitude and phase fit all sweeps best."""
     sweeps = sorted({k for pair in turning for k in pair})
     reach = 2 * np.pi / travel
     everywhere = float(np.ptp(np.concatenate([angle[k][usable[k]] for k in sweeps])))
@@ -172,7 +172,7 @@ def _refined(
 
 
 def _without(left: Array, angle: Array, usable: NDArray[np.bool_], order: float) -> Array:
-    """The same with the line taken out of each sweep."""
+    """The residual without this line in each sweep."""
     result = left.copy()
     for k in range(len(left)):
         good = usable[k]

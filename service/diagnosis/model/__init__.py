@@ -1,1 +1,1 @@
-"""What is added to the model, and what it changes on data it has not seen."""
+"""The extended model, and its test on data that were not used to fit it."""

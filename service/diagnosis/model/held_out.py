@@ -1,8 +1,8 @@
-"""What the simulator leaves: the fitted model written into a scenario and led along the recorded motion.
+"""The residual of the simulator: the fitted model is written into a scenario and simulated along the recorded motion.
 
-The columns of the catalogue are simpler than the simulator's physics, so this shows whether the model that is handed on
-moves as the columns say. Load and viscous friction are fitted once more, as the simulator's gear may share them
-otherwise.
+The columns of the catalogue are simpler than the physics of the simulator. This test shows whether the resulting model
+behaves like the columns. Load and viscous friction are fitted again, because the gear of the simulator may distribute
+the torque differently between them.
 """
 
 from collections.abc import Sequence
@@ -26,19 +26,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Simulated:
-    """What the twin leaves (n, rows), N m, and what its limits changed, in words."""
+    """Residual of the twin (n, rows), N m, and a description of values that its limits changed."""
 
     residual: Array
     held: tuple[str, ...]
 
 
 def simulated(given: Equations, sweeps: Sequence[Sweep], point: Point) -> Simulated:
-    """The twin of a model; Inexpressible where no scenario can hold it."""
+    """The twin of a model; Inexpressible if no scenario can contain it."""
     tracks = given.tracks
-    load: Array = point.load[:, tracks.spot]
+    load: Array = point.load[:, tracks.pose_index]
     inertia, torque, slope = (np.asarray(part, dtype=np.float64) for part in load)
     entry = axis_entry(tracks.robot, tracks.joint, float(np.mean(inertia)), point.viscous, expressible(point))
-    pull = gravity_of_fit(tracks.poses[tracks.spot], tracks.robot.index(tracks.joint), torque, slope)
+    pull = gravity_of_fit(tracks.poses[tracks.pose_index], tracks.robot.index(tracks.joint), torque, slope)
     if tracks.prismatic:
         pull = np.stack([torque, np.zeros_like(torque)], axis=-1)
     pulls: list[list[float]] = (pull / entry.scale).tolist()

@@ -1,6 +1,6 @@
-"""Links that differ from CAD, as a scenario says it: factor on the mass, shift of its centre, bodies added.
+"""Differences of links from CAD in the format of a scenario: factor of the mass, shift of its centre, added bodies.
 
-Masses and first moments are what gravity sees. They are those of the URDF's own links; bodies fixed to them stay.
+Masses and first moments determine gravity. They are those of the URDF links themselves; bodies fixed to them stay.
 """
 
 import xml.etree.ElementTree as ET
@@ -18,10 +18,10 @@ from service.urdf import inertia_vector, read_inertial, transform_inertial
 
 Array = NDArray[np.float64]
 Links = Mapping[str, Mapping[str, Any]]
-"""Of a scenario, by name."""
+"""The links of a scenario, by name."""
 
-TRUE = 1e-4  # of the largest torque: how well links are to give gravity
-CLOSE = 0.01  # how well they are to give inertias
+TRUE = 1e-4  # of the largest torque: accuracy with which the links give gravity
+CLOSE = 0.01  # relative accuracy with which they give inertias
 FACTORS = (0.1, 10.0)
 
 
@@ -42,7 +42,7 @@ def deviations(robot: Robot, changes: Array) -> dict[str, dict[str, Any]]:
 
 
 def moments(robot: Robot, links: Links) -> Array:
-    """The changes (n, 4) that `links` of a scenario say."""
+    """The changes (n, 4) that the `links` of a scenario describe."""
     result = np.zeros((len(robot.chain.joints), 4))
     for k, (joint, own) in enumerate(zip(robot.chain.joints, _own(robot), strict=True)):
         link = links.get(joint.link, {})
@@ -63,7 +63,7 @@ def gravity(robot: Robot, links: Links, joint: int, poses: Array) -> Array:
 
 
 def joined(robot: Robot, wanted: Sequence[tuple[int, Array, Array]]) -> Array:
-    """The likeliest changes (n, 4) of [mass, first moment] that give gravity on several joints: for each its number,
+    """The most likely changes (n, 4) of [mass, first moment] for given gravity on several joints: for each its number,
     poses (m, n), and the change of cosine and sine part (m, 2), N m.
     """
     chain = robot.chain
@@ -90,7 +90,7 @@ def joined(robot: Robot, wanted: Sequence[tuple[int, Array, Array]]) -> Array:
 
 
 def gravity_of_fit(poses: Array, joint: int, torque: Array, slope: Array) -> Array:
-    """(m, 2): cosine and sine part by the axis' own angle, from torque and slope (m,) in each pose."""
+    """(m, 2): cosine and sine part by the angle of this axis, from torque and slope (m,) in each pose."""
     cosine, sine = np.cos(poses[:, joint]), np.sin(poses[:, joint])
     return np.stack([torque * cosine - slope * sine, torque * sine + slope * cosine], axis=-1)
 
@@ -102,8 +102,8 @@ def gravity_of(robot: Robot, inertial: Array, joint: int, poses: Array) -> Array
 
 
 def inertia_factors(robot: Robot, links: Links, wanted: Sequence[tuple[int, Array, Array]]) -> dict[str, float]:
-    """Factors on the links' inertia about their centres that give axis inertias best: for each joint its number, poses
-    (m, n), and inertias (m,) without motor, kg m^2. What links like these cannot give is left.
+    """Factors of the links' inertias about their centres, fitted to axis inertias: for each joint its number, poses
+    (m, n), and inertias (m,) without motor, kg m^2. A part that such links cannot represent is ignored.
     """
     count = len(robot.chain.joints)
     bare = _inertial(robot, links, np.zeros(count))
@@ -120,7 +120,7 @@ def inertia_factors(robot: Robot, links: Links, wanted: Sequence[tuple[int, Arra
 
 
 def _inertial(robot: Robot, links: Links, factors: Array) -> Array:
-    """(n, 10) of the real links, inertias about their centres times factors (n,)."""
+    """(n, 10) of the real links, with the inertias about their centres multiplied by factors (n,)."""
     result = robot.chain.inertial.copy()
     changed = moments(robot, links)
     for k, (joint, own) in enumerate(zip(robot.chain.joints, _whole(robot), strict=True)):
@@ -137,7 +137,7 @@ def _inertial(robot: Robot, links: Links, factors: Array) -> Array:
 
 
 def _bar(body: Mapping[str, Any]) -> Array:
-    """Ten parameters of a solid round bar."""
+    """Ten parameters of a solid cylindrical bar."""
     mass, radius = body["mass"], body["radius"]
     way = np.array(body["end"]) - np.array(body["start"])
     length = float(np.linalg.norm(way))
@@ -151,11 +151,11 @@ def _centre(body: Mapping[str, Any]) -> Array:
 
 
 def _own(robot: Robot) -> Array:
-    """[mass, first moment] (n, 4) of the URDF's links that the moving joints carry."""
+    """[mass, first moment] (n, 4) of the URDF links that the moving joints carry."""
     return _whole(robot)[:, :4]
 
 
 def _whole(robot: Robot) -> Array:
-    """All ten (n, 10)."""
+    """All ten parameters (n, 10)."""
     elements = {element.get("name"): element for element in ET.fromstring(robot.urdf_text).findall("link")}
     return np.array([read_inertial(elements[joint.link], robot.name) for joint in robot.chain.joints])

@@ -1,6 +1,6 @@
-"""What a model revision holds: the effects of each axis, the rigid fit beside them, and the scenario of the twin.
+"""The content of a model revision: effects and rigid fit of each axis, and the scenario of the twin.
 
-All of it comes from axis documents (`document.axis_document`), so that it can be made wherever those are stored.
+All data come from axis documents (`document.axis_document`), so a revision can be made wherever those are stored.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +16,7 @@ from service.robot import Robot
 Documents = Mapping[str, Mapping[str, Any]]
 
 ROBOT_FILE = "robot.yaml"
-BAND = 8.0  # Hz, of a speed control that is as good a guess as any: a diagnosis does not see it
+BAND = 8.0  # Hz, bandwidth of an assumed speed control, which a diagnosis cannot identify
 RESET = 0.1  # s
 PEAK = 3.0  # times the rated effort
 
@@ -27,8 +27,8 @@ def model_document(
     joints: Sequence[str] | None = None,
     parent: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """{"axes": {joint: {"effects", "fit"}}, "scenario"} of a diagnosis' document for `joints` (None: those named); the
-    other axes stay as the parent, the model before, has them.
+    """{"axes": {joint: {"effects", "fit"}}, "scenario"} of a diagnosis document for `joints` (None: those named). The
+    other axes are copied from `parent`, the previous model.
     """
     named = [joint for joint, axis in document["axes"].items() if axis["verdict"] == "named"]
     axes = dict(parent["axes"]) if parent else {}
@@ -37,14 +37,14 @@ def model_document(
 
 
 def model_of(robot: Robot, documents: Documents) -> dict[str, Any]:
-    """The "model" of a diagnosis: what its axes are known to have and what was named, and the scenario of all axes."""
+    """The "model" of a diagnosis: known and newly named effects of its axes, and the scenario of all axes."""
     axes = {joint: _axis(axis) for joint, axis in documents.items()}
     effects = {joint: axis["effects"] for joint, axis in axes.items() if documents[joint]["verdict"] == "named"}
     return {"robot": robot.name, "effects": effects, **_scenario(robot, axes)}
 
 
 def _axis(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Effects and fit of an axis; what is ambiguous is not in its model."""
+    """Effects and fit of an axis; ambiguous effects are not in its model."""
     effects = list(document["known"])
     if document["verdict"] == "named":
         effects += document["effects"]
@@ -52,7 +52,7 @@ def _axis(document: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _scenario(robot: Robot, axes: Documents) -> dict[str, Any]:
-    """The scenario, and notes on what it cannot hold."""
+    """The scenario, and notes about parts of the model that it cannot contain."""
     notes: list[str] = []
     entries: dict[str, AxisEntry] = {}
     for joint, axis in axes.items():
@@ -103,7 +103,7 @@ def _entry(robot: Robot, joint: str, axis: Mapping[str, Any]) -> AxisEntry:
 
 
 def _pull(robot: Robot, fit: Mapping[str, Any], links: Mapping[str, Any], index: int, poses: Any, scale: float) -> Any:
-    """True gravity (m, 2) as fitted; documents before that was told hold it in their links."""
+    """True gravity (m, 2) as fitted; older documents do not contain "gravity", there it is computed from the links."""
     if "gravity" not in fit:
         return gravity(robot, links, index, poses)
     torque, slope = (np.array([pose[part] for pose in fit["gravity"]]) for part in ("torque", "slope"))
@@ -116,7 +116,7 @@ def _inertia(axis: Mapping[str, Any]) -> float:
 
 
 def _links(robot: Robot, axes: Documents, entries: Mapping[str, AxisEntry]) -> dict[str, Any]:
-    """Links that give every axis its gravity and, as far as rigid links can, its inertias."""
+    """Links that give each axis its gravity and, as far as rigid links can, its inertias."""
     gravities: list[tuple[int, Any, Any]] = []
     inertias: list[tuple[int, Any, Any]] = []
     added: dict[str, Any] = {}
@@ -133,7 +133,7 @@ def _links(robot: Robot, axes: Documents, entries: Mapping[str, AxisEntry]) -> d
         measured = np.array([pose["value"] for pose in axes[joint]["fit"]["inertia"]]) / entry.scale
         motor = entry.train["motor_inertia"] * robot.axis(joint).gear_ratio ** 2
         inertias.append((index, poses, np.maximum(measured - motor, 0.02 * measured)))
-        # a load is the same one on whichever axis it was found
+        # a payload is one body, on whichever axis it was found
         added = {link: {"added": part["added"]} for link, part in entry.links.items() if "added" in part} | added
     links = merged(deviations(robot, joined(robot, gravities)), added)
     factors = inertia_factors(robot, links, inertias)

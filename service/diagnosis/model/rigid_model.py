@@ -1,4 +1,4 @@
-"""The rigid model as it was found, in base parameters: what CAD says of each, what these sweeps say, how well."""
+"""The identified rigid model in base parameters: CAD value, value from these sweeps, standard deviation."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.fit.equations import Equations
-from service.diagnosis.model.show import Fit
+from service.diagnosis.model.held_out_check import Fit
 from service.diagnosis.rows.rigid import SLACK, load_rows, nominal_parameters, parameter_spread
 from service.identification.model.base_parameters import joint_ranges, reduce_columns
 from service.identification.model.regressor import parameter_names
@@ -14,7 +14,7 @@ from service.identification.model.regressor import parameter_names
 Array = NDArray[np.float64]
 
 VISCOUS = "viscous_friction"
-SAMPLES = 60  # poses that stand for the workspace
+SAMPLES = 60  # poses that represent the workspace
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class RigidParameter:
 
 def rigid_model(given: Equations, fit: Fit) -> tuple[RigidParameter, ...]:
     """Base parameters (Gautier 1991) of inertia and gravity about the axis over the workspace, then viscous friction.
-    What the measured poses do not tell stays CAD's, as uncertain as the prior says.
+    Combinations that the measured poses do not determine keep the CAD value and the uncertainty of the prior.
     """
     tracks = given.tracks
     robot, joint, poses = tracks.robot, tracks.joint, tracks.poses

@@ -1,4 +1,4 @@
-"""The axis as a scenario has it: what the robot file says, and on top of it the patches of its effects."""
+"""The axis in the format of a scenario: the data of the robot file, with the patches of its effects."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,11 +10,11 @@ import numpy as np
 from service.diagnosis.effects.patch import Inexpressible, Patch, merged
 from service.robot import Robot
 
-UNKNOWN_MOTOR = 0.1  # of the axis' inertia: a motor of which the robot file says nothing
-STIFF = 350.0  # Hz, locked rotor of a gear that has play or error but no elasticity to speak of
-FASTEST = 1000.0  # Hz, swing of motor against load: what the simulator's step can follow
-DAMPING = 0.3  # of such a gear
-LEAST_MOTOR = 0.1  # of the robot file's
+UNKNOWN_MOTOR = 0.1  # of the axis' inertia: assumed motor inertia if the robot file has none
+STIFF = 350.0  # Hz, locked rotor, for a gear with backlash or transmission error but no known elasticity
+FASTEST = 1000.0  # Hz, resonance of motor against load: limit of the time step of the simulator
+DAMPING = 0.3  # damping ratio of such a gear
+LEAST_MOTOR = 0.1  # of the value in the robot file
 NOT_NEGATIVE = (
     "motor_friction.viscous", "motor_friction.backward_viscous", "motor_friction.coulomb",
     "motor_friction.backward_coulomb", "warming.viscous_loss", "lugre.damping", "spring.damping", "spring.backlash",
@@ -29,21 +29,21 @@ TORQUES = (
 
 @dataclass(frozen=True, eq=False)
 class AxisEntry:
-    """`train`, `measurement` and `links` of a scenario for one axis; `held`: what its limits changed, in words."""
+    """`train`, `measurement` and `links` of a scenario for one axis; `held`: descriptions of limited values."""
 
     train: Patch
     measurement: Patch
     links: Patch
     held: tuple[str, ...]
-    scale: float  # of the torques and inertias it was made of, over true ones
+    scale: float  # of the torques and inertias used here, over the true ones
 
 
 def axis_entry(
     robot: Robot, joint: str, inertia: float, viscous: float, patches: Sequence[Patch], *, true: bool = False
 ) -> AxisEntry:
-    """An axis of about `inertia`, kg m^2, with its effects; Inexpressible where no train is like that.
+    """An axis of about `inertia`, kg m^2, with its effects; Inexpressible if no drive train can represent them.
 
-    Inertia and torques are as recorded by a drive whose torque constant may be wrong, or already `true`.
+    Inertia and torques are as recorded by a drive, perhaps with a wrong torque constant, or `true` values.
     """
     axis = robot.axis(joint)
     motor = axis.motor_inertia or UNKNOWN_MOTOR * inertia / axis.gear_ratio**2
@@ -66,14 +66,14 @@ def axis_entry(
 
 
 def stiffened(entry: AxisEntry, inertia: float, ratio: float) -> AxisEntry:
-    """The same with a spring, if a stiff one: a scenario's axes all have one or none has."""
+    """The entry with a stiff spring if it has none: in a scenario either all axes have springs or none has."""
     train = merged(entry.train, {})
     _sprung(train, inertia / entry.scale, ratio)
     return replace(entry, train=train)
 
 
 def _held(train: Patch, least_motor: float) -> tuple[str, ...]:
-    """Puts what lies beyond the scenario's limits on them, and says so."""
+    """Set values beyond the limits of the scenario to the limit, and describe each change."""
     held: list[str] = []
     for path in NOT_NEGATIVE:
         *way, last = path.split(".")
@@ -97,7 +97,7 @@ def _scale(part: Patch, path: Sequence[str], factor: float) -> None:
 
 
 def _sprung(train: Patch, inertia: float, ratio: float) -> None:
-    """Gives a gear its stiff spring if it has none."""
+    """Add a stiff spring to a gear that has none."""
     spring = train.setdefault("spring", {})
     if "stiffness" in spring:
         return
@@ -109,7 +109,7 @@ def _sprung(train: Patch, inertia: float, ratio: float) -> None:
 
 
 def _tidied(train: Patch) -> None:
-    """Says nothing of directions that are alike; dry friction beside bristles is the load's."""
+    """Remove backward values equal to the forward ones; with bristles, dry friction moves to the load side."""
     friction = train["motor_friction"]
     if "lugre" in train:
         moved = {key: friction.pop(key) for key in ("coulomb", "backward_coulomb")}

@@ -1,4 +1,4 @@
-"""The twin: the simulator led along recorded motor motion. Here alone the service meets it; what crosses is data."""
+"""The twin: simulation along recorded motor motion. The only module of the service that imports the simulator."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from simulator import DriveTrain, Gravity, Measurement, Motion, MovingAxis, Turn
 Array = NDArray[np.float64]
 Part = TypeVar("Part", DriveTrain, Measurement)
 
-LEAST_LOAD = 0.02  # of the axis' inertia: a load lighter than that is none
+LEAST_LOAD = 0.02  # of the axis' inertia: minimum inertia of the load
 
 
 @dataclass(frozen=True)
@@ -32,14 +32,14 @@ class Run:
 
 @dataclass(frozen=True)
 class Way:
-    """Along which a sweep leads the motor, and when."""
+    """The motion of the motor in a sweep, with its times."""
 
     motion: Motion
     turn: Turn
 
 
 def ways(sweeps: Sequence[Sweep]) -> list[Way]:
-    """As recorded."""
+    """The motions as recorded."""
     return [
         Way(
             Motion(sweep.recording.time, sweep.recording.position, sweep.recording.velocity),
@@ -50,10 +50,10 @@ def ways(sweeps: Sequence[Sweep]) -> list[Way]:
 
 
 def torques(robot: Robot, joint: str, ways: Sequence[Way], runs: Sequence[Run]) -> list[Array]:
-    """What each run would record, N m (N), at the samples of its sweep; all in one pass.
+    """Simulated effort of each run, N m (N), at the samples of its sweep; all in one call.
 
-    How warm the gear is when a sweep begins, the sweeps before it say, by `started_at`. Inexpressible if no scenario
-    can hold an entry, or the simulator cannot follow it (a spring much too stiff for its load).
+    The gear temperature at the start of a sweep follows from the sweeps before it, by `started_at`. Inexpressible if no
+    scenario can contain an entry, or the simulator is unstable with it (a spring much too stiff for its load).
     """
     ratio = robot.axis(joint).gear_ratio
     trains = {id(run.entry): _held(DriveTrain, run.entry.train) for run in runs}
@@ -63,7 +63,7 @@ def torques(robot: Robot, joint: str, ways: Sequence[Way], runs: Sequence[Run]) 
     for run in runs:
         train, inertia = trains[id(run.entry)], run.inertia / run.entry.scale
         load = max(inertia - train.motor_inertia * ratio**2, LEAST_LOAD * inertia)
-        # the whole is what was measured, however heavy the motor is said to be
+        # the total inertia is the measured one, whatever motor inertia the entry has
         exact = train.model_copy(update={"motor_inertia": (inertia - load) / ratio**2})
         axes.append(MovingAxis(exact, ratio, load, Gravity(*run.gravity), float(warm[id(run.entry)][run.sweep])))
     led, recorded = [ways[run.sweep].motion for run in runs], [measurements[id(run.entry)] for run in runs]

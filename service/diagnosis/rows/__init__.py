@@ -1,1 +1,1 @@
-"""Samples to rows of the equations."""
+"""Conversion of samples to rows of the equations."""

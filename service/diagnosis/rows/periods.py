@@ -1,4 +1,4 @@
-"""A record that repeats within itself: one sweep cut into its periods, which are then repeats of one another."""
+"""A record that repeats within itself: one sweep is cut into its periods, which then count as repeats."""
 
 from collections.abc import Sequence
 from dataclasses import fields, replace
@@ -12,14 +12,14 @@ from service.recording import Recording, Sweep
 
 Array = NDArray[np.float64]
 
-ALIKE = 0.98  # correlation of the velocity with itself a period later
+ALIKE = 0.98  # correlation of the velocity with itself one period later
 SHORTEST = 1.0  # s
 
 
 def in_periods(joint: str, sweeps: Sequence[Sweep]) -> list[Sweep]:
-    """The sweeps of an axis that are evidence; one that stands alone and repeats its motion is cut into periods.
+    """The sweeps of an axis that are evidence; a single sweep that repeats its motion is cut into periods.
 
-    BadInput if it is shorter than its period, or if no sweep has any velocity, or any effort.
+    BadInput if it is shorter than its period, or if no sweep has velocity, or effort.
     """
     own = [sweep for sweep in sweeps if sweep.spec.axis == joint and is_evidence(sweep.spec)]
     for column in ("velocity", "effort"):
@@ -40,7 +40,7 @@ def in_periods(joint: str, sweeps: Sequence[Sweep]) -> list[Sweep]:
 
 
 def _period(sweep: Sweep) -> int:
-    """Samples of a period: the spec's, else the shift by which the velocity is most like itself; 0: none."""
+    """Samples per period: from the spec, else the shift with the largest autocorrelation of velocity; 0: none."""
     if sweep.spec.period is not None:
         return round(sweep.spec.period * sweep.spec.sample_rate)
     velocity = sweep.recording.velocity

@@ -1,4 +1,4 @@
-"""Signals behind responses, in the frequency domain: derivatives, springs, delays."""
+"""Signals filtered in the frequency domain: derivatives, springs, delays."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,8 +7,8 @@ from scipy.fft import next_fast_len
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-ENDING = 0.05  # s, within which the slope at the end of a record goes to zero
-PADDED = 3  # times the record: what rings on after its end must not come back at its beginning
+ENDING = 0.05  # s, in which the slope at the end of a record decreases to zero
+PADDED = 3  # times the record: padding, so that the response after the end does not wrap around to the start
 
 
 def in_frequency(signal: Array, rate: float, response: Complex | None = None) -> Array:
@@ -18,7 +18,7 @@ def in_frequency(signal: Array, rate: float, response: Complex | None = None) ->
 
 
 def through(signal: Array, rate: float, response: Complex) -> Array:
-    """Signals (n, t) behind a response (n or 1, bins) of `bins(t, rate)`, which have stood at their first value."""
+    """Signals (n, t) filtered by a response (n or 1, bins) of `bins(t, rate)`; constant before their first sample."""
     away = back(signal.shape[1], _spectrum(signal, rate), response)
     return np.asarray(signal[:, :1] * response[:, :1].real + away)
 
@@ -30,10 +30,10 @@ def derivative_spectrum(signal: Array, rate: float) -> Complex:
 
 
 def _spectrum(signal: Array, rate: float) -> Complex:
-    """Transform (n, bins) of signals (n, t) less their first values.
+    """Transform (n, bins) of signals (n, t) minus their first values.
 
-    Before its begin a signal is taken to have been as it begins, so that what starts from standstill has stood; behind
-    its end it goes back there, so smoothly and so long that nothing of the end rings on into the begin.
+    A signal is assumed constant before its first sample, so a start from standstill is exact. After its last sample it
+    returns to the first value, so smoothly and slowly that the response to the end does not reach the start.
     """
     count = signal.shape[1]
     first, last = signal[:, :1], signal[:, -1:]
@@ -49,7 +49,7 @@ def _spectrum(signal: Array, rate: float) -> Complex:
 
 
 def back(count: int, spectrum: Complex, response: Complex) -> Array:
-    """The signals (n, count) of a spectrum behind a response."""
+    """The signals (n, count) of a spectrum multiplied by a response."""
     return np.fft.irfft(spectrum * response, _padded(count))[:, :count].astype(np.float64, copy=False)
 
 

@@ -1,17 +1,17 @@
-r"""The rigid model of one axis: what its links do to it in the poses measured, and how far CAD may be off.
+r"""The rigid model of one axis: the torque of its links in the measured poses, and the uncertainty of CAD.
 
-In pose p, turned by d from it, the axis needs
+In pose p, at an angle d from it, the axis needs
 
     tau = J_p a + T_p cos d + S_p sin d          (revolute; prismatic: J_p a + T_p)
 
-The *load* y = (J_p, T_p, S_p) of all poses is linear in the links' inertial parameters, y = L phi, and so is what CAD
-may be off by. Its directions are reduced to a few columns that change the torque (the base parameters of these poses),
-with coefficients z and
+The *load* y = (J_p, T_p, S_p) of all poses is linear in the inertial parameters of the links, y = L phi, and so is its
+deviation from CAD. It is reduced to a few columns that change the torque (the base parameters of these poses), with
+coefficients z and
 
     y = y_nominal + Q z,      z ~ N(0, C)         C from the robot's prior, as pseudo-data
 
-An effect that is a wrong load itself (gravity, payload, torque gain) adds no column of its own: it *frees* the
-directions which it moves, so that the prior holds them no more. What it gains is what they are beyond the prior.
+An effect that is a wrong load (gravity, payload, torque gain) adds no column of its own: it *frees* the directions that
+it changes, so that the prior does not limit them. Its size is the part of them that exceeds the prior.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,12 +25,12 @@ from service.robot import Knowledge, Robot
 
 Array = NDArray[np.float64]
 
-TILT = 1e-3  # rad, by which the base may be out of level, one sigma
-SLACK = 1e-5  # of the rated effort, one sigma: links are not quite rigid, CAD's lengths not quite exact
-TELLING = 1e-3  # of the largest singular value of what an effect frees: smaller directions hardly change the torque
-UNKNOWN_MOTOR = 0.5  # of the axis' inertia: a motor that the robot file does not know
-LEAST_MOMENT = 0.05  # m times the mass: a centre of mass on the joint's origin may be off by the prior of it
-PAYLOAD = (1.0, 0.3, 0.1)  # kg, kg m, kg m^2: relative sizes of mass, first moment and inertia of what may hang on
+TILT = 1e-3  # rad, inclination of the base, one sigma
+SLACK = 1e-5  # of the rated effort, one sigma: elastic links, inexact lengths in CAD
+TELLING = 1e-3  # of the largest singular value of an effect: smaller directions hardly change the torque
+UNKNOWN_MOTOR = 0.5  # of the axis' inertia: assumed motor inertia if the robot file has none
+LEAST_MOMENT = 0.05  # m times the mass: smallest first moment to which the relative prior applies
+PAYLOAD = (1.0, 0.3, 0.1)  # kg, kg m, kg m^2: relative sizes of mass, first moment and inertia of a payload
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Rigid:
         return self.nominal + np.tensordot(coefficients, self.basis, axes=1)
 
     def precision_without(self, effects: Sequence[str]) -> Array:
-        """(k, k): the prior that is left when effects free their directions."""
+        """(k, k): the prior without the directions that these effects free."""
         free = [self.freed[name] for name in effects if name in self.freed]
         if not free:
             return self.precision
@@ -60,12 +60,12 @@ class Rigid:
         return self.precision - held @ np.linalg.pinv(inner, rcond=1e-10, hermitian=True) @ held.T
 
     def freedom(self, effect: str) -> int:
-        """How many directions an effect frees."""
+        """Number of directions that an effect frees."""
         return self.freed[effect].shape[1] if effect in self.freed else 0
 
 
 def rigid(robot: Robot, joint: str, poses: Array, sizes: Array) -> Rigid:
-    """Of an axis in `poses` (m, n). `sizes` (3,): RMS of acceleration, cos d and sin d, which weigh the directions."""
+    """The rigid model of an axis in `poses` (m, n). `sizes` (3,): RMS of acceleration, cos d, sin d: weights of y."""
     index, rated = robot.index(joint), robot.axis(joint).rated_effort
     rows = load_rows(robot, index, poses)
     weight = np.repeat(sizes, len(poses))[:, None] / np.sqrt(len(poses))
@@ -104,7 +104,7 @@ def load_rows(robot: Robot, index: int, poses: Array) -> Array:
 
 
 def nominal_load(robot: Robot, joint: str, poses: Array) -> Array:
-    """(3, m) of CAD and data sheet."""
+    """Load (3, m) of CAD and data sheet."""
     return (load_rows(robot, robot.index(joint), poses) @ nominal_parameters(robot)).reshape(3, -1)
 
 
@@ -115,8 +115,8 @@ def nominal_parameters(robot: Robot) -> Array:
 
 
 def parameter_spread(robot: Robot, index: int, poses: Array) -> Array:
-    """(11 n, 11 n): a root of the parameters' covariance. CAD's is diagonal, masses and first moments by the prior of
-    gravity, inertias and motors by their own; what an estimate knows makes it smaller.
+    """(11 n, 11 n): a root of the parameters' covariance. CAD errors are independent: masses and first moments have
+    the prior of gravity, inertias and motors their own. The knowledge of an estimate makes the covariance smaller.
     """
     prior, inertial = robot.prior, robot.chain.inertial
     mass = np.abs(inertial[:, :1])
@@ -134,14 +134,14 @@ def parameter_spread(robot: Robot, index: int, poses: Array) -> Array:
 
 
 def _informed(sigma: Array, knowledge: Knowledge | None) -> Array:
-    """The root of the covariance that is left of independent sigmas (p,) when combinations are known."""
+    """Root of the covariance of parameters with independent sigmas (p,) when some combinations are known."""
     if knowledge is None:
         return np.diag(sigma)
     rows = knowledge.combination * sigma
     size = np.linalg.norm(rows, axis=1)
-    told = size > 0
-    rows = rows[told] / size[told, None]
-    noise = knowledge.covariance[np.ix_(told, told)] / np.outer(size[told], size[told])
+    informed = size > 0
+    rows = rows[informed] / size[informed, None]
+    noise = knowledge.covariance[np.ix_(informed, informed)] / np.outer(size[informed], size[informed])
     inverse = np.asarray(np.linalg.pinv(rows @ rows.T + noise, hermitian=True), dtype=np.float64)
     left = np.eye(len(sigma)) - rows.T @ inverse @ rows
     values, vectors = np.linalg.eigh((left + left.T) / 2)
@@ -149,7 +149,7 @@ def _informed(sigma: Array, knowledge: Knowledge | None) -> Array:
 
 
 def _moments(robot: Robot) -> Array:
-    """(11 n, 4 n): masses and first moments of the links, each of CAD's size."""
+    """(11 n, 4 n): masses and first moments of the links, scaled by those of CAD."""
     inertial = robot.chain.inertial
     size = np.abs(inertial[:, :1]), np.linalg.norm(inertial[:, 1:4], axis=1, keepdims=True)
     sizes = np.hstack([size[0], np.repeat(np.maximum(size[1], LEAST_MOMENT * size[0]), 3, axis=1)])
@@ -158,13 +158,13 @@ def _moments(robot: Robot) -> Array:
 
 
 def _payload(robot: Robot) -> Array:
-    """(11 n, 10): all parameters of what the last joint carries."""
+    """(11 n, 10): all parameters of a body on the last joint."""
     last = robot.chain.inertial.size
     return np.eye(11 * len(robot.joints))[:, last - 10 : last] * np.repeat(PAYLOAD, (1, 3, 6))
 
 
 def _tilts(robot: Robot, index: int, poses: Array) -> Array:
-    """(3 m, 3): load by gravity that is turned by 1 rad about each axis of the base."""
+    """(3 m, 3): change of the load if gravity is rotated by 1 rad about each axis of the base."""
     parameters, result = robot.chain.inertial.ravel(), list[Array]()
     for about in np.eye(3):
         rows = gravity_rows(robot.chain, np.cross(about, robot.gravity), index, poses) @ parameters
@@ -173,13 +173,13 @@ def _tilts(robot: Robot, index: int, poses: Array) -> Array:
 
 
 def _by_own_angle(angle: Array) -> Array:
-    """(3 m, 2): A cos q + B sin q with the axis' own angle (m,), whatever the other joints do."""
+    """(3 m, 2): A cos q + B sin q with the angle of this axis (m,), independent of the other joints."""
     none, cosine, sine = np.zeros_like(angle), np.cos(angle), np.sin(angle)
     return np.stack([np.concatenate([none, cosine, -sine]), np.concatenate([none, sine, cosine])], axis=-1)
 
 
 def _unit(columns: Array, size: float) -> float:
-    """Factor that makes the longest column as long as `size`."""
+    """Factor that scales the longest column to `size`."""
     longest = float(np.linalg.norm(columns, axis=0).max(initial=0.0))
     return size / longest if longest > 0 else 0.0
 

@@ -1,8 +1,8 @@
-r"""All sweeps of one axis as arrays (sweeps, samples), and the one filter that every signal passes.
+r"""All sweeps of one axis as arrays (sweeps, samples), and the one filter for all signals.
 
-The filter is a Gaussian of `BAND`: symmetric, so nothing is shifted; every column of the model and the effort pass it
-alike, so whatever linear relation holds between them before holds after. Samples are first averaged down to about
-`RATE`. The acceleration is the derivative of the velocity taken in the frequency domain, where a difference quotient
+The filter is a Gaussian of `BAND`. It is symmetric, so there is no delay. Effort and all columns pass the same filter,
+so linear relations between them are preserved. Samples are first averaged down to about
+`RATE`. The acceleration is the derivative of velocity in the frequency domain; a difference quotient
 would look like a delay or a spring.
 """
 
@@ -26,38 +26,38 @@ Mask = NDArray[np.bool_]
 
 RATE = 250.0  # Hz, of the columns
 BAND = 20.0  # Hz, of the Gaussian
-BLOCK = 32  # rows that are filtered at once
-EVERY = 2  # one row of the equations a so many samples
-TOP = 0.36  # of the rate: above, there is nothing but noise
-REACH = 4.0  # standard deviations of the Gaussian that count
-STUCK = 0.03  # of the slowest sweep's peak speed: below it friction may take any value
-REVERSES = 0.3  # of the peak speed the other way
-SETTLED = 3e-4  # rad (m) from the begin, until which dry friction is as an earlier motion left it
+BLOCK = 32  # rows filtered in one operation
+EVERY = 2  # samples per row of the equations
+TOP = 0.36  # of the rate: above this frequency there is only noise
+REACH = 4.0  # standard deviations: half width of the Gaussian
+STUCK = 0.03  # of the peak speed of the slowest sweep: below, friction may have any value (sticking)
+REVERSES = 0.3  # of the peak speed: speed in the other direction from which a sweep counts as reversing
+SETTLED = 3e-4  # rad (m) from the start: within it, dry friction depends on the previous motion
 SETTLED_PART = 0.05  # of the travel at most
-STUCK_TIME = 0.016  # s below that make a standstill; a mere crossing is shorter
-COARSE = 400.0  # Hz: within a sample of a slower recording friction may turn round unseen by its positions
-PARTS = 8  # of such a sample
-SHORT = 2e-6  # rad (m): a way so short that friction sticks
-SHORTEST = 2.5e-8  # rad (m): the same in a slow recording, which a sample goes far beyond
-STICKING = 3.0  # times the encoder's noise, which must not turn friction round
-ONE_POSE = 1e-3  # rad (m) by which the joints of one pose may differ
+STUCK_TIME = 0.016  # s below the speed limit that count as standstill; a zero crossing is shorter
+COARSE = 400.0  # Hz: below this rate, friction may reverse within a sample, invisible in the positions
+PARTS = 8  # parts into which such a sample is divided
+SHORT = 2e-6  # rad (m): reversal distance for friction without presliding
+SHORTEST = 2.5e-8  # rad (m): the same for slow recordings, where a sample is much longer
+STICKING = 3.0  # times the encoder noise, which must not reverse the friction
+ONE_POSE = 1e-3  # rad (m): largest difference of the joints within one pose
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """n sweeps of one axis, t samples at `rate`, padded with standstill; SI on the joint side.
+    """n sweeps of one axis, t samples at `rate`, padded with standstill; SI units on the joint side.
 
-    `inside` says which samples were recorded, `usable` (n, rows) which rows of the equations count: recorded, and the
-    axis not stuck by friction. `spot` (n,) numbers the poses, `poses` (m, all joints) are they. `gravity` is the torque
-    that CAD predicts along the motion. `direction` (n, t) is that of dry friction: the sign of the velocity, which
-    turns round within the way `sticking`, rad (m), as short as the encoder allows.
+    `inside`: recorded samples. `usable` (n, rows): rows of the equations that count (recorded, axis not sticking).
+    `pose_index` (n,): number of the pose of each sweep; `poses` (m, all joints): the poses. `gravity`: torque along the
+    motion from CAD. `direction` (n, t): direction of dry friction (sign of the velocity); it reverses within the
+    distance `sticking`, rad (m), which is as short as the encoder noise permits.
     """
 
     robot: Robot
     joint: str
     specs: tuple[SweepSpec, ...]
     rate: float
-    spot: NDArray[np.int_]
+    pose_index: NDArray[np.int_]
     poses: Array
     time: Array
     effort: Array
@@ -78,18 +78,18 @@ class Tracks:
     @cached_property
     def away(self) -> Array:
         """(n, t): position from that of the pose, rad (m)."""
-        return self.position - self.poses[self.spot, self.robot.index(self.joint)][:, None]
+        return self.position - self.poses[self.pose_index, self.robot.index(self.joint)][:, None]
 
     @cached_property
     def _turned(self) -> tuple[Array, Array]:
-        """Cosine and sine of it; 1 and 0 for a prismatic axis, whose gravity force is the same everywhere."""
+        """Cosine and sine of `away`; 1 and 0 for a prismatic axis, whose gravity force is constant."""
         if self.prismatic:
             return np.ones_like(self.position), np.zeros_like(self.position)
         return np.cos(self.away), np.sin(self.away)
 
     @cached_property
     def parts(self) -> Array:
-        """(3, n, t): what inertia, torque and slope of a load are multiplied by along the motion."""
+        """(3, n, t): the signals along the motion that multiply inertia, torque and slope of a load."""
         return np.stack([self.acceleration, *self._turned])
 
     def along(self, load: Array) -> Array:
@@ -97,17 +97,17 @@ class Tracks:
         return self.summed(load, self.parts)
 
     def summed(self, load: Array, parts: Array) -> Array:
-        """The same where it is multiplied by other signals (3, n, t)."""
-        return np.einsum("kn,knt->nt", load[:, self.spot], parts)
+        """The same with other signals (3, n, t)."""
+        return np.einsum("kn,knt->nt", load[:, self.pose_index], parts)
 
     @cached_property
     def sizes(self) -> Array:
-        """(3,): RMS of what inertia, torque and slope are multiplied by."""
+        """(3,): RMS of the signals that multiply inertia, torque and slope."""
         return np.sqrt(np.mean(np.square(self.parts[:, self.inside]), axis=1))
 
     @cached_property
     def turning(self) -> float:
-        """Way, rad (m), that an axis goes within `STUCK_TIME` of a reversal: friction that turns in it sticks."""
+        """Distance, rad (m), within `STUCK_TIME` after a reversal: friction that reverses within it sticks."""
         low, high = self.velocity.min(axis=1), self.velocity.max(axis=1)
         reverses = np.minimum(-low, high) > REVERSES * np.maximum(-low, high)
         if not reverses.any():
@@ -117,7 +117,7 @@ class Tracks:
 
     @property
     def clock(self) -> Array:
-        """(n, t): s since the campaign began."""
+        """(n, t): time in s since the start of the campaign."""
         return self.time + np.array([spec.started_at for spec in self.specs])[:, None]
 
     @property
@@ -126,7 +126,7 @@ class Tracks:
         return slowest(self.velocity)
 
     def faded(self, rate: Array) -> Array:
-        """What averaging samples down to `rate` leaves of a wave whose phase moves by so many rad/s, (n, t)."""
+        """Attenuation (n, t) of a wave with phase speed `rate`, rad/s, by averaging down to the tracks' rate."""
         block = round(self.specs[0].sample_rate / self.rate)
         half = rate / (2 * self.specs[0].sample_rate)
         small = np.abs(np.sin(half)) < 1e-6
@@ -137,15 +137,15 @@ class Tracks:
         return derivative_spectrum(self.velocity, self.rate)
 
     def accelerated(self, response: Complex) -> Array:
-        """The acceleration (n, t) behind a response (n or 1, bins) of `bins(t, rate)`."""
+        """The acceleration (n, t) filtered by a response (n or 1, bins) of `bins(t, rate)`."""
         return back(self.velocity.shape[1], self._spectrum, response)
 
     def rows(self, signal: Array) -> Array:
-        """A signal (n, t) through the filter: (n, rows)."""
+        """A signal (n, t) after the filter: (n, rows)."""
         return lowpass(signal, self.rate)
 
     def whitened(self, signal: Array, taps: Array) -> Array:
-        """The same, then weights over so many rows, oldest first; the first rows, which have no past, are 0."""
+        """The same, then whitened with weights `taps`, oldest first; the first rows, which have no past, are 0."""
         kernel = _kernel(self.rate)
         spread = np.zeros((len(taps) - 1) * EVERY + 1)
         spread[::EVERY] = taps
@@ -154,12 +154,12 @@ class Tracks:
 
 
 def lowpass(signal: Array, rate: float) -> Array:
-    """The Gaussian, one row each `EVERY` samples; only whole kernels, so no edge is invented: (n, rows)."""
+    """The Gaussian filter, one row per `EVERY` samples; only complete kernels, no padding: (n, rows)."""
     return _filtered(signal, _kernel(rate))
 
 
 def _filtered(signal: Array, taps: Array) -> Array:
-    """Sums of `taps` times the samples from 0, `EVERY`, ... on; `BLOCK` at once as a product with a band matrix."""
+    """Sums of `taps` times the samples from 0, `EVERY`, ... on; `BLOCK` rows as one product with a band matrix."""
     n, samples = signal.shape
     count = (samples - len(taps)) // EVERY + 1
     blocks = -(-count // BLOCK)
@@ -174,10 +174,10 @@ def _filtered(signal: Array, taps: Array) -> Array:
 
 
 def white_covariance(signal: Array, inside: Mask, rate: float, lags: int) -> Array:
-    """Autocovariance (lags + 1,) of filtered rows if a signal's noise (n, t) is as white as in its top band."""
+    """Autocovariance (lags + 1,) of filtered rows, assuming that the noise (n, t) is as white as in its top band."""
     powers: list[float] = []
     for row, good in zip(signal, inside, strict=True):
-        part = np.diff(row[good], 2)  # flattens drifts, so that no edge leaks into the top band; 16 at the top
+        part = np.diff(row[good], 2)  # removes drift, so that no edge leaks into the top band; gain 16 at the top
         transform = np.abs(np.fft.rfft(part)) ** 2 / len(part)
         frequency = np.fft.rfftfreq(len(part))
         top = frequency > TOP
@@ -188,7 +188,7 @@ def white_covariance(signal: Array, inside: Mask, rate: float, lags: int) -> Arr
 
 
 def row_samples(samples: int, rate: float) -> NDArray[np.int_]:
-    """At which samples the rows lie."""
+    """Sample numbers of the rows."""
     reach = len(_kernel(rate)) // 2
     return np.arange(reach, samples - reach, EVERY)
 
@@ -200,7 +200,7 @@ def slowest(velocity: Array) -> float:
 
 
 def is_evidence(spec: SweepSpec) -> bool:
-    """Whether a diagnosis can use a sweep: its axis follows a motion, and no other axis moves beside it."""
+    """Whether a diagnosis can use a sweep: its axis follows a motion, and no other axis moves at the same time."""
     return spec.moves and not runs_at_once(spec)
 
 
@@ -227,7 +227,7 @@ def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
     inside = np.arange(most)[None] < np.array(lengths)[:, None]
     velocity = stacked("velocity") * inside
     position = stacked("position")
-    poses, spot = _poses(own)
+    poses, pose_index = _poses(own)
     coarse = own[0].spec.sample_rate < COARSE
     sticking = max(SHORTEST if coarse else SHORT, STICKING * _jitter(own))
     found = Tracks(
@@ -235,7 +235,7 @@ def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
         joint=joint,
         specs=tuple(s.spec for s in own),
         rate=rate,
-        spot=spot,
+        pose_index=pose_index,
         poses=poses,
         time=np.broadcast_to(np.arange(most) / rate, velocity.shape),
         effort=stacked("effort"),
@@ -254,7 +254,7 @@ def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
 
 
 def bristle(position: Array, way: float) -> Array:
-    """Dahl's state (n, t) between -1 and 1: dz/dx = (1 - z sign(v)) / way, exact for each step of positions (n, t)."""
+    """State of Dahl's model (n, t), -1 to 1: dz/dx = (1 - z sign(v)) / way, exact for each step of positions (n, t)."""
     steps = np.diff(position, axis=1, prepend=position[:, :1])
     keep, sign = np.exp(-np.abs(steps) / way), np.sign(steps)
     gained = sign * (1 - keep)
@@ -267,7 +267,7 @@ def bristle(position: Array, way: float) -> Array:
 
 
 def _directions(sweeps: Sequence[Sweep], way: float, block: int, most: int) -> Array:
-    """Of dry friction (n, t), at the recordings' rate: a reversal may fall between two samples of the tracks."""
+    """Direction of dry friction (n, t), at the recordings' rate: a reversal may be between samples of the tracks."""
     length = max(len(sweep.recording.position) for sweep in sweeps)
     stacked = np.stack(
         [np.pad(s.recording.position, (0, length - len(s.recording.position)), mode="edge") for s in sweeps]
@@ -282,7 +282,7 @@ def _directions(sweeps: Sequence[Sweep], way: float, block: int, most: int) -> A
 
 
 def _between(velocity: Array, rate: float) -> Array:
-    """Ways (n, PARTS t) at parts of each sample, the speed taken to go straight from one sample to the next."""
+    """Positions (n, PARTS t) within each sample, with the speed interpolated linearly between samples."""
     share = np.arange(PARTS) / PARTS
     start, change = velocity[:, :-1, None], np.diff(velocity, axis=1)[..., None]
     speed = np.concatenate([(start + share * change).reshape(len(velocity), -1), velocity[:, -1:]], axis=1)
@@ -291,34 +291,34 @@ def _between(velocity: Array, rate: float) -> Array:
 
 
 def sticking_within(tracks: Tracks, sweeps: Sequence[Sweep], way: float) -> Tracks:
-    """The same with dry friction that turns round within another way; `sweeps` are those of the tracks."""
+    """The same tracks with another reversal distance of dry friction; `sweeps` are those of the tracks."""
     block = round(tracks.specs[0].sample_rate / tracks.rate)
     return replace(tracks, direction=_directions(sweeps, way, block, tracks.effort.shape[1]), sticking=way)
 
 
 def _jitter(sweeps: Sequence[Sweep]) -> float:
-    """Standard deviation of the encoder's noise, rad (m), from eighth differences, which show no motion below 20 Hz,
-    not even at 250 samples a second; those of white noise are sqrt(16 over 8) as large as it.
+    """Standard deviation of encoder noise, rad (m), from eighth differences; these suppress motion below 20 Hz even at
+    250 samples per second; white noise is amplified by sqrt(16 over 8).
     """
     return float(np.median([np.std(np.diff(sweep.recording.position, 8)) for sweep in sweeps])) / np.sqrt(12870)
 
 
 def _poses(sweeps: Sequence[Sweep]) -> tuple[Array, NDArray[np.int_]]:
-    """The poses (m, all joints) and of each sweep the number of its pose (n,)."""
-    told = np.array([sweep.spec.pose for sweep in sweeps])
-    _, first, spot = np.unique(np.round(told / ONE_POSE), axis=0, return_index=True, return_inverse=True)
-    return told[first], spot.reshape(-1)
+    """The poses (m, all joints), and for each sweep the number of its pose (n,)."""
+    commanded = np.array([sweep.spec.pose for sweep in sweeps])
+    _, first, pose_index = np.unique(np.round(commanded / ONE_POSE), axis=0, return_index=True, return_inverse=True)
+    return commanded[first], pose_index.reshape(-1)
 
 
 def laid_out(tracks: Tracks, signals: Sequence[Array]) -> Array:
-    """Signals at the samples of each sweep's recording as those of the tracks, (n, t)."""
+    """Signals at the samples of each recording in the layout of the tracks, (n, t)."""
     block, most = round(tracks.specs[0].sample_rate / tracks.rate), tracks.effort.shape[1]
     parts = [_averaged(signal, block) for signal in signals]
     return np.stack([np.pad(part, (0, most - len(part)), mode="edge") for part in parts])
 
 
 def _usable(velocity: Array, position: Array, inside: Mask, rate: float) -> Mask:
-    """Rows (n, rows) whose kernel lies inside of the record and touches no standstill, nor the first way from one."""
+    """Rows (n, rows) whose kernel is inside the record and contains no standstill, nor the first distance after one."""
     away = np.maximum.accumulate(np.abs(position - position[:, :1]), axis=1)
     early = away < np.minimum(SETTLED, SETTLED_PART * away[:, -1:])
     stuck = _long(np.abs(velocity) < STUCK * slowest(velocity), round(STUCK_TIME * rate))
@@ -327,7 +327,7 @@ def _usable(velocity: Array, position: Array, inside: Mask, rate: float) -> Mask
 
 
 def _long(flags: Mask, least: int) -> Mask:
-    """Only those runs of True along the rows that last `least` samples."""
+    """Only the runs of True along the rows with at least `least` samples."""
     result = np.zeros_like(flags)
     for row, out in zip(flags, result, strict=True):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))

@@ -1,1 +1,1 @@
-"""Which sweep would show which effect."""
+"""Which sweeps make which effects visible."""

@@ -1,10 +1,10 @@
-"""The sweeps that a diagnosis wants: both directions, two speeds, reversal, a wide band, each twice.
+"""The sweeps needed for a diagnosis: both directions, two speeds, reversal, a wide band, each repeated.
 
-What a block makes visible: the other direction tells Coulomb friction from an offset and from springs; the second speed
-tells friction that depends on speed from friction that drifts; reversal shows what happens about standstill
-(presliding, backlash); lines from 3 to 17 Hz tell a delay from elasticity. Repeats run back to back, so that nothing
-drifts between them and their difference is the noise; the first pose comes back last, so that drift shows at all. An
-axis that only holds tells nothing: its dry friction may hold any torque (decision 0009).
+Purpose of each block: the other direction separates Coulomb friction from an offset and from springs. The second speed
+separates friction that depends on speed from friction that drifts. Reversal shows effects near standstill
+(presliding, backlash). Lines from 3 to 17 Hz separate a delay from elasticity. Repeats run back to back, so their
+difference is noise without drift. The first pose is measured again at the end to show drift. An axis at standstill
+gives no information: its dry friction may hold any torque (decision 0009).
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,25 +22,25 @@ Array = NDArray[np.float64]
 
 SLOW = float(np.radians(4.0))  # rad (m), travel of the slow sweeps
 FAST = 3.0  # times the travel of the slow sweeps
-WIDE = 2.0  # the same of the wide band
+WIDE = 2.0  # times the travel of the slow sweeps, for the wide band
 WIDE_LINES = (3.0, 5.0, 7.0, 11.0, 13.0, 17.0)  # Hz
-WIDEST = 9.0  # Hz: a line above makes a wide band
-REVERSAL_LINES = (1.0, 2.0, 3.0)  # Hz: low, so that the way between two reversals is long against presliding
+WIDEST = 9.0  # Hz: a sweep with a line above is of the wide band
+REVERSAL_LINES = (1.0, 2.0, 3.0)  # Hz: low, so that the distance between two reversals is much longer than presliding
 EFFORT = 0.4  # of the rated effort for the sines
-BETWEEN = 2.0  # s from one sweep to the next, besides the way back
+BETWEEN = 2.0  # s from one sweep to the next, in addition to the way back
 WAY_BACK = np.radians(2.0)  # rad/s (m/s)
 BLOCKS = ("forward_slow", "backward_slow", "forward_fast", "backward_fast", "reversal", "wide")
 REVISITED = ("forward_slow", "backward_slow")
 REVISIT = "revisit_"
-WARMING = ("forward_fast", "backward_fast")  # turn most in a second
-WARMED = 300.0  # s of it
-TURNED = 0.8  # rad (m), by which a new pose moves a joint
-ROOM = 0.25  # rad (m) to a limit: for the sweeps
+WARMING = ("forward_fast", "backward_fast")  # the most travel per second
+WARMED = 300.0  # s of these sweeps
+TURNED = 0.8  # rad (m): change of a joint for a new pose
+ROOM = 0.25  # rad (m) from a limit, needed for the sweeps
 
 
 @dataclass(frozen=True, slots=True)
 class DesignedSweep:
-    """A sweep to run; `ramp` and `settle`, s, add up to the spec's `measure_from`."""
+    """A sweep to run; the sum of `ramp` and `settle`, s, is `measure_from` of the spec."""
 
     spec: SweepSpec
     ramp: float
@@ -64,10 +64,10 @@ def full_design(
     started_at: float = 0.0,
     revisit: bool = True,
 ) -> tuple[DesignedSweep, ...]:
-    """All blocks in each of `poses` (m, n), `repeats` times back to back; `revisit`: the first once more at the end.
+    """All blocks in each of `poses` (m, n), `repeats` times back to back; `revisit`: the first pose again at the end.
 
-    The poses should hold at least three angles of the axis against gravity. `travel`, rad (m), is that of the slow
-    blocks; fast sweeps take three times as much. `started_at`: s since the campaign began. BadInput where none fits.
+    The poses should contain at least three angles of the axis to gravity. `travel`, rad (m), is that of the slow
+    blocks; fast sweeps travel three times as far. `started_at`: s since the campaign began. BadInput if none fits.
     """
     poses = np.atleast_2d(poses)
     visits = [(pose, block, block) for pose in poses for block in blocks]
@@ -79,7 +79,7 @@ def full_design(
 def paper_design(
     robot: Robot, joint: str, poses: Array, *, travel: float = SLOW, sample_rate: float = 1000.0
 ) -> tuple[DesignedSweep, ...]:
-    """What the paper measures: one direction, offset and 2 to 5 Hz, once in each of `poses` (m, n)."""
+    """The measurement of the paper: one direction, offset and 2 to 5 Hz, once in each of `poses` (m, n)."""
     visits = [(pose, "forward_slow", "forward_slow") for pose in np.atleast_2d(poses)]
     return tuple(_in_order(robot, joint, visits, 1, travel, sample_rate, 0.0))
 
@@ -87,9 +87,9 @@ def paper_design(
 def warm_up(
     robot: Robot, joint: str, pose: Array, *, sample_rate: float = 1000.0, started_at: float = 0.0
 ) -> tuple[DesignedSweep, ...]:
-    """Fast sweeps to and fro in a pose (n,), back to back for `WARMED` s, so that friction which warmth changes does.
+    """Fast sweeps in both directions in a pose (n,), back to back for `WARMED` s, to warm up the friction.
 
-    Each pair of repeats is a block of its own: what drifts between pairs is no noise.
+    Each pair of repeats is a block of its own, so drift between pairs does not count as noise.
     """
     result: list[DesignedSweep] = []
     while not result or machine_time(result) < WARMED:
@@ -100,7 +100,7 @@ def warm_up(
 
 
 def once_more(specs: Sequence[SweepSpec], started_at: float) -> tuple[DesignedSweep, ...]:
-    """Sweeps as they were run, one after the other."""
+    """The same sweeps again, one after the other."""
     result: list[DesignedSweep] = []
     for number, spec in enumerate(specs, 1):
         start = _free_at(result[-1]) if result else started_at
@@ -111,7 +111,7 @@ def once_more(specs: Sequence[SweepSpec], started_at: float) -> tuple[DesignedSw
 
 
 def other_poses(robot: Robot, joint: str, poses: Array) -> Array:
-    """Poses (m, n) not in `poses`: each joint from the axis on turned a way from where it was, if its limits allow."""
+    """New poses (m, n): one joint, this axis or one after it, changed by `TURNED`, if its limits allow that."""
     result: list[Array] = []
     for number in range(robot.index(joint), len(robot.joints)):
         for sign in (1.0, -1.0):
@@ -125,24 +125,24 @@ def other_poses(robot: Robot, joint: str, poses: Array) -> Array:
 
 
 def machine_time(designed: Sequence[DesignedSweep]) -> float:
-    """From the begin of the first sweep until the axis stands where the last began, s."""
+    """Time from the start of the first sweep until the axis is back at the start of the last one, s."""
     return _free_at(designed[-1]) - designed[0].spec.started_at
 
 
 def measured_blocks(specs: Sequence[SweepSpec]) -> set[str]:
-    """The kinds of sweeps that were run, by what they are, whatever their block is called."""
+    """The blocks that were run, recognised by the motion and not by the name of the block."""
     return {kind for kind in kinds(specs) if kind is not None}
 
 
 def kinds(specs: Sequence[SweepSpec]) -> list[str | None]:
-    """The block that each sweep is one of; None of records that are none."""
+    """The block of each sweep; None for recordings that belong to none."""
     turning = [abs(s.offset_velocity) for s in specs if s.excitation == "multisine" and s.offset_velocity]
     slowest = min(turning, default=0.0)
     return [_kind(spec, slowest) for spec in specs]
 
 
 def is_partial(specs: Sequence[SweepSpec]) -> bool:
-    """Whether sweeps with sines were run, and not of all kinds."""
+    """Whether multisine sweeps were run, but not all blocks."""
     return any(s.excitation == "multisine" for s in specs) and not measured_blocks(specs) >= set(BLOCKS)
 
 
@@ -158,7 +158,7 @@ def _kind(spec: SweepSpec, slowest: float) -> str | None:
 
 
 def _free_at(sweep: DesignedSweep) -> float:
-    """When the next may begin, s."""
+    """Earliest start of the next sweep, s."""
     spec = sweep.spec
     travel = abs(spec.offset_velocity) * (sweep.duration - sweep.ramp)
     return spec.started_at + sweep.duration + travel / WAY_BACK + BETWEEN
@@ -200,7 +200,7 @@ def _in_order(
 
 
 def _excitation(robot: Robot, joint: str, pose: Array, block: str, load: float, travel: float) -> Excitation:
-    """The sweep of one block; sums of sines and speeds follow `design_sweep`, which knows the ripple."""
+    """The sweep of one block; sines and speeds are those of `design_sweep`, which takes ripple into account."""
     limit = EFFORT * robot.axis(joint).rated_effort
     fast, wide = block.endswith("fast"), block == "wide"
     sweep = design_sweep(
@@ -219,7 +219,7 @@ def _excitation(robot: Robot, joint: str, pose: Array, block: str, load: float, 
 
 
 def _about_standstill(sweep: Excitation) -> Excitation:
-    """The same peak speed without the offset."""
+    """The sweep with the same peak speed, without the offset."""
     number = np.arange(len(REVERSAL_LINES))
     amplitude = abs(sweep.offset_velocity) / len(REVERSAL_LINES)
     phases = (-np.pi * number * (number + 1) / len(number)) % (2 * np.pi)

@@ -1,7 +1,7 @@
-"""What the model expects of sweeps not yet run: the measured ones and those that follow their set-points, as one.
+"""Predictions for sweeps not yet run, in one set of equations with the measured sweeps.
 
-Measured and expected sweeps share one set of columns, so that coefficients which the measured ones give hold for the
-expected, the poses of both count for what gravity may do, and the warmth goes on where it is.
+Measured and predicted sweeps share one set of columns. Therefore coefficients of the measured sweeps are valid for
+the predicted ones, the poses of both determine the possible gravity errors, and the gear temperature continues.
 """
 
 from collections.abc import Sequence
@@ -22,26 +22,26 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Prospect:
-    """Equations over measured and expected sweeps, of which the measured alone give coefficients."""
+class PredictedSweeps:
+    """Equations of measured and predicted sweeps; coefficients are fitted to the measured ones only."""
 
     given: Equations
-    measured: int  # the first so many sweeps
+    measured: int  # number of measured sweeps, which are the first ones
 
     @property
     def tracks(self) -> Tracks:
         return self.given.tracks
 
     def effort(self, terms: Sequence[Term]) -> Array:
-        """Whitened rows (expected sweeps, rows) of what load, friction and terms need, as the data give them."""
+        """Whitened rows (predicted sweeps, rows) of the torque of load, friction and terms; fitted coefficients."""
         given, rows = self.given, [self.given.rows(term) for term in terms]
         every = np.concatenate([given.base, *rows, given.right[..., None]], axis=-1)
         values = solve(given.system_of(every).sum(axis=0), given.precision(terms))[0]
         return every[self.measured :, :, :-1] @ values
 
     def beyond_rigid(self, effort: Array, sweeps: Sequence[int]) -> float:
-        """Chi-squared of an effort (expected sweeps, rows) in some of the sweeps, besides what load and friction may be
-        by the prior and the measured sweeps.
+        """Chi-squared of an effort (predicted sweeps, rows) in some sweeps, minus the part that load and friction can
+        explain within the prior and the measured sweeps.
         """
         at = np.array(sweeps) + self.measured
         good = self.tracks.usable[at]
@@ -52,25 +52,25 @@ class Prospect:
 
     @cached_property
     def _known(self) -> Array:
-        """Information (b, b) on the base: prior and measured sweeps."""
+        """Information matrix (b, b) of the base: prior and measured sweeps."""
         b = self.given.width_of_base
         system = self.given.system_of(self.given.base).sum(axis=0)
         return system + self.given.precision(()) + 1e-12 * np.trace(system) * np.eye(b)
 
 
-def prospect(given: Equations, measured: Sequence[Sweep], designed: Sequence[DesignedSweep]) -> Prospect:
-    """`measured` are the sweeps of `given`; BadInput where the designed cannot stand beside them."""
+def predict_sweeps(given: Equations, measured: Sequence[Sweep], designed: Sequence[DesignedSweep]) -> PredictedSweeps:
+    """`measured`: the sweeps of `given`. BadInput if the designed sweeps cannot be combined with them."""
     robot, joint, index = given.tracks.robot, given.tracks.joint, given.tracks.robot.index(given.tracks.joint)
     motion = tracks(robot, joint, [*measured, *(expected(one, one.spec.pose[index]) for one in designed)])
     groups = tuple(
         replace(group, pieces=tuple(replace(piece, rows=motion.usable.shape[1]) for piece in group.pieces))
         for group in given.groups
     )
-    return Prospect(equations(motion, groups, given.whitening), len(given.tracks.specs))
+    return PredictedSweeps(equations(motion, groups, given.whitening), len(given.tracks.specs))
 
 
 def expected(designed: DesignedSweep, start: float) -> Sweep:
-    """A sweep that follows its set-point from a position."""
+    """A sweep that follows its set-point exactly from a position."""
     spec = designed.spec
     excitation = Excitation(
         spec.offset_velocity, spec.sines, spec.period or 1.0, spec.periods or 1, designed.ramp, designed.settle

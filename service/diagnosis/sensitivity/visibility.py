@@ -1,4 +1,4 @@
-"""What an effect would show in the sweeps there are: beside other effects, and at all."""
+"""Visibility of an effect in the existing sweeps: together with other effects, and at all."""
 
 from collections.abc import Sequence
 
@@ -10,18 +10,18 @@ from service.diagnosis.fit.cross_products import Gathered
 from service.diagnosis.fit.equations import Equations, Term
 from service.diagnosis.fit.solving import solve
 from service.diagnosis.sensitivity.design import BLOCKS, DesignedSweep, full_design, measured_blocks
-from service.diagnosis.sensitivity.predicted_sweeps import Prospect, prospect
+from service.diagnosis.sensitivity.predicted_sweeps import PredictedSweeps, predict_sweeps
 from service.errors import BadInput
 from service.recording import Sweep
 
 Array = NDArray[np.float64]
 
-TESTABLE = 25.0  # chi-squared that an effect of `TYPICAL` size should make
+TESTABLE = 25.0  # chi-squared that an effect of `TYPICAL` size must cause to be testable
 TYPICAL = 0.01  # of the rated effort
 
 
 def grid(given: Equations, name: str) -> list[tuple[float, ...]]:
-    """A few shapes of an effect: each parameter at the middle of its grid but the first, which runs over it."""
+    """A few shapes of an effect: the first parameter takes all values of its grid, the others the middle one."""
     shapes = CATALOGUE[name].shape(given.tracks, given.model)
     if not shapes:
         return [()]
@@ -30,14 +30,14 @@ def grid(given: Equations, name: str) -> list[tuple[float, ...]]:
 
 
 def left(given: Equations, terms: Sequence[Term], column: Gathered) -> tuple[float, float]:
-    """Part and power of a gathered column that rigid model and terms do not imitate."""
+    """Fraction and power of a gathered column that rigid model and terms cannot represent."""
     raw = float(np.sum(given.pairs.crossed(column, column)))
     power = solve(given.system_against(column, terms), given.precision(terms))[1]
     return (power / raw if raw > 0 else 0.0), power
 
 
 def visible_part(given: Equations, terms: Sequence[Term], name: str) -> float:
-    """Of the power of an effect's essential column, what rigid model and terms do not imitate, at its best shape."""
+    """Fraction of the power of an effect's essential column that rigid model and terms cannot represent; best shape."""
     effect, most = CATALOGUE[name], 0.0
     for shape in grid(given, name):
         most = max(most, left(given, terms, given.column(Term(name, shape), effect.essential))[0])
@@ -45,7 +45,7 @@ def visible_part(given: Equations, terms: Sequence[Term], name: str) -> float:
 
 
 def shows_beside(given: Equations, terms: Sequence[Term], term: Term) -> bool:
-    """Whether an effect of `TYPICAL` size and this shape would show in some column what the terms cannot."""
+    """Whether an effect of `TYPICAL` size and this shape has a column visibly different from the terms."""
     size = TYPICAL * given.tracks.robot.axis(given.tracks.joint).rated_effort
     for number, column in enumerate(given.columns(term)):
         peak = float(np.abs(column).max())
@@ -55,9 +55,9 @@ def shows_beside(given: Equations, terms: Sequence[Term], term: Term) -> bool:
 
 
 def untestable(given: Equations, names: Sequence[str], sweeps: Sequence[Sweep]) -> dict[str, tuple[str, ...]]:
-    """Effects that these sweeps would not show, and by which of the blocks not yet run they would.
+    """Effects that are not visible in these sweeps, with the blocks not yet run in which they would be visible.
 
-    An effect is taken as large as makes `TYPICAL` of the rated effort in the sweeps of a full design.
+    The assumed size of an effect is `TYPICAL` of the rated effort in the sweeps of a full design.
     """
     ahead = _missing(given, sweeps)
     result: dict[str, tuple[str, ...]] = {}
@@ -71,20 +71,20 @@ def untestable(given: Equations, names: Sequence[str], sweeps: Sequence[Sweep]) 
     return result
 
 
-def _missing(given: Equations, sweeps: Sequence[Sweep]) -> Prospect | None:
-    """The blocks not yet run in one of the poses."""
+def _missing(given: Equations, sweeps: Sequence[Sweep]) -> PredictedSweeps | None:
+    """Predictions for the blocks not yet run, in one of the poses."""
     motion = given.tracks
     blocks = [block for block in BLOCKS if block not in measured_blocks(motion.specs)]
     if not blocks:
         return None
     try:
-        return prospect(given, sweeps, once(given, blocks, motion.poses[:1]))
+        return predict_sweeps(given, sweeps, once(given, blocks, motion.poses[:1]))
     except BadInput:
-        return None  # there is no room for them
+        return None  # they do not fit between the limits
 
 
 def once(given: Equations, blocks: Sequence[str], poses: Array) -> tuple[DesignedSweep, ...]:
-    """Blocks run once in poses, after all that was measured."""
+    """Blocks run once in poses, after all measured sweeps."""
     motion = given.tracks
     return full_design(
         motion.robot, motion.joint, poses, repeats=1, sample_rate=motion.specs[0].sample_rate, blocks=blocks,
@@ -92,8 +92,8 @@ def once(given: Equations, blocks: Sequence[str], poses: Array) -> tuple[Designe
     )  # fmt: skip
 
 
-def _shown(given: Equations, ahead: Prospect | None, term: Term) -> tuple[float, dict[str, float]]:
-    """Chi-squared of an effect's essential column in the sweeps there are, and in each block not yet run."""
+def _shown(given: Equations, ahead: PredictedSweeps | None, term: Term) -> tuple[float, dict[str, float]]:
+    """Chi-squared of an effect's essential column in the existing sweeps, and in each block not yet run."""
     essential = CATALOGUE[term.effect].essential
     size = TYPICAL * given.tracks.robot.axis(given.tracks.joint).rated_effort
     here = given.columns(term)[essential]

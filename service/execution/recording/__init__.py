@@ -1,1 +1,1 @@
-"""What becomes of the samples of a sweep: written, checked, recovered after a restart."""
+"""Handling of the samples of a sweep: written, checked, recovered after a restart."""

@@ -1,15 +1,15 @@
-"""Do the channels of a recording fit together? Pure; asked of every sweep before it counts as recorded.
+"""Checks that the channels of a recording are consistent. Pure; applied to every sweep before it counts as recorded.
 
-What a drive delivers can be wrong although nothing failed: a channel that stands still, a sign or a unit of a
-parameter, an encoder that loses steps. Each shows in what the channels say of one another over the measured window:
+The samples of a drive can be wrong without any error: a channel that does not change, a wrong sign or unit of a
+parameter, an encoder that loses steps. Each is detected by comparing the channels over the measured window:
 
-    position    is the integral of velocity, and steps no further than velocity explains
+    position    is the integral of velocity, with no step larger than that by velocity
     load        follows the motor
-    effort      accelerates what it drives: Im(E/V) > 0 at the lowest line, or takes energy about standstill; not asked
-                along a trajectory, where gravity and the other axes outweigh that
+    effort      accelerates the axis: Im(E/V) > 0 at the lowest line, or takes energy about standstill; not checked
+                along a trajectory, where gravity and the other axes dominate
     all         change while the axis moves; about standstill friction may hold it
 
-Asked of the samples as the drive gave them: a delay of milliseconds disturbs none of this.
+Applied to the samples as reported by the drive: a delay of milliseconds does not affect the checks.
 """
 
 import numpy as np
@@ -20,22 +20,22 @@ from service.recording import Recording, SweepSpec
 
 Array = NDArray[np.float64]
 
-FROZEN = 0.2  # s: no channel repeats one value for longer while the axis moves; a slow line may ask for more, see below
-VELOCITY_GAIN = 0.01  # encoder and speed come from one sensor: a wrong unit or gear is off by far more, noise by less
-LOAD_GAIN = 0.05  # what gear error and twist take of a few degrees of travel
+FROZEN = 0.2  # s: no channel repeats one value for longer while the axis moves; more for a slow line, see below
+VELOCITY_GAIN = 0.01  # encoder and speed come from one sensor: a wrong unit or gear causes far more, noise less
+LOAD_GAIN = 0.05  # effect of gear error and twist on a few degrees of travel
 GLITCH = 12.0  # robust standard deviations: never reached by noise in 1e5 samples, nor by the tails of dry friction
-HARMLESS = 0.5  # of the commanded peak velocity, or of the way it makes in a sample: smaller steps spoil no result
-STUCK = 0.05  # of the way that the sines would make: an axis that moves less is held by its friction
-STEPS = 3.0  # steps of a channel's resolution that rounding may make
-SIGNIFICANT = 3.0  # times the neighbouring bins: an apparent inertia below zero is then no noise
+HARMLESS = 0.5  # of the commanded peak velocity, or of its travel in a sample: smaller steps do not affect the result
+STUCK = 0.05  # of the travel of the sines: an axis that moves less is held by its friction
+STEPS = 3.0  # steps of a channel's resolution allowed for rounding
+SIGNIFICANT = 3.0  # times the neighbouring bins: above, an apparent inertia below zero is not noise
 
 
 class ImplausibleChannels(SweepidError):
-    """The samples contradict one another: encoder, unit, sign, or a channel that stands still. Not identified."""
+    """The samples contradict each other: encoder, unit, sign, or a channel that does not change. Not identified."""
 
 
 def check_channels(spec: SweepSpec, recording: Recording) -> None:
-    """ImplausibleChannels with axis, quantity, value and limit; nothing is asked of a standstill."""
+    """Raises ImplausibleChannels with axis, quantity, value and limit. Sweeps at standstill are not checked."""
     if not (spec.offset_velocity or spec.sines):
         return
     part = _window(spec, recording.time)
@@ -60,19 +60,19 @@ def _window(spec: SweepSpec, time: Array) -> slice:
 
 
 def _peak(spec: SweepSpec) -> float:
-    """The fastest that was commanded, rad/s (m/s)."""
+    """Highest commanded speed, rad/s (m/s)."""
     return abs(spec.offset_velocity) + sum(sine.amplitude for sine in spec.sines)
 
 
 def _sticks(spec: SweepSpec, time: Array, velocity: Array, position: Array) -> bool:
-    """About standstill dry friction may hold an axis all along: by encoder and by speed it then goes nowhere."""
+    """About standstill dry friction may hold an axis all the time: encoder and speed then show no travel."""
     wanted = float(np.linalg.norm([sine.amplitude / (2 * np.pi * sine.frequency) for sine in spec.sines])) / np.sqrt(2)
     ways = (_without_trend(time, position), _without_trend(time, np.cumsum(velocity) / spec.sample_rate))
     return all(float(np.std(way)) < STUCK * wanted for way in ways)
 
 
 def _check_frozen(spec: SweepSpec, channels: dict[str, Array]) -> None:
-    # round the crest of a slow line a coarse channel may stand for half a period
+    # around the crest of a slow line a coarse channel may be constant for half a period
     limit = max([FROZEN, *(0.5 / sine.frequency for sine in spec.sines)])
     for name, values in channels.items():
         edges = np.flatnonzero(np.diff(values))
@@ -88,24 +88,24 @@ def _check_velocity(spec: SweepSpec, time: Array, velocity: Array, position: Arr
     """Steps of position and velocity, and the slope of position over the integral of velocity."""
     step = np.diff(time)
     explained = step * (velocity[1:] + velocity[:-1]) / 2
-    # where an axis reverses, play lets it run from one flank to the other
+    # at a reversal, backlash lets the axis move from one flank to the other
     harmless = (HARMLESS if spec.offset_velocity else 1.0) * _peak(spec)
     _check_steps(spec, "position", np.diff(position) - explained, harmless / spec.sample_rate, _resolution(position))
     _check_steps(spec, "velocity", np.diff(velocity), harmless, _resolution(velocity))
     travelled = np.concatenate([[0.0], np.cumsum(explained)])
-    # without an offset a constant error of velocity would outweigh the sines: both are then taken without their trend
+    # without an offset a constant error of velocity would dominate: both are then used without their trend
     slope = _slope(time, travelled, position, trend=spec.offset_velocity == 0)
-    # a drive that cuts off to whole units is off by half of one in the mean
+    # a drive that truncates to whole units has a mean error of half a unit
     rounding = _resolution(velocity) / 2 / abs(spec.offset_velocity) if spec.offset_velocity else 0.0
     limit = VELOCITY_GAIN + rounding
     if not abs(slope - 1) <= limit:
         raise ImplausibleChannels(
-            f"{spec.axis}: position changes {slope:.4g} times as velocity says, limit 1 +- {limit:.2g}"
+            f"{spec.axis}: position changes by {slope:.4g} times the integral of velocity, limit 1 +- {limit:.2g}"
         )
 
 
 def _check_load(spec: SweepSpec, time: Array, position: Array, load: Array) -> None:
-    """The direct encoder. Without an offset the load may sway more than the motor, or stick: nothing is asked of it."""
+    """The direct encoder. Without an offset the load may oscillate more than the motor, or stick: it is not checked."""
     if not spec.offset_velocity:
         return
     _check_frozen(spec, {"load position": load})
@@ -121,7 +121,7 @@ def _check_load(spec: SweepSpec, time: Array, position: Array, load: Array) -> N
 def _check_steps(spec: SweepSpec, name: str, steps: Array, harmless: float, resolution: float) -> None:
     middle = float(np.median(steps))
     deviation = np.abs(steps - middle)
-    spread = 1.4826 * float(np.median(deviation))  # of a normal distribution its standard deviation
+    spread = 1.4826 * float(np.median(deviation))  # standard deviation of a normal distribution
     limit = max(GLITCH * spread, harmless, STEPS * resolution)
     worst = int(np.argmax(deviation))
     if not deviation[worst] <= limit:
@@ -131,16 +131,16 @@ def _check_steps(spec: SweepSpec, name: str, steps: Array, harmless: float, reso
 
 
 def _check_effort(spec: SweepSpec, time: Array, effort: Array, velocity: Array) -> None:
-    """At the lowest line alone: above the locked-rotor frequency the motor feels the spring, not the load.
+    """Only at the lowest line: above the locked-rotor frequency the spring acts on the motor, not the load.
 
-    About standstill the bristles of dry friction are a spring as well, at any frequency; but they take energy.
+    About standstill presliding friction is a spring as well, at any frequency, but it takes energy.
     """
     line = min(sine.frequency for sine in spec.sines)
     turn = np.exp(-2j * np.pi * line * time)
     slow = np.exp(-2j * np.pi * np.arange(len(time)) / len(time))  # one bin further
     drive, noise = _without_trend(time, effort), 0.0
     response = np.mean(drive * turn) / np.mean(velocity * turn)
-    if spec.periods is not None and spec.periods > 2:  # bins between the lines show what is no answer
+    if spec.periods is not None and spec.periods > 2:  # bins between the lines show the noise
         beside = [abs(np.mean(drive * turn * slow**k)) for k in (-1, 1)]
         noise = float(max(beside) / abs(np.mean(velocity * turn)))
     takes_energy = not spec.offset_velocity and drive @ velocity > 0
@@ -164,6 +164,6 @@ def _without_trend(time: Array, values: Array) -> Array:
 
 
 def _resolution(values: Array) -> float:
-    """The smallest step a channel makes; 0 if it makes none."""
+    """The smallest step of a channel; 0 if there is none."""
     steps = np.abs(np.diff(values))
     return float(np.min(steps, where=steps > 0, initial=np.inf)) if np.any(steps) else 0.0

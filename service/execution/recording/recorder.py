@@ -1,8 +1,8 @@
-"""Writes the samples of a running sweep to the disk as they come, and makes a recording of them afterwards.
+"""Writes the samples of a running sweep to disk as they arrive, and converts them to a recording afterwards.
 
-The stream is Arrow IPC: whatever happens, all blocks that the disk has taken can be read back. Samples that are
-missing end the sweep; what came before them is kept and marked partial. The stream holds what the drive gave; in a
-complete recording the channels are put right (`service.channels`), in a partial one they are as they came.
+The stream is Arrow IPC: after any failure all blocks on disk can be read back. Missing samples
+end the sweep; the samples before are kept and marked partial. The stream has the samples of the drive; in a
+complete recording the channels are corrected (`service.channels`), in a partial one they are not.
 """
 
 from dataclasses import asdict, replace
@@ -22,27 +22,27 @@ from service.store.files.recordings import RecordingFiles, Run
 from service.store.files.stream import SampleStream, damaged, read_blocks
 
 _COLUMNS = ("time", "effort", "velocity", "position", "velocity_setpoint")
-_EXTRA = ("load_position", "excitation_effort")  # where the drive has them
+_EXTRA = ("load_position", "excitation_effort")  # if the drive has them
 
 
 class SamplesMissing(SweepidError):
-    """The drive's samples have a gap, are no numbers, or end before the measured window does."""
+    """The samples of the drive have a gap, are not finite, or end before the measured window."""
 
 
 class Gapless:
-    """The samples of one sweep so far, as one block follows on the other."""
+    """Checks that the blocks of one sweep are consecutive."""
 
     def __init__(self) -> None:
         self.samples = 0
         self.last_time = -np.inf  # s, drive clock
 
     def check(self, block: SampleBlock) -> None:
-        """SamplesMissing if the block does not follow on those so far, or holds what is not a number."""
+        """Raises SamplesMissing if the block does not continue the previous ones, or contains NaN."""
         joint, expected = block.joint, np.arange(self.samples, self.samples + len(block.index))
         wrong = np.flatnonzero(block.index != expected)
         if wrong.size:
             at = wrong[0]
-            raise SamplesMissing(f"{joint}: sample {block.index[at]} came where {expected[at]} was due")
+            raise SamplesMissing(f"{joint}: sample {block.index[at]} received instead of {expected[at]}")
         if not (np.diff(block.time, prepend=self.last_time) > 0).all():
             raise SamplesMissing(f"{joint}: time does not increase near sample {self.samples}")
         injected = () if block.excitation_effort is None else ("excitation_effort",)
@@ -51,13 +51,13 @@ class Gapless:
                 raise SamplesMissing(f"{joint}: {name} is not a number near sample {self.samples}")
 
     def add(self, block: SampleBlock) -> None:
-        """The block is one of them now."""
+        """Count the block as received."""
         if len(block.index):
             self.samples, self.last_time = int(block.index[-1]) + 1, float(block.time[-1])
 
 
 class Recorder:
-    """The stream of one sweep. Methods block until the disk has it; OSError when the disk does not take it."""
+    """The stream of one sweep. Methods block until the data is on disk. Raises OSError if it cannot be written."""
 
     def __init__(self, path: Path, command: Command) -> None:
         self._command = command
@@ -65,7 +65,7 @@ class Recorder:
         self._written = Gapless()
 
     def write(self, block: SampleBlock) -> None:
-        """Append a block; SamplesMissing, and nothing written, if it does not follow on the last one written."""
+        """Append a block. Raises SamplesMissing, and writes nothing, if it does not continue the last one."""
         if not len(block.index):
             return
         self._written.check(block)
@@ -74,7 +74,7 @@ class Recorder:
         self._written.add(block)
 
     def check_complete(self) -> None:
-        """SamplesMissing if the samples end before the measured window."""
+        """Raises SamplesMissing if the samples end before the measured window."""
         last = self._written.last_time
         _check_window(self._command, last, last / max(self._written.samples - 1, 1))
 
@@ -84,9 +84,9 @@ class Recorder:
 
 
 def read_stream(path: Path) -> tuple[Recording, float] | None:
-    """What a stream holds up to its torn end: the samples with time from 0, and the drive's time of the first, s.
+    """Samples of a stream up to its truncated end: with time from 0, and the drive's time of the first sample, s.
 
-    None if it holds fewer than two samples; UnreadableStream if what it holds are no samples.
+    None if there are fewer than two samples; raises UnreadableStream if the content is no samples.
     """
     columns = read_blocks(path)
     if columns is None:
@@ -105,15 +105,15 @@ def read_stream(path: Path) -> tuple[Recording, float] | None:
 def finish(
     files: RecordingFiles, run: Run, planned: SweepSpec, command: Command, timing: ChannelTiming, facts: Facts
 ) -> tuple[SweepSpec, NewRecording]:
-    """Make the recording of a complete stream, and the planned sweep with the clock it was measured on.
+    """Make the recording of a complete stream, and the planned sweep with its measured clock.
 
-    ImplausibleChannels, and nothing saved, where the channels contradict one another; else they are put right by
-    `timing`, and the facts say so.
+    Raises ImplausibleChannels, and saves nothing, if the channels contradict each other. Otherwise they are
+    corrected by `timing`, which is recorded in the facts.
     """
     path = files.stream(run)
     found = read_stream(path)
     if found is None:
-        raise SamplesMissing(f"{command.joint}: the sweep gave no samples")
+        raise SamplesMissing(f"{command.joint}: the sweep returned no samples")
     recording, start = found
     rate = (len(recording.time) - 1) / float(recording.time[-1])
     spec = planned.model_copy(update={"sample_rate": round(rate, 6), "measure_from": command.measure_from - start})
@@ -124,21 +124,21 @@ def finish(
         _check_window(command, start + float(recording.time[-1]), 1 / rate)
         spec = spec.model_copy(update={"measure_from": spec.measure_from - cut})
         recording = replace(recording, time=recording.time - cut)
-    told: Facts = {**facts, "spec": spec.model_dump(mode="json"), "channels": _correction(timing, rate)}
-    return spec, files.save(path.with_suffix(".parquet"), recording, RecordingState.COMPLETE, told)
+    known: Facts = {**facts, "spec": spec.model_dump(mode="json"), "channels": _correction(timing, rate)}
+    return spec, files.save(path.with_suffix(".parquet"), recording, RecordingState.COMPLETE, known)
 
 
 def salvage(files: RecordingFiles, run: Run, facts: Facts) -> NewRecording | None:
-    """Make a partial recording of what a stream holds, torn or not; None if it holds nothing.
+    """Make a partial recording of the content of a stream, truncated or not; None if it is empty.
 
-    OSError if the disk does not take it, UnreadableStream if the stream is no stream any more.
+    Raises OSError if it cannot be written, UnreadableStream if the stream is damaged.
     """
     path = files.stream(run)
     found = read_stream(path) if path.exists() else None
     if found is None:
         return None
-    told: Facts = {**facts, "channels": {"corrected": False}}
-    return files.save(path.with_suffix(".parquet"), found[0], RecordingState.PARTIAL, told)
+    known: Facts = {**facts, "channels": {"corrected": False}}
+    return files.save(path.with_suffix(".parquet"), found[0], RecordingState.PARTIAL, known)
 
 
 def _check_window(command: Command, last: float, period: float) -> None:
@@ -148,7 +148,7 @@ def _check_window(command: Command, last: float, period: float) -> None:
 
 
 def _correction(timing: ChannelTiming, rate: float) -> Channels:
-    """What was done to the channels: s, and by how much their white noise grew."""
+    """Correction applied to the channels: s, and the growth of their white noise."""
     if timing == ChannelTiming():
         return {"corrected": False}
     return {

@@ -1,13 +1,14 @@
-"""What did not come to its end: sweeps are interrupted, campaigns paused, torn streams become partial recordings.
+"""Recovery of unfinished work: sweeps are interrupted, campaigns paused, incomplete streams become partial recordings.
 
-After a restart, and where the database refused it when it was due. Nothing moves by any of it.
+Used after a restart, and when the database refused the data at the end of a sweep. It moves nothing.
 """
 
 from pathlib import Path
 
 import structlog
+from structlog.contextvars import bound_contextvars
 
-from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
+from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.errors import BadInput, NotFound
 from service.execution.recording.recorder import salvage
 from service.results.identified.manifest import Facts
@@ -22,24 +23,38 @@ _CAUSE = "the service ended during the sweep"
 
 
 def recover(store: Store, files: RecordingFiles) -> tuple[int, ...]:
-    """Bring store and files in order before anything is started. To be called with the machine's lease held.
+    """Make store and files consistent before anything is started. Call it while holding the machine's lease.
 
-    The campaigns that the last process left running.
+    Returns the campaigns that the last process left running.
     """
     left = end_runs(store, files, _CAUSE, "the service was restarted")
     while store.move_spectrum_to_file(files.save_spectrum):
         pass
-    for run, path in files.streams().items():
-        if not _known(store, run):
-            # of a campaign, sweep or attempt that a database brought back from a backup has forgotten
-            _log.error("unknown_stream", path=str(files.put_aside(path, "unknown")))
-            continue
-        _bring_in(store, files, run, path)
+    store_streams(store, files, _CAUSE)
     return left
 
 
+def store_streams(store: Store, files: RecordingFiles, cause: str) -> None:
+    """Make partial recordings of the streams of ended sweeps. Call it while nothing runs.
+
+    `cause`: why they were not stored when their sweeps ended. A stream that cannot be stored now stays.
+    """
+    for run, path in files.streams().items():
+        with bound_contextvars(campaign=run.campaign_id, sweep=run.number):
+            _look_at(store, files, run, path, cause)
+
+
+def _look_at(store: Store, files: RecordingFiles, run: Run, path: Path, cause: str) -> None:
+    """Process one remaining stream."""
+    if not _known(store, run):
+        # of a campaign, sweep or attempt that is missing in a database restored from a backup
+        _log.error("unknown_stream", path=str(files.put_aside(path, "unknown")))
+        return
+    _store_stream(store, files, run, path, cause)
+
+
 def end_runs(store: Store, files: RecordingFiles, sweep_cause: str, campaign_cause: str) -> tuple[int, ...]:
-    """Store that nothing runs: to be called while nothing does. The campaigns that ran."""
+    """Store that nothing runs; call it while nothing does. Returns the campaigns that ran."""
     for sweep in store.sweeps_in(SweepState.RUNNING):
         run = Run(sweep.campaign_id, sweep.number, sweep.attempt)
         break_off(store, files, run, SweepEvent.INTERRUPT, sweep_cause, _facts(run))
@@ -52,26 +67,26 @@ def end_runs(store: Store, files: RecordingFiles, sweep_cause: str, campaign_cau
 
 
 def break_off(store: Store, files: RecordingFiles, run: Run, event: SweepEvent, cause: str, facts: Facts) -> None:
-    """End a run that did not come to its end; what came of its samples is kept as a partial recording."""
+    """End an unfinished run; its samples are kept as a partial recording."""
     try:
         recording = salvage(files, run, {**facts, "cause": cause})
-    except (OSError, UnreadableStream, BadInput) as error:  # the stream stays; the next start looks at it again
+    except (OSError, UnreadableStream, BadInput) as error:  # the stream stays until the next start or resume
         cause, recording = f"{cause}; partial recording not written: {error}", None
     store.end_sweep(run.campaign_id, run.number, sweep_move(event), cause, None, recording)
     if recording is not None:
         files.stream(run).unlink()
 
 
-def _bring_in(store: Store, files: RecordingFiles, run: Run, path: Path) -> None:
-    """Make a recording of a stream that lies about, if its run has none; the stream goes, a damaged one aside."""
+def _store_stream(store: Store, files: RecordingFiles, run: Run, path: Path, cause: str) -> None:
+    """Make a recording of a remaining stream if its run has none. The stream is removed, a damaged one renamed."""
     if not _has_recording(store, run):
         try:
-            recording = salvage(files, run, {**_facts(run), "cause": _CAUSE})
+            recording = salvage(files, run, {**_facts(run), "cause": cause})
         except (UnreadableStream, BadInput) as error:
             aside = files.put_aside(path, "unreadable")
             _log.error("unreadable_stream", path=str(aside), reason=str(error))
             return
-        except OSError as error:  # a full disk, say: the stream stays, and the next start looks at it again
+        except OSError as error:  # e.g. a full disk: the stream stays until the next start or resume
             _log.error("stream_left", path=str(path), reason=str(error))
             return
         if recording is not None:

@@ -1,15 +1,24 @@
-// The public API, and nothing else: what these pages can do, another program can.
+// The public API only: another program can do everything that these pages can do.
+
+import { foreign, knows, parts, Told } from "./words.js";
 
 const API = "api/v1";
-const KEY = "sweepid-key"; // of this tab alone, and gone with it
+const KEY = "sweepid-key"; // stored for this browser tab only
 
-export class Refused extends Error {}
+// problem: as in RFC 9457; its kind is shown in the language of the page, its detail unchanged
+export class Refused extends Error {
+  constructor({ type = "", detail }) {
+    super(detail);
+    const kind = `problem.${type.split(":").at(-1)}`;
+    this.parts = () => (knows(kind) ? parts(kind, { detail: foreign(detail) }) : [foreign(detail)]);
+  }
+}
 
-// the service wants to know who it is: the head of the page asks
+// the service requires a login: the head of the page asks for it
 export class Unknown extends Refused {}
 
-// no answer at all: the head of the page tells it
-export class Silent extends Error {}
+// no answer: the head of the page shows it
+export class Silent extends Told {}
 
 export const address = (path) => `${API}${path}`;
 
@@ -22,7 +31,13 @@ export function authorization() {
   return key ? bearer(key) : {};
 }
 
-// patience: ms, for what a page asks again and again
+// a browser cannot send headers when it opens a WebSocket: the key is sent as a subprotocol
+export function protocols() {
+  const key = sessionStorage.getItem(KEY);
+  return ["sweepid.live", ...(key ? [`sweepid.key.${key}`] : [])];
+}
+
+// patience: ms, for requests that a page repeats
 export async function call(method, path, body, headers = {}, patience = null) {
   headers = { ...authorization(), ...headers };
   if (body !== undefined) headers["Content-Type"] = "application/json";
@@ -32,9 +47,9 @@ export async function call(method, path, body, headers = {}, patience = null) {
     answer = await fetch(address(path), { method, headers, body: body && JSON.stringify(body), signal });
     content = await answer.json();
   } catch (error) {
-    throw new Silent(`no answer from the service (${error.message})`);
+    throw new Silent("error.silent", { why: foreign(error.message) });
   }
-  if (!answer.ok) throw new (answer.status === 401 ? Unknown : Refused)(content.detail ?? answer.statusText);
+  if (!answer.ok) throw new (answer.status === 401 ? Unknown : Refused)({ type: content.type, detail: content.detail ?? answer.statusText });
   return { content, etag: answer.headers.get("ETag") };
 }
 

@@ -1,24 +1,30 @@
-// The operator's page: campaigns and their estimates.
+// The operator page: campaigns and their estimates.
 
 import { address, all, call, get, Refused } from "./api.js";
 import { showApproval, watchApproval } from "./approval.js";
 import { showAxes, watchAxes } from "./axes.js";
 import { showCommands, watchCommands } from "./commands.js";
+import { causeParts } from "./causes.js";
+import { clear } from "./drawing.js";
 import { byId, choices, complain, duration, element, number, row, tell } from "./elements.js";
 import { findingParts } from "./findings.js";
-import { first, held, owner } from "./intent.js";
+import { campaignName, first, held, noCampaign, owner } from "./intent.js";
+import { showLive } from "./live.js";
 import { watchMachine } from "./machine.js";
-import { inWords, showMotion, unitsOf } from "./motion.js";
+import { inWords, showMotion, unitsOf, unitsOfMachine } from "./motion.js";
 import { showMoving } from "./moving.js";
+import { plot } from "./plots.js";
 import { refresher } from "./refresh.js";
 import { events } from "./stream.js";
+import { language, text, word } from "./words.js";
 
 let campaigns = [];
-let machine = null; // {drives, stop} as the page heard last
-let campaign = null; // the one shown
+let machine = null; // {drives, stop} of the last answer
+let campaign = null; // the displayed campaign
 let etag = "";
-let plan = null; // its plan {id, document}; none of an imported one
-let units = null; // of its robot
+let plan = null; // its plan {id, document}; null for an imported campaign
+let units = null; // of its robot; without a campaign, of the robot of the drives
+let sought = false; // whether that robot was requested
 let shownRevision = "";
 
 // -- campaign
@@ -27,7 +33,7 @@ async function listCampaigns() {
   campaigns = await all("/campaigns");
   const select = byId("campaigns");
   const known = select.options.length;
-  choices(select, campaigns.map((one) => [one.id, `${one.id} (${one.state})`]).reverse());
+  choices(select, campaigns.map((one) => [one.id, campaignName(one)]).reverse());
   const asked = location.hash.match(/^#campaign-(\d+)$/)?.[1];
   const running = owner(campaigns);
   if (running) select.value = running.id;
@@ -41,17 +47,18 @@ async function showCampaign() {
   if (String(campaign?.id) !== id) campaign = null;
   nowCommands();
   if (!id) {
-    tell("progress-text", "no campaign yet: sweepid plan, then sweepid measure");
+    tell("progress-text", noCampaign());
+    tell("estimate-text", text("estimate.none"));
     return;
   }
   const answer = await call("GET", `/campaigns/${id}`);
   const [planned, known] = await Promise.all([planOf(answer.content), unitsOf(answer.content.robot_id)]);
-  if (byId("campaigns").value !== id) return; // another was chosen meanwhile
+  if (byId("campaigns").value !== id) return; // another campaign was selected meanwhile
   [campaign, etag, plan, units] = [answer.content, answer.etag, planned, known];
   showProgress();
-  tell("cause", campaign.cause);
+  tell("cause", causeParts(campaign.cause));
   showDataCheck(campaign.data_check);
-  tell("campaign-state", campaign.state);
+  tell("campaign-state", word("campaign-state", campaign.state));
   byId("campaign-state").className = `badge ${campaign.state}`;
   byId("repeat-choice").hidden = campaign.state !== "paused";
   nowCommands();
@@ -63,16 +70,16 @@ function showProgress() {
   const { done, total, remaining } = campaign.progress;
   byId("progress").max = total;
   byId("progress").value = done;
-  const now = campaign.motion.length ? `sweep ${Math.min(done + 1, total)}: ${inWords(campaign.motion, units)}` : "";
-  const left = done < total && remaining !== null && campaign.state !== "paused" ? `about ${duration(remaining)} left` : "";
-  tell("progress-text", [`${done} of ${total} sweeps`, now, left].filter(Boolean).join(" \u00b7 "));
+  const now = campaign.motion.length ? text("campaign.now", { number: Math.min(done + 1, total), steps: inWords(campaign.motion, units) }) : "";
+  const left = done < total && remaining !== null && campaign.state !== "paused" ? text("campaign.left", { time: duration(remaining) }) : "";
+  tell("progress-text", [text("campaign.done", { done, total }), now, left].filter(Boolean).join(" \u00b7 "));
 }
 
 const nowCommands = () => showCommands(campaign, machine, owner(campaigns));
 
 function showDataCheck(check) {
   byId("data-check").replaceChildren(...(check ? findingParts(check.findings) : []));
-  if (check && !check.findings.length) byId("data-check").append(element("p", "Check of the data: nothing found.", "quiet"));
+  if (check && !check.findings.length) byId("data-check").append(element("p", text("campaign.data-sound"), "quiet"));
 }
 
 async function planOf({ plan_id }) {
@@ -82,10 +89,10 @@ async function planOf({ plan_id }) {
   return { id: plan_id, document };
 }
 
-// what Start or Resume will move
+// the motion that Start or Resume will cause
 async function showOrdered() {
   const { state, progress, id } = campaign;
-  const command = { planned: "Start", paused: "Resume" }[state];
+  const command = { planned: "ordered.start", paused: "ordered.resume" }[state];
   const again = state === "paused" && byId("repeat").checked;
   const waits = plan !== null && command !== undefined;
   const sweeps = waits ? await get(`/campaigns/${id}/sweeps`) : [];
@@ -95,11 +102,11 @@ async function showOrdered() {
   await showApproval(plan, left, seconds);
   nowCommands();
   byId("ordered").hidden = !left.length;
-  tell("takes", left.length ? `takes ${duration(seconds)}` : "");
-  const shown = `${plan?.id}/${command}/${left.length}`;
+  tell("takes", left.length ? text("campaign.takes", { time: duration(seconds) }) : "");
+  const shown = `${plan?.id}/${command}/${left.length}/${language()}/${machine?.drives.connected}`;
   if (!left.length || byId("motion").dataset.shown === shown) return;
-  tell("ordered-title", `What ${command} will move`);
-  showMotion(byId("motion"), { ...plan.document, sweeps: left, duration: seconds }, units);
+  tell("ordered-title", text(command));
+  showMotion(byId("motion"), { ...plan.document, sweeps: left, duration: seconds }, units, machine?.drives);
   byId("motion").dataset.shown = shown;
 }
 
@@ -116,22 +123,23 @@ async function showEstimate(id) {
     estimate = await get(`/campaigns/${id}/estimates/latest`);
   } catch (error) {
     if (!(error instanceof Refused)) throw error;
-    byId("estimate-text").textContent = "none yet";
-    byId("report").hidden = true;
+    tell("estimate-text", text("estimate.none"));
+    byId("report").hidden = byId("estimate").hidden = true;
     byId("parameters").replaceChildren();
     choices(byId("axis"), []);
     shownRevision = "";
     drawChart(null);
     return;
   }
-  const revision = `${id}/${estimate.revision}`;
+  const revision = `${id}/${estimate.revision}/${language()}`;
   if (revision === shownRevision) return;
   shownRevision = revision;
   const found = estimate.document;
   byId("report").href = address(`/campaigns/${id}/report`);
-  byId("report").hidden = false;
-  byId("estimate-text").textContent =
-    `revision ${estimate.revision}, after sweep ${estimate.number}; condition number ${number(found.condition_number)}`;
+  byId("report").hidden = byId("estimate").hidden = false; // a plot needs the width of its element
+  tell("estimate-text", text("estimate.told", {
+    revision: estimate.revision, sweep: estimate.number, condition: number(found.condition_number),
+  }));
   byId("parameters").replaceChildren(...found.base_parameters.map((parameter) => row([
     [parameter.symbolic ?? parameter.name], [number(parameter.value), "number"], [number(parameter.std), "number"],
   ])));
@@ -143,26 +151,30 @@ async function showEstimate(id) {
 function drawChart(found) {
   const inertia = found?.axes[byId("axis").value]?.inertia;
   if (!inertia) {
-    Plotly.purge("chart");
+    clear("chart");
     return;
   }
-  const ink = getComputedStyle(document.body).color;
-  const grid = "rgba(128,128,128,.25)";
-  const room = Math.max(2, Math.floor(byId("chart").clientWidth / 60)); // for names of sweeps side by side
+  const room = Math.max(2, Math.floor(byId("chart").clientWidth / 60)); // number of sweep names that fit on the axis
   const trace = {
     type: "scatter", mode: "markers", marker: { color: "#2f7ef0", size: 7 },
     x: inertia.map((point) => point.sweep),
     y: inertia.map((point) => point.value),
     error_y: { type: "data", array: inertia.map((point) => point.std), color: "#2f7ef0" },
   };
-  Plotly.react("chart", [trace], {
-    margin: { l: 60, r: 10, t: 10, b: 45 }, paper_bgcolor: "transparent", plot_bgcolor: "transparent", font: { color: ink },
-    xaxis: { title: { text: "sweep", standoff: 10 }, type: "category", gridcolor: grid, nticks: room, automargin: true },
-    yaxis: { title: { text: "inertia, kg m\u00b2" }, gridcolor: grid, zeroline: false },
-  }, { displayModeBar: false, responsive: true });
+  plot("chart", [trace], {
+    xaxis: { title: { text: text("chart.sweep"), standoff: 10 }, type: "category", nticks: room },
+    yaxis: { title: { text: text("chart.inertia") } },
+  });
 }
 
-// -- what happens when
+async function findUnits() {
+  if (sought || units || !machine.drives.axes.length) return;
+  sought = true;
+  const found = await unitsOfMachine(machine.drives);
+  units ??= found;
+}
+
+// -- event handlers
 
 const refresh = refresher(async () => {
   await listCampaigns();
@@ -180,15 +192,17 @@ watchCommands(
     name === "resume" ? { repeat: byId("repeat").checked } : undefined,
     { "If-Match": etag },
   )),
-  () => `Give campaign ${campaign.id} up for good? Its present sweep stops now, ${campaign.progress.total - campaign.progress.done} sweeps are not measured; what is recorded stays.`,
+  () => text("abort.question", { id: campaign.id, left: campaign.progress.total - campaign.progress.done }),
 );
 
 const stream = events();
-stream.addEventListener("open", refresh); // whatever was missed meanwhile
+stream.addEventListener("open", refresh); // events were possibly missed
 for (const kind of ["campaign", "sweep", "check_move", "estimate", "data_check", "diagnosis", "stop"]) stream.addEventListener(kind, refresh);
 watchMachine(refresh, () => held(campaigns), (heard, moving) => {
   machine = heard;
+  findUnits().catch(complain);
   showAxes(heard.drives, units);
+  showLive(owner(campaigns), byId("si").checked);
   nowCommands();
   if (moving && moving.id === campaign?.id) {
     campaign.progress = moving.progress;

@@ -1,30 +1,33 @@
-// The first of two steps to a start, where the service wants it: an engineer approves what will move.
+// The first of two steps to a start, if the service requires it: an engineer approves the motion.
 
 import { call, get, Refused } from "./api.js";
 import { byId, duration, tell } from "./elements.js";
+import { foreign, text, told } from "./words.js";
 
-let present = null; // {plan, needed, missing, sha256} of the plan shown, or null
+let present = null; // {plan, needed, missing, sha256} of the displayed plan, or null
 
-// why this person may not start the campaign shown; empty for who may
-export const unapproved = () => (present?.needed ? present.missing : "");
+// why this person may not start the displayed campaign, as parts; empty if allowed
+export const unapproved = () => (present?.needed && present.missing ? why(present.missing) : "");
 
-// a cell that cannot be read keeps a plan from starting as well
+const why = (missing) => (missing instanceof Error ? told(missing) : [foreign(missing)]);
+
+// an unreadable cell also prevents the start of a plan
 function whyNone(error) {
   if (!(error instanceof Refused)) throw error;
-  return { needed: true, missing: error.message };
+  return { needed: true, missing: error };
 }
 
-// plan: {id, document} or null; left: its sweeps that a start will run, in so many seconds
+// plan: {id, document} or null; left: the sweeps that a start will run; seconds: their duration
 export async function showApproval(plan, left, seconds) {
   present = plan && left.length ? { plan: plan.id, ...(await get(`/plans/${plan.id}/approvals`).catch(whyNone)) } : null;
   byId("approve").hidden = unapproved() === "" || !present.sha256;
   if (byId("approve").hidden) return;
-  tell("approve-why", present.missing);
+  tell("approve-why", unapproved());
   const axes = [...new Set(left.map((sweep) => sweep.spec.axis))].join(", ");
-  tell("approve-it", `Approve: ${axes}, ${left.length} sweep${left.length === 1 ? "" : "s"}, ${duration(seconds)}`);
+  tell("approve-it", text("approval.approve", { axes, count: left.length, time: duration(seconds) }));
 }
 
-// run(work) does it and shows what came of it
+// run(work) executes it and shows the result
 export function watchApproval(run) {
   byId("approve").addEventListener("submit", (event) => {
     event.preventDefault();

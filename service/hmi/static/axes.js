@@ -1,13 +1,14 @@
-// How the axes stand, their faults, and the acknowledgement of who looked.
+// State of the axes, their faults, and the acknowledgement by a person who has checked them.
 
 import { call } from "./api.js";
-import { byId, element, EMPTY, fixed, row } from "./elements.js";
+import { byId, element, EMPTY, fixed, minus, row } from "./elements.js";
 import { mayNot } from "./login.js";
+import { foreign, joined, parts, text, told, word } from "./words.js";
 
 let faulty = []; // joints
-let last = null; // the drives
+let last = null; // the last answer for the drives
 
-// units: of the robot, or null while none is known
+// units: of the robot, or null while not known
 export function showAxes(drives, units) {
   last = [drives, units];
   byId("axes").replaceChildren(...drives.axes.map((axis) => {
@@ -15,7 +16,7 @@ export function showAxes(drives, units) {
     const digits = factor === 1 ? 4 : 2;
     return row([
       [axis.joint],
-      [axis.state],
+      [word("axis-state", axis.state)],
       [shown(axis.position, factor, unit, digits), "number"],
       [shown(axis.velocity, factor, unit && `${unit}/s`, digits), "number"],
       [shown(axis.effort, 1, effort, 1), "number"],
@@ -28,36 +29,43 @@ export function showAxes(drives, units) {
 
 function scaleOf(joint, units) {
   const effort = units?.prismatic.has(joint) ? " N" : " N m";
-  if (units === null) return [1, "", effort]; // what kind of joint it is, the robot alone tells
+  if (units === null) return [1, "", effort]; // only the robot file gives the type of a joint
   if (byId("si").checked) return [1, units.prismatic.has(joint) ? " m" : " rad", effort];
   return [...units.scale(joint), effort];
 }
 
 const shown = (value, factor, unit, digits) =>
-  value === null ? EMPTY : `${fixed(value * factor, digits)}${unit}`.replace("-", "\u2212");
+  value === null ? EMPTY : minus(`${fixed(value * factor, digits)}${unit}`);
 
 function faultCells(axis) {
   if (!axis.fault) return [["", "fault"]];
-  const button = element("button", "I looked: acknowledge");
+  const button = element("button", text("axes.acknowledge"));
   button.type = "button";
   button.dataset.acknowledge = axis.joint;
   const reason = mayNot("POST /drives/{joint}/acknowledge");
   button.disabled = reason !== "";
-  return [[reason ? `${inWords(axis.fault)} (${reason})` : inWords(axis.fault), "fault", button]];
+  return [[reason ? [...inWords(axis.fault), ` (${reason})`] : inWords(axis.fault), "fault", button]];
 }
 
-function inWords({ code, text, emergency_stop }) {
+function inWords({ code, text: fault, emergency_stop }) {
   const hexadecimal = `${code.toString(16).toUpperCase().padStart(4, "0")}h`;
-  const told = text.includes(hexadecimal) || !code ? text : `${hexadecimal} ${text}`;
-  return emergency_stop ? `EMERGENCY STOP: ${told}` : told;
+  const cause = foreign(fault.includes(hexadecimal) || !code ? fault : `${hexadecimal} ${fault}`);
+  return emergency_stop ? parts("axes.emergency", { cause }) : [cause];
+}
+
+class AxesRefused extends Error {
+  constructor(refused) {
+    super();
+    this.parts = () => joined(refused.map(([joint, error]) => [`${joint}: `, ...told(error)]), "; ");
+  }
 }
 
 async function acknowledge(joints) {
   const refused = [];
   for (const joint of joints) {
-    await call("POST", `/drives/${joint}/acknowledge`).catch((error) => refused.push(`${joint}: ${error.message}`));
+    await call("POST", `/drives/${joint}/acknowledge`).catch((error) => refused.push([joint, error]));
   }
-  if (refused.length) throw new Error(refused.join("; "));
+  if (refused.length) throw new AxesRefused(refused);
 }
 
 export function watchAxes(command) {

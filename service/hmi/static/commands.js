@@ -1,8 +1,9 @@
-// Start, Pause, Resume and Abort: what cannot work is dead, with the reason beside it.
+// Start, Pause, Resume and Abort: impossible commands are disabled, with the reason next to the button.
 
 import { unapproved } from "./approval.js";
 import { byId, tell } from "./elements.js";
 import { mayNot } from "./login.js";
+import { text, word } from "./words.js";
 
 const FITS = {
   start: ["planned"],
@@ -12,7 +13,7 @@ const FITS = {
 };
 const NAMES = Object.keys(FITS);
 
-// campaign: the one shown, or null; machine: {drives, stop}, null: not known; owner: the campaign that runs, or undefined
+// campaign: displayed, or null; machine: {drives, stop}, null: not known; owner: the running campaign, or undefined
 export function showCommands(campaign, machine, owner) {
   for (const name of NAMES) {
     const reason = whyNot(name, campaign, machine, owner);
@@ -22,26 +23,27 @@ export function showCommands(campaign, machine, owner) {
   if (byId("abort").disabled) ask(false);
 }
 
+// text or parts; empty if the command is possible
 function whyNot(name, campaign, machine, owner) {
   const forbidden = mayNot(`POST /campaigns/{campaign_id}/${name}`);
   if (forbidden) return forbidden;
-  if (!campaign) return "no campaign";
+  if (!campaign) return text("why.no-campaign");
   if (!FITS[name].includes(campaign.state)) return ofState(name, campaign);
   if (name === "pause" || name === "abort" || campaign.state === "pausing") return "";
-  if (owner && owner.id !== campaign.id) return `campaign ${owner.id} runs`;
-  if (!machine) return "no word of the machine";
+  if (owner && owner.id !== campaign.id) return text("why.another-runs", { id: owner.id });
+  if (!machine) return text("why.no-word");
   if (unapproved()) return unapproved();
-  if (machine.stop.latched) return "the machine is stopped: release it first";
+  if (machine.stop.latched) return text("why.stopped");
   const faulty = machine.drives.axes.filter((axis) => axis.fault).map((axis) => axis.joint);
-  if (faulty.length > 2) return "acknowledge the axes first";
-  return faulty.length ? `acknowledge ${faulty.join(", ")} first` : "";
+  if (faulty.length > 2) return text("why.faults");
+  return faulty.length ? text("why.fault", { axes: faulty.join(", ") }) : "";
 }
 
 function ofState(name, { state }) {
-  if (["measured", "completed", "aborted"].includes(state)) return `${state} already`;
-  if (name === "pause") return state === "pausing" ? "holds after this sweep" : "nothing runs";
-  if (state === "planned") return "not started yet";
-  return state === "paused" ? "started already: resume it" : "runs already";
+  if (["measured", "completed", "aborted"].includes(state)) return text("why.over", { state: word("campaign-state", state) });
+  if (name === "pause") return state === "pausing" ? text("why.pausing") : text("why.nothing-runs");
+  if (state === "planned") return text("why.not-started");
+  return state === "paused" ? text("why.resume") : text("why.runs");
 }
 
 function ask(asked) {
@@ -49,7 +51,7 @@ function ask(asked) {
   byId("abort").hidden = asked;
 }
 
-// run(name) has the command done
+// run(name) executes the command
 export function watchCommands(run, question) {
   for (const name of ["start", "pause", "resume"]) byId(name).addEventListener("click", () => run(name));
   byId("abort").addEventListener("click", () => {

@@ -1,24 +1,26 @@
-// The diagnosis page: where model and measurement disagree, what is missing, what to measure next.
+// The diagnosis page: differences of model and measurement, missing effects, the next experiment.
 
 import { address, all, call, get } from "./api.js";
-import { byId, choices, complain, element, link, number, plain, row } from "./elements.js";
+import { causeParts } from "./causes.js";
+import { byId, choices, complain, element, link, minus, number, row, tell } from "./elements.js";
 import { clearExperiment, showExperiment, watchExperiment } from "./experiment.js";
 import { drawFigures } from "./figures.js";
 import { findingParts } from "./findings.js";
 import { held } from "./intent.js";
-import { identified } from "./login.js";
 import { watchMachine } from "./machine.js";
 import { showMoving } from "./moving.js";
 import { refresher } from "./refresh.js";
 import { events } from "./stream.js";
+import { verdictParts } from "./verdicts.js";
+import { foreign, joined, language, parts, text, word } from "./words.js";
 
 const FINISHED = ["measured", "completed"];
 const OPEN = ["waiting", "running"];
-const NOTHING = 1e-6; // of a standard deviation: rounding
+const NOTHING = 1e-6; // share of a standard deviation: rounding
 
-let shown = null; // the diagnosis on the page, with its document once it is done
-let paused; // the campaign that waits for somebody
-let drawn = ""; // diagnosis and axis of the figures on the page
+let shown = null; // the displayed diagnosis, with its document when it is done
+let paused; // the paused campaign
+let drawn = ""; // diagnosis and axis of the displayed figures
 
 // -- the list, and a new one
 
@@ -27,6 +29,7 @@ async function showLists() {
   paused = held(campaigns);
   await showMoving(campaigns, diagnoses);
   showEvidence(campaigns.filter((one) => FINISHED.includes(one.state)).reverse());
+  await showModels();
   if (!location.hash && diagnoses.length) history.replaceState(null, "", `#${diagnoses.at(-1).id}`);
   byId("diagnoses").replaceChildren(...diagnoses.toReversed().map(listed));
   return [campaigns, diagnoses];
@@ -34,14 +37,16 @@ async function showLists() {
 
 function listed(one) {
   const line = row([
-    ["", "", link(one.id, `#${one.id}`)],
+    [one.here ? "" : one.machine, "", link(one.id, `#${one.id}`)],
     [one.campaigns.join(", ")],
-    [Object.entries(one.verdicts).map(([joint, verdict]) => `${joint}: ${verdict}`).join(", "), "words"],
-    [one.state + (one.unattended ? ", runs alone" : "")],
+    [Object.entries(one.verdicts).map(([joint, verdict]) => `${joint}: ${word("verdict", verdict)}`).join(", "), "words"],
+    [one.unattended ? text("diagnosis.alone", { state: stateOf(one) }) : stateOf(one)],
   ]);
   if (`#${one.id}` === location.hash) line.setAttribute("aria-current", "true");
   return line;
 }
+
+const stateOf = (diagnosis) => word("diagnosis-state", diagnosis.state);
 
 function showEvidence(campaigns) {
   const chosen = evidence();
@@ -53,11 +58,11 @@ function showEvidence(campaigns) {
     box.checked = chosen.some((other) => Number(other.value) === one.id);
     const label = element("label");
     const sweeps = Object.values(one.sweeps).reduce((sum, count) => sum + count, 0);
-    label.append(box, ` ${one.id} (robot ${one.robot_id}, ${sweeps} sweeps)`);
+    label.append(box, ` ${text("diagnosis.evidence", { id: one.id, robot: one.robot_id, sweeps })}`);
     return label;
   });
   byId("evidence").replaceChildren(byId("evidence").firstElementChild, ...boxes);
-  if (!boxes.length) byId("evidence").append(element("p", "no measured campaign yet", "quiet"));
+  if (!boxes.length) byId("evidence").append(element("p", text("diagnosis.no-campaign"), "quiet"));
 }
 
 const evidence = () => [...byId("evidence").querySelectorAll(":checked")];
@@ -65,7 +70,7 @@ const evidence = () => [...byId("evidence").querySelectorAll(":checked")];
 async function showModels() {
   const robot = evidence()[0]?.dataset.robot;
   const models = robot ? await all(`/models?robot=${robot}`) : [];
-  choices(byId("model"), [["", "none"], ...models.map((one) => [one.id, `revision ${one.revision}, accepted by ${one.accepted_by}`])]);
+  choices(byId("model"), [["", text("diagnosis.no-model")], ...models.map((one) => [one.id, text("diagnosis.model", { revision: one.revision, by: one.accepted_by })])]);
 }
 
 async function start() {
@@ -75,7 +80,7 @@ async function start() {
   location.hash = `#${made.content.id}`;
 }
 
-// -- the one shown
+// -- the displayed diagnosis
 
 async function showDiagnosis([campaigns, diagnoses]) {
   const id = location.hash.slice(1);
@@ -83,28 +88,33 @@ async function showDiagnosis([campaigns, diagnoses]) {
   if (!id) return;
   shown = await get(`/diagnoses/${id}`);
   const after = diagnoses.find((one) => one.parent === shown.id);
-  byId("shown-title").textContent = `Diagnosis ${shown.id}`;
-  byId("shown-state").textContent = shown.state;
+  tell("shown-title", text("diagnosis.title", { id: shown.id }));
+  tell("shown-state", stateOf(shown));
   byId("shown-state").className = `badge ${shown.state}`;
   byId("shown-about").replaceChildren(...about(after));
-  byId("shown-cause").textContent = shown.cause;
+  tell("shown-cause", causeParts(shown.cause));
   const done = shown.state === "done";
   byId("report").hidden = !done;
   byId("report").href = address(`/diagnoses/${shown.id}/report.html`);
   byId("findings").hidden = byId("axis-choice").hidden = !done;
-  if (done) choices(byId("axis"), Object.entries(shown.document.axes).map(([joint, axis]) => [joint, `${joint} (${axis.verdict})`]));
+  if (done) choices(byId("axis"), Object.entries(shown.document.axes).map(([joint, axis]) => [joint, `${joint} (${word("verdict", axis.verdict)})`]));
   const campaign = campaigns.find((one) => one.id === shown.experiment?.campaign_id);
   await showAxis(campaign, after);
 }
 
+const diagnosisLink = (id) => link(text("about.diagnosis", { id }), `#${id}`);
+
 function about(after) {
-  const parts = [`from campaign ${shown.campaigns.join(", ")}`];
-  if (shown.model) parts.push(`, starts from model ${shown.model}`);
-  if (shown.estimate) parts.push(`, rigid model from the estimate of campaign ${shown.estimate.campaign_id}, revision ${shown.estimate.revision}`);
-  if (shown.parent) parts.push(", continues ", link(`diagnosis ${shown.parent}`, `#${shown.parent}`));
-  if (after) parts.push(", continued by ", link(`diagnosis ${after.id} (${after.state})`, `#${after.id}`));
-  if (OPEN.includes(shown.state)) parts.push(`; ${Object.keys(shown.verdicts).length} of ${shown.axes.length || "all"} axes done`);
-  return parts;
+  const told = [[text("about.from", { campaigns: shown.campaigns.join(", ") })]];
+  if (shown.model) told.push([text("about.model", { id: shown.model })]);
+  if (shown.estimate) told.push([text("about.estimate", { id: shown.estimate.campaign_id, revision: shown.estimate.revision })]);
+  if (shown.parent) told.push(parts("about.continues", { diagnosis: diagnosisLink(shown.parent) }));
+  if (after) told.push(parts("about.continued", { diagnosis: diagnosisLink(after.id), state: stateOf(after) }));
+  if (OPEN.includes(shown.state)) {
+    const done = Object.keys(shown.verdicts).length;
+    told.push([shown.axes.length ? text("about.done", { done, total: shown.axes.length }) : text("about.done-of-all", { done })]);
+  }
+  return joined(told, ", ");
 }
 
 async function showAxis(campaign, after) {
@@ -116,17 +126,17 @@ async function showAxis(campaign, after) {
     drawn = "";
     return;
   }
-  byId("verdict").textContent = axis.summary;
+  tell("verdict", verdictParts(joint, axis));
   byId("verdict").className = `verdict ${axis.verdict}`;
   byId("data").replaceChildren(...findingParts(axis.data ?? []));
   byId("effects").replaceChildren(...axis.effects.flatMap(effectParts));
-  if (axis.verdict === "ambiguous") byId("effects").prepend(element("p", "The simplest explanation so far, not decided:"));
+  if (axis.verdict === "ambiguous") byId("effects").prepend(element("p", text("diagnosis.simplest")));
   showPart(axis.part ?? []);
   showRigidModel(axis);
-  byId("untestable").textContent = axis.untestable.length ? `These sweeps cannot show: ${axis.untestable.map(plain).join(", ")}.` : "";
+  tell("untestable", axis.untestable.length ? text("diagnosis.untestable", { effects: axis.untestable.map(effectName).join(", ") }) : "");
   await showExperiment(shown, joint, axis.next_experiment, campaign, after);
   await showAcceptance(axis);
-  const wanted = `${shown.id}/${joint}`;
+  const wanted = `${shown.id}/${joint}/${language()}`;
   if (wanted === drawn) return;
   drawn = wanted;
   const figures = await get(`/diagnoses/${shown.id}/figures`);
@@ -134,30 +144,32 @@ async function showAxis(campaign, after) {
   drawFigures(byId("pictures"), figures.axes[joint], axis);
 }
 
+const effectName = (effect) => word("effect", effect);
+
 function effectParts(effect) {
-  const heading = element("h3", plain(effect.effect));
-  const sentence = element("p", `${effect.sentence} `);
+  const heading = element("h3", effectName(effect.effect));
+  const sentence = element("p", [foreign(effect.sentence), " "]);
   sentence.append(element("code", effect.physics));
   const table = element("table");
   table.append(...Object.entries(effect.parameters).map(([name, value]) => row([
-    [plain(name)], [`${number(value.value)} \u00b1 ${number(value.std && Number(value.std.toPrecision(2)))} ${value.unit}`, "number"],
+    [word("parameter", name)], [`${minus(number(value.value))} \u00b1 ${minus(number(value.std && Number(value.std.toPrecision(2))))} ${value.unit.replace("^2", "\u00b2")}`, "number"],
   ])));
   return [heading, sentence, table];
 }
 
 function showPart(part) {
   byId("part").replaceChildren(...part.flatMap(effectParts));
-  if (part.length) byId("part").prepend(element("p", "Known in part, beside a rest that no effect of the catalogue explains; the model stays what it was:"));
+  if (part.length) byId("part").prepend(element("p", text("diagnosis.in-part")));
 }
 
-// what differs from before by more than its standard deviation stands out
+// values that changed by more than their standard deviation are highlighted
 function showRigidModel(axis) {
   const parameters = axis.rigid_model ?? [];
   byId("rigid-model").hidden = !parameters.length;
-  byId("rigid-before").textContent = (axis.started_from ?? "cad") === "cad" ? "CAD" : "Estimate";
+  tell("rigid-before", (axis.started_from ?? "cad") === "cad" ? "CAD" : text("diagnosis.estimate"));
   byId("rigid-parameters").replaceChildren(...parameters.map((one) => {
     const shown = (value) => number(value !== null && Math.abs(value) < NOTHING * one.std ? 0 : value);
-    const name = /^\w+$/.test(one.name) ? plain(one.name) : one.name;
+    const name = /^\w+$/.test(one.name) ? word("parameter", one.name) : one.name;
     const line = row([
       [name, "words"], [shown(one.nominal), "number"], [shown(one.value), "number"],
       [number(one.std && Number(one.std.toPrecision(2))), "number"],
@@ -167,11 +179,11 @@ function showRigidModel(axis) {
   }));
 }
 
-// -- into the model
+// -- acceptance into the model
 
 async function showAcceptance(axis) {
-  const named = axis.verdict === "named" ? axis.effects.map((effect) => plain(effect.effect)) : [];
-  const changed = [...new Set((axis.changes ?? []).map((change) => `${plain(change.effect)} as it is now`))];
+  const named = axis.verdict === "named" ? axis.effects.map((effect) => effectName(effect.effect)) : [];
+  const changed = [...new Set((axis.changes ?? []).map((change) => text("accept.changed", { effect: effectName(change.effect) })))];
   const acceptable = named.length > 0 || (axis.verdict === "none" && changed.length > 0);
   byId("acceptance").hidden = !acceptable;
   if (!acceptable) return;
@@ -179,8 +191,8 @@ async function showAcceptance(axis) {
   byId("accept").hidden = models.length > 0;
   byId("accept-text").textContent = `${byId("axis").value}: ${[...named, ...changed].join(", ")}`;
   byId("accepted").replaceChildren(...models.flatMap((one) => [
-    `Revision ${one.revision} of the robot's model, accepted by ${one.accepted_by}. `,
-    link("Scenario of the twin", address(`/models/${one.id}/scenario.yaml`)),
+    text("accept.done", { revision: one.revision, by: one.accepted_by }), " ",
+    link(text("accept.scenario"), address(`/models/${one.id}/scenario.yaml`)),
     " ",
   ]));
 }
@@ -189,11 +201,11 @@ async function accept() {
   await call("POST", `/diagnoses/${shown.id}/model`, { axes: [byId("axis").value], accepted_by: byId("accepted-by").value });
 }
 
-// -- what happens when
+// -- event handlers
 
 const refresh = refresher(async () => showDiagnosis(await showLists()));
 
-// a form's button is dead while its order is under way
+// the button of a form is disabled while its request runs
 const submit = (run) => async (event) => {
   event.preventDefault();
   event.submitter.disabled = true;
@@ -214,9 +226,8 @@ byId("axis").addEventListener("change", refresh);
 byId("accept").addEventListener("submit", submit(accept));
 window.addEventListener("hashchange", refresh);
 watchExperiment(submit);
-identified.then(showModels).catch(complain);
 
 const stream = events();
-stream.addEventListener("open", refresh); // whatever was missed meanwhile
+stream.addEventListener("open", refresh); // events were possibly missed
 for (const kind of ["campaign", "sweep", "check_move", "data_check", "diagnosis", "stop"]) stream.addEventListener(kind, refresh);
 watchMachine(refresh, () => paused);

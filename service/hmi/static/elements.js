@@ -1,40 +1,49 @@
-// Cells, numbers and choices of the pages.
+// Table cells, numbers and select elements of the pages.
 
 import { Unknown } from "./api.js";
+import { decimal, figures, told } from "./words.js";
 
 export const EMPTY = "\u2013";
+const MINUS = "\u2212";
 export const byId = (id) => document.getElementById(id);
 
-export function element(tag, text, kind) {
+let complaint = null; // the displayed error
+
+export function element(tag, content, kind) {
   const made = document.createElement(tag);
-  if (text !== undefined) made.textContent = text;
+  if (content !== undefined) made.append(...[content].flat());
   if (kind) made.className = kind;
   return made;
 }
 
-export function link(text, href) {
-  const made = element("a", text);
+export function link(content, href) {
+  const made = element("a", content);
   made.href = href;
   return made;
 }
 
 export function row(cells) {
   const tr = element("tr");
-  for (const [text, kind, control] of cells) {
-    const td = element("td", text, kind);
+  for (const [content, kind, control] of cells) {
+    const td = element("td", content, kind);
     if (control) td.append(" ", control);
     tr.append(td);
   }
   return tr;
 }
 
-export function number(value, unit = "") {
-  return value === null || value === undefined ? EMPTY : `${Number(value.toPrecision(4))}${unit}`;
-}
+export const number = (value, unit = "") => (value === null || value === undefined ? EMPTY : `${figures(value, 4)}${unit}`);
+
+// three significant digits
+export const figure = (value) => (value === null || value === undefined ? EMPTY : figures(value, 3));
 
 export function fixed(value, digits) {
-  return value === null ? EMPTY : (Math.abs(value) < 0.5 * 10 ** -digits ? 0 : value).toFixed(digits);
+  if (value === null) return EMPTY;
+  const shown = Math.abs(value) < 0.5 * 10 ** -digits ? 0 : value;
+  return decimal(shown, { minimumFractionDigits: digits, maximumFractionDigits: digits });
 }
+
+export const minus = (told) => told.replace("-", MINUS);
 
 export function duration(seconds) {
   const whole = Math.round(seconds);
@@ -42,21 +51,23 @@ export function duration(seconds) {
   return minutes ? `${minutes} min ${whole % 60} s` : `${whole} s`;
 }
 
-export const plain = (name) => name.replaceAll("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck");
-
 export function choices(select, entries) {
   const chosen = select.value;
-  select.replaceChildren(...entries.map(([value, text]) => new Option(text, value)));
+  select.replaceChildren(...entries.map(([value, name]) => new Option(name, value)));
   if (entries.some(([value]) => String(value) === chosen)) select.value = chosen;
 }
 
-// a text that did not change is not written again: who listens to the page hears changes alone
-export function tell(id, text) {
-  if (byId(id).textContent !== text) byId(id).textContent = text;
+// unchanged content is not written again: a screen reader reads changes only
+export function tell(id, content) {
+  const made = element("p", content);
+  if (byId(id).innerHTML !== made.innerHTML) byId(id).replaceChildren(...made.childNodes);
 }
 
 export function complain(error) {
-  if (error instanceof Unknown) return; // the head of the page asks who it is
+  if (error instanceof Unknown) return; // the head of the page asks for the login
+  complaint = error;
   byId("error").hidden = !error;
-  byId("error").textContent = error ? `${error.message}` : "";
+  tell("error", error ? told(error) : "");
 }
+
+export const complainAgain = () => complain(complaint);

@@ -1,8 +1,9 @@
-// The next experiment: what would move, how far and how long; it starts with a second click and a name.
+// The next experiment: its motion, distance and duration; it starts after a second click and with a name.
 
-import { call } from "./api.js";
-import { byId, duration, link, plain } from "./elements.js";
+import { call, get } from "./api.js";
+import { byId, duration, link, tell } from "./elements.js";
 import { posesOf, showMotion, swing, topSpeed, travel, unitsOf } from "./motion.js";
+import { foreign, parts, text, Told, word } from "./words.js";
 
 const MM = 1e-3;
 
@@ -15,7 +16,7 @@ export function clearExperiment() {
   asked = null;
 }
 
-// campaign: that of the experiment approved last, after: the diagnosis that went on with it, or undefined
+// campaign: that of the last approved experiment; after: the diagnosis that continued with it, or undefined
 export async function showExperiment(diagnosis, joint, experiment, campaign, after) {
   if (!experiment) {
     clearExperiment();
@@ -26,8 +27,9 @@ export async function showExperiment(diagnosis, joint, experiment, campaign, aft
   units = await unitsOf(diagnosis.robot_id);
   if (!same) byId("prepared").hidden = true;
   byId("experiment").hidden = false;
-  byId("experiment-text").textContent =
-    `${plain(experiment.kind)}: ${experiment.reason} About ${duration(experiment.seconds)} of machine time.`;
+  tell("experiment-text", parts("experiment.told", {
+    kind: word("block", experiment.kind), reason: foreign(experiment.reason), time: duration(experiment.seconds),
+  }));
   byId("experiment-way").textContent = wayInWords(joint, experiment.sweeps);
   const over = !campaign || campaign.state === "aborted";
   byId("prepare").hidden = Boolean(after) || !over;
@@ -36,8 +38,11 @@ export async function showExperiment(diagnosis, joint, experiment, campaign, aft
 }
 
 function approved({ axis, approved_by }, campaign, after) {
-  const told = [`Approved by ${approved_by} for ${axis}: `, link(`campaign ${campaign.id}`, `./#campaign-${campaign.id}`), `, ${campaign.state}.`];
-  if (campaign.state !== "aborted" && !after) told.push(" When it is completed, the diagnosis goes on by itself.");
+  const told = parts("experiment.approved", {
+    by: approved_by, axis, campaign: link(text("experiment.campaign", { id: campaign.id }), `./#campaign-${campaign.id}`),
+    state: word("campaign-state", campaign.state),
+  });
+  if (campaign.state !== "aborted" && !after) told.push(" ", text("experiment.goes-on"));
   return told;
 }
 
@@ -50,7 +55,7 @@ async function prepare() {
   const { diagnosis, joint, kind } = asked;
   asked.cell = byId("cell").value || null;
   const plan = (await call("POST", `/diagnoses/${diagnosis}/plan`, { axis: joint, cell: asked.cell })).content.document;
-  showMotion(byId("motion"), plan, units);
+  showMotion(byId("motion"), plan, units, await get("/drives"));
   byId("mass").hidden = kind !== "test_mass";
   for (const input of byId("mass").querySelectorAll("input")) input.required = kind === "test_mass";
   byId("prepared").hidden = false;
@@ -59,14 +64,14 @@ async function prepare() {
 async function approve() {
   const { diagnosis, joint, kind, cell } = asked;
   const approval = { axis: joint, cell, approved_by: byId("approved-by").value, test_mass: kind === "test_mass" ? mass() : null };
-  byId("prepared").hidden = true; // one approval, one motion
+  byId("prepared").hidden = true; // one approval allows one motion
   await call("POST", `/diagnoses/${diagnosis}/experiment`, approval);
 }
 
 function mass() {
   const value = (id) => {
     const told = Number(byId(id).value.replace(",", "."));
-    if (byId(id).value.trim() === "" || !Number.isFinite(told)) throw new Error(`${byId(id).value || "nothing"} is not a number`);
+    if (byId(id).value.trim() === "" || !Number.isFinite(told)) throw byId(id).value ? new Told("mass.no-number", { given: byId(id).value }) : new Told("mass.nothing");
     return told;
   };
   return {
@@ -76,13 +81,13 @@ function mass() {
   };
 }
 
-// before there is a plan
+// before the plan exists
 function wayInWords(joint, sweeps) {
   if (!sweeps.length) return "";
   const { length } = units;
   const poses = posesOf(sweeps);
   const most = Math.max(...sweeps.map((sweep) => Math.abs(travel(sweep)) + swing(sweep)));
   const speed = Math.max(...sweeps.map(topSpeed));
-  return `${joint} turns in ${sweeps.length} sweeps, up to ${length(joint, most)} from the pose and back, at most ` +
-    `${length(joint, speed)}/s. The robot first goes to ${poses === 1 ? "its pose" : `each of ${poses} poses`}, joint by joint.`;
+  const turns = text("experiment.turns", { joint, sweeps: sweeps.length, way: length(joint, most), speed: `${length(joint, speed)}/s` });
+  return `${turns} ${text("experiment.goes-to", { count: poses })}`;
 }

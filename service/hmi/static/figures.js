@@ -1,38 +1,30 @@
 // The report's figures in the colours of the page.
 
+import { clear, draw } from "./drawing.js";
 import { element } from "./elements.js";
+import { foreign, knows, separators, text } from "./words.js";
 
-const TITLES = {
-  map: "Where the gap is",
-  gap_by_pose: "Gap before and after, on held-out sweeps",
-  example: "The held-out sweep with the largest gap",
-  evidence: "How far behind every other candidate is",
-  parameters: "Parameters with two standard deviations",
-};
-const CAPTIONS = {
-  evidence: "Every other candidate in its place, and how far behind it is. Amber ones are not ruled out. Grey ones are: " +
-    "far behind (beyond the dashed line), or richer without explaining more, or against physics.",
-};
 const GRID = "rgba(128,128,128,.25)";
 
 export function drawFigures(place, figures, axis) {
-  for (const old of place.querySelectorAll(".figure")) Plotly.purge(old);
+  for (const old of place.querySelectorAll(".figure")) clear(old);
   place.replaceChildren();
   for (const [name, figure] of Object.entries(figures)) {
-    place.append(element("h2", TITLES[name] ?? name));
-    if (name === "map") place.append(...sentencesOf(axis).map((sentence) => element("p", sentence)));
-    if (CAPTIONS[name]) place.append(element("p", CAPTIONS[name]));
+    place.append(element("h2", knows(`figure.${name}`) ? text(`figure.${name}`) : foreign(name)));
+    if (name === "map") place.append(...sentencesOf(axis).map((sentence) => element("p", foreign(sentence))));
+    if (name === "evidence") place.append(element("p", text("figure-caption.evidence")));
     const plot = element("div", undefined, "figure");
     plot.id = `figure-${name}`;
+    plot.lang = "en"; // texts of the service
     plot.style.height = `${figure.layout.height}px`;
     const scroll = element("div", undefined, "scroll");
     scroll.append(plot);
     place.append(scroll);
-    Plotly.newPlot(plot, figure.data, inColours(figure.layout), { displayModeBar: false, responsive: true });
+    draw(plot, figure.data, inColours(figure.layout));
   }
 }
 
-// what the check of the data found stands above
+// sentences without the findings of the data check, which are displayed above
 function sentencesOf(axis) {
   const told = new Set((axis.data ?? []).map((finding) => finding.sentence));
   return axis.sentences.filter((sentence) => !told.has(sentence));
@@ -43,6 +35,7 @@ function inColours(layout) {
   const axes = Object.entries(layout).filter(([key]) => /^[xy]axis\d*$/.test(key));
   return {
     ...layout,
+    separators: separators(),
     ...Object.fromEntries(axes.map(([key, axis]) => [key, { ...axis, gridcolor: GRID }])),
     font: { ...layout.font, color: ink },
     paper_bgcolor: "transparent",

@@ -1,12 +1,13 @@
-// What the check of the data found: sentence and what to do, the severe ones first.
+// Findings of the data check: sentence and action, severe findings first.
 
 import { element } from "./elements.js";
+import { foreign, word } from "./words.js";
 
 export function findingParts(findings) {
   const ordered = findings.toSorted((one, other) => (other.severity === "wrong") - (one.severity === "wrong"));
   return ordered.map((finding) => {
     const line = element("p", undefined, `finding ${finding.severity}`);
-    line.append(element("b", `${finding.severity}: `), `${finding.sentence} ${finding.action}`);
+    line.append(element("b", `${word("severity", finding.severity)}: `), foreign(`${finding.sentence} ${finding.action}`));
     return line;
   });
 }

@@ -1,18 +1,18 @@
-// What the machine does now and next, in words that somebody beside it can rely on.
+// The present and next motion of the machine, as reliable text for a person near the machine.
 
+import { causeParts } from "./causes.js";
 import { byId, duration, element, link } from "./elements.js";
 import { inWords } from "./motion.js";
+import { foreign, joined, parts, text, word } from "./words.js";
 
 const OPEN = ["waiting", "running"];
 const MOVING = ["running", "pausing"];
 
-const UNKNOWN = "The state of the axes is not known. Look at the machine.";
-
-let doubt = null; // sentences that go before the orders, none where the drives tell how they stand; null: not asked yet
-let sound = false; // nothing is wrong with the machine, as far as it is known
-let orders = []; // what is ordered, parts of a paragraph
-let moving = false; // an order that moves
-let waits = false; // a campaign that somebody has to look after
+let doubt = null; // parts before the orders; empty if all drives report their state; null: not requested yet
+let sound = false; // no problem of the machine is known
+let orders = []; // current orders, as parts of a paragraph
+let moving = false; // an order causes motion
+let waits = false; // a campaign waits for a person
 
 // campaigns and diagnoses: the lists; running: the campaign that owns the machine, with its progress, or undefined;
 // units: of its robot
@@ -23,21 +23,21 @@ export function showIntent(campaigns, diagnoses, running, units) {
   draw();
 }
 
-// no drives: no word from the service, which the page tells elsewhere; troubles: of the machine
+// no drives: no answer of the service, which is shown elsewhere; troubles: of the machine
 export function showDoubt(drives, troubles) {
   const silent = drives?.axes.filter((axis) => axis.state === "unknown").map((axis) => axis.joint);
   sound = Boolean(drives) && !troubles.length && !silent.length;
   if (!drives) doubt = null;
   else if (drives.connected && !silent.length) doubt = [];
-  else doubt = [UNKNOWN, `Cause: ${drives.trouble || `no word from ${silent.join(", ")}`}.`];
+  else doubt = parts("intent.unknown", { cause: drives.trouble ? foreign(drives.trouble) : text("intent.no-word", { axes: silent.join(", ") }) });
   document.body.classList.toggle("sound", sound);
   draw();
 }
 
-// green only where all is known and well: what is ordered, how the axes stand, and that nothing holds them
+// green only if the orders and the state of all axes are known and nothing holds the machine
 function draw() {
   const made = element("p");
-  if (doubt !== null) made.append(...doubt.map((sentence) => `${sentence} `), ...orders);
+  if (doubt !== null) made.append(...doubt, doubt.length ? " " : "", ...orders.map((part) => (part instanceof Node ? part.cloneNode(true) : part)));
   if (byId("intent").innerHTML !== made.innerHTML) byId("intent").replaceChildren(...made.childNodes);
   byId("intent").className = kind();
 }
@@ -49,42 +49,41 @@ function kind() {
   return sound && orders.length ? "still" : "";
 }
 
-export const owner = (campaigns) => campaigns.find((one) => MOVING.includes(one.state));
+export const noCampaign = () => parts("campaign.none", { page: link(text("head.plan"), "plan") });
 
-export const held = (campaigns) => campaigns.findLast((one) => one.state === "paused");
+// with the name of its machine if it belongs to another cell
+export const campaignName = (one) => [`${one.id} (${word("campaign-state", one.state)})`, ...(one.here ? [] : [one.machine])].join(" \u00b7 ");
 
-// the one that matters: what moves, what waits for somebody, what is to come, what was last
+// of this service's machine: other cells can have campaigns in the same database
+export const owner = (campaigns) => campaigns.find((one) => one.here && MOVING.includes(one.state));
+
+export const held = (campaigns) => campaigns.findLast((one) => one.here && one.state === "paused");
+
+// the most important one: the present motion, a waiting campaign, the next one, or the last one
 export const first = (campaigns) =>
-  owner(campaigns) ?? held(campaigns) ?? campaigns.find((one) => one.state === "planned") ?? campaigns.at(-1);
+  owner(campaigns) ?? held(campaigns) ?? campaigns.find((one) => one.here && one.state === "planned") ?? campaigns.at(-1);
 
-const alone = (one) => one.unattended && OPEN.includes(one.state);
+const alone = (one) => one.here && one.unattended && OPEN.includes(one.state);
 
 function ofCampaign(campaign, diagnoses, units) {
   const { done, total, remaining } = campaign.progress;
-  const parts = ["The machine moves: ", campaignLink(campaign.id), ` runs, sweep ${Math.min(done + 1, total)} of ${total}`];
-  if (campaign.motion.length) parts.push(`: ${inWords(campaign.motion, units)}`);
-  parts.push(campaign.state === "pausing" ? "; it holds after this sweep. " : ". ");
-  if (remaining) parts.push(`About ${duration(remaining)} left. `);
-  if (campaign.attended) {
-    parts.push(`It stops when nobody shows a sign of life for ${campaign.attended.within_s} s; this page shows one while it is seen. `);
-  }
+  const steps = campaign.motion.length ? `: ${inWords(campaign.motion, units)}` : "";
+  const sentences = [parts(campaign.state === "pausing" ? "intent.pausing" : "intent.runs", {
+    campaign: campaignLink(campaign.id), number: Math.min(done + 1, total), total, steps,
+  })];
+  if (remaining) sentences.push(text("intent.left", { time: duration(remaining) }));
+  if (campaign.attended) sentences.push(text("intent.attended", { seconds: campaign.attended.within_s }));
   const asking = diagnoses.find((one) => one.experiment?.campaign_id === campaign.id);
-  if (asking?.unattended) {
-    parts.push(`It belongs to diagnosis ${asking.id}, which runs alone: the next experiment may start by itself.`);
-  } else if (asking) {
-    parts.push(`When it is completed, diagnosis ${asking.id} goes on by itself; no motion follows without an approval.`);
-  }
-  return parts;
+  if (asking) sentences.push(text(asking.unattended ? "intent.belongs" : "intent.then", { id: asking.id }));
+  return joined(sentences, " ");
 }
 
 function atRest(campaigns, diagnoses) {
   const working = diagnoses.find(alone);
-  if (working) return [`Diagnosis ${working.id} runs alone: the machine will start by itself as soon as it knows what to measure.`];
+  if (working) return [text("intent.alone", { id: working.id })];
   const paused = held(campaigns);
-  if (paused) {
-    return ["No motion is ordered. ", campaignLink(paused.id), ` is paused (${paused.cause}) and goes on only when somebody resumes it.`];
-  }
-  return ["No motion is ordered. The next begins only when somebody starts a campaign or approves an experiment."];
+  if (paused) return parts("intent.paused", { campaign: campaignLink(paused.id), cause: causeParts(paused.cause) });
+  return [text("intent.rest")];
 }
 
-const campaignLink = (id) => link(`Campaign ${id}`, `./#campaign-${id}`);
+const campaignLink = (id) => link(text("intent.campaign", { id }), `./#campaign-${id}`);

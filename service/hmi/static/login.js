@@ -1,59 +1,83 @@
-// Who works with this page, where the service asks. STOP needs nobody.
+// The user of this page, if the service has a login. STOP needs no login.
 
-import { authorization, bearer, call, forget, get, keep, Refused } from "./api.js";
+import { authorization, bearer, call, forget, get, keep, Refused, Unknown } from "./api.js";
+import { PAGE } from "./causes.js";
 import { byId, complain, element, tell } from "./elements.js";
+import { cameBack, leaveForOidc, showOidc } from "./oidc.js";
+import { text, told, word } from "./words.js";
 
 let me = null; // {login, name, role, session, refused}; null: not known yet
-let refusal = null; // why nobody is logged in
+const NOTHING_GIVEN = "not authenticated"; // prefix of the answer to a request without credentials: no user error
+
+let refusal = null; // why no user is logged in
 
 let known;
 export const identified = new Promise((done) => (known = done));
 
-// asks once; what it throws is the same until the page is loaded anew: each refusal has its line in the audit
+// asks once and keeps an error until the page is reloaded: each refusal makes an entry in the audit
 export async function identify(patience) {
   if (refusal) throw refusal;
   if (me) return;
-  me = await get("/me", patience);
+  const why = await cameBack();
+  try {
+    me = await get("/me", patience);
+  } catch (error) {
+    if (!(error instanceof Unknown)) throw error;
+    if (why) error.parts = () => told(why);
+    else if (error.message.startsWith(NOTHING_GIVEN)) error.parts = () => []; // who has not tried yet did nothing wrong
+    throw error;
+  }
   byId("me").hidden = !me.login;
-  tell("me-who", `${me.name}, ${me.role}`);
   if (me.login) for (const input of document.querySelectorAll("[autocomplete=name]")) input.value ||= me.name;
+  showRights();
+  known();
+}
+
+// shows the user, and next to each disabled button the reason
+export function showRights() {
+  if (refusal) tellWhy();
+  if (!me) return;
+  tell("me-who", `${me.name}, ${word("role", me.role)}`);
+  for (const old of document.querySelectorAll("small.needs")) old.remove();
   for (const button of document.querySelectorAll("[data-needs]")) {
     const reason = mayNot(button.dataset.needs);
     if (!reason) continue;
     button.disabled = true;
     button.after(element("small", reason, "needs"));
   }
-  known();
 }
 
-// who stops
-export const presser = () => (me?.login ? `${me.name} (operator page)` : "operator page");
+// name for a stop
+export const presser = () => (me?.login ? `${me.name} (${PAGE})` : PAGE);
 
-// why this person may not; empty for who may. command: method and path as the API has them
+// why this user may not; empty if allowed. command: method and path as in the API
 export function mayNot(command) {
   const needed = me?.refused[command];
-  return needed ? `needs ${needed}, you are ${me.role}` : "";
+  return needed ? text("why.role", { needed: word("role", needed), role: word("role", me.role) }) : "";
 }
+
+const tellWhy = () => tell("login-why", told(refusal));
 
 export function askWho(error) {
   if (refusal) return;
   refusal = error;
-  tell("login-why", error.message);
+  tellWhy();
   document.body.classList.add("nobody");
   for (const id of ["held", "connect", "way-out", "me"]) byId(id).hidden = true;
   byId("login").hidden = false;
+  showOidc().catch(complain);
 }
 
 async function logIn(event) {
   event.preventDefault();
   const [name, password, key] = ["user", "password", "key"].map((id) => byId(id).value);
-  if (!key && !(name && password)) return tell("login-why", "name and password, or a key");
-  forget(); // of what opens no longer
+  if (!key && !(name && password)) return tell("login-why", text("login.incomplete"));
+  forget(); // the old key
   try {
     if (key) await call("GET", "/me", undefined, bearer(key));
     else await call("POST", "/login", { name, password });
   } catch (error) {
-    tell("login-why", error.message);
+    tell("login-why", told(error));
     return;
   }
   if (key) keep(key);
@@ -70,10 +94,10 @@ async function logOut() {
   }
 }
 
-// a link shows no key: what it leads to is fetched and saved
+// a link does not send the key: its target is fetched and saved
 async function save(link) {
   const answer = await fetch(link.href, { headers: authorization() });
-  if (!answer.ok) throw new Refused((await answer.json()).detail);
+  if (!answer.ok) throw new Refused(await answer.json());
   const name = link.pathname.split("/api/v1/")[1].replaceAll("/", "-");
   const saved = element("a");
   saved.href = URL.createObjectURL(await answer.blob());
@@ -84,6 +108,7 @@ async function save(link) {
 
 export function watchLogin() {
   byId("login").addEventListener("submit", logIn);
+  byId("oidc").addEventListener("click", leaveForOidc);
   byId("log-out").addEventListener("click", logOut);
   document.addEventListener("click", (click) => {
     const link = click.target.closest("a");

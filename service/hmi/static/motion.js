@@ -1,18 +1,29 @@
-// What a plan will move, in words and as a table, beside the button that lets it move.
+// The motion of a plan, as text and as a table, next to the button that starts it.
 
-import { get } from "./api.js";
-import { duration, element, plain, row } from "./elements.js";
+import { all, get } from "./api.js";
+import { duration, element, minus, row } from "./elements.js";
+import { figures, foreign, parts, text, word } from "./words.js";
 
-const ORDER = "In this order. Position of the turning axis at the start of each sweep and how far it goes from there.";
-const COLUMNS = [["Pose"], ["Axis"], ["Block"], ["Sweeps", "number"], ["From", "number"], ["Goes", "number"], ["Top speed", "number"], ["Time", "number"]];
-const CHECK_MOVES = "Before its first motion each axis makes its check move: half a degree (or a small way) and back.";
+const COLUMNS = [["pose"], ["axis"], ["block"], ["sweeps", "number"], ["from", "number"], ["goes", "number"], ["speed", "number"], ["time", "number"]];
+
+const BUS_LIMIT = 70; // percent: the drivers refuse a higher load
 
 const known = new Map(); // by robot
 
-// {joints, length}: names in the order of a pose, and positions (rad, m) as an operator reads them
+// {joints, length}: names in the order of a pose, and a function that formats positions (rad, m) for an operator
 export async function unitsOf(robot) {
   if (!known.has(robot)) known.set(robot, await read(robot));
   return known.get(robot);
+}
+
+// units of the robot with the joints of the drives, if no campaign names the robot; null: no such robot
+export async function unitsOfMachine({ axes }) {
+  const joints = axes.map((axis) => axis.joint).join();
+  for (const { id } of (await all("/robots")).toReversed()) {
+    const units = await unitsOf(id);
+    if (units.joints.join() === joints) return units;
+  }
+  return null;
 }
 
 async function read(robot) {
@@ -22,31 +33,32 @@ async function read(robot) {
   const scale = (joint) => (prismatic.has(joint) ? [1e3, " mm"] : [180 / Math.PI, "\u00b0"]);
   const length = (joint, value, signed = false) => {
     const [factor, unit] = scale(joint);
-    const shown = Number((value * factor).toPrecision(3));
-    return `${signed && shown > 0 ? "+" : ""}${shown}${unit}`.replace("-", "\u2212");
+    const shown = figures(value * factor, 3);
+    return minus(`${signed && value > 0 ? "+" : ""}${shown}${unit}`);
   };
   return { joints: description.axes.map((axis) => axis.joint), length, scale, prismatic };
 }
 
-// what moves now and what follows, in words: "joint_2 travels to -40 deg, then joint_3 sweeps, 12 s"
+// the present and next motion as text: "joint_2 travels to -40 deg, then joint_3 sweeps, 12 s"
 export function inWords(steps, { length }) {
   return steps.map(({ kind, axes, target, seconds }) => {
     const [axis] = axes;
-    if (kind === "travel") return `${axis} travels to ${length(axis, target)}`;
-    if (kind === "check_move") return `${axis} makes its check move`;
-    return axes.length > 1 ? `${axes.join(", ")} move at once, ${duration(seconds)}` : `${axis} sweeps, ${duration(seconds)}`;
-  }).join(", then ");
+    if (kind === "travel") return text("motion.travels", { axis, to: length(axis, target) });
+    if (kind === "check_move") return text("motion.checks", { axis });
+    return text(axes.length > 1 ? "motion.at-once" : "motion.sweeps", { axes: axes.join(", "), time: duration(seconds) });
+  }).reduce((first, next) => text("motion.then", { first, next }));
 }
 
-export function showMotion(place, plan, units) {
+// drives: as in the API; null if not known
+export function showMotion(place, plan, units, drives = null) {
   const list = element("ul");
-  list.append(...ways(plan, units).concat(CHECK_MOVES).map((text) => element("li", text)));
+  list.append(...ways(plan, units).concat(text("motion.check-moves"), bus(plan, drives)).map((way) => element("li", way)));
   const scroll = element("div", undefined, "scroll");
   scroll.append(table(plan.sweeps, units));
   place.replaceChildren(element("p", size(plan)), list, scroll);
 }
 
-// -- of one sweep; from standstill to standstill, the sines swing about that way
+// -- one sweep, from standstill to standstill; the sines oscillate about the constant velocity
 
 export function travel({ spec, ramp, settle }) {
   return spec.offset_velocity * (ramp + settle + (spec.period ?? 0) * (spec.periods ?? 0));
@@ -56,26 +68,36 @@ export function swing({ spec }) {
   return spec.sines.reduce((sum, sine) => sum + sine.amplitude / (2 * Math.PI * sine.frequency), 0);
 }
 
-// noise has no set-point: it may be as fast as it is let
+// noise has no set-point: the velocity limit applies
 export function topSpeed({ spec, velocity_limit }) {
   if (spec.excitation === "noise") return velocity_limit;
   return Math.abs(spec.offset_velocity) + spec.sines.reduce((sum, sine) => sum + sine.amplitude, 0);
 }
 
-const counted = (count, what) => `${count} ${what}${count === 1 ? "" : "s"}`;
-
 export const posesOf = (sweeps) => new Set(sweeps.map((sweep) => sweep.spec.pose.join())).size;
 
-// -- of all
+// -- all sweeps
 
 function size(plan) {
   const axes = [...new Set(plan.sweeps.map((sweep) => sweep.spec.axis))].join(", ");
-  return `${plan.robot}: ${counted(plan.sweeps.length, "sweep")} of ${axes} in ${counted(posesOf(plan.sweeps), "pose")}, ` +
-    `${duration(plan.duration)} with all moves between poses. ` +
-    (plan.dropped ?? []).map((one) => `Left out: ${one.reason}.`).join(" ");
+  const sweeps = text("motion.count-sweeps", { count: plan.sweeps.length });
+  const poses = text("motion.count-poses", { count: posesOf(plan.sweeps) });
+  const size = parts("motion.size", { robot: plan.robot, sweeps, axes, poses, time: duration(plan.duration) });
+  return size.concat(...(plan.dropped ?? []).map((one) => [" ", ...parts("motion.left-out", { reason: foreign(one.reason) })]));
 }
 
-// a sweep outside of its window is stopped: as far as that an axis may go
+// bus load, if the host streams the set-points; sweeps of one block in one pose move their axes at the same time
+function bus({ sweeps }, drives) {
+  const streamed = sweeps.filter((sweep) => sweep.mode === "host_streamed");
+  if (!streamed.length) return text("bus.drives");
+  const together = Map.groupBy(streamed, ({ spec }) => `${spec.started_at}/${spec.block}/${spec.pose}`);
+  const axes = Math.max(...[...together.values()].map((group) => new Set(group.map(({ spec }) => spec.axis)).size));
+  const load = drives?.capabilities?.bus_load[axes - 1];
+  if (load === undefined) return text("bus.unknown");
+  return text("bus.load", { percent: Math.round(100 * load), limit: BUS_LIMIT, rate: drives.capabilities.bus_bitrate / 1000, count: axes });
+}
+
+// a sweep is stopped at its window: this is the largest motion of an axis
 function ways({ sweeps, request }, { joints, length }) {
   const legs = sweeps.flatMap((sweep) => sweep.legs);
   return joints.flatMap((joint) => {
@@ -84,17 +106,19 @@ function ways({ sweeps, request }, { joints, length }) {
     const reached = [...targets, ...own.flatMap((sweep) => sweep.position_window)];
     if (!reached.length) return [];
     const speed = Math.max(targets.length ? request.move_velocity : 0, ...own.map(topSpeed));
-    const when = [own.length ? `in ${counted(own.length, "sweep")}` : "", targets.length ? "between poses" : ""].filter(Boolean).join(" and ");
-    return `${joint} is moved between ${length(joint, Math.min(...reached))} and ${length(joint, Math.max(...reached))}, ` +
-      `at most ${length(joint, speed)}/s, ${when}`;
+    const when = !own.length ? "motion.between-poses" : targets.length ? "motion.in-sweeps-and-between" : "motion.in-sweeps";
+    return text("motion.way", {
+      joint, low: length(joint, Math.min(...reached)), high: length(joint, Math.max(...reached)),
+      speed: `${length(joint, speed)}/s`, when: text(when, { count: own.length }),
+    });
   });
 }
 
 function table(sweeps, units) {
   const head = element("tr");
-  head.append(...COLUMNS.map(([title, kind]) => element("th", title, kind)));
+  head.append(...COLUMNS.map(([title, kind]) => element("th", text(`column.${title}`), kind)));
   const made = element("table");
-  made.createCaption().textContent = ORDER;
+  made.createCaption().textContent = text("motion.order");
   made.createTHead().append(head);
   made.createTBody().append(...grouped(sweeps).map((group) => line(group, units)));
   return made;
@@ -115,11 +139,11 @@ const kindOf = ({ spec }) => [spec.axis, spec.block, ...spec.pose].join();
 function line(sweeps, { joints, length }) {
   const [first] = sweeps;
   const { spec } = first;
-  const goes = Math.abs(travel(first)) > swing(first) ? length(spec.axis, travel(first), true) : swing(first) ? `\u00b1${length(spec.axis, swing(first))}` : "stands";
+  const goes = Math.abs(travel(first)) > swing(first) ? length(spec.axis, travel(first), true) : swing(first) ? `\u00b1${length(spec.axis, swing(first))}` : text("motion.stands");
   return row([
     [spec.pose.map((position, k) => length(joints[k], position)).join(", "), "words"],
     [spec.axis],
-    [plain(spec.block || "sweep")],
+    [word("block", spec.block || "sweep")],
     [sweeps.length, "number"],
     [length(spec.axis, spec.pose[joints.indexOf(spec.axis)]), "number"],
     [goes, "number"],

@@ -1,18 +1,19 @@
-// The campaign that moves the machine, asked once a second while it does: its steps are shorter than its events.
+// The campaign that moves the machine, requested once a second: its steps are shorter than its events.
 
 import { call, get } from "./api.js";
-import { byId, tell } from "./elements.js";
+import { byId, fixed, minus, tell } from "./elements.js";
 import { showIntent } from "./intent.js";
 import { mayNot } from "./login.js";
 import { unitsOf } from "./motion.js";
+import { text } from "./words.js";
 
 const STATES = ["running", "pausing"];
 const PATIENCE = 5000; // ms
 
-let lists = [[], []]; // campaigns and diagnoses, as they were told last
+let lists = [[], []]; // campaigns and diagnoses of the last answer
 let owner = null; // id
 
-// of the lists: the campaign with its progress, or undefined
+// from the lists: the campaign with its progress, or undefined
 export async function showMoving(campaigns, diagnoses) {
   lists = [campaigns, diagnoses];
   const found = campaigns.find((one) => STATES.includes(one.state));
@@ -20,7 +21,7 @@ export async function showMoving(campaigns, diagnoses) {
   return draw();
 }
 
-// again, while something moves; `ended` is told once it does no more
+// again, while the machine moves; `ended` is called when the motion has ended
 export async function keepMoving(ended) {
   const before = owner;
   const campaign = await draw();
@@ -40,17 +41,16 @@ async function draw() {
   return moves ? campaign : undefined;
 }
 
-// who sees this page looks after the machine; without, the axes stop
+// a visible page sends the sign of life of its user; without it, the axes stop
 function showLife({ id, attended }) {
   if (!attended || document.hidden || mayNot("POST /campaigns/{campaign_id}/sign_of_life")) return;
   if (attended.left_s > (2 / 3) * attended.within_s) return;
-  call("POST", `/campaigns/${id}/sign_of_life`, undefined, {}, PATIENCE).catch(() => {}); // the state tells what comes of it
+  call("POST", `/campaigns/${id}/sign_of_life`, undefined, {}, PATIENCE).catch(() => {}); // the state shows the result
 }
 
 function showCheckMove(move) {
   byId("check-move").hidden = !move;
   if (!move) return;
   const [way, unit] = move.unit === "rad" ? [(move.way * 180) / Math.PI, "\u00b0"] : [move.way * 1e3, " mm"];
-  tell("check-move", `Check move: ${move.axis} goes ${way > 0 ? "+" : "\u2212"}${Math.abs(way).toFixed(1)}${unit} and back. ` +
-    "Is it this axis, and does it go that way? If not: STOP.");
+  tell("check-move", text("check-move.asks", { axis: move.axis, way: minus(`${way > 0 ? "+" : ""}${fixed(way, 1)}${unit}`) }));
 }

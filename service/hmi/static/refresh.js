@@ -1,4 +1,4 @@
-// One refresh at a time: what asks meanwhile is answered by one more.
+// One refresh at a time: requests during a refresh cause one further refresh.
 
 import { Silent } from "./api.js";
 import { complain } from "./elements.js";

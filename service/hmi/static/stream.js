@@ -1,11 +1,11 @@
-// The service's events. EventSource would do, but cannot show a key.
+// The events of the service. EventSource cannot be used because it cannot send a key.
 
 import { address, authorization } from "./api.js";
 import { identified } from "./login.js";
 
-const PAUSE = 1000; // ms until a lost stream is taken up again
+const PAUSE = 1000; // ms until a lost stream is opened again
 
-// tells "open" whenever it is connected, and each event by its kind
+// dispatches "open" at each connection, and each event by its kind
 export function events() {
   const told = new EventTarget();
   follow(told);
@@ -14,11 +14,11 @@ export function events() {
 
 async function follow(told) {
   await identified;
-  let last = {}; // header that names the event seen last
+  let last = {}; // header with the id of the last event
   for (;;) {
     try {
       const answer = await fetch(address("/events"), { headers: { ...authorization(), ...last } });
-      if (answer.status === 401) return; // the head of the page asks who it is, and loads it anew
+      if (answer.status === 401) return; // the head of the page asks for the login and reloads the page
       if (answer.ok) {
         told.dispatchEvent(new Event("open"));
         for await (const line of lines(answer.body)) {
@@ -28,7 +28,7 @@ async function follow(told) {
         }
       }
     } catch {
-      // the head of the page tells a service that is silent
+      // the head of the page shows that the service does not answer
     }
     await new Promise((done) => setTimeout(done, PAUSE));
   }

@@ -1,16 +1,19 @@
-// How to get out of a state in which nothing may move: step by step, in the order in which it works.
+// Instructions for the operator to leave a state without motion: step by step, in the required order.
 
 import { byId, element } from "./elements.js";
+import { text } from "./words.js";
 
-// of the machine, and the paused campaign, if there is one
+// of the machine, and the paused campaign, if any
 export function showWayOut(drives, stop, paused) {
   const steps = ofMachine(drives, stop);
-  if (steps.length && paused) steps.push(`Resume campaign ${paused.id}, or abort it: until then it stays as it is.`);
+  if (steps.length && paused) steps.push(text("way.resume", { id: paused.id }));
   const list = byId("way-out-steps");
   const same = [...list.children].map((one) => one.textContent).join() === steps.join();
   if (!same) list.replaceChildren(...steps.map((step) => element("li", step)));
   byId("way-out").hidden = !steps.length;
 }
+
+const namesOf = (axes) => axes.map((axis) => axis.joint).join(", ");
 
 function ofMachine(drives, stop) {
   const unknown = drives.axes.filter((axis) => axis.state === "unknown").map((axis) => axis.joint);
@@ -19,19 +22,19 @@ function ofMachine(drives, stop) {
   const steps = [];
   if (!drives.connected || unknown.length) {
     steps.push(
-      "Look at the machine with its emergency stop at hand: an axis may still move.",
-      `Look at power and cable of the drives${unknown.length && drives.connected ? ` of ${unknown.join(", ")}` : ""}.`,
+      text("way.look-lost"),
+      unknown.length && drives.connected ? text("way.power-of", { axes: unknown.join(", ") }) : text("way.power"),
     );
-    if (!drives.connected) steps.push("Press Connect: nothing moves by this.");
+    if (!drives.connected) steps.push(text("way.connect"));
   } else if (faulty.length || stop.latched) {
-    const where = emergency || stop.latched ? "the machine" : faulty.map((axis) => axis.joint).join(", ");
-    steps.push(`Look at ${where}: does every axis stand, is nobody in danger, is the cause gone?`);
+    const whole = emergency || stop.latched;
+    steps.push(whole ? text("way.look") : text("way.look-at", { axes: namesOf(faulty) }));
   }
-  if (emergency) steps.push("Unlock the machine's own emergency stop.");
+  if (emergency) steps.push(text("way.unlock"));
   if (faulty.length) {
-    const which = faulty.length === drives.axes.length ? "all axes" : faulty.map((axis) => axis.joint).join(", ");
-    steps.push(`Acknowledge ${which} in the table of axes: nothing moves by this.`);
+    const all = faulty.length === drives.axes.length;
+    steps.push(all ? text("way.acknowledge-all") : text("way.acknowledge", { axes: namesOf(faulty) }));
   }
-  if (stop.latched) steps.push("Type your name and release the stop: nothing moves by this.");
+  if (stop.latched) steps.push(text("way.release"));
   return steps;
 }

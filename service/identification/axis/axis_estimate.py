@@ -1,16 +1,16 @@
-r"""The inertias of one axis from its spectra: periodic sweeps jointly (`joint_fit`), free records one by one.
+"""The inertias of one axis from its spectra: periodic sweeps jointly (`joint_fit`), free records one by one.
 
-A torque constant that is wrong by 5 % scales every J by 5 % and no sweep shows it: `std` is conditional on the gain,
-`std_total` includes what is known of it. A gain that a test mass calibrated (`torque_gain`) is taken out of the effort
-first.
+A torque constant that is wrong by 5 % scales every J by 5 %, and no sweep can detect it. `std` is conditional on the
+gain; `std_total` includes the uncertainty of the gain. A gain calibrated by a test mass (`torque_gain`) is removed from
+the effort first.
 
-Effects that the robot is known to have are taken out first (`known_torque`), or enter the priors of spring and hose.
-What they are uncertain by is part of every standard deviation. Friction that grows with the load needs the load, so
-that fit is made again with the inertias that it found.
+Known effects of the robot are removed first (`known_torque`), or enter the priors of spring and hose. Their
+uncertainty is part of every standard deviation. Load-dependent friction requires the load; that fit is therefore
+repeated with the inertias it found.
 
-A free record is fitted as a rigid axis. Where the drive train is known from elsewhere (sweeps with lines, an initial
-analysis), its impedance Z tells by how much that is wrong: the rigid fit sees the mean of Re Z/s over the
-acceleration's power. The difference goes into the standard deviation, and the sweep says so.
+A free record is fitted as a rigid axis. If the drive train is known from other data (sweeps with lines, an initial
+analysis), its impedance Z gives the error of that: the rigid fit yields the mean of Re Z/s weighted by the power of the
+acceleration. The difference is added to the standard deviation, and the sweep gets a warning.
 """
 
 from collections.abc import Sequence
@@ -34,7 +34,8 @@ from service.identification.axis.nominal_priors import (
     with_known_hose,
     with_known_spring,
 )
-from service.identification.axis.suspects import Suspect
+from service.identification.axis.outliers import Suspect
+from service.identification.model.convergence import unsettled
 from service.identification.model.regressor import axis_rows, gravity_terms
 from service.identification.spectra.axis_inertia import DriveTrain, impedance, paper_inertia
 from service.identification.spectra.frequency_response import Spectrum
@@ -44,27 +45,27 @@ from service.urdf import Chain
 
 Array = NDArray[np.float64]
 
-DISTORTION_ROUNDS = 2  # fits with the distortion that the fit before showed
-LOAD_ROUNDS = 3  # fits of an axis whose friction grows with its load
-MATERIAL = 0.5  # of a record's standard deviation: from here on an error of its model is worth a warning
+DISTORTION_ROUNDS = 2  # fits, each with the distortion of the previous fit
+LOAD_ROUNDS = 3  # fits of an axis with load-dependent friction
+WORTH_A_WARNING = 0.5  # of a record's standard deviation: a larger error of its model gives a warning
 
 
 @dataclass(frozen=True)
 class SweepInertia:
-    """One sweep's result, SI on the joint side. `response` rows: frequency Hz, Z complex, std of its parts."""
+    """Result of one sweep, SI on the joint side. `response` rows: frequency Hz, Z complex, std of its parts."""
 
     sweep: str
     value: float
     std: float
     std_total: float
-    bound: float | None  # Cramer-Rao bound of std with all but this inertia known; None without lines
+    bound: float | None  # Cramer-Rao bound of std if everything but this inertia is known; None without lines
     reference: float  # of the nominal model in that pose
     paper_value: float | None  # equation (8) at the ideal sweep frequency; None without lines
     viscous_friction: float
     response: tuple[tuple[float, complex, float], ...]
     terms: dict[str, tuple[float, float]]  # of a free record: the other terms' value and std
     warning: str | None = None
-    noise: tuple[float, ...] | None = None  # of `response`: what of its std is noise, the rest distortion
+    noise: tuple[float, ...] | None = None  # noise part of the std of `response`; the rest is distortion
 
 
 @dataclass(frozen=True)
@@ -77,8 +78,8 @@ class AxisEstimate:
     fit: JointFit | None
     gain: TorqueGain
     suspects: tuple[Suspect, ...]
-    distortion: Distortion | None  # where the axis has several realisations of its sweeps
-    direct_encoder: bool  # every sweep with lines tells the motion of the load itself
+    distortion: Distortion | None  # only if the axis has several realisations of its sweeps
+    direct_encoder: bool  # every sweep with lines has the measured motion of the load
 
     @property
     def values(self) -> Array:
@@ -107,8 +108,8 @@ def identify_axis(
 ) -> AxisEstimate:
     """Axis `number` of the robot; `chain` holds its joints `unlocked`, `nominal` (11 n,) the parameters of that chain.
 
-    What the initial analysis found of the drive train takes the place of the data sheet. `known`: what it has beside
-    its rigid body.
+    The drive train of an initial analysis replaces that of the data sheet. `known`: effects in addition to the rigid
+    body.
     """
     own = unlocked.index(number)
     poses = np.array([spectrum.spec.pose for spectrum in spectra])[:, list(unlocked)]
@@ -120,15 +121,15 @@ def identify_axis(
     fit, distortion = None, None
     suspects: list[Suspect] = []
     if periodic:
-        told = [spectra[k] for k in periodic]
+        with_lines = [spectra[k] for k in periodic]
         poses_known = [pose_prior(robot, number, reference[k], gravity[k]) for k in periodic]
-        fit, parts, distortion = _fit(robot, number, told, reference, poses_known, analysis, gain, known)
+        fit, parts, distortion = _fit(robot, number, with_lines, reference, poses_known, analysis, gain, known)
         fit = replace(fit, covariance=fit.covariance + np.diag([part.doubt**2 for part in parts]))
         covariance[np.ix_(periodic, periodic)] = fit.covariance
         for row, k in enumerate(periodic):
             sweeps[k] = _from_joint_fit(parts[row].spectrum, float(reference[k]), fit, row, gain, distortion)
             if fit.weight[row] < 1:
-                why = f"its effort is left unexplained {np.sqrt(fit.chi_squared[row]):.1f} times as much as the others'"
+                why = f"its residual is {np.sqrt(fit.chi_squared[row]):.1f} times that of the others"
                 suspects.append(Suspect(spectra[k].spec.id, robot.joints[number], why, float(fit.weight[row])))
     train = fit.train if fit is not None else analysis.train if analysis is not None else None
     for k, spectrum in enumerate(spectra):
@@ -151,7 +152,7 @@ def identify_axis(
 def _fit(
     robot: Robot,
     number: int,
-    told: Sequence[Spectrum],
+    with_lines: Sequence[Spectrum],
     reference: Array,
     priors: Sequence[PosePrior],
     analysis: AxisAnalysis | None,
@@ -162,7 +163,7 @@ def _fit(
     loads = [Load(float(prior.mean[0]), float(prior.mean[2]), float(prior.mean[1])) for prior in priors]
     rounds = LOAD_ROUNDS if known.get(LOAD) else 1
     while True:
-        parts = [corrected(one, known, gain.gain, load) for one, load in zip(told, loads, strict=True)]
+        parts = [corrected(one, known, gain.gain, load) for one, load in zip(with_lines, loads, strict=True)]
         spectra = [part.spectrum for part in parts]
         train = shared_prior(robot, number, reference, spectra) if analysis is None else _analysed(analysis, gain)
         uncertain = [part.uncertain for part in parts]
@@ -188,7 +189,7 @@ def _fit(
 
 
 def _analysed(analysis: AxisAnalysis, gain: TorqueGain) -> SharedPrior:
-    """The analysis saw effort as the drive tells it: inertia and friction are `gain` times too large in it."""
+    """The analysis used the effort as reported by the drive: its inertia and friction are `gain` times too large."""
     scale = np.array([1, 1, 1, gain.gain**2, gain.gain]) / gain.gain
     return SharedPrior(scale * analysis.mean, np.outer(scale, scale) * analysis.covariance)
 
@@ -209,6 +210,7 @@ def _from_joint_fit(
         value=value,
         std=std,
         std_total=_total(value, std, gain),
+        warning=unsettled(float(fit.noise_change[row])),
         bound=float(fit.bound[row]),
         reference=reference,
         paper_value=_paper_value(response, fit, row),
@@ -222,7 +224,8 @@ def _from_joint_fit(
 def _paper_value(response: tuple[tuple[float, complex, float], ...], fit: JointFit, row: int) -> float:
     """Equation (8) at the line nearest to the paper's ideal frequency (section 4.2).
 
-    That is the geometric mean of the locked-rotor frequency and the corner mu/(2 pi J) below which friction rules.
+    This is the geometric mean of the locked-rotor frequency and the corner mu/(2 pi J) below which friction
+    dominates.
     """
     friction = max(fit.train.motor_friction + fit.train.load_friction, 0.0)
     corner = friction / (2 * np.pi * abs(float(fit.inertia[row])))  # effort of the wrong sign makes J negative
@@ -243,7 +246,7 @@ def _from_record(spectrum: Spectrum, reference: float, gain: TorqueGain, train: 
     warnings = [
         f"{what} is good for an error of {100 * error / fit.inertia:.1f} %"
         for what, error in errors.items()
-        if error > MATERIAL * fit.inertia_std
+        if error > WORTH_A_WARNING * fit.inertia_std
     ]
     return SweepInertia(
         sweep=spectrum.spec.id,
@@ -261,7 +264,7 @@ def _from_record(spectrum: Spectrum, reference: float, gain: TorqueGain, train: 
 
 
 def _elastic_excess(spectrum: Spectrum, train: DriveTrain, inertia: float) -> float:
-    """By how much the rigid fit of a free record misjudges an elastic axis of about `inertia`, kg m^2 (kg)."""
+    """Error of the rigid fit of a free record for an elastic axis of about `inertia`, kg m^2 (kg)."""
     moving = spectrum.frequency > 0
     z = impedance(spectrum.frequency[moving], train, inertia - train.motor_inertia, 0.0)
     power = np.abs(spectrum.named("acceleration")[0][moving]) ** 2

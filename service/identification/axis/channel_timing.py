@@ -1,25 +1,26 @@
 r"""Delay and smoothing of a drive's channels, measured on sweeps whose lines reach well above the free resonance.
 
-A channel comes late by tau and through a first-order low-pass T. With S = tau + T and q = T^2,
+A channel has the delay tau and a first-order low-pass T. With S = tau + T and q = T^2,
 
     L = e^{-s tau} / (1 + s T) = e^{-s S} e^{s T} / (1 + s T),    log L = -s S + q s^2 / 2 + O(T^3),   s = i omega.
 
-S is what a slow line sees and what shifts an inertia; q shows only in the fall of the amplitude towards high lines, and
-is the natural parameter because L is regular in it at 0. Where q is no larger than noise makes it, or than a channel
-shows that is the mean over its sample (q = Ts^2/12), delay and smoothing cannot be told apart: then S alone is known,
-and serves as well as both at lines far below 1/T.
+S determines the phase of slow lines and the shift of an inertia; q only affects the amplitude at high lines, and
+is the natural parameter because L is regular in it at 0. If q is not larger than its noise, or than that of a channel
+that is the mean over its sample (q = Ts^2/12), delay and smoothing cannot be separated: then only S is known,
+which is sufficient at lines far below 1/T.
 
-Velocity against the encoder's position P: V = g L_v s P at the lines; P is made periodic first by taking out the ramp.
+Velocity relative to the encoder's position P: V = g L_v s P at the lines; P is first made periodic by removing the
+ramp.
 
-Effort against motion, with the drive train fitted jointly (all symbols as in `joint_fit`):
+Effort relative to motion, with the drive train fitted jointly (all symbols as in `joint_fit`):
 
     DFT[effort] = L_e (Z Omega + F (G0 R0 + k_g R1 + t0 + s t1) + ripple and dry friction) + b0 + s b1 + noise,
     Omega = V / L_v;
 
-b0 and b1 are what a lag leaves of a window whose ends differ (gravity changes along the way), as t0 and t1 of the load.
+b0 and b1 describe the effect of a lag on a window whose ends differ (gravity changes along the path), like t0 and t1.
 That holds for a lag below a sample: the effort is first moved by as many whole samples as a first fit finds.
-Below the resonance a delay looks like friction and elasticity like inertia; well above it the motor turns alone, Z is
-nearly s Jm, and whatever turns its phase is L_e. Jm has the data sheet's prior and takes up a wrong torque gain.
+Below the resonance a delay acts like friction and elasticity like inertia; well above it the motor moves alone, Z is
+nearly s Jm, and any change of its phase is L_e. Jm has the data sheet's prior and absorbs a wrong torque gain.
 """
 
 from collections.abc import Sequence
@@ -30,10 +31,11 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from service.errors import BadInput
-from service.identification.axis.joint_fit import STARTS, complete_prior, real_parts, scaled_inverse
+from service.identification.axis.joint_fit import STARTS, complete_prior, real_parts
 from service.identification.axis.nominal_priors import NOISE_GUESS, PosePrior, SharedPrior, pose_prior, shared_prior
 from service.identification.axis.sweep_model import OWN, SHARED, effort_residual
-from service.identification.model.convergence import Fit, converged
+from service.identification.model.convergence import Fit, converged, finite
+from service.identification.model.least_squares import scaled_inverse
 from service.identification.model.regressor import axis_rows, gravity_terms
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Complex, Spectrum, spectrum, window
@@ -42,18 +44,20 @@ from service.robot import Robot
 
 Array = NDArray[np.float64]
 
-CLOCK = 1 / 500  # of Ts, one sigma of S: what the instants of a trace are good for
-MEAN_OR_INSTANT = 1 / 24  # of Ts^2, one sigma of q: two of it are a mean over the sample instead of an instant
+CLOCK = 1 / 500  # of Ts, one sigma of S: accuracy of the time stamps of a trace
+MEAN_OR_INSTANT = 1 / 24  # of Ts^2, one sigma of q: two sigma are the mean over a sample
 APART = 3.0  # standard deviations of q by which it must differ from 0
-START = 0.5e-3**2  # s^2, q
+START_SQUARE = 0.5e-3**2  # s^2, q
 ROUNDS = 3  # of fitting and estimating the noise
+FIRST_EVALUATIONS, EVALUATIONS = 12, 100  # of the residual: from each start, and of each round
+ROUNDING = 1e-9  # of the largest velocity at a line: least noise, where a simulation has none
 
 
 @dataclass(frozen=True, slots=True)
 class Lag:
-    """What one channel lags behind position; s. `total` = delay + smoothing, known also where the two are not.
+    """Delay of one channel relative to the position, s. `total` = delay + smoothing, also known if the two are not.
 
-    Where they cannot be told apart, `delay` is the total and `smoothing` 0.
+    If they cannot be separated, `delay` is the total and `smoothing` is 0.
     """
 
     delay: float
@@ -67,7 +71,7 @@ class Lag:
 
 @dataclass(frozen=True, slots=True)
 class ChannelLags:
-    """Result for one axis; `train` is the drive train found on the way, `resonance` its free resonance, Hz."""
+    """Result for one axis; `train`: drive train of the same fit, `resonance`: its free resonance, Hz."""
 
     effort: Lag
     velocity: Lag
@@ -76,11 +80,17 @@ class ChannelLags:
 
 
 def channel_lags(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> ChannelLags:
-    """Lags of one axis from its periodic sweeps; BadInput where their lines do not reach above the free resonance."""
+    """Lags of one axis from its periodic sweeps.
+
+    BadInput where their lines do not reach above the free resonance, where a spectrum is not finite, and where a fit
+    does not converge.
+    """
     own = [sweep for sweep in sweeps if sweep.spec.axis == joint and sweep.spec.periodic]
     if not own:
         raise BadInput(joint, "has no sweep with sines")
     spectra = [_of_motor(robot, sweep) for sweep in own]
+    for one in spectra:
+        finite(np.stack([one.effort, one.velocity]), f"sweep {one.spec.id} of {joint}", "its spectrum")
     cycle = 1 / min(sweep.spec.sample_rate for sweep in own)
     positions = [_position(sweep, one) for sweep, one in zip(own, spectra, strict=True)]
     velocity = _velocity_lag(spectra, positions, cycle)
@@ -96,18 +106,19 @@ def channel_lags(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> ChannelLa
     if np.isfinite(resonance) and highest <= resonance:
         raise BadInput(
             joint,
-            f"the highest line of {highest:g} Hz is not above the free resonance at {resonance:.3g} Hz: no delay shows",
+            f"the highest line of {highest:g} Hz is not above the free resonance at {resonance:.3g} "
+            "Hz: the delay cannot be identified",
         )
     return ChannelLags(effort, velocity, train, resonance)
 
 
 def _of_motor(robot: Robot, sweep: Sweep) -> Spectrum:
-    """The spectrum without a direct encoder, whose lag would be one unknown more."""
+    """The spectrum without a direct encoder, whose delay would be another unknown."""
     return replace(spectrum(robot, sweep), load_velocity=None)
 
 
 def _earlier(sweep: Sweep, samples: int) -> Sweep:
-    """The sweep with its effort some samples earlier; what is carried round the ends lies outside of the window."""
+    """The sweep with its effort shifted earlier by `samples`; the wrapped samples are outside the window."""
     return replace(sweep, recording=replace(sweep.recording, effort=np.roll(sweep.recording.effort, -samples)))
 
 
@@ -117,7 +128,7 @@ def laplace(frequency: Array) -> Complex:
 
 
 def lag_response(s: Complex, total: float, square: float) -> Complex:
-    """L (b,) of the header for S and q; below q = 0, where only noise leads, its continuation."""
+    """L (b,) of the header for S and q; for q < 0, which only noise causes, its continuation."""
     if square < 0:
         return np.exp(-s * total + square * s**2 / 2)
     smoothing = np.sqrt(square)
@@ -138,7 +149,7 @@ def _lag(total: float, square: float, covariance: Array, cycle: float) -> Lag:
     covariance = covariance + np.diag([(CLOCK * cycle) ** 2, (MEAN_OR_INSTANT * cycle**2) ** 2])
     total_std, square_std = (float(np.sqrt(value)) for value in np.diag(covariance))
     if not square > APART * square_std:
-        # what q may be wrong by is what T may be
+        # the error of q is the error of T
         return Lag(total, total_std, 0.0, float(np.sqrt(max(square, 0.0) + square_std)), total, total_std, apart=False)
     smoothing = float(np.sqrt(square))
     by = np.array([1.0, -0.5 / smoothing])  # delay = S - sqrt(q)
@@ -168,7 +179,7 @@ def _velocity_lag(spectra: Sequence[Spectrum], positions: Sequence[Complex], cyc
     motion = s * np.concatenate([position[one.line] for one, position in zip(spectra, positions, strict=True)])
     velocity = np.concatenate([one.velocity[one.line] for one in spectra])
     sigma = np.concatenate([np.full(int(one.line.sum()), own) for one, own in zip(spectra, noise, strict=True)])
-    sigma = np.maximum(sigma / np.sqrt(2), 1e-9 * np.abs(velocity).max())
+    sigma = np.maximum(sigma / np.sqrt(2), ROUNDING * np.abs(velocity).max())
 
     def residual(values: Array) -> Array:
         gain, total, square = values
@@ -180,7 +191,7 @@ def _velocity_lag(spectra: Sequence[Spectrum], positions: Sequence[Complex], cyc
         columns = (model, -s * gain * model, _by_square(s, square) * gain * model)
         return np.stack([-real_parts(column / sigma) for column in columns], -1)
 
-    fit = least_squares(residual, [1.0, 0.0, START], jacobian, method="lm", x_scale="jac")
+    fit = least_squares(residual, [1.0, 0.0, START_SQUARE], jacobian, method="lm", x_scale="jac")
     converged(fit, spectra[0].spec.axis, "the velocity's delay")
     freedom = max(len(fit.fun) - len(fit.x), 1)
     slope = jacobian(fit.x)
@@ -191,7 +202,7 @@ def _velocity_lag(spectra: Sequence[Spectrum], positions: Sequence[Complex], cyc
 def _effort_lag(
     robot: Robot, joint: str, spectra: list[Spectrum], cycle: float, taken: float = 0.0
 ) -> tuple[Lag, DriveTrain, float]:
-    """Lag, drive train, and the median load inertia, kg m^2 (kg); `taken` s are out of the effort already."""
+    """Delay, drive train, and the median load inertia, kg m^2 (kg); `taken` s are already removed from the effort."""
     number = robot.index(joint)
     poses = np.array([one.spec.pose for one in spectra])
     nominal = np.concatenate(
@@ -205,10 +216,10 @@ def _effort_lag(
     ]
     problem = _Problem(spectra, shared_prior(robot, number, reference, spectra), priors)
     noise = np.array([NOISE_GUESS * robot.axes[number].rated_effort / np.sqrt(2 * one.samples) for one in spectra])
-    starts = [problem.search(problem.start(frequency), noise, 12).x for frequency in STARTS]
+    starts = [problem.search(problem.start(frequency), noise, FIRST_EVALUATIONS).x for frequency in STARTS]
     values = min(starts, key=lambda candidate: float(np.sum(problem.rows(candidate, noise)[0] ** 2)))
     for _ in range(ROUNDS):
-        found = problem.search(values, noise, 100)
+        found = problem.search(values, noise, EVALUATIONS)
         converged(found, joint, "the effort's delay")
         values = np.asarray(found.x, dtype=float)
         noise = problem.noise(values)
@@ -223,7 +234,7 @@ def _effort_lag(
 
 
 def _with_ends(prior: PosePrior) -> PosePrior:
-    """b0 and b1 appended, known as little as t0 and t1."""
+    """b0 and b1 appended, with the same wide prior as t0 and t1."""
     return PosePrior(np.append(prior.mean, [0.0, 0.0]), np.append(prior.sigma, prior.sigma[OWN - 2 : OWN]))
 
 
@@ -239,7 +250,7 @@ class _Problem:
         shared = self.shared.mean.copy()
         typical = float(np.median([prior.mean[0] for prior in self.poses]))
         shared[3] = 0.0 if np.isinf(locked_rotor) else 1 / (typical * (2 * np.pi * locked_rotor) ** 2)
-        return np.concatenate([shared, [0.0, START], *(prior.mean for prior in self.poses)])
+        return np.concatenate([shared, [0.0, START_SQUARE], *(prior.mean for prior in self.poses)])
 
     def own(self, values: Array) -> list[Array]:
         """The own parameters sweep by sweep."""

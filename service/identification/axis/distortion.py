@@ -1,19 +1,21 @@
-r"""Noise and nonlinear distortion apart: sweeps of one pose that differ in their phases alone (`realisations`).
+"""Separates noise and nonlinear distortion: sweeps of one pose that differ only in their phases (`realisations`).
 
-The robust method for the best linear approximation (Pintelon and Schoukens, System Identification, 2012, sec. 4.3.1).
-A nonlinearity answers sines at the lines and at other multiples of 1/period. At a line its answer is part linear, the
-same for all phases, part of a phase that hangs on all others: over random phases that part has the mean 0 and scatters
-like noise, but not between periods. Of M realisations, with D the effort at a line that the linear model leaves,
+The robust method for the best linear approximation (Pintelon and Schoukens, System Identification, 2012, sec.
+4.3.1). A nonlinearity responds to sines at the lines and at other multiples of 1/period. At a line, part of its
+response is linear and equal for all phases; the phase of the other part depends on all other phases. Over random
+phases that part has the mean 0 and scatters like noise, but not between periods. Of M realisations, with D the
+effort at a line that the linear model does not explain,
 
     s^2 = sum_m |D_m / Omega_m - mean|^2 / (M - 1)    estimates    (noise^2 + distortion^2) / |Omega|^2 .
 
-The noise is what differs between the P periods of a window: the bins that are no multiple of 1/period, of them those
-nearer to this multiple than to another. What the model leaves has no ripple and no drift of gravity in it, which would
-pass for noise; what the sweep's own parameters took of the noise is given back by their leverage. At multiples of
-1/period without a sine there is nothing but noise and distortion.
+The noise is the difference between the P periods of a window: the bins that are no multiple of 1/period; for each
+multiple those that are nearest to it. The residual of the model contains no ripple and no drift of gravity, which would
+be taken for noise. The noise absorbed by the sweep's own parameters is restored by their leverage. Multiples of
+1/period without a sine contain only noise and distortion.
 
-The axis' friction distorts in all poses: variances of effort are pooled over the groups of an axis, weighted by their
-degrees of freedom. A fitted inertia or stiffness of its own takes part of each sweep's distortion; D has it back.
+The friction of the axis distorts in all poses: variances of effort are pooled over the groups of an axis, weighted
+by their degrees of freedom. A fitted inertia or stiffness of a sweep absorbs part of its distortion; D contains it
+again.
 """
 
 from collections.abc import Sequence
@@ -29,15 +31,16 @@ from service.identification.spectra.frequency_response import Complex, Spectrum
 
 Array = NDArray[np.float64]
 
-SAME = 1e-6  # relative, of frequencies and amplitudes; phases, rad
-RANK = 1e-6  # of the largest singular value: own parameters that no bin tells apart count as one
-LEAST = 0.05  # part of a bin that counts as free, at the least
+SAME_SINES = 1e-6  # relative, of frequencies and amplitudes; phases, rad
+RANK = 1e-6  # of the largest singular value: own parameters that no bin separates count as one
+LEAST_FREE = 0.05  # least part of a bin that counts as free
 
 
 @dataclass(frozen=True)
 class Distortion:
-    """Of one axis, at the multiples (h,) of 1/period in use: standard deviation of the real and of the imaginary part
-    of an effort bin, N m (N). `realisations`: the most in one pose; `groups`: poses that have some.
+    """Distortion of one axis, at the multiples (h,) of 1/period in use: standard deviation of the real and of the
+    imaginary part of an effort bin, N m (N). `realisations`: largest number in one pose; `groups`: number of poses
+    with several.
     """
 
     frequency: Array
@@ -47,19 +50,19 @@ class Distortion:
     groups: int
 
     def spread(self, spectrum: Spectrum) -> Array:
-        """Standard deviation of each bin (b,) over the noise."""
+        """Standard deviation of each bin (b,) relative to the noise."""
         ratio = np.ones(len(spectrum.frequency))
         for frequency, noise, distortion in zip(self.frequency, self.noise, self.distortion, strict=True):
-            ratio[np.abs(spectrum.frequency - frequency) < SAME * frequency] = np.hypot(1.0, distortion / noise)
+            ratio[np.abs(spectrum.frequency - frequency) < SAME_SINES * frequency] = np.hypot(1.0, distortion / noise)
         return ratio
 
 
 def distortion_of(
     spectra: Sequence[Spectrum], uncertain: Sequence[Complex], fit: JointFit, before: Distortion | None = None
 ) -> Distortion | None:
-    """From the sweeps of one axis and their joint fit, made with the distortion known `before`.
+    """Distortion from the sweeps of one axis and their joint fit, which was made with the distortion `before`.
 
-    None where no two sweeps are realisations of one.
+    None if no two sweeps are realisations of one sweep.
     """
     groups = _groups(spectra)
     if not groups:
@@ -76,12 +79,12 @@ def distortion_of(
         period, periods = one.spec.period or 1.0, one.spec.periods or 1
         number = np.round(one.frequency * period * periods).astype(int)
         for place in np.flatnonzero(number % periods == 0):
-            beside = (np.abs(number - number[place]) <= periods // 2) & (number % periods != 0)
-            if not beside.any():
+            between = (np.abs(number - number[place]) <= periods // 2) & (number % periods != 0)
+            if not between.any():
                 continue
             frequency = round(float(one.frequency[place]), 9)
-            freedom = float(np.sum([one_free[beside] for one_free in free]))
-            noise = float(np.sum([np.abs(rest[beside]) ** 2 for rest in left])) / freedom
+            freedom = float(np.sum([one_free[between] for one_free in free]))
+            noise = float(np.sum([np.abs(rest[between]) ** 2 for rest in left])) / freedom
             noises.setdefault(frequency, []).append((noise, freedom))
             if one.line[place]:
                 answer = np.array(
@@ -104,7 +107,7 @@ def distortion_of(
 
 
 def _groups(spectra: Sequence[Spectrum]) -> list[list[int]]:
-    """Numbers of the sweeps that differ in their phases alone, two and more."""
+    """Numbers of the sweeps that differ only in their phases, two or more."""
     alike: dict[tuple[object, ...], list[int]] = {}
     for k, one in enumerate(spectra):
         spec = one.spec
@@ -117,16 +120,16 @@ def _groups(spectra: Sequence[Spectrum]) -> list[list[int]]:
 
 
 def _differ(spectra: Sequence[Spectrum]) -> bool:
-    """Whether no two neighbours have the same phases: repeats tell nothing of distortion."""
+    """Whether no two neighbours have the same phases: repeats contain no information on distortion."""
     phases = sorted(tuple(sine.phase for sine in one.spec.sines) for one in spectra)
-    return all(np.abs(np.subtract(one, other)).max() > SAME for one, other in pairwise(phases))
+    return all(np.abs(np.subtract(one, other)).max() > SAME_SINES for one, other in pairwise(phases))
 
 
 def _left(
     spectrum: Spectrum, uncertain: Complex, fit: JointFit, number: int, before: "Distortion | None"
 ) -> tuple[Complex, Complex, Array]:
-    """Effort that the fit leaves of a sweep (b,), how it hangs on its load inertia and gravity stiffness (2, b), and
-    what part of each bin its own parameters left free (b,).
+    """Effort of a sweep not explained by the fit (b,), its derivatives by load inertia and gravity stiffness (2, b),
+    and the part of each bin that its own parameters left free (b,).
     """
     (stack,) = stacks([spectrum], [uncertain])
     residual, _, by_own = stack_residual(stack, fit.shared, fit.own[number][None])
@@ -136,7 +139,7 @@ def _left(
     basis, singular, _ = np.linalg.svd(columns / np.where(length > 0, length, 1.0), full_matrices=False)
     taken = np.sum(basis[:, singular > RANK * singular[0]] ** 2, axis=1)
     parts = taken.reshape(2, -1).sum(axis=0)
-    return residual[0], by_own[0, :2], np.maximum(1 - parts / 2, LEAST)
+    return residual[0], by_own[0, :2], np.maximum(1 - parts / 2, LEAST_FREE)
 
 
 def _mean(values: Sequence[tuple[float, float]]) -> float:

@@ -1,24 +1,24 @@
 r"""Initial analysis of an axis (paper, sections 4.1 and 4.2): drive train, locked rotor, ideal sweep frequency.
 
-Given is the frequency response of the axis in several poses (`noise_response`). Two ways lead from it to the first
-locked-rotor frequency f_l, where the motor stands and the load swings, and to the corner f_c below which friction
-rules:
+The input is the frequency response of the axis in several poses (`noise_response`). Two methods compute the first
+locked-rotor frequency f_l, where the motor stands and the load oscillates, and the corner f_c below which friction
+dominates:
 
 Fit. The two-mass impedance (`axis_inertia`) to all poses at once, every line weighted by its variance: Jm, mu_m, mu_l,
-c, h are shared, J_l and k_g belong to the pose; data sheet and nominal model stand by as priors. Gauss-Newton by SciPy,
-the weights taken once more at the fitted Z, for near f_l the measured one is a quotient by nearly nothing. Then
+c, h are shared, J_l and k_g belong to the pose; data sheet and nominal model are priors. Gauss-Newton by SciPy,
+with the weights computed again at the fitted Z, because near f_l the measured Z is a quotient of small numbers. Then
 
     f_l = 1 / (2 pi sqrt(c J_l)),    f_c = (mu_m + mu_l) / (2 pi (Jm + J_l))
 
-with standard deviations from the covariance of the fit, which grows by chi^2 per degree of freedom where that is
+with standard deviations from the covariance of the fit, which is multiplied by chi^2 per degree of freedom if that is
 above 1.
 
 Asymptotes, as in the paper's Fig. 1b, each pose by itself: |Z|/omega, an apparent inertia, is level at J up to the
 resonance f_l, its maximum (parabola through three lines of its logarithm); friction is the line mu/omega, mu being the
 part of Z in phase on the level part and below, and f_c where the two meet, the 3 dB point.
 
-The ideal frequency is sqrt(f_l f_c), rounded to 2, 3, 4 or 5 Hz. Of a train so stiff that f_l lies above the last line
-nothing was seen of f_l itself: then the last line is its lower bound, and that of the ideal frequency follows.
+The ideal frequency is sqrt(f_l f_c), rounded to 2, 3, 4 or 5 Hz. If the train is so stiff that f_l is above the last
+line, f_l was not observed: then the last line is its lower bound, from which that of the ideal frequency follows.
 """
 
 from collections.abc import Sequence
@@ -30,10 +30,11 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from service.errors import BadInput
-from service.identification.axis.joint_fit import SHARED, STARTS, scaled_inverse
+from service.identification.axis.joint_fit import SHARED, STARTS
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.design.excitation import LINE_MARGIN, LINES
-from service.identification.model.convergence import Fit, converged
+from service.identification.model.convergence import Fit, converged, finite
+from service.identification.model.least_squares import scaled_inverse
 from service.identification.spectra.axis_inertia import DriveTrain, impedance
 from service.identification.spectra.noise_response import Response
 
@@ -41,8 +42,9 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 ROUNDS = 3  # of fitting and weighing
-LEVEL = (0.15, 0.45)  # of f_l: lines that the level asymptote is read from
-SAME_CLASS = 1.25  # spread of J up to which all poses make one class
+EVALUATIONS = 100  # of the residual, in each search
+LEVEL = (0.15, 0.45)  # of f_l: lines used for the level asymptote
+SAME_CLASS = 1.25  # ratio of J up to which all poses form one class
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +57,7 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class Ideal:
-    """One way's answer for one pose; kg m^2 (kg), N m s/rad (N s/m), Hz."""
+    """Result of one method for one pose; kg m^2 (kg), N m s/rad (N s/m), Hz."""
 
     inertia: Figure
     friction: Figure
@@ -71,7 +73,7 @@ class Ideal:
 
 @dataclass(frozen=True, slots=True)
 class PoseAnalysis:
-    """One pose: all joint positions, rad (m); what was measured there and what both ways make of it."""
+    """One pose: all joint positions, rad (m); the measured response and the result of both methods."""
 
     pose: tuple[float, ...]
     response: Response
@@ -81,14 +83,14 @@ class PoseAnalysis:
 
     @property
     def at_least(self) -> tuple[float, float] | None:
-        """Lower bounds of f_l and of the ideal frequency, Hz, where the fit puts f_l above the last line; else None."""
+        """Lower bounds of f_l and of the ideal frequency, Hz, if the fitted f_l is above the last line; else None."""
         last = float(self.response.frequency[-1])
         return None if self.fit.locked_rotor.value <= last else (last, float(np.sqrt(last * self.fit.corner.value)))
 
 
 @dataclass(frozen=True, slots=True)
 class PoseClass:
-    """Poses of like inertia: J up to `up_to` (inf: the last class), their lowest f_l and their ideal frequency."""
+    """Poses of similar inertia: J up to `up_to` (inf: the last class), their lowest f_l and their ideal frequency."""
 
     name: str
     up_to: float
@@ -98,10 +100,10 @@ class PoseClass:
 
 @dataclass(frozen=True)
 class AxisAnalysis:
-    """What the initial analysis tells of one axis.
+    """Result of the initial analysis of one axis.
 
-    `mean` (5,) and `covariance` (5, 5) of the drive train in the order of `DriveTrain.as_array`, the data sheet's prior
-    included: this is the prior of the joint fit. `chi_squared` per degree of freedom of the fit.
+    `mean` (5,) and `covariance` (5, 5) of the drive train in the order of `DriveTrain.as_array`, including the data
+    sheet's prior: this is the prior of the joint fit. `chi_squared` per degree of freedom of the fit.
     """
 
     joint: str
@@ -116,7 +118,7 @@ class AxisAnalysis:
 
     @property
     def classes(self) -> tuple[PoseClass, ...]:
-        """Light and heavy poses, parted at the geometric mean of the extremes; one class where they hardly differ."""
+        """Light and heavy poses, divided at the geometric mean of the extremes; one class if they hardly differ."""
         fits = sorted((pose.fit for pose in self.poses), key=lambda fit: fit.inertia.value)
         low, high = fits[0].inertia.value, fits[-1].inertia.value
         if high <= SAME_CLASS * low:
@@ -130,7 +132,7 @@ class AxisAnalysis:
         return self.train.locked_rotor_frequency(load_inertia)
 
     def lines(self, load_inertia: float) -> tuple[float, ...]:
-        """Sweep frequencies at a load inertia, Hz: the ideal one of its class, and those that the resonance allows."""
+        """Sweep frequencies at a load inertia, Hz: the ideal one of its class, and those allowed by the resonance."""
         inertia = load_inertia + self.train.motor_inertia
         ideal = next(each for each in self.classes if inertia <= each.up_to).sweep_frequency
         highest = LINE_MARGIN * self.locked_rotor(load_inertia)
@@ -143,7 +145,7 @@ def _class(name: str, up_to: float, fits: "Sequence[Ideal]") -> PoseClass:
 
 
 def nearest_line(frequency: float) -> float:
-    """Rounded to 2, 3, 4 or 5 Hz; 5 Hz for the infinite one of a stiff train."""
+    """Rounded to 2, 3, 4 or 5 Hz; 5 Hz for the infinite frequency of a stiff train."""
     return min(LINES, key=lambda line: abs(line - min(frequency, LINES[-1])))
 
 
@@ -156,11 +158,17 @@ def analyse_axis(
 ) -> AxisAnalysis:
     """The analysis of one axis from its responses in n poses; `shared_prior`: the data sheet's drive train.
 
-    BadInput where the responses have fewer numbers than there are to find.
+    BadInput where the responses have fewer numbers than there are to find, one is not finite, or the fit does not
+    converge.
     """
+    for number, response in enumerate(responses, start=1):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            weight = 1 / np.sqrt(response.variance(response.impedance))
+        finite(response.impedance, joint, f"its frequency response in pose {number}")
+        finite(weight, joint, f"the weight of its frequency response in pose {number}")
     problem = _Problem(tuple(responses), shared_prior, tuple(pose_priors))
     if problem.count <= problem.size:
-        raise BadInput(joint, f"{problem.count} numbers of its frequency responses for {problem.size} unknown ones")
+        raise BadInput(joint, f"{problem.count} equations of its frequency responses for {problem.size} unknowns")
     values, chi_squared, covariance = _fit(joint, problem)
     asymptotes = [_asymptotes(response) for response in responses]
     return AxisAnalysis(
@@ -183,7 +191,7 @@ def analyse_axis(
 
 @dataclass(frozen=True)
 class _Problem:
-    """Unknown: the shared (5,), then J_l and k_g of each pose; in units of their priors' standard deviations."""
+    """Unknowns: the shared ones (5,), then J_l and k_g of each pose; in units of their priors' standard deviations."""
 
     responses: tuple[Response, ...]
     shared_prior: SharedPrior
@@ -213,7 +221,7 @@ class _Problem:
         return root
 
     def starts(self) -> list[Array]:
-        """The prior with several compliances: that of the highest peaks, and some to be safe."""
+        """Start values: the prior with several compliances, including that of the highest peaks."""
         loads = np.array([prior.mean[0] for prior in self.pose_priors])
         peaks = np.array([_peak(response) for response in self.responses])
         found = float(np.median(1 / (loads * (2 * np.pi * peaks) ** 2)))
@@ -227,7 +235,7 @@ class _Problem:
 
 
 def _fit(joint: str, problem: _Problem) -> tuple[Array, float, Array]:
-    """Values, chi^2 per degree of freedom, and covariance; BadInput at the joint where the search did not converge."""
+    """Values, chi^2 per degree of freedom, and covariance. BadInput with the joint if the search did not converge."""
     mean, root = problem.mean, problem.root
     inverse_root = np.linalg.inv(root)
     weights = [1 / np.sqrt(response.variance(response.impedance) / 2) for response in problem.responses]
@@ -239,7 +247,7 @@ def _fit(joint: str, problem: _Problem) -> tuple[Array, float, Array]:
         return np.vstack([_misfit(problem, mean + root @ x, weights)[1] @ root, np.eye(len(x))])
 
     def solve(start: Array) -> Fit:
-        return optimize.least_squares(residual, start, jac=jacobian, method="lm", max_nfev=100)
+        return optimize.least_squares(residual, start, jac=jacobian, method="lm", max_nfev=EVALUATIONS)
 
     found = min((solve(inverse_root @ (start - mean)) for start in problem.starts()), key=lambda each: each.cost)
     for _ in range(ROUNDS):
@@ -263,7 +271,7 @@ def _model(frequency: Array, values: Array, own: int) -> Complex:
 
 
 def _misfit(problem: _Problem, values: Array, weights: Sequence[Array]) -> tuple[Array, Array]:
-    """Weighted real and imaginary parts (count,) of model less measured Z, and their derivatives (count, size)."""
+    """Weighted real and imaginary parts (count,) of model minus measured Z, and their derivatives (count, size)."""
     train = _train(values)
     h, c = train.damping_time, train.compliance
     rows: list[Array] = []
@@ -313,12 +321,12 @@ def _ideal(values: Array, covariance: Array, own: int) -> Ideal:
 
 
 def _relative(value: float, std: float) -> Figure:
-    """A value with the standard deviation of its logarithm; of an infinite one nothing is known."""
+    """A value with the standard deviation of its logarithm; an infinite value has none."""
     return Figure(value, std * value if np.isfinite(value) else np.inf)
 
 
 def _peak(response: Response) -> float:
-    """Where |Z|/omega has its highest maximum within the band, Hz: parabola through three lines in log-log."""
+    """Frequency of the highest maximum of |Z|/omega within the band, Hz: parabola through three lines in log-log."""
     x, y = np.log(response.frequency), np.log(np.abs(response.impedance) / response.frequency)
     inner = [k for k in range(1, len(x) - 1) if y[k] >= max(y[k - 1], y[k + 1])]
     if not inner:

@@ -1,65 +1,74 @@
-r"""All sweeps of one axis fitted at once: the drive train is shared, the load inertia belongs to the pose.
+"""All sweeps of one axis fitted together: the drive train is shared, the load inertia belongs to the pose.
 
-The equations are those of `sweep_model`. Gauss-Newton with Levenberg's damping on the real and imaginary parts, every
-prior of the data sheet a row more. The own parameters are eliminated sweep by sweep (Schur complement), so the cost
-grows linearly with the number of sweeps. The noise variance is pooled over the sweeps of one sample rate, from
-residuals with the degrees of freedom used up removed.
+The equations are those of `sweep_model`. Gauss-Newton with Levenberg's damping on the real and imaginary parts, with
+one additional row for every prior of the data sheet. The own parameters are eliminated sweep by sweep (Schur
+complement), so the cost grows linearly with the number of sweeps. The noise variance is pooled over the sweeps of
+one sample rate, from residuals corrected for the degrees of freedom.
 
-Known effects were taken out before (`known_torque`); what they are uncertain by are further shared parameters, 0 +- 1.
+Known effects are removed before (`known_torque`); their uncertainty enters as further shared parameters, 0 +- 1.
 
-A sweep whose residual is larger than chance allows (a torque spike, a collision, a loose cable) would spoil the drive
-train and the noise of all: it gets the variance that its own residual shows, the likeliest under a Gaussian error of
-its own (`weight` = pooled over own variance). Chance: chi-squared at `CHANCE` over the number of sweeps.
+A sweep whose residual is larger than chance allows (a torque spike, a collision, a loose cable) would distort the
+drive train and the noise of all sweeps. It gets the variance of its own residual, the most probable one for an
+additional Gaussian error (`weight` = pooled over own variance). Chance: chi-squared at `CHANCE` over the number of
+sweeps.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from service.errors import BadInput
 from service.identification.axis.load_motion import spring
 from service.identification.axis.nominal_priors import PosePrior, SharedPrior
 from service.identification.axis.sweep_model import SHARED, Stack, direct_terms, stack_residual, stacks
+from service.identification.model.convergence import finite
+from service.identification.model.least_squares import scaled_inverse, scaled_solution
 from service.identification.spectra.axis_inertia import DriveTrain
 from service.identification.spectra.frequency_response import Complex, Spectrum
 
 Array = NDArray[np.float64]
 
-FREE = 10.0  # times the largest effort bin: one sigma of what nothing is known of
-ITERATIONS = 60
+FREE = 10.0  # times the largest effort bin: one sigma of unknown parameters
+ITERATIONS = 60  # of Gauss-Newton, each with its damping
+FIRST_ITERATIONS = 8  # from each start: enough to find the lowest minimum
+GAINED = 1e-9  # of the cost: a step that gains less ends the search
+DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-12, 1e8  # of the diagonal: initial, smallest, largest (then the end)
+POOLINGS = 10  # largest number of rounds to select the sweeps that share the noise
+TOLD = 1e-12  # of the prior's precision: minimum information of the data on an inertia, for its bound
 ROUNDS = 4  # of fitting and estimating the noise
 STARTS = (np.inf, 25.0, 16.0, 11.0, 8.0, 6.0)  # Hz, locked-rotor frequencies tried as start
-STARTERS = 24  # sweeps, or a few more, that are enough to choose between the starts
-FEW = 4.0  # degrees of freedom left, below which residuals do not show the noise: the guess stands
-NOISE_FLOOR = 1e-7  # of the largest effort at a line: rounding, where a simulation has no noise
-CHANCE = 0.01  # that any sweep of an axis is suspected although all are sound
-MATERIAL = 1e-3  # of the largest effort bin: a residual below does not matter, whatever the others'
+STARTERS = 24  # sweeps, or a few more, used to choose between the starts
+FEW_FREEDOM = 4.0  # degrees of freedom; with fewer, the noise cannot be estimated and the guess is used
+NOISE_FLOOR = 1e-7  # of the largest effort at a line: rounding, for simulations without noise
+CHANCE = 0.01  # probability that any sweep of an axis is suspected although all are correct
+MATERIAL = 1e-3  # of the largest effort bin: smaller residuals are not tested
 
 
 class Ended(Enum):
-    """How a search for the least cost ended."""
+    """How a minimisation ended."""
 
-    CONVERGED = "a further step gains less than 1e-9 of the cost"
+    CONVERGED = f"a further step gains less than {GAINED:g} of the cost"
     AT_REST = "no step, however short, lowers the cost"
     UNFINISHED = f"the cost still falls after {ITERATIONS} steps"
+    LOST = "the steps leave the range of numbers"
 
 
 @dataclass(frozen=True)
 class JointFit:
     """Result for n sweeps of one axis, in the order given.
 
-    `inertia` (n,) = Jm + J_l, `covariance` (n, n) of it, of which `own_variance` (n,) is each sweep's own part and the
-    rest comes with the shared drive train; `bound` (n,) the Cramer-Rao bound of its standard deviation if all but J_l
-    were known; `gravity` (n, 2) the fitted k_g and G0; `noise` (n,) the standard deviation of real and imaginary part
-    of an effort bin; `chi_squared` (n,) each sweep's share of it, per degree of freedom, with the noise pooled;
-    `weight` (n,) below 1 where a sweep's own residual is used instead; `freedom` degrees of freedom in all; `moved`
-    (u,) by how many of its standard deviations each independent part of the known effects had to move.
+    `inertia` (n,) = Jm + J_l, `covariance` (n, n) of it; `own_variance` (n,) is the part of each sweep itself, the
+    rest comes from the shared drive train. `bound` (n,): Cramer-Rao bound of its standard deviation if all but J_l
+    were known. `gravity` (n, 2): fitted k_g and G0. `noise` (n,): standard deviation of real and imaginary part of
+    an effort bin. `chi_squared` (n,): share of each sweep, per degree of freedom, with the pooled noise. `weight`
+    (n,): below 1 if the residual of the sweep itself is used instead. `freedom`: total degrees of freedom. `moved`
+    (u,): change of each independent part of the known effects, in its standard deviations.
     """
 
     train: DriveTrain
@@ -78,6 +87,7 @@ class JointFit:
     shared: Array  # (5 + u,) and
     own: tuple[Array, ...]  # of each sweep (p,): all parameters, for `sweep_model`
     ended: Ended
+    noise_change: Array  # (n,) relative change of `noise` in the last of the `ROUNDS`
 
 
 @dataclass(frozen=True)
@@ -103,6 +113,11 @@ class _Normal:
     shared: Array  # (5 + u, 5 + u)
     own_gradient: Array  # (n, p)
     shared_gradient: Array  # (5 + u,)
+
+    @property
+    def finite(self) -> bool:
+        parts = (self.own, self.coupling, self.shared, self.own_gradient, self.shared_gradient)
+        return all(bool(np.isfinite(part).all()) for part in parts)
 
 
 @dataclass(frozen=True)
@@ -130,9 +145,10 @@ def fit_axis(
 ) -> JointFit:
     """Fit all periodic sweeps of one axis; `noise_guess` is the effort noise of one sample, N m (N).
 
-    `uncertain` (u, b) of each sweep: what the effects taken out of its effort are uncertain by. `spread` (b,) of each:
-    how many times the noise each bin's standard deviation is, where a nonlinearity distorts it (`distortion`).
-    BadInput where the cost is no finite number, or still falls when the steps are used up: then nothing is told.
+    `uncertain` (u, b) of each sweep: uncertainty of the effects removed from its effort. `spread` (b,) of each sweep:
+    standard deviation of each bin over the noise, larger than 1 with nonlinear distortion (`distortion`).
+    BadInput, and no result, if the cost is not finite, if it still decreases after the last step, or if a step or
+    a variance is not finite.
     """
     known = list(uncertain or [np.zeros((0, len(one.frequency)), dtype=np.complex128) for one in spectra])
     poses = [complete_prior(*pair) for pair in zip(spectra, pose_priors, strict=True)]
@@ -145,18 +161,20 @@ def fit_axis(
     point = _Point(shared, priors.own_mean)
     rate = np.array([spectrum.spec.sample_rate for spectrum in spectra])
     noise = _Noise(sigma, np.ones(len(spectra)), np.ones(len(spectra)), 0.0)
-    ended = Ended.UNFINISHED
+    ended, before = Ended.UNFINISHED, noise
     for _ in range(ROUNDS):
         minimum = _minimise(parts, priors, noise.sigma, point, ITERATIONS)
-        if not np.isfinite(minimum.cost):
-            raise BadInput(
-                _not_finite(spectra, parts, point), "has no finite residual: effort, motion or prior overflow"
-            )
+        if minimum.ended is Ended.LOST or not np.isfinite(minimum.cost):
+            what = "has no finite residual or derivative: effort, motion or prior overflow"
+            raise BadInput(_not_finite(spectra, parts, point), what)
         point, ended = minimum.point, minimum.ended
-        noise = _pooled_noise(parts, priors, noise.sigma, point, rate, noise_guess)
+        before, noise = noise, _pooled_noise(parts, priors, noise.sigma, point, rate, noise_guess)
     if ended is Ended.UNFINISHED:
         raise BadInput(spectra[0].spec.axis, f"its fit over {len(spectra)} sweeps did not converge: {ended.value}")
-    return _result(parts, priors, noise, point, ended)
+    result = replace(_result(parts, priors, noise, point, ended), noise_change=np.abs(noise.sigma / before.sigma - 1))
+    for one, value, variance in zip(spectra, result.inertia, np.diag(result.covariance), strict=True):
+        finite(np.array([value, variance]), f"sweep {one.spec.id} of {one.spec.axis}", "its inertia with its variance")
+    return result
 
 
 def _not_finite(spectra: Sequence[Spectrum], parts: Sequence[Stack], point: _Point) -> str:
@@ -169,7 +187,9 @@ def _not_finite(spectra: Sequence[Spectrum], parts: Sequence[Stack], point: _Poi
 
 
 def complete_prior(spectrum: Spectrum, prior: PosePrior) -> PosePrior:
-    """The prior with a wide one for the own parameters that no model knows: it only matters where bins are few."""
+    """The prior with a wide one for the own parameters that no model predicts; it only matters if there are few
+    bins.
+    """
     wide = FREE * float(np.abs(spectrum.effort).max())
     slope = wide / (2 * np.pi * float(spectrum.frequency[-1]))
     unknown = np.array([wide, slope, *(wide for _ in direct_terms(spectrum))])
@@ -188,16 +208,16 @@ def _priors(parts: Sequence[Stack], shared: SharedPrior, poses: Sequence[PosePri
 
 
 def _first_train(parts: Sequence[Stack], shared: SharedPrior, poses: Sequence[PosePrior], sigma: Array) -> Array:
-    """The drive train (5,) of the best of several starts, to begin with."""
+    """The drive train (5,) of the best of several starts, used as start of the fit."""
     priors = _priors(parts, shared, poses)
     starts = STARTS if any(stack.load_velocity is None for stack in parts) else STARTS[:1]
-    tries = [_minimise(parts, priors, sigma, _start(priors, frequency), 8) for frequency in starts]
+    tries = [_minimise(parts, priors, sigma, _start(priors, frequency), FIRST_ITERATIONS) for frequency in starts]
     finite = [one for one in tries if np.isfinite(one.cost)] or tries
     return min(finite, key=lambda one: one.cost).point.shared
 
 
 def _start(priors: _Priors, locked_rotor: float) -> _Point:
-    """At the prior's own spring for inf, else at the spring of a locked-rotor frequency."""
+    """At the prior's spring for inf, otherwise at the spring of a locked-rotor frequency."""
     shared = priors.mean.copy()
     if np.isfinite(locked_rotor):
         typical = float(np.median(np.concatenate([mean[:, 0] for mean in priors.own_mean])))
@@ -234,22 +254,25 @@ def _equations(
 
 
 def _minimise(parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point, iterations: int) -> _Minimum:
-    """The point of least cost, from `point` downhill. A point whose cost is not a number is no step down."""
-    damping, ended = 1e-3, Ended.UNFINISHED
+    """The point of least cost, starting at `point`. A step to a point whose cost is not a number is rejected."""
+    damping, ended = DAMPING, Ended.UNFINISHED
     cost, normals = _equations(parts, priors, sigma, point)
     for _ in range(iterations if np.isfinite(cost) else 0):
+        if not all(each.finite for each in normals):
+            ended = Ended.LOST  # squares of derivatives overflow: there is no step
+            break
         while True:
             trial = _step(normals, priors, point, damping)
             trial_cost, trial_normals = _equations(parts, priors, sigma, trial)
-            if trial_cost <= cost or damping > 1e8:
+            if trial_cost <= cost or damping > MOST_DAMPING:
                 break
             damping *= 10
         if not trial_cost <= cost:
-            ended = Ended.AT_REST
+            ended = Ended.AT_REST if np.isfinite(trial_cost) else Ended.LOST
             break
         gained, point, cost, normals = cost - trial_cost, trial, trial_cost, trial_normals
-        damping = max(damping / 10, 1e-12)
-        if gained < 1e-9 * (1 + cost):
+        damping = max(damping / 10, LEAST_DAMPING)
+        if gained < GAINED * (1 + cost):
             ended = Ended.CONVERGED
             break
     return _Minimum(point, cost, ended)
@@ -263,7 +286,7 @@ def _step(normals: Sequence[_Normal], priors: _Priors, point: _Point, damping: f
         size = range(normal.own.shape[1])
         own = normal.own.copy()
         own[:, size, size] *= 1 + damping
-        solved = _solve(own, np.concatenate([normal.coupling, normal.own_gradient[:, :, None]], axis=2))
+        solved = scaled_solution(own, np.concatenate([normal.coupling, normal.own_gradient[:, :, None]], axis=2))
         gain, step = solved[:, :, :-1], solved[:, :, -1]
         matrix += normal.shared - np.einsum("npi,npj->ij", normal.coupling, gain)
         gradient += normal.shared_gradient - np.einsum("npi,np->i", gain, normal.own_gradient)
@@ -276,14 +299,14 @@ def _step(normals: Sequence[_Normal], priors: _Priors, point: _Point, damping: f
 def _pooled_noise(
     parts: Sequence[Stack], priors: _Priors, sigma: Array, point: _Point, rate: Array, guess: float
 ) -> _Noise:
-    """The noise that the residuals at a point show; `sigma` (n,) is what was taken for it so far."""
+    """The noise estimated from the residuals at a point; `sigma` (n,) is the noise assumed so far."""
     count = len(rate)
     squares, freedom, samples, largest = np.zeros((4, count))
     normals = _equations(parts, priors, sigma, point)[1]
     for stack, own, normal, precision in zip(parts, point.own, normals, priors.own_precision, strict=True):
         residual = stack_residual(stack, point.shared, own)[0] / stack.spread
         squares[stack.place] = np.sum(np.abs(residual) ** 2, axis=1) * stack.samples
-        # a parameter costs a degree of freedom as far as the data told it and not its prior; all share the train's
+        # a parameter takes the fraction of a degree of freedom that data, not its prior, determine; the train is shared
         by_prior = np.sum(precision * np.diagonal(scaled_inverse(normal.own), axis1=1, axis2=2), axis=1)
         freedom[stack.place] = 2 * residual.shape[1] - (stack.parameters - by_prior) - SHARED / count
         samples[stack.place], largest[stack.place] = stack.samples, stack.largest
@@ -300,15 +323,15 @@ def _pooled_noise(
 
 
 def _pool(squares: Array, freedom: Array, immaterial: Array, guess: float) -> tuple[float, NDArray[np.bool_]]:
-    """Variance of the sweeps (n,) of one sample rate, and which of them are sound: no worse than chance makes them."""
+    """Variance of the sweeps (n,) of one sample rate, and which of them are correct: not worse than by chance."""
     everyone = np.ones(len(squares), dtype=bool)
-    if freedom.sum() < FEW:
+    if freedom.sum() < FEW_FREEDOM:
         return guess**2 / 2, everyone
     each = squares / np.maximum(freedom, 1.0)
-    worst = chi2.isf(CHANCE / len(squares), np.maximum(freedom, 1.0)) / np.maximum(freedom, 1.0)
-    variance = float(np.median(each))  # half of the sweeps may be spoiled
+    worst = chdtri(np.maximum(freedom, 1.0), CHANCE / len(squares)) / np.maximum(freedom, 1.0)
+    variance = float(np.median(each))  # half of the sweeps may be faulty
     sound = everyone
-    for _ in range(10):
+    for _ in range(POOLINGS):
         before, sound = sound, (each <= worst * variance) | (each <= immaterial)
         variance = float(squares[sound].sum() / freedom[sound].sum())
         if np.array_equal(before, sound):
@@ -329,7 +352,7 @@ def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Poin
         by_shared[stack.place] = -gain[:, 0]  # d J_l / d shared
         own_variance[stack.place] = inverse[:, 0, 0]
         told = normal.own[:, 0, 0] - precision[:, 0]
-        bound[stack.place] = 1 / np.sqrt(np.maximum(told, 1e-12 * precision[:, 0]))
+        bound[stack.place] = 1 / np.sqrt(np.maximum(told, TOLD * precision[:, 0]))
         load[stack.place], gravity[stack.place] = own[:, 0], own[:, 1:3]
     by_shared[:, 0] += 1  # J = Jm + J_l
     shared_covariance = scaled_inverse(matrix)
@@ -354,6 +377,7 @@ def _result(parts: Sequence[Stack], priors: _Priors, noise: _Noise, point: _Poin
         shared=point.shared,
         own=_by_sweep(parts, point),
         ended=ended,
+        noise_change=np.zeros(count),
     )
 
 
@@ -368,30 +392,9 @@ def _by_sweep(parts: Sequence[Stack], point: _Point) -> tuple[Array, ...]:
 
 
 def _real(values: Complex) -> Array:
-    """(n, p, b) complex as (n, p, 2 b) real; the parts of a bin stand side by side."""
+    """(n, p, b) complex as (n, p, 2 b) real; real and imaginary part of a bin are adjacent."""
     return np.ascontiguousarray(values).view(np.float64)
 
 
 def real_parts(values: Complex) -> Array:
     return np.concatenate([values.real, values.imag])
-
-
-def _scale(matrix: Array) -> Array:
-    """Square roots of the diagonals of matrices (..., p, p): the units differ by ten decades."""
-    scale = np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
-    return np.where(scale > 0, scale, 1.0)
-
-
-def _solve(matrix: Array, right: Array) -> Array:
-    """Solutions (n, p, m) of positive definite systems (n, p, p), scaled to unit diagonals first."""
-    scale = _scale(matrix)[..., None]
-    return np.linalg.solve(matrix / scale / np.swapaxes(scale, -1, -2), right / scale) / scale
-
-
-def scaled_inverse(matrix: Array) -> Array:
-    """Inverses of positive definite matrices (..., p, p), scaled to unit diagonals first."""
-    scale = _scale(matrix)[..., None]
-    eigenvalues, vectors = np.linalg.eigh(matrix / scale / np.swapaxes(scale, -1, -2))
-    eigenvalues = np.maximum(eigenvalues, 1e-14 * eigenvalues[..., -1:])
-    turned = np.swapaxes(vectors, -1, -2)
-    return (vectors / eigenvalues[..., None, :]) @ turned / scale / np.swapaxes(scale, -1, -2)

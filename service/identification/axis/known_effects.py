@@ -1,9 +1,9 @@
-r"""What a robot is known to have beside its rigid body: effects that a diagnosis named and a person accepted.
+r"""Known effects of a robot in addition to its rigid body: named by a diagnosis and accepted by a user.
 
-The document is a model revision's, or what `sweepid diagnose --model` writes: by joint the effects with their
-parameters (value, std, unit) and, where it is told, their covariance in the same order, and whether torques are as
-recorded or true. What is not a number is refused. Effects of other names, or without a parameter that is needed, take
-no part; the estimate tells them (`axis_document.used_effects`).
+The document is that of a model revision, or of `sweepid diagnose --model`: by joint the effects with their
+parameters (value, std, unit) and, if present, their covariance in the same order, and whether torques are as
+recorded or true. A value that is not a number is rejected. Effects with other names, or without a required parameter,
+are not used; the estimate lists them (`axis_document.used_effects`).
 """
 
 import math
@@ -24,7 +24,7 @@ ELASTICITY = "joint_elasticity"
 HOSE = "hose_spring"
 GAIN = "torque_constant_error"
 LOAD = "load_dependent_friction"
-NEEDED = {  # parameters without which an effect says nothing
+NEEDED = {  # required parameters of each effect
     DELAY: ("delay",),
     ELASTICITY: ("compliance", "damping_time"),
     HOSE: ("stiffness",),
@@ -53,7 +53,7 @@ class KnownEffect:
 
     @property
     def unusable(self) -> str:
-        """Why it says nothing of an effort, or ""."""
+        """Why the effect cannot be used, or ""."""
         missing = [name for name in NEEDED.get(self.name, ()) if name not in self.values]
         wrong = [name for name in POSITIVE.get(self.name, ()) if not self.values.get(name, 1.0) > 0]
         if self.name == GAIN and not missing and not self.values["gain_error"] > -1:
@@ -63,7 +63,9 @@ class KnownEffect:
         return f"its {', '.join(wrong)} is not above 0" if wrong else ""
 
     def directions(self) -> list[dict[str, float]]:
-        """Independent changes of the parameters by one standard deviation: the columns of a root of the covariance."""
+        """Independent changes of the parameters by one standard deviation: the columns of a square root of the
+        covariance.
+        """
         variance, vectors = np.linalg.eigh(self.covariance / np.outer(self._scale, self._scale))
         root = self._scale[:, None] * vectors * np.sqrt(np.maximum(variance, 0.0))
         return [dict(zip(self.values, column.tolist(), strict=True)) for column in root.T]
@@ -76,19 +78,21 @@ class KnownEffect:
 
 @dataclass(frozen=True)
 class KnownAxis:
-    """The effects of one axis. `true_torque`: parameters hold for true torques, else for those that the drive tells."""
+    """The effects of one axis. `true_torque`: parameters apply to true torques, otherwise to those reported by the
+    drive.
+    """
 
     effects: tuple[KnownEffect, ...] = ()
     true_torque: bool = False
 
     def get(self, name: str) -> KnownEffect | None:
-        """The effect of a name, if it is there and can be used."""
+        """The effect with this name, if it exists and can be used."""
         return next((effect for effect in self.effects if effect.name == name and not effect.unusable), None)
 
 
 @dataclass(frozen=True)
 class KnownEffects:
-    """All axes by joint, and which model they come from; None where nothing is known."""
+    """All axes by joint, and the model they come from; None if nothing is known."""
 
     axes: Mapping[str, KnownAxis] = field(default_factory=dict[str, KnownAxis])
     source: ModelSource | None = None
@@ -98,35 +102,37 @@ class KnownEffects:
 
 
 def known_effects(model: KnownModel, joints: Sequence[str], source: ModelSource) -> KnownEffects:
-    """Of a model; BadInput names joint, effect and parameter of what cannot be used."""
+    """The effects of a model. BadInput names joint, effect and parameter that cannot be used."""
     found: dict[str, KnownAxis] = {}
     for joint, axis in model.axes.items():
         place = f"model.axes.{joint}"
         if joint not in joints:
-            raise BadInput(place, f"is not a joint of the robot, {', '.join(joints)} are")
+            raise BadInput(place, f"is not a joint of the robot; its joints are {', '.join(joints)}")
         effects = tuple(_effect(effect, f"{place}.effects.{effect.effect}") for effect in axis.effects)
         found[joint] = KnownAxis(effects, axis.fit.torques == "true")
     return KnownEffects(found, source)
 
 
-def _effect(told: Effect, place: str) -> KnownEffect:
+def _effect(effect: Effect, place: str) -> KnownEffect:
     values: dict[str, float] = {}
     std: list[float] = []
-    for name, one in told.parameters.items():
+    for name, one in effect.parameters.items():
         values[name] = _number(one.value, f"{place}.{name}.value")
         std.append(_number(one.std, f"{place}.{name}.std"))
         if std[-1] < 0:
             raise BadInput(f"{place}.{name}.std", f"{std[-1]} is below 0")
-    units = {name: one.unit for name, one in told.parameters.items()}
-    return KnownEffect(told.effect, values, _covariance(told.covariance, np.array(std), f"{place}.covariance"), units)
+    units = {name: one.unit for name, one in effect.parameters.items()}
+    return KnownEffect(
+        effect.effect, values, _covariance(effect.covariance, np.array(std), f"{place}.covariance"), units
+    )
 
 
-def _covariance(told: Sequence[Sequence[float]], std: Array, place: str) -> Array:
-    """With the standard deviations as told, and the correlations of the covariance if it is one of these parameters."""
+def _covariance(stated: Sequence[Sequence[float]], std: Array, place: str) -> Array:
+    """Built from the given standard deviations and the correlations of the covariance, if it has these parameters."""
     correlation = np.eye(len(std))
-    if len({len(row) for row in told}) > 1:
+    if len({len(row) for row in stated}) > 1:
         raise BadInput(place, "has rows of different lengths")
-    given = np.array(told, dtype=np.float64)
+    given = np.array(stated, dtype=np.float64)
     if given.size and given.shape == correlation.shape and np.all(np.isfinite(given)) and np.all(np.diag(given) > 0):
         scale = np.sqrt(np.diag(given))
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):

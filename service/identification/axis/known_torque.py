@@ -1,24 +1,24 @@
-r"""Takes out of the spectrum of a sweep what known effects (`known_effects`) add to its effort.
+r"""Removes the effort of known effects (`known_effects`) from the spectrum of a sweep.
 
-Delay. Effort of a moment arrives `delay` later than the motion of that moment:  E -> E e^{s delay}.
+Delay. The effort of an instant arrives `delay` later than the motion of that instant:  E -> E e^{s delay}.
 
-Friction of a known law f(v), and the pull of a hose where no gravity row takes it:  E -> E - DFT[f(v)]. The motion of
-the motor is the one that was measured: v(t) follows from its bins and the offset, which holds the mean,
+Friction of a known law f(v), and the torque of a hose if no gravity row contains it:  E -> E - DFT[f(v)]. The motion of
+the motor is the measured one: v(t) follows from its bins and the offset, which is the mean,
 
     v_n = v0 + 2 Re sum_b V_b e^{2 pi i f_b n / rate},    q_n - q_0 = v0 t_n + 2 Re sum_b V_b / s_b e^{...}
 
-(what lies above the bins in use is noise, and a law of a slightly noisy velocity differs in second order only). Nothing
-is needed beside the spectrum, so sweeps that were recorded before the effect was accepted are corrected as well.
+(content above these bins is noise, which changes the law only in second order). Nothing
+but the spectrum is needed, so sweeps recorded before the effect was accepted are corrected as well.
 
-What is known is known with a standard deviation. Each independent change of the parameters by one (`directions`)
-changes the spectrum by a column; the joint fit has the amount of it as a parameter that all sweeps share, 0 +- 1.
+Each known parameter has a standard deviation. Each independent change of the parameters by one of them (`directions`)
+changes the spectrum by one column; its amount is a parameter of the joint fit shared by all sweeps, 0 +- 1.
 
 Laws as in the catalogue of the diagnosis:  coulomb sign(v);  + coulomb_difference |sign(v)| + viscous_difference |v|;
 (coulomb + extra exp(-|v/velocity|^exponent)) sign(v);  coefficient x (1 + x^2)^((exponent - 1)/2), x = v/velocity;
 (coulomb + load_dependence (sqrt(Ts^2 + T1^2) - T1) + load_curvature Ts^2/T1) sign(v), T1 the knee, with the gear's
-torque Ts = gravity + J_l dv_l/dt. The last is known only where
-gravity is so much larger than the rest that Ts keeps its sign; elsewhere friction of the load and errors of CAD decide,
-J is in doubt by load_dependence J_l, and nothing is taken out.
+torque Ts = gravity + J_l dv_l/dt. The last is known only if
+gravity is so much larger than the rest that Ts keeps its sign. Otherwise it depends on load friction and CAD errors,
+J has the additional uncertainty load_dependence J_l, and nothing is removed.
 """
 
 from collections.abc import Callable, Mapping
@@ -35,14 +35,14 @@ Array = NDArray[np.float64]
 
 UNIT_VELOCITY = 0.01  # rad/s (m/s), of the nonlinear viscous law
 NUDGE = 1e-3  # of one standard deviation, for derivatives
-LIGHT = 0.5  # of gravity's torque that all else may be, for the gear's torque to keep its sign for certain
+OTHER_TORQUES = 0.5  # of gravity's torque: most that all others may be for the gear's torque to keep its sign
 
 
 @dataclass(frozen=True)
 class Load:
-    """What the gear carries in the pose of a sweep: inertia kg m^2 (kg), torque and stiffness of gravity.
+    """Load of the gear in the pose of a sweep: inertia kg m^2 (kg), torque and stiffness of gravity.
 
-    `train`: how it follows the motor; None: at once.
+    `train`: how it follows the motor; None: rigidly.
     """
 
     inertia: float
@@ -53,7 +53,9 @@ class Load:
 
 @dataclass(frozen=True)
 class Motion:
-    """Samples (n,) of a window: velocity, way since its start, torque of the load's acceleration and of gravity; SI."""
+    """Samples (n,) of a window: velocity, travel since its start, torque of the load's acceleration and of
+    gravity; SI.
+    """
 
     velocity: Array
     way: Array
@@ -62,7 +64,7 @@ class Motion:
 
     @property
     def transmitted(self) -> Array:
-        """Through the gear."""
+        """Torque through the gear."""
         return self.accelerating + self.holding
 
 
@@ -85,7 +87,7 @@ LAWS: dict[str, Law] = {
 
 
 def _nonlinear_viscous(p: Mapping[str, float], m: Motion) -> Array:
-    """Carreau's law; a model of before that told a bend has a power of the speed."""
+    """Carreau's law. A stored model of an earlier version with a bend uses a power of the speed."""
     if "velocity" not in p:
         return p["coefficient"] * np.sign(m.velocity) * np.abs(m.velocity / UNIT_VELOCITY) ** p["exponent"]
     ratio = m.velocity / p["velocity"]
@@ -93,7 +95,7 @@ def _nonlinear_viscous(p: Mapping[str, float], m: Motion) -> Array:
 
 
 def _load_dependent(p: Mapping[str, float], m: Motion) -> Array:
-    """A model of before that told a knee has none."""
+    """A stored model of an earlier version has no knee."""
     knee = p.get("knee", 0.0)
     grows = p["load_dependence"] * (np.hypot(m.transmitted, knee) - knee)
     if knee > 0:
@@ -103,9 +105,9 @@ def _load_dependent(p: Mapping[str, float], m: Motion) -> Array:
 
 @dataclass(frozen=True)
 class Corrected:
-    """A spectrum without its known effects; `uncertain` (k, b): what one standard deviation of each adds to effort.
+    """A spectrum without its known effects; `uncertain` (k, b): change of the effort by one standard deviation of each.
 
-    `doubt`: one standard deviation of the inertia, kg m^2 (kg), for what could not be taken out.
+    `doubt`: one standard deviation of the inertia, kg m^2 (kg), for effects that could not be removed.
     """
 
     spectrum: Spectrum
@@ -114,10 +116,13 @@ class Corrected:
 
 
 def corrected(spectrum: Spectrum, known: KnownAxis, gain: float, load: Load) -> Corrected:
-    """A sweep with lines, its effort as the drive tells it, which is `gain` times the true one.
+    """Correct a sweep with lines whose effort is reported by the drive, `gain` times the true one.
 
     The effort of the result is true effort.
     """
+    if not known.effects:
+        nothing = np.zeros((0, len(spectrum.frequency)), dtype=np.complex128)
+        return Corrected(replace(spectrum, effort=spectrum.effort / gain), nothing)
     s: Complex = np.multiply(2j * np.pi, spectrum.frequency, dtype=np.complex128)
     scale = 1.0 if known.true_torque else 1 / gain
     effort: Complex = spectrum.effort / gain
@@ -175,7 +180,7 @@ def motion_of(spectrum: Spectrum, load: Load) -> Motion:
 
 def _keeps_its_sign(motion: Motion) -> bool:
     """Whether gravity decides the direction of the torque through the gear all along the window."""
-    return float(np.abs(motion.accelerating).max()) < LIGHT * float(np.abs(motion.holding).min())
+    return float(np.abs(motion.accelerating).max()) < OTHER_TORQUES * float(np.abs(motion.holding).min())
 
 
 def _dft(signal: Array, spectrum: Spectrum) -> Complex:

@@ -1,10 +1,11 @@
-r"""Spring and damping of a drive train from what its direct encoder shows, after the inertias are known without them.
+"""Spring and damping of a drive train from its direct encoder, after the inertias are known without them.
 
-The spring carries what the load needs, so at every line, with E = Omega - Omega_l,
+The spring transmits the torque of the load, so at every line, with E = Omega - Omega_l,
 
     E (1 + s h) = s c T,    T = s J_l Omega_l + mu_l Omega_l + G0 R0 + k_g (R1 + Omega_l / s) + t0
 
-which is linear in c and h. mu_l is poorly told from mu_m; what it may be off by is added to the standard deviations.
+which is linear in c and h. mu_l is poorly separated from mu_m; its possible error is added to the standard
+deviations.
 """
 
 from collections.abc import Sequence

@@ -1,6 +1,6 @@
-"""What is known before anything is measured: the data sheet's drive train, the nominal model, the torque constant.
+"""Priors before any measurement: the data sheet's drive train, the nominal model, the torque constant.
 
-And what of them a diagnosis knows better: the spring, a hose, the torque constant (`known_effects`).
+And values known better from a diagnosis: the spring, a hose, the torque constant (`known_effects`).
 """
 
 from dataclasses import dataclass
@@ -9,13 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.axis.known_effects import ELASTICITY, GAIN, HOSE, KnownAxis
+from service.identification.design.predicted_confidence import SOFTEST
+from service.identification.model.parameter_prior import link_sizes
 from service.identification.spectra.frequency_response import Spectrum
 from service.robot import Robot
 from service.urdf import Chain
 
 Array = NDArray[np.float64]
 
-LIGHT = 0.01  # of the mean link's mass: what a link without mass in the model may have
+LIGHTEST_LINK = 0.01  # of the mean link's mass: uncertainty of a link without mass in the model
+UNKNOWN_CORNER = 1.0  # Hz, mu / (2 pi J) where no data sheet gives the friction
+UNKNOWN_MOTOR = 0.5  # of the axis' inertia: a motor that no data sheet gives, and one sigma of it
+DAMPING_TIME, DAMPING_SIGMA = 1e-3, 2e-3  # s, of the spring
+LEAST_LOAD = 0.1  # of the axis' inertia: a load that the motor's data sheet leaves nothing of
+TORQUE_SLACK = 1e-3  # of the rated effort, one sigma of gravity in addition to its error: cables, offsets of the base
 NOISE_GUESS = 0.002  # of the rated effort: start value only, the noise is then estimated
 
 
@@ -34,7 +41,7 @@ class SharedPrior:
 
 @dataclass(frozen=True)
 class PosePrior:
-    """What the nominal model says of one sweep's pose: mean and one sigma of [J_l, k_g, G0]."""
+    """Nominal model in the pose of one sweep: mean and one sigma of [J_l, k_g, G0]."""
 
     mean: Array
     sigma: Array
@@ -42,19 +49,19 @@ class PosePrior:
 
 @dataclass(frozen=True, slots=True)
 class TorqueGain:
-    """Effort as the drive tells it over true effort, of one axis. A wrong torque constant scales every inertia."""
+    """Effort reported by the drive over true effort, of one axis. A wrong torque constant scales every inertia."""
 
     gain: float
     std: float
 
 
 def uncalibrated(robot: Robot) -> TorqueGain:
-    """The gain of an axis that no test mass calibrated."""
+    """The gain of an axis without calibration by a test mass."""
     return TorqueGain(1.0, robot.prior.effort_gain)
 
 
 def torque_gain(robot: Robot, known: KnownAxis) -> TorqueGain:
-    """The gain of an axis that no test mass calibrated: as its model knows it, else the prior."""
+    """The gain of an axis without calibration by a test mass: from its model, else the prior."""
     effect = known.get(GAIN)
     if effect is None:
         return uncalibrated(robot)
@@ -62,10 +69,11 @@ def torque_gain(robot: Robot, known: KnownAxis) -> TorqueGain:
 
 
 def with_known_spring(prior: SharedPrior, known: KnownAxis, gain: float) -> SharedPrior:
-    """The drive train's prior with what a diagnosis says of the spring, two independent words on the same values.
+    """The drive train's prior combined with the spring found by a diagnosis, two independent sources of the same
+    values.
 
-    The diagnosis' spring carries `ratio` times the load that the nominal motor inertia leaves: at the true load that is
-    a compliance of compliance / ratio. `gain`: effort as the drive tells it over true effort, see `known_torque`.
+    The diagnosis' spring carries `ratio` times the load that the nominal motor inertia leaves: at the true load its
+    compliance is compliance / ratio. `gain`: effort reported by the drive over true effort, see `known_torque`.
     """
     effect = known.get(ELASTICITY)
     if effect is None:
@@ -83,7 +91,7 @@ def with_known_spring(prior: SharedPrior, known: KnownAxis, gain: float) -> Shar
 
 
 def with_known_hose(prior: PosePrior, known: KnownAxis, gain: float) -> PosePrior:
-    """A hose pulls like gravity's stiffness: towards its rest position, wherever that is."""
+    """A hose acts like gravity's stiffness: towards its rest position, wherever that is."""
     effect = known.get(HOSE)
     if effect is None:
         return prior
@@ -92,7 +100,7 @@ def with_known_hose(prior: PosePrior, known: KnownAxis, gain: float) -> PosePrio
 
 
 def _typical(robot: Robot, number: int, reference: Array, spectra: list[Spectrum]) -> float:
-    """The size of an axis' inertia: the model's; as measured if the rotor, which may outweigh all links, is unknown."""
+    """Typical inertia of an axis: that of the model; the measured one if the rotor, which may dominate, is unknown."""
     if robot.axes[number].reflected_motor_inertia:
         return float(np.median(reference))
     first = [int(np.argmax(spectrum.line)) for spectrum in spectra]
@@ -101,32 +109,34 @@ def _typical(robot: Robot, number: int, reference: Array, spectra: list[Spectrum
 
 
 def shared_prior(robot: Robot, number: int, reference: Array, spectra: list[Spectrum]) -> SharedPrior:
-    """The data sheet's drive train. What it does not know (null, or zero) gets a spread wide enough not to matter.
+    """The data sheet's drive train. Unknown values (null, or zero) get a spread wide enough not to matter.
 
     `reference` (m,): the model's inertias in the axis' poses.
     """
     axis, prior = robot.axes[number], robot.prior
     typical = _typical(robot, number, reference, spectra)
     motor = axis.reflected_motor_inertia
-    motor_mean, motor_sigma = (motor, prior.motor_inertia * motor) if motor else (0.5 * typical, 0.5 * typical)
+    motor_mean, motor_sigma = (
+        (motor, prior.motor_inertia * motor) if motor else (UNKNOWN_MOTOR * typical, UNKNOWN_MOTOR * typical)
+    )
     friction = axis.viscous_friction
-    # a corner frequency of 1 Hz where nothing is known; half of it on either side of the spring
-    total, spread = (friction, prior.viscous_friction) if friction else (2 * np.pi * typical, 1.0)
+    # half of it on either side of the spring
+    total, spread = (friction, prior.viscous_friction) if friction else (2 * np.pi * UNKNOWN_CORNER * typical, 1.0)
     half = total / 2
     half_sigma = max(2 * spread, 1.0) * half
-    softest = 1 / (typical * (2 * np.pi * 3.0) ** 2)  # locked rotor at 3 Hz
+    softest = 1 / (typical * (2 * np.pi * SOFTEST) ** 2)
     return SharedPrior(
-        mean=np.array([motor_mean, half, half, 0.0, 1e-3]),
-        covariance=np.diag(np.square([motor_sigma, half_sigma, half_sigma, softest, 2e-3])),
+        mean=np.array([motor_mean, half, half, 0.0, DAMPING_TIME]),
+        covariance=np.diag(np.square([motor_sigma, half_sigma, half_sigma, softest, DAMPING_SIGMA])),
     )
 
 
 def pose_prior(robot: Robot, number: int, reference: float, gravity: Array) -> PosePrior:
-    """The model's axis inertia and `gravity` (2,) torque and stiffness in a pose, and how far they may be off."""
+    """The model's axis inertia and `gravity` (2,) torque and stiffness in a pose, with their uncertainty."""
     motor = robot.axes[number].reflected_motor_inertia or 0.0
-    load = max(reference - motor, 0.1 * reference)
-    # torque and stiffness are two components of one vector: either may be off by the error of its length
-    spread = robot.prior.gravity * float(np.hypot(*gravity)) + 1e-3 * robot.axes[number].rated_effort
+    load = max(reference - motor, LEAST_LOAD * reference)
+    # torque and stiffness are two components of one vector: each may have the error of its length
+    spread = robot.prior.gravity * float(np.hypot(*gravity)) + TORQUE_SLACK * robot.axes[number].rated_effort
     return PosePrior(
         mean=np.array([load, gravity[1], gravity[0]]),
         sigma=np.array([2 * robot.prior.inertia * reference, spread, spread]),
@@ -138,19 +148,16 @@ def link_spread(links: Array, inertia: float) -> Array:
 
     By the size of a link, mass m and radius of gyration r: m, m r and m r^2 for mass, first and second moments.
     """
-    mass = np.maximum(links[:, :1], max(LIGHT * float(links[:, 0].mean()), 1e-9))
-    length = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(-1, keepdims=True), 0) / 2 / mass) + 1e-3
-    size = np.hstack([mass, np.repeat(mass * length, 3, 1), np.repeat(mass * length**2, 6, 1)])
-    return inertia * size.ravel()
+    return inertia * link_sizes(links, LIGHTEST_LINK * float(links[:, 0].mean()))
 
 
 def base_spread(
     robot: Robot, chain: Chain, unlocked: tuple[int, ...], combination: Array, measured: "Measured"
 ) -> Array:
-    """Standard deviations (r,) that the model leaves to the base parameters  beta = `combination` (r, 11 n) x.
+    """Standard deviations (r,) of the base parameters  beta = `combination` (r, 11 n) x  in the nominal model.
 
-    Of a motor that no data sheet knows: the largest inertia measured. A model that is further from what was measured
-    than its prior says has a prior that much wider: it must not keep data from telling what they tell.
+    For a motor without data sheet: the largest inertia measured. If the model differs from the measurement by more
+    than its prior, the prior is widened accordingly: it must not override the data.
     """
     motors = [(robot.axes[number].reflected_motor_inertia or 0.0) * robot.prior.motor_inertia for number in unlocked]
     largest = float(np.abs(measured.values).max())

@@ -1,24 +1,24 @@
-r"""What every bin of every sweep of an axis should read: the equations of the joint fit, as arrays over sweeps.
+r"""The model of every bin of every sweep of an axis: the equations of the joint fit, as arrays over sweeps.
 
 Bin by bin (see `frequency_response` and `axis_inertia` for the symbols), for sweep p,
 
     DFT[effort] = Z Omega + F (G0 R0 + k_g R1 + t0 + s t1) + sum of ripple and dry friction + noise
     R0 = DFT[cos d],   R1 = DFT[sin d] - Omega / s
 
-G0 and k_g are gravity's torque and stiffness at the start pose; Z already carries the linear, periodic part of k_g, R1
-what is left of it (the way along the offset leaks onto every line). t0, t1 are the swing-out of the load: over a window
+G0 and k_g are gravity's torque and stiffness at the start pose; Z already contains the linear, periodic part of k_g, R1
+the rest (the travel at the offset leaks onto every line). t0, t1 are the transient of the load: over a window
 that does not start at rest a rational system leaves a polynomial over the same denominator (Pintelon and Schoukens
 2012, sec. 6.3).
 
-Where a direct encoder gives the motion Omega_l of the load itself, no spring is needed to tell it, and
+If a direct encoder measures the motion Omega_l of the load, no spring is needed for it, and
 
     DFT[effort] = s (Jm Omega + J_l Omega_l) + mu_m Omega + mu_l Omega_l + G0 R0 + k_g (R1 + Omega_l / s) + t0 + ...
 
-takes its place, linear in every parameter and right whatever the spring does; t0 is then what the difference of the
-speeds at both ends of the window leaves of the accelerations. Shared by all sweeps: Jm, mu_m, mu_l, c, h. Own to each:
+replaces it, linear in every parameter and independent of the spring; t0 is then the contribution of the difference of
+the speeds at both ends of the window to the accelerations. Shared by all sweeps: Jm, mu_m, mu_l, c, h. Own to each:
 J_l, k_g, G0, t0, t1, and one factor for each ripple and for the sign of a velocity that reverses.
 
-What known effects are uncertain by (`known_torque`) adds x_1 U_1 + x_2 U_2 + ..., the x shared by all sweeps as well.
+The uncertainty of known effects (`known_torque`) adds x_1 U_1 + x_2 U_2 + ..., with the x shared by all sweeps.
 """
 
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ OWN = 5  # J_l, k_g, G0, t0, t1; the factors of the direct terms follow
 
 @dataclass(frozen=True)
 class Stack:
-    """n sweeps with equally many bins b and direct terms r; `place` (n,) says which of the list they came from."""
+    """n sweeps with the same number of bins b and direct terms r; `place` (n,): their index in the original list."""
 
     place: NDArray[np.int_]
     s: Complex  # (n, b), i omega
@@ -48,14 +48,14 @@ class Stack:
     load_velocity: Complex | None  # (n, b), direct encoder
     gravity_torque: Complex  # (n, b), R0
     gravity_rest: Complex  # (n, b), R1
-    terms: Complex  # (n, r, b), what acts on the motor itself: ripple, dry friction
-    uncertain: Complex  # (n, u, b), U: what known effects are uncertain by
-    spread: Array  # (n, b), standard deviation of a bin over the noise
+    terms: Complex  # (n, r, b), torques on the motor: ripple, dry friction
+    uncertain: Complex  # (n, u, b), U: uncertainty of known effects
+    spread: Array  # (n, b), standard deviation of a bin relative to the noise
     samples: Array  # (n,)
 
     @property
     def parameters(self) -> int:
-        """How many each sweep has of its own."""
+        """Number of own parameters of each sweep."""
         return OWN + self.terms.shape[1]
 
     @property
@@ -72,7 +72,7 @@ class Stack:
 def stacks(
     spectra: Sequence[Spectrum], uncertain: Sequence[Complex] | None = None, spread: Sequence[Array] | None = None
 ) -> tuple[Stack, ...]:
-    """All spectra, those of equal shape together; of each `uncertain` (u, b), the same u for all, and `spread` (b,)."""
+    """All spectra, grouped by shape; for each `uncertain` (u, b), with the same u for all, and `spread` (b,)."""
     known = list(uncertain or [np.zeros((0, len(one.frequency)), dtype=np.complex128) for one in spectra])
     wide = list(spread or [np.ones(len(one.frequency)) for one in spectra])
     groups: dict[tuple[int, int, bool], list[int]] = {}
@@ -91,7 +91,7 @@ def stacks(
 
 
 def direct_terms(spectrum: Spectrum) -> Complex:
-    """Regressors of what acts on the motor itself, (r, b)."""
+    """Regressors of torques on the motor, (r, b)."""
     return np.concatenate([spectrum.named("ripple"), spectrum.named("coulomb")])
 
 
@@ -122,7 +122,8 @@ def _stack(
 
 
 def stack_residual(stack: Stack, shared: Array, own: Array) -> tuple[Complex, Complex, Complex]:
-    """Effort not explained (n, b); derivatives of what is by shared (n, 5 + u, b) and own (n, OWN + r, b) parameters.
+    """Unexplained effort (n, b); derivatives of the explained effort by shared (n, 5 + u, b) and own (n, OWN + r, b)
+    parameters.
 
     `shared` (5 + u,) as in `DriveTrain.as_array` and the amounts x, `own` (n, OWN + r).
     """

@@ -1,1 +1,1 @@
-"""What to excite, where, and how well it will tell."""
+"""Design of the excitation, choice of poses, and predicted confidence."""

@@ -1,8 +1,9 @@
-r"""Designs one sweep: a slow turn with sines on top, within a few degrees of travel.
+r"""Designs one sweep: a slow motion with superposed sines, within a few degrees of travel.
 
 The set-point is e(t) (v0 + sum a_i sin(2 pi f_i (t - t0) + phi_i)) with a raised-cosine envelope e over `ramp`.
 
-Three rules fix it (FRF measurement practice: Pintelon and Schoukens, System Identification, 2012, ch. 2 and 5):
+It follows from three rules (FRF measurement practice: Pintelon and Schoukens, System Identification, 2012, ch. 2 and
+5):
 
 Cogging. Torque ripple of order o (per motor revolution) appears at o u v0 / 2 pi Hz, and because the sines modulate the
 motor angle also at whole-Hz distances from it. With a window of P whole seconds and  g u v0 P / 2 pi = n, g the common
@@ -10,21 +11,21 @@ divisor of the orders, every ripple line falls on (o/g) n / P Hz: orthogonal to 
 (o/g) n is a multiple of the prime P. Orders that are not whole count as the nearest whole one.
 
 No reversal. Friction is a constant only while nothing reverses, so  sum a_i max(1, |T_i|) < v0, where
-T = 1 / (1 - (f/f_lr)^2) is how much more the load moves than the motor below the locked-rotor frequency f_lr.
+T = 1 / (1 - (f/f_lr)^2) is the amplitude of the load over that of the motor below the locked-rotor frequency f_lr.
 
-Travel. v0 (ramp + settle + P) stays within the travel; at fixed travel the standard deviation of J goes with
-1 / (v0 sqrt(P)), so the fastest and shortest window that the first rule allows is taken.
+Travel. v0 (ramp + settle + P) stays within the travel; at fixed travel the standard deviation of J is proportional to
+1 / (v0 sqrt(P)), so the fastest and shortest window allowed by the first rule is used.
 
 Schroeder phases (1970), phi_i = -pi i (i - 1) / n, keep the crest factor low. Several realisations of one sweep have
-random phases instead, uniform but for crest factors above CREST, which are drawn again: what a nonlinearity adds to a
-line then has a random phase as well, and scatters between realisations (`distortion`). The sum of the amplitudes, which
-the no-reversal rule and the envelope bound, does not depend on phases.
+random phases instead, uniform except that crest factors above CREST are drawn again: the response of a nonlinearity at
+a line then has a random phase as well and scatters between realisations (`distortion`). The sum of the amplitudes,
+which is limited by the no-reversal rule and the envelope, does not depend on phases.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from math import gcd
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,17 +38,19 @@ Array = NDArray[np.float64]
 
 LINES = (2.0, 3.0, 4.0, 5.0)  # Hz, the paper's sweep frequencies
 WINDOWS = (3, 5, 7)  # whole periods of 1 s; prime by the cogging rule
+TRAVEL = math.radians(4.0)  # rad (m), most that a sweep may turn
 RAMP = 0.5  # s
 SETTLE = 0.5  # s
 LOAD_MARGIN = 0.8  # of the offset that the sines may use on motor and load
 CREST = 2.4  # highest crest factor of a random realisation; 4 lines of any phases have at most 2.83
-DRAWS = 100
+DRAWS = 100  # of random phases
+CREST_SAMPLES = 200  # of a period, in which the crest factor is looked at
 LINE_MARGIN = 0.75  # of the locked-rotor frequency: no line above, but for the lowest
 
 
 @dataclass(frozen=True, slots=True)
 class Excitation:
-    """One sweep from standstill to standstill; SI on the joint side (see the module's header)."""
+    """One sweep from standstill to standstill; SI on the joint side (see the module docstring)."""
 
     offset_velocity: float  # rad/s (m/s), signed
     sines: tuple[Sine, ...]
@@ -68,7 +71,7 @@ class Excitation:
 
     @property
     def travel(self) -> float:
-        """Signed way from start to end, rad (m): the sines cancel over whole periods."""
+        """Signed travel from start to end, rad (m): the sines cancel over whole periods."""
         return self.offset_velocity * (self.ramp + self.settle + self.periods * self.period)
 
 
@@ -81,20 +84,20 @@ def design_sweep(
     lines: Sequence[float] | None = None,
     locked_rotor_frequency: float | None = None,
     direction: int = 1,
-    travel: float = np.radians(4.0),
+    travel: float = TRAVEL,
     velocity_limit: float = np.inf,
     effort_limit: float = np.inf,
 ) -> Excitation:
-    """The sweep of `joint` in `pose` within `travel` rad (m); BadInput when limits leave no room for one.
+    """The sweep of `joint` in `pose` within `travel` rad (m). Raises BadInput if the limits leave no room for one.
 
-    `load_inertia` is the predicted inertia behind the spring, kg m^2 (kg); `locked_rotor_frequency` the predicted one
-    at that inertia, Hz (None: the drive train is taken as stiff). `effort_limit` bounds the effort of the sines
-    alone, N m (N): what gravity and friction leave over. `lines`, whole Hz, are taken as they are; None: the paper's,
-    without those too near to the locked-rotor frequency.
+    `load_inertia`: predicted inertia behind the spring, kg m^2 (kg); `locked_rotor_frequency`: predicted one at that
+    inertia, Hz (None: the drive train is treated as stiff). `effort_limit`: limit of the effort of the sines alone,
+    N m (N), after gravity and friction. `lines`, whole Hz, are used as given; None: those of the paper, without
+    those too close to the locked-rotor frequency.
     """
     axis = robot.axis(joint)
     if not effort_limit > 0:
-        raise BadInput(joint, f"effort limit {effort_limit:.4g} leaves nothing for the sines")
+        raise BadInput(joint, f"effort limit {effort_limit:.4g} leaves no effort for the sines")
     if locked_rotor_frequency is not None and not locked_rotor_frequency > LINES[0]:
         raise BadInput(joint, f"locked rotor at {locked_rotor_frequency:.4g} Hz is not above {LINES[0]:.4g} Hz")
     highest = np.inf if locked_rotor_frequency is None else LINE_MARGIN * locked_rotor_frequency
@@ -102,7 +105,7 @@ def design_sweep(
     gain = np.ones_like(frequency)
     if locked_rotor_frequency is not None:
         gain = np.maximum(1.0, 1.0 / np.abs(1.0 - (frequency / locked_rotor_frequency) ** 2))
-    share = LOAD_MARGIN / len(frequency) / gain  # amplitude of each line as a part of the offset
+    share = LOAD_MARGIN / len(frequency) / gain  # amplitude of each line relative to the offset
 
     speed_limit = velocity_limit / (1.0 + float(share.sum()))
     periods, offset = max(
@@ -129,7 +132,9 @@ def design_sweep(
 
 
 def realisations(excitation: Excitation, count: int, seed: Sequence[int]) -> tuple[Excitation, ...]:
-    """`count` sweeps that differ in their phases alone; one: the sweep as designed. Other `seed`: other phases."""
+    """`count` sweeps that differ only in their phases; for one: the sweep as designed. Another `seed` gives other
+    phases.
+    """
     if count == 1:
         return (excitation,)
     rng = np.random.default_rng(list(seed))
@@ -138,7 +143,7 @@ def realisations(excitation: Excitation, count: int, seed: Sequence[int]) -> tup
 
 def _with_random_phases(excitation: Excitation, rng: np.random.Generator) -> Excitation:
     """The first draw of an acceptable crest factor, or the last of all draws."""
-    time = np.linspace(0.0, excitation.period, 200, endpoint=False)
+    time = np.linspace(0.0, excitation.period, CREST_SAMPLES, endpoint=False)
     frequency = np.array([sine.frequency for sine in excitation.sines])
     amplitude = np.array([sine.amplitude for sine in excitation.sines])
     phases = np.zeros(len(frequency))
@@ -165,14 +170,15 @@ def velocity_setpoint(excitation: Excitation, time: Array) -> Array:
 
 
 def ripple_free_offset(axis: Axis, fastest: float, period: float, periods: int) -> float:
-    """The fastest offset up to `fastest` that keeps cogging off the lines of `periods` (prime) periods; 0: none does.
+    """The fastest offset up to `fastest` for which cogging does not fall on the lines of `periods` (prime) periods; 0:
+    none.
 
     rad/s (m/s), s.
     """
     orders = tuple(max(1, round(order)) for order in axis.cogging_orders)
     if not orders:
         return fastest
-    common = reduce(gcd, orders)
+    common = reduce(math.gcd, orders)
     step = 2 * np.pi / (common * abs(axis.gear_ratio) * period * periods)
     for n in range(int(fastest / step), 0, -1):
         if all((order // common) * n % periods for order in orders):

@@ -1,16 +1,16 @@
-r"""Exciting trajectories: all axes at once on periodic Fourier series (Swevers et al. 1997), as sets of sweeps.
+r"""Exciting trajectories: all axes move together on periodic Fourier series (Swevers et al. 1997), as sets of sweeps.
 
 The joint *velocity* of axis k is a sum of sines on the harmonics of one fundamental 1/T, its offset is 0,
 
     v_k(t) = e(t) sum_h a_kh sin(2 pi h (t - t0)/T + phi_kh)
 
 so the set of axes is a set of ordinary sweeps with common period, ramp and settling. The ramp e(t) moves the middle of
-the oscillation away from where the axis started; the shift is known in closed form (`sweep_path`) and the start is put
-the other way, so that during the window axis k swings about `center`.
+the oscillation away from the start; the shift is known in closed form (`sweep_path`) and the start is shifted
+in the opposite direction, so that during the window axis k oscillates about `center`.
 
 Choice: random shapes (amplitudes falling as 1/h) about random centres, each scaled to the nearest of its limits
-(position, velocity, acceleration, effort of the nominal model, free path); then the best is disturbed by ever smaller
-random steps and what is better is kept. Measure: the condition number of the base parameters' rows over one period,
+(position, velocity, acceleration, effort of the nominal model, free path); then the best is changed by decreasing
+random steps, and improvements are kept. Criterion: the condition number of the base parameters' rows over one period,
 each axis' rows divided by its rated effort, columns of unit length.
 """
 
@@ -30,17 +30,19 @@ from service.robot import Robot
 
 Array = NDArray[np.float64]
 
-EVALUATED = 80  # instants of a period that stand for it in the condition number
+BREAKAWAY = 0.1  # of the rated effort: Coulomb friction to add to a predicted effort
+FIRST_STEP, LAST_STEP = 0.5, 0.02  # of the ranges: disturbance of the best shape at first and at last
+EVALUATED = 80  # instants of a period used for the condition number
 CHECKED = 16  # instants of the highest harmonic's period at which limits are checked
-SHRINK = 0.8  # of all amplitudes, where effort or path do not fit
-SMALLEST = 0.1  # of the amplitudes first tried: below, another shape is better
+SHRINK = 0.8  # factor on all amplitudes if effort or path do not fit
+LEAST_SCALE = 0.1  # of the first amplitudes: below, another shape is tried
 
 
 @dataclass(frozen=True)
 class TrajectoryLimits:
-    """What every instant of a run must keep: arrays (n,) over all joints; rad, rad/s, rad/s^2, N m (m, ..., N).
+    """Limits at every instant of a run: arrays (n,) over all joints; rad, rad/s, rad/s^2, N m (m, ..., N).
 
-    `velocity` bounds the sum of an axis' amplitudes. A joint whose ends are the same stands there.
+    `velocity` limits the sum of an axis' amplitudes. A joint with equal position limits stands there.
     """
 
     lower: Array
@@ -57,9 +59,9 @@ class TrajectoryLimits:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """One run of all axes at once. `start` (n,) where it begins, `center` (n,) about which it swings, rad (m).
+    """One run of all axes together. `start` (n,): start position, `center` (n,): centre of the oscillation, rad (m).
 
-    `excitations`: one an axis, in the order of `robot.joints`. `condition`: of the base parameters' rows.
+    `excitations`: one per axis, in the order of `robot.joints`. `condition`: of the base parameters' rows.
     """
 
     start: Array
@@ -99,9 +101,9 @@ def design_trajectory(
     restarts: int = 30,
     steps: int = 150,
 ) -> Trajectory:
-    """The best trajectory found. `base_columns` (r,) of the dynamic parameters; `free` judges a path (m, n).
+    """The best trajectory found. `base_columns` (r,) of the dynamic parameters; `free` checks a path (m, n).
 
-    BadInput when no shape fits the limits.
+    Raises BadInput if no shape fits the limits.
     """
     rng = np.random.default_rng(seed)
     best: Trajectory | None = None
@@ -115,7 +117,7 @@ def design_trajectory(
     if best is None:
         raise BadInput("trajectory", f"none of {restarts} shapes fits the limits with a free path")
     for step in range(steps):
-        size = 0.5 * (1 - step / steps) + 0.02
+        size = FIRST_STEP * (1 - step / steps) + LAST_STEP
         center = best.center + size * rng.uniform(-0.5, 0.5, joints) * (limits.upper - limits.lower)
         shapes = _waves(best)
         largest: Array = np.abs(shapes).max(axis=(1, 2), keepdims=True)
@@ -136,7 +138,9 @@ def _fit(
     center: Array,
     waves: Array,
 ) -> Trajectory | None:
-    """The shape (n, h, 2: cosine and sine of the velocity) about `center`, as large as it may be; None if it is not."""
+    """The shape (n, h, 2: cosine and sine of the velocity) about `center`, as large as allowed; None if it does not
+    fit.
+    """
     if not free(center[None]):
         return None
     duration = _excitation(shape, waves[0]).duration
@@ -145,7 +149,7 @@ def _fit(
     for k in np.flatnonzero(limits.moving).tolist():
         whole[k] = _largest(limits, shape, k, center[k], waves[k], time)
     scale = 1.0
-    while scale > SMALLEST:
+    while scale > LEAST_SCALE:
         scaled = waves * (scale * whole)[:, None, None]
         trajectory = _build(shape, center, scaled)
         path = trajectory.path(time)
@@ -160,12 +164,12 @@ def _fit(
 
 
 def _largest(limits: TrajectoryLimits, shape: Shape, axis: int, center: float, waves: Array, time: Array) -> float:
-    """Factor on an axis' waves at which the first of position, velocity and acceleration meets its limit."""
+    """Factor on an axis' waves at which the first of position, velocity and acceleration reaches its limit."""
     excitation = _excitation(shape, waves)
     velocity = velocity_setpoint(excitation, time)
     path = way(excitation, time) - _shift(excitation)
     room = min(center - limits.lower[axis], limits.upper[axis] - center)
-    # amplitudes summed up, as the drives' own limit check reckons
+    # sum of the amplitudes, as in the limit check of the drives
     fastest = sum(sine.amplitude for sine in excitation.sines)
     peaks = (np.abs(path).max(), fastest, np.abs(np.gradient(velocity, time)).max())
     ends = (room, limits.velocity[axis], limits.acceleration[axis])
@@ -173,16 +177,16 @@ def _largest(limits: TrajectoryLimits, shape: Shape, axis: int, center: float, w
 
 
 def _effort_fits(robot: Robot, limits: TrajectoryLimits, trajectory: Trajectory, time: Array) -> bool:
-    """Whether the nominal model, links and gravity off by twice its prior, stays below the effort limits."""
+    """Whether the nominal model, with links and gravity increased by twice its prior, stays below the effort limits."""
     velocity = np.stack([velocity_setpoint(excitation, time) for excitation in trajectory.excitations], -1)
     motion = Motion(trajectory.path(time), velocity, np.gradient(velocity, time, axis=0))
     return bool((np.abs(nominal_effort(robot, motion)) <= limits.effort).all())
 
 
-def nominal_effort(robot: Robot, motion: Motion, breakaway: float = 0.1) -> Array:
+def nominal_effort(robot: Robot, motion: Motion, breakaway: float = BREAKAWAY) -> Array:
     """Effort (m, n) of the nominal model, enlarged by two sigma of its prior; N m (N).
 
-    `breakaway`: Coulomb friction to reckon with, share of the rated effort.
+    `breakaway`: assumed Coulomb friction, share of the rated effort.
     """
     prior, count = robot.prior, len(robot.axes)
     motors = [axis.reflected_motor_inertia or 0.0 for axis in robot.axes]
@@ -246,6 +250,6 @@ def _waves(trajectory: Trajectory) -> Array:
 
 
 def _shift(excitation: Excitation) -> float:
-    """Middle of the oscillation in the window against the start, rad (m)."""
+    """Centre of the oscillation in the window minus the start, rad (m)."""
     start = way(excitation, np.array([excitation.measure_from]))[0]
     return float(start) + sum(s.amplitude / (2 * np.pi * s.frequency) * np.cos(s.phase) for s in excitation.sines)

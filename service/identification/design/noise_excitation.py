@@ -1,14 +1,14 @@
-r"""Designs one noise run: a slow turn with pseudo-random torque on top (paper, section 4.1).
+r"""Designs one noise run: a slow motion with superposed pseudo-random torque (paper, section 4.1).
 
-The paper's values hold: offset 0.1 rpm, 1 % of the rated torque, band below 40 Hz, softened speed control. Two rules
-bend them. The offset is the next one below that keeps cogging off the lines (`excitation.ripple_free_offset`). And a
-light axis must not turn back, for friction is a constant only in one direction: noise of RMS f over n lines moves a
-free inertia J by
+The paper's values are used: offset 0.1 rpm, 1 % of the rated torque, band below 40 Hz, softened speed control. Two
+rules change them. The offset is the next lower one for which cogging does not fall on the lines (`ripple_free_offset`).
+And a light axis must not reverse, because friction is constant only in one direction: noise of RMS f over n lines moves
+a free inertia J by
 
     v_rms = f / (2 pi J sqrt(n)) sqrt(sum 1/f_k^2),
 
-which may be `SWAY` of the offset. That is about what the softened loop leaves of it once the resonance adds its part;
-random phases peak at 3 to 4 times their RMS.
+which may be `SWAY` of the offset. That is about the velocity in the softened loop with the resonance included;
+random phases have peaks of 3 to 4 times their RMS.
 """
 
 from dataclasses import dataclass
@@ -56,7 +56,7 @@ class NoiseExcitation:
 
     @property
     def travel(self) -> float:
-        """Signed way from start to end, rad (m)."""
+        """Signed travel from start to end, rad (m)."""
         return self.offset_velocity * (self.ramp + self.settle + self.periods * self.period)
 
 
@@ -65,7 +65,7 @@ def design_noise(
 ) -> NoiseExcitation:
     """The noise run of a joint whose axis inertia is about `inertia`, kg m^2 (kg), within `travel` rad (m).
 
-    BadInput where no offset keeps cogging off its lines.
+    Raises BadInput if cogging falls on its lines for every offset.
     """
     axis = robot.axis(joint)
     fastest = min(OFFSET, travel / (RAMP + SETTLE + PERIODS * PERIOD))

@@ -1,20 +1,20 @@
-r"""Chooses, one by one, the poses that tell the base parameters apart best; D-optimal unless one says otherwise.
+r"""Selects the poses that identify the base parameters best, one by one; default: D-optimal.
 
 The condition number is the paper's own measure (section 4.3).
 
-With the rows V_i (a, p) of candidate i (one row an axis measured there, columns scaled), each step looks for the
-candidate that is best beside the choice so far, G = sum V_c' V_c:
+With the rows V_i (a, p) of candidate i (one row per axis measured there, columns scaled), each step selects the
+best candidate in addition to the selection so far, G = sum V_c' V_c:
 
     d_optimal               largest  log det(G + ridge + V_i' V_i)
     condition               least  kappa_i = sqrt( lambda_max(G + V_i' V_i) / lambda_min(G + V_i' V_i) )
     condition_and_travel    of all with kappa_i <= SLACK x the least, the one nearest to a pose already chosen
 
 Scaling: by the lengths of the columns over *all* candidates, so nothing depends on units and all steps are judged by
-one measure. Start: while no candidate makes G regular, kappa is infinite for all; then the D-optimal one is taken: it
-gains rank first and volume second. ridge = 1e-6 of the mean eigenvalue of a single candidate. Ties, to a relative TIE,
-go to the first candidate.
+one measure. Start: while no candidate makes G regular, kappa is infinite for all; then the D-optimal one is selected:
+it increases rank first and volume second. ridge = 1e-6 of the mean eigenvalue of a single candidate. Ties, to a
+relative TIE, go to the first candidate.
 
-How it is fast, and still exact:
+Why it is fast and still exact:
 
 Volume. By the matrix determinant lemma the gain is  log det(I + V_i (G + ridge)^-1 V_i'), of (a, a) matrices.
 
@@ -24,9 +24,9 @@ Weyl's inequality  lambda_1(G + V_i' V_i) <= lambda_{a+1}(G).
 Condition. For any orthonormal columns U the eigenvalues of U'(G + V_i' V_i)U lie between those of the whole (Cauchy
 interlacing). With U the k lowest eigenvectors of G its least eigenvalue is an upper bound of lambda_min, with U the k
 highest its largest is a lower bound of lambda_max: their quotient is a lower bound of kappa_i^2. With k = 1 this costs
-two products a row and no eigenvalues. The most promising few are evaluated exactly; who cannot beat the best of them,
-or cannot make G regular, by its bound for k = 1 or k = p/4 is out; those left are evaluated exactly. So the choice is
-that of evaluating all.
+two products per row and no eigenvalues. The most promising few are evaluated exactly. A candidate that by its bound for
+k = 1 or k = p/4 cannot beat the best of them, or cannot make G regular, is rejected; the rest are evaluated exactly. So
+the result is the result is that of evaluating all.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -45,12 +45,12 @@ Indices = NDArray[np.intp]
 RIDGE = 1e-6
 SINGULAR = 1e-12  # of the largest eigenvalue: below it G counts as rank deficient
 TIE = 1e-8
-SLACK = 1.05  # of the least condition number, that condition_and_travel may give for a shorter way
+SLACK = 1.05  # times the least condition number, allowed by condition_and_travel for a shorter path
 PROMISING = 16  # candidates evaluated first
 
 
 class Criterion(Enum):
-    """What makes a pose the best next one (see the module's header)."""
+    """Criterion for the best next pose (see the module docstring)."""
 
     D_OPTIMAL = "d_optimal"
     CONDITION = "condition"
@@ -59,16 +59,16 @@ class Criterion(Enum):
 
 @dataclass(frozen=True)
 class Selection:
-    """`picks` (k,): candidates in the order of choice; `condition` (k,): number after each, inf while singular."""
+    """`picks` (k,): candidates in the order of selection; `condition` (k,): number after each, inf while singular."""
 
     picks: tuple[int, ...]
     condition: tuple[float, ...]
 
 
 def select_poses(rows: Array, count: int, criterion: Criterion) -> Selection:
-    """Greedy choice of `count` out of the candidates `rows` (m, a, p); BadInput if there are fewer than `count`.
+    """Greedy selection of `count` candidates from `rows` (m, a, p). Raises BadInput if there are fewer than `count`.
 
-    For condition_and_travel, whose choice needs the poses, see `choices`.
+    For condition_and_travel, which needs the poses, see `choices`.
     """
     if len(rows) < count:
         raise BadInput("poses", f"{count} wanted, but only {len(rows)} can be measured")
@@ -83,11 +83,11 @@ def choices(
     start: Sequence[float] | Array = (),
     accept: Callable[[int], bool] = lambda _: True,
 ) -> Iterator[tuple[int, float]]:
-    """All candidates in the order of choice, each with the condition number after it; evaluated as they are asked for.
+    """All candidates in the order of selection, each with the condition number after it; computed lazily.
 
-    `poses` (m, n) and `start` (n,), where the robot stands at first: for condition_and_travel, whose measure of the
-    way is the sum over the joints, rad (m), as one moves at a time. A candidate about to be taken that `accept` refuses
-    is left out.
+    `poses` (m, n) and `start` (n,), the initial pose of the robot: for condition_and_travel, whose path length is
+    the sum over the joints, rad (m), because one joint moves at a time. A candidate that `accept` refuses is left
+    out.
     """
     greedy = _Greedy(rows)
     away = np.zeros(len(rows)) if poses is None else _way(poses, np.asarray(start, dtype=float))
@@ -114,9 +114,10 @@ def condition_numbers(eigenvalues: Array) -> Array:
 
 
 def condition_bounds(rows: Array, eigenvalues: Array, vectors: Array, width: int) -> Array:
-    """Lower bounds (c,) of the condition number with each of `rows` (c, a, p), see the module's header.
+    """Lower bounds (c,) of the condition number with each of `rows` (c, a, p), see the module docstring.
 
-    From the `width` lowest and highest of the eigenvectors (p, p) of the Gram matrix, whose `eigenvalues` (p,) ascend.
+    From the `width` lowest and highest of the eigenvectors (p, p) of the Gram matrix, whose `eigenvalues` (p,)
+    ascend.
     """
     parts = (slice(None, width), slice(-width, None))
     ends = np.hstack([vectors[:, part] for part in parts])
@@ -130,7 +131,7 @@ def condition_bounds(rows: Array, eigenvalues: Array, vectors: Array, width: int
 
 
 class _Greedy:
-    """The candidates left and the Gram matrix of those taken."""
+    """The remaining candidates and the Gram matrix of those selected."""
 
     def __init__(self, rows: Array) -> None:
         length = np.sqrt(np.sum(rows**2, axis=(0, 1)))
@@ -141,11 +142,11 @@ class _Greedy:
         self._gram = np.zeros((size, size))
 
     def leave_out(self, pick: int) -> None:
-        """Consider this candidate no more."""
+        """Remove a candidate without selecting it."""
         self._left = self._left[self._left != pick]
 
     def take(self, pick: int) -> float:
-        """Add a candidate to the choice; the condition number with it."""
+        """Select a candidate. Returns the condition number with it."""
         self._gram = self._gram + self._rows[pick].T @ self._rows[pick]
         return float(condition_numbers(np.asarray(np.linalg.eigvalsh(self._gram)[None], dtype=float))[0])
 
@@ -159,15 +160,15 @@ class _Greedy:
         return self._first(self._left, -gain, TIE)
 
     def best_conditioned(self, slack: float, away: Array) -> int:
-        """Of the candidates within `slack` of the least condition number the one that is least `away` (m,)."""
+        """Among the candidates within `slack` of the least condition number the one with the smallest `away` (m,)."""
         eigenvalues, vectors = np.linalg.eigh(self._gram)
-        spare = self._rows.shape[1]  # what one candidate can add to the rank
+        spare = self._rows.shape[1]  # maximum increase of the rank by one candidate
         if spare < len(eigenvalues) and eigenvalues[spare] <= SINGULAR * eigenvalues[-1]:
             return self.largest_volume()
         quick = condition_bounds(self._rows, eigenvalues, vectors, 1)[self._left]
         tried = self._left[np.argsort(quick, kind="stable")[:PROMISING]]
         limit = (1 + TIE) * min(float(self._condition(tried).min()), SINGULAR**-0.5)
-        within = self._left[quick <= slack * limit]  # who may be within the slack of the best
+        within = self._left[quick <= slack * limit]  # candidates that may be within the slack of the best
         bound = condition_bounds(
             self._rows[within], eigenvalues, vectors, min(len(eigenvalues), max(2, len(eigenvalues) // 4))
         )
@@ -182,7 +183,7 @@ class _Greedy:
         return self._first(left, condition, TIE * least)
 
     def _nearest(self, candidates: Indices, away: Array, limit: float) -> tuple[Indices, Array]:
-        """Those of the candidates with a condition number up to `limit` that are least away, with that number."""
+        """The candidates with a condition number up to `limit` that have the smallest `away`, with that number."""
         level = np.round(away[candidates] / TIE)
         for nearest in np.unique(level):
             same = candidates[level == nearest]
@@ -198,7 +199,7 @@ class _Greedy:
 
     @staticmethod
     def _first(candidates: Indices, cost: Array, tie: float) -> int:
-        """The candidate of least cost, the first of those that tie."""
+        """The candidate of least cost, the first of equal ones."""
         return int(candidates[cost <= cost.min() + tie].min())
 
 

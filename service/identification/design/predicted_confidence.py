@@ -1,18 +1,18 @@
-r"""How well a choice of poses will tell the inertia everywhere in the workspace, before anything is measured.
+r"""Predicted confidence of the inertia over the workspace for a choice of poses, before the measurement.
 
 Sines of amplitude a_i [rad/s] at omega_i over N samples of effort noise s show, in the imaginary part of the response,
 
     Im Z_i = omega_i J - k_g / omega_i + omega_i^3 J_l^2 c        each with   var = 2 s^2 / (N a_i^2)
 
-(`axis_inertia` for small compliance c). With J alone unknown that is the Cramer-Rao bound  var J = 2 s^2 / (N sum
-omega_i^2 a_i^2). Near a locked-rotor frequency f that is known, all three show F_i^2 = (1 - (f_i / f)^2)^-2 as much.
-The gravity stiffness k_g is known to its prior, for each sweep anew, and is eliminated; the compliance c is shared by
-all sweeps of an axis, and stays as an unknown beside the base parameters beta, J = w beta. The information of all
-sweeps on (beta, c) adds up. The confidence is the largest standard deviation of J over the workspace and the axes, in
-percent of J, conditional on the torque gain.
+(`axis_inertia` for small compliance c). If only J is unknown, this is the Cramer-Rao bound  var J = 2 s^2 / (N sum
+omega_i^2 a_i^2). Near a known locked-rotor frequency f, all three are multiplied by F_i^2 = (1 - (f_i / f)^2)^-2.
+The gravity stiffness k_g has its prior, separately for each sweep, and is eliminated; the compliance c is shared by
+all sweeps of an axis and stays as an unknown in addition to the base parameters beta, J = w beta. The information of
+all sweeps on (beta, c) adds up. The confidence is the largest standard deviation of J over the workspace and the axes,
+in percent of J, conditional on the torque gain.
 
-The noise is what is reckoned with until one knows better: white, of a drive that samples at NOISE_RATE and averages
-down to the rate it is asked for, so that the noise at a line does not depend on that rate.
+The noise is an assumption before the measurement: white, of a drive that samples at NOISE_RATE and averages
+down to the requested rate, so that the noise at a line does not depend on that rate.
 """
 
 from collections.abc import Sequence
@@ -21,15 +21,15 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.design.pose_selection import SINGULAR
 from service.recording import Sine
 
 Array = NDArray[np.float64]
 
 EFFORT_NOISE = 0.002  # of the rated effort, of one sample at NOISE_RATE
 NOISE_RATE = 1000.0  # Hz
-SOFTEST = 3.0  # Hz, locked-rotor frequency at one sigma of the compliance
-SINGULAR = 1e-12  # of the largest eigenvalue of the scaled information
-NO_GAIN = 0.1  # of what one more pose gains on average: a pose with less adds nothing
+SOFTEST = 3.0  # Hz, locked-rotor frequency at one sigma of the compliance, if the spring is unknown
+NO_GAIN = 0.1  # of the average gain of one more pose: a pose with less adds nothing
 
 
 def sweep_information(
@@ -43,7 +43,7 @@ def sweep_information(
     """Information (2, 2) of one sweep on [J, c], 1/(kg m^2)^2 and so on.
 
     `duration` of its window, s; `load_inertia` kg m^2 (kg); `stiffness_sigma` of the gravity stiffness' prior,
-    N m/rad; `locked_rotor` frequency, Hz, where it is known.
+    N m/rad; `locked_rotor` frequency, Hz, if it is known.
     """
     frequency = np.array([sine.frequency for sine in sines])
     omega = 2 * np.pi * frequency
@@ -57,7 +57,7 @@ def sweep_information(
 
 
 class PredictedConfidence:
-    """Grows pose by pose. a axes are measured in each pose; p base parameters."""
+    """Confidence updated pose by pose. a axes are measured in each pose; p base parameters."""
 
     def __init__(self, rows: Array, inertia: Array) -> None:
         """`rows` (w, a, p) and the model's `inertia` (w, a) of the axes in the poses of the workspace."""
@@ -69,7 +69,7 @@ class PredictedConfidence:
         self._information = np.diag(np.concatenate([np.zeros(size), softest**-2]))
 
     def add(self, rows: Array, information: Array) -> None:
-        """A pose with its rows (a, p) and the `sweep_information` (a, 2, 2) of its sweeps."""
+        """Add a pose with its rows (a, p) and the `sweep_information` (a, 2, 2) of its sweeps."""
         for axis, (row, about) in enumerate(zip(rows, information, strict=True)):
             parts = np.zeros((2, len(self._information)))
             parts[0, : self._size] = row
@@ -91,7 +91,8 @@ class PredictedConfidence:
 def without_gain(percent: Sequence[float]) -> list[int]:
     """Numbers (from 0) of the poses that add nothing, from the confidence after each.
 
-    Noise averaged over n + 1 instead of n poses falls by 1/(2 n); a pose that gains less than NO_GAIN of that is one.
+    Noise averaged over n + 1 instead of n poses falls by 1/(2 n); a pose with less than NO_GAIN of that adds
+    nothing.
     """
     return [
         n

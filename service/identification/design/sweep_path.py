@@ -6,7 +6,7 @@ With k = pi / ramp and s the time since the start of the rise, the hold or the f
     rise   (1 - cos k s) / 2    hold   1    fall   (1 + cos k s) / 2
     cos(k s) sin(w s + p) = (sin((w + k) s + p) + sin((w - k) s + p)) / 2
 
-so all that is needed is  F(w, p, s) = int_0^s sin(w x + p) dx = s sin(p + w s / 2) sinc(w s / 2 pi),
+so the only integral needed is  F(w, p, s) = int_0^s sin(w x + p) dx = s sin(p + w s / 2) sinc(w s / 2 pi),
 which holds for every w, zero included.
 """
 

@@ -1,4 +1,4 @@
-"""The initial analysis as a document: "analysis" of the estimate's; plans and priors are made from it."""
+"""The initial analysis as a document: "analysis" of the estimate's document; plans and priors are computed from it."""
 
 import math
 from collections.abc import Mapping
@@ -14,7 +14,9 @@ TRAIN = ("motor_inertia", "motor_friction", "load_friction", "compliance", "damp
 
 
 def analyses_document(analyses: Mapping[str, AxisAnalysis]) -> dict[str, results.AxisAnalysis]:
-    """By joint; floats survive exactly, what is infinite is None. `re`, `im` of effort/velocity, `std` of them."""
+    """By joint; floats are stored without loss, infinite values as None. `re`, `im` of effort/velocity, `std` of
+    them.
+    """
     return {joint: _axis(analysis) for joint, analysis in analyses.items()}
 
 
@@ -97,7 +99,7 @@ def _pose_from(document: results.AnalysedPose) -> PoseAnalysis:
     impedance = np.array([complex(line.re, line.im) for line in lines])
     variance = 2 * np.array([line.std for line in lines]) ** 2
     covariance = np.zeros((len(lines), 2, 2), dtype=np.complex128)
-    covariance[:, 0, 0] = variance  # at unit velocity all of it is the effort's
+    covariance[:, 0, 0] = variance  # at unit velocity all of the variance is that of the effort
     return PoseAnalysis(
         pose=document.pose,
         response=Response(

@@ -26,7 +26,7 @@ ENTERS = {
     **dict.fromkeys(LAWS, "its torque at the measured velocity is taken out of the effort"),
 }
 STAYS_OUT = {
-    "effort_offset": "a constant shows at no line, and records without lines fit one anyway",
+    "effort_offset": "a constant torque has no component at the lines, and records without lines fit it anyway",
     "cogging_torque": "ripple of known orders is fitted in every sweep",
     "transmission_error": "ripple of known orders is fitted in every sweep",
     "gravity_error": "gravity is fitted in every sweep",
@@ -41,7 +41,7 @@ def rmse_percent(a: Array, b: Array) -> float:
 
 
 def axis_document(estimate: Estimate, axis: AxisEstimate, workspace: Array) -> results.EstimatedAxis:
-    """All that is known of one axis."""
+    """The document of one axis."""
     measured = np.array([sweep.value for sweep in axis.sweeps])
     reference = np.array([sweep.reference for sweep in axis.sweeps])
     identified = estimate.model_at_sweeps(axis.joint)
@@ -70,7 +70,7 @@ def axis_document(estimate: Estimate, axis: AxisEstimate, workspace: Array) -> r
 
 
 def _inertia(sweep: SweepInertia, identified: float) -> results.SweepInertia:
-    """`terms` and `warning` where there are any."""
+    """`terms` and `warning` only if there are any."""
     found = results.SweepInertia(
         sweep=sweep.sweep,
         value=sweep.value,
@@ -83,12 +83,11 @@ def _inertia(sweep: SweepInertia, identified: float) -> results.SweepInertia:
         frequency_response=_lines(sweep),
     )
     terms = {name: Value(value=value, std=std) for name, (value, std) in sweep.terms.items()}
-    also = {"terms": terms, "warning": sweep.warning}
-    return found.model_copy(update={name: told for name, told in also.items() if told})
+    return found.with_nonempty(terms=terms, warning=sweep.warning)
 
 
 def _lines(sweep: SweepInertia) -> tuple[results.ResponseLine, ...]:
-    """What of each line's std is noise and what distortion, where the axis has several realisations of its sweeps."""
+    """Noise and distortion parts of each line's std, if the axis has several realisations of its sweeps."""
     if sweep.noise is None:
         return tuple(
             results.ResponseLine(frequency=frequency, re=z.real, im=z.imag, std=std)
@@ -108,7 +107,7 @@ def _lines(sweep: SweepInertia) -> tuple[results.ResponseLine, ...]:
 
 
 def _spread(estimate: Estimate, axis: AxisEstimate, workspace: Array) -> results.Spread | None:
-    """Standard deviation of the identified inertia over the workspace; None while a base parameter is open."""
+    """Standard deviation of the identified inertia over the workspace; None while a base parameter is undetermined."""
     if not estimate.solution.determined.all():
         return None
     percent = 100 * estimate.identified_std(axis.joint, workspace) / np.abs(estimate.identified(axis.joint, workspace))
@@ -116,15 +115,15 @@ def _spread(estimate: Estimate, axis: AxisEstimate, workspace: Array) -> results
 
 
 def _held_out(estimate: Estimate, axis: AxisEstimate) -> results.HeldOut | None:
-    """Do the standard deviations keep what they promise in poses that took no part?"""
+    """Checks the standard deviations in poses that were not used in the fit."""
     held_out = estimate.held_out[axis.joint]
-    told = np.isfinite(held_out.std)
-    if not told.any():
+    known = np.isfinite(held_out.std)
+    if not known.any():
         return None
-    error, z = held_out.error[told], held_out.error[told] / held_out.std[told]
+    error, z = held_out.error[known], held_out.error[known] / held_out.std[known]
     return results.HeldOut(
-        sweeps=int(told.sum()),
-        rmse_percent=100 * float(np.sqrt(np.mean((error / axis.values[told]) ** 2))),
+        sweeps=int(known.sum()),
+        rmse_percent=100 * float(np.sqrt(np.mean((error / axis.values[known]) ** 2))),
         standardized_rmse=float(np.sqrt(np.mean(z**2))),
         within_95_percent=100 * float(np.mean(np.abs(z) < WITHIN)),
     )
@@ -150,7 +149,7 @@ def _train(axis: AxisEstimate) -> dict[str, Value] | None:
 
 
 def _distortion(axis: AxisEstimate) -> results.Distortion | None:
-    """Amplitudes: a bin holds half of a sine's."""
+    """Amplitudes: a bin contains half of a sine's."""
     found = axis.distortion
     if found is None:
         return None

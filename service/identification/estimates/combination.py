@@ -5,23 +5,24 @@ Rows of the trajectories: harmonic by harmonic, for every moving axis,
 
     DFT[effort] = sum_j x_j DFT[regressor_j] + ripple + reversals + noise                (`inverse_dynamics`)
 
-Every regressor is formed from the measured motion at full rate and then transformed, so cutting both sides at the
-band's end (`trajectory_record`) is one low-pass for all of them, and biases nothing. The links' rows take the load's
-motion, the drives' rows the motor's. Where no direct encoder is, the load is put where the compliance c of the joint
-fit of the axis' sweeps has it,  ql = qm - c (effort - Jm d2qm/dt2).
+Every regressor is computed from the measured motion at full rate and then transformed, so cutting both sides at the
+band's end (`trajectory_record`) is the same low-pass for all of them and causes no bias. The links' rows use the load's
+motion, the drives' rows the motor's. Without a direct encoder, the load position is computed with the compliance c of
+the joint fit of the axis' sweeps,  ql = qm - c (effort - Jm d2qm/dt2).
 
-Fitted along, and eliminated before anything else: cogging of the known orders, a cosine and a sine of the motor angle
-each; and friction while an axis reverses, when it sticks at any torque and motor and load turn one after the other: a
-step and a slope for every such stretch.
+Also fitted, and eliminated first: cogging of the known orders, a cosine and a sine of the motor angle
+each; and friction while an axis reverses, when it may stick at any torque and motor and load reverse one after the
+other: a step and a slope for every such stretch.
 
 Weights: the noise of an axis is the scatter of its effort between periods, enlarged until the residuals of the fit are
-no larger than it: what the model cannot explain counts as noise. Free motions, which have no period, bring equations in
-time instead of harmonics, and a covariance of their own (`free_motion_fit`). The nominal model is one measurement more,
-with the prior's standard deviations; dry friction is left open.
+no larger than it: model error counts as noise. Free motions, which have no period, give equations in
+time instead of harmonics, with their own covariance (`motion.fit`). The nominal model is a further measurement,
+with the prior's standard deviations; dry friction has no prior.
 
-A base parameter counts as *identified* when its standard deviation is below half of what the nominal model and its
-prior leave open; else the reason says so. Sweeps see neither gravity nor friction nor what only Coriolis and coupling
-show; trajectories see all of it, but at low frequency, where inertia has to be told from the rest.
+A base parameter counts as *identified* if its standard deviation is below half of that of the nominal model and its
+prior; otherwise the reason states it. Sweeps contain no gravity, no friction, and nothing that only Coriolis and
+coupling torques show; trajectories contain all of it, but at low frequency, where inertia must be separated from the
+rest.
 """
 
 from collections.abc import Mapping, Sequence
@@ -36,12 +37,14 @@ from service.errors import BadInput
 from service.identification.axis.nominal_priors import TorqueGain, uncalibrated
 from service.identification.estimates.estimate import Estimate
 from service.identification.model.base_parameters import BaseParameters
+from service.identification.model.convergence import finite
 from service.identification.model.inverse_dynamics import Motion, drive_rows, dynamics_rows, link_rows
-from service.identification.model.least_squares import Information, Solution
+from service.identification.model.least_squares import Information, Solution, span
 from service.identification.model.parameter_prior import nominal_parameters, parameter_spread, prior_information
 from service.identification.model.regressor import axis_rows
 from service.identification.model.whole_base import dynamic_base
 from service.identification.motion import free_motion
+from service.identification.motion.equations import LINK_RATE, STILL
 from service.identification.motion.fit import fit_free_motions
 from service.identification.motion.free_motion import FreeMotion
 from service.identification.motion.held_out import HeldOut, held_out
@@ -52,23 +55,21 @@ from service.robot import Robot
 
 Array = NDArray[np.float64]
 
-IDENTIFIED = 0.5  # of the prior's standard deviation that the data must leave at most
-SHOWN = 0.9  # of the prior's: from here nothing that was measured shows the parameter
-ALONE = 1.5  # times the standard deviation of both together: so near, one source suffices
-LINK_RATE = 200.0  # Hz, at which the links' rows are formed: products of a few harmonics
-DRIVE_RATE = 2000.0  # Hz, at which friction and ripple are formed: sign and cogging reach far above the band
-STILL = 0.01  # of the largest velocity: below, an axis is reversing
-NOISE_GUESS = 1e-4  # of the rated effort, of a harmonic: start value only
+IDENTIFIED = 0.5  # of the prior's standard deviation: maximum for an identified parameter
+SHOWN = 0.9  # of the prior's: above, no measurement shows the parameter
+ONE_SOURCE = 1.5  # times the standard deviation of both together: below, one source is sufficient
+DRIVE_RATE = 2000.0  # Hz, at which friction and ripple are computed: sign and cogging extend far above the band
+HARMONIC_NOISE_GUESS = 1e-4  # of the rated effort, of a harmonic: start value only
 ROUNDS = 3  # of weighting
-ROUNDING = 1e-12  # kg m^2 per unit of a parameter: below, a row does not hold it
+ROUNDING = 1e-12  # kg m^2 per unit of a parameter: smaller entries of a row count as 0
 
 
 @dataclass(frozen=True)
 class AxisInertias:
-    """What the sweeps of one axis tell: inertias (m,) with covariance (m, m) at poses (m, n), kg m^2 (kg).
+    """Inertias of one axis from its sweeps: (m,) with covariance (m, m) at poses (m, n), kg m^2 (kg).
 
-    `train`: of their joint fit, None if there was none. `gain`: effort as the drive tells it over true effort, taken
-    out of the inertias already and of the trajectories' efforts here.
+    `train`: drive train of their joint fit, None if there was none. `gain`: effort reported by the drive over true
+    effort, already removed from the inertias, and removed from the trajectories' efforts here.
     """
 
     joint: str
@@ -80,20 +81,21 @@ class AxisInertias:
 
 
 class Source(Enum):
-    """What determines a parameter."""
+    """Data that determine a parameter."""
 
     SWEEPS = "sweeps"
     TRAJECTORIES = "trajectories"
-    EITHER = "either"  # each of them would do alone
+    EITHER = "either"  # each of them alone is sufficient
     BOTH = "both"  # only together
     NONE = "none"
 
 
 @dataclass(frozen=True)
 class CombinedParameter:
-    """One base parameter. Standard deviations with all data and the model's prior, `std_total` with what the torque
-    constants may be off besides; with the prior and one source alone (inf: it does not show it); of the nominal model.
-    `reason` is empty for what is identified."""
+    """One base parameter. Standard deviations: with all data and the model's prior; `std_total` with the uncertainty of
+    the torque constants; with the prior and one source alone (inf: not visible in it); of the nominal model.
+    `reason` is empty for an identified parameter.
+    """
 
     name: str
     value: float
@@ -119,8 +121,8 @@ class CombinedParameter:
 class Combination:
     """Result over the whole robot. `solution` is of the base parameters (r,).
 
-    `noise`: standard deviation of real and imaginary part of an effort harmonic by joint, model error included, N m
-    (N); `scatter` the same from the periods' scatter alone, None where only single periods were measured.
+    `noise`: standard deviation of real and imaginary part of an effort harmonic by joint, including model error, N m
+    (N); `scatter`: the same from the scatter between periods alone, None if only single periods were measured.
     """
 
     robot: Robot
@@ -128,10 +130,12 @@ class Combination:
     parameters: tuple[CombinedParameter, ...]
     solution: Solution
     noise: dict[str, float]
+    noise_change: dict[str, float]  # of `noise` in the last of the `ROUNDS`, relative
     scatter: dict[str, float | None]
     trajectories: tuple[tuple[str, ...], ...]  # ids of the sweeps of each
     free: tuple[tuple[str, ...], ...]  # the same of free motions
-    free_axes: dict[str, HeldOut]  # by joint, how well free motions are predicted
+    free_axes: dict[str, HeldOut]  # by joint, prediction error of free motions
+    free_moved: float  # standard deviations by which the last round moved the fit of free motions; 0 without any
 
     def effort(self, load: Motion, motor: Motion | None = None) -> Array:
         """Predicted efforts (m, n) along a motion, without ripple, N m (N)."""
@@ -167,12 +171,17 @@ def combine(
     motions: Sequence[FreeMotion] = (),
     gains: Mapping[str, TorqueGain] | None = None,
 ) -> Combination:
-    """Joint estimate of sweeps (there may be none), trajectories and free motions of the whole robot.
+    """Joint estimate of sweeps (optional), trajectories and free motions of the whole robot.
 
-    `gains`: what a test mass calibrated, by joint. BadInput where axes moved at once in neither.
+    `gains`: calibrated with a test mass, by joint. BadInput if neither contains a common motion of axes, or an inertia,
+    a harmonic or the noise of one is not finite.
     """
     if not records and not motions:
         raise BadInput("combination", "there is no trajectory and no free motion of several axes")
+    for axis in inertias:
+        finite(np.append(axis.values, axis.covariance), axis.joint, "the inertias and the covariance of its sweeps")
+    for track in (track for record in records for track in record.tracks):
+        finite(np.append(track.effort, track.position), f"sweep {track.spec.id} of {track.joint}", "its harmonics")
     base = dynamic_base(robot)
     start, prior = base.combination @ nominal_parameters(robot), prior_information(robot, base)
     trains = {axis.joint: axis.train for axis in inertias if axis.train is not None}
@@ -187,11 +196,13 @@ def combine(
         free = fit_free_motions(robot, base, motions, others, start)
         others = others.plus(free.honest)
     scatter = {joint: _scatter(records, joint) for joint in dict.fromkeys(each.joint for each in equations)}
-    noise = {joint: value or NOISE_GUESS * robot.axis(joint).rated_effort for joint, value in scatter.items()}
+    noise = {joint: value or HARMONIC_NOISE_GUESS * robot.axis(joint).rated_effort for joint, value in scatter.items()}
     at_once = _motion_information(equations, noise, len(start))
+    before = noise
     for _ in range(ROUNDS):
         values = _sum(at_once, len(start)).plus(others).solve(start).values
-        noise = {joint: max(scatter[joint] or 0.0, _misfit(equations, joint, values)) for joint in noise}
+        before, noise = noise, {joint: max(scatter[joint] or 0.0, _misfit(equations, joint, values)) for joint in noise}
+        finite(np.array(list(noise.values())), ", ".join(noise), "the noise of its trajectories")
         at_once = _motion_information(equations, noise, len(start))
     alone, moved = _sum(sweeps, len(start)), _sum(at_once, len(start))
     moved = moved if free is None else moved.plus(free.honest)
@@ -220,9 +231,11 @@ def combine(
         ),
         solution=solution,
         noise=noise,
+        noise_change={joint: abs(value / before[joint] - 1) for joint, value in noise.items()},
         scatter=scatter,
         trajectories=tuple(tuple(track.spec.id for track in record.tracks) for record in records),
         free=tuple(motion.ids for motion in motions),
+        free_moved=0.0 if free is None else free.moved,
         free_axes={}
         if free is None
         else held_out(robot, motions, free, alone.plus(_sum(at_once, len(start))).plus(prior), start),
@@ -231,12 +244,12 @@ def combine(
 
 @dataclass(frozen=True)
 class _Equations:
-    """Harmonics of one axis along one trajectory, real and imaginary parts, ripple and reversals eliminated."""
+    """Harmonics of one axis along one trajectory, real and imaginary parts, with ripple and reversals eliminated."""
 
     joint: str
     rows: Array  # (m, r)
     values: Array  # (m,)
-    freedom: int  # m less what was eliminated
+    freedom: int  # m minus the number of eliminated parameters
 
 
 def _equations(robot: Robot, base: BaseParameters, record: TrajectoryRecord) -> list[_Equations]:
@@ -252,22 +265,16 @@ def _equations(robot: Robot, base: BaseParameters, record: TrajectoryRecord) -> 
         values = _real(track.effort[:, None])[:, 0]
         ripple = _ripple(robot, index, motor.position[:, index])
         reversals = _reversals(motor.velocity[:, index], load.velocity[:, index])
-        span = _span(_real(_harmonics(np.hstack([ripple, reversals]), count)))
+        spanned = span(_real(_harmonics(np.hstack([ripple, reversals]), count)))
         equations.append(
             _Equations(
                 joint=track.joint,
-                rows=rows - span @ (span.T @ rows),
-                values=values - span @ (span.T @ values),
-                freedom=len(values) - span.shape[1],
+                rows=rows - spanned @ (spanned.T @ rows),
+                values=values - spanned @ (spanned.T @ values),
+                freedom=len(values) - spanned.shape[1],
             )
         )
     return equations
-
-
-def _span(columns: Array) -> Array:
-    """Orthonormal columns (m, k) that span `columns` (m, p)."""
-    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
-    return left[:, singular > 1e-9 * singular.max(initial=0.0)]
 
 
 def _harmonics(signals: Array, count: int) -> Complex:
@@ -277,7 +284,9 @@ def _harmonics(signals: Array, count: int) -> Complex:
 
 
 def _real(harmonics: Complex) -> Array:
-    """(h + 1, p) -> (2 h + 1, p), every row with the same noise: the mean's is larger by the square root of two."""
+    """(h + 1, p) -> (2 h + 1, p), every row with the same noise: that of the mean is larger by the square root
+    of two.
+    """
     return np.vstack([harmonics[:1].real / np.sqrt(2), harmonics[1:].real, harmonics[1:].imag])
 
 
@@ -289,7 +298,7 @@ def _ripple(robot: Robot, index: int, position: Array) -> Array:
 
 
 def _reversals(*velocities: Array) -> Array:
-    """(n, 2 reversals): a step and a slope over every stretch in which motor or load is near to standstill."""
+    """(n, 2 reversals): a step and a slope over every interval in which motor or load is near standstill."""
     still = np.any([np.abs(velocity) < STILL * np.abs(velocity).max() for velocity in velocities], axis=0)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]])))
     stretches = np.zeros((len(still), len(edges)))
@@ -324,20 +333,20 @@ def _sum(parts: Mapping[str, Information], size: int) -> Information:
 
 
 def _inertia_rows(robot: Robot, base: BaseParameters, joint: str, poses: Array) -> Array:
-    """Rows (m, r) of the inertia about an axis: friction and offsets have no part in it."""
+    """Rows (m, r) of the inertia about an axis, which does not depend on friction and offsets."""
     rows = axis_rows(robot.chain, robot.index(joint), poses)
-    rows[np.abs(rows) < ROUNDING] = 0.0  # or a column of rounding errors would count as seen
+    rows[np.abs(rows) < ROUNDING] = 0.0  # otherwise a column of rounding errors would count as data
     return np.hstack([rows, np.zeros((len(rows), 3 * len(robot.axes)))])[:, list(base.columns)]
 
 
 def _scatter(records: Sequence[TrajectoryRecord], joint: str) -> float | None:
-    """RMS of the noise of an axis' harmonics over the records that show it."""
+    """RMS of the noise of an axis' harmonics over the records that contain it."""
     noise = [t.noise for record in records for t in record.tracks if t.joint == joint and t.noise is not None]
     return float(np.sqrt(np.mean(np.square(noise)))) if noise else None
 
 
 def _misfit(equations: Sequence[_Equations], joint: str, values: Array) -> float:
-    """RMS of what is left of an axis' harmonics, the parameters' degrees of freedom taken off evenly."""
+    """RMS of the residual of an axis' harmonics, with the parameters' degrees of freedom distributed evenly."""
     own = [each for each in equations if each.joint == joint]
     squares = sum(float(np.sum((each.values - each.rows @ values) ** 2)) for each in own)
     freedom = sum(each.freedom for each in own)
@@ -346,7 +355,7 @@ def _misfit(equations: Sequence[_Equations], joint: str, values: Array) -> float
 
 
 def _shown(std: Array, left_open: Array) -> Array:
-    """Standard deviations (r,), inf where the prior alone has nearly the same."""
+    """Standard deviations (r,), inf if the prior alone has nearly the same."""
     return np.where(std < SHOWN * left_open, std, np.inf)
 
 
@@ -368,7 +377,7 @@ def _judged(
 
 
 def _source(std: float, std_sweeps: float, std_trajectories: float) -> Source:
-    sweeps, trajectories = std_sweeps <= ALONE * std, std_trajectories <= ALONE * std
+    sweeps, trajectories = std_sweeps <= ONE_SOURCE * std, std_trajectories <= ONE_SOURCE * std
     if sweeps and trajectories:
         return Source.EITHER
     if sweeps:

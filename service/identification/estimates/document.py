@@ -1,12 +1,13 @@
-"""The estimate as the document that `sweepid identify --json` prints and the service stores (DESIGN.md)."""
+"""The estimate as the document that `sweepid identify --json` prints and the service stores."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.estimates.axis_document import axis_document, used_effects
 from service.identification.estimates.estimate import Estimate
-from service.identification.estimates.standard_parameters import standard_parameters
+from service.identification.estimates.standard_parameters import StandardParameters, standard_parameters
 from service.identification.model.base_parameters import combination_of
+from service.identification.model.physical_consistency import Ended
 from service.identification.model.symbols import Dimension, symbolic_names
 from service.results import estimate as results
 from service.robot import INERTIAL_NAMES
@@ -15,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 def as_document(estimate: Estimate, workspace: Array) -> results.Estimate:
-    """All numbers of an estimate; what the data do not determine is None.
+    """All numbers of an estimate; undetermined values are None.
 
     `workspace` (m, all joints): the poses over which reference and identified model are compared.
     """
@@ -43,7 +44,7 @@ def as_document(estimate: Estimate, workspace: Array) -> results.Estimate:
         },
         condition_number=_finite(estimate.condition_number),
         standard_parameters=_standard(estimate, standard.parameters),
-        physical=results.Physical(deviation_in_std=standard.deviation),
+        physical=_physical(standard),
         suspect=tuple(
             results.Suspect(axis=one.axis, sweep=one.sweep, why=one.why, weight=one.weight) for one in estimate.suspects
         ),
@@ -53,7 +54,7 @@ def as_document(estimate: Estimate, workspace: Array) -> results.Estimate:
 
 
 def nothing_known() -> results.Estimate:
-    """While only noise and standstill were recorded: a document without axes."""
+    """Document without axes, while only noise runs and stepped sines were recorded."""
     return results.Estimate(
         axes={},
         base_parameters=(),
@@ -68,12 +69,21 @@ def nothing_known() -> results.Estimate:
     )
 
 
+def _physical(standard: StandardParameters) -> results.Physical:
+    """`warning` where the search of the most probable robot did not converge."""
+    warning = standard.ended.value if standard.ended is Ended.UNFINISHED else ""
+    return results.Physical(deviation_in_std=standard.deviation).with_nonempty(warning=warning)
+
+
 def _base_parameter(name: str, symbolic: str, value: float, std: float, spread: float) -> results.BaseParameter:
-    """With the reason where it has no standard deviation."""
+    """With the reason if it has no standard deviation."""
     found = results.BaseParameter(name=name, symbolic=symbolic, value=value, std=_finite(std))
     if found.std is not None:
         return found
-    why = f"the data tell it no better than the nominal model, which leaves {spread:.3g}; it is drawn to that model"
+    why = (
+        f"the data do not determine it better than the nominal model (uncertainty {spread:.3g}); the value "
+        "is biased towards that model"
+    )
     return found.model_copy(update={"reason": why})
 
 
@@ -85,7 +95,7 @@ def _locked(estimate: Estimate) -> dict[str, float]:
 
 
 def _in_words(estimate: Estimate) -> tuple[tuple[str, ...], tuple[Dimension, ...]]:
-    """The base parameters with distances and angles of the robot in place of numbers."""
+    """The base parameters as expressions in distances and angles of the robot."""
     axes = tuple(estimate.unlocked.index(estimate.robot.index(axis.joint)) for axis in estimate.axes)
     columns = estimate.base.columns
     return symbolic_names(

@@ -2,9 +2,9 @@ r"""From the spectra of a campaign to its estimate: axis inertias, base paramete
 
 The inertias J of each axis (`axis_estimate`) with their covariance C are the right-hand side of  J = W beta  over all
 axes (`least_squares`), W in the base parameters of the chain in which every joint that never moved is locked. Sweeps
-that do not fit the others are named and count less (`suspects`). What J = W beta leaves unexplained beyond chance on an
-axis (chi-squared at `CHANCE`) enlarges the covariance of that axis, so that no standard deviation promises more than
-the data keep. Whatever the order in which sweeps came in, the same set of spectra gives the same estimate: they are
+that do not fit the others are named and get a lower weight (`outliers`). A misfit of J = W beta beyond chance on an
+axis (chi-squared at `CHANCE`) increases the covariance of that axis, so that no standard deviation is smaller than
+the residuals. The same set of spectra gives the same estimate, independent of the order of the sweeps: they are
 sorted by sweep id first.
 """
 
@@ -15,27 +15,29 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, qmc
+from scipy.special import chdtri
 
 from service.errors import BadInput
 from service.identification.axis.axis_estimate import AxisEstimate, identify_axis
 from service.identification.axis.ideal_frequency import AxisAnalysis
-from service.identification.axis.joint_fit import CHANCE, FEW
+from service.identification.axis.joint_fit import CHANCE, FEW_FREEDOM
 from service.identification.axis.known_effects import KnownEffects
 from service.identification.axis.nominal_priors import Measured, TorqueGain, base_spread, torque_gain
-from service.identification.axis.suspects import Suspect, judge
-from service.identification.estimates.single_axis import check_moved_alone
+from service.identification.axis.outliers import Ended, Suspect, judge
+from service.identification.design.halton import spread_evenly
+from service.identification.estimates.axis_cache import unchanged_or
 from service.identification.model.base_parameters import BaseParameters, base_parameters, condition_number, joint_ranges
 from service.identification.model.least_squares import Information, LeftOut, Solution
 from service.identification.model.regressor import axis_rows, lock
 from service.identification.spectra.frequency_response import Spectrum
+from service.identification.spectra.single_axis import check_moved_alone
 from service.robot import Robot
 from service.urdf import Chain
 
 Array = NDArray[np.float64]
 
-SAME_POSITION = 2e-3  # rad (m): a joint whose position differs by less over all sweeps was locked
-WORKSPACE = 2000  # poses that stand for the workspace where no collision-free grid is given
+SAME_POSITION = 2e-3  # rad (m): positions that differ by less are one; a joint that did not move more was locked
+WORKSPACE = 2000  # poses that represent the workspace if no collision-free grid is given
 FOLDS = 10  # parts into which the poses are divided; each is predicted from the others
 
 
@@ -43,7 +45,7 @@ FOLDS = 10  # parts into which the poses are divided; each is predicted from the
 class HeldOut:
     """Inertias (n,) of an axis predicted from the sweeps of other poses.
 
-    `error` measured - predicted, `std` its standard deviation: inf where the other poses do not tell it.
+    `error` = measured - predicted; `std`: its standard deviation, inf if the other poses do not determine it.
     """
 
     error: Array
@@ -52,7 +54,7 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Everything a set of spectra tells of a robot."""
+    """The complete estimate of a robot from a set of spectra."""
 
     robot: Robot
     chain: Chain  # unlocked joints only
@@ -62,10 +64,10 @@ class Estimate:
     base: BaseParameters
     nominal: Array  # (11 n,) parameters of the model
     solution: Solution
-    spread: Array  # (r,) standard deviations that the model left open
+    spread: Array  # (r,) standard deviations in the nominal model
     condition_number: float
     observation: dict[str, Array]  # rows (n, r) of each axis' sweeps in the base parameters
-    chi_squared: dict[str, tuple[float, float]]  # of J = W beta on each axis and its degrees of freedom
+    chi_squared: dict[str, tuple[float, float]]  # of J = W beta by axis, and its degrees of freedom
     suspects: tuple[Suspect, ...]
     held_out: dict[str, HeldOut]
     known: KnownEffects
@@ -75,9 +77,7 @@ class Estimate:
         """Quasi-random poses (m, all joints) over the limits of the unlocked joints; the locked ones stay locked."""
         lower, upper = joint_ranges(self.chain)
         poses = np.tile(self.poses.mean(axis=0), (WORKSPACE, 1))
-        poses[:, list(self.unlocked)] = qmc.scale(
-            qmc.Halton(len(lower), scramble=False).random(WORKSPACE), lower, upper
-        )
+        poses[:, list(self.unlocked)] = spread_evenly(WORKSPACE, lower, upper)
         return poses
 
     def identified(self, joint: str, poses: Array) -> Array:
@@ -94,7 +94,7 @@ class Estimate:
         return axis_rows(self.chain, self._own(joint), poses[:, list(self.unlocked)]) @ self.nominal
 
     def model_at_sweeps(self, joint: str) -> Array:
-        """Identified inertia (n,) of an axis in the poses of its own sweeps."""
+        """Identified inertia (n,) of an axis in the poses of its sweeps."""
         return self.observation[joint] @ self.solution.values
 
     def _own(self, joint: str) -> int:
@@ -105,13 +105,14 @@ class Estimate:
 
 
 def _check_alive(spectrum: Spectrum) -> None:
-    """BadInput where a channel shows nothing at a commanded line: dead, or the axis stood."""
+    """BadInput if a channel is zero at a commanded line: not recorded, or the axis stood."""
     for name, values in (("effort", spectrum.effort), ("velocity", spectrum.velocity)):
         silent = spectrum.line & (values == 0)
         if silent.any():
             raise BadInput(
                 f"sweep {spectrum.spec.id} {name}",
-                f"is 0 at the line of {spectrum.frequency[silent][0]:g} Hz: the channel is dead or the axis stood",
+                f"is 0 at the line of {spectrum.frequency[silent][0]:g} Hz: the channel is not "
+                "connected, or the axis did not move",
             )
 
 
@@ -122,11 +123,11 @@ def identify(
     gains: Mapping[str, TorqueGain] | None = None,
     known: KnownEffects | None = None,
 ) -> Estimate:
-    """The estimate from these spectra; BadInput when none of them shows inertia (noise and standstill do not), or where
-    axes moved together.
+    """The estimate from these spectra. Raises BadInput if none of them contains inertia (noise runs and stepped sines
+    do not), or if axes moved together.
 
-    `analyses` and `gains` by joint: initial analyses, and torque gains that a test mass calibrated. `known`: effects
-    that the robot's model has beside its rigid body.
+    `analyses` and `gains` by joint: initial analyses, and torque gains calibrated by a test mass. `known`: effects
+    of the robot's model in addition to its rigid body.
     """
     known = known or KnownEffects()
     spectra = sorted((s for s in spectra if s.spec.shows_inertia), key=lambda spectrum: spectrum.spec.id)
@@ -149,7 +150,8 @@ def identify(
         joint = robot.joints[number]
         effects = known.of(joint)
         analysis, gain = (analyses or {}).get(joint), (gains or {}).get(joint) or torque_gain(robot, effects)
-        axes.append(identify_axis(robot, number, chain, unlocked, nominal, own, analysis, gain, effects))
+        inputs = (robot, number, chain, unlocked, nominal, own, analysis, gain, effects)
+        axes.append(unchanged_or(identify_axis, *inputs))
         places.append(np.array([s.spec.pose for s in own]))
         observation[joint] = base.rows(chain, unlocked.index(number), places[-1][:, list(unlocked)])
     judged = _judge(axes, observation, np.vstack(places))
@@ -184,7 +186,9 @@ def identify(
 
 
 def moving_chain(robot: Robot, moved: Sequence[int], poses: Array) -> tuple[Chain, tuple[int, ...]]:
-    """The chain without the joints that never moved over `poses` (n, all joints), and the numbers of those left."""
+    """The chain without the joints that never moved over `poses` (n, all joints), and the numbers of the remaining
+    joints.
+    """
     fixed = {
         number: float(poses[:, number].mean())
         for number in range(len(robot.axes))
@@ -208,24 +212,39 @@ class _Judged:
 
 
 def _judge(axes: Sequence[AxisEstimate], observation: Mapping[str, Array], poses: Array) -> _Judged:
-    """Axes with the covariance that J = W beta leaves them; `poses` (n, all joints) of the axes' sweeps in turn."""
+    """Axes with the covariance that J = W beta leaves them; `poses` (n, all joints) of the axes' sweeps in turn.
+
+    BadInput for an inertia or a variance that is not finite.
+    """
+    for axis in axes:
+        for sweep, variance in zip(axis.sweeps, np.diag(axis.covariance), strict=True):
+            if not (np.isfinite(sweep.value) and np.isfinite(variance)):
+                raise BadInput(
+                    f"sweep {sweep.sweep} of {axis.joint}",
+                    f"its inertia {sweep.value:.4g} with variance {variance:.4g} is not a finite number: check its "
+                    "recording and the robot file",
+                )
     rows = np.vstack([observation[axis.joint] for axis in axes])
     values = np.concatenate([axis.values for axis in axes])
     judged = judge(rows, values, [axis.covariance for axis in axes])
     edges = list(accumulate((len(axis.sweeps) for axis in axes), initial=0))
     members = {axis.joint: np.arange(a, b) for axis, (a, b) in zip(axes, pairwise(edges), strict=True)}
     found = [suspect for axis in axes for suspect in axis.suspects]
+    doubt = "" if judged.ended is Ended.SETTLED else f" ({judged.ended.value})"
     enlarged: list[AxisEstimate] = []
     chi_squared: dict[str, tuple[float, float]] = {}
     for axis in axes:
         own = members[axis.joint]
         squares, freedom = chi_squared[axis.joint] = judged.left_out.chi_squared(own)
-        unexplained = freedom >= FEW and squares > float(chi2.isf(CHANCE, freedom))
+        unexplained = freedom >= FEW_FREEDOM and squares > float(chdtri(freedom, CHANCE))
         covariance = axis.covariance + np.diag(judged.extra[own])
         enlarged.append(axis.with_covariance(covariance * (squares / freedom if unexplained else 1.0)))
         for sweep, error, extra in zip(axis.sweeps, judged.errors[own], judged.extra[own], strict=True):
             if extra > 0:
-                why = f"its inertia is {abs(error):.1f} standard deviations from what the other sweeps say of its pose"
+                why = (
+                    f"its inertia differs by {abs(error):.1f} standard deviations from that of the other "
+                    f"sweeps in its pose{doubt}"
+                )
                 found.append(Suspect(sweep.sweep, axis.joint, why, float(error**-2)))
     left_out = LeftOut.of(rows, values, [axis.covariance for axis in enlarged])
     error, std = _predicted(left_out, poses)
@@ -234,12 +253,12 @@ def _judge(axes: Sequence[AxisEstimate], observation: Mapping[str, Array], poses
 
 
 def _predicted(left_out: LeftOut, poses: Array) -> tuple[Array, Array]:
-    """Every sweep against the sweeps of the other poses, in up to `FOLDS` folds: errors and their std, (n,) each."""
+    """Every sweep predicted from the sweeps of other poses, in up to `FOLDS` folds: errors and their std, (n,) each."""
     places = np.unique(np.round(poses / SAME_POSITION), axis=0, return_inverse=True)[1].ravel()
     error, std = np.zeros(len(poses)), np.full(len(poses), np.inf)
     for fold in range(min(FOLDS, int(places.max()) + 1)):
         members = np.flatnonzero(places % FOLDS == fold)
-        told = left_out.together(members)
-        if told is not None:
-            error[members], std[members] = told[0], np.sqrt(np.diag(told[1]))
+        predicted = left_out.together(members)
+        if predicted is not None:
+            error[members], std[members] = predicted[0], np.sqrt(np.diag(predicted[1]))
     return error, std

@@ -1,4 +1,6 @@
-"""The initial analysis of a robot from its noise runs and stepped sines: which belong together, and what is known."""
+"""The initial analysis of a robot from its noise runs and stepped sines: groups the runs by pose and adds the
+priors.
+"""
 
 from collections.abc import Sequence
 
@@ -6,20 +8,21 @@ import numpy as np
 
 from service.identification.axis.ideal_frequency import AxisAnalysis, analyse_axis
 from service.identification.axis.nominal_priors import pose_prior, shared_prior
+from service.identification.estimates.estimate import SAME_POSITION
 from service.identification.model.regressor import axis_rows, gravity_terms
 from service.identification.spectra.frequency_response import Spectrum
 from service.identification.spectra.noise_response import NoiseSpectrum, Response, noise_response, stepped_response
 from service.recording import SweepSpec
 from service.robot import Robot
 
-SAME_POSITION = 2e-3  # rad (m): runs whose other joints differ by less are of one pose
-FEWEST_LINES = 8  # of a pose: below, its resonance and its friction cannot be told apart
+FEWEST_LINES = 8  # of a pose: with fewer, resonance and friction cannot be separated
 
 
 def analyse(robot: Robot, runs: Sequence[NoiseSpectrum], stepped: Sequence[Spectrum] = ()) -> dict[str, AxisAnalysis]:
-    """The analysis of every axis that has enough lines in a pose; an axis with noise runs needs no stepped sines.
+    """The analysis of every axis with enough lines in a pose; an axis with noise runs needs no stepped sines.
 
-    Runs of one axis with the other joints alike are of one pose: its own position changes its inertia by nothing.
+    Runs of one axis with equal positions of the other joints belong to one pose: its own position does not change
+    its inertia.
     """
     analyses: dict[str, AxisAnalysis] = {}
     for number, joint in enumerate(robot.joints):
@@ -71,7 +74,7 @@ def _axis(robot: Robot, number: int, specs: Sequence[SweepSpec], responses: Sequ
 
 
 def _as_spectrum(spec: SweepSpec, response: Response) -> Spectrum:
-    """The lines of a response at unit velocity, as the data sheet's prior asks for them."""
+    """The lines of a response at unit velocity, as needed for the data sheet's prior."""
     lines = len(response.frequency)
     return Spectrum(
         spec=spec,

@@ -1,6 +1,6 @@
-"""Sweeps of one axis in the same poses before and after something was mounted: one joint fit of both.
+"""Sweeps of one axis in the same poses before and after a body was mounted: one joint fit of both.
 
-The drive train is the same one, so what is not known of it drops out of the differences.
+The drive train is the same, so its uncertainty cancels in the differences.
 """
 
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from service.identification.axis.joint_fit import CHANCE, JointFit, fit_axis
 from service.identification.axis.nominal_priors import NOISE_GUESS, pose_prior, shared_prior
@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PairedFit:
-    """Of n sweeps, those before first. `poses` (n, axes), `carried` (n,) 1 where it was mounted, `place` (n, places)
-    1 where a sweep is of a place.
+    """n sweeps, those before first. `poses` (n, axes), `carried` (n,): 1 with the body mounted, `place` (n, places): 1
+    if a sweep belongs to a place.
     """
 
     poses: Array
@@ -34,23 +34,23 @@ class PairedFit:
     fit: JointFit
 
     def solve(self, added: Array) -> tuple[Information, float]:
-        """What J = J_place + carried added x tells of the inertias at all places and x, for rows `added` (n, p).
+        """Information from J = J_place + carried added x on the inertias at all places and x, for rows `added` (n, p).
 
-        With the factor by which the covariance has to grow where the residuals are beyond chance.
+        With the factor on the covariance if the residuals are larger than by chance.
         """
         columns = np.hstack([self.place, added])
         information = Information.empty(columns.shape[1]).add(columns, self.fit.inertia, self.fit.covariance)
         squares, freedom = LeftOut.of(columns, self.fit.inertia, [self.fit.covariance]).chi_squared(
             np.arange(len(columns))
         )
-        worse = freedom >= 1 and squares > float(chi2.isf(CHANCE, freedom))
+        worse = freedom >= 1 and squares > float(chdtri(freedom, CHANCE))
         return information, squares / freedom if worse else 1.0
 
 
 def pairs(
     joint: str, before: Sequence[Spectrum], after: Sequence[Spectrum]
 ) -> tuple[list[Spectrum], list[Spectrum]] | None:
-    """The periodic sweeps of an axis at places that both have; None without any."""
+    """The periodic sweeps of an axis at common places; None if there are none."""
     own = [[one for one in part if one.spec.axis == joint and one.spec.periodic] for part in (before, after)]
     common = {place(one.spec) for one in own[0]} & {place(one.spec) for one in own[1]}
     kept = [[one for one in part if place(one.spec) in common] for part in own]
@@ -65,7 +65,7 @@ def place(spec: SweepSpec) -> tuple[int, ...]:
 def fit_pairs(
     robot: Robot, number: int, before: Sequence[Spectrum], after: Sequence[Spectrum], body: Array
 ) -> PairedFit:
-    """Sweeps of axis `number` at common places. `body` (10,): what the last link is thought to carry afterwards."""
+    """Sweeps of axis `number` at common places. `body` (10,): assumed parameters of the mounted body."""
     spectra = [*before, *after]
     poses = np.array([one.spec.pose for one in spectra])
     empty = nominal_parameters(robot, robot.chain, range(len(robot.axes)))

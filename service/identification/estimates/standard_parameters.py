@@ -1,8 +1,8 @@
-"""Standard parameters of every link and motor of a robot, from an estimate that knows combinations of them only.
+"""Standard parameters of every link and motor of a robot, from an estimate that determines only combinations of them.
 
-They are those nearest to the nominal model that are physical and give the identified base parameters
-(`physical_consistency`). Joints that never moved in the campaign are no reason to give up on the links beyond them:
-what was identified of such a rigid group is shared out among its links by the same rule.
+They are the physical parameters closest to the nominal model that give the identified base parameters
+(`physical_consistency`). Links after joints that never moved are included: the identified parameters of such a rigid
+group are distributed among its links by the same rule.
 """
 
 from dataclasses import dataclass
@@ -11,26 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.estimates.estimate import AxisEstimate, Estimate
-from service.identification.model.physical_consistency import nearest_physical
+from service.identification.model.physical_consistency import Ended, nearest_physical
 from service.identification.model.regressor import fold
 
 Array = NDArray[np.float64]
 
-SEEN = 1e-6  # of the largest singular value: a combination of base parameters that the poses tell
+SEEN = 1e-6  # of the largest singular value: a combination of base parameters above it is determined by the poses
 UNKNOWN_ROTOR = 1.0  # relative standard deviation of a motor inertia that no data sheet gives
 
 
 @dataclass(frozen=True)
 class StandardParameters:
-    """parameters (11 n,) of all the robot's joints, links first; `deviation` of what they give from what was found, in
-    standard deviations (Mahalanobis over all base parameters): 0 unless nothing physical gives the estimate."""
+    """parameters (11 n,) of all the robot's joints, links first; `deviation` of base parameters from the estimate,
+    in standard deviations (Mahalanobis over all base parameters): 0 if the estimate is physical; `ended`:
+    reason for the end of the search."""
 
     parameters: Array
     deviation: float
+    ended: Ended
 
 
 def standard_parameters(estimate: Estimate) -> StandardParameters:
-    """Of the whole robot; a motor whose inertia is neither known nor measured stays 0."""
+    """Parameters of the whole robot; a motor whose inertia is neither known nor measured stays 0."""
     robot = estimate.robot
     combination = estimate.base.combination
     if len(estimate.unlocked) < len(robot.axes):
@@ -46,11 +48,11 @@ def standard_parameters(estimate: Estimate) -> StandardParameters:
         seen @ estimate.solution.values,
         seen @ estimate.solution.covariance @ seen.T,
     )
-    return StandardParameters(found.parameters, found.deviation)
+    return StandardParameters(found.parameters, found.deviation, found.ended)
 
 
 def _seen(rows: Array) -> Array:
-    """Combinations (k, r) of the r base parameters that the observed rows (m, r) tell."""
+    """Combinations (k, r) of the r base parameters that are determined by the rows (m, r)."""
     length = np.linalg.norm(rows, axis=0)
     _, singular, directions = np.linalg.svd(rows / np.where(length > 0, length, 1.0), full_matrices=False)
     return np.asarray(directions[singular > SEEN * singular[0]] * length, dtype=float)
@@ -68,7 +70,7 @@ def _nominal_motors(estimate: Estimate) -> tuple[Array, Array]:
 
 
 def _measured_motor(axis: AxisEstimate) -> float:
-    """What the joint fit told rotor and links apart by; half of the axis inertia where it has nothing to say."""
+    """Motor inertia from the joint fit, which separates rotor and links; half of the axis inertia if it cannot."""
     if axis.fit is not None and axis.fit.train.motor_inertia > 0:
         return axis.fit.train.motor_inertia
     return abs(float(np.median([sweep.value for sweep in axis.sweeps]))) / 2

@@ -1,12 +1,12 @@
-r"""The torque gain of each axis from a known mass: the same poses before and after it was bolted on.
+r"""The torque gain of each axis from a known mass: the same poses before and after mounting it.
 
-A drive that tells g times the true effort shows every inertia g times too large, and no sweep can tell. The mass adds
-the inertia D_p in pose p, known from its mass, place and shape alone, so for the inertias as the drive tells them
+If a drive reports g times the true effort, every inertia is g times too large, and no sweep can detect it. The mass
+adds the inertia D_p in pose p, known from its mass, position and shape, so for the inertias as reported by the drive
 
     J_before,p = J_p,    J_after,p = J_p + g D_p,
 
-which is solved for all J_p and g at once by generalised least squares; p runs over the poses measured in both. Both
-campaigns are one joint fit (`joint_fit`), because the drive train is the same one: what is not known of it drops out of
+which is solved for all J_p and g together by generalised least squares; p runs over the poses measured in both. Both
+campaigns are one joint fit (`joint_fit`), because the drive train is the same: its uncertainty cancels in
 the differences.
 """
 
@@ -47,7 +47,7 @@ class KnownMass:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """The gain of one axis; `poses` measured in both campaigns, `added` the largest inertia the mass added, kg m^2."""
+    """The gain of one axis; `poses` measured in both campaigns, `added`: largest inertia added by the mass, kg m^2."""
 
     gain: TorqueGain
     poses: int
@@ -57,7 +57,9 @@ class Calibration:
 def torque_gains(
     robot: Robot, before: Sequence[Spectrum], after: Sequence[Spectrum], mass: KnownMass
 ) -> dict[str, Calibration]:
-    """By joint, of every axis swept with lines in one pose or more both before and after; BadInput if there is none."""
+    """By joint, for every axis swept with lines in at least one pose both before and after. BadInput if there is
+    none.
+    """
     if not mass.mass > 0:
         raise BadInput("mass", f"{mass.mass} kg is not above 0")
     found: dict[str, Calibration] = {}

@@ -1,12 +1,14 @@
-r"""Which combinations of inertial parameters the inertias about the axes can tell apart: the base parameters.
+"""The base parameters: combinations of inertial parameters that can be identified from the inertias about the axes.
 
-With W (rows of all measured axes over the workspace, columns scaled to unit length) of rank r, r columns span the rest,
+With W (rows of all measured axes over the workspace, columns scaled to unit length) of rank r, r columns span the
+rest,
 
     W = W_b [1  R1^-1 R2] P^T     so     W x = W_b beta,   beta = K x                    (Gautier 1991, QR)
 
-The independent columns are taken greedily in the order of the parameters, base to tip, so that a dependent parameter is
-regrouped into the ones before it, as the symbolic rules of Gautier and Khalil (1990) do. Rank: eigenvalues of the Gram
-matrix (fast, but squaring halves the digits), confirmed by the singular values of the columns chosen.
+The independent columns are selected greedily in the order of the parameters, base to tip, so that a dependent
+parameter is regrouped into the ones before it, as in the symbolic rules of Gautier and Khalil (1990). Rank:
+eigenvalues of the Gram matrix (fast, but squaring halves the digits), confirmed by the singular values of the
+selected columns.
 """
 
 from dataclasses import dataclass
@@ -20,15 +22,16 @@ from service.urdf import Chain
 
 Array = NDArray[np.float64]
 
-TOLERANCE = 1e-9  # of a unit column that its part outside the span of the chosen columns must exceed
-SAMPLES = 400  # random poses that stand for the workspace
+TOLERANCE = 1e-9  # of a unit column: minimum of its part outside the span of the selected columns
+SAMPLES = 400  # random poses that represent the workspace
+CLEAR = 1e3  # times `TOLERANCE`: the residual of a dependent column over all samples is far below
 NEGLIGIBLE = 1e-8  # of the largest share in a base parameter, columns of unit length: rounding
-FEW_SAMPLES = 60  # enough where the rank is known
+FEW_SAMPLES = 60  # sufficient if the rank is known
 
 
 @dataclass(frozen=True)
 class BaseParameters:
-    """The base set of a chain for a choice of measured axes.
+    """The base set of a chain for the measured axes.
 
     names (r,); `columns` (r,) of the parameter vector that are kept; `combination` (r, 11 n) with beta = K x.
     """
@@ -43,21 +46,21 @@ class BaseParameters:
 
 
 def base_parameters(chain: Chain, axes: tuple[int, ...], seed: int = 0) -> BaseParameters:
-    """The base parameters that the inertias about `axes` hold, over the chain's whole joint range."""
+    """The base parameters determined by the inertias about `axes`, over the chain's whole joint range."""
     return reduce_columns(_sampled_rows(chain, axes, SAMPLES, seed), parameter_names(chain))
 
 
 def combination_of(chain: Chain, axes: tuple[int, ...], columns: tuple[int, ...]) -> Array | None:
-    """`BaseParameters.combination` for columns that are given; None where they are not a base of this chain."""
+    """`BaseParameters.combination` for given columns; None if they are not a base of this chain."""
     rows = _sampled_rows(chain, axes, FEW_SAMPLES, seed=1)
     scale = _scale(rows)
-    combination = _combination(rows, scale, list(columns))
+    combination = _combination(rows / scale, scale, list(columns))
     left = (rows - rows[:, list(columns)] @ combination) / scale
-    return combination if np.abs(left).max() < 1e3 * TOLERANCE else None
+    return combination if np.abs(left).max() < CLEAR * TOLERANCE else None
 
 
 def joint_ranges(chain: Chain) -> tuple[Array, Array]:
-    """Lower and upper ends (n,) of where the joints can be, rad (m); joints that turn further than once: one turn."""
+    """Lower and upper position limits (n,) of the joints, rad (m); one revolution for joints with a larger range."""
     ends = np.array([(joint.lower, joint.upper) for joint in chain.joints])
     once = np.array([(-np.pi, np.pi) for _ in chain.joints])
     turns = [joint.kind == "revolute" and joint.upper - joint.lower > 2 * np.pi for joint in chain.joints]
@@ -66,14 +69,17 @@ def joint_ranges(chain: Chain) -> tuple[Array, Array]:
 
 
 def reduce_columns(rows: Array, names: tuple[str, ...]) -> BaseParameters:
-    """The base set of an observation matrix (m, p) whose columns bear `names`."""
+    """The base set of an observation matrix (m, p) with column names `names`."""
     scale = _scale(rows)
     scaled = rows / scale
+    if len(scaled) > scaled.shape[1]:
+        # the columns of R have the same lengths and angles, and are short
+        scaled = np.asarray(np.linalg.qr(scaled, mode="r"), dtype=float)
     chosen = _independent(scaled)
     singular = np.linalg.svd(scaled[:, chosen], compute_uv=False)
     if singular[-1] < TOLERANCE:
         raise BadInput("base parameters", f"the chosen columns are dependent to {singular[-1]:.1e}")
-    combination = _combination(rows, scale, chosen)
+    combination = _combination(scaled, scale, chosen)
     return BaseParameters(
         tuple(_name(row, names, column) for row, column in zip(combination, chosen, strict=True)),
         tuple(chosen),
@@ -103,16 +109,15 @@ def _scale(rows: Array) -> Array:
     return np.where(length > TOLERANCE * length.max(initial=0.0), length, 1.0)
 
 
-def _combination(rows: Array, scale: Array, chosen: list[int]) -> Array:
-    """K (r, p) with ``rows = rows[:, chosen] @ K``."""
-    scaled = rows / scale
+def _combination(scaled: Array, scale: Array, chosen: list[int]) -> Array:
+    """K (r, p) with ``rows = rows[:, chosen] @ K`` for ``rows = scaled * scale``."""
     share = np.linalg.lstsq(scaled[:, chosen], scaled, rcond=None)[0]
     share[np.abs(share) < NEGLIGIBLE * np.abs(share).max(axis=1, keepdims=True, initial=1.0)] = 0.0
     return share * scale / scale[chosen][:, None]
 
 
 def _independent(scaled: Array) -> list[int]:
-    """Columns, first to last, that do not lie in the span of the ones chosen before (Gram-Schmidt, twice)."""
+    """Columns, first to last, that are not in the span of those selected before (Gram-Schmidt, twice)."""
     span = np.zeros((len(scaled), 0))
     chosen: list[int] = []
     for column in range(scaled.shape[1]):
@@ -120,14 +125,14 @@ def _independent(scaled: Array) -> list[int]:
         for _ in range(2):
             rest = rest - span @ (span.T @ rest)
         length = np.linalg.norm(rest)
-        if length > 1e3 * TOLERANCE:
+        if length > CLEAR * TOLERANCE:
             span = np.hstack([span, (rest / length)[:, None]])
             chosen.append(column)
     return chosen
 
 
 def _name(row: Array, names: tuple[str, ...], leader: int) -> str:
-    """``Izz(link_2) + Jm(joint_2) + 1.44 m(link_3)``: the kept parameter first, then what is regrouped into it."""
+    """``Izz(link_2) + Jm(joint_2) + 1.44 m(link_3)``: the kept parameter first, then those regrouped into it."""
     parts = [names[leader]]
     for column in np.flatnonzero(row):
         if column == leader:

@@ -1,4 +1,4 @@
-"""How certain a number of an estimate must be to be used."""
+"""Required certainty of a value of an estimate."""
 
 import math
 
@@ -6,20 +6,25 @@ import numpy as np
 
 from service.results.estimate import BaseParameter, EstimatedAxis
 
-UNSURE = 0.25  # of the value: with a larger standard deviation it is not for use
+UNSURE = 0.25  # of the value: a value with a larger standard deviation should not be used
 
 
 def share_of_value(axis: EstimatedAxis) -> float:
-    """Standard deviation of an axis' inertia over its value, that of the torque constant included.
+    """Standard deviation of an axis' inertia relative to its value, including the torque constant; inf for a value of
+    0.
 
-    Of the model over the workspace where it is known, else the median of the sweeps.
+    That of the model over the workspace if it is known, otherwise the median of the sweeps.
     """
     if axis.confidence_percent is not None:
         share = axis.confidence_percent / 100
     else:
-        share = float(np.median([sweep.std / abs(sweep.value) for sweep in axis.inertia]))
+        share = float(np.median([_share(sweep.std, sweep.value) for sweep in axis.inertia]))
     gain = axis.torque_gain
-    return math.hypot(share, (gain.std or 0.0) / gain.value)
+    return math.hypot(share, _share(gain.std, gain.value))
+
+
+def _share(std: float, value: float) -> float:
+    return std / abs(value) if value else math.inf
 
 
 def not_for_use(parameter: BaseParameter) -> str:

@@ -1,7 +1,7 @@
-"""The simplest expression in named quantities that equals a number, in every one of several cases.
+"""The simplest expression in named quantities that equals a number in each of several cases.
 
 An expression is a factor times the sum or difference of at most three terms, each a product of named quantities. Its
-text is empty where it is 1.
+text is empty if it is 1.
 """
 
 from collections.abc import Iterator
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-SAME = 1e-8  # of the largest term: difference up to which two numbers are one
+SAME = 1e-8  # of the largest term: difference up to which two numbers count as equal
 FACTORS = (1.0, -1.0, 2.0, -2.0, 0.5, -0.5)
-MOST_FOR_PAIRS, MOST_FOR_TRIPLES = 400, 80  # terms; with more the search would take seconds
+MOST_FOR_PAIRS, MOST_FOR_TRIPLES = 400, 80  # maximum number of terms, so that the search does not take seconds
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Expression:
 
 
 def products(quantities: list[Term], count: int, cases: int) -> list[Term]:
-    """All products of `count` of the quantities; for 0: the one that is 1, without words."""
+    """All products of `count` of the quantities; for 0: the product 1, with empty text."""
     found: list[Term] = []
     for chosen in combinations_with_replacement(quantities, count):
         same = count == 2 and chosen[0] is chosen[1]
@@ -71,7 +71,7 @@ class Search:
         self._tolerance = SAME * np.abs(self._values).max(axis=0)
 
     def simplest(self, value: Array) -> Expression | None:
-        """With the fewest terms; None where there is none. `value` (g,)."""
+        """The expression with the fewest terms; None if there is none. `value` (g,)."""
         return next(self._found(value), None)
 
     def _found(self, value: Array) -> Iterator[Expression]:

@@ -1,11 +1,11 @@
-r"""The effort of all axes at once, linear in what the robot and its drives are made of.
+r"""The effort of all axes, linear in the parameters of the robot and its drives.
 
-Body i moves with angular velocity w, angular acceleration dw and its frame's origin with acceleration a, gravity taken
-off (a - g), all expressed in its own frame. Newton and Euler give the wrench it needs at that origin,
+Body i moves with angular velocity w, angular acceleration dw and its frame's origin with acceleration a minus gravity
+(a - g), all expressed in its own frame. Newton and Euler give the required wrench at that origin,
 
     f = m a + dw x mc + w x (w x mc),     n = mc x a + I dw + w x I w          (Atkeson, An and Hollerbach 1986)
 
-and joint k <= i has to give  f.v + n.w  of it, (v, w) the twist of body i when joint k alone turns at unit speed (as in
+and joint k <= i provides  f.v + n.w  of it, with (v, w) the twist of body i if only joint k moves at unit speed (as in
 `regressor`). The drive adds  Jm dv + Fv v + Fc sign(v) + offset  of its own motor.
 
 The parameter vector is [ten parameters of link 1, ..., ten of link n, then n each of Jm, Fv, Fc, offset], (14 n,);
@@ -38,7 +38,7 @@ class Motion:
 def dynamics_rows(chain: Chain, gravity: Array, load: Motion, motor: Motion | None = None) -> Array:
     """Rows (m, n, 14 n): ``rows @ parameters`` = effort of every axis, N m (N).
 
-    `load` is the motion of the links, `motor` that of the motors where it differs (referred to the joints).
+    `load` is the motion of the links, `motor` that of the motors on the joint side if it differs.
     """
     return np.concatenate([link_rows(chain, gravity, load), drive_rows(load if motor is None else motor)], axis=-1)
 

@@ -1,15 +1,15 @@
-r"""Weighted least squares that grows measurement by measurement, in information form.
+r"""Weighted least squares that is extended measurement by measurement, in information form.
 
 With rows W, values y and covariance C of one batch,
 
     Lambda += W^T C^-1 W,    eta += W^T C^-1 y,    beta = Lambda^-1 eta,    cov beta = Lambda^-1
 
-so batches may come in any number and order. Columns are scaled by the diagonal of Lambda before anything is inverted.
+so batches may be added in any number and order. Columns are scaled by the diagonal of Lambda before any inversion.
 
-Where the standard deviations S of a start value are given, columns are scaled by these instead: the eigenvalues of
-S Lambda S then say how much better than the start the data tell a direction. One that they tell worse (eigenvalue
-below 1) is not followed, wherever noise puts it: it stays at the start, with the start's variance. A parameter that
-hangs on such a direction by more than a tenth of its own S is called undetermined.
+If the standard deviations S of a start value are given, columns are scaled by these instead: the eigenvalues of
+S Lambda S then are the precision of the data relative to the start in each direction. A direction with less (eigenvalue
+below 1) is not changed by noisy data: it stays at the start, with the start's variance. A parameter that
+depends on such a direction by more than a tenth of its S counts as undetermined.
 """
 
 from collections.abc import Sequence
@@ -18,18 +18,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
+from scipy.special import ndtri, stdtrit
 
 Array = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-12  # of the scaled information matrix's largest eigenvalue
-BETTER = 1.0  # times the start's precision: below, data do not tell a direction
-HANGS_ON = 0.1  # of its start's standard deviation that a determined parameter may owe to what data do not tell
-NOT_TOLD = 1e-8  # of a value's own precision: what is left of it when no other value tells the same
+BETTER = 1.0  # times the start's precision: below, data do not determine a direction
+HANGS_ON = 0.1  # of its start's standard deviation: limit for a determined parameter
+UNMOVED = 1e-6  # part of an unseen direction in a parameter (unit vectors) below which it counts as determined
+SPANNED = 1e-9  # of the largest singular value: a direction that columns span
+LEAST_EIGENVALUE = 1e-14  # of the largest: lower limit in an inverse, about 50 rounding errors
+UNPREDICTED = 1e-8  # of a value's own precision: below, no other value predicts it
 
 
 @dataclass(frozen=True)
 class Information:
-    """What is known of n parameters: information matrix (n, n), vector (n,), and how many values went in."""
+    """Information on n parameters: information matrix (n, n), vector (n,), and number of values used."""
 
     matrix: Array
     vector: Array
@@ -40,7 +44,7 @@ class Information:
         return cls(np.zeros((size, size)), np.zeros(size))
 
     def add(self, rows: Array, values: Array, covariance: Array) -> "Information":
-        """With a batch more: rows (m, n), values (m,), covariance (m, m) of the values."""
+        """With a further batch: rows (m, n), values (m,), covariance (m, m) of the values."""
         factor = linalg.cholesky(covariance, lower=True)
         white_rows = linalg.solve_triangular(factor, rows, lower=True)
         white_values = linalg.solve_triangular(factor, values, lower=True)
@@ -51,14 +55,15 @@ class Information:
         )
 
     def plus(self, other: "Information") -> "Information":
-        """What two independent sets of measurements tell."""
+        """Combination of two independent sets of measurements."""
         return Information(self.matrix + other.matrix, self.vector + other.vector, self.count + other.count)
 
     def solve(self, start: Array, spread: Array | None = None) -> "Solution":
-        """Parameters (n,) nearest to `start` where the data leave a choice, with covariance and what is determined.
+        """Parameters (n,) closest to `start` where the data do not determine them, with covariance and the determined
+        ones.
 
-        `spread` (n,), positive: standard deviations of the start; without, any direction above rounding is followed and
-        what stays at the start has no variance.
+        `spread` (n,), positive: standard deviations of the start. Without it, every direction above rounding is
+        used, and undetermined directions have no variance.
         """
         scale = 1 / np.sqrt(np.where(np.diag(self.matrix) > 0, np.diag(self.matrix), 1.0)) if spread is None else spread
         eigenvalues, vectors = np.linalg.eigh(self.matrix * np.outer(scale, scale))
@@ -68,8 +73,8 @@ class Information:
         step = inverse @ ((self.vector - self.matrix @ start) * scale) * scale
         unseen = np.linalg.norm(vectors[:, ~seen], axis=1)
         if spread is None:
-            # a parameter is determined when no unseen direction moves it
-            return Solution(start + step, inverse * np.outer(scale, scale), unseen < 1e-6)
+            # a parameter is determined if no undetermined direction changes it
+            return Solution(start + step, inverse * np.outer(scale, scale), unseen < UNMOVED)
         covariance = inverse + vectors[:, ~seen] @ vectors[:, ~seen].T
         determined = (unseen < HANGS_ON) & (np.diag(covariance) < 1.0)
         return Solution(start + step, covariance * np.outer(scale, scale), determined)
@@ -77,7 +82,7 @@ class Information:
 
 @dataclass(frozen=True)
 class Solution:
-    """values (n,), covariance (n, n) of what the data determine, determined (n,) bool."""
+    """values (n,), covariance (n, n) of the determined ones, determined (n,) bool."""
 
     values: Array
     covariance: Array
@@ -85,16 +90,16 @@ class Solution:
 
     @property
     def std(self) -> Array:
-        """(n,) standard deviations; inf where the data do not determine the parameter."""
+        """(n,) standard deviations; inf for a parameter that the data do not determine."""
         return np.where(self.determined, np.sqrt(np.maximum(np.diag(self.covariance), 0.0)), np.inf)
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    r"""What the other values say of each value, without solving anew (generalised least squares, n values).
+    """Prediction of each value by the others, without a new solution (generalised least squares, n values).
 
-    With M = L^-1 of the covariance C = L L^T, white rows M W = Q R and  P = M^T (1 - Q Q^T) M,  any set f of values is
-    off from what all others predict (their correlation with it included) by
+    With M = L^-1 of the covariance C = L L^T, white rows M W = Q R and  P = M^T (1 - Q Q^T) M,  the error of any set
+    f of values relative to the prediction by all others (including their correlation with it) is
 
         e_f = P_ff^-1 (P y)_f,    cov e_f = P_ff^-1.
 
@@ -121,26 +126,62 @@ class LeftOut:
         return cls(white, span, white_values - span @ (span.T @ white_values))
 
     def each(self) -> tuple[Array, Array]:
-        """Error and its variance of every value left out alone, (n,) each; infinite variance where no other tells."""
+        """Error and its variance of every value left out alone, (n,) each; infinite variance if no other value predicts
+        it.
+        """
         precision = np.sum(self.white**2, axis=0)
         left = precision - np.sum((self.span.T @ self.white) ** 2, axis=0)
-        told = left > NOT_TOLD * precision
-        left = np.where(told, left, 1.0)
-        return np.where(told, self.white.T @ self.residual / left, 0.0), np.where(told, 1 / left, np.inf)
+        predicted = left > UNPREDICTED * precision
+        left = np.where(predicted, left, 1.0)
+        return np.where(predicted, self.white.T @ self.residual / left, 0.0), np.where(predicted, 1 / left, np.inf)
 
     def together(self, members: NDArray[np.int_]) -> tuple[Array, Array] | None:
-        """Errors (f,) and covariance (f, f) of some values left out at once; None where the others do not tell them."""
+        """Errors (f,) and covariance (f, f) of some values left out together; None if the others do not predict
+        them.
+        """
         white = self.white[:, members]
         spanned = self.span.T @ white
         precision = white.T @ white
         left = precision - spanned.T @ spanned
         scale = np.sqrt(np.diag(precision))
-        if np.linalg.eigvalsh(left / np.outer(scale, scale))[0] < NOT_TOLD:
+        if np.linalg.eigvalsh(left / np.outer(scale, scale))[0] < UNPREDICTED:
             return None
         covariance = np.asarray(np.linalg.inv(left / np.outer(scale, scale)), dtype=float) / np.outer(scale, scale)
         return covariance @ (white.T @ self.residual), covariance
 
     def chi_squared(self, members: NDArray[np.int_]) -> tuple[float, float]:
-        """Squared white residual of some values and the degrees of freedom that are left to them."""
+        """Squared white residual of some values and their remaining degrees of freedom."""
         squares = float(np.sum(self.residual[members] ** 2))
         return squares, len(members) - float(np.sum(self.span[members] ** 2))
+
+
+def span(columns: Array) -> Array:
+    """Orthonormal columns (m, k) that span `columns` (m, p), k <= p."""
+    left, singular, _ = np.linalg.svd(columns, full_matrices=False)
+    return left[:, singular > SPANNED * singular.max(initial=0.0)]
+
+
+def jackknife_factor(parts: int) -> float:
+    """Factor for a jackknife over `parts` parts, so that two standard deviations cover 95 % (Student)."""
+    return float(stdtrit(parts - 1, 0.975) / ndtri(0.975))
+
+
+def _scale(matrix: Array) -> Array:
+    """Square roots of the diagonals of matrices (..., p, p): the units differ by ten decades."""
+    scale = np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
+    return np.where(scale > 0, scale, 1.0)
+
+
+def scaled_solution(matrix: Array, right: Array) -> Array:
+    """Solutions (n, p, m) of positive definite systems (n, p, p), scaled to unit diagonals first."""
+    scale = _scale(matrix)[..., None]
+    return np.linalg.solve(matrix / scale / np.swapaxes(scale, -1, -2), right / scale) / scale
+
+
+def scaled_inverse(matrix: Array) -> Array:
+    """Inverses of positive definite matrices (..., p, p), scaled to unit diagonals first."""
+    scale = _scale(matrix)[..., None]
+    eigenvalues, vectors = np.linalg.eigh(matrix / scale / np.swapaxes(scale, -1, -2))
+    eigenvalues = np.maximum(eigenvalues, LEAST_EIGENVALUE * eigenvalues[..., -1:])
+    turned = np.swapaxes(vectors, -1, -2)
+    return (vectors / eigenvalues[..., None, :]) @ turned / scale / np.swapaxes(scale, -1, -2)

@@ -1,4 +1,4 @@
-"""The nominal model of the whole dynamics, (14 n,) parameters as in `inverse_dynamics`, and how far it may be off."""
+"""The nominal model of the whole dynamics, (14 n,) parameters as in `inverse_dynamics`, and its uncertainty."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,25 +10,33 @@ from service.robot import Robot
 
 Array = NDArray[np.float64]
 
-COULOMB_PRIOR, OFFSET_PRIOR = 0.1, 0.02  # of the rated effort: one sigma of what no data sheet tells
-OPEN = 10.0  # times these may dry friction be, as far as the fit is concerned
+COULOMB_PRIOR, OFFSET_PRIOR = 0.1, 0.02  # of the rated effort: one sigma of values that are in no data sheet
+LEAST_MASS, LEAST_RADIUS = 1e-9, 1e-3  # kg, m: of a link, so that no parameter is certain
+DRY_FRICTION_OPEN = 10.0  # times these values is the prior of dry friction in the fit
 
 
 def nominal_parameters(robot: Robot) -> Array:
-    """The model's (14 n,): links of CAD, motors and viscous friction of the data sheets; dry friction is in none."""
+    """The model's (14 n,): links of CAD, motors and viscous friction of the data sheets; dry friction is unknown."""
     motors = [axis.reflected_motor_inertia or 0.0 for axis in robot.axes]
     viscous = [axis.viscous_friction or 0.0 for axis in robot.axes]
     return np.concatenate([robot.chain.inertial.ravel(), motors, viscous, np.zeros(2 * len(robot.axes))])
 
 
-def parameter_spread(robot: Robot) -> Array:
-    """Standard deviations (14 n,). Of a motor that no data sheet gives, the inertia of what it moves; of viscous
-    friction likewise the rated effort at the joint's highest speed.
+def link_sizes(links: Array, lightest: float = 0.0) -> Array:
+    """Natural sizes (10 n,) of the parameters of links (n, 10): m, m r and m r^2 for mass, first and second moments.
+
+    r: radius of gyration, m. `lightest`, kg: least mass.
     """
-    links = robot.chain.inertial
-    mass = np.maximum(links[:, :1], 1e-9)
-    length = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(-1, keepdims=True), 0) / 2 / mass) + 1e-3
-    size = np.hstack([mass, np.repeat(mass * length, 3, 1), np.repeat(mass * length**2, 6, 1)]).ravel()
+    mass = np.maximum(links[:, :1], max(lightest, LEAST_MASS))
+    radius = np.sqrt(np.maximum(links[:, [4, 6, 9]].sum(-1, keepdims=True), 0) / 2 / mass) + LEAST_RADIUS
+    return np.hstack([mass, np.repeat(mass * radius, 3, 1), np.repeat(mass * radius**2, 6, 1)]).ravel()
+
+
+def parameter_spread(robot: Robot) -> Array:
+    """Standard deviations (14 n,). For a motor without data sheet, the inertia that it moves; for its viscous friction,
+    the rated effort at the joint's highest speed.
+    """
+    size = link_sizes(robot.chain.inertial)
     prior = robot.prior
     rated = np.array([axis.rated_effort for axis in robot.axes])
     motors = [
@@ -46,9 +54,9 @@ def parameter_spread(robot: Robot) -> Array:
 
 
 def prior_information(robot: Robot, base: BaseParameters) -> Information:
-    """The prior of the base parameters (r,) as one measurement of them; dry friction is left open."""
+    """The prior of the base parameters (r,) as a measurement of them; dry friction has a wide prior."""
     spread = parameter_spread(robot)
-    spread[12 * len(robot.axes) :] *= OPEN
+    spread[12 * len(robot.axes) :] *= DRY_FRICTION_OPEN
     covariance = (base.combination * spread**2) @ base.combination.T
     start = base.combination @ nominal_parameters(robot)
     return Information.empty(len(start)).add(np.eye(len(start)), start, covariance)

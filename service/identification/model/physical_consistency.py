@@ -1,12 +1,12 @@
-r"""Standard parameters nearest to a nominal model that a real robot can have and that give the base parameters.
+r"""Physically consistent standard parameters that are closest to a nominal model and give the base parameters.
 
-A link is physical when some distribution of mass has its ten parameters. That is so when its pseudo-inertia
-(Wensing, Kim and Slotine 2018) is positive definite, which holds the mass, the triangle inequalities and the products:
+A link is physical if some distribution of mass has its ten parameters. This holds if its pseudo-inertia
+(Wensing, Kim and Slotine 2018) is positive definite, which covers mass, triangle inequalities and products of inertia:
 
     P = [ tr(I)/2 1 - I   mc ]
         [      mc^T        m ]  > 0,                       and Jm > 0 for a motor.
 
-Nearest: in the entropic divergence (Lee, Wensing and Park 2020), which no choice of frame or unit changes,
+Closest: in the entropic divergence (Lee, Wensing and Park 2020), which does not depend on frame or unit,
 
     D(P, P0) = tr(P0^-1 P) - log det(P0^-1 P) - 4,         d(Jm, Jm0) = Jm/Jm0 - log(Jm/Jm0) - 1.
 
@@ -21,28 +21,39 @@ minimum over P is Y = (1 + G(nu)/w)^-1, positive definite by construction, and t
 
     max over nu:   sum w log det(1 + G(nu)/w) - nu.b - e |nu|^2 / 2,         gradient  A x - b - e nu,
 
-with e = 0 for the first problem and e = 1 for the second. Newton's method solves it. Where no physical x gives b, the
+with e = 0 for the first problem and e = 1 for the second. Newton's method solves it. If no physical x gives b, the
 dual of the first has no maximum; that of the second always has one.
 """
 
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from service.identification.model.convergence import finite
 from service.urdf import inertia_matrix
 
 Array = NDArray[np.float64]
 
-EXACT = 1e-10  # of a row's terms and nominal spread: what is left of A x - b when it counts as reproduced
-STEPS = 100  # of Newton's method at most; some ten are taken
-HALVINGS = 60  # of a step's length
-SOFTENING = (1.0, 1e-2, 1e-4, 1e-6, 0.0)
-SMALL = 1e-12  # ratio of eigenvalues below which the lesser is no longer told from zero
-SMALL_SLOPE = 1e-12  # of the dual along the step: from here Newton's method needs no supervision
+EXACT = 1e-10  # of a row's terms and nominal spread: A x - b below it counts as zero
+STEPS = 100  # maximum number of Newton steps; about ten are used
+HALVINGS = 60  # maximum number of halvings of a step
+SOFTNESSES = (1.0, 1e-2, 1e-4, 1e-6, 0.0)
+SMALL = 1e-12  # ratio of eigenvalues below which the smaller counts as zero
+SMALL_SLOPE = 1e-12  # of the dual along the step: below, full Newton steps are used
 LIGHTEST = 1e-6  # of the heaviest link's mass: least nominal mass
 THINNEST = 1e-4  # of a link's largest second moment about its centre of mass: least nominal one
-SMALLEST = 1e-3  # m, least nominal radius of gyration
+LEAST_GYRATION = 1e-3  # m, least nominal radius of gyration
+DISTANT = 1e-9  # of the second moment by the centre's distance: a smaller one is lost in rounding
+
+
+class Ended(Enum):
+    """How the search for physical parameters ended."""
+
+    EXACT = "the base parameters are reproduced"
+    MOST_PROBABLE = "no physical robot has these base parameters, or none was found; the most probable one"
+    UNFINISHED = "Newton's method did not reach the most probable robot; the last physical one on the way"
 
 
 @dataclass(frozen=True)
@@ -51,30 +62,35 @@ class Physical:
 
     parameters: Array
     deviation: float
+    ended: Ended
 
 
 def nearest_physical(
     nominal: Array, spread: tuple[float, Array], rows: Array, values: Array, covariance: Array
 ) -> Physical:
-    """Parameters (11 n,) nearest to `nominal` with ``rows @ parameters = values``, all links and motors physical.
+    """Parameters (11 n,) closest to `nominal` with ``rows @ parameters = values``, all links and motors physical.
 
-    Where there are none, those most probable in view of both: `deviation` tells how far they are from `values`.
+    If there are none, the most probable ones given both: `deviation` is then their distance from `values`.
 
     spread: relative standard deviation of the nominal links, and (n,) of the nominal motors. rows (k, 11 n) linearly
     independent, values (k,), covariance (k, k) positive definite. Motors that are nominally 0 stay 0: they must not
-    appear in the rows. What the rows do not touch stays nominal, but for links that are not physical.
+    appear in the rows. What the rows do not touch stays nominal, but for links that are not physical. BadInput where
+    an argument is not finite.
     """
+    for name, given in (("nominal model", nominal), ("rows", rows), ("values", values), ("covariance", covariance)):
+        finite(given, "base parameters", f"their {name}")
     problem = _Problem.of(nominal, spread, rows, values)
     parameters = _exactly(problem)
     if parameters is not None:
         size = np.abs(rows) @ np.abs(parameters) + np.abs(values) + np.sqrt(np.diag(problem.nominal_covariance()))
         if np.all(np.abs(rows @ parameters - values) <= EXACT * size):
-            return Physical(parameters, 0.0)
+            return Physical(parameters, 0.0, Ended.EXACT)
     noise = _whitening(covariance)
     white = problem.transformed(noise)
-    multipliers = _most_probable(white)
+    multipliers, reached = _most_probable(white)
     parameters = problem.parameters(white.blocks(multipliers))
-    return Physical(parameters, float(np.linalg.norm(noise @ (rows @ parameters - values))))
+    ended = Ended.MOST_PROBABLE if reached else Ended.UNFINISHED
+    return Physical(parameters, float(np.linalg.norm(noise @ (rows @ parameters - values))), ended)
 
 
 def pseudo_inertia(parameters: Array) -> Array:
@@ -89,12 +105,15 @@ def pseudo_inertia(parameters: Array) -> Array:
 
 
 def is_physical(parameters: Array) -> NDArray[np.bool_]:
-    """(..., 10) -> (...): is the pseudo-inertia positive definite, about the link's own centre of mass?"""
+    """(..., 10) -> (...): whether the pseudo-inertia is positive definite, about the link's own centre of mass."""
     mass = parameters[..., 0]
     heavy = mass > 0
-    centre = parameters[..., 1:4] / np.where(heavy, mass, 1.0)[..., None]
-    second = pseudo_inertia(parameters)[..., :3, :3] - mass[..., None, None] * _outer(centre)
-    return heavy & (np.linalg.eigvalsh(second)[..., 0] > 0)
+    with np.errstate(over="ignore", invalid="ignore"):  # a mass close to 0 gives an infinite centre
+        centre = parameters[..., 1:4] / np.where(heavy, mass, 1.0)[..., None]
+        second = pseudo_inertia(parameters)[..., :3, :3] - mass[..., None, None] * _outer(centre)
+    finite = np.asarray(np.isfinite(second).all((-2, -1)), dtype=bool)
+    moments = np.linalg.eigvalsh(np.where(finite[..., None, None], second, 0.0))
+    return heavy & finite & (moments[..., 0] > 0)
 
 
 @dataclass(frozen=True)
@@ -143,7 +162,7 @@ class _Problem:
         )
 
     def blocks(self, multipliers: Array) -> tuple[Array, Array]:
-        """Y (n, 4, 4) and y (j,) that belong to multipliers (k,) inside of the domain."""
+        """Y (n, 4, 4) and y (j,) of multipliers (k,) inside the domain."""
         links, motors = self.dual_blocks(multipliers)
         return np.asarray(np.linalg.inv(links), dtype=float), 1 / motors
 
@@ -153,12 +172,17 @@ class _Problem:
         return links, 1 + multipliers @ self.motor_rows / self.motor_weight
 
     def inside(self, multipliers: Array) -> bool:
-        links, motors = self.dual_blocks(multipliers)
+        with np.errstate(over="ignore", invalid="ignore"):  # a trial step may overflow
+            links, motors = self.dual_blocks(multipliers)
+        if not np.isfinite(links).all():
+            return False
         moments = np.linalg.eigvalsh(links)
         return bool(np.all(moments[:, 0] > SMALL * moments[:, -1]) and motors.min(initial=1.0) > SMALL)
 
     def impossible(self, multipliers: Array) -> bool:
-        """Do they prove that no physical x gives b?  G(nu) >= 0 makes nu.Ax >= 0 for all of them, against nu.b < 0."""
+        """Whether the multipliers prove that no physical x gives b: G(nu) >= 0 makes nu.Ax >= 0 for all of them, but
+        nu.b < 0.
+        """
         links, motors = self.dual_blocks(multipliers)
         moments = np.concatenate([np.linalg.eigvalsh(links).ravel(), motors]) - 1
         return bool(multipliers @ self.values < 0 and moments.min() >= -1e-9 * moments.max())
@@ -175,7 +199,7 @@ class _Problem:
         return turned @ turned.T / self.link_weight + turned_motors @ turned_motors.T
 
     def nominal_covariance(self) -> Array:
-        """(k, k) of A x by the nominal model's spread."""
+        """(k, k) of A x from the nominal model's spread."""
         return self.curvature(self.blocks(np.zeros(len(self.values))))
 
     def parameters(self, blocks: tuple[Array, Array]) -> Array:
@@ -187,13 +211,14 @@ class _Problem:
 
 
 def _exactly(problem: _Problem) -> Array | None:
-    """Parameters (11 n,) that give the base parameters; None where it is proven that none do, or none are found.
+    """Parameters (11 n,) that give the base parameters; None if it is proven that there are none, or none are found.
 
-    In units in which the nominal model's uncertainty is white, the softened problem is easy; softening ends in steps.
+    In units in which the nominal model's uncertainty is white, the softened problem is easy; softening is reduced in
+    steps.
     """
     white = problem.transformed(_whitening(problem.nominal_covariance()))
     multipliers = np.zeros(len(problem.values))
-    for softness in SOFTENING:
+    for softness in SOFTNESSES:
         found = _maximise(white, softness, multipliers)
         if found is None or white.impossible(found):
             return None
@@ -201,32 +226,32 @@ def _exactly(problem: _Problem) -> Array | None:
     return problem.parameters(white.blocks(multipliers))
 
 
-def _most_probable(white: _Problem) -> Array:
-    """Multipliers (k,) at the maximum of the dual of the second problem, which always has one.
+def _most_probable(white: _Problem) -> tuple[Array, bool]:
+    """Multipliers (k,) at the maximum of the dual of the second problem, which always has one; whether it was reached.
 
     Values hundreds of standard deviations away (effort with the wrong sign) put it where blocks are nearly singular
-    and Newton's method loses its way from afar. With noise enlarged, e > 1, the maximum is near; noise then shrinks
-    step by step. Where it is lost for good, the last one found is taken: physical as well, and as far from impossible
-    values as they are from it.
+    and Newton's method does not converge from far away. With increased noise, e > 1, the maximum is near; the noise
+    is then reduced step by step. If that fails, the last solution is used: it is physical as well, and as far from
+    the impossible values as they are from it.
     """
     nothing = np.zeros(len(white.values))
     found = _maximise(white, 1.0, nothing)
     if found is not None:
-        return found
+        return found, True
     multipliers = nothing
     distance = float(np.max(np.abs(white.residual(white.blocks(nothing))), initial=1.0))
     for softness in np.geomspace(distance**2, 1.0, 2 * int(np.ceil(np.log2(distance))) + 1):
         found = _maximise(white, float(softness), multipliers)
         if found is None:
-            break
+            return multipliers, False
         multipliers = found
-    return multipliers
+    return multipliers, True
 
 
 def _maximise(problem: _Problem, softness: float, start: Array) -> Array | None:
-    """Multipliers (k,) at the maximum of the dual, softness = e; None where there is none (or none is found).
+    """Multipliers (k,) at the maximum of the dual, softness = e; None if there is none (or none is found).
 
-    Near the maximum full steps are taken until rounding stops the progress.
+    Near the maximum full steps are made until rounding stops the progress.
     """
     multipliers, last = start, np.inf
     for _ in range(STEPS):
@@ -252,7 +277,7 @@ def _maximise(problem: _Problem, softness: float, start: Array) -> Array | None:
 
 
 def _length(problem: _Problem, softness: float, start: Array, step: Array, slope: float) -> float:
-    """How far to go along a step: to where the dual's slope, which only falls, is less than half of `slope`."""
+    """Length of a step: up to where the dual's slope, which only decreases, is less than half of `slope`."""
     shortest, longest, length = 0.0, np.inf, 1.0
     for _ in range(HALVINGS):
         there = start + length * step
@@ -267,19 +292,20 @@ def _length(problem: _Problem, softness: float, start: Array, step: Array, slope
 
 
 def _whitening(covariance: Array) -> Array:
-    """(k, k) that turns values of this covariance into white noise of standard deviation 1."""
+    """(k, k) that transforms values with this covariance into white noise of standard deviation 1."""
     scale = np.sqrt(np.diag(covariance))
     moments, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
     return (directions / np.sqrt(np.maximum(moments, SMALL * moments[-1]))).T / scale
 
 
 def _nominal_pseudo_inertia(links: Array) -> Array:
-    """(n, 4, 4) of nominal links (n, 10); what is not physical is lifted to the least mass and second moments."""
+    """(n, 4, 4) of nominal links (n, 10); non-physical ones are raised to the least mass and second moments."""
     mass = np.maximum(links[:, 0], LIGHTEST * (links[:, 0].max(initial=0.0) or 1.0))
     centre = links[:, 1:4] / mass[:, None]
     pseudo = pseudo_inertia(links)
     moments, axes = np.linalg.eigh(pseudo[:, :3, :3] - mass[:, None, None] * _outer(centre))
-    least = np.maximum(THINNEST * moments[:, -1], SMALLEST**2 * mass)
+    distant = DISTANT * mass * (centre**2).sum(-1)
+    least = np.maximum(np.maximum(THINNEST * moments[:, -1], LEAST_GYRATION**2 * mass), distant)
     lifted = np.maximum(moments, least[:, None])
     second = (axes * lifted[:, None, :]) @ np.swapaxes(axes, -1, -2) + mass[:, None, None] * _outer(centre)
     pseudo[:, :3, :3] = np.where((moments[:, 0] < least)[:, None, None], second, pseudo[:, :3, :3])

@@ -1,17 +1,18 @@
 r"""Rows that are linear in the inertial parameters: the inertia about an axis and the gravity torque on it.
 
-When only joint k turns, at unit speed, body i >= k moves with the twist (v, w), expressed in its own frame i,
+If only joint k moves, at unit speed, body i >= k moves with the twist (v, w), expressed in its own frame i,
 
     w = R_i^T z_k,   v = R_i^T (z_k x (p_i - p_k))      (revolute)        w = 0,  v = R_i^T z_k      (prismatic)
 
-and twice its kinetic energy is its share of the axis inertia (the paper's equation (4), without the sums written out):
+and twice its kinetic energy is its share of the axis inertia (the paper's equation (4)):
 
     J_k(q) = sum_i  m v.v + 2 mc.(v x w) + w^T I w   + u_k^2 Jm_k
 
 The parameter vector is [ten parameters of link 1, ..., ten of link n, u_1^2 Jm_1, ..., u_n^2 Jm_n], (11 n,).
-Joints that never move in a campaign are folded away first (`lock`), as the paper does with the last three axes.
+Joints that never move in a campaign are removed first (`lock`), as in the paper for the last three axes.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -75,7 +76,7 @@ def gravity_terms(chain: Chain, parameters: Array, gravity: Array, joint: int, p
 
 def gravity_rows(chain: Chain, gravity: Array, joint: int, poses: Array) -> Array:
     """(m, 2, 10 n) with ``rows @ link parameters`` = [torque, stiffness] as `gravity_terms`; a prismatic axis has the
-    force -g.z of what it carries, N, and no stiffness.
+    force -g.z of its load, N, and no stiffness.
     """
     poses = np.atleast_2d(poses)
     rotations, origins = link_frames(chain, poses)
@@ -98,48 +99,66 @@ def gravity_rows(chain: Chain, gravity: Array, joint: int, poses: Array) -> Arra
 
 
 def lock(chain: Chain, fixed: dict[int, float]) -> Chain:
-    """The chain with the joints of `fixed` frozen at the given positions, their links folded into the one before.
+    """The chain with the joints of `fixed` locked at the given positions, and their links merged into the previous one.
 
-    Links before the first joint left belong to the base and drop out. The result has one link for each joint left.
+    Links before the first remaining joint belong to the base and are removed. The result has one link per remaining
+    joint.
     """
     joints: list[Joint] = []
     inertial: list[Array] = []
-    rotation, translation = np.eye(3), np.zeros(3)  # of the present frame in the last frame kept
-    for k, joint in enumerate(chain.joints):
-        translation = translation + rotation @ joint.translation
-        rotation = rotation @ joint.rotation
+    for k, keeper, rotation, translation in _carried(chain, fixed):
         if k not in fixed:
-            joints.append(replace(joint, rotation=rotation, translation=translation))
+            joints.append(replace(chain.joints[k], rotation=rotation, translation=translation))
             inertial.append(chain.inertial[k])
-            rotation, translation = np.eye(3), np.zeros(3)
-            continue
-        if joint.kind == "prismatic":
-            translation = translation + rotation @ joint.axis * fixed[k]
-        else:
-            rotation = rotation @ rotation_about(joint.axis, np.asarray(fixed[k]))
-        if inertial:
-            inertial[-1] = inertial[-1] + transform_inertial(chain.inertial[k], rotation, translation)
+        elif keeper >= 0:
+            inertial[keeper] = inertial[keeper] + transform_inertial(chain.inertial[k], rotation, translation)
     return Chain(tuple(joints), np.array(inertial).reshape(-1, 10))
 
 
 def fold(chain: Chain, fixed: dict[int, float]) -> Array:
-    """(11 u, 11 n): what `lock` does, for any parameters: ``fold @ parameters`` are those of the u joints left."""
+    """(11 u, 11 n): the effect of `lock` on any parameters: ``fold @ parameters`` are those of the u remaining
+    joints.
+    """
     count = len(chain.joints)
     left = [k for k in range(count) if k not in fixed]
-    links = np.zeros((10 * len(left), 10 * count))
-    for column, unit in enumerate(np.eye(10 * count)):
-        links[:, column] = lock(replace(chain, inertial=unit.reshape(-1, 10)), fixed).inertial.ravel()
+    links = np.zeros((len(left), 10, count, 10))
+    for k, keeper, rotation, translation in _carried(chain, fixed):
+        if k not in fixed:
+            links[left.index(k), :, k] = np.eye(10)
+        elif keeper >= 0:
+            links[keeper, :, k] = np.stack([transform_inertial(unit, rotation, translation) for unit in np.eye(10)], -1)
     matrix = np.zeros((11 * len(left), 11 * count))
-    matrix[: 10 * len(left), : 10 * count] = links
+    matrix[: 10 * len(left), : 10 * count] = links.reshape(10 * len(left), 10 * count)
     matrix[10 * len(left) :, 10 * count :] = np.eye(count)[left]
     return matrix
 
 
 def parameter_names(chain: Chain) -> tuple[str, ...]:
-    """Names of the 11 n parameters: ``Izz(link_2)``, ..., ``Jm(joint_2)``; a folded body goes by its first link."""
+    """Names of the 11 n parameters: ``Izz(link_2)``, ..., ``Jm(joint_2)``; a merged body has the name of its first
+    link.
+    """
     links = [f"{name}({joint.link})" for joint in chain.joints for name in INERTIAL_NAMES]
     return (*links, *(f"Jm({joint.name})" for joint in chain.joints))
 
 
 def _apply(matrices: Array, vectors: Array) -> Array:
     return np.einsum("mij,mj->mi", matrices, vectors)
+
+
+def _carried(chain: Chain, fixed: dict[int, float]) -> Iterator[tuple[int, int, Array, Array]]:
+    """For each joint its number, the number of the last remaining joint before it (among the remaining ones; -1: none),
+    and the pose (R, t) of its frame in that frame, with fixed joints at their positions.
+    """
+    keeper, rotation, translation = -1, np.eye(3), np.zeros(3)
+    for k, joint in enumerate(chain.joints):
+        translation = translation + rotation @ joint.translation
+        rotation = rotation @ joint.rotation
+        if k not in fixed:
+            yield k, keeper, rotation, translation
+            keeper, rotation, translation = keeper + 1, np.eye(3), np.zeros(3)
+            continue
+        if joint.kind == "prismatic":
+            translation = translation + rotation @ joint.axis * fixed[k]
+        else:
+            rotation = rotation @ rotation_about(joint.axis, np.asarray(fixed[k]))
+        yield k, keeper, rotation, translation

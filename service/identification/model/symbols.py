@@ -1,10 +1,10 @@
-r"""Base parameters in the words of the robot's geometry: ``Iyy(link_2) + Jm(joint_2) + m(link_3) l2^2``.
+"""Base parameters as expressions in the robot's dimensions: ``Iyy(link_2) + Jm(joint_2) + m(link_3) l2^2``.
 
 The coefficients of a base parameter are polynomials in the distances between neighbouring joints, and in sine and
-cosine of the angles by which a link is twisted. Which polynomial is found, not derived: the combination K is computed
-for the robot and for a few robots whose distances and angles all differ from it, and a coefficient is given the
-simplest expression that equals it in every one of them. So two distances of the same length are not mixed up, and what
-is shown gives the numbers. A coefficient without such an expression (an axis askew in space) keeps its decimals.
+cosine of the twist angles of a link. The polynomial is found by search: the combination K is computed for the robot and
+for a few robots with different distances and angles, and a coefficient gets the simplest expression that equals it in
+every one of them. Therefore two distances of the same length are not confused, and the expression gives the numbers. A
+coefficient without such an expression (a skew axis) keeps its decimals.
 """
 
 import re
@@ -21,9 +21,9 @@ from service.urdf import Chain, Joint
 
 Array = NDArray[np.float64]
 
-VARIANTS = 3  # robots of other dimensions that an expression must fit as well
-ONE = 1e-6  # a coefficient this near to 1 is 1
-NOTHING = 1e-9  # m: a distance shorter than this is none
+VARIANTS = 3  # robots with other dimensions that an expression must also fit
+ONE = 1e-6  # tolerance at which a coefficient counts as 1
+NOTHING = 1e-9  # m: a shorter distance counts as 0
 
 
 @dataclass(frozen=True)
@@ -34,17 +34,17 @@ class Dimension:
     value: float
     unit: str  # m or rad
     meaning: str
-    joint: int  # whose place in the link before it is given
+    joint: int  # joint whose position in the link before it is given
     component: int  # of the translation, or of the axis about which the link is twisted
 
 
 def symbolic_names(
     chain: Chain, columns: tuple[int, ...], combination: Array, combine: Callable[[Chain], Array | None]
 ) -> tuple[tuple[str, ...], tuple[Dimension, ...]]:
-    """Names (r,) of the base parameters ``combination @ parameters`` and the dimensions that they speak of.
+    """Names (r,) of the base parameters ``combination @ parameters`` and the dimensions used in them.
 
-    columns (r,): the parameter that leads each; `combine` gives K (r, 11 n) of the same base for a chain of other
-    dimensions, None where these columns are no base of it (then all coefficients stay decimals).
+    columns (r,): the leading parameter of each; `combine` gives K (r, 11 n) of the same base for a chain with other
+    dimensions, None if these columns are no base of it (then all coefficients stay decimals).
     """
     known = dimensions(chain)
     rng = np.random.default_rng(0)
@@ -65,7 +65,7 @@ def symbolic_names(
 
 
 def dimensions(chain: Chain) -> tuple[Dimension, ...]:
-    """Distances (l) from each joint to the next, in the frame of the link between, and angles (a) that twist a link."""
+    """Distances (l) from each joint to the next, in the frame of the link between, and twist angles (a) of a link."""
     found: list[Dimension] = []
     numbers = _numbers(chain)
     for k in range(1, len(chain.joints)):
@@ -100,7 +100,7 @@ def with_dimensions(chain: Chain, known: tuple[Dimension, ...], values: Array) -
 
 
 class _Speaker:
-    """Finds words for coefficients: `values` (g, d) of the dimensions, `found` (g, r, 11 n) the combinations."""
+    """Finds expressions for coefficients: `values` (g, d) of the dimensions, `found` (g, r, 11 n) the combinations."""
 
     def __init__(self, chain: Chain, known: tuple[Dimension, ...], values: Array, found: Array) -> None:
         self._parameters = parameter_names(chain)
@@ -109,7 +109,7 @@ class _Speaker:
         self._searches: dict[tuple[int, int, int], Search] = {}
 
     def name(self, row: int, leader: int) -> str:
-        """The base parameter: the leading one first, then what is regrouped into it."""
+        """The base parameter: the leading one first, then those regrouped into it."""
         parts = [self._parameters[leader]]
         for column in np.flatnonzero(self._found[0, row]):
             if column != leader:
@@ -124,7 +124,7 @@ class _Speaker:
         return f"{'-' if expression.factor < 0 else '+'} {number}{self._parameters[column]}{words}"
 
     def _search(self, leader: int, column: int) -> Search:
-        """Of the terms that may stand before a parameter: products, of its unit, of the dimensions on the way to it."""
+        """Terms that may be factors of a parameter: products, in its unit, of the dimensions between the two joints."""
         power = self._powers[leader] - self._powers[column]
         first, last = sorted((self._links[leader], self._links[column]))
         key = (first, last, power)
@@ -150,7 +150,7 @@ class _Speaker:
 
 
 def _twist(joint: Joint) -> tuple[int, float] | None:
-    """Axis and angle of a joint that is turned about one axis by other than quarter turns."""
+    """Axis and angle of a joint that is twisted about one axis by an angle other than a quarter turn."""
     for axis in range(3):
         if abs(joint.rotation[axis, axis] - 1) < 1e-9:
             one, two = (axis + 1) % 3, (axis + 2) % 3
@@ -161,14 +161,14 @@ def _twist(joint: Joint) -> tuple[int, float] | None:
 
 
 def _numbers(chain: Chain) -> list[str]:
-    """The numbers that the joints' names end with, where each has one of its own; else 1, 2, ... from the base."""
+    """The numbers at the ends of the joints' names if they are all different; otherwise 1, 2, ... from the base."""
     found = [re.search(r"\d+$", joint.name) for joint in chain.joints]
     named = [match[0] for match in found if match is not None]
     return named if len(set(named)) == len(found) else [str(k + 1) for k in range(len(found))]
 
 
 def _powers_of_length(chain: Chain) -> list[int]:
-    """(11 n,) of the parameters' units: m 0, first moments 1, moments of inertia 2; motors as their joint has it."""
+    """(11 n,) powers of length in the units: m 0, first moments 1, moments of inertia 2; motors as their joint."""
     motors = [0 if joint.kind == "prismatic" else 2 for joint in chain.joints]
     return [0, 1, 1, 1, 2, 2, 2, 2, 2, 2] * len(chain.joints) + motors
 

@@ -9,14 +9,14 @@ from service.robot import Robot
 
 Array = NDArray[np.float64]
 
-SAMPLES = 200  # random motions that stand for all motions
+SAMPLES = 200  # random motions that represent all motions
 
 
 def dynamic_base(robot: Robot, ends: tuple[Array, Array] | None = None) -> BaseParameters:
-    """The base parameters of the efforts of all axes that move, friction and offsets included; columns of the 14 n.
+    """The base parameters of the efforts of all axes that move, including friction and offsets; columns of the 14 n.
 
-    `ends`: lower and upper (n,) of the joints' positions, rad (m); a joint stands where they are the same. None: the
-    whole range of every joint.
+    `ends`: lower and upper (n,) positions of the joints, rad (m); a joint with equal ends stands. None: the whole
+    range of every joint.
     """
     rng = np.random.default_rng(0)
     lower, upper = ends or joint_ranges(robot.chain)

@@ -1,11 +1,11 @@
-r"""One axis at a time along a motion of all of them: what the rigid robot asks of it, split as for a sweep of one axis.
+r"""One axis at a time along a motion of all axes: the effort of the rigid robot, split as for a sweep of one axis.
 
-    effort_k = J_k(t) a_k + gravity_k(t) + coupling_k(t) + friction + whatever else acts on the axis
+    effort_k = J_k(t) a_k + gravity_k(t) + coupling_k(t) + friction + other torques on the axis
 
     J_k = M_kk(q) + Jm_k,    gravity_k = g_k(q),    coupling_k = sum_(j != k) M_kj a_j + (C(q, v) v)_k
 
-so that who knows one axis alone (a diagnosis, a fit of its friction) can go on from  effort - coupling.  a_k is the
-motor's: where a direct encoder tells how the load differs from it, M_kk times the difference is in the coupling.
+so that methods for a single axis (a diagnosis, a fit of its friction) can use  effort - coupling.  a_k is the
+motor's: if a direct encoder measures how the load differs from it, M_kk times the difference is in the coupling.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 class AlongAxis:
     """One axis along a record, all (m,) at the record's samples, SI on the joint side.
 
-    `velocity`, `acceleration` of the motor, smoothed; `inertia` motor included; `gravity` and `coupling` N m (N).
-    `sound`: False near the ends of the record, where acceleration is not known unless the axis rested.
+    `velocity`, `acceleration` of the motor, smoothed; `inertia` including the motor; `gravity` and `coupling` N m
+    (N). `sound`: False near the ends of the record, where the acceleration is unknown unless the axis rested.
     """
 
     joint: str
@@ -43,19 +43,19 @@ class AlongAxis:
 
     @property
     def rigid(self) -> Array:
-        """What links and motor need, (m,) N m (N)."""
+        """Effort of links and motor, (m,) N m (N)."""
         return self.inertia * self.acceleration + self.gravity + self.coupling
 
 
 def whole_parameters(robot: Robot, base: BaseParameters, values: Array) -> Array:
-    """Parameters (14 n,) that give the same efforts as base parameters (r,); all that are not in the base are 0."""
+    """Parameters (14 n,) with the same efforts as base parameters (r,); all that are not in the base are 0."""
     parameters = np.zeros(14 * len(robot.axes))
     parameters[list(base.columns)] = values
     return parameters
 
 
 def rigid_along(robot: Robot, parameters: Array, records: Sequence[FreeMotion]) -> tuple[Mapping[str, AlongAxis], ...]:
-    """Of every record, by joint. `parameters` (14 n,) as in `inverse_dynamics`; friction is left to the caller."""
+    """For every record, by joint. `parameters` (14 n,) as in `inverse_dynamics`; friction is not included."""
     return tuple(_along(robot, parameters, record) for record in records)
 
 

@@ -2,10 +2,10 @@ r"""The equations of a free motion: at every instant and for every axis that mov
 
     L[effort] = sum_j x_j L[regressor_j] + L[ripple] + noise                                 (`inverse_dynamics`)
 
-with one low-pass L for both sides (`low_pass`), which therefore biases nothing, thinned out as its cut-off allows.
-Regressors are formed from the smoothed motion at the full rate: links from the load's where a direct encoder tells it,
-drives from the motor's. An axis at rest says nothing: dry friction holds whatever the others' motion asks of it.
-Cogging of the known orders is eliminated by a cosine and a sine each (`least_squares` sees it no more).
+with the same low-pass L for both sides (`low_pass`), which therefore causes no bias, decimated according to its
+cut-off. Regressors are computed from the smoothed motion at the full rate: links from the load's if a direct encoder
+measures it, drives from the motor's. An axis at rest gives no equation: dry friction balances any torque by the others'
+motion. Cogging of the known orders is eliminated by a cosine and a sine each, before `least_squares`.
 """
 
 from dataclasses import dataclass
@@ -24,14 +24,15 @@ Array = NDArray[np.float64]
 STILL = 0.01  # of the largest velocity: below, an axis counts as at rest
 AT_REST = 0.1  # share of the filter's weight on samples at rest from which an equation is left out
 MOVED = 1e-3  # rad (m) that an axis moves at least
-LINK_RATE = 200.0  # Hz, at which the links' rows are formed: products of a few smoothed motions
-CHUNK = 4000  # instants whose rows are formed at once: memory
+LINK_RATE = 200.0  # Hz, at which the links' rows are computed: products of a few smoothed motions
+CHUNK = 4000  # instants whose rows are computed together, to limit memory
 
 
 @dataclass(frozen=True)
 class AxisEquations:
-    """Rows (m, r) and values (m,) of one axis along one record, N m (N), every `step` seconds; `sound` (m,) those that
-    count. `ripple` (m, 2 orders): what may be added freely."""
+    """Rows (m, r) and values (m,) of one axis along one record, N m (N), every `step` seconds; `sound` (m,): equations
+    that are used. `ripple` (m, 2 orders): columns eliminated by least squares.
+    """
 
     joint: str
     record: int
@@ -58,7 +59,7 @@ def load_and_motor(robot: Robot, record: FreeMotion) -> tuple[Motion, Motion]:
 
 
 def equations(robot: Robot, base: BaseParameters, record: FreeMotion, number: int) -> list[AxisEquations]:
-    """Of every axis that moves in record `number`."""
+    """Equations of every axis that moves in record `number`."""
     load, motor = load_and_motor(robot, record)
     rate, band = record.rate, record.band
     coarse = max(1, int(rate / LINK_RATE))
@@ -112,7 +113,9 @@ def drive_along(motor: Motion, index: int) -> Array:
 
 
 def mean_sign(velocity: Array) -> Array:
-    """Mean of sign(v) over the time between two samples, (m,): a reversal between them is neither early nor late."""
+    """Mean of sign(v) over the time between two samples, (m,), so that a reversal between samples has its exact
+    time.
+    """
     change = np.abs(np.gradient(velocity))
     crossing = 2 * np.abs(velocity) < change
     return np.where(crossing, 2 * velocity / np.where(crossing, change, 1.0), np.sign(velocity))
@@ -127,7 +130,7 @@ def _smooth(record: FreeMotion, position: Array, order: int) -> Array:
 
 
 def _at_rest(velocity: Array, rate: float, band: float) -> NDArray[np.bool_]:
-    """Where the low-pass looks at samples at rest, (m,)."""
+    """Where the low-pass covers samples at rest, (m,)."""
     still = np.abs(velocity) < STILL * np.abs(velocity).max()
     return low_pass(still.astype(float), rate, band) > AT_REST
 

@@ -1,7 +1,7 @@
-r"""Free motion of several axes at once: a log of a robot program, a trajectory without period, another one's CSV file.
+r"""Free motion of several axes together: a log of a robot program, a trajectory without period, a foreign CSV file.
 
-In a bundle it is a set of sweeps with the excitation "trajectory" and no sines, one an axis, with the same start, pose,
-block and repeat. A set of one axis is no free motion of several: it stays a record of that axis alone.
+In a bundle it is a set of sweeps with the excitation "trajectory" and no sines, one per axis, with the same start,
+pose, block and repeat. A set with a single axis is not a free motion of several axes: it is a record of that axis.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from service.errors import BadInput
 from service.identification.spectra.axis_inertia import DriveTrain
+from service.identification.spectra.frequency_response import check_numbers
 from service.identification.spectra.low_pass import low_pass
 from service.recording import Sweep, SweepSpec
 from service.robot import Robot
@@ -19,15 +20,15 @@ from service.robot import Robot
 Array = NDArray[np.float64]
 
 BAND = 10.0  # Hz, of the equations: below the springs of industrial robots
-MOTION = 3.0  # times the band: the motion is smoothed so far above it that nothing of the band is lost
+MOTION = 3.0  # times the band: cut-off of the smoothed motion, high enough to keep the whole band
 USABLE = 0.35  # of the sample rate, highest cut-off
-SAME_PATH, SAME_PLACE = 0.01, 1e-3  # by which paths of repeats differ at most: relative, and rad (m)
-FEW = 50  # samples
+SAME_PATH, SAME_PLACE = 0.01, 1e-3  # maximum difference of the paths of repeats: relative, and rad (m)
+FEWEST_SAMPLES = 50  # samples
 
 
 @dataclass(frozen=True)
 class FreeMotion:
-    """One record. Arrays (m, k) of the k `joints` in it, SI on the joint side; all others stood at `pose` (n,).
+    """One record. Arrays (m, k) of its k `joints`, SI on the joint side; all others stood at `pose` (n,).
 
     `load_position`, `load_velocity`: of the direct encoders, a dict by joint. `ids` of the sweeps, (k,).
     """
@@ -58,7 +59,9 @@ class FreeMotion:
         return self.motion_cut / MOTION
 
     def same_motion(self, other: "FreeMotion", same_path: float = SAME_PATH) -> bool:
-        """Is it a repeat: same axes, block, length and path? `same_path`: RMS by which paths may differ, relative."""
+        """Whether it is a repeat: same axes, block, length and path. `same_path`: allowed RMS difference of paths,
+        relative.
+        """
         if (self.joints, self.block, self.rate, len(self.effort)) != (
             other.joints,
             other.block,
@@ -71,7 +74,7 @@ class FreeMotion:
 
 
 def at_once(specs: Sequence[SweepSpec]) -> tuple[tuple[SweepSpec, ...], ...]:
-    """Sets of sweeps that are free motions of several axes; BadInput where one axis is twice in such a set."""
+    """Sets of sweeps that are free motions of several axes. Raises BadInput if an axis occurs twice in such a set."""
     groups: dict[tuple[object, ...], list[SweepSpec]] = {}
     for spec in specs:
         if spec.excitation == "trajectory" and not spec.periodic:
@@ -93,7 +96,7 @@ def at_once(specs: Sequence[SweepSpec]) -> tuple[tuple[SweepSpec, ...], ...]:
 
 
 def free_motions(robot: Robot, sweeps: Sequence[Sweep]) -> tuple[FreeMotion, ...]:
-    """All free motions of several axes among the sweeps; BadInput where a set does not hold together."""
+    """All free motions of several axes among the sweeps. Raises BadInput if a set is inconsistent."""
     by_id = {sweep.spec.id: sweep for sweep in sweeps}
     return tuple(
         _record(robot, [by_id[spec.id] for spec in group]) for group in at_once([sweep.spec for sweep in sweeps])
@@ -101,12 +104,12 @@ def free_motions(robot: Robot, sweeps: Sequence[Sweep]) -> tuple[FreeMotion, ...
 
 
 def calibrated(record: FreeMotion, gains: Mapping[str, float]) -> FreeMotion:
-    """With true efforts: those of the drives divided by their gains, 1 for an axis without."""
+    """With true efforts: those of the drives divided by their gains, 1 for an axis without gain."""
     return replace(record, effort=record.effort / np.array([gains.get(joint, 1.0) for joint in record.joints]))
 
 
 def with_loads(record: FreeMotion, trains: Mapping[str, DriveTrain]) -> FreeMotion:
-    """With load positions also of axes without a direct encoder: ql = qm - c (effort - Jm d2qm/dt2), smoothed."""
+    """With load positions also for axes without a direct encoder: ql = qm - c (effort - Jm d2qm/dt2), smoothed."""
     loads = dict(record.load_position)
     for k, joint in enumerate(record.joints):
         train = trains.get(joint)
@@ -123,6 +126,7 @@ def _record(robot: Robot, sweeps: Sequence[Sweep]) -> FreeMotion:
     first = sweeps[0]
     for sweep in sweeps:
         spec = sweep.spec
+        check_numbers(spec, sweep.recording)
         for name, mine, others in (
             ("sample_rate", spec.sample_rate, first.spec.sample_rate),
             ("measure_from", spec.measure_from, first.spec.measure_from),
@@ -134,8 +138,8 @@ def _record(robot: Robot, sweeps: Sequence[Sweep]) -> FreeMotion:
                     f"{name} {mine} differs from {others} of sweep {first.spec.id}, which ran with it",
                 )
     start = int(np.searchsorted(first.recording.time, first.spec.measure_from - 0.5 / first.spec.sample_rate))
-    if len(first.recording.time) - start < FEW:
-        raise BadInput(f"sweep {first.spec.id}", f"fewer than {FEW} samples after measure_from")
+    if len(first.recording.time) - start < FEWEST_SAMPLES:
+        raise BadInput(f"sweep {first.spec.id}", f"fewer than {FEWEST_SAMPLES} samples after measure_from")
     loads = {s.spec.axis: s.recording.load_position for s in sweeps}
     speeds = {s.spec.axis: s.recording.load_velocity for s in sweeps}
     return FreeMotion(

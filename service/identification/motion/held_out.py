@@ -1,7 +1,8 @@
-"""How well a fit of free motions predicts efforts along parts of them that it has not seen.
+"""Prediction error of a fit of free motions on held-out parts of them.
 
-Each of `FOLDS` parts in turn is left out of all records and predicted from the rest. The noise floor, which no model
-falls below, is what runs of the same motion differ by, half of its power in either; None where none was run twice.
+Each of `FOLDS` parts in turn is left out of all records and predicted from the rest. The noise floor, below which no
+model error can fall, is the difference between runs of the same motion, half of its power in each; None if no motion
+was run twice.
 """
 
 from collections.abc import Sequence
@@ -34,7 +35,7 @@ class HeldOut:
 def held_out(
     robot: Robot, records: Sequence[FreeMotion], fit: FreeFit, others: Information, start: Array
 ) -> dict[str, HeldOut]:
-    """By joint. `others`: what is known without the free motions, the nominal model's prior included."""
+    """By joint. `others`: information without the free motions, including the nominal model's prior."""
     values = fit.information.plus(others).solve(start).values
     errors: dict[str, list[Array]] = {}
     for fold in range(FOLDS):
@@ -72,7 +73,7 @@ def _rms(signals: Sequence[Array], parts: Sequence[AxisEquations]) -> float:
 
 
 def _floor(records: Sequence[FreeMotion], parts: Sequence[AxisEquations], values: Array) -> float | None:
-    """What runs of the same motion differ by, less what the model makes of the difference of their paths."""
+    """Difference between runs of the same motion, minus the modelled effect of the difference of their paths."""
     squares: list[Array] = []
     for one, other in combinations(parts, 2):
         if records[one.record].same_motion(records[other.record]):

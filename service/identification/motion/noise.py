@@ -1,9 +1,9 @@
-r"""Residuals of a free motion are coloured: an autoregressive model of each axis makes its equations white.
+r"""Residuals of a free motion are coloured: an autoregressive model of each axis whitens its equations.
 
     e_t = r_t - sum_j a_j r_(t-j),   j <= ORDER         (Yule-Walker, Levinson's recursion)
 
-The first samples of a stretch have fewer predecessors and take the predictor of lower order with its larger variance,
-so a stretch of any length is whitened without loss. Stretches end where an axis rests.
+The first samples of an interval have fewer predecessors and use the predictor of lower order with its larger variance,
+so an interval of any length is whitened without loss. Intervals end where an axis rests.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Colour:
 
     @classmethod
     def of(cls, stretches: list[Array], least: float, freedom: float) -> "Colour":
-        """From residuals (m_i,) of all stretches; `freedom`: samples less parameters fitted, `least`: smallest std."""
+        """From residuals (m_i,) of all intervals; `freedom`: samples minus fitted parameters, `least`: smallest std."""
         order = min(ORDER, max(len(stretch) for stretch in stretches) - 1)
         lags = np.array(
             [sum(float(x[lag:] @ x[: len(x) - lag]) for x in stretches if len(x) > lag) for lag in range(order + 1)]
@@ -35,7 +35,7 @@ class Colour:
         return cls(*_levinson(lags))
 
     def whiten(self, signals: Array) -> Array:
-        """Of one stretch (m, ...): prediction errors over their standard deviation."""
+        """For one interval (m, ...): prediction errors over their standard deviation."""
         white = np.empty_like(signals)
         for k in range(len(signals)):
             order = min(k, len(self.std) - 1)
@@ -54,7 +54,7 @@ class Colour:
 
 
 def stretches(sound: NDArray[np.bool_]) -> list[slice]:
-    """The runs of samples that count."""
+    """The intervals of consecutive usable samples."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], sound.astype(int), [0]])))
     return [slice(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 

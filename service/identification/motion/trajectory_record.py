@@ -1,8 +1,8 @@
-r"""What identification keeps of a trajectory: the harmonics of every axis up to `BAND`, and its noise.
+r"""The data of a trajectory used by identification: the harmonics of every axis up to `BAND`, and its noise.
 
-Over P whole periods of the fundamental 1/T every signal of the periodic motion lies on the multiples of 1/T; the bins
-between them hold noise alone. Position is the one measured motion: its derivatives are iw X and -w^2 X, exact for what
-lies below the band's end, so velocity and acceleration need no difference quotient and gravity no integration.
+Over P whole periods of the fundamental 1/T every signal of the periodic motion has only multiples of 1/T; the bins
+between them contain only noise. The position is the measured motion: its derivatives are iw X and -w^2 X, exact for
+signals below the band's end, so velocity and acceleration need no difference quotient and gravity no integration.
 
 X_h = 1/N sum_n x_n exp(-2 pi i h n P / N) as in `frequency_response`; X_0 is the mean.
 """
@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from service.errors import BadInput
 from service.identification.model.inverse_dynamics import Motion
+from service.identification.motion.free_motion import BAND
 from service.identification.spectra.axis_inertia import DriveTrain
-from service.identification.spectra.frequency_response import Complex, window
+from service.identification.spectra.frequency_response import Complex, check_numbers, window
 from service.identification.spectra.pairs import from_pairs, pairs
 from service.recording import Sweep, SweepSpec
 from service.results.identified.spectrum import TrackDocument
@@ -24,16 +25,15 @@ from service.robot import Robot
 
 Array = NDArray[np.float64]
 
-BAND = 10.0  # Hz, of the equations
-MOTION_BAND = 0.4  # of the sample rate: where an axis sticks before it reverses shows only far above `BAND`
+MOTION_BAND = 0.4  # of the sample rate: sticking before a reversal is only visible far above `BAND`
 
 
 @dataclass(frozen=True)
 class AxisTrack:
     """One axis: harmonics 0 to h of effort (h + 1,), more of the positions, and the noise of an effort harmonic.
 
-    `noise`: standard deviation of its real and of its imaginary part, N m (N), from the scatter between periods; None
-    with a single period. `load_position`: None without a direct encoder.
+    `noise`: standard deviation of its real and of its imaginary part, N m (N), from the scatter between periods;
+    None with a single period. `load_position`: None without a direct encoder.
     """
 
     spec: SweepSpec
@@ -47,7 +47,7 @@ class AxisTrack:
         return self.spec.axis
 
     def to_document(self) -> TrackDocument:
-        """For a file; floats survive exactly."""
+        """For a file; floats are stored without loss."""
         return {
             "spec": self.spec.model_dump(mode="json"),
             "harmonics": pairs(self.effort),
@@ -71,7 +71,7 @@ class AxisTrack:
 
 @dataclass(frozen=True)
 class TrajectoryRecord:
-    """One run of several axes at once; the joints without a track stood at `pose` (n,), rad (m)."""
+    """One run of several axes together; the joints without a track stood at `pose` (n,), rad (m)."""
 
     pose: tuple[float, ...]
     period: float  # s
@@ -84,7 +84,7 @@ class TrajectoryRecord:
         return np.arange(len(self.tracks[0].effort)) / self.period
 
     def motion(self, robot: Robot, samples: int, *, load: bool) -> Motion:
-        """Motion (samples, all joints) over one period, of the loads where they were measured or of the motors."""
+        """Motion (samples, all joints) over one period, of the loads if they were measured, or of the motors."""
         position, velocity, acceleration = np.zeros((3, samples, len(robot.axes)))
         position[:] = self.pose
         for track in self.tracks:
@@ -102,8 +102,10 @@ class TrajectoryRecord:
 
 
 def axis_track(sweep: Sweep) -> AxisTrack:
-    """What is kept of one axis' recording; BadInput where it does not hold the whole periods."""
+    """What is kept of one axis' recording; BadInput where it does not hold the whole periods, or a
+    sample is not a finite number."""
     spec, record = sweep.spec, sweep.recording
+    check_numbers(spec, record)
     first, count = window(spec, record.time)
     part, periods = slice(first, first + count), spec.periods or 1
     of_motion = round(MOTION_BAND * spec.sample_rate * (spec.period or 0.0))
@@ -126,14 +128,16 @@ def axis_track(sweep: Sweep) -> AxisTrack:
 
 
 def runs_at_once(spec: SweepSpec) -> bool:
-    """Is it one axis of an exciting trajectory? Others with its block, pose and start may have moved with it."""
+    """Whether it is one axis of an exciting trajectory. Other axes with its block, pose and start may have moved with
+    it.
+    """
     return spec.excitation == "trajectory" and spec.periodic
 
 
 def trajectories(robot: Robot, tracks: Sequence[AxisTrack]) -> tuple[TrajectoryRecord, ...]:
-    """Tracks put together by block, pose and start; BadInput where they do not belong together after all.
+    """Tracks grouped by block, pose and start. Raises BadInput if a group is inconsistent.
 
-    A trajectory of which axes are still missing by its block is left out.
+    A trajectory with missing axes according to its block is left out.
     """
     groups: dict[tuple[object, ...], list[AxisTrack]] = {}
     for track in tracks:
@@ -143,7 +147,7 @@ def trajectories(robot: Robot, tracks: Sequence[AxisTrack]) -> tuple[TrajectoryR
 
 
 def trajectory(robot: Robot, tracks: Sequence[AxisTrack]) -> TrajectoryRecord:
-    """One trajectory of axes that moved at once; BadInput where they do not belong together."""
+    """One trajectory of axes that moved together. Raises BadInput if they are inconsistent."""
     first = tracks[0].spec
     for track in tracks:
         robot.index(track.joint)
@@ -158,7 +162,7 @@ def trajectory(robot: Robot, tracks: Sequence[AxisTrack]) -> TrajectoryRecord:
 
 
 def calibrated(record: TrajectoryRecord, gains: Mapping[str, float]) -> TrajectoryRecord:
-    """With true efforts: those of the drives divided by their gains, 1 for an axis without."""
+    """With true efforts: those of the drives divided by their gains, 1 for an axis without gain."""
     tracks: list[AxisTrack] = []
     for track in record.tracks:
         gain = gains.get(track.joint, 1.0)
@@ -168,10 +172,10 @@ def calibrated(record: TrajectoryRecord, gains: Mapping[str, float]) -> Trajecto
 
 
 def with_loads(record: TrajectoryRecord, trains: Mapping[str, DriveTrain]) -> TrajectoryRecord:
-    """With load positions also where there is no direct encoder: ql = qm - c (effort - Jm d2qm/dt2).
+    """With load positions also without a direct encoder: ql = qm - c (effort - Jm d2qm/dt2).
 
-    Friction of the motor, which does not reach the spring, is left out. `trains`: what a joint fit found of the drive
-    trains; an axis without counts as stiff.
+    Friction of the motor, which does not act on the spring, is left out. `trains`: drive trains from a joint fit; an
+    axis without one counts as stiff.
     """
     omega = 2j * np.pi * record.frequency
     tracks: list[AxisTrack] = []

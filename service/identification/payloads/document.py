@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from service.identification.model.physical_consistency import Ended
 from service.identification.payloads.payload import Payload, body_of
 from service.results.identified import payload as results
 from service.robot import INERTIAL_NAMES, Robot
@@ -11,7 +12,9 @@ TENSOR = INERTIAL_NAMES[4:]
 
 
 def payload_document(robot: Robot, found: Payload) -> results.Payload:
-    """SI, in the frame of the last joint; `inertia` about the centre of mass. What was not excited has value None."""
+    """SI, in the frame of the last joint; `inertia` about the centre of mass. Parameters that were not excited are
+    None.
+    """
     figures = tuple(
         results.Figure(
             value=float(value) if excited else None,
@@ -47,14 +50,16 @@ def payload_document(robot: Robot, found: Payload) -> results.Payload:
 
 
 def sentences(found: Payload) -> list[str]:
-    """What a person should know beside the numbers."""
-    told: list[str] = []
+    """Notes for the user in addition to the values."""
+    notes: list[str] = []
     if not abs(found.parameters[0]) > 3 * np.sqrt(found.covariance[0, 0]) and found.excited[0]:
-        told.append(f"No mass shows: {found.body[0]:.3g} kg, standard deviation {found.body_std[0]:.2g} kg.")
+        notes.append(f"No mass detected: {found.body[0]:.3g} kg, standard deviation {found.body_std[0]:.2g} kg.")
     missing = [name for name, seen in zip(("mass", *CENTER, *TENSOR), found.excited, strict=True) if not seen]
     if missing:
-        told.append(f"The motions do not excite {', '.join(missing)}: these stay unknown.")
+        notes.append(f"The motions do not excite {', '.join(missing)}: these remain unknown.")
     if not found.physical:
         away = f"{found.deviation:.1f} standard deviations away"
-        told.append(f"No body has these ten numbers; the nearest physical one is {away}.")
-    return told
+        notes.append(f"These ten parameters are not physical; the nearest physical body is {away}.")
+    if found.ended is Ended.UNFINISHED:
+        notes.append("The search of the nearest physical body did not converge: do not use it; check mass and motions.")
+    return notes

@@ -1,10 +1,10 @@
-r"""What the same motions of all axes tell of a body that was mounted on the last link in between.
+r"""Information on a payload from the same motions of all axes before and after mounting it on the last link.
 
     effort_after - effort_before = (rows of the last link) phi + change of friction
 
-at every instant, for every axis: the robot itself cancels, and with it whatever its model lacks. Paths that differ a
-little are put right by the model that the motions before tell; viscous, dry friction and offset of each axis may have
-changed between the runs. Filter, whitening and covariance are those of `free_motion_fit`.
+at every instant, for every axis: the robot itself cancels, and with it the error of its model. Small differences of
+the paths are corrected by the model from the motions before; viscous friction, dry friction and offset of each axis may
+have changed between the runs. Filter, whitening and covariance are those of `motion.fit`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,14 +28,14 @@ from service.robot import Robot
 
 Array = NDArray[np.float64]
 
-SAME_PATH = 0.05  # by which the paths before and after may differ, relative: a loaded axis follows less well
-LATE = 2.0  # s that one record may begin later in the motion than the other
+SAME_PATH = 0.05  # allowed relative difference of the paths: a loaded axis has a larger following error
+LATE = 2.0  # s, maximum difference of the starts of two records within the motion
 
 
 def motion_evidence(
     robot: Robot, before: Sequence[FreeMotion], after: Sequence[FreeMotion], gains: Mapping[str, float]
 ) -> list[BodyEvidence]:
-    """Of every motion that was run both before and after; BadInput where there are motions and none was."""
+    """For every motion that was run both before and after. Raises BadInput if there are motions, but none in both."""
     both = [match for loaded in after if (match := _match(before, loaded)) is not None]
     if not both:
         if before and after:
@@ -56,7 +56,7 @@ def motion_evidence(
 
 
 def _match(before: Sequence[FreeMotion], loaded: FreeMotion) -> tuple[FreeMotion, FreeMotion] | None:
-    """The first record of the same motion, and both cut to what they have in common; None without one."""
+    """The first record of the same motion, both cut to their common part; None if there is none."""
     for one in before:
         if (one.joints, one.rate, one.block) == (loaded.joints, loaded.rate, loaded.block):
             pair = _aligned(one, loaded)
@@ -66,7 +66,7 @@ def _match(before: Sequence[FreeMotion], loaded: FreeMotion) -> tuple[FreeMotion
 
 
 def _aligned(one: FreeMotion, other: FreeMotion) -> tuple[FreeMotion, FreeMotion]:
-    """Both without what the earlier one has before the other begins: the shift at which their paths differ least."""
+    """Both without the part before the later start: the shift at which their paths differ least."""
     most = min(round(LATE * one.rate), len(one.position) // 4, len(other.position) // 4)
     shifts = range(-most, most + 1)
     apart = [_apart(one.position, other.position, shift, most) for shift in shifts]
@@ -102,7 +102,7 @@ def _part(record: FreeMotion, part: slice) -> FreeMotion:
 
 
 def _differences(robot: Robot, known: Array, empty: FreeMotion, loaded: FreeMotion, number: int) -> list[AxisEquations]:
-    """Equations in the body's ten parameters of one pair of records; friction of the axis may have changed."""
+    """Equations in the body's ten parameters from one pair of records; friction of the axis may have changed."""
     count = len(robot.axes)
     names = dynamics_names(robot.chain)
     everything = BaseParameters(names, tuple(range(len(names))), np.eye(len(names)))

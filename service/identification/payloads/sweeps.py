@@ -1,11 +1,11 @@
-r"""What sweeps of single axes in the same poses tell of a body that was mounted on the last link in between.
+r"""Information on a payload from sweeps of single axes in the same poses before and after mounting it.
 
 Its share of the axis inertias, pose by pose (`paired_sweeps`):      J_after - J_before = (row of the last link) phi
 and, as friction at the same speed is the same, of the mean torque:  after - before = (gravity row) phi + change
 
-with phi (10,) the body's inertial parameters in the last joint's frame. `change`, a constant an axis and a direction of
-motion, is what friction has drifted by between the two campaigns; what scatters about it is the noise. Springs of all
-axes give way under the body and turn what hangs on them: `SAG` of the change, in each pose and in all of an axis.
+with phi (10,) the body's inertial parameters in the last joint's frame. `change`, a constant per axis and direction of
+motion, is the drift of friction between the two campaigns; the scatter about it is the noise. The springs of all
+axes deflect under the body and rotate the links after them: `SAG` of the change, in each pose and in all of an axis.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,26 +25,26 @@ from service.robot import Robot
 Array = NDArray[np.float64]
 
 BODY = 10  # parameters of a rigid body
-DRIFT, DRIFT_LEAST = 0.005, 2e-4  # of the rated effort: friction's, where too few sweeps tell it; and at least
-SAG = 0.003  # of the torque that the body adds: 2 mrad of sag change the arms of the robot's own weight that much
-FEW = 3  # degrees of freedom from which the scatter of the mean torques is trusted
+DRIFT, DRIFT_LEAST = 0.005, 2e-4  # of the rated effort: drift of friction without enough sweeps; least drift
+SAG = 0.003  # of the torque added by the body: effect of 2 mrad of sag on the lever arms of the robot's own weight
+SCATTER_FREEDOM = 3  # degrees of freedom from which the scatter of the mean torques is used
 INSTANTS = 50  # of a window at which gravity is averaged
 
 
 @dataclass(frozen=True)
 class BodyEvidence:
-    """What measurements of axis `joint` tell of phi (10,), and of where: poses of sweeps, or ids of free motions."""
+    """Information on phi (10,) from axis `joint`, and its source: poses of sweeps, or ids of free motions."""
 
     joint: str
     information: Information
-    gain_vector: Array  # (10, n): what the efforts of each axis of the robot bring to information.vector
+    gain_vector: Array  # (10, n): contribution of the efforts of each axis of the robot to information.vector
     source: str
 
 
 def sweep_evidence(
     robot: Robot, before: Sequence[Sweep], after: Sequence[Sweep], gains: Mapping[str, float]
 ) -> list[BodyEvidence]:
-    """Of every axis swept with lines in the same poses before and after; efforts are divided by `gains`."""
+    """For every axis swept with lines in the same poses before and after; efforts are divided by `gains`."""
     spectra = [[_true(spectrum(robot, s), gains) for s in part if s.spec.periodic] for part in _lines(before, after)]
     found: list[BodyEvidence] = []
     for number, joint in enumerate(robot.joints):
@@ -62,12 +62,12 @@ def sweep_evidence(
 
 
 def last_link(robot: Robot) -> slice:
-    """Of the last link's ten parameters among those of all links."""
+    """The last link's ten parameters among those of all links."""
     return slice(BODY * (len(robot.axes) - 1), BODY * len(robot.axes))
 
 
 def _lines(before: Sequence[Sweep], after: Sequence[Sweep]) -> tuple[list[Sweep], list[Sweep]]:
-    """Sweeps whose spectrum has lines and that show inertia; trajectories of several axes are none of them."""
+    """Sweeps whose spectrum has lines and contains inertia, without trajectories of several axes."""
     kept = [[s for s in part if s.spec.excitation == "multisine" and s.spec.shows_inertia] for part in (before, after)]
     return kept[0], kept[1]
 
@@ -94,7 +94,7 @@ def _inertia(robot: Robot, number: int, before: Sequence[Spectrum], after: Seque
 def _mean_torque(
     robot: Robot, number: int, before: Sequence[Sweep], after: Sequence[Sweep], gain: float
 ) -> Information | None:
-    """From the mean efforts of sweeps that moved alike; None where none did, or gravity does not act on the axis."""
+    """From the mean efforts of equal sweeps; None if there are none, or if gravity does not act on the axis."""
     joint, rated = robot.joints[number], robot.axes[number].rated_effort
     earlier = {_motion(s): s for s in before if s.spec.axis == joint and _turns(s)}
     matched = [(earlier[_motion(s)], s) for s in after if s.spec.axis == joint and _turns(s) and _motion(s) in earlier]
@@ -110,7 +110,7 @@ def _mean_torque(
         return None
     fitted = rows @ np.linalg.lstsq(rows, values, rcond=1e-9)[0]
     freedom = len(values) - drift.shape[1] - int(np.linalg.matrix_rank(rows, 1e-9 * float(np.abs(rows).max())))
-    scatter = np.sqrt(float(np.sum((values - fitted) ** 2)) / freedom) if freedom >= FEW else DRIFT * rated
+    scatter = np.sqrt(float(np.sum((values - fitted) ** 2)) / freedom) if freedom >= SCATTER_FREEDOM else DRIFT * rated
     noise = max(float(scatter), DRIFT_LEAST * rated)
     covariance = np.diag(noise**2 + sag**2) + np.outer(sag, sag)
     return Information.empty(BODY).add(rows, values, covariance)

@@ -1,1 +1,1 @@
-"""Samples of a sweep to its lines."""
+"""From the samples of a sweep to its lines."""

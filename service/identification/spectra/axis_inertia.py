@@ -1,4 +1,4 @@
-r"""The drive train of one axis in the frequency domain, and the paper's formula beside it.
+r"""The drive train of one axis in the frequency domain, and the paper's formula for comparison.
 
 Effort over motor velocity of two masses and a spring, friction on both sides, all on the joint side, s = i omega
 (compliance form, so that a stiff train is simply c = 0):
@@ -6,10 +6,10 @@ Effort over motor velocity of two masses and a spring, friction on both sides, a
     Z = s Jm + mu_m + Z_l F,   Z_l = s J_l + mu_l + k_g / s,   F = 1 / (1 + Y Z_l),   Y = s c / (1 + s h)
 
 c = 1/k compliance [rad/(N m)], h = d/k time constant of the damping [s], k_g gravity stiffness [N m/rad]. F is also
-what a torque that acts on the load needs at the motor. Well below the locked-rotor frequency  Im Z / omega  tends to
+the motor torque per torque on the load. Well below the locked-rotor frequency  Im Z / omega  tends to
 Jm + J_l, the axis inertia.
 
-The paper's equation (8) takes a rigid train and |Im Z| at one line: `paper_inertia`.
+The paper's equation (8) assumes a rigid train and uses |Im Z| at one line: `paper_inertia`.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, slots=True)
 class DriveTrain:
-    """What all poses of an axis share; SI on the joint side. Order of `as_array` and of all derivatives."""
+    """Parameters shared by all poses of an axis; SI on the joint side. Order of `as_array` and of all derivatives."""
 
     motor_inertia: float  # kg m^2 (kg), reflected
     motor_friction: float  # N m s/rad (N s/m)
@@ -37,7 +37,7 @@ class DriveTrain:
         )
 
     def locked_rotor_frequency(self, load_inertia: float) -> float:
-        """1/(2 pi) sqrt(k / J_l), Hz; inf for a stiff train, or where noise made the load vanish."""
+        """1/(2 pi) sqrt(k / J_l), Hz; inf for a stiff train, or if noise makes J_l zero or negative."""
         if self.compliance <= 0 or load_inertia <= 0:
             return float("inf")
         return float(1 / np.sqrt(self.compliance * load_inertia) / (2 * np.pi))
@@ -45,7 +45,7 @@ class DriveTrain:
 
 @dataclass(frozen=True, slots=True)
 class Impedance:
-    """Z and F at some frequencies (..., b), with what their derivatives need."""
+    """Z and F at some frequencies (..., b), with the terms needed for their derivatives."""
 
     s: Complex
     load: Complex  # Z_l
@@ -65,7 +65,7 @@ class Impedance:
 def impedance(
     frequency: Array, train: DriveTrain, load_inertia: float | Array, gravity_stiffness: float | Array
 ) -> Impedance:
-    """The two-mass impedance at `frequency` (..., b), Hz; loads that broadcast against it."""
+    """The two-mass impedance at `frequency` (..., b), Hz; the load parameters broadcast against it."""
     s: Complex = np.multiply(2j * np.pi, frequency, dtype=np.complex128)
     load = s * load_inertia + train.load_friction + gravity_stiffness / s
     spring = s * train.compliance / (1 + s * train.damping_time)

@@ -1,22 +1,22 @@
-r"""From the samples of one sweep to its lines: DFT of effort, velocity and of everything else that may explain effort.
+r"""From the samples of one sweep to its lines: DFT of effort, velocity and of all regressors of the effort.
 
-A measured window of P whole periods has bins at multiples of 1/(P period). The excited bins carry the answer; the bins
-between them carry what must not get into it: the swing-out of the elastic load, gravity changing along the way, torque
-ripple. So all bins between `LOW` and the last line plus `MARGIN` are kept, and of each candidate regressor x(t) its own
-DFT over the same window (never a formula for it): nothing has to be periodic for the equation
+A measured window of P whole periods has bins at multiples of 1/(P period). The excited bins contain the response; the
+bins between them contain disturbances: the transient of the elastic load, gravity changing along the path, torque
+ripple. So all bins between `LOW` and the last line plus `MARGIN` are kept, and for each candidate regressor x(t) its
+DFT over the same window (not a formula for it): no signal has to be periodic for the equation
 
     effort = sum theta_j x_j     =>     DFT[effort] = sum theta_j DFT[x_j]
 
 to hold bin by bin. X = 1/N sum_n x_n exp(-2 pi i f n / rate): a sine of amplitude a gives |X| = a/2, white noise of
 standard deviation s gives real and imaginary parts of variance s^2 / (2 N).
 
-A direct encoder gives the way q of the load. Its velocity is differentiated in the frequency domain, after the straight
-line through both ends of the window is taken out:  DFT[dq/dt] = i omega DFT[q - ramp]  at bins above 0 Hz. (Difference
-quotients would mimic elasticity.) Its noise enters as a regressor's noise, 10^-4 of the motion and less.
+A direct encoder measures the position q of the load. It is differentiated in the frequency domain, after the straight
+line through both ends of the window is subtracted:  DFT[dq/dt] = i omega DFT[q - ramp]  at bins above 0 Hz. (Difference
+quotients would act like elasticity.) Its noise is noise of a regressor, 10^-4 of the motion and less.
 
 Records without lines (a plain trajectory) use the trapezoidal rule, which approximates the integral over the record to
-second order also when its ends differ, and keep the bins from 0 Hz to `FREE_BAND`. At those bins the first and the last
-sample turn alike, so it is the DFT of all but the last sample with their mean in the first's place.
+second order also if its ends differ, and keep the bins from 0 Hz to `FREE_BAND`. At those bins the first and the last
+sample have the same phase factor, so it is the DFT without the last sample and with their mean as first sample.
 """
 
 from dataclasses import dataclass
@@ -33,21 +33,23 @@ from service.robot import Axis, Robot
 Complex = NDArray[np.complex128]
 Bins = NDArray[np.int_]
 
-LOW = 1.0  # Hz: below, load- and position-dependent friction takes over
+LOW = 1.0  # Hz: below, load- and position-dependent friction dominates
 MARGIN = 3.0  # Hz above the last line
 FREE_BAND = 20.0  # Hz
-SAME_WAY = 0.5  # by which the ways of load and motor over the window may differ, relative
+BELOW_NYQUIST = 0.4  # of the sample rate: above, filters against aliasing distort
+WHOLE = 1e-6  # relative, by which a number of samples or of periods may differ from a whole one
+SAME_WAY = 0.5  # allowed relative difference of load and motor travel over the window
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """What identification keeps of one sweep: b bins of the window's DFT; SI on the joint side.
+    """Data of one sweep used by the identification: b bins of the window's DFT; SI on the joint side.
 
-    `regressors` (r, b): DFTs of the signals named by `names`: "gravity_torque" cos d and "gravity_stiffness" sin d of
-    the way d since the start pose (revolute), "ripple" cos and sin of each cogging and transmission order of the motor
-    angle, "coulomb" sign of the velocity where it reverses. A free record also has "acceleration", "offset" and "drag",
-    the velocity times its amount.
-    `load_velocity` (b,) is the direct encoder's, None without one.
+    `regressors` (r, b): DFTs of the signals named by `names`: "gravity_torque" cos d and "gravity_stiffness" sin d
+    of the travel d since the start pose (revolute), "ripple" cos and sin of each cogging and transmission order of
+    the motor angle, "coulomb" sign of the velocity if it reverses. A free record also has "acceleration", "offset"
+    and "drag", the velocity times its magnitude. `load_velocity` (b,) is that of the direct encoder, None without
+    one.
     """
 
     spec: SweepSpec
@@ -61,11 +63,11 @@ class Spectrum:
     load_velocity: Complex | None = None  # (b,)
 
     def named(self, name: str) -> Complex:
-        """All regressors of one name, (r', b)."""
+        """All regressors with one name, (r', b)."""
         return self.regressors[[k for k, own in enumerate(self.names) if own == name]]
 
     def to_document(self) -> SpectrumDocument:
-        """For a file; floats survive exactly."""
+        """For a file; floats are stored without loss."""
         return {
             "spec": self.spec.model_dump(mode="json"),
             "samples": self.samples,
@@ -82,7 +84,7 @@ class Spectrum:
     def from_document(cls, document: SpectrumDocument) -> "Spectrum":
         """The inverse of `to_document`."""
         bins = len(document["frequency"])
-        load = document.get("load_velocity")  # spectra stored before there was one do not have the key
+        load = document.get("load_velocity")  # spectra stored by earlier versions lack the key
         return cls(
             spec=SweepSpec.model_validate(document["spec"]),
             samples=document["samples"],
@@ -97,16 +99,16 @@ class Spectrum:
 
 
 def spectrum(robot: Robot, sweep: Sweep) -> Spectrum:
-    """The spectrum of one sweep of an axis of `robot`; BadInput where the record cannot hold it."""
+    """The spectrum of one sweep of an axis of `robot`. Raises BadInput if the record is too short or invalid."""
     spec, record = sweep.spec, sweep.recording
     index = robot.index(spec.axis)
-    _check_numbers(spec, record)
+    check_numbers(spec, record)
     return (_periodic if spec.periodic else _free)(robot, index, spec, record)
 
 
-def _check_numbers(spec: SweepSpec, record: Recording) -> None:
+def check_numbers(spec: SweepSpec, record: Recording) -> None:
     """BadInput for a NaN or an infinite sample: one would be in every bin."""
-    for name in ("effort", "velocity", "position", "load_velocity", "load_position"):
+    for name in ("effort", "velocity", "position", "load_velocity", "load_position", "excitation_effort"):
         column: Array | None = getattr(record, name)
         if column is not None and not np.isfinite(column).all():
             sample = int(np.flatnonzero(~np.isfinite(column))[0])
@@ -132,7 +134,7 @@ def _periodic(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> S
 
 
 def _load_velocity(spec: SweepSpec, record: Recording, first: int, count: int, bins: Bins) -> Complex | None:
-    """Of the direct encoder at `bins`; BadInput where it moves another way than the motor does."""
+    """Velocity of the direct encoder at `bins`. BadInput if its travel differs from that of the motor."""
     if record.load_position is None:
         return None if record.load_velocity is None else _dft(record.load_velocity[first : first + count], bins)
     way, motor = _way(record.load_position, first, count), _way(record.position, first, count)
@@ -147,7 +149,7 @@ def _load_velocity(spec: SweepSpec, record: Recording, first: int, count: int, b
 
 
 def _way(position: Array, first: int, count: int) -> Array:
-    """Way (count + 1,) since the window's start, up to the sample that follows it; carried on where there is none."""
+    """Travel (count + 1,) since the window's start, including the sample after it, which is extrapolated if missing."""
     way = position[first : first + count + 1] - position[first]
     return way if len(way) > count else np.append(way, 2 * way[-1] - way[-2])
 
@@ -158,7 +160,7 @@ def _free(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> Spect
     if len(time) < 8:
         raise BadInput(f"sweep {spec.id}", f"only {len(time)} samples after measure_from {spec.measure_from} s")
     length = float(time[-1])
-    bins = np.arange(int(min(FREE_BAND, 0.4 * spec.sample_rate) * length) + 1)
+    bins = np.arange(int(min(FREE_BAND, BELOW_NYQUIST * spec.sample_rate) * length) + 1)
     frequency = bins / length
     part = slice(first, None)
     names, signals = _signals(robot, index, spec, record, part)
@@ -182,12 +184,12 @@ def _free(robot: Robot, index: int, spec: SweepSpec, record: Recording) -> Spect
 
 
 def window(spec: SweepSpec, time: Array) -> tuple[int, int]:
-    """First sample and number of samples of the measured window; BadInput where the record is too short for it."""
+    """First sample and number of samples of the measured window. BadInput if the record is too short for it."""
     if spec.period is None or spec.periods is None:
         raise BadInput(f"sweep {spec.id}", "has no whole periods")
     wanted = spec.period * spec.periods * spec.sample_rate
     count = round(wanted)
-    if abs(wanted - count) > 1e-6 * wanted:
+    if abs(wanted - count) > WHOLE * wanted:
         raise BadInput(
             f"sweep {spec.id}",
             f"{spec.periods} periods of {spec.period} s are not whole samples at {spec.sample_rate} Hz",
@@ -208,21 +210,21 @@ def _dft(signals: Array, bins: Bins) -> Complex:
 
 
 def _trapezoidal_dft(signals: Array, bins: Bins) -> Complex:
-    """The same by the trapezoidal rule, over a record (..., n) whose ends both count."""
+    """The same by the trapezoidal rule, over a record (..., n) including both ends."""
     folded = signals[..., :-1].copy()
     folded[..., 0] = (signals[..., 0] + signals[..., -1]) / 2
     return _dft(folded, bins)
 
 
 def _bins(spec: SweepSpec, count: int) -> tuple[Bins, NDArray[np.bool_]]:
-    """Numbers of the bins in use and which of them are excited; BadInput for a line between two bins."""
+    """Numbers of the bins in use and which of them are excited. BadInput for a line between two bins."""
     step = spec.sample_rate / count
     number = np.array([sine.frequency for sine in spec.sines]) / step
-    if np.any(np.abs(number - np.round(number)) > 1e-6 * number):
+    if np.any(np.abs(number - np.round(number)) > WHOLE * number):
         raise BadInput(f"sweep {spec.id}", f"a sine is not a whole multiple of {step:.6g} Hz, the window's resolution")
     lines = np.round(number).astype(int)
     highest = int(lines.max())
-    last = max(highest, min(highest + round(MARGIN / step), int(0.4 * count)))
+    last = max(highest, min(highest + round(MARGIN / step), int(BELOW_NYQUIST * count)))
     first = max(1, min(round(LOW / step), int(lines.min())))
     bins = np.arange(first, last + 1)
     return bins, np.isin(bins, lines)

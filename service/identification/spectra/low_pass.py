@@ -1,10 +1,10 @@
-r"""One zero-phase low-pass for every signal of a record, with the derivatives taken where it acts: in frequency.
+r"""One zero-phase low-pass for every signal of a record; derivatives are computed in the frequency domain as well.
 
     H(f) = erfc((f - cut) / (sqrt(2) ROLL_OFF cut)) / 2,        d^k/dt^k:  (2 pi i f)^k H(f)
 
-The edge is a Gaussian's integral, so the filter's memory ends like a Gaussian of 1 / (2 pi ROLL_OFF cut) seconds. Ends
-of a record are continued by their point reflection, which keeps value and slope: right where an axis rests at the end,
-wrong by the acceleration otherwise, within `memory` of the end.
+The edge is the integral of a Gaussian, so the filter's memory decays like a Gaussian of 1 / (2 pi ROLL_OFF cut) s. Ends
+of a record are extended by point reflection, which keeps value and slope: correct if an axis rests at the end,
+otherwise wrong by the acceleration within `memory` of the end.
 """
 
 from typing import cast
@@ -19,11 +19,11 @@ from service.identification.spectra.frequency_response import Complex
 Array = NDArray[np.float64]
 
 ROLL_OFF = 0.2  # of the cut-off
-DEVIATIONS = 4.0  # of the Gaussian after which the filter has forgotten
+DEVIATIONS = 4.0  # standard deviations of the Gaussian that are counted as memory
 
 
 def memory(cut: float) -> float:
-    """How far the filter looks to either side, s."""
+    """Length of the filter on either side, s."""
     return DEVIATIONS / (2 * np.pi * ROLL_OFF * cut)
 
 
@@ -34,7 +34,7 @@ def low_pass(signals: Array, rate: float, cut: float, derivative: int = 0) -> Ar
     more = min(int(next_fast_len(count + 2 * pad, real=True)) - count - pad, count - 1)  # primes are slow
     before = 2 * signals[:1] - signals[pad:0:-1]
     after = 2 * signals[-1:] - signals[-2 : -more - 2 : -1]
-    # the middle of the ends is taken out, so that numbers far from zero lose no digits
+    # the mean of the ends is subtracted, so that numbers far from zero lose no digits
     middle = (signals[:1] + signals[-1:]) / 2
     longer = np.concatenate([before, signals, after]) - middle
     frequency = np.fft.rfftfreq(len(longer), 1 / rate)

@@ -1,32 +1,32 @@
-r"""The frequency response of an axis' drive train, with what was injected as reference.
+r"""The frequency response of an axis' drive train, with the injected torque as reference.
 
-While the axis turns slowly the drive adds a periodic torque r inside of its own speed loop. Effort u and velocity v
-answer to r, but also to torque ripple and to whatever else disturbs the axis, and the loop feeds that back into both:
+While the axis moves slowly, the drive adds a periodic torque r inside its speed loop. Effort u and velocity v
+respond to r, but also to torque ripple and other disturbances of the axis, and the loop feeds that back into both:
 u/v, or the H1 estimate sum(u v*) / sum(|v|^2), then lies between the impedance and minus the controller's gain. With r
 as reference (Pintelon and Schoukens, System Identification, 2012, sec. 2.6.2 and 2.7)
 
     Z = Gamma/Omega = E[u/r] / E[v/r]
 
-what does not belong to r averages out of both. How the averaged parts scatter is the covariance C of u/r and v/r, and
+everything uncorrelated with r averages out. The scatter of the averaged parts is the covariance C of u/r and v/r, and
 
     var Z = (C_uu + |Z|^2 C_vv - 2 Re(Z* C_uv)) / |E[v/r]|^2.
 
-Averaged are runs, or single periods where runs are few. Of a run of P periods the lines of r are every P-th bin; the
-offset is chosen so that no ripple falls on one (`excitation.ripple_free_offset`). That is not enough: torque that hangs
-on the position acts on a soft loop like friction that falls with speed, some 100 N m s/rad where there are 200, and as
-the axis never turns exactly as fast as it should, the ends of the window differ. On the five bins n round each line of
+Runs are averaged, or single periods if there are few runs. In a run of P periods the lines of r are every P-th bin; the
+offset is chosen so that no ripple falls on one (`excitation.ripple_free_offset`). That is not sufficient: torque that
+depends on the position acts on a soft loop like friction that decreases with speed, about 100 N m s/rad of 200, and as
+the speed of the axis is never exact, the ends of the window differ. On the five bins n around each line of
 the whole window (local polynomial method, loc. cit. sec. 7.2)
 
     u_n = (Z + Z' n) v_n + e + sum theta_j x_jn,    x = DFT of cos and sin of known orders times the motor angle,
 
-with theta common to all lines, Z, Z' and the window's ends e their own. Least squares give theta and e, which the
-effort then loses; Z would be the biased quotient and is not kept.
+with theta common to all lines, Z, Z' and the window's ends e their own. Least squares give theta and e. They are
+subtracted from the effort; Z of this fit is the biased quotient and is not used.
 
-Gravity that changes along the way is a ramp in the effort that would leak onto every line: each signal loses the
-straight line that the means of its periods show, which no periodic signal takes part in.
+Gravity that changes along the path is a ramp in the effort that would leak onto every line: from each signal the
+straight line through the means of its periods is subtracted, which does not change periodic signals.
 
-A drive without torque injection is measured by sines of its speed set-point, a few lines a sweep: `stepped_response`
-makes the same of them, r being the commanded sine.
+A drive without torque injection is measured by sines of its speed set-point, a few lines per sweep: `stepped_response`
+computes the same from them, with the commanded sine as r.
 """
 
 from collections.abc import Sequence
@@ -36,7 +36,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.errors import BadInput
-from service.identification.spectra.frequency_response import Spectrum, ripple_orders, window
+from service.identification.spectra.frequency_response import (
+    BELOW_NYQUIST,
+    Spectrum,
+    check_numbers,
+    ripple_orders,
+    window,
+)
 from service.identification.spectra.pairs import from_pairs, pairs
 from service.recording import Array, Sweep, SweepSpec
 from service.results.identified.spectrum import NoiseDocument
@@ -44,15 +50,15 @@ from service.robot import Axis, Robot
 
 Complex = NDArray[np.complex128]
 
-EXCITED = 0.1  # of the strongest line of the reference: what is below was not excited
-ENOUGH_RUNS = 3  # from so many on, runs are averaged instead of periods
+EXCITED = 0.1  # of the strongest line of the reference: weaker lines count as not excited
+ENOUGH_RUNS = 3  # from this number on, runs are averaged instead of periods
 NEAR = 2  # bins on either side of a line from which ripple is found
 NEIGHBOURS = 3  # lines on either side over which noise is averaged
 
 
 @dataclass(frozen=True)
 class NoiseSpectrum:
-    """What is kept of one noise run: DFTs of each of its p periods at the b excited lines; SI on the joint side."""
+    """Data of one noise run: DFTs of each of its p periods at the b excited lines; SI on the joint side."""
 
     spec: SweepSpec
     frequency: Array  # (b,) Hz
@@ -61,7 +67,7 @@ class NoiseSpectrum:
     velocity: Complex  # (p, b)
 
     def to_document(self) -> NoiseDocument:
-        """For a file; floats survive exactly."""
+        """For a file; floats are stored without loss."""
         return {
             "spec": self.spec.model_dump(mode="json"),
             "frequency": self.frequency.tolist(),
@@ -99,10 +105,10 @@ class Response:
         return self.effort / self.velocity
 
     def variance(self, impedance: Complex) -> Array:
-        """E|error of Z|^2 (b,) where the true impedance is `impedance` (b,).
+        """E|error of Z|^2 (b,) if the true impedance is `impedance` (b,).
 
-        What neither answers to the reference nor fits the impedance is noise of the effort, alike on neighbouring
-        lines: it is averaged over them.
+        The part that neither responds to the reference nor fits the impedance is noise of the effort, similar on
+        neighbouring lines: it is averaged over them.
         """
         own = self.covariance[:, 0, 0].real + np.abs(impedance) ** 2 * self.covariance[:, 1, 1].real
         shared = 2 * (impedance.conj() * self.covariance[:, 0, 1]).real
@@ -110,14 +116,16 @@ class Response:
 
 
 def has_reference(sweep: Sweep) -> bool:
-    """Is it a noise run of whole periods whose injected torque was recorded?"""
+    """Whether it is a noise run of whole periods with recorded injected torque."""
     spec = sweep.spec
     return spec.excitation == "noise" and spec.periods is not None and sweep.recording.excitation_effort is not None
 
 
 def noise_spectrum(robot: Robot, sweep: Sweep) -> NoiseSpectrum:
-    """The spectrum of one noise run of an axis of `robot`; BadInput without injected torque or whole periods."""
+    """The spectrum of one noise run of an axis of `robot`; BadInput without injected torque or whole periods, or
+    where a sample is not a finite number."""
     spec, record = sweep.spec, sweep.recording
+    check_numbers(spec, record)
     place = f"sweep {spec.id}"
     if record.excitation_effort is None:
         raise BadInput(place, "has no column excitation_effort, the reference of its frequency response")
@@ -130,7 +138,7 @@ def noise_spectrum(robot: Robot, sweep: Sweep) -> NoiseSpectrum:
     reference, effort, velocity = (
         _without_drift(column[part], periods) for column in (record.excitation_effort, record.effort, record.velocity)
     )
-    strength = np.abs(np.fft.rfft(reference)[::periods])[: int(0.4 * length) + 1]
+    strength = np.abs(np.fft.rfft(reference)[::periods])[: int(BELOW_NYQUIST * length) + 1]
     lines = np.flatnonzero(strength > EXCITED * strength[1:].max(initial=0.0))
     lines = lines[lines > 0]
     if len(lines) < 2:
@@ -149,7 +157,7 @@ def noise_spectrum(robot: Robot, sweep: Sweep) -> NoiseSpectrum:
 
 
 def noise_response(runs: Sequence[NoiseSpectrum]) -> Response:
-    """The mean over runs of one axis in one pose; BadInput where they do not share their lines, or show no scatter."""
+    """The mean over runs of one axis in one pose. BadInput if their lines differ, or if there is no scatter."""
     for run in runs:
         if not np.array_equal(run.frequency, runs[0].frequency):
             raise BadInput(f"sweep {run.spec.id}", f"has other lines than sweep {runs[0].spec.id} of the same pose")
@@ -161,7 +169,7 @@ def noise_response(runs: Sequence[NoiseSpectrum]) -> Response:
         )
     count = len(parts)
     if count < 2:
-        raise BadInput(f"sweep {runs[0].spec.id}", "one period alone does not show its noise")
+        raise BadInput(f"sweep {runs[0].spec.id}", "one period alone does not determine its noise")
     mean = parts.mean(axis=0)
     error = parts - mean
     scatter = np.einsum("nib,njb->bij", error, error.conj()) / (count - 1)
@@ -169,7 +177,7 @@ def noise_response(runs: Sequence[NoiseSpectrum]) -> Response:
 
 
 def stepped_response(sweeps: Sequence[Spectrum]) -> Response:
-    """The same from sweeps with few lines each, in any number a line; their noise is what the bins between show."""
+    """The same from sweeps with few lines each, any number per line; their noise is that of the bins between."""
     found: dict[float, list[tuple[complex, complex, float]]] = {}
     for sweep in sweeps:
         effort, noise = _without_gravity_and_ripple(sweep)
@@ -188,7 +196,7 @@ def stepped_response(sweeps: Sequence[Spectrum]) -> Response:
     covariance = np.zeros((len(frequency), 2, 2), dtype=np.complex128)
     covariance[:, 0, 0] = mean[:, 2] / count
     effort, velocity = mean[:, 0], mean[:, 1]
-    scatter = mean[:, 2].real * np.abs(velocity / effort) ** 2  # as noise of the velocity
+    scatter = mean[:, 2].real * np.abs(velocity / effort) ** 2  # treated as noise of the velocity
     return Response(frequency, effort, velocity, covariance, _coherence(velocity, scatter))
 
 
@@ -198,7 +206,7 @@ def _coherence(mean: Complex, scatter: Array) -> Array:
 
 
 def _without_drift(signal: Array, periods: int) -> Array:
-    """A signal (n,) less the straight line through the means of its periods."""
+    """A signal (n,) minus the straight line through the means of its periods."""
     if periods == 1:
         return signal
     number = np.arange(periods) - (periods - 1) / 2
@@ -251,12 +259,12 @@ def _smooth(values: Array) -> Array:
 
 
 def _without_gravity_and_ripple(sweep: Spectrum) -> tuple[Complex, float]:
-    """Effort (b,) less what changes along the way, and E|noise|^2 of one of its bins.
+    """Effort (b,) minus the part that changes along the path, and E|noise|^2 of one of its bins.
 
-    Both come from the bins between the lines, where the axis takes the impedance that its lines show on the average.
+    Both come from the bins between the lines, where the axis is assumed to have the mean impedance of its lines.
     """
     s = 2j * np.pi * sweep.frequency
-    beside = ~sweep.line
+    between = ~sweep.line
     z = sweep.effort[sweep.line] / sweep.velocity[sweep.line]
     omega = s[sweep.line].imag
     rigid = s * float(z.imag @ omega / (omega @ omega)) + float(z.real.mean())
@@ -266,11 +274,11 @@ def _without_gravity_and_ripple(sweep: Spectrum) -> tuple[Complex, float]:
         else sweep.named("gravity_torque")
     )
     signals = np.concatenate([gravity, sweep.named("ripple")], axis=0)
-    left = (sweep.effort - rigid * sweep.velocity)[beside]
-    rows = np.vstack([signals[:, beside].T.real, signals[:, beside].T.imag])
+    left = (sweep.effort - rigid * sweep.velocity)[between]
+    rows = np.vstack([signals[:, between].T.real, signals[:, between].T.imag])
     values = np.concatenate([left.real, left.imag])
     if len(values) <= rows.shape[1]:
-        raise BadInput(f"sweep {sweep.spec.id}", "has too few bins between its lines to show its noise")
+        raise BadInput(f"sweep {sweep.spec.id}", "has too few bins between its lines to determine its noise")
     factors = np.linalg.lstsq(rows, values)[0]
     rest = values - rows @ factors
     noise = 2 * float(rest @ rest) / (len(values) - rows.shape[1])

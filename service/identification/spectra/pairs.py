@@ -1,4 +1,4 @@
-"""Complex numbers as pairs [re, im], as they stand in files; they survive exactly."""
+"""Complex numbers as pairs [re, im], the exact format of files."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,6 @@ def pairs(values: Complex) -> Pairs:
     return [[value.real, value.imag] for value in values.tolist()]
 
 
-def from_pairs(told: Pairs) -> Complex:
+def from_pairs(values: Pairs) -> Complex:
     """The inverse: (n,)."""
-    return np.array([complex(re, im) for re, im in told], dtype=np.complex128)
+    return np.array([complex(re, im) for re, im in values], dtype=np.complex128)

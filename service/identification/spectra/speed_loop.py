@@ -1,20 +1,20 @@
 r"""Inertia from the frequency response of a drive's speed control loop, on the motor side.
 
-Speed set-point r to speed v. The controller's gain K makes the torque K e of e = r - v, and with
+Speed set-point r to speed v. The controller with gain K commands the torque K e of e = r - v. With
 
     r/v = 1 + (a s + c) e^(s tau) D(s),        a = J/K,  c = mu/K
 
-a rigid train answers that comes `tau` late (current control, filters). D = 1 where the integral part sees the
-reference model of the loop, or where there is none; D = Ti s/(1 + Ti s) where it acts on e. Without the gain, only a,
-in s, can be told; no speed says how large a torque was.
+a rigid train responds with the delay `tau` (current control, filters). D = 1 if the integral part uses the
+reference model of the loop, or if there is none; D = Ti s/(1 + Ti s) if it acts on e. Without the gain, only a,
+in s, can be determined, because speeds contain no absolute torque.
 
-Torque to speed. Then J itself shows:  torque/v = s (Jm + (J - Jm)/(1 - (f/f0)^2)) + mu,  with the rotor's inertia Jm
-and the lowest antiresonance f0 (where the load swings and the motor stands), where they are known.
+Torque to speed. Then J itself is determined:  torque/v = s (Jm + (J - Jm)/(1 - (f/f0)^2)) + mu,  with the rotor's
+inertia Jm and the lowest antiresonance f0 (the load oscillates and the motor stands), if they are known.
 
-The model is fitted to the lines of a band, unweighted, for what is left over is far above the noise: it repeats in both
-directions and from period to period. Its standard deviation is hence that of the parts: the band is divided into
+The model is fitted to the lines of a band, unweighted, because the residual is far above the noise: it repeats in both
+directions and from period to period. The standard deviation is therefore that of the parts: the band is divided into
 G = `PARTS` stretches of lines, var = (G - 1)/G sum_g (theta_g - mean)^2 of the fits without one each, times
-(t_0.975(G - 1)/1.96)^2, so that two standard deviations hold 95 %; or what least squares say, if that is larger.
+(t_0.975(G - 1)/1.96)^2, so that two standard deviations cover 95 %; or that of least squares, if it is larger.
 """
 
 from collections.abc import Callable
@@ -23,27 +23,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from service.errors import BadInput
+from service.identification.model.convergence import finite
+from service.identification.model.least_squares import jackknife_factor
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-FOLLOWS = 0.5  # |v/r| down to which the loop is used: beyond, structural modes and delays rule
+FOLLOWS = 0.5  # |v/r| down to which the loop is used: beyond, structural modes and delays dominate
 RIGID = 0.5  # of the lowest antiresonance up to which torque to speed is used
 PARTS = 5
 FEWEST = 12  # lines
 DELAY = 1e-3  # s, at which the fit starts
+SCALES = (0.1, 0.1, 0.01)  # of inertia and delay over their starts, and of c: steps of the search
 
 
 @dataclass(frozen=True)
 class LoopFit:
     """`inertia`: J/K in s of a closed loop, J in kg m^2 of a torque response; `friction` c or mu.
 
-    `band` Hz and number of `lines` used; `misfit`: RMS of what is left over, relative to the response. `ended`: how the
-    iteration ended; a linear fit needs none.
+    `band` Hz and number of `lines` used; `misfit`: RMS of the residual relative to the response. `ended`: how the
+    iteration ended; empty for a linear fit.
     """
 
     inertia: float
@@ -68,10 +69,13 @@ class _Solution:
 
 
 def fit_closed_loop(frequency: Array, response: Complex, place: str, reset_time: float | None = None) -> LoopFit:
-    """From v/r (b,) at `frequency` (b,), Hz; BadInput at `place` where it is no loop that follows.
+    """From v/r (b,) at `frequency` (b,), Hz. Raises BadInput at `place` if the response is not that of a closed loop.
+
+    BadInput also where a line is not finite, and where the fit, or one without a stretch of lines, does not converge.
 
     `reset_time` s: of an integral part that acts on the control error; None: it does not answer the set-point.
     """
+    finite(response, place, "its response")
     inside = _band(frequency, _follows(response), place)
     f, measured = frequency[inside], response[inside]
     s: Complex = np.multiply(2j * np.pi, f, dtype=np.complex128)
@@ -84,11 +88,11 @@ def fit_closed_loop(frequency: Array, response: Complex, place: str, reset_time:
             left = 1 / (1 + train * integral[used]) - measured[used]
             return np.concatenate([left.real, left.imag])
 
-        found = least_squares(error, np.array([1.0, 1.0, 0.0]), method="lm", x_scale=np.array([0.1, 0.1, 0.01]))
+        found = least_squares(error, np.array([1.0, 1.0, 0.0]), method="lm", x_scale=np.array(SCALES))
         solution = _of_jacobian(np.asarray(found.x), np.asarray(found.jac), np.asarray(found.fun), measured[used])
         return replace(solution, converged=bool(found.success), ended=" ".join(str(found.message).split()))
 
-    whole, std = _with_parts(len(f), solve)
+    whole, std = _with_parts(f, solve, place)
     if not whole.converged or not whole.values[0] * first > 0:
         raise BadInput(place, f"shows no inertia from {f[0]:.3g} to {f[-1]:.3g} Hz: {whole.ended}")
     return LoopFit(
@@ -113,7 +117,9 @@ def fit_torque_response(
     antiresonance: float | None = None,
     motor_inertia: float = 0.0,
 ) -> LoopFit:
-    """From v/torque (b,), rad/s per N m, at `frequency` (b,), Hz, from `lowest` on; BadInput for too few lines."""
+    """From v/torque (b,), rad/s per N m, at `frequency` (b,), Hz, from `lowest` on; BadInput for too few lines, or
+    one that is not finite."""
+    finite(response, place, "its response")
     highest = np.inf if antiresonance is None else RIGID * antiresonance
     inside = _band(frequency, (frequency >= lowest) & (frequency <= highest), place)
     f, measured = frequency[inside], response[inside]
@@ -128,7 +134,7 @@ def fit_torque_response(
         x = np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0], dtype=float)
         return _of_jacobian(x, matrix, matrix @ x - right, np.ones(len(used), dtype=np.complex128))
 
-    whole, std = _with_parts(len(f), solve)
+    whole, std = _with_parts(f, solve, place)
     return LoopFit(
         inertia=float(whole.values[0]),
         inertia_std=float(std[0]),
@@ -158,17 +164,28 @@ def _band(frequency: Array, wanted: NDArray[np.bool_], place: str) -> NDArray[np
 
 
 def _of_jacobian(values: Array, jacobian: Array, left: Array, measured: Complex) -> _Solution:
-    """Of residuals `left` (m,) with their derivatives (m, p), relative to what was `measured`."""
+    """Solution from residuals `left` (m,) and their derivatives (m, p); misfit relative to the `measured` response."""
     variance = float(left @ left) / (len(left) - len(values))
     covariance = np.asarray(variance * np.linalg.pinv(jacobian.T @ jacobian), dtype=float)
     return _Solution(values, covariance, float(np.linalg.norm(left) / np.linalg.norm(measured)))
 
 
-def _with_parts(count: int, solve: Callable[[NDArray[np.int_]], _Solution]) -> tuple[_Solution, Array]:
-    """The fit of all `count` lines and its standard deviations (p,); see the module's header."""
-    lines = np.arange(count)
+def _with_parts(
+    frequency: Array, solve: Callable[[NDArray[np.int_]], _Solution], place: str
+) -> tuple[_Solution, Array]:
+    """The fit of all lines at `frequency` (b,) and its standard deviations (p,); see the module's header.
+
+    BadInput where a fit without one stretch of lines does not converge: there is no standard deviation then.
+    """
+    lines = np.arange(len(frequency))
     whole = solve(lines)
-    without = np.array([solve(lines[lines * PARTS // count != part]).values for part in range(PARTS)])
-    factor = float(student.ppf(0.975, PARTS - 1) / norm.ppf(0.975))
-    by_parts = factor**2 * (PARTS - 1) * np.var(without, axis=0)
+    without: list[Array] = []
+    for part in range(PARTS):
+        inside = lines * PARTS // len(lines) != part
+        found = solve(lines[inside])
+        if whole.converged and not found.converged:
+            first, last = frequency[~inside][[0, -1]]
+            raise BadInput(place, f"the fit without its lines from {first:.3g} to {last:.3g} Hz ended: {found.ended}")
+        without.append(found.values)
+    by_parts = jackknife_factor(PARTS) ** 2 * (PARTS - 1) * np.var(np.array(without), axis=0)
     return whole, np.sqrt(np.maximum(by_parts, np.diag(whole.covariance)))

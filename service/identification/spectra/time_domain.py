@@ -7,52 +7,51 @@ a low-pass filter applied to every term alike, and the acceleration comes from i
 nor difference quotient biases J. Back in time the K + 1 bins are 2 K + 1 equations at equal distances over the record,
 with the same normal matrix (Parseval).
 
-Gravity of an axis that turns little is a constant to first order, and takes the offset's place. An axis that turns far
-tells both apart: then the constant stays, for a motor under way in one direction hides its dry friction in it.
+Gravity of an axis that moves little is a constant to first order and replaces the offset. An axis that moves far
+separates both: then the constant is kept, because it contains the dry friction of a motor that moves in one direction.
 
-Standard deviations. White noise would give s^2 (A^T A)^-1. What a rigid train does not explain is neither white nor
-independent of the motion, so three estimates of theta's variance are made, and the largest counts:
+Standard deviations. White noise would give s^2 (A^T A)^-1. The residual of a rigid train is neither white nor
+independent of the motion, so three estimates of theta's variance are computed, and the largest is used:
 
 - white noise;
 - stretches: the record is divided into B = `PARTS` of equal length; with theta_b the fit without stretch b,
   var theta = (B - 1)/B sum_b (theta_b - mean)^2 (delete-a-group jackknife, Shao and Wu 1989). It needs stretches longer
-  than the memory of what is left over, and no model of it. It has B - 1 degrees of freedom: the factor
+  than the memory of the residual, and no model of it. It has B - 1 degrees of freedom: the factor
   t_0.975(B - 1)/1.96 keeps "two standard deviations" at 95 %;
 - bins: DFTs of stationary noise of any colour are independent from bin to bin, each with its own variance, for which
-  the bin's residual r stands:  sum_k |(A^T A)^-1 R_k^T (1 - H_k)^-1/2 r_k|^2,  H_k its leverage (HC2, MacKinnon and
+  the bin's residual r is used:  sum_k |(A^T A)^-1 R_k^T (1 - H_k)^-1/2 r_k|^2,  H_k its leverage (HC2, MacKinnon and
   White 1985). That holds for noise whose memory is as long as the record.
 
-An error of the model that is the same all over the record shows in none of them. The one that every drive has is
-friction that is not linear in speed. So the fit is made once more with a term v|v|; by how much that moves J, beyond
-what noise lets it move, is added to its variance. (The friction terms beside v|v| are other terms than those without.)
+A model error that is constant over the record is in none of them. The one that every drive has is
+friction that is not linear in speed. So the fit is repeated with a term v|v|; the change of J, beyond
+that by noise, is added to its variance. (The friction terms with v|v| differ from those without.)
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from service.errors import BadInput
+from service.identification.model.least_squares import jackknife_factor
 from service.identification.spectra.frequency_response import Complex, Spectrum
 
 Array = NDArray[np.float64]
 
-OPEN = 1e-7  # smallest singular value of the unit columns: below, two terms are the same but for rounding
-TURNS_FAR = 0.01  # of its length that a constant must have outside of cos and sin of the way: swings above 0.25 rad
+OPEN = 1e-7  # smallest singular value of the unit columns: below, two terms differ only by rounding
+TURNS_FAR = 0.01  # share of a constant outside the span of cos and sin of the travel: travel above 0.25 rad
 PARTS = 10  # stretches of the record
-FEW_ROWS = 4  # equations that a stretch must have on the average
-LOST = 1e-6  # of the largest singular value: directions that a record without one stretch does not show
-ALONE = 1e-6  # of its equations that a bin must leave to the others, or they say nothing of it
-DRAG_OPEN = 1e-4  # smallest singular value of the unit columns with v|v|: below, the motion does not tell it apart
+FEW_ROWS = 4  # minimum average number of equations per stretch
+LOST = 1e-6  # of the largest singular value: directions missing in a record without one stretch
+ALONE = 1e-6  # minimum share of a bin's equations that the other bins also determine
+DRAG_OPEN = 1e-4  # smallest singular value of the unit columns with v|v|: below, the motion does not separate it
 
 
 @dataclass(frozen=True)
 class FreeFit:
-    """Result of one record; SI on the joint side. `residual_percent`: RMS of what is left over RMS of the effort.
+    """Result of one record; SI on the joint side. `residual_percent`: RMS of the residual over RMS of the effort.
 
-    `by_drag`: what of the standard deviation of J comes from friction that is not linear in speed.
+    `by_drag`: part of the standard deviation of J caused by friction that is not linear in speed.
     """
 
     inertia: float
@@ -63,7 +62,7 @@ class FreeFit:
 
 
 def fit_record(spectrum: Spectrum) -> FreeFit:
-    """Fit one free record; every term that its motion excites takes part. BadInput if that leaves J open."""
+    """Fit one free record with every term that its motion excites. Raises BadInput if J is then undetermined."""
     columns = _columns(spectrum)
     rows, values = _in_time(np.stack(list(columns.values()), -1)), _in_time(spectrum.effort[:, None])[:, 0]
     scale = np.linalg.norm(rows, axis=0)
@@ -71,7 +70,7 @@ def fit_record(spectrum: Spectrum) -> FreeFit:
     if len(values) <= len(scale) or np.linalg.svd(scaled, compute_uv=False)[-1] < OPEN:
         raise BadInput(
             f"sweep {spectrum.spec.id}",
-            f"its motion of {spectrum.samples} samples does not tell inertia from {', '.join(list(columns)[1:])}",
+            f"its motion of {spectrum.samples} samples does not separate inertia from {', '.join(list(columns)[1:])}",
         )
     solution = np.asarray(np.linalg.lstsq(scaled, values, rcond=None)[0], dtype=float)
     residual: Array = values - scaled @ solution
@@ -91,7 +90,7 @@ def fit_record(spectrum: Spectrum) -> FreeFit:
 
 
 def _columns(spectrum: Spectrum) -> dict[str, Complex]:
-    """The DFTs (b,) of what the record's motion excites, by term."""
+    """The DFTs (b,) of the terms excited by the record's motion."""
     columns: dict[str, Complex] = {"inertia": spectrum.named("acceleration")[0], "viscous_friction": spectrum.velocity}
     for name, term in (
         ("coulomb", "coulomb_friction"),
@@ -117,16 +116,18 @@ def _in_time(bins: Complex) -> Array:
 
 
 def _variance(rows: Array, residual: Array, inverse: Array) -> Array:
-    """Variances (p,) by noise of a fit with rows (m, p) of unit length and its residual (m,); see the header."""
+    """Variances (p,) by noise of a fit with rows (m, p) of unit length and its residual (m,); see the module
+    docstring.
+    """
     white = float(residual @ residual) / (len(residual) - rows.shape[1]) * np.diag(inverse)
     return np.maximum.reduce([white, _between_stretches(rows, residual), _between_bins(rows, residual, inverse)])
 
 
 def _between_stretches(rows: Array, residual: Array) -> Array:
-    """Variances (p,) by the jackknife over stretches; 0 where the record is too short to be divided.
+    """Variances (p,) by the jackknife over stretches; 0 if the record is too short to be divided.
 
-    A fit without a stretch differs by the least-squares solution for what is left over outside of it. A direction that
-    only this stretch shows stays as it is.
+    A fit without a stretch differs by the least-squares solution for the residual outside it. A direction shown only
+    by this stretch is not changed.
     """
     if len(rows) < FEW_ROWS * PARTS:
         return np.zeros_like(rows[0])
@@ -134,8 +135,7 @@ def _between_stretches(rows: Array, residual: Array) -> Array:
     without = np.array(
         [np.linalg.lstsq(rows[stretch != b], residual[stretch != b], rcond=LOST)[0] for b in range(PARTS)]
     )
-    factor = float(student.ppf(0.975, PARTS - 1) / norm.ppf(0.975))
-    return np.asarray(factor**2 * (PARTS - 1) * np.var(without, axis=0), dtype=float)
+    return np.asarray(jackknife_factor(PARTS) ** 2 * (PARTS - 1) * np.var(without, axis=0), dtype=float)
 
 
 def _between_bins(rows: Array, residual: Array, inverse: Array) -> Array:
@@ -157,10 +157,11 @@ def _bins(signals: Array) -> Array:
 
 
 def _by_drag(rows: Array, residual: Array, spectrum: Spectrum, inverse: Array) -> float:
-    """What friction with the square of the speed would add to the variance of the first parameter, the noise of telling
-    it taken off; `inverse` (p,) is the parameter's row of the inverse normal matrix."""
+    """Contribution of friction with the square of the speed to the variance of the first parameter, minus the noise of
+    its estimate; `inverse` (p,) is the parameter's row of the inverse normal matrix.
+    """
     drag = spectrum.named("drag")
-    if not len(drag):  # of a spectrum that an earlier version stored
+    if not len(drag):  # spectra stored by earlier versions
         return 0.0
     column = _in_time(drag.T)[:, 0]
     along = float(inverse @ rows.T @ column)

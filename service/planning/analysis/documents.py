@@ -1,4 +1,4 @@
-"""What an initial analysis is asked for, and its plan."""
+"""Request and plan of an initial analysis."""
 
 from typing import Literal
 
@@ -6,13 +6,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.ports import NoiseCommand, SweepMode
 from service.identification.design.noise_excitation import HIGHEST
-from service.planning.documents import DroppedPose, PlannedLeg, PlannedSweep, PlanRequest
+from service.planning.documents import MOVE_VELOCITY, SAMPLE_RATE, DroppedPose, PlannedLeg, PlannedSweep, PlanRequest
 from service.recording import SweepSpec
 from service.store.documents import LARGEST_ID
 
 
 class AnalysisRequest(BaseModel):
-    """What to analyse; `varied`, `step` and `cell` as in a plan of sweeps. `poses` of each axis."""
+    """What to analyse; `varied`, `step` and `cell` as in a plan of sweeps. `poses`: number for each axis."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     kind: Literal["analysis"]
@@ -22,11 +22,11 @@ class AnalysisRequest(BaseModel):
     varied: tuple[str, ...] = Field(min_length=1)
     step: float = Field(default=10.0, ge=0.5, le=90.0)  # deg (prismatic: cm)
     poses: int = Field(default=6, ge=1, le=100)
-    repeats: int = Field(default=2, ge=1, le=10)  # of forward and backward in each pose
-    # None: noise where the machine can inject torque; a stepped sine takes no torque injection
+    repeats: int = Field(default=2, ge=1, le=10)  # of forward and backward noise in each pose
+    # None: noise if the machine can inject torque; a stepped sine needs no torque injection
     excitation: Literal["noise", "stepped_sine"] | None = None
-    sample_rate: float = Field(default=250.0, ge=4 * HIGHEST, le=20_000)  # Hz
-    move_velocity: float = Field(default=0.1, ge=1e-5, le=100.0)  # rad/s (m/s)
+    sample_rate: float = Field(default=SAMPLE_RATE, ge=4 * HIGHEST, le=20_000)  # Hz
+    move_velocity: float = Field(default=MOVE_VELOCITY, ge=1e-5, le=100.0)  # rad/s (m/s)
 
     def as_sweeps(self) -> PlanRequest:
         """The plan of sweeps with the same axes and grid."""
@@ -36,7 +36,7 @@ class AnalysisRequest(BaseModel):
 
 
 class PlannedNoise(BaseModel):
-    """One noise run, the legs that lead to its pose, and the limits it runs under."""
+    """One noise run, the legs that lead to its pose, and its limits."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     spec: SweepSpec
@@ -58,7 +58,7 @@ class PlannedNoise(BaseModel):
         return SweepMode.DRIVE_SIDE
 
     def command(self) -> NoiseCommand:
-        """The run as the drive port takes it."""
+        """The run as a command for the drive port."""
         spec = self.spec
         return NoiseCommand(
             joint=spec.axis,
@@ -80,7 +80,7 @@ class PlannedNoise(BaseModel):
 
 
 class AnalysisPlan(BaseModel):
-    """A whole initial analysis in the order of its runs."""
+    """A complete initial analysis in the order of its runs."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     robot: str
@@ -88,5 +88,5 @@ class AnalysisPlan(BaseModel):
     sweeps: tuple[PlannedNoise | PlannedSweep, ...]
     dropped: tuple[DroppedPose, ...]
     candidates: int  # poses of the grid
-    measurable: int  # of them free, with room for every run
+    measurable: int  # collision-free, with room for every run
     duration: float  # s

@@ -1,8 +1,8 @@
-"""Plans an initial analysis (paper, section 4.1): for each axis some poses from light to heavy, noise both ways in it.
+"""Plans an initial analysis (paper, section 4.1): several poses of each axis, with noise in both directions.
 
-Poses are those of the grid whose inertia about the axis comes nearest to equal steps (by the CAD model, in the
-logarithm) from the lightest to the heaviest that can be measured. A drive without torque injection gets a stepped
-sine instead: sweeps of four lines each that together take every whole Hz of `STEPS`.
+The poses are those of the grid whose inertia about the axis (CAD model) is nearest to equal logarithmic steps, from the
+lightest to the heaviest measurable pose. A drive without torque injection gets a stepped
+sine instead: sweeps of four lines each, which together contain every integer frequency in Hz of `STEPPED_LINES`.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,8 @@ from service.identification.model.regressor import inertia_rows
 from service.planning.analysis.documents import AnalysisPlan, AnalysisRequest, PlannedNoise
 from service.planning.candidates import grid, has_room, room
 from service.planning.documents import DroppedPose, PlannedLeg, PlannedSweep
-from service.planning.itinerary import LEG_OVERHEAD
+from service.planning.sweep_design import TRAVEL_SHARE
+from service.planning.sweep_sequence import LEG_OVERHEAD
 from service.recording import Sine, SweepPurpose, SweepSpec
 from service.robot import Robot
 from service.safety.envelope import Envelope
@@ -30,13 +31,12 @@ from service.safety.travel import order_poses
 Array = NDArray[np.float64]
 Run = PlannedNoise | PlannedSweep
 
-STEPS = tuple(tuple(float(line) for line in range(first, 17, 4)) for first in range(1, 5))  # Hz, sweep by sweep
-STEP_SHARE = 0.25  # of a usual sweep's amplitudes: where the motor stands, the load swings far
-TRAVEL_SHARE = 0.95  # of the travel that the offset takes
+STEPPED_LINES = tuple(tuple(float(line) for line in range(first, 17, 4)) for first in range(1, 5))  # Hz, sweep by sweep
+STEP_SHARE = 0.25  # of normal amplitudes: at frequencies where the motor hardly moves, the load does
 
 
 def build_analysis_plan(robot: Robot, request: AnalysisRequest, cell: Cell) -> AnalysisPlan:
-    """The plan of an initial analysis; BadInput names the field that cannot be met."""
+    """The plan of an initial analysis; BadInput names the field that is impossible."""
     as_sweeps = request.as_sweeps()
     as_sweeps.check(robot)
     envelope = Envelope(robot, cell)
@@ -46,14 +46,17 @@ def build_analysis_plan(robot: Robot, request: AnalysisRequest, cell: Cell) -> A
     axes = [robot.index(joint) for joint in request.axes]
     candidates = free[has_room(envelope, free, axes)]
     if len(candidates) < request.poses:
-        raise BadInput("poses", f"{request.poses} wanted, only {len(candidates)} of the grid are free and have room")
+        raise BadInput(
+            "poses",
+            f"{request.poses} requested, but only {len(candidates)} of the grid are free with room for the sweeps",
+        )
     way = _Way(robot, request, envelope, home)
     for index in axes:
         chosen = spread_poses(robot, index, candidates, request.poses)
         for pose in chosen[order_poses(chosen, np.array(way.here))]:
             way.measure(index, pose)
     if not way.sweeps:
-        raise BadInput("poses", f"none of the poses can be measured, the first because: {way.dropped[0].reason}")
+        raise BadInput("poses", f"no pose can be measured; the first because: {way.dropped[0].reason}")
     return AnalysisPlan(
         robot=robot.name,
         request=request,
@@ -66,7 +69,7 @@ def build_analysis_plan(robot: Robot, request: AnalysisRequest, cell: Cell) -> A
 
 
 def spread_poses(robot: Robot, index: int, candidates: Array, count: int) -> Array:
-    """`count` of the poses (m, n), from the lightest about joint `index` to the heaviest."""
+    """`count` of the poses (m, n), from the smallest to the largest inertia about joint `index`."""
     inertia = np.log(inertia_rows(robot.chain, index, candidates) @ robot.chain.inertial.ravel())
     left = np.ones(len(candidates), dtype=bool)
     picks: list[int] = []
@@ -78,7 +81,7 @@ def spread_poses(robot: Robot, index: int, candidates: Array, count: int) -> Arr
 
 
 class _Way:
-    """Collects the runs along the way."""
+    """Collects the runs in order."""
 
     def __init__(self, robot: Robot, request: AnalysisRequest, envelope: Envelope, home: Array) -> None:
         self._robot, self._request, self._envelope = robot, request, envelope
@@ -88,7 +91,7 @@ class _Way:
         self._clock = 0.0
 
     def measure(self, index: int, pose: Array) -> None:
-        """All runs of an axis in a pose, to and fro over the same travel; or the reason why there are none."""
+        """All runs of an axis in a pose, forward and backward over the same travel; else the reason for none."""
         here, count, clock = list(self.here), len(self.sweeps), self._clock
         direction = 1 if room(self._envelope, pose[None], index, 1)[0] else -1
         start: list[float] = pose.tolist()
@@ -104,8 +107,8 @@ class _Way:
             self.dropped.append(DroppedPose(pose=tuple(pose.tolist()), reason=str(error)))
 
     def _runs(self) -> tuple[tuple[float, ...], ...]:
-        """The lines of each run in a pose; () where it is noise."""
-        once = STEPS if self._request.excitation == "stepped_sine" else ((), ())
+        """The lines of each run in a pose; () for noise."""
+        once = STEPPED_LINES if self._request.excitation == "stepped_sine" else ((), ())
         return once * self._request.repeats
 
     def _design(

@@ -1,1 +1,1 @@
-"""Plans of the experiments that a diagnosis asks for."""
+"""Plans of the experiments that a diagnosis requests."""

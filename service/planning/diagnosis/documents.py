@@ -1,4 +1,4 @@
-"""What a campaign of a diagnosis is asked for, its plan, and that of a single experiment."""
+"""Request and plan of a campaign for a diagnosis, and of a single experiment."""
 
 from collections.abc import Iterable
 from typing import Literal
@@ -9,20 +9,20 @@ from drivers.ports import SweepMode
 from service.diagnosis.sensitivity.design import BLOCKS, FAST, SLOW, WIDE, WIDE_LINES
 from service.errors import BadInput
 from service.identification.estimates.torque_gain import KnownMass
-from service.planning.documents import DroppedPose, PlannedSweep, PlanRequest
+from service.planning.documents import MOVE_VELOCITY, SAMPLE_RATE, DroppedPose, PlannedSweep, PlanRequest
 from service.robot import Robot
 from service.safety.envelope import Limits
 from service.store.diagnosis_documents import BoltedMass
 from service.store.documents import LARGEST_ID
 
-SWAY = 1.05  # of a block's travel: the sines sway on both sides of it
-PEAK = 0.15  # rad/s (m/s), at any instant: the fast blocks are three times as fast as other sweeps
+TRAVEL_MARGIN = 1.05  # of a block's travel: the sines oscillate around the offset motion
+PEAK_VELOCITY = 0.15  # rad/s (m/s), instantaneous: the fast blocks are three times as fast as other sweeps
 
 CELL_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
 
 
 class DiagnosisRequest(BaseModel):
-    """What to measure for a diagnosis; `varied`, `step` and `cell` as in a plan of sweeps. `poses` of each axis."""
+    """What to measure for a diagnosis; `varied`, `step` and `cell` as in a plan of sweeps. `poses`: for each axis."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     kind: Literal["diagnosis"]
@@ -35,8 +35,8 @@ class DiagnosisRequest(BaseModel):
     blocks: tuple[str, ...] = Field(default=BLOCKS, min_length=1)
     repeats: int = Field(default=2, ge=1, le=10)  # of each block, back to back
     modes: Literal["drive_side", "host_streamed"] = "drive_side"
-    sample_rate: float = Field(default=250.0, ge=10 * max(WIDE_LINES), le=20_000)  # Hz
-    move_velocity: float = Field(default=0.1, ge=1e-5, le=100.0)  # rad/s (m/s)
+    sample_rate: float = Field(default=SAMPLE_RATE, ge=10 * max(WIDE_LINES), le=20_000)  # Hz
+    move_velocity: float = Field(default=MOVE_VELOCITY, ge=1e-5, le=100.0)  # rad/s (m/s)
 
     @property
     def mode(self) -> SweepMode:
@@ -49,7 +49,7 @@ class DiagnosisRequest(BaseModel):
         )
 
     def check(self, robot: Robot) -> None:
-        """Does it fit this robot, and itself? BadInput names the field."""
+        """Check against the robot, and for consistency. BadInput names the field."""
         self.as_sweeps().check(robot)
         for block in self.blocks:
             if block not in BLOCKS:
@@ -59,7 +59,7 @@ class DiagnosisRequest(BaseModel):
 
 
 class ExperimentRequest(BaseModel):
-    """Of an experiment whose sweeps are designed already, with the mass that is bolted on; the rest as in a plan of
+    """An experiment with designed sweeps, and the test mass that is mounted; the other fields as in a plan of
     sweeps.
     """
 
@@ -68,7 +68,7 @@ class ExperimentRequest(BaseModel):
     robot_id: int = Field(ge=1, le=LARGEST_ID)
     cell: str = Field(default="workshop", pattern=CELL_NAME)
     modes: Literal["drive_side", "host_streamed"] = "drive_side"
-    move_velocity: float = Field(default=0.1, ge=1e-5, le=100.0)  # rad/s (m/s)
+    move_velocity: float = Field(default=MOVE_VELOCITY, ge=1e-5, le=100.0)  # rad/s (m/s)
     test_mass: BoltedMass | None = None
 
     @property
@@ -82,35 +82,35 @@ class ExperimentRequest(BaseModel):
 
 
 class _DesignedPlan(BaseModel):
-    """Designed sweeps in the order in which they run."""
+    """Designed sweeps in the order of execution."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     robot: str
     sweeps: tuple[PlannedSweep, ...]
-    dropped: tuple[DroppedPose, ...]  # the reason names the blocks that are left out in the pose
+    dropped: tuple[DroppedPose, ...]  # the reason names the omitted blocks of the pose
     duration: float  # s
 
     @property
     def limits(self) -> Limits:
-        """What these sweeps may do."""
+        """Limits of these sweeps."""
         return limits(sweep.spec.block for sweep in self.sweeps)
 
 
 class DiagnosisPlan(_DesignedPlan):
-    """A whole campaign of a diagnosis."""
+    """The complete campaign of a diagnosis."""
 
     request: DiagnosisRequest
     candidates: int  # poses of the grid
-    measurable: int  # of them free
+    measurable: int  # collision-free
 
 
 class ExperimentPlan(_DesignedPlan):
-    """The sweeps that a diagnosis asks for."""
+    """The sweeps that a diagnosis requests."""
 
     request: ExperimentRequest
 
 
 def limits(blocks: Iterable[str]) -> Limits:
-    """What sweeps of these blocks may do: as any other, but for the travel and the speed of wide and fast ones."""
+    """Limits for sweeps of these blocks: as usual, except for the travel and speed of wide and fast blocks."""
     widest = max(FAST if block.endswith("fast") else WIDE if block.endswith("wide") else 1.0 for block in blocks)
-    return Limits(travel=SWAY * widest * SLOW, sweep_velocity=PEAK)
+    return Limits(travel=TRAVEL_MARGIN * widest * SLOW, sweep_velocity=PEAK_VELOCITY)

@@ -1,4 +1,4 @@
-"""Puts designed sweeps on a way: each with its legs, its limits and its place in time, checked against the envelope."""
+"""Connects designed sweeps to a path: legs, limits and start time of each, checked against the envelope."""
 
 import math
 from collections.abc import Iterable
@@ -10,7 +10,7 @@ from service.diagnosis.sensitivity.design import DesignedSweep
 from service.errors import EnvelopeViolation
 from service.planning.diagnosis.documents import DiagnosisRequest, ExperimentRequest
 from service.planning.documents import DroppedPose, PlannedLeg, PlannedSweep
-from service.planning.itinerary import LEG_OVERHEAD
+from service.planning.sweep_sequence import LEG_OVERHEAD
 from service.robot import Robot
 from service.safety.envelope import Envelope
 
@@ -19,7 +19,7 @@ Place = tuple[tuple[float, ...], str]  # pose and block
 
 
 class DesignedWay:
-    """Collects the sweeps along the way. What does not pass in a pose is left out there with all its repeats."""
+    """Collects the sweeps along the path. A block that is not possible in a pose is omitted there with all repeats."""
 
     def __init__(
         self, robot: Robot, request: DiagnosisRequest | ExperimentRequest, envelope: Envelope, home: Array
@@ -32,7 +32,7 @@ class DesignedWay:
 
     @property
     def dropped(self) -> tuple[DroppedPose, ...]:
-        """What was left out: poses, each with the blocks that have one and the same reason."""
+        """The omitted sweeps: poses, each with the blocks that have the same reason."""
         blocks: dict[tuple[tuple[float, ...], str], list[str]] = {}
         for (pose, block), reason in self._refused.items():
             blocks.setdefault((pose, reason), []).append(block)
@@ -75,7 +75,7 @@ class DesignedWay:
         self.here[index] += _travel(designed)
 
     def _planned(self, designed: DesignedSweep, index: int) -> PlannedSweep:
-        """The sweep with its limits and without a way to it."""
+        """The sweep with its limits, without legs."""
         spec, envelope = designed.spec, self._envelope
         sway = sum(sine.amplitude / (math.pi * sine.frequency) for sine in spec.sines)
         margin = envelope.limits.window_margin + sway
@@ -94,5 +94,5 @@ class DesignedWay:
 
 
 def _travel(designed: DesignedSweep) -> float:
-    """Signed way from start to end, rad (m)."""
+    """Signed distance from start to end, rad (m)."""
     return designed.spec.offset_velocity * (designed.duration - designed.ramp)

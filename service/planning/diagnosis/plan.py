@@ -1,11 +1,11 @@
-"""Plans the campaign of a diagnosis: for each axis a few poses in which it hangs differently, all blocks in each.
+"""Plans the campaign of a diagnosis: for each axis a few poses with different gravity torques, all blocks in each.
 
-Poses are those of the grid in equal steps of the gravity torque about the axis (by the CAD model), from the lowest to
-the highest in which every block can be run: gravity, springs and friction under load then differ from pose to pose. An
-axis that carries no weight gets equal steps of its position instead. Of poses as good the one furthest from those
-chosen before is taken. What a pose is swept with is the `full_design` of the diagnosis.
+The poses are those of the grid at equal steps of the gravity torque about the axis (CAD model), from the lowest to the
+highest at which every block can run: then gravity, springs and load-dependent friction differ between poses. An axis
+without gravity torque gets equal steps of its position instead. Of equally good poses, the one at the largest distance
+from those already chosen is taken. The sweeps in a pose are the `full_design` of the diagnosis.
 
-An experiment is planned alike from sweeps that are designed already: the next one that a diagnosis asks for.
+An experiment, the next one that a diagnosis proposes, is planned in the same way from designed sweeps.
 """
 
 from collections.abc import Iterable, Sequence
@@ -33,13 +33,13 @@ from service.safety.travel import order_poses
 
 Array = NDArray[np.float64]
 
-WEIGHT = 0.01  # of the rated effort: an axis whose gravity torque changes less over the poses carries no weight
-AS_GOOD = 0.05  # of the range, by which poses may miss the step wanted
+WEIGHTLESS = 0.01  # of the rated effort: with a smaller change over the poses, an axis has no gravity torque
+AS_GOOD = 0.05  # of the range: tolerance of a pose from the desired step
 TRIES = 25  # poses tried for each one wanted
 
 
 def build_diagnosis_plan(robot: Robot, request: DiagnosisRequest, cell: Cell) -> DiagnosisPlan:
-    """The plan of a diagnosis' campaign; BadInput names the field that cannot be met."""
+    """The plan of the campaign of a diagnosis; BadInput names the field that is impossible."""
     request.check(robot)
     envelope = Envelope(robot, cell, limits(request.blocks))
     home = np.array(cell.home_pose(robot.joints))
@@ -52,8 +52,8 @@ def build_diagnosis_plan(robot: Robot, request: DiagnosisRequest, cell: Cell) ->
         if len(candidates) < request.poses:
             raise BadInput(
                 "poses",
-                f"{request.poses} wanted, but of {len(poses)} poses of the grid only {len(candidates)} are free with "
-                f"room for every block of {joint} in cell {cell.name}",
+                f"{request.poses} requested, but of {len(poses)} poses of the grid only "
+                f"{len(candidates)} are free with room for every block of {joint} in cell {cell.name}",
             )
         chosen, left_out = _choose(robot, request, envelope, joint, candidates, home)
         refused += left_out
@@ -75,7 +75,7 @@ def build_experiment_plan(
 ) -> ExperimentPlan:
     """The plan of designed sweeps, in their order; BadInput if none of them can be run.
 
-    A block that leaves the envelope in a pose, or a pose that no way leads to, is left out with its reason.
+    A block that leaves the envelope in a pose, or a pose without a collision-free path, is omitted with its reason.
     """
     if not designed:
         raise BadInput("experiment", "has no sweeps")
@@ -85,7 +85,7 @@ def build_experiment_plan(
     way = DesignedWay(robot, request, envelope, np.array(cell.home_pose(robot.joints)))
     way.follow(designed)
     if not way.sweeps:
-        raise BadInput("experiment", f"none of its sweeps can be run, the first because: {way.dropped[0].reason}")
+        raise BadInput("experiment", f"none of its sweeps can be run; the first because: {way.dropped[0].reason}")
     return ExperimentPlan(
         robot=robot.name,
         request=request,
@@ -96,17 +96,17 @@ def build_experiment_plan(
 
 
 def spread(robot: Robot, index: int, candidates: Array) -> Array:
-    """In what poses (m, n) differ for an axis (m,): its gravity torque, N m; without weight its position, rad (m)."""
+    """The quantity (m,) that varies over poses (m, n): gravity torque, N m; without weight the position, rad (m)."""
     chain = robot.chain
     gravity = gravity_terms(chain, chain.inertial.ravel(), robot.gravity, index, candidates)[:, 0]
-    carries = np.ptp(gravity) > WEIGHT * robot.axes[index].rated_effort
+    carries = np.ptp(gravity) > WEIGHTLESS * robot.axes[index].rated_effort
     return gravity if carries else candidates[:, index]
 
 
 def _choose(
     robot: Robot, request: DiagnosisRequest, envelope: Envelope, joint: str, candidates: Array, home: Array
 ) -> tuple[Array, list[DroppedPose]]:
-    """Poses (k, n), at most as many as requested, in which every block can be run; and those tried in vain."""
+    """Poses (k, n), at most as many as requested, in which every block can run; and the rejected ones."""
     value = spread(robot, robot.index(joint), candidates)
     step = AS_GOOD * max(float(np.ptp(value)), 1e-9)
     open_, chosen, refused = np.ones(len(candidates), dtype=bool), list[int](), list[DroppedPose]()
@@ -121,12 +121,12 @@ def _choose(
                 break
             refused.append(DroppedPose(pose=tuple(candidates[pick].tolist()), reason=reason))
     if not chosen:
-        raise BadInput("poses", f"no pose of {joint} can be measured, the first because: {refused[0].reason}")
+        raise BadInput("poses", f"no pose of {joint} can be measured; the first because: {refused[0].reason}")
     return candidates[chosen], refused
 
 
 def _refusal(robot: Robot, request: DiagnosisRequest, envelope: Envelope, joint: str, pose: Array, home: Array) -> str:
-    """Why a pose cannot be measured, or ""."""
+    """The reason why a pose cannot be measured, or ""."""
     way = DesignedWay(robot, request, envelope, home)
     try:
         envelope.order_of_legs(tuple(home.tolist()), tuple(pose.tolist()))
@@ -148,7 +148,7 @@ def _designed(robot: Robot, request: DiagnosisRequest, joint: str, poses: Array)
 
 
 def _has_room(envelope: Envelope, poses: Array, index: int, blocks: Iterable[str]) -> NDArray[np.bool_]:
-    """Poses from which the widest block fits, in every direction in which there is one."""
+    """Poses with room for the widest block, in each direction that occurs."""
     enough = np.ones(len(poses), dtype=bool)
     for direction in {-1 if block.startswith("backward") else 1 for block in blocks}:
         left = np.flatnonzero(enough)
@@ -157,5 +157,5 @@ def _has_room(envelope: Envelope, poses: Array, index: int, blocks: Iterable[str
 
 
 def _distance(poses: Array, others: Array) -> Array:
-    """From each pose (m, n) to the nearest of others (k, n), all joints added up: (m,)."""
+    """Distance from each pose (m, n) to the nearest of others (k, n), summed over the joints: (m,)."""
     return np.abs(poses[:, None] - others[None]).sum(axis=-1).min(axis=-1)

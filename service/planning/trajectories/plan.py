@@ -1,4 +1,4 @@
-"""Plans exciting trajectories: several axes at once on Fourier series within limits, their whole path free."""
+"""Plans exciting trajectories: several axes move along Fourier series within limits; the whole path is checked."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from service.identification.design.exciting_trajectory import Shape, Trajectory,
 from service.identification.model.base_parameters import joint_ranges
 from service.identification.model.whole_base import dynamic_base
 from service.planning.documents import PlannedLeg, PlannedSweep
-from service.planning.itinerary import LEG_OVERHEAD
+from service.planning.sweep_sequence import LEG_OVERHEAD
 from service.planning.trajectories.documents import TrajectoryPlan, TrajectoryRequest
 from service.recording import SweepSpec, together
 from service.robot import Robot
@@ -19,12 +19,12 @@ from service.safety.envelope import Envelope
 Array = NDArray[np.float64]
 
 RAMP, SETTLE = 1.0, 1.0  # s
-EFFORT_SHARE = 0.9  # of the joints' limits that the predicted effort may take
-RESTARTS, STEPS = 20, 40  # shapes tried, and steps that make the best of them better
+EFFORT_SHARE = 0.9  # of the joints' limits: largest predicted effort
+RESTARTS, STEPS = 20, 40  # shapes tried, and steps to improve the best of them
 
 
 def build_trajectory_plan(robot: Robot, request: TrajectoryRequest, cell: Cell) -> TrajectoryPlan:
-    """The plan of a request; BadInput names the field that cannot be met."""
+    """The plan of a request; BadInput names the field that is impossible."""
     for joint in request.axes:
         if joint not in robot.joints:
             raise BadInput("axes", f"unknown joint {joint}; robot {robot.name} has {', '.join(robot.joints)}")
@@ -54,7 +54,7 @@ def build_trajectory_plan(robot: Robot, request: TrajectoryRequest, cell: Cell) 
         if not np.isfinite(run.condition):
             raise BadInput(
                 "harmonics",
-                f"{request.harmonics} do not tell the {len(base.columns)} base parameters of the axes apart",
+                f"{request.harmonics} are too few to determine the {len(base.columns)} base parameters of the axes",
             )
         clock = sum(sweep.duration for sweep in sweeps)
         try:
@@ -73,7 +73,7 @@ def build_trajectory_plan(robot: Robot, request: TrajectoryRequest, cell: Cell) 
 
 
 def _limits(robot: Robot, request: TrajectoryRequest, envelope: Envelope, home: Array) -> TrajectoryLimits:
-    """Room of the axes that move; the others have none."""
+    """Limits of the moving axes; the others do not move."""
     own = envelope.limits
     lower, upper = joint_ranges(robot.chain)
     for index, joint in enumerate(robot.joints):
@@ -103,7 +103,7 @@ def _sweeps(
     before: int,
     clock: float,
 ) -> list[PlannedSweep]:
-    """The sweeps of one trajectory's axes; the way to its start stands with the first."""
+    """The sweeps of one trajectory's axes; the first contains the legs to its start."""
     start: list[float] = run.start.tolist()
     legs = envelope.order_of_legs(here, start)
     travelling = sum(abs(target - here[k]) for k, target in legs) / request.move_velocity

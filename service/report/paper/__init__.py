@@ -1,1 +1,1 @@
-"""Reports on paper: figures as SVG, drawn from the same descriptions as on the screen, and the whole as PDF."""
+"""Reports on paper: figures as SVG from the same descriptions as on the screen, and the complete report as PDF."""

@@ -1,4 +1,4 @@
-"""A report for paper: first page, contents with page numbers, numbered figures; one HTML text that WeasyPrint sets."""
+"""A report for paper: first page, contents with page numbers, numbered figures; one HTML text for WeasyPrint."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -47,6 +47,7 @@ figure { margin: 4pt 0 8pt; break-inside: avoid; }
 figure svg { display: block; width: 100%; height: auto; }
 figcaption { font-size: 8.5pt; color: #475569; margin-top: 2pt; }
 nav { break-after: page; }
+nav div { columns: 2; column-gap: 10mm; }
 .before { break-after: avoid; }
 nav p { margin: 1.5pt 0; }
 nav a { color: inherit; text-decoration: none; display: block; }
@@ -58,7 +59,7 @@ _HEADING = re.compile(r"<(h[23])>(.*)</\1>", re.DOTALL)
 
 
 def paper_html(title: str, first: Sequence[str | Figure], parts: Sequence[str | Figure]) -> str:
-    """Markup and figures in order; between `first` and the rest stand the contents."""
+    """Markup and figures in order; the table of contents is between `first` and the rest."""
     setting = _Setting()
     body = [*setting.told(first), ""]
     rest = list(setting.told(parts))
@@ -75,7 +76,7 @@ def paper_html(title: str, first: Sequence[str | Figure], parts: Sequence[str | 
 
 
 class _Setting:
-    """Numbers figures and headings as they come."""
+    """Numbers figures and headings in order."""
 
     def __init__(self) -> None:
         self._headings: list[tuple[str, str]] = []
@@ -87,7 +88,7 @@ class _Setting:
             if not isinstance(part, str):
                 yield self._figure(part)
             elif part.startswith("<p") and isinstance(after, dict):
-                yield f'<div class="before">{part}</div>'  # stays with its figure
+                yield f'<div class="before">{part}</div>'  # keep with its figure
             else:
                 yield self._markup(part)
 
@@ -96,7 +97,7 @@ class _Setting:
             f'<p class="{level}"><a href="#section-{k}">{words}</a></p>'
             for k, (level, words) in enumerate(self._headings, start=1)
         )
-        return f"<nav><h2>Contents</h2>{''.join(lines)}</nav>"
+        return f"<nav><h2>Contents</h2><div>{''.join(lines)}</div></nav>"
 
     def _markup(self, part: str) -> str:
         found = _HEADING.fullmatch(part)

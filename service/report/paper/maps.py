@@ -1,21 +1,18 @@
-"""Maps of one panel: fields of colour with their key, and lines of equal value with their values."""
+"""Maps of one panel: colour fields with their key, and contour lines with their values."""
 
 import math
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import Any
 
-from service.report.drawing import Figure
-from service.report.paper.ink import Point, path, text
 from service.report.paper.marks import rectangle
 from service.report.paper.scales import Scale, round_steps, told
+from service.report.paper.schema import ColourScale, Contour, Heatmap, Rows
+from service.report.paper.svg import Point, path, text
 
 _STEPS = 40  # colours of a key
 
-Rows = Sequence[Sequence[float | None]]
 
-
-def blend(scale: Sequence[tuple[float, str]], share: float) -> str:
+def blend(scale: ColourScale, share: float) -> str:
     """The colour of a colour scale at 0 ... 1."""
     share = min(max(share, 0.0), 1.0)
     for (low, first), (high, second) in pairwise(scale):
@@ -26,50 +23,50 @@ def blend(scale: Sequence[tuple[float, str]], share: float) -> str:
     return scale[-1][1]
 
 
-def fields(trace: Figure, x: Scale, y: Scale) -> Iterator[str]:
-    """A heat map: one rectangle for each place of the grid that has a value."""
-    xs, ys = _edges([x.at(value) for value in trace["x"]]), _edges([y.at(value) for value in trace["y"]])
-    low, high = trace["zmin"], trace["zmax"]
-    for j, row in enumerate(trace["z"]):
+def fields(trace: Heatmap, x: Scale, y: Scale) -> Iterator[str]:
+    """A heat map: one rectangle for each grid point with a value."""
+    xs, ys = _edges([x.place(value) for value in trace.x]), _edges([y.place(value) for value in trace.y])
+    low, high = trace.zmin, trace.zmax
+    for j, row in enumerate(trace.z):
         for i, value in enumerate(row):
             if value is None:
                 continue
-            colour = blend(trace["colorscale"], (value - low) / ((high - low) or 1.0))
+            colour = blend(trace.colorscale, (value - low) / ((high - low) or 1.0))
             box = (min(xs[i], xs[i + 1]), min(ys[j], ys[j + 1]), abs(xs[i + 1] - xs[i]), abs(ys[j + 1] - ys[j]))
             yield rectangle(box, colour, stroke=colour, stroke_width=0.4)
 
 
-def key(trace: Figure, left: float, top: float, bottom: float) -> Iterator[str]:
-    """What the colours of a heat map stand for, as a bar with a scale."""
-    low, high = trace["zmin"], trace["zmax"]
+def key(trace: Heatmap, left: float, top: float, bottom: float) -> Iterator[str]:
+    """The key of a heat map: a colour bar with a scale."""
+    low, high = trace.zmin, trace.zmax
     step = (bottom - top) / _STEPS
     for k in range(_STEPS):
-        colour = blend(trace["colorscale"], 1 - (k + 0.5) / _STEPS)
+        colour = blend(trace.colorscale, 1 - (k + 0.5) / _STEPS)
         yield rectangle((left, top + k * step, 12, step + 0.3), colour)
     for value in round_steps(low, high, 5):
         height = bottom - (value - low) / ((high - low) or 1.0) * (bottom - top)
         yield text(told(value), left + 16, height + 4, "start", 11)
-    yield text(trace["colorbar"]["title"]["text"], left, top - 6, "start", 11)
+    yield text(trace.colorbar.title.text, left, top - 6, "start", 11)
 
 
-def levels(trace: Figure, x: Scale, y: Scale) -> Iterator[str]:
-    """Lines of equal value through a grid, each with its value once."""
-    rows: Rows = trace["z"]
-    xs, ys = [x.at(value) for value in trace["x"]], [y.at(value) for value in trace["y"]]
+def levels(trace: Contour, x: Scale, y: Scale) -> Iterator[str]:
+    """Contour lines through a grid, each with its value once."""
+    rows = trace.z
+    xs, ys = [x.place(value) for value in trace.x], [y.place(value) for value in trace.y]
     known = [value for row in rows for value in row if value is not None]
     if not known or min(known) == max(known):
         return
-    for level in round_steps(min(known), max(known), trace.get("ncontours", 8)):
+    for level in round_steps(min(known), max(known), trace.ncontours):
         parts = list(_crossings(rows, xs, ys, level))
         if not parts:
             continue
-        yield path(parts, stroke=trace["line"]["color"], stroke_width=trace["line"]["width"])
+        yield path(parts, stroke=trace.line.color, stroke_width=trace.line.width)
         (ax, ay), (bx, by) = parts[len(parts) // 2]
         yield text(told(level), (ax + bx) / 2, (ay + by) / 2 - 2, size=10, colour="#0f172a")
 
 
-def _crossings(rows: Rows, xs: Sequence[Any], ys: Sequence[Any], level: float) -> Iterator[tuple[Point, Point]]:
-    """The parts of a line of equal value, one or two a cell of the grid (marching squares)."""
+def _crossings(rows: Rows, xs: Sequence[float], ys: Sequence[float], level: float) -> Iterator[tuple[Point, Point]]:
+    """The segments of a contour line, one or two per cell of the grid (marching squares)."""
     for j in range(len(ys) - 1):
         for i in range(len(xs) - 1):
             corners = ((i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1))
@@ -84,9 +81,8 @@ def _crossings(rows: Rows, xs: Sequence[Any], ys: Sequence[Any], level: float) -
             yield from zip(cut[::2], cut[1::2], strict=True)
 
 
-def _edges(middles: Sequence[float | None]) -> list[float]:
-    """Borders half-way between places, and as far beyond the first and the last."""
-    at = [value for value in middles if value is not None]
+def _edges(at: Sequence[float]) -> list[float]:
+    """Borders half-way between grid points, and at the same distance outside the first and the last."""
     if len(at) < 2:
         return [at[0] - 10, at[0] + 10]
     between = [(a + b) / 2 for a, b in pairwise(at)]

@@ -1,20 +1,19 @@
-"""The scales of a figure: what they reach over, where a value lies, which ticks they have."""
+"""The scales of a figure: range, position of a value, ticks."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from service.report.drawing import Figure
+from service.report.paper.schema import Axis, Value
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_ROOM = {True: 34.0, False: 64.0}  # px a tick wants: of a scale that stands, or lies
+_ROOM = {True: 34.0, False: 64.0}  # px needed by a tick: of a vertical, of a horizontal scale
 _PAD = 0.05  # of the range, on either side of the data
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """From values to px. `low`, `high`: of the values, their powers of ten where `log`, indices of `names`."""
+    """From values to px. `low`, `high`: of the values; exponents of ten if `log`; indices of `names`."""
 
     low: float
     high: float
@@ -24,8 +23,8 @@ class Scale:
     names: tuple[str, ...]
     ticks: tuple[tuple[float, str], ...]  # px and label
 
-    def at(self, value: Any) -> float | None:
-        """Px of a value; None for what is no number, or not above zero where `log`."""
+    def at(self, value: Value) -> float | None:
+        """Px of a value; None if it is no number, or not above zero if `log`."""
         if isinstance(value, str):
             number = float(self.names.index(value))
         elif value is None or not math.isfinite(value) or (self.log and value <= 0):
@@ -35,33 +34,33 @@ class Scale:
         return self.place(number)
 
     def reaches(self, value: float) -> bool:
-        """Whether a value lies on the scale."""
+        """Whether a value is on the scale."""
         at = self.at(value)
         return at is not None and min(self.start, self.end) - 1 <= at <= max(self.start, self.end) + 1
 
     def place(self, number: float) -> float:
-        """Px of a number of `low` ... `high`."""
+        """Px of a number between `low` and `high`."""
         return self.start + (number - self.low) / (self.high - self.low) * (self.end - self.start)
 
 
-def scale_of(axis: Figure, values: Sequence[Any], from_zero: bool, start: float, end: float) -> Scale:
+def scale_of(axis: Axis, values: Sequence[Value], from_zero: bool, start: float, end: float) -> Scale:
     """The scale of an axis of a figure's layout over `values`, from px `start` to px `end`."""
-    log = axis.get("type") == "log"
+    log = axis.type == "log"
     names = tuple(dict.fromkeys(value for value in values if isinstance(value, str)))
     numbers = [float(value) for value in values if isinstance(value, (int, float)) and math.isfinite(value)]
-    if "range" in axis:
-        low, high = axis["range"]
+    if axis.range is not None:
+        low, high = axis.range
     elif names:
         low, high = -0.5, len(names) - 0.5
     else:
         low, high = _reach([math.log10(value) for value in numbers if value > 0] if log else numbers, from_zero)
-    if axis.get("autorange") == "reversed":
+    if axis.autorange == "reversed":
         low, high = high, low
     if low == high:
         low, high = low - 0.5, high + 0.5
     bare = Scale(low, high, start, end, log, names, ())
-    room = _ROOM[start > end]  # px grow downwards
-    most = axis.get("nticks") or max(3, min(9, int(abs(end - start) / room)))
+    room = _ROOM[start > end]  # px increase downwards
+    most = axis.nticks or max(3, min(9, int(abs(end - start) / room)))
     wanted = _ticks(axis, bare, most)
     first, last = min(low, high), max(low, high)
     within = [(number, label) for number, label in wanted if first - 1e-9 <= number <= last + 1e-9]
@@ -80,16 +79,15 @@ def round_steps(low: float, high: float, most: int) -> list[float]:
 
 
 def told(value: float) -> str:
-    """A number on a scale."""
+    """A number as text on a scale."""
     return f"{value + 0.0:.6g}".replace("-", "−")
 
 
-def _ticks(axis: Figure, scale: Scale, most: int) -> list[tuple[float, str]]:
+def _ticks(axis: Axis, scale: Scale, most: int) -> list[tuple[float, str]]:
     low, high = min(scale.low, scale.high), max(scale.low, scale.high)
-    if "tickvals" in axis:
-        values: list[float] = axis["tickvals"]
-        labels: list[str] = axis.get("ticktext") or [told(value) for value in values]
-        return [(math.log10(v) if scale.log else v, label) for v, label in zip(values, labels, strict=True)]
+    if axis.tickvals is not None:
+        labels = axis.ticktext or [told(value) for value in axis.tickvals]
+        return [(math.log10(v) if scale.log else v, label) for v, label in zip(axis.tickvals, labels, strict=True)]
     if scale.names:
         return [(float(k), name) for k, name in enumerate(scale.names)]
     if not scale.log:

@@ -1,1 +1,1 @@
-"""What is made of sweeps beside the estimate: their spectra, a payload, the sheet for a control."""
+"""Results of sweeps other than the estimate: spectra, payload, sheet for a control."""

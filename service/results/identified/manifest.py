@@ -1,14 +1,14 @@
-"""What a recording's manifest tells beside its file: where it comes from, and what was done to its channels."""
+"""The manifest of a recording: its origin, and the corrections of its channels."""
 
 from typing import TypedDict
 
 from pydantic import JsonValue
 
-Told = dict[str, JsonValue]  # as another room's frozen class has it
+JsonFields = dict[str, JsonValue]  # the fields of a frozen class of another package
 
 
 class NoiseGain(TypedDict):
-    """By how much the white noise of a channel grew when it was put right."""
+    """Factor by which the white noise of a channel increased by its correction."""
 
     effort: float
     velocity: float
@@ -18,15 +18,15 @@ class Channels(TypedDict, total=False):
     """`timing` (`ChannelTiming`, s) and `noise_gain` where the channels were `corrected`."""
 
     corrected: bool
-    timing: Told
+    timing: JsonFields
     noise_gain: NoiseGain
 
 
 class Facts(TypedDict, total=False):
-    """Of a run that this process knows: its numbers, sweep, drives (`AxisIdentity`) and set-points (`SetPointTiming`).
+    """For a run of this process: its numbers, sweep, drives (`AxisIdentity`) and set-points (`SetPointTiming`).
 
-    Of a stream that was left by another process: `campaign` and `sweep`. Of an imported bundle: `robot` and sweep.
-    `cause`: why a recording is partial.
+    For a stream left by another process: `campaign` and `sweep`. For an imported bundle: `robot` and sweep.
+    `cause`: reason why a recording is partial.
     """
 
     robot: str
@@ -35,8 +35,8 @@ class Facts(TypedDict, total=False):
     campaign_id: int
     number: int
     attempt: int
-    spec: Told
-    drives: list[Told]
-    set_point_timing: Told | None
+    spec: JsonFields
+    drives: list[JsonFields]
+    set_point_timing: JsonFields | None
     cause: str
     channels: Channels

@@ -7,7 +7,7 @@ from service.results.part import Document, Part
 
 
 class Figure(Part):
-    """A number of the body; null is what the motions did not excite. `std_total`: with the torque constants."""
+    """A value of the body; null if the motions did not excite it. `std_total`: including the torque constants."""
 
     value: Number | None
     std: Number | None
@@ -16,7 +16,7 @@ class Figure(Part):
 
 
 class Parameters(Part):
-    """The ten at the frame's origin, with their covariance given the torque constants, and in all."""
+    """The ten parameters at the frame's origin, with covariance for given torque constants, and in total."""
 
     names: tuple[str, ...]
     values: tuple[Number, ...]
@@ -33,7 +33,7 @@ class Body(Part):
 
 
 class Physical(Part):
-    """Whether a body can have these ten numbers; the nearest that can, and how many standard deviations away."""
+    """Whether a body can have these ten values; the nearest possible ones; distance in standard deviations."""
 
     consistent: bool
     deviation_in_std: Number
@@ -41,7 +41,7 @@ class Physical(Part):
 
 
 class Evidence(Part):
-    """From which motions of an axis it was found."""
+    """The motions of an axis that were used."""
 
     model_config = ConfigDict(serialize_by_alias=True)
 
@@ -50,7 +50,7 @@ class Evidence(Part):
 
 
 class Payload(Document):
-    """SI, in the `frame` of the last joint; `center` and `inertia` about it by name. `sentences` for people."""
+    """SI, in the `frame` of the last joint; `center` and `inertia` about it by name. `sentences`: text for the user."""
 
     link: str
     frame: str

@@ -1,7 +1,7 @@
-"""What is kept of a sweep, as it stands in the file beside its recording. Complex numbers are pairs [re, im].
+"""The stored result of a sweep, in the file next to its recording. Complex numbers are pairs [re, im].
 
-Typed dictionaries and no models: a campaign's job reads those of all sweeps before it, which are as they were written
-(their hash says so), and checking a million numbers again would take longer than identifying with them.
+These are typed dictionaries, not models: the job of a campaign reads those of all earlier sweeps. Their hash shows
+that they are unchanged, and validation of a million numbers would take longer than the identification.
 """
 
 from typing import NotRequired, TypedDict, final
@@ -24,7 +24,7 @@ class SpectrumDocument(TypedDict):
     velocity: Pairs
     names: list[str]
     regressors: list[Pairs]
-    load_velocity: NotRequired[Pairs | None]  # the first versions wrote none
+    load_velocity: NotRequired[Pairs | None]  # missing in the first versions
 
 
 @final

@@ -1,13 +1,14 @@
-"""Diagnoses: jobs of their axes, results, and the experiments that go on with them.
+"""Diagnoses: jobs of their axes, results, and their experiments.
 
 Every method is one transaction and blocks, as in `service.store.store`; raises `NotFound` for what is not there and
-`Conflict` for what does not fit the present state. What a diagnosis is about never changes: another one continues it.
+`Conflict` if the present state does not allow it. The input of a diagnosis never changes: another one continues it.
 """
 
 from collections.abc import Sequence
 
 from pydantic import JsonValue
 from sqlalchemy import select
+from sqlalchemy.orm import Session
 
 from service.errors import Conflict
 from service.store import rows
@@ -25,27 +26,27 @@ from service.store.diagnosis_documents import (
 from service.store.documents import CampaignDocument, CampaignState, NewSweep, SweepState
 
 Document = dict[str, JsonValue]
-_GONE = (CampaignState.ABORTED,)  # of an experiment that will never tell anything
+_GONE = (CampaignState.ABORTED,)  # of an experiment without result
 
 
 class DiagnosisStore:
-    """The service's memory of what it thought about models that do not fit."""
+    """Stored diagnoses, their results and experiments."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
     def add(self, new: NewDiagnosis) -> DiagnosisDocument:
-        """A diagnosis that waits."""
+        """Add a waiting diagnosis."""
         with self._database.write() as session:
             return diagnosis_rows.document(session, diagnosis_rows.add(session, new))
 
     def go_on(self, new: NewDiagnosis, kept: Sequence[str]) -> DiagnosisDocument | None:
         """The diagnosis that continues its parent, with the parent's results for the axes in `kept`.
 
-        None, without effect, if the parent was continued before.
+        None, without effect, if the parent was already continued.
         """
         with self._database.write() as session:
-            parent = rows.get(session, t.DiagnosisRow, new.parent or 0, "diagnosis")
+            parent = _own(session, new.parent or 0)
             if diagnosis_rows.child(session, parent.id) is not None:
                 return None
             row = diagnosis_rows.add(session, new)
@@ -58,14 +59,17 @@ class DiagnosisStore:
         with self._database.read() as session:
             return diagnosis_rows.document(session, rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis"))
 
-    def diagnoses(self, after: int = 0, limit: int = 100) -> tuple[DiagnosisEntry, ...]:
-        """A page, without the documents."""
+    def diagnoses(self, after: int = 0, limit: int = 100, machine: str | None = None) -> tuple[DiagnosisEntry, ...]:
+        """A page, without the documents; of one machine, or of all."""
         query = select(t.DiagnosisRow).where(t.DiagnosisRow.id > after).order_by(t.DiagnosisRow.id).limit(limit)
+        if machine is not None:
+            of_name = select(t.MachineRow.id).where(t.MachineRow.name == machine).scalar_subquery()
+            query = query.where(t.DiagnosisRow.machine_id == of_name)
         with self._database.read() as session:
             return tuple(diagnosis_rows.entry(session, row) for row in session.scalars(query))
 
     def newest_of(self, campaign_id: int) -> DiagnosisDocument | None:
-        """The newest diagnosis that is done and has this campaign among its evidence."""
+        """The newest finished diagnosis that uses this campaign."""
         done = t.DiagnosisRow.state == DiagnosisState.DONE
         query = select(t.DiagnosisRow.id, t.DiagnosisRow.campaigns).where(done).order_by(t.DiagnosisRow.id.desc())
         with self._database.read() as session:
@@ -73,27 +77,28 @@ class DiagnosisStore:
             return None if number is None else diagnosis_rows.document(session, session.get_one(t.DiagnosisRow, number))
 
     def open(self) -> tuple[DiagnosisEntry, ...]:
-        """What waits or runs: the open jobs."""
+        """Waiting and running diagnoses of this service's machine: its open jobs."""
         query = select(t.DiagnosisRow).where(t.DiagnosisRow.state.in_(diagnosis_rows.OPEN)).order_by(t.DiagnosisRow.id)
         with self._database.read() as session:
+            query = query.where(t.DiagnosisRow.machine_id == rows.own(session))
             return tuple(diagnosis_rows.entry(session, row) for row in session.scalars(query))
 
     def results(self, diagnosis_id: int) -> dict[str, Document]:
-        """Documents of the axes that are done, by joint."""
+        """Documents of the finished axes, by joint."""
         with self._database.read() as session:
             return {row.joint: row.document for row in diagnosis_rows.results(session, diagnosis_id)}
 
     def begin(self, diagnosis_id: int) -> None:
-        """waiting -> running; nothing where it runs already."""
+        """waiting -> running; no effect if it already runs."""
         with self._database.write() as session:
-            row = rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis")
+            row = _own(session, diagnosis_id)
             if row.state is DiagnosisState.WAITING:
                 diagnosis_rows.move(session, row, DiagnosisState.RUNNING, row.cause)
 
     def add_result(self, diagnosis_id: int, joint: str, verdict: str, document: Document) -> None:
-        """The result of an axis; without effect if it came before or nothing waits for it."""
+        """Store the result of an axis; no effect if it exists or the diagnosis is not open."""
         with self._database.write() as session:
-            row = rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis")
+            row = _own(session, diagnosis_id)
             if row.state in diagnosis_rows.OPEN and joint not in {
                 result.joint for result in diagnosis_rows.results(session, diagnosis_id)
             }:
@@ -101,17 +106,17 @@ class DiagnosisStore:
                 diagnosis_rows.emit(session, row)
 
     def finish(self, diagnosis_id: int, document: Document) -> None:
-        """Done; without effect if nothing waits for it."""
+        """Mark as done; no effect if it is not open."""
         with self._database.write() as session:
-            row = rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis")
+            row = _own(session, diagnosis_id)
             if row.state in diagnosis_rows.OPEN:
                 row.document = document
                 diagnosis_rows.move(session, row, DiagnosisState.DONE, row.cause)
 
     def fail(self, diagnosis_id: int, cause: str, document: Document | None = None) -> None:
-        """Failed, and would another time; without effect if nothing waits for it. `document`: of the axes that did."""
+        """Mark as failed permanently; no effect if it is not open. `document`: of the finished axes."""
         with self._database.write() as session:
-            row = rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis")
+            row = _own(session, diagnosis_id)
             if row.state in diagnosis_rows.OPEN:
                 row.document = document
                 diagnosis_rows.move(session, row, DiagnosisState.FAILED, cause)
@@ -129,10 +134,10 @@ class DiagnosisStore:
     ) -> CampaignDocument:
         """Plan and planned campaign of a diagnosis's next experiment, all or nothing.
 
-        Conflict unless the diagnosis is done and has no experiment yet but one that was aborted.
+        Raises Conflict unless the diagnosis is done and has no experiment except an aborted one.
         """
         with self._database.write() as session:
-            row = rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis")
+            row = _own(session, diagnosis_id)
             check_free(diagnosis_rows.entry(session, row), diagnosis_rows.experiment_state(session, row))
             made = t.PlanRow(robot_id=row.robot_id, document=plan)
             session.add(made)
@@ -155,7 +160,9 @@ class DiagnosisStore:
             )
 
     def to_go_on(self, campaign_id: int | None = None) -> tuple[DiagnosisEntry, ...]:
-        """Diagnoses whose experiment (this campaign; None: any) is completed and that nothing continues yet."""
+        """Diagnoses of this service's machine whose experiment (this campaign; None: any) is completed and that are not
+        continued yet.
+        """
         child = t.DiagnosisRow.id.in_(select(t.DiagnosisRow.parent_id).where(t.DiagnosisRow.parent_id.is_not(None)))
         query = (
             select(t.DiagnosisRow)
@@ -166,41 +173,55 @@ class DiagnosisStore:
         if campaign_id is not None:
             query = query.where(t.CampaignRow.id == campaign_id)
         with self._database.read() as session:
+            query = query.where(t.DiagnosisRow.machine_id == rows.own(session))
             return tuple(diagnosis_rows.entry(session, row) for row in session.scalars(query))
 
     def masses(self, campaigns: Sequence[int]) -> dict[int, BoltedMass]:
-        """Of those that were measured with a test mass, which."""
+        """Test masses of those campaigns that were measured with one."""
         query = select(t.DiagnosisRow).where(t.DiagnosisRow.experiment_campaign_id.in_(campaigns))
         with self._database.read() as session:
             found = [diagnosis_rows.entry(session, row).experiment for row in session.scalars(query)]
         return {one.campaign_id: one.test_mass for one in found if one is not None and one.test_mass is not None}
 
     def of_experiment(self, campaign_id: int) -> DiagnosisEntry | None:
-        """The diagnosis whose experiment this campaign is."""
+        """The diagnosis that has this campaign as its experiment."""
         query = select(t.DiagnosisRow).where(t.DiagnosisRow.experiment_campaign_id == campaign_id)
         with self._database.read() as session:
             row = session.scalar(query)
             return None if row is None else diagnosis_rows.entry(session, row)
 
     def attend(self, cause: str, diagnosis_id: int | None = None) -> None:
-        """From here on a person must approve what moves: this diagnosis, or (None) whatever is unattended."""
+        """From now on a person must approve experiments: of this diagnosis, or (None) of all unattended ones of this
+        machine.
+        """
         query = select(t.DiagnosisRow).where(t.DiagnosisRow.unattended)
         if diagnosis_id is not None:
             query = query.where(t.DiagnosisRow.id == diagnosis_id)
         with self._database.write() as session:
+            query = query.where(t.DiagnosisRow.machine_id == rows.own(session))
             for row in session.scalars(query).all():
                 if diagnosis_rows.child(session, row.id) is None:
                     row.unattended = False
-                    failed = row.state is DiagnosisState.FAILED  # and its cause says why
+                    failed = row.state is DiagnosisState.FAILED  # its cause is stored
                     diagnosis_rows.move(session, row, row.state, row.cause if failed else cause)
 
 
+def _own(session: Session, diagnosis_id: int) -> t.DiagnosisRow:
+    """One of this service's machine. NotFound, OtherMachine, NoMachine."""
+    row = rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis")
+    rows.check_own(session, row.machine_id, f"diagnosis {diagnosis_id}")
+    return row
+
+
 def check_free(diagnosis: DiagnosisEntry, experiment: CampaignState | None) -> None:
-    """Conflict unless an experiment of the diagnosis may be approved; `experiment`: state of one that was before."""
+    """Raises Conflict unless an experiment of the diagnosis may be approved; `experiment`: state of an earlier one."""
     if diagnosis.state is not DiagnosisState.DONE:
-        raise Conflict(f"diagnosis {diagnosis.id} is {diagnosis.state.value}; an experiment follows one that is done")
+        raise Conflict(
+            f"diagnosis {diagnosis.id} is {diagnosis.state.value}; an experiment requires a diagnosis that is done"
+        )
     if experiment is not None and experiment not in _GONE and diagnosis.experiment is not None:
         raise Conflict(
-            f"diagnosis {diagnosis.id} has its experiment, campaign {diagnosis.experiment.campaign_id} "
-            f"({experiment.value}); what continues the diagnosis proposes the next one"
+            f"diagnosis {diagnosis.id} already has an experiment, campaign "
+            f"{diagnosis.experiment.campaign_id} ({experiment.value}); the next one is proposed by the "
+            "diagnosis that continues it"
         )

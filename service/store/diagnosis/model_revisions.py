@@ -1,4 +1,4 @@
-"""Models as people accepted them from diagnoses: append-only, numbered robot by robot."""
+"""Models accepted from diagnoses: append-only, numbered per robot."""
 
 from pydantic import JsonValue
 from sqlalchemy import select
@@ -12,7 +12,7 @@ from service.store.diagnosis_documents import ModelDocument
 
 
 class ModelStore:
-    """Every method is one transaction and blocks, as in `service.store.store`; `NotFound` for what is not there."""
+    """Every method is one transaction and blocks, as in `service.store.store`; `NotFound` if the id does not exist."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -20,19 +20,22 @@ class ModelStore:
     def add(
         self, diagnosis_id: int, accepted_by: str, document: dict[str, JsonValue], parent: int | None
     ) -> ModelDocument:
-        """The next revision of the robot's model, built on `parent`.
+        """The next revision of the robot's model, based on `parent`.
 
-        Conflict if the diagnosis became one before, or `parent` is not the newest any more.
+        Raises Conflict if the diagnosis was already accepted, or `parent` is not the newest revision.
         """
         with self._database.write() as session:
             diagnosis = rows.get(session, t.DiagnosisRow, diagnosis_id, "diagnosis")
-            rows.get(session, t.RobotRow, diagnosis.robot_id, "robot")  # locked: its revisions come one by one
+            rows.get(session, t.RobotRow, diagnosis.robot_id, "robot")
             before = session.scalar(select(t.ModelRow).where(t.ModelRow.diagnosis_id == diagnosis_id))
             if before is not None:
-                raise Conflict(f"diagnosis {diagnosis_id} became model {before.id} already; diagnose again from there")
+                raise Conflict(
+                    f"diagnosis {diagnosis_id} was already accepted as model {before.id}; diagnose again "
+                    "from that model"
+                )
             newest = _newest(session, diagnosis.robot_id)
             if (None if newest is None else newest.id) != parent:
-                raise Conflict(f"another model of robot {diagnosis.robot_id} was accepted meanwhile")
+                raise Conflict(f"another model of robot {diagnosis.robot_id} was accepted in the meantime")
             row = t.ModelRow(
                 robot_id=diagnosis.robot_id,
                 revision=1 if newest is None else newest.revision + 1,

@@ -1,4 +1,4 @@
-"""Between rows and documents of diagnoses, inside a session that the caller holds."""
+"""Conversion between rows and documents of diagnoses, inside a session of the caller."""
 
 from collections.abc import Sequence
 
@@ -29,6 +29,7 @@ def add(session: Session, new: NewDiagnosis) -> t.DiagnosisRow:
     if new.model is not None:
         rows.get(session, t.ModelRow, new.model, "model")
     row = t.DiagnosisRow(
+        machine_id=rows.own(session),
         robot_id=new.robot_id,
         parent_id=new.parent,
         model_id=new.model,
@@ -65,7 +66,7 @@ def emit(session: Session, row: t.DiagnosisRow) -> None:
         "verdicts": dict[str, JsonValue](_verdicts(session, row.id)),
         "parent": row.parent_id,
     }
-    session.add(t.EventRow(campaign_id=None, kind=EventKind.DIAGNOSIS, data=data))
+    rows.emit(session, None, EventKind.DIAGNOSIS, data)
 
 
 def child(session: Session, diagnosis_id: int) -> int | None:
@@ -90,6 +91,8 @@ def experiment_state(session: Session, row: t.DiagnosisRow) -> CampaignState | N
 def entry(session: Session, row: t.DiagnosisRow) -> DiagnosisEntry:
     return DiagnosisEntry(
         id=row.id,
+        machine=session.get_one(t.MachineRow, row.machine_id).name,
+        here=(owned := rows.owned(session)) is not None and owned.id == row.machine_id,
         robot_id=row.robot_id,
         campaigns=tuple(row.campaigns),
         axes=tuple(row.axes),

@@ -1,7 +1,8 @@
-"""The exchange format `sweepid-bundle/1` (BUNDLE.md): a directory of bundle.json, a URDF and one file a sweep.
+"""The exchange format `sweepid-bundle/1` (docs/reference/bundle.md): a directory of bundle.json, a URDF and one file
+per sweep.
 
-Reading validates everything before anything is handed out; writing goes to a directory beside the target that is
-renamed when it is complete, so a bundle is there whole or not at all.
+Reading validates everything before it returns anything; writing uses a temporary directory next to the target that is
+renamed when it is complete, so a bundle is always complete.
 """
 
 import shutil
@@ -21,7 +22,7 @@ from service.robot import Robot, RobotDescription, build_robot
 from service.store.files.columns import check_samples, columns_of, read_columns, write_columns
 
 FORMAT = "sweepid-bundle/1"
-MOST_NUMBERS = 250_000_000  # all sweeps of a bundle are in memory at once
+MOST_NUMBERS = 250_000_000  # all sweeps of a bundle are in memory together
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +45,7 @@ class _Document(BaseModel):
 
 
 def read_bundle(directory: Path) -> Bundle:
-    """Read and validate a whole bundle; BadInput names the file, the sweep and the reason of the first fault."""
+    """Read and validate a whole bundle. BadInput names the file, the sweep and the reason of the first error."""
     place = directory / "bundle.json"
     try:
         document = _Document.model_validate_json(read_text(place), strict=True)
@@ -69,8 +70,12 @@ def read_bundle(directory: Path) -> Bundle:
     return Bundle(robot, tuple(sweeps))
 
 
-def write_bundle(directory: Path, robot: Robot, sweeps: Sequence[Sweep]) -> None:
-    """Write a bundle into a new or empty directory; BadInput, and nothing written, for what `read_bundle` refuses."""
+def write_bundle(
+    directory: Path, robot: Robot, sweeps: Sequence[Sweep], samples: Literal[".parquet", ".csv"] = ".parquet"
+) -> None:
+    """Write a bundle to a new or empty directory. Raises BadInput, and writes nothing, if `read_bundle` would refuse
+    it.
+    """
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
         raise BadInput(str(directory), "exists already and is not an empty folder")
     check_specs(robot, [sweep.spec for sweep in sweeps], str(directory))
@@ -80,9 +85,9 @@ def write_bundle(directory: Path, robot: Robot, sweeps: Sequence[Sweep]) -> None
     directory.parent.mkdir(parents=True, exist_ok=True)
     partial = directory.parent / f".{directory.name}.{uuid4().hex}.partial"
     try:
-        _write_into(partial, robot, sweeps)
+        _write_into(partial, robot, sweeps, samples)
         if directory.exists():
-            directory.rmdir()  # Windows does not rename onto a directory, not even an empty one
+            directory.rmdir()  # Windows does not rename to an existing directory, even an empty one
         partial.rename(directory)
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
@@ -90,7 +95,7 @@ def write_bundle(directory: Path, robot: Robot, sweeps: Sequence[Sweep]) -> None
 
 
 def check_specs(robot: Robot, specs: Sequence[SweepSpec], place: str) -> None:
-    """What can be said of the sweeps of a robot without their samples; BadInput names the sweep."""
+    """Check the sweeps of a robot without their samples; BadInput names the sweep."""
     if not specs:
         raise BadInput(place, "has no sweeps")
     seen: set[str] = set()
@@ -114,13 +119,13 @@ def check_specs(robot: Robot, specs: Sequence[SweepSpec], place: str) -> None:
 
 
 def check_clock(sweep: Sweep, place: str) -> None:
-    """BadInput unless `time` follows sample_rate without a gap and the measured window lies inside of the record.
+    """Raises BadInput unless `time` follows sample_rate without a gap and the measured window is inside the record.
 
-    A sample may be off its grid point by half a sample, so that one that is missing is always seen.
+    A sample may deviate from its grid point by half a sample, so that a missing sample is always detected.
     """
     spec, time = sweep.spec, sweep.recording.time
     rate = spec.sample_rate
-    with np.errstate(over="ignore", invalid="ignore"):  # absurd rates give inf and NaN, which no bound lets pass
+    with np.errstate(over="ignore", invalid="ignore"):  # extreme rates give inf and NaN, which fail every check
         steps = np.diff(time) * rate
         late = (time - time[0]) * rate - np.arange(time.size)
     gaps = np.flatnonzero(~(steps <= 1.5))
@@ -128,7 +133,7 @@ def check_clock(sweep: Sweep, place: str) -> None:
         lost = int(gaps[0])
         raise BadInput(
             place,
-            f"gap in time: {time[lost + 1]:.6g} s follows on {time[lost]:.6g} s, sample_rate is {rate:.6g} Hz",
+            f"gap in time: {time[lost + 1]:.6g} s follows {time[lost]:.6g} s, sample_rate is {rate:.6g} Hz",
         )
     if not (np.abs(late) <= 0.5).all():
         measured = (time.size - 1) / (time[-1] - time[0])
@@ -161,7 +166,7 @@ def _check_sines(spec: SweepSpec, place: str) -> None:
 
 
 def _inside(directory: Path, name: str, place: str) -> Path:
-    """The file that a bundle names; BadInput if it lies elsewhere, symbolic links followed."""
+    """The file named by a bundle. Raises BadInput if it is outside the bundle, with symbolic links resolved."""
     try:
         path = directory / name
         inside = not Path(name).is_absolute() and path.resolve().is_relative_to(directory.resolve())
@@ -172,12 +177,12 @@ def _inside(directory: Path, name: str, place: str) -> Path:
     return path
 
 
-def _write_into(directory: Path, robot: Robot, sweeps: Sequence[Sweep]) -> None:
+def _write_into(directory: Path, robot: Robot, sweeps: Sequence[Sweep], samples: str) -> None:
     (directory / "sweeps").mkdir(parents=True)
     (directory / "robot.urdf").write_text(robot.urdf_text, encoding="utf-8")
     entries: list[_Entry] = []
     for number, sweep in enumerate(sweeps, start=1):
-        name = f"sweeps/{number:04d}.parquet"  # ids are free text and make no file names
+        name = f"sweeps/{number:04d}{samples}"  # ids are free text and cannot be file names
         write_columns(directory / name, sweep.recording)
         entries.append(_Entry.model_validate(sweep.spec.model_dump() | {"file": name}))
     description = robot.description.model_copy(update={"urdf": "robot.urdf"})

@@ -1,8 +1,8 @@
-"""The samples of one sweep as a file: Parquet or CSV with the columns of BUNDLE.md. The only room that knows pyarrow's
-readers; all numbers come and go as float64.
+"""The samples of one sweep as a file: Parquet or CSV with the columns of docs/reference/bundle.md. The only user of
+pyarrow's readers; all numbers are float64.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -18,17 +18,18 @@ from service.recording import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Recording
 
 Array = NDArray[np.float64]
 
-# pyarrow ships without types: its modules are opaque here and every value is narrowed on the way out
+# pyarrow has no type stubs: its modules are untyped here, and every returned value is narrowed
 _arrow, _csv, _parquet = cast(Any, pa), cast(Any, pa_csv), cast(Any, pa_parquet)
 
 
-MOST_NUMBERS = 50_000_000  # of one file: an hour of all columns at 1 kHz and more
+MOST_NUMBERS = 50_000_000  # per file: more than an hour of all columns at 1 kHz
 LARGEST_CSV = 2**29  # bytes
+_MOST_SHOWN = 20  # names of columns in an error message
 
 
 @dataclass(frozen=True, slots=True)
 class CsvForm:
-    """How a CSV file is written: BUNDLE.md knows the plain form only, trace exports come in others."""
+    """Format of a CSV file: bundles use only the plain form, trace exports differ."""
 
     delimiter: str = ","
     decimal_point: str = "."
@@ -39,10 +40,11 @@ PLAIN = CsvForm()
 
 
 def read_columns(path: Path, place: str | None = None) -> Recording:
-    """One sweep's samples. Columns that BUNDLE.md does not know are left out.
+    """One sweep's samples. Columns that are not part of the bundle format are ignored.
 
-    BadInput (at `place`, default the path) for a file that cannot be read, a missing or doubled column, a value that
-    is no finite number, fewer than two samples, or a `time` that does not start at 0 or does not increase.
+    Raises BadInput (at `place`, default the path) for a file that cannot be read, a missing or duplicate column, a
+    value that is not a finite number, fewer than two samples, or a `time` that does not start at 0 or does not
+    increase.
     """
     place = place or str(path)
     columns = read_table(path, place, REQUIRED_COLUMNS, OPTIONAL_COLUMNS)
@@ -64,7 +66,9 @@ def write_columns(path: Path, recording: Recording) -> None:
 
 
 def check_samples(recording: Recording, place: str) -> None:
-    """BadInput unless all columns are equally long and finite, and `time` starts at 0 and increases strictly."""
+    """Raises BadInput unless all columns have equal length and are finite, and `time` starts at 0 and increases
+    strictly.
+    """
     count = recording.time.size
     if count < 2:
         raise BadInput(place, f"has {count} samples; a sweep has two at least")
@@ -87,49 +91,58 @@ def check_samples(recording: Recording, place: str) -> None:
 def read_table(
     path: Path, place: str, required: Collection[str], optional: Collection[str] = (), form: CsvForm = PLAIN
 ) -> dict[str, Array]:
-    """The named columns of a Parquet or CSV file by name, each (n,); what is empty is NaN.
+    """The named columns of a Parquet or CSV file by name, each (n,); empty values are NaN.
 
-    BadInput (at `place`) for a file that cannot be read, a required column that is missing, a column that stands
-    twice, or text where a number is due.
+    Raises BadInput (at `place`) for a file that cannot be read, a missing required column, a duplicate column, or
+    text instead of a number.
     """
     if path.suffix not in (".csv", ".parquet"):
         raise BadInput(place, "samples are .parquet or .csv")
+    wanted = tuple(dict.fromkeys((*required, *optional)))
     try:
-        wanted = {*required, *optional}
-        table = _read_csv(path, form, place) if path.suffix == ".csv" else _read_parquet(path, wanted, place)
-        there = cast(list[str], table.column_names)
-        for name in required:
-            if name not in there:
-                raise BadInput(place, f"column {name!r} is missing; there are {', '.join(there) or 'none'}")
-        return {name: _numbers(table, name, place) for name in (*required, *optional) if name in there}
+        if path.suffix == ".csv":
+            return _read_csv(path, required, wanted, form, place)
+        return _read_parquet(path, required, wanted, place)
     except FileNotFoundError:
         raise BadInput(place, "file does not exist") from None
-    except MemoryError:  # Arrow's is an ArrowException too
+    except MemoryError:  # that of Arrow is also an ArrowException
         raise
     except (OSError, ValueError, _arrow.ArrowException) as error:
         raise BadInput(place, f"cannot be read: {' '.join(str(error).split())}") from None
 
 
 def columns_of(recording: Recording) -> dict[str, Array]:
-    """The columns that a recording has, by name."""
+    """The columns of a recording, by name."""
     columns = {name: cast(Array | None, getattr(recording, name)) for name in (*REQUIRED_COLUMNS, *OPTIONAL_COLUMNS)}
     return {name: column for name, column in columns.items() if column is not None}
 
 
-def _read_parquet(path: Path, wanted: Collection[str], place: str) -> Any:
-    """The wanted columns. What the file says of itself is looked at before: a small file can hold very long columns."""
+def _read_parquet(path: Path, required: Collection[str], wanted: Sequence[str], place: str) -> dict[str, Array]:
+    """The wanted columns. The metadata of the file is checked first: a small file can contain very long columns.
+
+    One column is read at a time, so that no more than one is in memory twice.
+    """
     with _parquet.ParquetFile(str(path)) as file:
         schema, metadata = file.schema_arrow, file.metadata
         names = cast(list[str], schema.names)
         rows = max(int(metadata.num_rows), sum(metadata.row_group(k).num_rows for k in range(metadata.num_row_groups)))
         _check_numbers(rows, sum(name in wanted for name in names), place)
-        for name in names:
-            if name in wanted:
-                if names.count(name) > 1:
-                    raise BadInput(place, f"column {name!r} occurs twice")
-                _check_type(schema.field(name).type, name, place)
-        present = [name for name in names if name in wanted]
-        return file.read(columns=present) if present else schema.empty_table()
+        present = _present(names, required, wanted, place)
+        for name in present:
+            _check_type(schema.field(name).type, name, place)
+        return {name: _numbers(file.read(columns=[name]).column(0)) for name in present}
+
+
+def _present(names: list[str], required: Collection[str], wanted: Sequence[str], place: str) -> list[str]:
+    """Of the wanted columns those that the file has. BadInput where one occurs twice or a required one is missing."""
+    for name in required:
+        if name not in names:
+            raise BadInput(place, f"column {name!r} is missing; there are {_shown(names)}")
+    present = [name for name in wanted if name in names]
+    for name in present:
+        if names.count(name) > 1:
+            raise BadInput(place, f"column {name!r} occurs twice")
+    return present
 
 
 def _check_numbers(rows: int, columns: int, place: str) -> None:
@@ -143,21 +156,54 @@ def _check_type(kind: Any, name: str, place: str) -> None:
         raise BadInput(place, f"column {name!r} holds {kind}, not numbers")
 
 
-def _read_csv(path: Path, form: CsvForm, place: str) -> Any:
+def _shown(names: list[str]) -> str:
+    more = f" and {len(names) - _MOST_SHOWN} more" if len(names) > _MOST_SHOWN else ""
+    return ", ".join(name[:60] for name in names[:_MOST_SHOWN]) + more if names else "none"
+
+
+def _read_csv(
+    path: Path, required: Collection[str], wanted: Sequence[str], form: CsvForm, place: str
+) -> dict[str, Array]:
+    """The wanted columns. Lines are counted before anything is parsed.
+
+    The file is read block by block into the columns, so that no more than a block is in memory twice.
+    """
     size = path.stat().st_size
     if size > LARGEST_CSV:
         raise BadInput(place, f"is {size} bytes large, limit {LARGEST_CSV} bytes")
-    return _csv.read_csv(
-        str(path),
-        read_options=_csv.ReadOptions(skip_rows=form.skip_rows),
-        parse_options=_csv.ParseOptions(delimiter=form.delimiter),
-        convert_options=_csv.ConvertOptions(decimal_point=form.decimal_point),
-    )
+    how = {
+        "read_options": _csv.ReadOptions(skip_rows=form.skip_rows, use_threads=False),  # errors then name the row
+        "parse_options": _csv.ParseOptions(delimiter=form.delimiter),
+    }
+    with _csv.open_csv(str(path), **how) as file:  # only its first block
+        names = cast(list[str], file.schema.names)
+    present = _present(names, required, wanted, place)
+    lines = _lines(path)
+    _check_numbers(lines, len(present), place)
+    options = _csv.ConvertOptions(decimal_point=form.decimal_point, include_columns=present)
+    with _csv.open_csv(str(path), convert_options=options, **how) as file:
+        for name in present:
+            _check_type(file.schema.field(name).type, name, place)
+    options.column_types = dict.fromkeys(present, _arrow.float64())  # not by the first block: 1 may be followed by 1.5
+    columns, rows = {name: np.empty(lines) for name in present}, 0
+    with _csv.open_csv(str(path), convert_options=options, **how) as file:
+        for batch in file:
+            end = rows + int(batch.num_rows)
+            for name, column in columns.items():
+                column[rows:end] = _numbers(batch.column(name))
+            rows = end
+    return {name: column[:rows] for name, column in columns.items()}
 
 
-def _numbers(table: Any, name: str, place: str) -> Array:
-    if table.column_names.count(name) > 1:
-        raise BadInput(place, f"column {name!r} occurs twice")
-    column = table.column(name)
-    _check_type(column.type, name, place)
-    return np.array(column.cast(_arrow.float64(), safe=False).to_numpy(), dtype=np.float64)
+def _lines(path: Path) -> int:
+    """At most so many lines, whatever ends them: CR, LF, CR LF, or each of them somewhere."""
+    count = 1
+    with path.open("rb") as file:
+        while part := file.read(2**20):  # a CR LF in two parts counts twice
+            count += part.count(b"\n") + part.count(b"\r") - part.count(b"\r\n")
+    return count
+
+
+def _numbers(column: Any) -> Array:
+    """An own copy, (n,)."""
+    return np.array(column.cast(_arrow.float64(), safe=False).to_numpy(zero_copy_only=False), dtype=np.float64)

@@ -1,7 +1,9 @@
-"""Which database a data folder belongs to: recordings are only worth what the database knows of them.
+"""The database and machine that a data folder belongs to: recordings are only usable with the database that describes
+them.
 
-The folder bears the name that its database was given when it was made (`database.json`). Another database, a lost or an
-emptied one must not be taken for it: it would count campaigns from 1 again, beside the recordings of the other.
+The folder contains the identity that its database got when it was created (`database.json`). Another, lost or
+emptied database must not be used with it: it would count campaigns from 1 again, next to the recordings of the other
+one.
 """
 
 import json
@@ -14,42 +16,51 @@ from sqlalchemy import select
 from service.errors import BadInput, Conflict
 from service.store import tables as t
 from service.store.database import Database
-from service.store.files.placing import place_new
+from service.store.files.atomic_files import place_new
+from service.store.rows import NoMachine, of_own
 
 FILE = "database.json"
+_SPECTRUM = ".spectrum-"  # in the name of the spectrum next to a recording
 
 
 class Owner(BaseModel):
-    """What a data folder says of its database."""
+    """The database of a data folder, from its file."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     id: str
-    database: str  # its address when the folder was taken, for people to read
+    database: str  # its address when the folder was claimed, for information
+    machine: int = 1  # the id of the machine whose recordings are here
 
 
 class ForeignFolder(Conflict):
-    """The data folder is another database's."""
+    """The data folder belongs to another database or another machine."""
 
 
 def claim_folder(folder: Path, database: Database) -> str:
-    """Why nothing may be stored in this folder with this database, because it is a lost or empty one; "" if it may.
+    """Why nothing may be stored in this folder with this database, because it is lost or empty; "" if it may.
 
-    Blocks. A folder that is nobody's is this database's from here on. ForeignFolder names both where it is another's.
+    Blocks. A folder without owner belongs to this database from now on. ForeignFolder names both if it belongs to
+    another.
     """
+    machine = database.machine
+    if machine is None:
+        raise NoMachine
     with database.read() as session:
-        own = Owner(id=session.scalars(select(t.IdentityRow.id)).one(), database=database.address)
-        empty = session.scalar(select(t.CampaignRow.id).limit(1)) is None
+        identity = session.scalars(select(t.IdentityRow.id)).one()
+        own = Owner(id=identity, database=database.address, machine=machine.id)
+        empty = session.scalar(select(t.CampaignRow.id).where(of_own(session)).limit(1)) is None
+        names = {row.id: row.name for row in session.scalars(select(t.MachineRow))}
     owner = read_owner(folder)
-    measured = sum(1 for _ in (folder / "recordings").glob("campaign-*/*.parquet"))
-    imported = sum(1 for _ in (folder / "recordings").glob("import-*/*.parquet"))
+    measured, imported = (_recordings(folder, kind) for kind in ("campaign-*", "import-*"))
     foreign = owner is None or owner.id != own.id
-    # what an import left that was killed does not make an empty database a lost one
+    # remains of a killed import do not mean that an empty database was lost
     there = measured + imported if foreign else measured
     if empty and there:
         whose = "" if owner is None or not foreign else f" of database {owner.id} (made as {owner.database})"
         return (
-            f"database {own.id} ({own.database}) knows no campaign, but {folder} holds {there} recordings{whose}: "
-            "it was lost or is another one; restore it from a backup, or give it a data folder of its own"
+            f"database {own.id} ({own.database}) has no campaign of machine {machine.name!r}, but "
+            f"{folder} contains {there} recordings{whose}: the database was lost or replaced; restore "
+            "it from a backup, or use another data folder"
         )
     if owner is None:
         _write(folder, own)
@@ -58,24 +69,38 @@ def claim_folder(folder: Path, database: Database) -> str:
             f"data folder {folder} belongs to database {owner.id} (made as {owner.database}), "
             f"not to database {own.id} ({own.database})"
         )
+    elif owner.machine != machine.id:
+        raise ForeignFolder(
+            f"data folder {folder} belongs to machine {names.get(owner.machine, owner.machine)!r}, not to "
+            f"{machine.name!r}: set `machine_name` to its name, or give {machine.name!r} a `data_dir` of its own"
+        )
     return ""
 
 
+def _recordings(folder: Path, kind: str) -> int:
+    """Number of recordings, including those whose samples are in an object store: their manifests stay."""
+    files = (folder / "recordings").glob(f"{kind}/*")
+    return len(
+        {path.with_suffix("") for path in files if path.suffix in (".parquet", ".json") and _SPECTRUM not in path.name}
+    )
+
+
 def read_owner(folder: Path) -> Owner | None:
-    """None for a folder that is nobody's; BadInput if its file cannot be read."""
+    """None for a folder without owner. Raises BadInput if its file cannot be read."""
     place = folder / FILE
     try:
         return Owner.model_validate_json(place.read_text(encoding="utf-8"))
     except FileNotFoundError:
         return None
     except (ValidationError, ValueError):
-        raise BadInput(str(place), "does not say which database the data folder belongs to") from None
+        raise BadInput(str(place), "does not name the database of the data folder") from None
 
 
 def _write(folder: Path, owner: Owner) -> None:
-    """Whole or not at all, and never over another's."""
+    """Complete or not at all, and never over that of another database."""
     partial = folder / f".{FILE}.{uuid4().hex}"
-    partial.write_text(json.dumps(owner.model_dump()) + "\n", encoding="utf-8")
+    # without a machine if it is the first one, so that older versions can read it
+    partial.write_text(json.dumps(owner.model_dump(exclude_defaults=True)) + "\n", encoding="utf-8")
     try:
         place_new(partial, folder / FILE)
     finally:

@@ -1,4 +1,4 @@
-"""Whole campaigns in and out as bundles."""
+"""Imports and exports whole campaigns as bundles."""
 
 from service.errors import Conflict
 from service.recording import Sweep
@@ -11,9 +11,9 @@ from service.store.store import Store
 
 
 def import_campaign(store: Store, files: RecordingFiles, saved: SavedBundle) -> CampaignDocument:
-    """A measured campaign of sweeps whose recordings lie in `files`, which wait to be identified.
+    """A measured campaign of sweeps whose recordings are in `files`, and which wait for identification.
 
-    Where it is not stored, the recordings are removed.
+    If it cannot be stored, the recordings are removed.
     """
     try:
         robot = store.add_robot(build_robot(saved.robot, saved.urdf_text))
@@ -24,7 +24,7 @@ def import_campaign(store: Store, files: RecordingFiles, saved: SavedBundle) -> 
 
 
 def campaign_bundle(store: Store, files: RecordingFiles, campaign_id: int) -> Bundle:
-    """The complete sweeps of a campaign, as the estimate knows them; Conflict if there is none yet."""
+    """The complete sweeps of a campaign, as used by the estimate. Raises Conflict if there is none yet."""
     robot = store.robot(store.campaign(campaign_id).robot_id).build()
     sweeps = tuple(
         Sweep(sweep.spec, files.load(store.recording(campaign_id, sweep.number)))

@@ -1,7 +1,6 @@
-"""What a reader process does with a bundle that came from outside: unpack it, read all of it, store its recordings."""
+"""Task of a reader process for an external bundle: unpack it, read all of it, store its recordings."""
 
 import errno
-import lzma
 import shutil
 import zipfile
 import zlib
@@ -18,25 +17,28 @@ from service.store.documents import NewRecording, RecordingState
 from service.store.files.bundle import Bundle, read_bundle
 from service.store.files.recordings import RecordingFiles
 
-_MAX_UNPACKED = 4 * 2**30  # bytes; a small zip can hold a very large file
-# a name too long, a file that is a folder as well, a place before the archive's begin; None: bad bzip2 data.
-# Others, as a full disk, are our own trouble
+_MAX_UNPACKED = 4 * 2**30  # bytes; a small zip can contain a very large file
+_MOST_MEMBERS = 20_000  # of an archive
+# LZMA allocates the dictionary size stated by the member, up to 4 GiB, before it reads a byte
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2)
+# a name that is too long, a file that is also a folder, an offset before the archive; None: bad bzip2 data.
+# Other codes, such as a full disk, are errors of this computer
 _BAD_MEMBER = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.EINVAL, None)
 
 
 class SavedBundle(BaseModel):
-    """A bundle whose samples lie in files already, one recording a sweep; `folder`: the name of theirs."""
+    """A bundle whose samples are already in files, one recording per sweep; `folder`: the name of their folder."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     robot: RobotDescription
     urdf_text: str
     sweeps: tuple[SweepSpec, ...]
     recordings: tuple[NewRecording, ...]
-    folder: Annotated[str, StringConstraints(pattern="^import-[0-9a-f]{32}$")]  # a reader gives it
+    folder: Annotated[str, StringConstraints(pattern="^import-[0-9a-f]{32}$")]  # set by the reader
 
 
 def save_bundle(files: RecordingFiles, bundle: Bundle) -> SavedBundle:
-    """Write the recordings of a bundle into a folder of their own; all of them or nothing."""
+    """Write the recordings of a bundle to a new folder; all of them or nothing."""
     name = f"import-{uuid4().hex}"
     folder = files.folder(name)
     try:
@@ -73,19 +75,29 @@ def read_from(source: Path, folder: Path) -> Bundle:
     _unpack(source, folder)
     try:
         return read_bundle(folder)
-    except BadInput as error:  # who sent it knows the bundle, not our folder
+    except BadInput as error:  # the sender knows the bundle, not this folder
         raise BadInput(_own_place(error.place, folder), _own_place(error.reason, folder)) from None
 
 
 def _unpack(archive: Path, folder: Path) -> None:
-    """Unpack into `folder`; member names that would leave it are cut by `zipfile` itself."""
+    """Unpack into `folder`; `zipfile` itself removes path components that would leave it."""
     try:
         with zipfile.ZipFile(archive) as content:
-            size = sum(member.file_size for member in content.infolist())
+            members = content.infolist()
+            if len(members) > _MOST_MEMBERS:
+                raise BadInput("bundle", f"has {len(members)} files, limit {_MOST_MEMBERS}")
+            for member in members:
+                if member.compress_type not in _METHODS:
+                    raise BadInput(
+                        f"bundle {member.filename[:60]!r}",
+                        f"is compressed by method {member.compress_type} of zip, which is not read; compress it by "
+                        "deflate (8) or bzip2 (12), or store it (0)",
+                    )
+            size = sum(member.file_size for member in members)
             if size > _MAX_UNPACKED:
                 raise BadInput("bundle", f"unpacks to {size} bytes, limit {_MAX_UNPACKED} bytes")
             content.extractall(folder)
-    except (zipfile.BadZipFile, zlib.error, EOFError, lzma.LZMAError, NotImplementedError, RuntimeError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
         raise BadInput("bundle", f"cannot be unpacked: {error}") from None
     except OSError as error:
         if error.errno not in _BAD_MEMBER:

@@ -1,7 +1,7 @@
-"""The process that reads what strangers sent: ``python -m ...files.reader MEMORY MODULE:FUNCTION [PATH ...]``.
+"""The process that reads external files: ``python -m ...files.reader MEMORY MODULE:FUNCTION [PATH ...]``.
 
-It writes one JSON object: ``done`` with the function's result, ``place`` and ``reason`` of a BadInput, ``errno`` of the
-disk's error, or ``memory`` where there was not enough of it.
+It writes one JSON object: ``done`` with the function's result, ``place`` and ``reason`` of a BadInput, ``errno`` of
+a disk error, or ``memory`` if there was not enough of it.
 """
 
 import json
@@ -14,17 +14,17 @@ from typing import Any
 
 from service.errors import BadInput
 
-_NICE = 10  # it gives way to the process that streams set-points
+_NICE = 10  # lower priority than the process that streams set-points
 
 
 def main(arguments: list[str]) -> None:
-    """Do it and write the answer."""
+    """Run the task and write the answer."""
     memory, named, *paths = arguments
     _give_way(int(memory))
     threading.Thread(target=_end_with_service, name="end with the service", daemon=True).start()
     sys.stdout.write(json.dumps(_answer(named, [Path(path) for path in paths])))
     sys.stdout.flush()
-    os._exit(0)  # at once: the other thread holds the input
+    os._exit(0)  # immediately: the other thread blocks on the input
 
 
 def _answer(named: str, paths: list[Path]) -> dict[str, Any]:
@@ -47,12 +47,12 @@ def _give_way(memory: int) -> None:
 
         os.setpriority(os.PRIO_PROCESS, 0, _NICE)
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        if sys.platform == "linux":  # macOS takes the number and does not keep to it
+        if sys.platform == "linux":  # macOS accepts the limit and does not enforce it
             resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
 
 
 def _end_with_service() -> None:
-    """Also in the middle of a file that nobody waits for any more."""
+    """Ends the reader in the middle of a file if the service has ended."""
     while os.read(0, 1):
         pass
     os._exit(1)

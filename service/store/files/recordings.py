@@ -1,8 +1,11 @@
 """Recording files under the data directory.
 
-A recording is there whole or not at all: it is written beside its place, synced to the disk, and renamed. Its
-manifest (same name, ``.json``) tells what it is without the database. The stream that a sweep is recorded into
-(``.arrows``) lies in the same folder until the recording's row is in the store.
+A recording is always complete: it is written to a temporary file, synced to the disk, and renamed. Its
+manifest (same name, ``.json``) describes it without the database. The stream that a sweep is recorded into
+(``.arrows``) is in the same folder until the row of the recording is in the store.
+
+If an object store is configured, a recording may be only there; its manifest stays. To read its samples, get
+the file from `RecordingFiles.local` (in the service) or from `RecordingFile` (in a job), never by its path only.
 """
 
 import hashlib
@@ -11,6 +14,7 @@ import json
 import os
 import re
 import shutil
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,11 +25,13 @@ from pydantic import JsonValue
 from service.errors import BadInput
 from service.recording import Recording
 from service.results.identified.manifest import Facts
+from service.settings.object_store import StoreAddress
 from service.store.documents import NewRecording, RecordingDocument, RecordingState, SpectrumRecord
+from service.store.files.atomic_files import place, place_folder, place_new
 from service.store.files.columns import read_columns, write_columns
-from service.store.files.placing import place, place_folder, place_new
 from service.store.files.spectra import Document, SpectrumFile, encode_spectrum
 
+FETCHED = "fetch-"  # prefix of the name of a file from the object store
 _STREAM = re.compile(r"campaign-(\d+)/(\d+)-(\d+)\.arrows")
 
 
@@ -38,11 +44,39 @@ class Run:
     attempt: int
 
 
-class RecordingFiles:
-    """Names, writes and reads the files; paths in documents are relative to the data directory."""
+@dataclass(frozen=True, slots=True)
+class RecordingFile:
+    """Reference to a recording for a job: `path` (absolute) is read if it exists, otherwise the object with its hash.
 
-    def __init__(self, data_dir: Path) -> None:
-        self._root = data_dir
+    `was_here`: it was in the data folder when this was created, so that the store may not have it yet. A fetched
+    file is moved to the data folder through `transfer`, if that exists, and is temporary elsewhere.
+    """
+
+    path: Path
+    sha256: str
+    transfer: Path
+    store: StoreAddress | None
+    was_here: bool
+
+
+Fetch = Callable[[RecordingFile], None]
+
+
+class RecordingFiles:
+    """Names, writes and reads the files; paths in documents are relative to the data directory.
+
+    `store`: object store that may have recordings as well, from which `fetch` brings one to its path.
+    """
+
+    def __init__(self, data_dir: Path, store: StoreAddress | None = None, fetch: Fetch | None = None) -> None:
+        self._root, self._store, self._fetch = data_dir, store, fetch
+
+    def free_disk(self) -> int | None:
+        """Free bytes on the disk of the data folder; None if unknown."""
+        try:
+            return shutil.disk_usage(self._root).free
+        except OSError:
+            return None
 
     def disk_trouble(self, least: int) -> str:
         """Why no recording could be written now: less than `least` bytes free, or read-only; empty if it could."""
@@ -55,19 +89,21 @@ class RecordingFiles:
         return f"{free} bytes free in {self._root}, limit {least} bytes" if free < least else ""
 
     def stream(self, run: Run) -> Path:
-        """Where the samples of a run go as they come; the folder is made."""
+        """Path for the samples of a run as they arrive; creates the folder."""
         folder = self._root / "recordings" / f"campaign-{run.campaign_id:06d}"
         folder.mkdir(parents=True, exist_ok=True)
         return folder / f"{run.number:04d}-{run.attempt}.arrows"
 
     def last_attempt(self, campaign_id: int, number: int) -> int:
-        """The highest attempt at a sweep of which a file lies there, also one that the database forgot; 0 if none."""
+        """The highest attempt at a sweep with a file in the folder, even if the database does not have it; 0 if
+        none.
+        """
         name = re.compile(rf"{number:04d}-(\d+)\.")
         found = map(name.match, os.listdir(self.stream(Run(campaign_id, number, 0)).parent))
         return max((int(match.group(1)) for match in found if match), default=0)
 
     def put_aside(self, stream: Path, why: str) -> Path:
-        """Keep a stream that makes no recording under a name that nobody takes for one; the new path."""
+        """Rename a stream without a usable recording, so that it is not read again; returns the new path."""
         aside = stream.with_name(f"{stream.name}.{why}")
         for number in itertools.count(2):
             if not aside.exists():
@@ -76,7 +112,7 @@ class RecordingFiles:
         return stream.rename(aside)
 
     def streams(self) -> dict[Run, Path]:
-        """The streams that lie about: of the sweep that runs, or left by a crash."""
+        """Existing streams: that of the running sweep, or those left by a crash."""
         found: dict[Run, Path] = {}
         for path in sorted((self._root / "recordings").glob("campaign-*/*.arrows")):
             match = _STREAM.fullmatch(f"{path.parent.name}/{path.name}")
@@ -86,43 +122,45 @@ class RecordingFiles:
         return found
 
     def transfer(self) -> Path:
-        """Where bundles are unpacked (`import-*`) and packed (`export-*`), each in a folder of its own that goes again.
+        """Folder in which bundles are unpacked (`import-*`) and packed (`export-*`), each in a temporary folder.
 
-        It is made if need be.
+        Created if necessary.
         """
         path = self._root / "transfer"
         path.mkdir(parents=True, exist_ok=True)
         return path
 
     def clear_transfer(self) -> None:
-        """Remove what transfers left that were killed; to be called before any begins."""
+        """Remove the remains of killed transfers; call it before any begins."""
         for kind in ("import-*", "export-*"):
             for folder in self.transfer().glob(kind):
                 shutil.rmtree(folder)
+        for file in self.transfer().glob(f"{FETCHED}*"):
+            file.unlink(missing_ok=True)
 
     def folder(self, name: str) -> Path:
-        """A folder for recordings that were made elsewhere."""
+        """A folder for imported recordings."""
         path = self._root / "recordings" / name
         path.mkdir(parents=True)
         return path
 
     def take_over(self, other: Path, name: str) -> None:
-        """The folder that another data folder on this file system has by this name: all of it or nothing."""
+        """Move a folder of this name from another data folder on this file system: all of it or nothing."""
         target = self._root / "recordings" / name
         target.parent.mkdir(parents=True, exist_ok=True)
         place_folder(other / "recordings" / name, target)
 
     def remove_folder(self, name: str) -> None:
-        """Of recordings that nobody knows."""
+        """Remove a folder of unknown recordings."""
         shutil.rmtree(self._root / "recordings" / name)
 
     def path(self, document: RecordingDocument) -> Path:
         return self._root / document.path
 
     def save(self, path: Path, recording: Recording, state: RecordingState, facts: Facts) -> NewRecording:
-        """Write a recording (Parquet) and its manifest with `facts`. OSError if the disk does not take it.
+        """Write a recording (Parquet) and its manifest with `facts`. Raises OSError if it cannot be written.
 
-        What lies there already is never overwritten: the new one then has a number after its name.
+        An existing file is never overwritten: the new one then gets a number after its name.
         """
         partial = path.with_name(f".{path.stem}.partial.parquet")
         try:
@@ -139,7 +177,7 @@ class RecordingFiles:
         return new
 
     def save_spectrum(self, recording: str, document: Document) -> SpectrumRecord:
-        """Write the spectrum of a recording (its path in documents) beside it; one that is there is left as it is."""
+        """Write the spectrum of a recording (its path in documents) next to it; an existing one is not changed."""
         content, sha256 = encode_spectrum(document)
         path = (self._root / recording).with_suffix(f".spectrum-{sha256[:16]}.json")
         if not path.exists() or file_sha256(path) != sha256:
@@ -149,38 +187,90 @@ class RecordingFiles:
         return SpectrumRecord(path=path.relative_to(self._root).as_posix(), sha256=sha256)
 
     def spectrum(self, record: SpectrumRecord) -> SpectrumFile:
-        """Where it is to be read."""
+        """Reference to the spectrum file."""
         return SpectrumFile(self._root.absolute() / record.path, record.sha256)
 
     def manifest(self, document: RecordingDocument) -> dict[str, JsonValue]:
-        """What is told of a recording beside its samples; empty if the file is gone, BadInput if it cannot be read."""
+        """Manifest of a recording; empty if the file is missing, BadInput if it cannot be read."""
         path = self.path(document).with_suffix(".json")
         try:
-            told: object = json.loads(path.read_text(encoding="utf-8"))
+            content: object = json.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             return {}
         except ValueError as error:
             raise BadInput(str(path), f"cannot be read: {error}") from None
-        if not isinstance(told, dict):
+        if not isinstance(content, dict):
             raise BadInput(str(path), "is not a JSON object")
-        return cast("dict[str, JsonValue]", told)
+        return cast("dict[str, JsonValue]", content)
 
     def load(self, document: RecordingDocument) -> Recording:
-        """The samples of a recording; BadInput if the file is not what was written."""
-        self.check(document)
-        return read_columns(self.path(document))
+        """The samples of a recording. Raises BadInput if the file was changed, NotNow as `local`."""
+        return read_columns(self.local(document))
 
-    def check(self, document: RecordingDocument) -> None:
-        """BadInput unless the file is there as it was written."""
+    def local(self, document: RecordingDocument) -> Path:
+        """Local path of a recording as it was written, fetched from the store if it is only there.
+
+        Raises BadInput if it is missing or was changed, here or in the store; NotNow while the store does not
+        answer.
+        """
+        path = self._kept(document)
+        if self._store is not None and self._fetch is not None and not still_here(path):
+            self.transfer()
+            self._fetch(self.reference(document))
+        check_file(path, document.sha256)
+        return path
+
+    def named(self, document: RecordingDocument) -> RecordingFile:
+        """The recording for a job. Raises BadInput unless the file is unchanged here, or there is a store to fetch it
+        from.
+        """
+        file = self.reference(document)
+        if file.was_here:
+            check_file(file.path, document.sha256)
+        elif self._store is None:
+            raise _missing(self.path(document))
+        return file
+
+    def reference(self, document: RecordingDocument) -> RecordingFile:
+        """As `named`, without reading the file. Raises BadInput if its samples were removed."""
+        path = self._kept(document).absolute()
+        return RecordingFile(path, document.sha256, (self._root / "transfer").absolute(), self._store, path.exists())
+
+    def _kept(self, document: RecordingDocument) -> Path:
+        """Raises BadInput if the retention rule has removed the samples."""
         path = self.path(document)
-        if not path.exists():
-            raise BadInput(str(path), "recording file is missing")
-        if file_sha256(path) != document.sha256:
-            raise BadInput(str(path), f"recording file was changed, SHA-256 is not {document.sha256}")
+        if document.pruned_at is not None:
+            raise BadInput(
+                str(path), f"samples were removed on {document.pruned_at:%Y-%m-%d} by the rule `keep_samples_days`"
+            )
+        return path
+
+
+def check_file(path: Path, sha256: str) -> None:
+    """Raises BadInput unless the file exists as it was written."""
+    try:
+        found = file_sha256(path)
+    except FileNotFoundError:
+        raise _missing(path) from None
+    if found != sha256:
+        raise BadInput(str(path), f"recording file was changed, SHA-256 is not {sha256}")
+
+
+def still_here(path: Path) -> bool:
+    """Whether the file of a recording that the store may also have is here; it is then kept for a while."""
+    try:
+        os.utime(path)
+    except FileNotFoundError:
+        return False
+    return True
+
+
+def _missing(path: Path) -> BadInput:
+    return BadInput(str(path), "recording file is missing")
 
 
 def _place_beside(partial: Path, path: Path) -> Path:
-    """Bring a finished file to `path`, or to the first name like it that is free."""
+    """Move a finished file to `path`, or to the first similar name that is free."""
     for number in itertools.count(2):
         if not path.with_suffix(".json").exists():
             with suppress(FileExistsError):
@@ -191,6 +281,6 @@ def _place_beside(partial: Path, path: Path) -> Path:
 
 
 def file_sha256(path: Path) -> str:
-    """Of its content, as rows and manifests have it."""
+    """Hash of the content, as in rows and manifests."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

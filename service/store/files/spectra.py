@@ -1,6 +1,6 @@
-"""Spectra of identified sweeps as files beside their recordings, named by their content.
+"""Spectra of identified sweeps as files next to their recordings, named by their content.
 
-A spectrum is written once, when its sweep is identified; every later estimate of the campaign reads it from there.
+A spectrum is written once, when its sweep is identified; every later estimate of the campaign reads it.
 """
 
 import hashlib
@@ -14,25 +14,25 @@ from pydantic import JsonValue
 from service.errors import BadInput
 from service.results.identified.spectrum import AnySpectrum
 
-Document = AnySpectrum | Mapping[str, JsonValue]  # the latter as an older database holds it
+Document = AnySpectrum | Mapping[str, JsonValue]  # the latter as in an older database
 
 
 @dataclass(frozen=True, slots=True)
 class SpectrumFile:
-    """Where a spectrum document lies, and the SHA-256 of the file."""
+    """Path of a spectrum document, and the SHA-256 of the file."""
 
     path: Path
     sha256: str
 
 
 def encode_spectrum(document: Document) -> tuple[bytes, str]:
-    """The content of a spectrum's file and its SHA-256. Floats survive exactly."""
+    """The content of a spectrum's file and its SHA-256. Floats are stored without loss."""
     content = json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
     return content, hashlib.sha256(content).hexdigest()
 
 
 def read_spectrum(file: SpectrumFile) -> AnySpectrum:
-    """The document; BadInput if the file is not there as it was written."""
+    """The document. Raises BadInput if the file is missing or was changed."""
     try:
         content = file.path.read_bytes()
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""Samples as a stream of Arrow IPC: whatever happens, all blocks that the disk has taken can be read back."""
+"""Samples as a stream of Arrow IPC: after any failure, all blocks on disk can be read back."""
 
 import os
 from collections.abc import Mapping
@@ -14,28 +14,28 @@ from service.errors import SweepidError
 Array = NDArray[np.float64]
 Column = Array | NDArray[np.int64]
 
-# pyarrow ships without types: what it makes is opaque here and narrowed on the way out
+# pyarrow has no type stubs: its objects are untyped here, and returned values are narrowed
 _arrow = cast(Any, pa)
-# what Arrow makes of a page that a power cut left zeroed or half-written
+# errors of Arrow for a page that a power failure left zeroed or incomplete
 _TORN = (_arrow.ArrowException, OSError, ValueError, TypeError, MemoryError)
 
 
 class UnreadableStream(SweepidError):
-    """What is left of a stream makes no recording: its head is damaged, not only its end."""
+    """The stream contains no recording: its head is damaged, not only its end."""
 
 
 class SampleStream:
-    """A new file of blocks. Methods block until the disk has it; OSError when the disk does not take it."""
+    """A new file of blocks. Methods block until the data is on disk. Raises OSError if it cannot be written."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("xb")
         self._writer: Any = None
-        # Arrow's first conversion imports pandas where that is installed: up to a second in which the thread that
-        # streams set-points is held up. Do it before anything moves.
+        # Arrow's first conversion imports pandas if it is installed: up to a second in which the thread that
+        # streams set-points is delayed. Do it before any motion.
         _arrow.array(np.empty(0))
 
     def write(self, columns: Mapping[str, Column]) -> None:
-        """Append a block of columns (n,), always the same."""
+        """Append a block of columns (n,), always the same ones."""
         batch = _arrow.RecordBatch.from_pydict(dict(columns))
         if self._writer is None:
             self._writer = _arrow.ipc.new_stream(self._file, batch.schema)
@@ -44,14 +44,16 @@ class SampleStream:
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Close the file. Without an end mark: a stream that is cut off is as readable, and a full disk takes none."""
+        """Close the file, without an end mark: a truncated stream is also readable, and a full disk cannot store
+        one.
+        """
         self._file.close()
 
 
 def read_blocks(path: Path) -> dict[str, Array] | None:
-    """The columns (n,) that a stream holds up to its torn end; None with fewer than two samples.
+    """The columns (n,) of a stream up to its truncated end; None with fewer than two samples.
 
-    UnreadableStream where what it holds are no columns.
+    Raises UnreadableStream if the content is not columns.
     """
     batches: list[Any] = []
     with path.open("rb") as file:
@@ -59,12 +61,12 @@ def read_blocks(path: Path) -> dict[str, Array] | None:
             reader = _arrow.ipc.open_stream(file)
             while True:
                 batch = reader.read_next_batch()
-                batch.validate(full=True)  # Arrow believes lengths that a damaged batch tells, and dies of them
+                batch.validate(full=True)  # otherwise Arrow trusts the lengths in a damaged batch and crashes
                 batches.append(batch)
         except StopIteration:
             pass
         except _TORN:
-            pass  # the torn end: expected after a crash, and everything before it is whole
+            pass  # the truncated end: expected after a crash; everything before it is complete
     if sum(len(batch) for batch in batches) < 2:
         return None
     try:
@@ -75,5 +77,5 @@ def read_blocks(path: Path) -> dict[str, Array] | None:
 
 
 def damaged(path: Path, error: Exception) -> UnreadableStream:
-    """In words."""
+    """Error with a description."""
     return UnreadableStream(f"{path.name} is damaged: {type(error).__name__}: {error}")

@@ -1,4 +1,4 @@
-"""Alembic's entry: runs the revisions in the transaction of the connection it is given."""
+"""Entry point of Alembic: runs the revisions in the transaction of the given connection."""
 
 from alembic import context
 from sqlalchemy import Connection

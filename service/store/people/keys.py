@@ -1,4 +1,6 @@
-"""API keys: made, shown once, looked up by their hash, revoked. The audit has each change, in the same transaction."""
+"""API keys: created, shown once, looked up by their hash, revoked. Each change is in the audit, in the same
+transaction.
+"""
 
 from collections.abc import Sequence
 from datetime import datetime, timedelta
@@ -7,7 +9,7 @@ from pydantic import BaseModel, ConfigDict
 from sqlalchemy import select
 
 from service.errors import NotFound
-from service.people.chain import Entry, Fact
+from service.people.audit_chain import Entry, Fact
 from service.people.keys import key_sha256, new_key
 from service.people.permissions import Role
 from service.store import tables as t
@@ -17,26 +19,26 @@ from service.store.people.names import check_free
 
 
 class KeyDocument(BaseModel):
-    """A key without the key."""
+    """A key without its secret."""
 
     model_config = ConfigDict(frozen=True)
     id: int
     name: str
     role: Role
-    scopes: tuple[str, ...] | None = None  # None: all that the role may
+    scopes: tuple[str, ...] | None = None  # None: everything that the role allows
     created_at: datetime
     expires_at: datetime
     revoked_at: datetime | None
 
     def trouble(self, at: datetime) -> str:
-        """Why it opens nothing at that time; empty if it does."""
+        """Why it is not valid at this time; empty if it is."""
         if self.revoked_at is not None:
             return f"the key of {self.name} was revoked on {self.revoked_at:%Y-%m-%d}"
         return f"the key of {self.name} expired on {self.expires_at:%Y-%m-%d}" if at >= self.expires_at else ""
 
 
 class KeyStore:
-    """Every method is one transaction and blocks. `entry`: of the audit, who does it and from where."""
+    """Every method is one transaction and blocks. `entry`: of the audit, with user and address."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -44,7 +46,7 @@ class KeyStore:
     def add(
         self, name: str, role: Role, valid: timedelta, entry: Entry, scopes: Sequence[str] | None = None
     ) -> tuple[KeyDocument, str]:
-        """The new key, which nobody can ask for again. Conflict where the name was given before."""
+        """The new key and its secret, which is not stored. Raises Conflict if the name was used before."""
         key = new_key()
         with self._database.write(quiet=True) as session:
             check_free(session, name)
@@ -56,13 +58,13 @@ class KeyStore:
                     name=name, role=role.word, scopes=limited, sha256=key_sha256(key), expires_at=expires
                 )
             )
-            told: dict[str, Fact] = {"event": "key added", "key": name, "key_role": role.word}
-            append(session, [{**entry, **told, **({"scopes": limited} if limited else {})}])
+            added: dict[str, Fact] = {"event": "key added", "key": name, "key_role": role.word}
+            append(session, [{**entry, **added, **({"scopes": limited} if limited else {})}])
             session.flush()
             return _document(row), key
 
     def revoke(self, name: str, entry: Entry) -> KeyDocument:
-        """At once; again changes nothing. NotFound."""
+        """Effective immediately; a second call changes nothing. Raises NotFound."""
         with self._database.write(quiet=True) as session:
             row = session.scalar(select(t.ApiKeyRow).where(t.ApiKeyRow.name == name))
             if row is None:
@@ -77,7 +79,7 @@ class KeyStore:
             return tuple(_document(row) for row in session.scalars(select(t.ApiKeyRow).order_by(t.ApiKeyRow.id)))
 
     def find(self, key: str) -> KeyDocument | None:
-        """Revoked and expired ones too."""
+        """The key with this secret, including revoked and expired ones."""
         value = key_sha256(key)
         if value is None:
             return None

@@ -1,4 +1,4 @@
-"""Names of people and of keys: each is given once, to one of them, so that the audit is clear."""
+"""Names of users and keys: each is used only once, so that the audit is unambiguous."""
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -8,7 +8,7 @@ from service.store import tables as t
 
 
 def check_free(session: Session, name: str) -> None:
-    """Conflict where somebody bears it, or did."""
+    """Raises Conflict if the name is or was in use."""
     for row, who in ((t.ApiKeyRow, "a key of"), (t.UserRow, "a user")):
         if session.scalar(select(row.id).where(row.name == name)) is not None:
-            raise Conflict(f"there is or was {who} {name}; a name is given once, so that the audit is clear")
+            raise Conflict(f"there is or was {who} {name}: use another name, because names are not reused in the audit")

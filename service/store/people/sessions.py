@@ -1,4 +1,4 @@
-"""Sessions of people in browsers: opened by a password, over after a while, ended before. The audit has them."""
+"""Browser sessions of users: opened by a password, ended by time or by a person. They are in the audit."""
 
 from datetime import datetime, timedelta
 
@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict
 from sqlalchemy import delete, select, update
 
 from service.errors import NotFound
-from service.people.chain import Entry
+from service.people.audit_chain import Entry
 from service.people.keys import key_sha256, new_key
 from service.people.permissions import Role
 from service.store import tables as t
@@ -14,11 +14,11 @@ from service.store.database import Database
 from service.store.people.audit import append
 from service.store.people.users import UserDocument, user_document
 
-_SEEN_EVERY = timedelta(minutes=1)  # a page asks once a second; not each request writes
+_SEEN_EVERY = timedelta(minutes=1)  # a page sends a request per second; not every request writes
 
 
 class SessionDocument(BaseModel):
-    """A session without what its cookie has. `name` and `role` are the person's, as they are now."""
+    """A session without the secret of its cookie. `name` and `role` are the present ones of the user."""
 
     model_config = ConfigDict(frozen=True)
     id: int
@@ -33,25 +33,25 @@ class SessionDocument(BaseModel):
 
     @property
     def scopes(self) -> None:
-        """A person may all that the role may."""
+        """A user may do everything that the role allows."""
 
     def trouble(self, at: datetime) -> str:
-        """Why it opens nothing at that time; empty if it does."""
+        """Why it is not valid at this time; empty if it is."""
         if self.disabled or self.ended_at is not None:
             return self.disabled or f"the session of {self.name} was ended: log in again"
-        return f"the session of {self.name} is over: log in again" if at >= self.expires_at else ""
+        return f"the session of {self.name} has expired: log in again" if at >= self.expires_at else ""
 
 
 class SessionStore:
-    """Every method is one transaction and blocks. `entry`: of the audit, who does it and from where."""
+    """Every method is one transaction and blocks. `entry`: of the audit, with user and address."""
 
     def __init__(self, database: Database, idle: float, longest: float) -> None:
-        """s until a session is over: without a request, and in any case."""
+        """Times until a session ends, s: `idle` without a request, `longest` in any case."""
         self._database = database
         self._idle, self._longest = timedelta(seconds=idle), timedelta(seconds=longest)
 
     def open(self, user: UserDocument, entry: Entry) -> tuple[SessionDocument, str]:
-        """The new session, and what its cookie shows, which nobody can ask for again. Forgets those long over."""
+        """The new session, and the secret of its cookie, which is not stored. Removes sessions that ended long ago."""
         token, address, at = new_key(), str(entry["address"])[:100], t.now()
         with self._database.write(quiet=True) as session:
             session.execute(delete(t.SessionRow).where(t.SessionRow.created_at < at - self._longest))
@@ -62,7 +62,7 @@ class SessionStore:
             return self._document(row, session.get_one(t.UserRow, user.id)), token
 
     def find(self, key: str) -> SessionDocument | None:
-        """Those that are over too. A request of a session keeps it from being idle."""
+        """The session with this secret, including ended ones. A request resets its idle time."""
         value = key_sha256(key)
         if value is None:
             return None
@@ -77,11 +77,11 @@ class SessionStore:
         return document
 
     def end(self, session_id: int, entry: Entry) -> SessionDocument:
-        """At once; again changes nothing. NotFound."""
+        """Effective immediately; a second call changes nothing. Raises NotFound."""
         with self._database.write(quiet=True) as session:
             row = session.get(t.SessionRow, session_id)
             if row is None:
-                raise NotFound(f"no session {session_id}; `sweepid people sessions` tells which there are")
+                raise NotFound(f"no session {session_id}; `sweepid people sessions` lists all sessions")
             user = session.get_one(t.UserRow, row.user_id)
             if row.ended_at is None:
                 row.ended_at = t.now()
@@ -89,7 +89,7 @@ class SessionStore:
             return self._document(row, user)
 
     def all(self) -> tuple[SessionDocument, ...]:
-        """Those that open something, oldest first."""
+        """Valid sessions, oldest first."""
         every = select(t.SessionRow, t.UserRow).join(t.UserRow).order_by(t.SessionRow.id)
         with self._database.read() as session:
             documents = [self._document(row, user) for row, user in session.execute(every)]

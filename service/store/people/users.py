@@ -1,4 +1,4 @@
-"""People with passwords: added, changed, disabled. The audit has each change, in the same transaction."""
+"""Users with passwords: added, changed, disabled. Each change is in the audit, in the same transaction."""
 
 from datetime import datetime
 
@@ -7,7 +7,7 @@ from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
 from service.errors import Conflict, NotFound
-from service.people.chain import Entry
+from service.people.audit_chain import Entry
 from service.people.passwords import fits, outdated, password_hash
 from service.people.permissions import Role
 from service.store import tables as t
@@ -17,7 +17,7 @@ from service.store.people.names import check_free
 
 
 class UserDocument(BaseModel):
-    """A person without the password."""
+    """A user without the password. `issuer`, `subject`: for users of an identity provider, else None."""
 
     model_config = ConfigDict(frozen=True)
     id: int
@@ -25,24 +25,26 @@ class UserDocument(BaseModel):
     role: Role
     created_at: datetime
     disabled_at: datetime | None
+    issuer: str | None = None
+    subject: str | None = None
 
     @property
     def trouble(self) -> str:
-        """Why nobody logs in as this one; empty if somebody may."""
+        """Why a login as this user is refused; empty if it is allowed."""
         return "" if self.disabled_at is None else f"{self.name} was disabled on {self.disabled_at:%Y-%m-%d}"
 
 
 class UserStore:
-    """Every method is one transaction and blocks; those with a password reckon for some 0.1 s.
+    """Every method is one transaction and blocks; those with a password take about 0.1 s.
 
-    `entry`: of the audit, who does it and from where.
+    `entry`: of the audit, with user and address.
     """
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
     def add(self, name: str, role: Role, password: str, entry: Entry) -> UserDocument:
-        """BadInput for a password that is too short; Conflict where the name was given before."""
+        """Raises BadInput for a password that is too short; Conflict if the name was used before."""
         stored = password_hash(password)
         with self._database.write(quiet=True) as session:
             check_free(session, name)
@@ -53,25 +55,38 @@ class UserStore:
             return user_document(row)
 
     def change_password(self, name: str, password: str, entry: Entry) -> UserDocument:
-        """Ends the sessions under the old one. BadInput; NotFound; Conflict for one who is disabled."""
+        """Ends the sessions with the old password. Raises BadInput; NotFound; Conflict for a disabled or
+        external user.
+        """
         stored = password_hash(password)
         with self._database.write(quiet=True) as session:
             row = _row(session, name)
             if row.disabled_at is not None:
-                raise Conflict(f"{user_document(row).trouble}: add a user with another name")
+                raise Conflict(f"{user_document(row).trouble}: enable the user again with `sweepid people enable-user`")
+            if row.issuer is not None:
+                raise Conflict(f"{name} logs in at {row.issuer} and has no password in this service")
             row.password = stored
-            _end_sessions(session, row)
+            end_sessions(session, row)
             append(session, [{**entry, "event": "password changed", "user": name}])
             return user_document(row)
 
     def shut_out(self, name: str, entry: Entry) -> UserDocument:
-        """At once, with all sessions; again changes nothing. NotFound."""
+        """Disable a user immediately, with all sessions; a second call changes nothing. Raises NotFound."""
         with self._database.write(quiet=True) as session:
             row = _row(session, name)
             if row.disabled_at is None:
                 row.disabled_at = t.now()
-                _end_sessions(session, row)
+                end_sessions(session, row)
                 append(session, [{**entry, "event": "user disabled", "user": name}])
+            return user_document(row)
+
+    def let_in(self, name: str, entry: Entry) -> UserDocument:
+        """Enable a disabled user again; ended sessions stay ended. Raises NotFound."""
+        with self._database.write(quiet=True) as session:
+            row = _row(session, name)
+            if row.disabled_at is not None:
+                row.disabled_at = None
+                append(session, [{**entry, "event": "user enabled", "user": name}])
             return user_document(row)
 
     def all(self) -> tuple[UserDocument, ...]:
@@ -83,9 +98,9 @@ class UserStore:
             return session.scalar(select(t.UserRow.id).where(t.UserRow.name == name)) is not None
 
     def check(self, name: str, password: str) -> UserDocument | None:
-        """Who that is; None for a wrong password, an unknown name or one who is disabled, all of which take as long.
+        """The user; None for a wrong password, an unknown name or a disabled user, all of which take the same time.
 
-        A hash of parameters that are no longer the library's is replaced.
+        A hash with parameters that differ from the library's present ones is replaced.
         """
         with self._database.read() as session:
             row = session.scalar(select(t.UserRow).where(t.UserRow.name == name))
@@ -97,7 +112,7 @@ class UserStore:
         return user
 
     def _replace(self, user: UserDocument, stored: str, anew: str) -> None:
-        unchanged = (t.UserRow.id == user.id, t.UserRow.password == stored)  # nobody changed the password meanwhile
+        unchanged = (t.UserRow.id == user.id, t.UserRow.password == stored)  # unless the password was changed meanwhile
         with self._database.write(quiet=True) as session:
             session.execute(update(t.UserRow).where(*unchanged).values(password=anew))
 
@@ -109,16 +124,19 @@ def user_document(row: t.UserRow) -> UserDocument:
         role=Role[row.role.upper()],
         created_at=row.created_at,
         disabled_at=row.disabled_at,
+        issuer=row.issuer,
+        subject=row.subject,
     )
 
 
 def _row(session: Session, name: str) -> t.UserRow:
     row = session.scalar(select(t.UserRow).where(t.UserRow.name == name))
     if row is None:
-        raise NotFound(f"no user {name}; `sweepid people list` tells who there is")
+        raise NotFound(f"no user {name}; `sweepid people list` lists all users")
     return row
 
 
-def _end_sessions(session: Session, row: t.UserRow) -> None:
+def end_sessions(session: Session, row: t.UserRow) -> None:
+    """End all sessions of a user immediately."""
     open_ones = (t.SessionRow.user_id == row.id, t.SessionRow.ended_at.is_(None))
     session.execute(update(t.SessionRow).where(*open_ones).values(ended_at=t.now()))

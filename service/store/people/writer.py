@@ -1,8 +1,8 @@
-"""Writes the audit from a thread of its own: who asks waits, if at all, without holding the event loop or a thread.
+"""Writes the audit in a separate thread: a caller can wait without blocking the event loop or a thread.
 
-One writer, one transaction for all that waits: a flood of requests is no flood of transactions beside the lease.
-A stop happens whether the database takes its entry or not, so its entry is kept and written as soon as that does.
-Whose key it was that came with a stop is looked up here: the stop itself waits for no database.
+One writer and one transaction for all waiting entries: a flood of requests is not a flood of transactions. A stop is
+executed whether or not the database accepts its entry; the entry is kept and written later. The user of the key that
+came with a stop is looked up here, because the stop itself does not wait for the database.
 """
 
 import queue
@@ -16,8 +16,8 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.errors import SweepidError
+from service.people.audit_chain import Entry
 from service.people.callers import Callers
-from service.people.chain import Entry
 from service.store.people.audit import AuditStore
 from service.store.tables import now
 
@@ -25,16 +25,16 @@ _log = structlog.get_logger(__name__)
 
 _MOST_WAITING = 2000
 _AT_ONCE = 100
-_AGAIN = 1.0  # s until the database is asked again to take what it refused
+_AGAIN = 1.0  # s until a refused entry is written again
 
 
 class NotAudited(SweepidError):
-    """The audit cannot be written, so nothing is done either (API: 503)."""
+    """The audit cannot be written, so the request is not executed (API: 503)."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Item:
-    """An entry with the key that came with it (see `put`); None only waits for those before it. `kept`: see `keep`."""
+    """An entry with the key that came with it (see `put`); None only waits for the earlier ones. `kept`: see `keep`."""
 
     entry: Entry | None
     key: str
@@ -43,14 +43,14 @@ class _Item:
 
 
 class AuditWriter:
-    """A context."""
+    """Used as a context manager."""
 
     def __init__(self, store: AuditStore, *callers: Callers) -> None:
-        """`callers`: where whose key it was is looked up."""
+        """`callers`: where the user of a key is looked up."""
         self.store = store
         self._callers = callers
         self._waiting: queue.Queue[_Item | None] = queue.Queue()
-        self._refused: list[_Item] = []  # kept ones that the database has not taken, oldest first
+        self._refused: list[_Item] = []  # kept entries that the database refused, oldest first
         self._thread = threading.Thread(target=self._write, name="audit", daemon=True)
 
     def __enter__(self) -> Self:
@@ -60,32 +60,32 @@ class AuditWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """What waits is written first."""
+        """Waiting entries are written first."""
         self._waiting.put(None)
         self._thread.join()
 
     def settle(self, within: float) -> None:
-        """Blocks until what was put so far is written or refused, for `within` s at most."""
+        """Block until the entries so far are written or refused, for at most `within` s."""
         wait([self.put(None)], within)
 
     def put(self, entry: Entry | None, key: str = "") -> "Future[int]":
-        """From any thread, waits for nothing. The entry's number once it is on disk, or NotAudited.
+        """From any thread, without waiting. Result: the number of the entry once it is on disk, or NotAudited.
 
-        `key`: whose it is becomes the entry's actor, with the role.
+        `key`: its user becomes the actor of the entry, with the role.
         """
         return self._queue(_Item(entry, key))
 
     def keep(self, entry: Entry, key: str = "") -> "Future[int]":
-        """As `put`, for what was done without asking: one that the database refuses is written when it takes it.
+        """As `put`, for actions that do not wait for the audit: a refused entry is written later.
 
-        `happened` of the entry is now, `at` is when it was written.
+        `happened` of the entry is now, `at` is the time of writing.
         """
         return self._queue(_Item({"happened": now().isoformat(), **entry}, key, kept=True))
 
     def _queue(self, item: _Item) -> "Future[int]":
         waiting = self._waiting.qsize() + len(self._refused)
         if waiting >= _MOST_WAITING or not self._thread.is_alive():
-            self._give_up(item, "more waits for the audit than it takes")
+            self._give_up(item, "the queue of the audit is full")
         else:
             self._waiting.put(item)
         return item.future
@@ -96,10 +96,10 @@ class AuditWriter:
             items, ended = self._next()
             self._append([*self._refused, *(item for item in items if item.future.set_running_or_notify_cancel())])
         for item in self._refused:
-            self._give_up(item, "the service ended before the database took it")
+            self._give_up(item, "the service ended before the database stored the entry")
 
     def _next(self) -> tuple[list[_Item], bool]:
-        """What waits, and whether the end is reached. Nothing after a while in which refused ones wait."""
+        """Waiting entries, and whether the end is reached. Empty after a while if refused entries wait."""
         items: list[_Item] = []
         try:
             found = self._waiting.get(timeout=_AGAIN if self._refused else None)

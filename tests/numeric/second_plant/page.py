@@ -16,28 +16,28 @@ SCORED = ("service/diagnosis", "service/data_check")
 
 ROWS: dict[str, tuple[str, str]] = {
     "right_name": ("right name, medium and large singles, %", ">= 95"),
-    "wrong_name": ("wrong name, the same, %", "<= 2"),
-    "truth_admitted": ("truth among names or candidates, the same, %", ""),
-    "called_unknown": ("called unknown, the same, %", ""),
+    "wrong_name": ("wrong name, medium and large singles, %", "<= 2"),
+    "truth_admitted": ("truth among names or candidates, medium and large singles, %", ""),
+    "called_unknown": ("called unknown, medium and large singles, %", ""),
     "small_wrong": ("small (1 to 2 times the noise): wrong name, %", "<= 3"),
     "false_alarms": ("false alarms on healthy machines, %", "<= 1"),
-    "outside_unknown": ("effect outside the catalogue called unknown (a tilted base: or gravity error), %", ">= 90"),
+    "outside_unknown": ("effect outside the catalogue called unknown (tilted base: or gravity error), %", ">= 90"),
     "outside_wrong": ("... given a name, %", ""),
     "pairs_exact": ("pairs named exactly, %", ">= 80"),
     "pairs_wrong": ("pairs: wrong name, %", ""),
     "triples_wrong": ("three at once: wrong name, %", "<= 3"),
-    "wrong_in_part": ("a wrong name beside an unknown rest, %", ""),
-    "faults_told": ("wrong nominals and broken data: fault told, %", ">= 95"),
+    "wrong_in_part": ("a wrong name together with an unknown rest, %", ""),
+    "faults_told": ("wrong nominal values and faulty data: fault reported, %", ">= 95"),
     "sound_with_findings": ("sound data with a finding, %", "0"),
-    "gap_median": ("gap after / noise floor of the named, median", "<= 1.1"),
+    "gap_median": ("gap after / noise floor of named cases, median", "<= 1.1"),
     "gap_95th": ("... 95th percentile", "<= 1.5"),
-    "parameters": ("stated parameters that the truth has too", ""),
+    "parameters": ("stated parameters that exist in the truth", ""),
     "parameters_within_two_std": ("... truth within two standard deviations, %", "93 to 97"),
-    "inertias": ("inertias stated by the identification", ""),
+    "inertias": ("inertias from the identification", ""),
     "inertia_within_two_std": ("... truth within two standard deviations, %", ""),
     "experiment_proposed": ("neither `none` nor `named`: an experiment is proposed, %", ""),
-    "errors": ("broken off by an error", "0"),
-    "seconds_median": ("processor time an axis, s, median", "<= 5"),
+    "errors": ("ended by an error", "0"),
+    "seconds_median": ("processor time per axis, s, median", "<= 5"),
     "seconds_longest": ("... longest", ""),
 }
 
@@ -53,8 +53,8 @@ PAPER_ROWS = {
 
 
 def result(scores: Sequence[Score], by_paper: Sequence[Score], command: str, date: str, commit: str) -> Result:
-    """All that the page tells, as plain data; `by_paper`: of those diagnosed from what the paper measures; `code`: a
-    digest of the code that was scored.
+    """Content of the page as plain data. `by_paper`: scores with the measurements of the paper only; `code`: digest of
+    the scored code.
     """
     return {
         "command": command,
@@ -71,7 +71,7 @@ def result(scores: Sequence[Score], by_paper: Sequence[Score], command: str, dat
 
 
 def digest() -> str:
-    """Of the diagnosis and the check of the data, as they compute: words and layout do not count."""
+    """Digest of the code of the diagnosis and the data check; comments, docstrings and layout do not count."""
     found = hashlib.sha256()
     for path in sorted(path for room in SCORED for path in (ROOT / room).rglob("*.py")):
         found.update(path.relative_to(ROOT).as_posix().encode())
@@ -93,32 +93,32 @@ def page(run: Result) -> str:
     lines = [
         "# How well a diagnosis names hidden effects",
         "",
-        "Measured on machines that share no formula with the service or its simulator (`tests/numeric/second_plant`):",
-        "random robots in MuJoCo, CAD off by 10 to 18 % under a prior of 30 % in three quarters of the cases, friction",
-        "that sticks, coloured noise, laws from the literature that are not the catalogue's. What is missed, and why:",
-        "[diagnosis](../explanation/diagnosis.md).",
+        "The scores are measured on machines that share no formula with the service or its simulator",
+        "(`tests/numeric/second_plant`): random robots in MuJoCo, CAD errors of 10 to 18 % with a prior of 30 % in",
+        "three quarters of the cases, friction that sticks, coloured noise, and laws from the literature that are not",
+        "in the catalogue. What is missed, and why: [diagnosis](../explanation/diagnosis.md).",
         "",
-        "Right: all that is hidden is named and nothing else but what physically comes with it; of effects outside the",
-        "catalogue `unknown`; of faults in the data a finding. `payload` and `torque_constant_error` count as right",
-        "when they are called ambiguous and a test mass is asked for. Small: 1 to 2 times the noise; medium: 1.5 to",
-        "3 % of the rated effort; large: 3 to 8 %.",
+        "A case is right if every hidden effect is named, and nothing else except its physical consequences; an effect",
+        "outside the catalogue must be `unknown`; a fault in the data must be a finding. `payload` and",
+        "`torque_constant_error` count as right if they are called ambiguous and a test mass is requested. Small: 1 to",
+        "2 times the noise; medium: 1.5 to 3 % of the rated effort; large: 3 to 8 %.",
         "",
-        f"Cases: {kinds}. Of {run['date']}, commit {run['commit']}. Written by:",
+        f"Cases: {kinds}. Date {run['date']}, commit {run['commit']}. Command:",
         "",
         "```",
         run["command"],
         "```",
         "",
-        *table(("", "measured", "wanted"), [(text, number(found[key]), goal) for key, (text, goal) in _present(found)]),
+        *table(("", "measured", "target"), [(text, number(found[key]), goal) for key, (text, goal) in _present(found)]),
         "",
         *_paper(run["paper"]),
-        "What came of each class:",
+        "Outcomes by class:",
         "",
         *table(("class", *names), _rows(run["outcomes"], names)),
         "",
-        "What was said of each, wrong names first:",
+        "Result for each hidden effect, wrong names first:",
         "",
-        *table(("hidden", "said"), [(hidden, _said(counts)) for hidden, counts in run["confusion"].items()]),
+        *table(("hidden", "result"), [(hidden, _said(counts)) for hidden, counts in run["confusion"].items()]),
         "",
         "True parameters within two standard deviations:",
         "",
@@ -137,9 +137,9 @@ def _paper(found: Mapping[str, Any] | None) -> list[str]:
     cases = f"{found['none_cases']} healthy machines and {found['big_cases']} medium and large singles"
     rows = [(ROWS[key][0], number(found[key]), goal) for key, goal in PAPER_ROWS.items()]
     return [
-        f"From what the paper measures alone (one direction, an offset and 2 to 5 Hz, once in every pose), {cases}:",
+        f"Measurements of the paper only (one direction, an offset and 2 to 5 Hz, once in every pose), {cases}:",
         "",
-        *table(("", "measured", "wanted"), rows),
+        *table(("", "measured", "target"), rows),
         "",
     ]
 

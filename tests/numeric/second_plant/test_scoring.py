@@ -146,7 +146,7 @@ def test_figures_of_a_few() -> None:
     assert len(failed(some)) == 7
     text = page(result(some, some, "python -m something", "2030-01-02", "0123abc"))
     assert "| right name, medium and large singles, % | 25 | >= 95 |" in text
-    assert "Of 2030-01-02, commit 0123abc." in text
+    assert "Date 2030-01-02, commit 0123abc." in text
 
 
 def test_the_page_is_of_todays_code() -> None:

@@ -57,5 +57,9 @@ def following(bank: Bank, registers: RegisterMap) -> None:
 def profile_on(line: TcpLine | RtuLine, kind: str, axes: int = 1, **axis: Any) -> ModbusProfile:
     content = load_profile(DRIVES / f"virtual-max100-modbus-{kind}.yaml")
     all_axes: Any = content["axes"]
-    content |= {"line": line.model_dump(), "axes": [{**each, **axis} for each in all_axes[:axes]]}
+    content |= {
+        "line": line.model_dump(),
+        "travel_limits": {"rad": 1e3},
+        "axes": [{**each, **axis} for each in all_axes[:axes]],
+    }
     return parse_profile(content, DRIVES)

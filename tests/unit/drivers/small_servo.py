@@ -177,7 +177,7 @@ class Link:
         self.opened += 1
         self.thread = AskedThread("small")
         self.watch = HostWatch(HOST_TIMEOUT)
-        self.axes = {servo.joint: Axis(servo, self.watch) for servo in self._servos}  # pyright: ignore[reportArgumentType]
+        self.axes = {servo.joint: Axis(servo, self.watch) for servo in self._servos}
         self.identities = tuple([await self.thread.run(axis.introduce) for axis in self.axes.values()])
         return self
 

@@ -5,6 +5,8 @@ import random
 import pytest
 
 from drivers.canopen.bcm import Steering, set_point_source
+from drivers.canopen.frames import Wires
+from drivers.canopen.profile import BusProfile
 from drivers.canopen.punctuality import Punctuality
 from tests.unit.drivers.streaming_bench import Drive, bench
 
@@ -56,6 +58,14 @@ def test_the_steering_stays_within_reason() -> None:
             steering.note(late)
             steering.adjust()
             assert 0.899e-3 <= steering.interval <= 1.101e-3
+
+
+@pytest.mark.parametrize(("missed_cycles", "counted", "waits"), [(0, False, False), (1, False, True), (1, True, False)])
+def test_the_host_waits_for_drives_that_count_no_samples_where_cycles_may_be_late(
+    missed_cycles: int, counted: bool, waits: bool
+) -> None:
+    profile = BusProfile(interface="virtual", channel="x", missed_cycles=missed_cycles)
+    assert profile.waits(Wires(counted=counted)) is waits
 
 
 async def test_only_socketcan_has_a_kernel_that_times() -> None:

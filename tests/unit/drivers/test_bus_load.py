@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen.bus_load import check_bus_load, frame_bits
+from drivers.canopen.bus_load import bus_load, check_bus_load, frame_bits
 from drivers.canopen.configuration import pdos
 from drivers.canopen.device_map import Way, load_device_map
 from drivers.canopen.profile import BusProfile
@@ -48,3 +48,12 @@ def test_three_axes_at_a_megabit_fit_and_an_unknown_bit_rate_is_not_judged() -> 
 def test_a_bus_that_heartbeats_fill_fits_nothing() -> None:
     with pytest.raises(LimitExceeded, match="no sync_period fits"):
         check_bus_load(bus(bitrate=10_000, drive_heartbeat=0.001), of(1), 10)  # pyright: ignore[reportArgumentType]
+
+
+def test_the_load_by_hand() -> None:
+    # 1210 bits a cycle of 4 ms, and 65 bits 40 times a second (see above)
+    settings = bus(bitrate=1_000_000, sync_period=0.004)
+    beats = 65 * (1 / settings.host_heartbeat + 3 / settings.drive_heartbeat)
+    found = bus_load(settings, of(3), 3)  # pyright: ignore[reportArgumentType]
+    assert found == pytest.approx((1210 / 0.004 + beats) / 1e6)
+    assert bus_load(bus(), of(3), 3) == 0.0  # pyright: ignore[reportArgumentType]

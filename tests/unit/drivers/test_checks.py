@@ -86,7 +86,7 @@ def test_a_good_sweep_passes() -> None:
         ({"position_window": (-0.5, 2.5)}, 0.0, "window -0.5 to 2.5 rad is outside -2 to 2 rad"),
         ({"settle": -1.0}, 0.0, "settle -1.0 s"),
         ({"period": math.inf}, 0.0, "period inf"),
-        ({"periods": 0}, 0.0, "settle 0.5 s, 0 periods"),
+        ({"periods": 0}, 0.0, "settle 0.5 s must be 0 or more, periods 0 must be 1 or more"),
     ],
 )
 def test_sweeps_that_are_refused(change: dict[str, object], start: float, message: str) -> None:

@@ -69,7 +69,7 @@ def test_a_draft_names_the_shipped_map_and_is_refused_until_it_is_filled_in(make
     profile = out / f"{eds.stem}.yaml"
     assert sorted(out.iterdir()) == [profile]
     with pytest.raises(
-        BadProfile, match=r"bus\.bitrate: is to be filled in: bit/s, .*; \d+ more lines begin with FILL IN"
+        BadProfile, match=r"bus\.bitrate: must be filled in: bit/s, .*; \d+ more lines begin with FILL IN"
     ):
         load(profile)
     profile.write_text(yaml.safe_dump(filled(yaml.safe_load(profile.read_text()))))
@@ -89,14 +89,14 @@ def test_a_drive_without_a_map_gets_one_with_a_line_for_each_missing_object(tmp_
     shutil.copy(file_of("powerball"), eds)
     assert run("draft", "--eds", eds, "--out", tmp_path, "--devices", tmp_path).exit_code == 0
     path = tmp_path / "other-device.yaml"
-    with pytest.raises(BadProfile, match=r"units\.side: is to be filled in: motor, or joint .*; \d+ more lines"):
+    with pytest.raises(BadProfile, match=r"units\.side: must be filled in: motor, or joint .*; \d+ more lines"):
         load_device_map(path)
     draft = yaml.safe_load(path.read_text())
     assert draft["excitation"] == ["interpolated_position"]
     assert draft["pdos"] == {"set_point": 1, "stop": 2, "state": 1, "place": 2, "unused_tpdos": [3, 4]}
     shipped = yaml.safe_load((DEVICES / "schunk-powerball.yaml").read_text())
     assert set(draft["missing"]) - set(shipped["missing"]) <= {"rated_current", "max_torque", "max_profile_velocity"}
-    assert draft["missing"]["error_code"].startswith("FILL IN who does it instead: 603Fh:00")
+    assert draft["missing"]["error_code"].startswith("FILL IN what replaces it: 603Fh:00")
     draft["units"] = shipped["units"]
     draft["missing"] = dict.fromkeys(draft["missing"], "the maker's manual")
     path.write_text(yaml.safe_dump(draft))
@@ -116,9 +116,9 @@ def test_a_makers_name_that_yaml_does_not_read_still_makes_a_draft(letter: str, 
     text = file_of("plain").read_text()
     eds.write_text(text.replace("ProductName=", f"ProductName=a{letter}b"), encoding="utf-8")
     assert run("draft", "--eds", eds, "--out", tmp_path, "--devices", tmp_path).exit_code == 0
-    with pytest.raises(BadProfile, match="is to be filled in"):
+    with pytest.raises(BadProfile, match="must be filled in"):
         load(tmp_path / "odd.yaml")
-    with pytest.raises(BadProfile, match="is to be filled in"):
+    with pytest.raises(BadProfile, match="must be filled in"):
         load_device_map(tmp_path / "odd-device.yaml")
 
 
@@ -150,7 +150,7 @@ def test_a_mismatch_is_an_exit_code_and_a_row_of_json(drives: Cabinet, tmp_path:
 
 def test_another_fieldbus_is_refused(tmp_path: Path) -> None:
     error = run("check", DRIVES / "virtual-max100-modbus-tcp.yaml").exception
-    assert "adapter: 'modbus' is not checked by this, but canopen" in str(error)
+    assert "adapter: 'modbus' is not supported by this check; canopen is" in str(error)
 
 
 # -- turned by hand
@@ -224,4 +224,4 @@ def test_the_move_measures_each_channel_and_ends_without_energy(tmp_path: Path) 
         assert document["energy"] == "with a move of joint_1"
         measured = [row["check"] for row in document["rows"] if row["check"] in {"sign", "unit", "delay", "noise"}]
         assert measured == [*["sign"] * 3, *["unit"] * 2, *["delay"] * 2, *["noise"] * 3]
-        assert bench.virtual.cabinet.status()["axes"]["joint_1"]["energised"] is False  # pyright: ignore
+        assert bench.virtual.cabinet.status()["axes"]["joint_1"]["energised"] is False  # pyright: ignore[reportIndexIssue]

@@ -3,7 +3,6 @@
 import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, cast
 
 import can
 import canopen
@@ -13,7 +12,7 @@ from canopen.sdo.client import SdoClient
 
 from drivers.canopen import objects
 from drivers.canopen.bus import Bus
-from drivers.canopen.configuration import settle
+from drivers.canopen.configuration import settle, settle_sync
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.sdo import ObjectAbsent, Sdo
 from drivers.errors import CommunicationLost, WrongConfiguration
@@ -27,9 +26,11 @@ class Desk:
 
 
 def dictionary() -> ObjectDictionary:
-    """Has 6072h, and 6085h as a constant; lacks 6080h."""
+    """Has 1006h, 1019h, 6072h, and 6085h as a constant; lacks 6080h."""
     content = ObjectDictionary()
     for index, data_type, access in (
+        (0x1006, datatypes.UNSIGNED32, "rw"),
+        (0x1019, datatypes.UNSIGNED8, "rw"),
         (0x6072, datatypes.UNSIGNED16, "rw"),
         (0x6085, datatypes.UNSIGNED32, "ro"),
         (0x605A, datatypes.INTEGER16, "rw"),
@@ -50,8 +51,7 @@ def desk() -> Iterator[Desk]:
     server.connect()
     node = server.create_node(1, dictionary())
     bus = Bus(BusProfile(interface="virtual", channel=channel, sdo_timeout=5.0, drive_timeout=60.0), (1, 2))
-    eds = dictionary()
-    client = bus.add_node(1, cast(Any, eds))  # canopen takes either
+    client = bus.add_node(1, None)
     yield Desk(Sdo(client, "joint_1 (node 1)", bus.check_alive), client, node)
     bus.close()
     server.disconnect()
@@ -98,3 +98,13 @@ def test_a_node_that_does_not_answer_is_lost_communication(desk: Desk) -> None:
     desk.client.RESPONSE_TIMEOUT = 0.2  # s
     with pytest.raises(CommunicationLost, match="6072h:00 max torque: No SDO response"):
         desk.sdo.read(objects.MAX_TORQUE)
+
+
+def test_a_sync_counter_is_switched_off_while_the_sync_period_is_0(desk: Desk) -> None:
+    """CiA 301, 7.5.2.22: 1019h may be changed only then."""
+    written: list[tuple[int, bytes]] = []
+    desk.node.add_write_callback(lambda index, data, **_: written.append((index, bytes(data))))
+    settle_sync(desk.sdo)
+    assert written == [(0x1006, bytes(4)), (0x1019, b"\0")]
+    settle_sync(desk.sdo)
+    assert len(written) == 2

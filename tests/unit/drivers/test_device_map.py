@@ -42,7 +42,7 @@ def table(after: str) -> list[str]:
 def test_the_page_has_every_field_and_no_other() -> None:
     for heading, model in (("## The file", DeviceMap), ("### `units`", Units), ("### `pdos`", Pdos)):
         assert table(heading) == list(model.model_fields), heading
-    assert table("### Ways of excitation") == [way.value for way in Way]
+    assert table("### Modes of excitation") == [way.value for way in Way]
     assert table("### Names of objects") == list(STANDARD)
     types = {code: name for name, code in TYPES.items()}
     for name, entry in STANDARD.items():
@@ -77,21 +77,24 @@ def test_a_profile_without_a_map_means_the_virtual_drive() -> None:
         ({"objects": {"speed": {"index": 0x606C, "type": "i32"}}}, r"objects: \['speed'\] are unknown"),
         ({"objects": {"velocity": {"index": 0x606C, "type": "i16"}}}, "objects.velocity: type must be i32"),
         ({"objects": {"velocity": {"index": 0x606C, "type": "f32"}}}, "objects.velocity.type: .*given: 'f32'"),
-        ({"missing": {"velocity": "host"}}, r"without \['velocity'\] no axis can be moved"),
-        ({"missing": {"torque": "host"}}, r"missing: \['torque'\], and the map uses it"),
-        ({"missing": {"target_velocity": "host"}}, r"\['target_velocity'\], and the map uses it"),
-        ({"samples": "counter", "missing": {"sample_counter": "host"}}, r"\['sample_counter'\], and the map uses it"),
+        ({"missing": {"velocity": "host"}}, r"missing: \['velocity'\] are needed to move and measure an axis"),
+        ({"missing": {"torque": "host"}}, r"missing: \['torque'\] are used by this map"),
+        ({"missing": {"target_velocity": "host"}}, r"\['target_velocity'\] are used by this map"),
+        ({"samples": "counter", "missing": {"sample_counter": "host"}}, r"\['sample_counter'\] are used by this map"),
         (
             {"units": {"effort": "current"}, "missing": {"rated_current": "host"}},
-            r"\['rated_current'\], and the map uses",
+            r"\['rated_current'\] are used by this map",
         ),
-        ({"missing": {"increments": "profile"}}, r"\['increments'\], and the map uses it"),
-        ({"missing": {"velocity_unit": "host"}}, r"\['velocity_unit'\], and the map uses it"),
+        ({"missing": {"increments": "profile"}}, r"\['increments'\] are used by this map"),
+        ({"missing": {"velocity_unit": "host"}}, r"\['velocity_unit'\] are used by this map"),
         ({"excitation": []}, "excitation: .*at least 1 item"),
         ({"pdos": {"state": 2}}, r"TPDO \[2, 2\] must each be different"),
         ({"pdos": {"stop": 2, "unused_rpdos": [2]}}, r"RPDO \[1, 2, 2\] must each be different"),
         ({"pdos": {"stop": 5}}, "pdos.stop: .*less than or equal to 4.*given: 5"),
-        ({"pdos": {}, "excitation": ["cyclic_position"]}, "stopped by a controlword without a target"),
+        (
+            {"pdos": {}, "excitation": ["cyclic_position"]},
+            "pdos.stop is missing: .*needs an RPDO with the controlword and no target",
+        ),
         ({"excitation": ["torque_offset"]}, "excitation.0: .*given: 'torque_offset'"),
         ({"units": {"velocity": "mph"}}, "units.velocity: .*given: 'mph'"),
         ({"colour": "red"}, "colour: Extra inputs"),
@@ -116,8 +119,16 @@ def test_a_file_that_is_none_is_named(tmp_path: Path) -> None:
     ("content", "axis", "message"),
     [
         ({"vendor": 0x9A}, {}, "is for vendor 0000009Ah; joint_1 is 00005357h"),
-        ({"units": {"increments": "profile"}}, {}, "axes: joint_1: increments: the device map leaves them"),
-        ({"units": {"effort": "current"}}, {}, "axes: joint_1: torque_constant: needed"),
+        (
+            {"units": {"increments": "profile"}},
+            {},
+            "axes: joint_1: increments is missing: the device map says `increments: profile`",
+        ),
+        (
+            {"units": {"effort": "current"}},
+            {},
+            "axes: joint_1: torque_constant is missing: .* the profile must give N m/A",
+        ),
         ({"units": {"side": "joint"}}, {"gear_ratio": -100.0}, "axes: joint_1: gear_ratio must be above 0"),
     ],
 )

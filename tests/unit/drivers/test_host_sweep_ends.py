@@ -56,7 +56,7 @@ async def test_a_kernel_that_takes_no_more_set_points_is_no_dead_bus(monkeypatch
         def close(self) -> None: ...
 
     async with bench(Drive(1), Drive(2)) as on:
-        monkeypatch.setattr(host_sweep, "set_point_source", lambda _: "bcm")
+        monkeypatch.setattr(host_sweep, "set_point_source", lambda *_, **__: "bcm")
         monkeypatch.setattr(host_sweep, "KernelStream", Kernel)
         run = on.start(on.request(1, periods=300), on.request(2, periods=300))
         await run_to_end(run)

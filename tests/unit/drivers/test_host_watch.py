@@ -12,7 +12,7 @@ from drivers.cia402.states import State
 from drivers.errors import MotionForbidden
 from drivers.ports import Sine, SweepCommand, SweepMode
 from tests.unit.drivers.small_servo import Servo, machine
-from tests.unit.drivers.test_standing import eventually
+from tests.unit.drivers.test_idle_axes import eventually
 
 LIMIT = 0.05  # s
 COMMAND = SweepCommand(
@@ -47,7 +47,7 @@ def test_a_gap_shuts_the_gate_until_a_person_opens_it() -> None:
     watch.check()
     miss(watch)
     for _ in range(3):
-        with pytest.raises(MotionForbidden, match=r"the host was suspended for 0\.\d s, its drives wait for 0\.05 s"):
+        with pytest.raises(MotionForbidden, match=r"the host was suspended for 0\.\d s, limit 0\.05 s"):
             watch.check()
     watch.alive()
     assert watch.reason  # life alone opens nothing
@@ -82,7 +82,7 @@ def enabling(servo: Servo) -> list[int]:
     return [word for word in servo.told if word & 0x0F in (states.SHUTDOWN, states.SWITCH_ON, states.ENABLE_OPERATION)]
 
 
-LOST = r"joint_1 \(small\) is 'switch on disabled', and nobody here took its energy"
+LOST = r"joint_1 \(small\) is 'switch on disabled', but this service did not disable it: find out what did"
 STEPS = ("control 06", "control 07", "control 0F", "control 1F")
 
 
@@ -149,7 +149,7 @@ async def test_an_axis_that_nobody_here_enabled_is_told(state: State) -> None:
     await port.connect()
     servo.state = state
     await eventually(lambda: bool(told))
-    assert told == [f"joint_1 (small) is '{state.value}', and nobody here enabled it"]
+    assert told == [f"joint_1 (small) is '{state.value}', but this service did not enable it: find out what did"]
     with pytest.raises(MotionForbidden):
         await port.enable("joint_1")
     await port.stop()

@@ -6,11 +6,9 @@ import time
 import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, cast
 
 import can
 import pytest
-from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
@@ -71,7 +69,7 @@ def desk() -> Iterator[Desk]:
 
     listening = can.Notifier(node, [answer], timeout=0.05)
     bus = Bus(BusProfile(interface="virtual", channel=channel, drive_timeout=3600.0), (NODE,))
-    client = bus.add_node(NODE, cast(Any, ObjectDictionary()))  # canopen takes either
+    client = bus.add_node(NODE, None)
     yield Desk(bus, client, Sdo(client, "joint_1 (node 1)", bus.check_alive), answers)
     bus.close()
     listening.stop()

@@ -88,7 +88,8 @@ def test_the_wrong_word_order_is_told_with_both_readings(kind: str, registers: R
         connected(kind, load_registers(tmp_path / "turned.yaml")) as (_, device),
         pytest.raises(
             WrongIdentity,
-            match=rf"reads {turned:08X}h, the register map says {value:08X}h; .*{name}_first' it is that",
+            match=rf"reads {turned:08X}h, the register map says {value:08X}h; .*{name}_first' both agree: "
+            "correct word_order in the map",
         ),
     ):
         device.identify()
@@ -198,7 +199,7 @@ def test_mode_that_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     with connected("tcp") as (bank, device):
         device.set_mode(Mode.PROFILE_POSITION)
         bank.react = lambda _: None
-        with pytest.raises(WrongConfiguration, match="mode 9 was not taken, the drive shows 1"):
+        with pytest.raises(WrongConfiguration, match="mode 9 was not accepted, the drive reports mode 1"):
             device.set_mode(Mode.CYCLIC_VELOCITY)
 
 

@@ -15,7 +15,9 @@ def test_nobody_listens() -> None:
         bound.bind(("127.0.0.1", 0))
         port = bound.getsockname()[1]
         line = Line(TcpLine(transport="tcp", host="127.0.0.1", port=port, timeout=1.0, watchdog=4.0))
-        expected = rf"^Modbus tcp 127\.0\.0\.1:{port} could not be opened: Connection refused; is the machine on\?$"
+        expected = (
+            rf"^Modbus tcp 127\.0\.0\.1:{port} could not be opened: Connection refused; check power, cable and address$"
+        )
         with pytest.raises(ConnectionFailed, match=expected):
             line.open()
 
@@ -28,12 +30,16 @@ def test_the_name_is_no_host() -> None:
 
 def test_there_is_no_such_device(tmp_path: Path) -> None:
     line = Line(RtuLine(transport="rtu", device=str(tmp_path / "ttyUSB0"), timeout=1.0, watchdog=4.0))
-    with pytest.raises(ConnectionFailed, match=r"ttyUSB0 could not be opened: .*No such file or directory.*; is the"):
+    with pytest.raises(
+        ConnectionFailed, match=r"ttyUSB0 could not be opened: .*No such file or directory.*; check power"
+    ):
         line.open()
 
 
 def test_the_device_is_no_serial_line(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     line = Line(RtuLine(transport="rtu", device=str(tmp_path / "file"), timeout=1.0, watchdog=4.0))
-    with pytest.raises(ConnectionFailed, match=r"file could not be opened: .*Inappropriate ioctl.*; is the machine on"):
+    with pytest.raises(
+        ConnectionFailed, match=r"file could not be opened: .*Inappropriate ioctl.*; check power, cable and address"
+    ):
         line.open()

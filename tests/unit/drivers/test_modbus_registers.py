@@ -70,15 +70,17 @@ def test_every_rule() -> None:
     sample = HIGH["trace"]["sample"]
     bad = {
         "missing": without("statusword"),
-        "measuring function needs": without("page_first"),
-        "trace: belongs to": {key: value for key, value in HIGH.items() if key != "trace"},
+        "a measuring function needs": without("page_first"),
+        "trace: needed with a measuring function, not allowed without one": {
+            key: value for key, value in HIGH.items() if key != "trace"
+        },
         r"unknown \['spede'\]": {**HIGH, "signals": {**HIGH["signals"], "spede": HIGH["signals"]["velocity"]}},
         "signals.velocity: unit rad/s must be rev/min": changed(velocity={"unit": "rad/s"}),
         "signals.statusword: must be a whole number": changed(statusword={"scale": 2.0}),
         "signals.controlword: access must be rw": changed(controlword={"access": "ro"}),
         "signals.statusword: access must be ro": changed(statusword={"access": "rw"}),
         "signals.velocity: count must be 1": changed(velocity={"count": 2}),
-        "nothing else has": changed(vendor={"value": 7}),
+        "signals.vendor: value is needed for the constant and not allowed elsewhere": changed(vendor={"value": 7}),
         "two different words": changed(constant={"value": 0x12341234}),
         "must be u32 or i32": changed(constant={"type": "u16", "value": 7}),
         "hold its value": changed(constant={"value": -1}),
@@ -105,7 +107,7 @@ def test_files_are_named(tmp_path: Path) -> None:
         b"a: 2001-13-45": "not YAML",
         b"a: !!int ''": "not YAML",
         b"a: !!timestamp x": "not YAML",
-        b"a: " + b"[" * 3000: "not YAML of any use: nested too deeply",
+        b"a: " + b"[" * 3000: "not YAML: nested too deeply, limit 32 levels",
         b" " * 2**20 + b"a": "is larger than",
         b"- 1": "must be a mapping",
     }

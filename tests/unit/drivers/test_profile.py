@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from drivers.canopen.device_map import load_device_map
 from drivers.canopen.profile import parse_profile
 from drivers.cia402.machine import Cia402Machine
 from drivers.errors import BadProfile
@@ -34,7 +35,7 @@ def test_the_virtual_machine_has_six_axes(profile: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        ("adapter", "telepathy", "adapter: 'telepathy' is not known; installed are .*canopen"),
+        ("adapter", "telepathy", "adapter: 'telepathy' is unknown; installed: .*canopen"),
         ("axes.0.velocity_limt", 1.0, "axes.0.velocity_limt: Extra inputs are not permitted"),
         ("axes.0.velocity_limit", -1.0, "axes.0.velocity_limit: .*greater than 0.*given: -1.0"),
         ("axes.0.gear_ratio", 0.0, "axes.0: .*gear_ratio must not be 0"),
@@ -44,6 +45,15 @@ def test_the_virtual_machine_has_six_axes(profile: dict[str, Any]) -> None:
         ("axes.1.joint", "joint_1", "profile: .*joints"),
         ("bus.port", 70000, "bus.port: .*65535.*given: 70000"),
         ("bus.sync_period", 0.0015, "bus: .*whole milliseconds"),
+        (
+            "bus.host_timeout",
+            3.2,
+            r"axes.0: joint_1 would travel 3.325 rad after the loss of its host \(velocity_limit 1 rad/s "
+            r"for bus.host_timeout 3.2 s, then quick_stop.* 4 rad/s\^2\), limit 3.2 rad: .*travel_limits.rad",
+        ),
+        ("travel_limits", {}, "axes.0: joint_1 would travel 3.125 rad .*limit 1.6 rad"),
+        ("axes.1.velocity_limit", 1.2, "axes.1: joint_2 would travel 3.78 rad"),
+        ("travel_limits.rad", 0.0, "travel_limits.rad: .*greater than 0"),
         ("bus.host_node", 3, "profile: .*host_node 3"),
         ("eds", "nowhere.eds", "eds: no file .*nowhere.eds"),
         ("axes.0.identity.product", 0x999, "eds: .*is for vendor 00005357h, product 00000402h; joint_1 is .*00000999h"),
@@ -80,6 +90,33 @@ def test_unreadable_files(tmp_path: Path) -> None:
         load_profile(broken)
 
 
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("&a {axes: *a}", r"alias \*a is inside of its own anchor"),
+        ("axes: &a [{identity: *a}]", r"alias \*a is inside of its own anchor"),
+        (f"axes: {'[' * 33}{']' * 33}", "nested too deeply, limit 32 levels"),
+        (f"a: &a {'n' * 100_000}\nb: [{', '.join(['*a'] * 100)}]", "aliases stand for more than 4194304 characters"),
+    ],
+)
+def test_yaml_without_end_is_refused(content: str, message: str, tmp_path: Path) -> None:
+    """A profile that holds itself took all of Python's stack when its open values were looked for."""
+    path = tmp_path / "drive.yaml"
+    path.write_text(content)
+    with pytest.raises(BadProfile, match=message):
+        open_drive(load_profile(path), tmp_path)
+    with pytest.raises(BadProfile, match=message):
+        load_device_map(path)
+
+
+def test_a_long_value_is_shown_by_its_beginning(profile: dict[str, Any]) -> None:
+    profile["adapter"] = ["x"] * 100_000
+    with pytest.raises(BadProfile) as refusal:
+        parse_profile(profile, DRIVES)
+    assert str(refusal.value).startswith("adapter: Input should be 'canopen' (given: ['x', 'x'")
+    assert len(str(refusal.value)) < 300
+
+
 def test_an_eds_may_tell_its_vendor_and_no_product(profile: dict[str, Any], tmp_path: Path) -> None:
     """As some stacks write it."""
     profile["eds"] = "other.eds"
@@ -92,7 +129,17 @@ def test_an_eds_may_tell_its_vendor_and_no_product(profile: dict[str, Any], tmp_
 
 def test_an_eds_that_is_none_is_refused(profile: dict[str, Any], tmp_path: Path) -> None:
     profile["eds"] = "other.eds"
-    for content in ("", "no section", "[DeviceInfo]\nVendorNumber=x\nProductNumber=1\n"):
+    for content in ("", "no section", "[DeviceInfo]\nVendorNumber=x\nProductNumber=1\n", ";" * (2**22 + 1)):
         (tmp_path / "other.eds").write_text(content)
         with pytest.raises(BadProfile, match="no usable section DeviceInfo"):
             parse_profile(profile, tmp_path)
+
+
+def test_a_linear_axis_has_its_own_limit_of_travel(profile: dict[str, Any]) -> None:
+    linear = profile["axes"][2] | {"unit": "m", "load_encoder": False}
+    with pytest.raises(
+        BadProfile, match=r"axes.0: joint_3 would travel 3.125 m after the loss of its host .* limit 0.5 m"
+    ):
+        parse_profile(profile | {"axes": [linear]}, DRIVES)
+    near = linear | {"velocity_limit": 0.16}  # 0.4832 m
+    assert parse_profile(profile | {"axes": [near]}, DRIVES).axes[0].travel_without_host(3.0) == pytest.approx(0.4832)

@@ -58,5 +58,8 @@ def test_a_gateway_that_answers_otherwise_is_refused_and_nothing_stays_open(
     answers: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(socketcand, "ANSWER_TIMEOUT", 0.5)
-    with gateway(answers) as port, pytest.raises(ConnectionFailed, match=r"could not be opened: (Expected|no) '< "):
+    with (
+        gateway(answers) as port,
+        pytest.raises(ConnectionFailed, match=r"could not be opened: (Expected|the gateway did not send) '< "),
+    ):
         Bus(profile(port), (1,))

@@ -22,6 +22,7 @@ def drives(request: pytest.FixtureRequest) -> Iterator[Cabinet]:
     ("drives", "case"),
     [pytest.param(kind, case, id=f"{kind}-{case.name}") for kind in KINDS for case in CASES if kind in case.kinds],
     indirect=["drives"],
+    scope="module",  # one cabinet of a kind: each case takes back what it planted
 )
 def test_a_planted_mismatch_is_told_by_its_name_before_energy(case: Case, drives: Cabinet, tmp_path: Path) -> None:
     drives.heard()
@@ -50,7 +51,7 @@ def test_an_answer_of_4_bytes_is_told_and_no_mismatch(drives: Cabinet) -> None:
     assert sheet.mismatches == ()
     (mode,) = [row for row in sheet.rows if row.check == "object mode" and row.joint == "joint_1"]
     assert mode.verdict is Verdict.NOTE
-    assert "told in 4 bytes" in mode.what
+    assert "sent in 4 bytes" in mode.what
 
 
 def test_a_sound_machine_has_none(drives: Cabinet) -> None:

@@ -90,3 +90,35 @@ def test_proxies_are_addresses_or_networks(tmp_path: Path, wrong: str) -> None:
 def test_a_file_that_was_named_must_be_there(tmp_path: Path) -> None:
     with pytest.raises(BadInput, match="cannot be read"):
         load_settings(tmp_path / "none.yaml")
+
+
+@pytest.mark.parametrize(
+    ("address", "files", "place", "reason"),
+    [
+        ("tcp://scheduler:8786", (), "dask_scheduler", "is not encrypted, and scheduler is not this computer"),
+        ("tcp://192.168.1.4:8786", (), "dask_scheduler", "is not encrypted"),
+        ("scheduler:8786", (), "dask_scheduler", "is not of the form tls://HOST:PORT"),
+        ("tls://scheduler", (), "dask_scheduler", "is not of the form tls://HOST:PORT"),
+        ("tls://scheduler:99999", (), "dask_scheduler", "is not an address"),
+        ("tls://scheduler:8786", (), "dask_authority", "is missing"),
+        ("tls://scheduler:8786", ("authority", "certificate"), "dask_key", "is missing"),
+        ("tls://scheduler:8786", ("authority", "certificate", "key"), "dask_certificate", "cannot be used"),
+        ("tcp://127.0.0.1:8786", ("authority",), "dask_authority", "is not encrypted; use tls://"),
+        (None, ("key",), "dask_scheduler", "is missing: certificates for it are set"),
+    ],
+)
+def test_a_cluster_that_cannot_be_used_safely_is_refused(
+    tmp_path: Path, address: str | None, files: tuple[str, ...], place: str, reason: str
+) -> None:
+    given = {f"dask_{name}": str(tmp_path / f"{name}.pem") for name in files}
+    with pytest.raises(BadInput) as refused:
+        Settings.model_validate({"dask_scheduler": address, **given}).check_cluster()
+    assert place in str(refused.value)
+    assert reason in str(refused.value)
+
+
+def test_a_cluster_on_this_computer_needs_no_certificates() -> None:
+    found = Settings(dask_scheduler="tcp://127.0.0.1:8786").cluster
+    assert found is not None
+    assert (found.scheduler, found.certificates) == ("tcp://127.0.0.1:8786", None)
+    assert Settings().cluster is None

@@ -6,7 +6,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from service.tasks.background import Background
-from service.tasks.ending import to_its_end
+from service.tasks.run_to_end import run_to_end
 
 
 async def fails() -> None:
@@ -43,9 +43,9 @@ async def test_no_task_outlives_its_owner() -> None:
 
 
 async def test_what_must_end_gives_its_result_or_error() -> None:
-    assert await to_its_end(asyncio.sleep(0, "done")) == "done"
+    assert await run_to_end(asyncio.sleep(0, "done")) == "done"
     with pytest.raises(LookupError):
-        await to_its_end(fails())
+        await run_to_end(fails())
 
 
 @pytest.mark.parametrize("times", [1, 3])
@@ -56,7 +56,7 @@ async def test_a_cancelled_caller_hears_of_it_after_the_work(times: int) -> None
         await go.wait()
         ended.set()
 
-    caller = asyncio.create_task(to_its_end(work()))
+    caller = asyncio.create_task(run_to_end(work()))
     for _ in range(times):
         await asyncio.sleep(0)
         caller.cancel()
@@ -75,7 +75,7 @@ async def test_an_error_of_the_work_of_a_cancelled_caller_is_logged() -> None:
         await go.wait()
         raise OSError("disk full")
 
-    caller = asyncio.create_task(to_its_end(work()))
+    caller = asyncio.create_task(run_to_end(work()))
     await asyncio.sleep(0)
     caller.cancel()
     with capture_logs() as logs:

@@ -1,5 +1,6 @@
 """Where a sweep starts in a CNC's trace, and what a trace that is not the sweep's is refused for."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -65,7 +66,7 @@ def test_neither_a_move_before_nor_a_lost_end_disturbs() -> None:
         (2 * POSITION - trace(clock(12), 2.0), "backwards: wrong direction"),
         (trace(clock(5.7), 2.0), "lies outside of the trace"),
         (trace(clock(4.5), 2.0), "which ends at 4.496 s"),
-        (trace(clock(2.0), 0.1), "cannot hold a sweep"),
+        (trace(clock(2.0), 0.1), "is shorter than the sweep"),
         (np.minimum(trace(clock(12), 2.0), POSITION + 0.02), "is not this sweep's path"),
     ],
     ids=[
@@ -86,6 +87,42 @@ def test_neither_a_move_before_nor_a_lost_end_disturbs() -> None:
 def test_what_does_not_match_is_refused_with_its_reason(signal: np.ndarray, reason: str) -> None:
     with pytest.raises(BadInput, match=reason):
         motion_start(SWEEP, POSITION, np.arange(len(signal)) / RATE, signal, "trace.csv")
+
+
+@pytest.mark.parametrize(
+    ("sweep", "position", "reason"),
+    [
+        (SWEEP, 1e308, r"pose reaches 1e\+308 rad \(m\), limit 1e\+06"),
+        (replace(SWEEP, offset_velocity=1e308), 0.0, "path reaches .*, limit"),
+        (replace(SWEEP, sines=(Sine(frequency=2.0, amplitude=1e308),)), 0.0, "path reaches .*, limit"),
+        (replace(SWEEP, ramp=1e16), 0.0, "is shorter than the sweep of"),
+        (replace(SWEEP, settle=float("inf")), 0.0, "is shorter than the sweep of"),
+        (replace(SWEEP, period=1e300, periods=10**9), 0.0, "is shorter than the sweep of"),
+    ],
+)
+def test_a_path_beyond_all_measure_is_refused_before_it_is_searched(
+    sweep: Excitation, position: float, reason: str
+) -> None:
+    with pytest.raises(BadInput, match=reason):
+        motion_start(sweep, position, clock(12.0), trace(clock(12.0), 2.0), "trace.csv")
+
+
+def test_a_trace_without_end_is_refused() -> None:
+    time = np.arange(2**21, dtype=np.float64) * 0.02
+    with pytest.raises(BadInput, match=r"trace of 41943 s is too long for the search, limit 20972 s"):
+        motion_start(SWEEP, POSITION, time, trace(time, 2.0), "trace.csv")
+
+
+def test_a_long_trace_takes_no_more_memory_than_some_copies_of_it() -> None:
+    """A path of 2 minutes in a trace of 10 took 1.4 GB as a table of all differences."""
+    sweep = replace(SWEEP, periods=120)
+    time = clock(600.0)
+    signal = trace(time, 333.3, sweep=sweep)
+    tracemalloc.start()
+    assert abs(motion_start(sweep, POSITION, time, signal, "t") - 333.3) < 1e-4
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 100e6
 
 
 @pytest.mark.parametrize("factor", [-1.0, 0.5, 60.0])

@@ -19,19 +19,22 @@ from service.traces.trace_import import differentiate, import_trace
 POSITION = {"effort": {"source": "TORQUE"}, "position": {"source": "ENC"}}
 
 
+TABLE: dict[str, object] = {
+    "name": "table",
+    "joint": "c",
+    "kind": "revolute",
+    "inertia": 4.0,
+    "lower": -10.0,
+    "upper": 10.0,
+    "velocity": 2.0,
+    "rated_effort": 50.0,
+}
+
+
 def mapping(folder: Path, source: str, **changes: object) -> Path:
     """A mapping file for one sweep of a turning table; `changes` replace whole parts of it."""
     content: dict[str, object] = {
-        "robot": {
-            "name": "table",
-            "joint": "c",
-            "kind": "revolute",
-            "inertia": 4.0,
-            "lower": -10.0,
-            "upper": 10.0,
-            "velocity": 2.0,
-            "rated_effort": 50.0,
-        },
+        "robot": TABLE,
         "columns": {
             "time": {"source": "CYCLE", "scale": 0.001},
             "effort": {"source": "TORQUE", "scale": 20.0},
@@ -106,7 +109,7 @@ def test_the_result_is_a_bundle(tmp_path: Path) -> None:
 def test_a_trace_with_a_gap_is_not_written(tmp_path: Path) -> None:
     savemat(tmp_path / "trace.mat", {name: np.delete(column, 50) for name, column in trace().items()})
     robot, sweeps = import_trace(mapping(tmp_path, "trace.mat"))
-    with pytest.raises(BadInput, match=r"gap in time: 0\.051 s follows on 0\.049 s"):
+    with pytest.raises(BadInput, match=r"gap in time: 0\.051 s follows 0\.049 s"):
         write_bundle(tmp_path / "bundle", robot, sweeps)
     assert not (tmp_path / "bundle").exists()
 
@@ -118,7 +121,7 @@ def test_a_trace_with_a_gap_is_not_written(tmp_path: Path) -> None:
         ("none.mat", {}, "none.mat: file does not exist"),
         ("mapping.yaml", {}, "samples are .parquet or .csv"),
         ("torn.mat", {}, "torn.mat: cannot be read"),
-        ("text.mat", {}, "variable 'TORQUE' is not a column of numbers"),
+        ("text.mat", {}, "variable 'TORQUE': is not a column of numbers"),
         ("trace.mat", {"robots": "x"}, "robots: unknown key; did you mean robot?"),
         ("trace.mat", {"robot": "robot.yaml"}, "robot.yaml: cannot be read"),
         ("trace.mat", {"robot": {"name": "table"}}, "robot.axis.joint: Field required"),
@@ -135,11 +138,22 @@ def test_a_trace_with_a_gap_is_not_written(tmp_path: Path) -> None:
             "is not below half the sample rate",
         ),
         ("trace.mat", {"columns": POSITION | {"velocity": {"from_position": 5}}}, "200 samples are too few for a low"),
+        (
+            "trace.mat",
+            {"columns": POSITION | {"velocity": {"from_position": 5e-324}}},
+            "200 samples are too few for a low-pass of 5e-324 Hz",
+        ),
+        ("trace.mat", {"robot": TABLE | {"rated_effort": 5e-324}}, "mapping.yaml robot rated_effort: Input should be"),
+        ("trace.mat", {"robot": TABLE | {"gear_ratio": 1e308}}, "robot gear_ratio: Value error, must be between"),
+        ("trace.mat", {"robot": TABLE | {"name": "a\x07b"}}, "robot.axis.name: String should match pattern"),
+        ("trace.mat", {"csv": {"skip_rows": 2**31}}, "csv.skip_rows: Input should be less than or equal to 1000000"),
+        ("lengths.mat", {}, "differ in length, nothing is resampled: CYCLE has 200, TORQUE has 3"),
     ],
 )
 def test_refusals_name_the_reason(tmp_path: Path, source: str, changes: dict[str, object], reason: str) -> None:
     savemat(tmp_path / "trace.mat", trace())
     savemat(tmp_path / "text.mat", trace() | {"TORQUE": "low"})
+    savemat(tmp_path / "lengths.mat", trace() | {"TORQUE": np.arange(3.0)})
     (tmp_path / "torn.mat").write_bytes((tmp_path / "trace.mat").read_bytes()[:900])
     with pytest.raises(BadInput) as refusal:
         import_trace(mapping(tmp_path, source, **changes))

@@ -101,10 +101,13 @@ def test_a_body_carried_there_and_back_is_the_same() -> None:
         (robot(joint("j", "revolute", "a", "b", LIMIT + '<origin xyz="0 0"/>')), "is not three finite numbers"),
         (robot(joint("j", "revolute", "a", "b", LIMIT + '<origin xyz="0 0 x"/>')), "is not three numbers"),
         (robot('<joint name="j" type="fixed"><parent link="a"/></joint>'), "j: has no <child link=...>"),
-        (robot(joint("j", "revolute", "a", "b"), joint("k", "revolute", "a", "c"), links="abc"), "two moving joints"),
+        (
+            robot(joint("j", "revolute", "a", "b"), joint("k", "revolute", "a", "c"), links="abc"),
+            "two or more moving joints",
+        ),
         (robot(joint("j", "revolute", "a", "b", f'{LIMIT}<mimic joint="k"/>')), "j: follows joint 'k' (<mimic>)"),
-        (robot(joint("j", "fixed", "a", "b"), joint("k", "fixed", "b", "b")), "carried by two joints"),
-        (robot(joint("j", "fixed", "a", "b"), joint("k", "fixed", "a", "b")), "carried by two joints"),
+        (robot(joint("j", "fixed", "a", "b"), joint("k", "fixed", "b", "b")), "the child of two joints"),
+        (robot(joint("j", "fixed", "a", "b"), joint("k", "fixed", "a", "b")), "the child of two joints"),
         (robot('<link name="a"/>', joint("j", "revolute", "a", "b")), "link 'a' occurs twice"),
         (robot(joint("j", "fixed", "a", "b"), joint("j", "revolute", "b", "c"), links="abc"), "joint 'j' occurs twice"),
         (
@@ -134,7 +137,7 @@ ENTITY = '<!DOCTYPE robot [<!ENTITY e SYSTEM "file:///etc/hostname">]><robot>&e;
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("<robot>" + "<a>" * 500_000 + "</a>" * 500_000 + "</robot>", f"more than {DEEPEST} inside of each other"),
+        ("<robot>" + "<a>" * 500_000 + "</a>" * 500_000 + "</robot>", f"is nested deeper than {DEEPEST}"),
         ("<robot>" + "<a/>" * 500_000 + "</robot>", f"more than {MOST_ELEMENTS} elements"),
         (ENTITY, "declares a DOCTYPE"),
         ("<robot><link name='" + "a" * 201 + "'/></robot>", "name 'aaaaaaaaaaaaaaaaaaaa' of a link is longer than 200"),

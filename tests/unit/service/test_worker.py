@@ -16,7 +16,9 @@ from service.configuration import read_robot
 from service.geometry.cell import Cell
 from service.robot import Robot
 from service.safety.envelope import Envelope
-from service.worker import Job, JobFailed, Worker, WorkerLost, open_worker, work
+from service.settings.workers import Cluster
+from service.store.files.spectra import SpectrumFile
+from service.worker import Job, JobFailed, RecordedSweep, Worker, WorkerLost, open_worker, work
 from tests.unit.service.campaigns.conftest import ROOT, open_bench, until
 
 pytestmark = pytest.mark.slow
@@ -30,17 +32,21 @@ def robot() -> Robot:
 @pytest.fixture
 async def job(tmp_path: Path, robot: Robot) -> Job:
     """The second sweep of a formula campaign, with the spectrum of the first."""
+
+    def of_one(sweep: RecordedSweep, number: int, earlier: tuple[SpectrumFile, ...] = ()) -> Job:
+        return Job(f"job-{number}", robot.description, robot.urdf_text, (sweep,), earlier, {})
+
     async with open_bench(tmp_path, robot, Envelope(robot, Cell(name="empty"))) as bench:
         await bench.runner.start(bench.campaign.id)
         await bench.runner.finished()
-        jobs = [
-            Job(f"job-{n}", robot.description, robot.urdf_text, bench.store.sweep(1, n).spec, path, (), {})
-            for n in (1, 2)
-            for path in [bench.files.path(bench.store.recording(1, n))]
-        ]
-    record = bench.files.save_spectrum(bench.store.recording(1, 1).path, work(jobs[0]).spectrum)
-    earlier = (bench.files.spectrum(record),)
-    return Job("job", robot.description, robot.urdf_text, jobs[1].spec, jobs[1].path, earlier, {})
+        recordings = [bench.store.recording(1, number) for number in (1, 2)]
+        first, second = (
+            RecordedSweep(bench.store.sweep(1, recording.number).spec, bench.files.named(recording))
+            for recording in recordings
+        )
+    (spectrum,) = work(of_one(first, 1)).spectra
+    earlier = bench.files.spectrum(bench.files.save_spectrum(recordings[0].path, spectrum))
+    return of_one(second, 2, (earlier,))
 
 
 @pytest.fixture
@@ -51,16 +57,16 @@ async def worker() -> AsyncIterator[Worker]:
 
 async def test_a_worker_killed_in_mid_job_changes_nothing(job: Job, worker: Worker) -> None:
     expected = work(job)
-    real = job.path.with_suffix(".real")
-    job.path.rename(real)
-    os.mkfifo(job.path)  # whoever reads it waits: the job is in its middle for as long as we like
+    real = job.sweeps[0].file.path.with_suffix(".real")
+    job.sweeps[0].file.path.rename(real)
+    os.mkfifo(job.sweeps[0].file.path)  # whoever reads it waits: the job is in its middle for as long as we like
     (before,) = await worker.processes()
     running = asyncio.create_task(worker.run(job))
     held: list[int] = []
-    await until(lambda: _open_for_writing(job.path, held))
+    await until(lambda: _open_for_writing(job.sweeps[0].file.path, held))
     os.kill(before, signal.SIGKILL)
     os.close(held[0])
-    real.replace(job.path)
+    real.replace(job.sweeps[0].file.path)
     result = await asyncio.wait_for(running, 60)
     (after,) = await worker.processes()
     assert after != before
@@ -78,7 +84,7 @@ async def test_the_worker_gives_what_the_mathematics_gives(job: Job, worker: Wor
 
 
 async def test_a_job_that_cannot_be_done_says_why(job: Job, worker: Worker) -> None:
-    job.path.write_bytes(b"not parquet")
+    job.sweeps[0].file.path.write_bytes(b"not parquet")
     with pytest.raises(JobFailed, match=r"BadInput: .*cannot be read"):
         await worker.run(job)
 
@@ -89,7 +95,7 @@ async def test_a_worker_killed_after_a_job_is_replaced_before_the_next(job: Job,
     (before,) = await worker.processes()
     os.kill(before, signal.SIGKILL)
     await until(lambda: bool(worker.trouble))
-    assert "started anew" in worker.trouble
+    assert "is restarted" in worker.trouble
     await until(lambda: not worker.trouble)
     assert await worker.processes() != (before,)
     assert await worker.run(job) == work(job)
@@ -115,7 +121,7 @@ class Death:
 
 
 async def test_a_job_that_ends_every_process_ends_itself_and_no_other(job: Job, worker: Worker) -> None:
-    with pytest.raises(JobFailed, match="ended under it"):
+    with pytest.raises(JobFailed, match="while it executed this job"):
         await asyncio.wait_for(worker.run(Death()), 120)
     assert await worker.run(job) == work(job)
 
@@ -168,7 +174,7 @@ if __name__ == "__main__":
 
 
 async def test_a_scheduler_that_does_not_answer_is_told(job: Job) -> None:
-    async with open_worker("tcp://127.0.0.1:9") as worker:
+    async with open_worker(Cluster("tcp://127.0.0.1:9")) as worker:
         with pytest.raises(WorkerLost, match=r"tcp://127\.0\.0\.1:9"):
             await worker.run(job)
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin  # pyright: ignore[reportMissingImports]  # found once its path file has run
+import pinocchio as pin
 import pytest
 
 from simulator import Friction, Scenario, ScenarioError, SweepRun, run_sweeps, run_trajectories

@@ -84,7 +84,7 @@ def test_the_truth_is_told_by_its_own_command() -> None:
 def test_the_truth_is_asked_one_thing_at_a_time(options: tuple[str, ...]) -> None:
     told = sweepid("truth", str(MODELLED), *options)
     assert (told.returncode, told.stdout) == (2, "")
-    assert "one of --poses and --hide" in told.stderr
+    assert "exactly one of --poses and --hide" in told.stderr
 
 
 @pytest.mark.slow

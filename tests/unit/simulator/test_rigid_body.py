@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
-import pinocchio  # pyright: ignore[reportMissingImports]  # found once its path file has run
+import pinocchio
 import pytest
 
 from simulator import Scenario, ScenarioError, true_inertia

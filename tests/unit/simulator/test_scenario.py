@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import yaml
 
 from simulator import Scenario, ScenarioError, load_scenario
 
@@ -66,3 +67,14 @@ def test_locked_and_unknown_joints(scenario: Callable[[str], Scenario]) -> None:
         scenario("full").driven("joint_4")
     with pytest.raises(ScenarioError, match="elbow"):
         scenario("full").nominal("elbow")
+
+
+def test_a_robot_file_that_is_not_complete_is_named_itself(edited: Callable[[str, str], Path]) -> None:
+    """As `sweepid robot check` drafts it: the fault is not in the scenario."""
+    path = edited("name: max100-full", "name: mine")
+    side = path.parents[1] / "robots" / "max100-class.yaml"
+    content = yaml.safe_load(side.read_text("utf-8"))
+    content["axes"][0]["motor_inertia"] = None
+    side.write_text(yaml.safe_dump(content), "utf-8")
+    with pytest.raises(ScenarioError, match=r"robots/max100-class\.yaml: axes\.0\.motor_inertia: .*needs every value"):
+        load_scenario(path)

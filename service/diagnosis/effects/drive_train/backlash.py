@@ -1,4 +1,4 @@
-"""A gear with play: while the flanks change, the load coasts and the motor runs free; they meet without rebound."""
+"""Gear backlash: between the flanks the load coasts and the motor is free; contact is without rebound."""
 
 from collections.abc import Mapping, Sequence
 
@@ -11,9 +11,9 @@ from service.diagnosis.rows.signals import Tracks
 
 Array = NDArray[np.float64]
 
-CONTACT = 60.0  # Hz, swing of the load on the flanks of the twin
-DAMPING = 0.7  # of critical
-WEIGHT = 2.0  # times the largest torque of inertia: beyond that, gravity keeps the flank
+CONTACT = 60.0  # Hz, resonance of the load on the contact stiffness in the twin
+DAMPING = 0.7  # of critical damping
+WEIGHT = 2.0  # times the largest inertia torque: with more gravity, the contact flank never changes
 
 
 def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
@@ -21,7 +21,7 @@ def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
 
 
 def _scan(tracks: Tracks, model: Model, shapes: Sequence[Shape]) -> Sequence[Sequence[Array]]:
-    """Torque through the gear with the play less that without it, in sweeps that may change flanks."""
+    """Difference of the motor torque with and without backlash, in sweeps where the contact flank may change."""
     result: Array = np.zeros((len(shapes), *tracks.position.shape))
     shaken = np.abs(model.load_inertia * tracks.acceleration).max(axis=1)
     rows = np.flatnonzero(np.abs(model.gravity).min(axis=1) < WEIGHT * shaken)
@@ -36,13 +36,13 @@ def _scan(tracks: Tracks, model: Model, shapes: Sequence[Shape]) -> Sequence[Seq
 def missing(
     tracks: Tracks, gravity: Array, rows: NDArray[np.int_], inertia: Array, viscous: Array, plays: Array
 ) -> Array:
-    """Torque (plays, rows, t) that a load coasting between flanks `plays` (rad) apart doesn't take, and impacts give.
+    """Torque difference (plays, rows, t) for backlash `plays` (rad): no load torque between the flanks, and impacts.
 
-    In the motor's frame: r, how far the motor is ahead of the load, r'' = a + (gravity + b v_l) / J while |r| is less
-    than half the play; at a flank the load takes on the motor's speed within one step.
+    In the frame of the motor: r is the motor angle minus the load angle; r'' = a + (gravity + b v_l) / J while |r|
+    is less than half the play. At a flank the load takes the speed of the motor within one time step.
     """
     step, half, damping = 1 / tracks.rate, plays[:, None] / 2, viscous[:, None] / inertia
-    # between two samples each, as the load moves on from one to the next
+    # midpoints between samples, because the load moves from one sample to the next
     velocity = _between(tracks.velocity[rows])
     coasting = _between(tracks.acceleration[rows]) + _between(gravity[rows]) / inertia
     ahead = np.sign(gravity[rows, 0]) * half
@@ -59,7 +59,7 @@ def missing(
 
 
 def _between(signal: Array) -> Array:
-    """Middle of each two samples of (rows, t): (t - 1, rows)."""
+    """Mean of each two neighbouring samples of (rows, t): (t - 1, rows)."""
     return np.ascontiguousarray((signal[:, 1:] + signal[:, :-1]).T) / 2
 
 
@@ -71,9 +71,9 @@ def _shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
 
 
 def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
-    """On soft and well damped flanks: where the load rebounds, no record is exact enough to tell when it hits again.
+    """Contact is soft and well damped: with rebound, measurement errors change the time of the next impact too much.
 
-    The play stands for itself, so there is no ratio.
+    The play is a shape parameter of its own, so there is no ratio.
     """
     load, swing = float(model.load_inertia.mean()), 2 * np.pi * CONTACT
     flanks = {"stiffness": load * swing**2, "damping": 2 * DAMPING * load * swing, "backlash": parameters["play"]}

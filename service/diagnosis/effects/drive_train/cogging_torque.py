@@ -1,4 +1,4 @@
-"""Torque ripple of the motor's magnets: periodic in the motor's angle."""
+"""Cogging: torque ripple from the magnets of the motor, periodic in the motor angle."""
 
 from collections.abc import Mapping, Sequence
 
@@ -23,7 +23,7 @@ def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
 
 
 def _orders(tracks: Tracks) -> list[float]:
-    """Those of the robot file, and one period a turn beside each: a rotor out of round modulates its ripple."""
+    """The orders of the robot file and, for each, order - 1 and order + 1 (modulation by an eccentric rotor)."""
     own = tracks.robot.axis(tracks.joint).cogging_orders
     sides = {order + side for order in own for side in (-1.0, 1.0)}
     return sorted({*own, *(side for side in sides if side > 1)})

@@ -1,4 +1,4 @@
-"""A drive train that twists: the load does not follow the motor at once."""
+"""Joint elasticity: the load does not follow the motor exactly."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,21 +13,21 @@ from service.diagnosis.rows.signals import Tracks
 
 Array = NDArray[np.float64]
 
-SHARES = 3.0  # standard deviations of the prior, by which the motor's inertia may differ from its data sheet
+SHARES = 3.0  # standard deviations of the prior: limit of the difference between motor inertia and data sheet
 LEAST_LOAD = 0.1  # of the axis' inertia
-LEAST_MOTOR = 0.02  # of the axis' inertia: of a motor that the robot file does not know
-MOST_HARDENING = 20.0  # part of its stiffness that the spring gains at the twist of the rated effort
-RATIO = (0.8, 1.25)  # of what the two masses say
+LEAST_MOTOR = 0.02  # of the axis' inertia, for a motor that the robot file does not contain
+MOST_HARDENING = 20.0  # ratio: added stiffness at the twist of the rated effort over the linear stiffness
+RATIO = (0.8, 1.25)  # limits, relative to the value for two masses
 
 
 @dataclass(frozen=True)
 class _TwoMasses:
-    """Z, the load's impedance with gravity as its spring, and what of a torque at the load reaches the motor:
+    """Two masses. Z: impedance of the load, with gravity as a spring. Ts: transfer of load torque to motor torque.
 
         Ts (1 + c Z / (1 + h s)) = J a + b v + gravity,    Z = J s^2 + b s + k_g
 
-    `twist` (n, t) is that of the measured torque: what is not linear must not hang on a prediction, which would have to
-    have every resonance right.
+    `twist` (n, t) is computed from the measured torque. The nonlinear part must not depend on a predicted torque, which
+    would require a correct model of each resonance.
     """
 
     impedance: Complex  # (n, bins)
@@ -53,7 +53,7 @@ def _two_masses(tracks: Tracks, model: Model, shape: Shape) -> _TwoMasses:
         stiffer = torque - rated * softened(torque / rated, hardening)
         torque = torque + damping * through(
             stiffer, tracks.rate, s * spring
-        )  # its damping takes part in a smaller twist
+        )  # the damping also acts on the smaller twist
         twist = compliance * rated * softened(torque / rated, hardening)
     return _TwoMasses(impedance, 1 / (1 + compliance * spring * impedance), load_inertia, viscous, linear, twist)
 
@@ -64,7 +64,7 @@ def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
     weight = model.gravity
     if not tracks.prismatic:
         weight = model.torque[:, None] * np.cos(away) + model.slope[:, None] * np.sin(away)
-        weight = weight + model.slope[:, None] * two.twist  # that spring is in the impedance
+        weight = weight + model.slope[:, None] * two.twist  # the gravity stiffness is in the impedance
     shaken = two.load_inertia * tracks.accelerated(two.follows - 1) - model.gravity - two.viscous * tracks.velocity
     shaken += through(two.viscous * tracks.velocity + weight, tracks.rate, two.follows)
     if shape[3] > 0:
@@ -84,13 +84,13 @@ def _parts(tracks: Tracks, model: Model, shape: Shape) -> Array:
 
 
 def softened(torque: Array, hardening: float) -> Array:
-    """Twist u of a spring u + e u^3 = torque, in units of the rated effort and of the linear twist at it."""
+    """Twist u that solves u + e u^3 = torque; units: rated effort, and the linear twist at rated effort."""
     scale = np.sqrt(3 * hardening)
     return np.asarray(2 / scale * np.sinh(np.arcsinh(1.5 * scale * torque) / 3), dtype=np.float64)
 
 
 def _motors(tracks: Tracks, model: Model) -> tuple[float, float, float]:
-    """Reflected inertia of the motor, kg m^2 (kg): as on its data sheet, and the limits that its prior allows."""
+    """Reflected inertia of the motor, kg m^2 (kg): value of the data sheet, lower and upper limit from its prior."""
     axis = tracks.robot.axis(tracks.joint)
     sheet = axis.reflected_motor_inertia
     if not sheet:

@@ -1,4 +1,4 @@
-"""A gear that does not turn evenly: the load runs ahead and behind with the motor's angle."""
+"""Transmission error of the gear: the load position deviates periodically with the motor angle."""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
-    """The load's motion is q + g(q): its inertia feels g'', and the motor feels the load's torque times 1 + dg/dq."""
+    """The load moves along q + g(q). Its inertia acts on g''; the motor torque is the load torque times 1 + dg/dq."""
     axis = tracks.robot.axis(tracks.joint)
     inertia, load = model.load_inertia, model.transmitted(tracks.acceleration)
     result: list[Array] = []
@@ -41,7 +41,7 @@ def _coefficients(tracks: Tracks) -> Sequence[tuple[str, str]]:
 
 
 def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
-    """The column is of first order in the error, the scenario's gear is not; it gets a spring, if a stiff one."""
+    """The column is of first order in the error, the scenario is exact; its gear gets a stiff spring if needed."""
     orders = tracks.robot.axis(tracks.joint).transmission_orders
     torque = {name.removeprefix("torque_"): value for name, value in parameters.items() if name.startswith("torque_")}
     return {"train": {"gear_error": ripples(parameters, orders), "cogging": ripples(torque, orders)}}

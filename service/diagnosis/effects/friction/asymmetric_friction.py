@@ -1,4 +1,4 @@
-"""Friction that differs with the direction: dry and viscous part each."""
+"""Friction that depends on the direction of motion, in its dry and its viscous part."""
 
 from collections.abc import Mapping
 
@@ -15,7 +15,7 @@ def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> 
 
 
 def _possible(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> bool:
-    """Whether each direction has friction: one less than none is an offset."""
+    """Whether friction is positive in each direction; otherwise the effect is an offset."""
     return parameters["coulomb"] >= 0 and abs(parameters["coulomb_difference"]) <= 1.05 * parameters["coulomb"]
 
 

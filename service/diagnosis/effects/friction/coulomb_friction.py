@@ -1,4 +1,4 @@
-"""Dry friction: the same torque against every motion."""
+"""Dry (Coulomb) friction: a constant torque against the motion."""
 
 from service.diagnosis.effects.effect import Effect, named
 from service.diagnosis.effects.patch import dry

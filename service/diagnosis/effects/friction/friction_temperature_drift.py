@@ -1,4 +1,4 @@
-"""Friction that falls as the gear warms by what it dissipates."""
+"""Friction that decreases while the gear is heated by dissipation."""
 
 from collections.abc import Mapping, Sequence
 
@@ -11,12 +11,12 @@ from service.diagnosis.rows.signals import Tracks
 
 Array = NDArray[np.float64]
 
-NOTHING = 0.003  # of the rated effort: dry friction so little below 0 is none
+NOTHING = 0.003  # of the rated effort: dry friction this little below 0 counts as zero
 
 
 def warmth(tracks: Tracks, time_constant: float, exponent: float = 1.0) -> Array:
-    """Temperature (n, t) of a gear heated by a power of its speed and cooling with a time constant: by the way it goes,
-    rad (m), for the power 1, as dry friction heats; by rad^2/s for 2, as viscous friction does.
+    """Temperature (n, t) of a gear that is heated by a power of its speed and cools with a time constant. Unit: rad (m)
+    for exponent 1 (heat of dry friction: the distance); rad^2/s for exponent 2 (heat of viscous friction).
     """
     heat = np.zeros_like(tracks.velocity)
     step = 1 / tracks.rate
@@ -26,7 +26,7 @@ def warmth(tracks: Tracks, time_constant: float, exponent: float = 1.0) -> Array
     for row in sorted(range(len(tracks.specs)), key=lambda k: tracks.specs[k].started_at):
         spec, count = tracks.specs[row], int(tracks.inside[row].sum())
         level *= np.exp(-max(spec.started_at - clock, 0.0) / time_constant)
-        # T_n = keep T_{n-1} + |v_n| step, written out so that no loop over samples is needed
+        # T_n = keep T_{n-1} + |v_n| step, in closed form to avoid a loop over samples
         gains = np.abs(tracks.velocity[row, :count]) ** exponent * step
         gained = np.multiply(np.cumsum(np.divide(gains, ages[:count])), ages[:count])
         heat[row, :count] = level * ages[:count] + gained
@@ -41,9 +41,9 @@ def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
 
 
 def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
-    """The gear warms by the power it dissipates, not by the way it goes: a capacity of power over speed makes 1 K/rad.
+    """In the scenario, dissipated power heats the gear, not distance: with capacity = power / speed, it is 1 K/rad.
 
-    Friction falls as exp(-loss T): the column is its tangent.
+    Friction decreases as exp(-loss T); the column is the tangent of that.
     """
     coulomb, change = positive(parameters, "coulomb"), parameters["coulomb_change"]
     if change >= 0:
@@ -67,7 +67,7 @@ def _shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
 
 
 def _possible(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> bool:
-    """Whether dry friction opposes the motion, cold and warm."""
+    """Whether dry friction is positive (against the motion), cold and warm."""
     warm = float(warmth(tracks, parameters["time_constant"], parameters["heating_exponent"]).max())
     least = -NOTHING * tracks.robot.axis(tracks.joint).rated_effort
     return min(parameters["coulomb"], parameters["coulomb"] + parameters["coulomb_change"] * warm) > least

@@ -1,4 +1,4 @@
-"""Dry friction that grows with the torque that the gear transmits."""
+"""Dry friction that increases with the torque transmitted by the gear."""
 
 from collections.abc import Mapping, Sequence
 

@@ -1,4 +1,4 @@
-"""Friction that does not grow in proportion to the speed: a lubricant that thins by shear, or is churned."""
+"""Viscous friction that is not proportional to the speed (shear-thinning or churned lubricant)."""
 
 from collections.abc import Mapping, Sequence
 
@@ -11,8 +11,8 @@ from service.diagnosis.rows.signals import Tracks
 
 Array = NDArray[np.float64]
 
-STEP = 0.8  # of the torque at the slowest speed, at a tenth of it: so flat a law is a step
-BEND = 0.05  # of the slowest speed: below, the law is a power of the speed
+STEP = 0.8  # torque at a tenth of the slowest speed over that at the slowest speed: above, the law is a step
+BEND = 0.05  # of the slowest speed: below, the law is a pure power of the speed
 
 
 def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
@@ -21,7 +21,7 @@ def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
 
 
 def law(speed: Array, velocity: float, exponent: float) -> Array:
-    """Carreau's x (1 + x^2)^((n - 1)/2), x = v/v0: linear below v0, a power n of the speed above; 1 at v0 for n = 1."""
+    """Carreau's law x (1 + x^2)^((n - 1)/2), x = v/v0: linear below v0, power n of the speed above; n = 1: linear."""
     ratio = speed / velocity
     return ratio * (1 + ratio**2) ** ((exponent - 1) / 2)
 
@@ -35,7 +35,7 @@ def _shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
 
 
 def _possible(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> bool:
-    """Whether friction opposes the motion at all speeds that were run, and is no step, which dry friction is."""
+    """Whether friction is positive at all measured speeds, and the law is not a step (that would be dry friction)."""
     slow = tracks.speed
     near, at = law(np.array([slow / 10, slow]), parameters["velocity"], parameters["exponent"])
     if near > STEP * at:
@@ -46,7 +46,7 @@ def _possible(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> 
 
 
 def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
-    """The simulator's law is a power of the speed."""
+    """In the scenario the law is a power of the speed."""
     if parameters["velocity"] > tracks.speed or parameters["coefficient"] <= 0:
         raise Inexpressible("friction that thins by shear is no power of the speed")
     exponent = parameters["exponent"]

@@ -1,4 +1,4 @@
-"""Friction that first gives like a spring: after a reversal it builds up over a short way."""
+"""Presliding: after a reversal, friction builds up like a spring over a short distance."""
 
 from collections.abc import Mapping, Sequence
 
@@ -11,8 +11,8 @@ from service.diagnosis.rows.signals import Tracks, bristle
 
 Array = NDArray[np.float64]
 
-SPREAD = (0.25, 0.5, 2.0, 4.0)  # times the way: bristles that give sooner and later, as those of Iwan do
-SHOWS = 1.0  # times the way within which friction that sticks turns round: shorter is no presliding
+SPREAD = (0.25, 0.5, 2.0, 4.0)  # times the distance: bristles of different stiffness, as in the Iwan model
+SHOWS = 1.0  # times the distance within which sticking friction reverses: shorter is no presliding
 
 
 def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
@@ -28,12 +28,12 @@ def _shape(tracks: Tracks, model: Model) -> tuple[ShapeParameter, ...]:
 
 
 def _level(parameters: Mapping[str, float]) -> float:
-    """Of all bristles together, N m."""
+    """Friction level of all bristles together, N m."""
     return sum(parameters[name] for name in parameters if name.startswith("coulomb"))
 
 
 def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
-    """LuGre's bristles, which break away at the Coulomb friction, are Dahl's."""
+    """LuGre bristles that break away at the Coulomb friction are equal to those of Dahl."""
     coulomb = _level(parameters)
     if coulomb <= 0:
         raise Inexpressible(f"dry friction = {coulomb:.3g} is not above 0")

@@ -1,4 +1,4 @@
-"""Dry friction that falls as the axis gets faster."""
+"""Stribeck effect: dry friction that decreases with increasing speed."""
 
 from collections.abc import Mapping, Sequence
 

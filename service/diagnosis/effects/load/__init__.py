@@ -1,1 +1,1 @@
-"""Effects of what the axis carries, one file each."""
+"""Effects of the load of the axis, one file each."""

@@ -1,4 +1,4 @@
-"""Gravity that pulls otherwise than CAD may be off: masses, centres of mass, or a base out of level."""
+"""Gravity torque outside the tolerance of CAD: wrong masses, wrong centres of mass, or a base that is not level."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 
 
 def _readout(tracks: Tracks, change: Array, covariance: Array) -> Readout:
-    """By the axis' own angle q, on the average over the poses: torque = cosine cos q + sine sin q."""
+    """As a function of the angle q of this axis, mean over the poses: torque = cosine cos q + sine sin q."""
     count = len(tracks.poses)
     if tracks.prismatic:
         turn, names, unit = np.full((1, count), 1 / count), ("force",), "N"

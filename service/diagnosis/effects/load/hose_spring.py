@@ -1,4 +1,4 @@
-"""A hose or cable that pulls the axis towards a rest position."""
+"""A hose or cable that acts on the axis as a spring with a rest position."""
 
 from collections.abc import Mapping, Sequence
 

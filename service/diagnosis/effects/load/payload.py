@@ -1,4 +1,4 @@
-"""A mass at the tip that the model does not know."""
+"""A mass at the flange that is not in the model."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,13 +9,13 @@ from service.diagnosis.rows.signals import Tracks
 
 Array = NDArray[np.float64]
 
-FARTHEST = 1.0  # m from the last joint's origin to the centre of mass, one sigma
-MOST = 0.3  # of the mass of the robot's links, one sigma
-CERTAIN = 3.0  # standard deviations of a mass below 0 that is none
+FARTHEST = 1.0  # m from the origin of the last joint to the centre of mass, one sigma
+MOST = 0.3  # of the mass of the links of the robot, one sigma
+CERTAIN = 3.0  # standard deviations: a mass more negative than that is impossible
 
 
 def _readout(tracks: Tracks, change: Array, covariance: Array) -> Readout:
-    """Mass and first moments of what hangs on the last link: the likeliest that change the load so."""
+    """Mass and first moments of a payload on the last link: the most likely values for this change of the load."""
     robot, index = tracks.robot, tracks.robot.index(tracks.joint)
     last = robot.chain.inertial.size
     mass = MOST * float(np.abs(robot.chain.inertial[:, 0]).sum())

@@ -1,1 +1,1 @@
-"""Effects of what measures, one file each."""
+"""Effects of the measurement, one file each."""

@@ -1,4 +1,4 @@
-"""A torque that is always there: the zero of the current measurement."""
+"""A constant torque: zero-point error of the current measurement."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Torque and motion of one sample that do not belong to one instant."""
+"""Torque and motion in one sample were measured at different times."""
 
 from collections.abc import Mapping, Sequence
 
@@ -15,7 +15,7 @@ Complex = NDArray[np.complex128]
 
 
 def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
-    """Per second of delay, so that the coefficient is the delay itself."""
+    """Columns per second of delay, so that the coefficient is the delay."""
     delay = shape[0]
     s: Complex = np.multiply(2j * np.pi, bins(tracks.velocity.shape[1], tracks.rate)[None], dtype=np.complex128)
     late = np.divide(np.exp(-s * delay) - 1, delay, dtype=np.complex128)
@@ -24,7 +24,7 @@ def _columns(tracks: Tracks, model: Model, shape: Shape) -> Sequence[Array]:
 
 
 def _scenario(parameters: Mapping[str, float], tracks: Tracks, model: Model) -> Patch:
-    """A torque that comes early is a speed that comes late; the position, which matters little, counts as exact."""
+    """A torque that is early is equivalent to a speed that is late. The delay of the position is neglected."""
     delay = parameters["delay"]
     return {"measurement": {"effort_delay": delay} if delay >= 0 else {"velocity_delay": -delay}}
 

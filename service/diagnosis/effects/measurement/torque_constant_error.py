@@ -1,4 +1,4 @@
-"""A torque constant that is not that of the data sheet: every torque is told too large, or too small."""
+"""Wrong torque constant in the drive: each torque value is too large, or too small, by the same factor."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -8,6 +8,23 @@ down_revision = "0005"
 branch_labels = None
 depends_on = None
 
+_ONLY_ADDED = {
+    "sqlite": tuple(
+        f"CREATE TRIGGER audit_no_{change.lower()} BEFORE {change} ON audit "
+        "BEGIN SELECT RAISE(ABORT, 'the audit is only ever added to'); END"
+        for change in ("UPDATE", "DELETE")
+    ),
+    "postgresql": (
+        "CREATE FUNCTION audit_only_added() RETURNS trigger LANGUAGE plpgsql AS $$ BEGIN "
+        "RAISE EXCEPTION 'the audit is only ever added to' USING ERRCODE = 'integrity_constraint_violation'; END $$",
+        *(
+            f"CREATE TRIGGER audit_no_{change.lower()} BEFORE {change} ON audit "
+            "FOR EACH STATEMENT EXECUTE FUNCTION audit_only_added()"
+            for change in ("UPDATE", "DELETE", "TRUNCATE")
+        ),
+    ),
+}
+
 
 def upgrade() -> None:
     op.create_table(
@@ -30,9 +47,5 @@ def upgrade() -> None:
         sa.Column("sha256", sa.String(length=64), nullable=False),
         sa.PrimaryKeyConstraint("number"),
     )
-    if op.get_bind().dialect.name == "sqlite":  # elsewhere: take UPDATE and DELETE from the service's own user
-        for change in ("UPDATE", "DELETE"):
-            op.execute(
-                f"CREATE TRIGGER audit_no_{change.lower()} BEFORE {change} ON audit "
-                "BEGIN SELECT RAISE(ABORT, 'the audit is only ever added to'); END"
-            )
+    for statement in _ONLY_ADDED[op.get_bind().dialect.name]:
+        op.execute(statement)

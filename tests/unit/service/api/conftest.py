@@ -1,22 +1,25 @@
 """The whole service on a loopback port, with real SQLite and a worker process, and no machine that answers."""
 
+import io
 import json
 import subprocess
 import sys
+import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import httpx
-import numpy as np
 import pytest
 
+from service.client import ServiceClient
 from service.configuration import read_robot
-from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Robot
 from service.store.files.bundle import write_bundle
+from tests.rigid_sweep import rigid_sweep
 
 CONFIG = Path(__file__).parents[4] / "config"
+CAMPAIGNS = 3
 
 
 @contextmanager
@@ -86,31 +89,31 @@ def http(url: str) -> Iterator[httpx.Client]:
 def bundle(tmp_path_factory: pytest.TempPathFactory, robot: Robot) -> Path:
     """Three sweeps of axis 1 in three poses: a rigid body of 300 kg m^2 with viscous friction."""
     folder = tmp_path_factory.mktemp("bundle") / "three-sweeps"
-    write_bundle(folder, robot, [_sweep(number, elbow) for number, elbow in ((1, -0.5), (2, 0.0), (3, 0.5))])
+    write_bundle(
+        folder,
+        robot,
+        [rigid_sweep(number, elbow, 300.0 + 50.0 * elbow) for number, elbow in ((1, -0.5), (2, 0.0), (3, 0.5))],
+    )
     return folder
 
 
-def _sweep(number: int, elbow: float) -> Sweep:
-    rate, periods, offset, inertia, friction = 250.0, 5, 0.0105, 300.0 + 50.0 * elbow, 180.0
-    sines = tuple(Sine(frequency=f, amplitude=0.002, phase=f**2) for f in (2.0, 3.0, 4.0, 5.0))
-    time = np.arange(int(rate * periods)) / rate
-    noise = np.random.default_rng(number).normal(size=len(time))
-    angles = [2 * np.pi * sine.frequency * time + sine.phase for sine in sines]
-    velocity = offset + sum(sine.amplitude * np.sin(angle) for sine, angle in zip(sines, angles, strict=True))
-    acceleration = sum(
-        2 * np.pi * sine.frequency * sine.amplitude * np.cos(angle) for sine, angle in zip(sines, angles, strict=True)
-    )
-    effort = inertia * acceleration + friction * velocity + noise
-    position = np.cumsum(velocity) / rate
-    spec = SweepSpec(
-        id=f"{number:04d}",
-        axis="joint_1",
-        pose=(0.0, elbow, 0.0, 0.0, 0.0, 0.0),
-        offset_velocity=offset,
-        sines=sines,
-        period=1.0,
-        periods=periods,
-        sample_rate=rate,
-        started_at=10.0 * number,
-    )
-    return Sweep(spec, Recording(time, np.asarray(effort), np.asarray(velocity), position))
+def packed(folder: Path) -> bytes:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        for path in sorted(folder.rglob("*")):
+            archive.write(path, path.relative_to(folder))
+    return content.getvalue()
+
+
+@pytest.fixture(scope="module")
+def campaigns(url: str, bundle: Path, tmp_path_factory: pytest.TempPathFactory) -> list[int]:
+    """The same three sweeps, imported and identified `CAMPAIGNS` times: a robot that does not change at all."""
+    archive = tmp_path_factory.mktemp("campaigns") / "bundle.zip"
+    archive.write_bytes(packed(bundle))
+    with ServiceClient(url) as client:
+        numbers = [int(client.import_bundle(archive)["id"]) for _ in range(CAMPAIGNS)]
+        for number in numbers:
+            for event in client.events(number):
+                if event["kind"] == "campaign" and event["data"]["state"] == "completed":
+                    break
+    return numbers

@@ -12,16 +12,9 @@ import pytest
 
 from service.client import ServiceClient
 from service.store.files.bundle import read_bundle
+from tests.unit.service.api.conftest import packed
 
 ZIP = {"Content-Type": "application/zip"}
-
-
-def packed(folder: Path) -> bytes:
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as archive:
-        for path in sorted(folder.rglob("*")):
-            archive.write(path, path.relative_to(folder))
-    return content.getvalue()
 
 
 def campaigns(http: httpx.Client) -> list[int]:
@@ -97,6 +90,29 @@ def test_a_recording_is_downloaded_as_parquet(http: httpx.Client, campaign_id: i
     table = pq.read_table(io.BytesIO(file.content))
     assert table.num_rows == recording["samples"] == 1250
     assert {"time", "effort", "velocity", "position"} <= set(table.column_names)
+
+
+def test_a_recording_that_was_changed_is_not_handed_out(http: httpx.Client, campaign_id: int, folder: Path) -> None:
+    recording = http.get(f"/campaigns/{campaign_id}/sweeps/3/recording").json()
+    path = folder / "data" / recording["path"]
+    content = path.read_bytes()
+    try:
+        for changed in (content[:500] + bytes([content[500] ^ 1]) + content[501:], content[:-1], None):
+            path.unlink(missing_ok=True)
+            if changed is not None:
+                path.write_bytes(changed)
+            answer = http.get(f"/campaigns/{campaign_id}/sweeps/3/recording/file")
+            assert answer.status_code == 422
+            (error,) = answer.json()["errors"]
+            assert str(path) in error["pointer"]
+            assert error["reason"] == (
+                "recording file is missing"
+                if changed is None
+                else f"recording file was changed, SHA-256 is not {recording['sha256']}"
+            )
+    finally:
+        path.write_bytes(content)
+    assert http.get(f"/campaigns/{campaign_id}/sweeps/3/recording/file").content == content
 
 
 def test_what_goes_out_is_what_came_in(http: httpx.Client, campaign_id: int, bundle: Path, tmp_path: Path) -> None:

@@ -97,7 +97,7 @@ def test_what_is_open_names_rivals_and_the_experiment_between_them(
     planned = [(sweep["spec"]["axis"], sweep["spec"]["block"]) for sweep in plan["document"]["sweeps"]]
     assert {block for _, block in planned} <= set(experiment["blocks"])
     assert {joint for joint, _ in planned} == {"joint_1"}
-    with pytest.raises(BadInput, match="name the cell that the machine stands in"):
+    with pytest.raises(BadInput, match="give the cell of the machine"):
         client.plan_experiment(ambiguous["id"], "joint_1")
     with pytest.raises(ServiceProblem, match="the verdict is ambiguous, not named"):
         client.accept_model(ambiguous["id"], "Ada")
@@ -173,7 +173,7 @@ def test_what_is_accepted_is_a_model_and_the_next_diagnosis_finds_nothing_more(
     assert client.models(named["robot_id"])[-1] == model == client.model(model["id"])
     scenario = yaml.safe_load(client.model_scenario(model["id"]))
     assert scenario["axes"]["joint_1"]["train"]["motor_friction"]["coulomb"] == pytest.approx(FRICTION, abs=1.5)
-    with pytest.raises(ServiceProblem, match=f"became model {model['id']} already"):
+    with pytest.raises(ServiceProblem, match=f"was already accepted as model {model['id']}"):
         client.accept_model(named["id"], "Bob")
 
     again = client.diagnosed(client.add_diagnosis(named["campaigns"], model=model["id"])["id"])
@@ -189,10 +189,10 @@ def test_what_cannot_be_diagnosed_is_refused(
     for body, status, words in (
         ({"campaigns": []}, 422, "#/campaigns"),
         ({"campaigns": [999999]}, 422, "campaigns: campaign 999999 does not exist"),
-        ({"campaigns": [forward, foreign]}, 409, "a diagnosis is about one robot"),
+        ({"campaigns": [forward, foreign]}, 409, "select campaigns of one robot"),
         ({"campaigns": [forward], "axes": ["joint_2"]}, 422, "joint_2 has no complete sweep that moves"),
         ({"campaigns": [forward], "model": 999999}, 422, "model: model 999999 does not exist"),
-        ({"campaigns": [forward], "unattended": True}, 409, "the settings do not call this one virtual"),
+        ({"campaigns": [forward], "unattended": True}, 409, "the settings do not mark this machine as virtual"),
     ):
         answer = http.post("/diagnoses", json=body)
         assert (answer.status_code, answer.headers["content-type"]) == (status, "application/problem+json")

@@ -73,7 +73,7 @@ async def test_a_lock_that_comes_after_the_entry_in_the_audit(
             monkeypatch.setattr(StopLatch, "reset", reset)
             assert (refused.status_code, refused.headers["retry-after"]) == (503, "5")
             assert refused.json()["type"] == "urn:sweepid:problem:not-now"
-            assert "the machine stays held" in refused.json()["detail"]
+            assert "the machine stays stopped" in refused.json()["detail"]
             assert took < PATIENCE + AUDIT_PATIENCE + BUSY  # its outcome waits for the file as well
             assert machine.stops == (stop,)
             with closing(sqlite3.connect(tmp_path / "sweepid.sqlite")) as beside:

@@ -37,9 +37,9 @@ def test_a_budget_of_confidence_is_planned_and_told(http: httpx.Client, robot_id
 @pytest.mark.parametrize(
     ("budget", "told"),
     [
-        ({"poses": 3, "confidence": 1.0}, "poses and confidence are budgets: name one"),
-        ({"confidence": 0.01}, "confidence: 0.01 % wanted, but the best"),
-        ({"duration": 2.0}, "duration: 2 s do not suffice for one pose"),
+        ({"poses": 3, "confidence": 1.0}, "poses and confidence are budgets: give one of them"),
+        ({"confidence": 0.01}, "confidence: 0.01 % requested, but the best"),
+        ({"duration": 2.0}, "duration: 2 s are too short for one pose"),
         ({"criterion": "the_best"}, "criterion"),
     ],
 )
@@ -60,7 +60,7 @@ def test_a_robot_of_another_machine_is_not_planned(http: httpx.Client, profile: 
     refused = http.post("/plans", json=wanted)
     assert refused.status_code == 422, refused.text
     gear = f"joint_6 gear ratio: robot max100-class (number {robot}) has 60, drive profile {profile} has 101"
-    assert refused.json()["detail"].startswith(f"robot_id: is of another machine: {gear}")
+    assert refused.json()["detail"].startswith(f"robot_id: belongs to another machine: {gear}")
     assert http.post("/plans", params={"elsewhere": True}, json=wanted).status_code == 201
 
 
@@ -91,7 +91,7 @@ def test_the_command_tells_what_the_plan_promises(url: str, http: httpx.Client) 
 def test_the_command_refuses_two_budgets(url: str) -> None:
     done = command(url, "--poses", "2", "--confidence", "1")
     assert (done.returncode, done.stdout) == (2, "")
-    assert "poses and confidence are budgets: name one" in done.stderr
+    assert "poses and confidence are budgets: give one of them" in done.stderr
 
 
 def test_trajectories_of_several_axes_are_planned(http: httpx.Client, robot_id: int) -> None:
@@ -103,7 +103,7 @@ def test_trajectories_of_several_axes_are_planned(http: httpx.Client, robot_id: 
     assert blocks == ["trajectory 1 of 2 axes"] * 2
     for change, told in (
         ({"axes": ["joint_3", "joint_9"]}, "unknown joint joint_9"),
-        ({"harmonics": 1}, "harmonics: 1 do not tell the 13 base parameters of the axes apart"),
+        ({"harmonics": 1}, "harmonics: 1 are too few to determine the 13 base parameters of the axes"),
         ({"sweeps": 99}, "99"),
         ({"velocity": 2.0}, "velocity"),
     ):
@@ -128,4 +128,4 @@ def test_the_sweeps_of_a_diagnosis_are_planned(http: httpx.Client, robot_id: int
 def test_the_command_refuses_two_kinds_of_plan(url: str) -> None:
     done = command(url, "--diagnosis", "--initial-analysis")
     assert (done.returncode, done.stdout) == (2, "")
-    assert "--diagnosis: is another plan than --initial-analysis" in done.stderr
+    assert "--diagnosis: cannot be combined with --initial-analysis" in done.stderr

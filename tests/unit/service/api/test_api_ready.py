@@ -54,7 +54,7 @@ async def test_a_worker_that_ended_is_told_until_it_is_replaced(tmp_path: Path, 
 async def test_a_lease_that_cannot_be_renewed_is_told(
     tmp_path: Path, profile: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.store.database.BUSY_TIMEOUT", 0.05)
+    monkeypatch.setattr("service.store.engines.sqlite.BUSY_TIMEOUT", 0.05)
     async with service(tmp_path, profile, lease_time=0.5) as (_, http):
         with closing(sqlite3.connect(tmp_path / "sweepid.sqlite", isolation_level=None)) as other:
             other.execute("BEGIN EXCLUSIVE")
@@ -75,7 +75,7 @@ async def test_a_lost_database_is_told_and_nothing_is_stored_in_its_place(tmp_pa
     stream = recordings / "0002-1.arrows"
     stream.write_bytes(b"stream")
     async with service(tmp_path, profile) as (application, http):
-        assert "holds 1 recordings" in await told(http, "knows no campaign")
+        assert "contains 1 recordings" in await told(http, "has no campaign")
         plan = application.store.add_plan(application.store.robots()[0].id, {})
         answer = await http.post("/campaigns", json={"plan_id": plan.id})
         assert answer.status_code == 409

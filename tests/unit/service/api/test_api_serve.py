@@ -41,7 +41,7 @@ def test_others_are_not_let_in_without_a_login(tmp_path: Path, profile: Path) ->
     settings.write_text(text, "utf-8")
     refused = serve(settings)
     assert (refused.returncode, refused.stdout, len(refused.stderr.splitlines())) == (2, "", 1)
-    assert refused.stderr.startswith("sweepid: host: '0.0.0.0' is not this computer alone")
+    assert refused.stderr.startswith("sweepid: host: '0.0.0.0' is reachable from other computers")
     assert not (tmp_path / "data").exists()
 
 

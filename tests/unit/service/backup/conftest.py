@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from service.backup.examination import examine
-from service.campaigns.session import SweepEvent, sweep_move
+from service.campaigns.state_machine import SweepEvent, sweep_move
 from service.configuration import read_robot
 from service.recording import Recording, Sweep, SweepSpec
 from service.store.database import open_database
@@ -49,7 +49,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
         campaign = import_campaign(store, files, save_bundle(files, Bundle(robot, sweeps)))
         for sweep in store.sweeps(campaign.id):
             spectrum = files.save_spectrum(store.recording(campaign.id, sweep.number).path, {"a": 0.1 * sweep.number})
-            store.add_estimate(sweep, sweep_move(SweepEvent.IDENTIFY), spectrum, {"value": 1 / 3 * sweep.number})
+            store.add_estimate([(sweep, spectrum)], sweep_move(SweepEvent.IDENTIFY), {"value": 1 / 3 * sweep.number})
         plan = store.add_plan(campaign.robot_id, {"any": "document"})
         store.add_campaign(plan.id, [NewSweep(spec=spec(1), mode=None)])
     return folder

@@ -75,15 +75,15 @@ def test_what_nobody_names_is_found(data: Path, findings: Findings) -> None:
     (data / "transfer" / "import-1").mkdir(parents=True)
     (data / "transfer" / "import-1" / "bundle.zip").touch()
     of_service = [
-        ("transfer/import-1/bundle.zip", "was left by a service that was killed"),
-        ("recordings/campaign-000002/0001-1.arrows", "was left by a service that was killed"),
+        ("transfer/import-1/bundle.zip", "left over from a service process that was killed"),
+        ("recordings/campaign-000002/0001-1.arrows", "left over from a service process that was killed"),
     ]
     always = [
-        ("sweepid.sqlite.old", "no row of the database names it"),
-        ("recordings/campaign-000002/.0003-1.partial.parquet", "no row of the database names it"),
+        ("sweepid.sqlite.old", "not referenced by the database"),
+        ("recordings/campaign-000002/.0003-1.partial.parquet", "not referenced by the database"),
         (
             "recordings/campaign-000002/0002-1.arrows.unknown",
-            "a stream that the service put aside, because it makes no recording",
+            "a stream that the service set aside, because it contains no complete recording",
         ),
     ]
     assert sorted(findings()) == sorted(of_service + always)
@@ -100,10 +100,10 @@ def test_a_damaged_database_is_found_and_refused(data: Path, backup: Path, tmp_p
         content[8192:12288] = bytes(4096)
         place.write_bytes(content)
     assert findings()
-    with pytest.raises(BadInput, match=r"SHA-256 is not .*: the backup is not whole"):
+    with pytest.raises(BadInput, match=r"SHA-256 is not .*: the backup is not complete"):
         restore(backup, tmp_path / "restored")
     remade(backup)
-    with pytest.raises(BadInput, match="is not a whole database"):
+    with pytest.raises(BadInput, match="is not a complete database"):
         restore(backup, tmp_path / "restored")
     assert not (tmp_path / "restored").exists()
 
@@ -112,9 +112,9 @@ def test_a_lost_or_foreign_database_is_found(data: Path, findings: Findings) -> 
     owner = (data / OWNER).read_text("utf-8")
     (data / OWNER).write_text(owner.replace('"id": "', '"id": "x'), "utf-8")
     ((place, what),) = findings()
-    assert (place, "of database x" in what) == (OWNER, True)
+    assert (place, "belongs to database x" in what) == (OWNER, True)
     (data / OWNER).write_text("{", "utf-8")
-    assert findings() == [(OWNER, "does not say which database the data folder belongs to")]
+    assert findings() == [(OWNER, "does not name the database of the data folder")]
     (data / OWNER).unlink()
     (data / OWNER).mkdir()
     assert findings() == [(OWNER, f"cannot be read: [Errno 21] Is a directory: '{data / OWNER}'")]

@@ -28,10 +28,10 @@ def test_a_killed_backup_is_none(data: Path, tmp_path: Path, forks: Forks) -> No
         assert not (tmp_path / f"backup-{number}").exists()
         held.add(len(contents(partial)) if partial.exists() else 0)
         for place in (partial, tmp_path / f"backup-{number}"):
-            with pytest.raises(BadInput, match="is not a whole backup"):
+            with pytest.raises(BadInput, match="is not a complete backup"):
                 restore(place, tmp_path / "restored")
     assert held >= set(range(files))  # it was killed at each file
-    with pytest.raises(BadInput, match="remove it if none is"):
+    with pytest.raises(BadInput, match="remove it if no other run is active"):
         make_backup(data / "sweepid.sqlite", data, tmp_path / f"backup-{len(killed)}")
     restore(tmp_path / f"backup-{len(ended)}", tmp_path / "restored")
     assert contents(data) == before

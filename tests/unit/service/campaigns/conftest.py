@@ -23,6 +23,7 @@ from service.recording import Sine as SpecSine
 from service.recording import SweepSpec
 from service.robot import Robot
 from service.safety.envelope import Envelope
+from service.settings.workers import Cluster
 from service.store.approvals import ApprovalStore
 from service.store.database import Database, open_database
 from service.store.diagnosis.model_revisions import ModelStore
@@ -148,7 +149,7 @@ class Taken(Jobs):
     """Jobs that are taken and never done."""
 
     def __init__(self, store: Store, files: RecordingFiles, models: ModelStore) -> None:
-        super().__init__(store, files, DaskWorkers("tcp://127.0.0.1:1"), models)
+        super().__init__(store, files, DaskWorkers(Cluster("tcp://127.0.0.1:1")), models)
         self.sweeps: list[int] = []
 
     def submit(self, sweep: SweepDocument) -> None:

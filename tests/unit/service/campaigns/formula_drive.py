@@ -13,6 +13,7 @@ from drivers.ports import (
     Capabilities,
     ChannelTiming,
     Fault,
+    NoiseCommand,
     SampleBlock,
     SetPointTiming,
     StopSender,
@@ -94,6 +95,10 @@ class FormulaDrive:
             raise NotReady(f"{joint} has no energy")
         self.position[joint] = position
         self.trace.append(f"move {joint} {position:g}")
+
+    async def run_noise(self, command: NoiseCommand) -> AsyncGenerator[SampleBlock, None]:
+        raise NotReady(f"{command.joint}: no noise of its own")  # as its capabilities say
+        yield
 
     async def run_sweep(self, *commands: SweepCommand) -> AsyncGenerator[SampleBlock, None]:
         joints = [command.joint for command in commands]

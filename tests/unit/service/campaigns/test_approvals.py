@@ -45,7 +45,7 @@ class Asked:
 
 async def test_a_start_and_a_resume_want_an_approval_that_holds(bench: Bench) -> None:
     asked, plan = Asked(bench), bench.campaign.plan_id or 0
-    with pytest.raises(Conflict, match=rf"an engineer must approve plan {plan} first: nobody has"):
+    with pytest.raises(Conflict, match=rf"plan {plan} requires the approval of an engineer: not approved yet"):
         await asked.runner.start(bench.campaign.id)
     assert (bench.drive.trace, bench.store.campaign(bench.campaign.id).state) == ([], CampaignState.PLANNED)
 
@@ -57,7 +57,9 @@ async def test_a_start_and_a_resume_want_an_approval_that_holds(bench: Bench) ->
     await bench.machine.reset_stop("berta", [stop.id])
     moved = list(bench.drive.trace)
     asked.sha256 = OTHER
-    with pytest.raises(Conflict, match=r"by ada of .* is void: robot, cell, drives, settings or program have changed"):
+    with pytest.raises(
+        Conflict, match=r"by ada of .* is no longer valid: robot, cell, drives, settings or program have changed"
+    ):
         await asked.runner.resume(bench.campaign.id, repeat=True)
     assert bench.drive.trace == moved
     assert bench.store.campaign(bench.campaign.id).state is CampaignState.PAUSED
@@ -70,11 +72,37 @@ async def test_a_start_and_a_resume_want_an_approval_that_holds(bench: Bench) ->
     asked.close()
 
 
+async def test_an_approval_that_expires_meanwhile_ends_no_motion_and_resumes_none(bench: Bench) -> None:
+    asked, plan = Asked(bench), bench.campaign.plan_id or 0
+    asked.approvals.add(plan, HASH, HASH, "ada")
+    await asked.runner.start(bench.campaign.id)
+    await until(lambda: bool(bench.drive.trace))
+    with bench.database.write() as session:
+        earlier = "UPDATE approval SET at = datetime(at, '-8 hours'), expires_at = datetime(expires_at, '-8 hours')"
+        session.execute(text(earlier))
+    assert bench.store.campaign(bench.campaign.id).state is CampaignState.RUNNING
+    stop = await bench.machine.stop("berta", "enough")
+    await asyncio.wait_for(asked.runner.finished(), TIMEOUT)
+    await bench.machine.reset_stop("berta", [stop.id])
+    moved = list(bench.drive.trace)
+    with pytest.raises(Conflict, match=rf"plan {plan} requires the approval of an engineer: .* expired at"):
+        await asked.runner.resume(bench.campaign.id, repeat=True)
+    assert bench.drive.trace == moved
+    assert bench.store.campaign(bench.campaign.id).state is CampaignState.PAUSED
+
+    asked.approvals.add(plan, HASH, HASH, "ada")
+    await asked.runner.resume(bench.campaign.id, repeat=True)
+    await asyncio.wait_for(asked.runner.finished(), TIMEOUT)
+    assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
+    await asked.runner.close()
+    asked.close()
+
+
 def test_four_eyes_where_the_service_knows_who_starts(bench: Bench) -> None:
     approvals, plan = Asked(bench).approvals, bench.campaign.plan_id or 0
     approvals.add(plan, HASH, HASH, "ada")
     assert approvals.missing(plan, HASH, "ada") == (
-        f"plan {plan} is approved by ada alone: another one must approve it, or start it"
+        f"plan {plan} is approved by ada alone: another person must approve it, or start it"
     )
     assert approvals.missing(plan, HASH, "berta") == ""
     assert approvals.missing(plan, HASH) == ""  # nobody is asked who he is
@@ -83,7 +111,7 @@ def test_four_eyes_where_the_service_knows_who_starts(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("shifted", "reason"), [("-8 hours", "expired at"), ("+1 hours", "lies in the future: the computer's clock")]
+    ("shifted", "reason"), [("-8 hours", "expired at"), ("+1 hours", "is in the future: the clock of the computer")]
 )
 def test_an_approval_holds_for_its_time(bench: Bench, shifted: str, reason: str) -> None:
     approvals, plan = Asked(bench).approvals, bench.campaign.plan_id or 0
@@ -97,14 +125,14 @@ def test_an_approval_holds_for_its_time(bench: Bench, shifted: str, reason: str)
 
 def test_what_nobody_looked_at_is_not_approved(bench: Bench) -> None:
     approvals, plan = Asked(bench).approvals, bench.campaign.plan_id or 0
-    with pytest.raises(Conflict, match=f"look again \\({HASH}\\)"):
+    with pytest.raises(Conflict, match=f"review it again \\({HASH}\\)"):
         approvals.add(plan, OTHER, HASH, "ada")
     with pytest.raises(BadInput, match="approved_by"):
         approvals.add(plan, HASH, HASH, "")
     with pytest.raises(NotFound):
         approvals.add(plan + 1, HASH, HASH, "ada")
     assert approvals.of_plan(plan) == ()
-    assert "nobody has" in approvals.missing(plan, "")
+    assert "not approved yet" in approvals.missing(plan, "")
 
 
 def test_all_that_decides_what_moves_is_in_the_hash(bench: Bench, tmp_path: Path) -> None:

@@ -41,7 +41,7 @@ def finite(values: tuple[float | None, ...]) -> list[float]:
 def test_one_budget_and_24_poses_where_none_is_named() -> None:
     assert request().poses == 24
     assert request(poses=None, confidence=1.0).poses is None
-    with pytest.raises(ValidationError, match="poses and duration are budgets: name one"):
+    with pytest.raises(ValidationError, match="poses and duration are budgets: give one of them"):
         request(poses=24, duration=600.0)
     with pytest.raises(ValidationError, match="greater than or equal to"):
         request(confidence=0.0)
@@ -74,7 +74,9 @@ def test_a_budget_of_confidence_takes_the_fewest_poses_that_reach_it(all_poses: 
 
 
 def test_a_confidence_out_of_reach_says_what_is_in_reach() -> None:
-    with pytest.raises(BadInput, match=r"confidence: 0\.001 % wanted, but the best (\d+) of \1 .* reach only 0\.\d+ %"):
+    with pytest.raises(
+        BadInput, match=r"confidence: 0\.001 % requested, but the best (\d+) of \1 .* reach only 0\.\d+ %"
+    ):
         plan(confidence=0.001)
 
 
@@ -90,7 +92,7 @@ def test_a_budget_of_time_is_kept_and_used(duration: float) -> None:
 
 
 def test_too_little_time_for_one_pose_is_refused() -> None:
-    with pytest.raises(BadInput, match=r"duration: 5 s do not suffice for one pose, \d+"):
+    with pytest.raises(BadInput, match=r"duration: 5 s are too short for one pose; at least \d+"):
         plan(duration=5.0)
 
 

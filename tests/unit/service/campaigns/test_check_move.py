@@ -39,11 +39,11 @@ def test_an_axis_that_does_as_it_is_told_passes(way: float) -> None:
 @pytest.mark.parametrize(
     ("share", "others", "message"),
     [
-        (-0.15, {}, "joint_1: went .* rad in its check move of .* rad: the wrong way; limit .* rad"),
-        (1.3, {}, "joint_1: went .* rad in its check move of .* rad: limit .* rad"),
+        (-0.15, {}, "joint_1: moved by .* rad in its check move of .* rad: wrong direction; limit .* rad"),
+        (1.3, {}, "joint_1: moved by .* rad in its check move of .* rad: limit .* rad"),
         (0.5, {"joint_2": 1e-3}, r"joint_2: moved by \+0.001 rad in the check move of joint_1, limit 0.00087 rad"),
         (0.5, {"slide": -3e-4}, r"slide: moved by -0.0003 m in the check move of joint_1, limit 0.0002 m"),
-        (math.nan, {}, "the wrong way"),
+        (math.nan, {}, "wrong direction"),
     ],
 )
 def test_what_goes_astray_is_told_with_value_and_limit(way: float, share: float, others: dict, message: str) -> None:
@@ -59,7 +59,7 @@ def test_a_drive_that_does_not_answer_ends_the_watch() -> None:
 
 
 def test_an_axis_that_does_not_arrive_is_told() -> None:
-    with pytest.raises(CheckMoveFailed, match=r"not there; limit of the difference 0\.0022 rad"):
+    with pytest.raises(CheckMoveFailed, match=r"target not reached; limit of the deviation 0\.0022 rad"):
         CheckMove("joint_1", WAY, START, UNITS).check_end(status(joint_1=0.7 * WAY))
 
 
@@ -135,7 +135,7 @@ async def test_an_axis_that_runs_the_wrong_way_is_stopped_early(bench: Bench) ->
 
     bench.drive.move_to = runaway
     await bench.runner.start(bench.campaign.id)
-    await failed(bench, "CheckMoveFailed: joint_1: went -")
+    await failed(bench, "CheckMoveFailed: joint_1: moved by -")
     assert bench.drive.position["joint_2"] == bench.drive.position["joint_3"] == 0.0
 
 
@@ -161,7 +161,7 @@ async def test_an_axis_that_does_not_move_is_found(bench: Bench) -> None:
 
     bench.drive.move_to = stuck
     await bench.runner.start(bench.campaign.id)
-    await failed(bench, "not there; limit of the difference")
+    await failed(bench, "target not reached; limit of the deviation")
 
 
 async def test_a_fault_in_the_check_move_is_the_cause(bench: Bench) -> None:

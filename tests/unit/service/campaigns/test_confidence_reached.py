@@ -3,7 +3,7 @@
 import asyncio
 import dataclasses
 
-from service.campaigns.session import SweepEvent, sweep_move
+from service.campaigns.state_machine import SweepEvent, sweep_move
 from service.store.documents import CampaignState, SweepDocument, SweepState
 from tests.stored.documents import stored
 from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench
@@ -17,7 +17,7 @@ def wants_confidence(bench: Bench, reached: list[float | None]) -> None:
     def identify(sweep: SweepDocument) -> None:
         axis = known["axes"]["joint_1"] | {"confidence_percent": reached.pop(0)}
         document = known | {"base_parameters": known["base_parameters"][:1], "axes": {"joint_1": axis}}
-        bench.store.add_estimate(sweep, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, document)
+        bench.store.add_estimate([(sweep, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), document)
 
     bench.jobs.submit = identify
 

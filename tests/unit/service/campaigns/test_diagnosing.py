@@ -14,7 +14,7 @@ import numpy as np
 import psutil
 import pytest
 
-from service.campaigns.session import SweepEvent, sweep_move
+from service.campaigns.state_machine import SweepEvent, sweep_move
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.sensitivity.design import full_design
 from service.diagnosis.sensitivity.predicted_sweeps import expected
@@ -28,6 +28,7 @@ from service.identification.estimates.torque_gain import KnownMass
 from service.identification.model.regressor import gravity_terms, inertia_rows
 from service.recording import Sweep
 from service.robot import Robot
+from service.settings.workers import Cluster
 from service.store.database import open_database
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis.model_revisions import ModelStore
@@ -36,6 +37,7 @@ from service.store.diagnosis_documents import (
     DiagnosisDocument,
     DiagnosisState,
     EstimateOf,
+    ModelDocument,
     NewDiagnosis,
     Weighing,
 )
@@ -53,7 +55,7 @@ pytestmark = pytest.mark.slow
 SPECTRUM = SpectrumRecord(path="s", sha256="0" * 64)  # where its content makes no difference
 POSES = np.array([[0.0, -0.6, 0.4, 0.0, 0.0, 0.0], [0.5, 0.4, -0.7, 0.0, 0.0, 0.0]])
 PATIENCE = 300.0  # s; the worker gives way to whatever else the computer does
-NOBODY = "tcp://127.0.0.1:1"  # a scheduler that does not answer
+NOBODY = Cluster("tcp://127.0.0.1:1")  # a scheduler that does not answer
 
 Answer = TypeVar("Answer")
 
@@ -135,6 +137,12 @@ async def until(condition: Callable[[], bool]) -> None:
             await asyncio.sleep(0.02)
 
 
+def axes_of(found: DiagnosisDocument | ModelDocument) -> Any:
+    """The axes in a stored document, as the API has them."""
+    assert found.document is not None
+    return found.document["axes"]
+
+
 async def test_a_worker_killed_in_the_middle_changes_nothing(tmp_path: Path, robot: Robot) -> None:
     async with open_worker(None) as worker, open_bench(tmp_path, worker) as bench:
         campaign = measured(bench.store, bench.files, robot, "joint_1", 1)
@@ -148,7 +156,7 @@ async def test_a_worker_killed_in_the_middle_changes_nothing(tmp_path: Path, rob
         sweeps, _ = recorded_sweeps(bench.store, bench.files, campaigns_of(bench.store, [campaign]), "joint_1")
     offline = axis_document(diagnose_axis(robot, "joint_1", [sweep.read() for sweep in sweeps]))
     assert found.document is not None, found.cause
-    assert found.document["axes"] == {"joint_1": offline}
+    assert axes_of(found) == {"joint_1": offline}
     assert found.verdicts == {"joint_1": "named"}
 
 
@@ -171,7 +179,7 @@ async def test_what_is_open_is_taken_up_by_the_next_process_and_what_is_done_is_
         found = await bench.over(diagnosis.id)
     assert found.document is not None, found.cause
     assert found.verdicts == {"joint_2": "none", "joint_1": "named"}
-    assert found.document["axes"]["joint_2"] == before
+    assert axes_of(found)["joint_2"] == before
 
 
 async def test_a_recording_that_was_changed_fails_the_diagnosis(tmp_path: Path, robot: Robot) -> None:
@@ -205,7 +213,7 @@ async def test_a_known_mass_stands_beside_the_evidence(tmp_path: Path, robot: Ro
     assert [sweep.spec.id.split("/")[0] for sweep in (job.sweeps[0], job.weighed[0])] == [str(bare), str(loaded)]
     assert [sweep.spec.block for sweep in job.weighed] == [sweep.spec.block for sweep in job.sweeps]
     assert found.document is not None, found.cause
-    named = [effect["effect"] for effect in found.document["axes"]["joint_1"]["effects"]]
+    named = [effect["effect"] for effect in axes_of(found)["joint_1"]["effects"]]
     assert (found.verdicts, named) == ({"joint_1": "named"}, ["coulomb_friction"])
 
 
@@ -241,7 +249,7 @@ async def test_what_one_axis_came_to_is_kept_when_another_fails(tmp_path: Path, 
     assert (found.state, found.verdicts) == (DiagnosisState.FAILED, {"joint_1": "named"})
     assert "joint_2: effort is 0 in every sample of its sweeps" in found.cause
     assert found.document is not None
-    assert list(found.document["axes"]) == ["joint_1"]
+    assert list(axes_of(found)) == ["joint_1"]
 
 
 def dead(store: Store, files: RecordingFiles, robot: Robot) -> int:
@@ -277,9 +285,11 @@ async def test_a_model_keeps_what_others_accepted_meanwhile(tmp_path: Path, robo
             await bench.over(ids[-1])
         accept = partial(accept_model, bench.store, bench.diagnoses, bench.models)
         first, second = (accept(one, None, "Ada") for one in ids[:2])
-        assert (second.revision, second.parent, list(second.document["axes"])) == (2, first.id, ["joint_1", "joint_2"])
-        assert second.document["axes"]["joint_1"] == first.document["axes"]["joint_1"]
-        with pytest.raises(Conflict, match=f"joint_1: model {second.id} was accepted since.*diagnose again from there"):
+        assert (second.revision, second.parent, list(axes_of(second))) == (2, first.id, ["joint_1", "joint_2"])
+        assert axes_of(second)["joint_1"] == axes_of(first)["joint_1"]
+        with pytest.raises(
+            Conflict, match=f"joint_1: model {second.id} was accepted in the meantime.*diagnose again from model "
+        ):
             accept(ids[2], None, "Ada")
         assert bench.models.newest(1) == second
 
@@ -294,7 +304,7 @@ async def test_a_known_effect_that_has_changed_may_be_accepted(tmp_path: Path, r
             diagnosis = await bench.diagnosing.request([campaign], None, model, unattended=False)
             done = await bench.over(diagnosis.id)
             model = accept(done.id, None, "Ada").id
-            (effect,) = bench.models.model(model).document["axes"]["joint_1"]["effects"]
+            (effect,) = axes_of(bench.models.model(model))["joint_1"]["effects"]
             found.append(effect["parameters"]["coulomb"]["value"])
         assert done.verdicts == {"joint_1": "none"}
     assert found == pytest.approx([60.0, 80.0], abs=0.5)
@@ -329,7 +339,7 @@ async def test_the_rigid_model_starts_from_the_robots_latest_estimate_that_is_no
         by_cad = await bench.over(asked.id)
         assert found.document is not None, found.cause
         assert by_cad.document is not None, by_cad.cause
-        axes = found.document["axes"]["joint_1"], by_cad.document["axes"]["joint_1"]
+        axes = axes_of(found)["joint_1"], axes_of(by_cad)["joint_1"]
         assert [axis["started_from"] for axis in axes] == [f"campaign {first}, revision 1", "cad"]
         assert axes[0]["rigid_model"][0]["nominal"] != axes[1]["rigid_model"][0]["nominal"]
 
@@ -350,7 +360,7 @@ def identified(
     sweeps = campaign_bundle(bench.store, bench.files, campaign).sweeps
     document = estimate_document(robot, [sweep_spectrum(robot, sweep) for sweep in sweeps]).as_json() | (change or {})
     last = bench.store.sweeps(campaign)[-1]
-    assert bench.store.add_estimate(last, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, document) is not None
+    assert bench.store.add_estimate([(last, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), document) is not None
     if over:
         bench.store.move_campaign(campaign, lambda _: CampaignState.COMPLETED)
 

@@ -106,7 +106,7 @@ def test_only_wide_and_fast_blocks_may_turn_further() -> None:
         ({"blocks": ("forward_slow", "sideways")}, "blocks: unknown block sideways; there are forward_slow"),
         ({"blocks": ("wide", "wide")}, "blocks: names a block twice"),
         ({"axes": ("joint_9",)}, "axes: unknown joint joint_9"),
-        ({"poses": 90, "step": 60.0}, "poses: 90 wanted, but of"),
+        ({"poses": 90, "step": 60.0}, "poses: 90 requested, but of"),
     ],
 )
 def test_what_cannot_be_met_names_its_field(robot: Robot, cell: Cell, change: dict[str, object], message: str) -> None:
@@ -138,7 +138,7 @@ def test_a_block_that_leaves_the_envelope_is_left_out_with_its_reason(robot: Rob
     assert {sweep.spec.block for sweep in plan.sweeps} == {"forward_slow", "revisit_forward_slow"}
     assert [dropped.reason.split(":")[0] for dropped in plan.dropped] == ["wide"]
     assert "peak velocity" in plan.dropped[0].reason or "travel" in plan.dropped[0].reason
-    with pytest.raises(BadInput, match="none of its sweeps can be run, the first because: wide: joint_3: travel"):
+    with pytest.raises(BadInput, match="none of its sweeps can be run; the first because: wide: joint_3: travel"):
         build_experiment_plan(robot, EXPERIMENT, [faster(s) for s in designed if s.spec.block == "wide"], cell)
 
 

@@ -94,7 +94,7 @@ def test_moves(envelope: Envelope) -> None:
         envelope.check_move("j1", POSE, 1.59, 0.1)
     with pytest.raises(EnvelopeViolation, match=r"velocity of the move 2 rad/s is above the limit 0.5 rad/s"):
         envelope.check_move("j1", POSE, -1.5, 2.0)
-    with pytest.raises(EnvelopeViolation, match=r"the way from -0.5000 to 1.0000 rad is not free"):
+    with pytest.raises(EnvelopeViolation, match=r"the path from -0.5000 to 1.0000 rad is not free"):
         envelope.check_move("j1", POSE, 1.0, 0.1)  # into the floor
     with pytest.raises(EnvelopeViolation, match="pose has 1 positions"):
         envelope.check_move("j1", (0.0,), 1.0, 0.1)
@@ -154,7 +154,7 @@ def test_order_of_legs_goes_round_an_obstacle(arm: Robot) -> None:
 
 
 def test_no_way_is_said(envelope: Envelope) -> None:
-    with pytest.raises(EnvelopeViolation, match="no way of single-axis moves"):
+    with pytest.raises(EnvelopeViolation, match="no collision-free path of single-axis moves"):
         envelope.order_of_legs(POSE, (1.5, 0.0))
 
 

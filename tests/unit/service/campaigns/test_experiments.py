@@ -14,6 +14,7 @@ from service.errors import BadInput, Conflict
 from service.robot import Robot
 from service.safety.envelope import Envelope
 from service.settings import Settings
+from service.settings.workers import Cluster
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, NewDiagnosis
@@ -58,7 +59,7 @@ class Loop:
 async def loop(tmp_path: Path, robot: Robot, envelope: Envelope) -> AsyncIterator[Loop]:
     async with open_bench(tmp_path, robot, envelope) as bench:
         diagnoses = DiagnosisStore(bench.database)
-        nobody = DaskWorkers("tcp://127.0.0.1:1")
+        nobody = DaskWorkers(Cluster("tcp://127.0.0.1:1"))
         diagnosing = Diagnosing(bench.store, diagnoses, ModelStore(bench.database), bench.files, nobody)
         experiments = Experiments(Settings(), bench.store, diagnoses, bench.runner, diagnosing)
         new = NewDiagnosis(
@@ -129,7 +130,7 @@ async def test_a_loop_that_decides_nothing_ends(loop: Loop) -> None:
         found = loop.done("reversal", loop.new.model_copy(update={"parent": found.id}))
     following = asyncio.create_task(loop.experiments.follow(feed, 0))
     await until(lambda: not loop.diagnoses.diagnosis(found.id).unattended)
-    assert loop.diagnoses.diagnosis(found.id).cause == f"joint_1: {ROUNDS} experiments did not decide it"
+    assert loop.diagnoses.diagnosis(found.id).cause == f"joint_1: not decided after {ROUNDS} experiments"
     feed.close()
     await following
 
@@ -139,8 +140,8 @@ async def test_only_what_was_proposed_is_approved(loop: Loop) -> None:
     waiting = loop.diagnoses.add(loop.new)
     with pytest.raises(Conflict, match="proposes no experiment for joint_1"):
         await loop.experiments.approve(nothing.id, "joint_1", "Ada", None, "workshop")
-    with pytest.raises(BadInput, match="say which is bolted on"):
+    with pytest.raises(BadInput, match="give the mass that is mounted"):
         await loop.experiments.approve(weighing.id, "joint_1", "Ada", None, "workshop")
-    with pytest.raises(Conflict, match="an experiment follows one that is done"):
+    with pytest.raises(Conflict, match="an experiment requires a diagnosis that is done"):
         await loop.experiments.approve(waiting.id, "joint_1", "Ada", None, "workshop")
     assert [one.experiment for one in loop.diagnoses.diagnoses()] == [None] * 3

@@ -7,6 +7,7 @@ import signal
 import sqlite3
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from sqlalchemy import select
@@ -67,7 +68,7 @@ async def test_the_newest_accepted_model_enters_new_estimates_and_is_told(
         await bench.runner.start(bench.campaign.id)
         await bench.runner.finished()
         await completed(bench)
-        document = bench.store.estimates(bench.campaign.id)[-1].document
+        document: Any = bench.store.estimates(bench.campaign.id)[-1].document
         bundle = campaign_bundle(bench.store, bench.files, bench.campaign.id)
     source = {"id": accepted.id, "revision": 1}
     assert document["model"] == source
@@ -117,7 +118,7 @@ async def test_a_job_waits_while_the_database_is_locked(
     tmp_path: Path, robot: Robot, envelope: Envelope, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For longer than a transaction waits for its turn. Who asks is told, and nothing is done twice."""
-    monkeypatch.setattr("service.store.database.BUSY_TIMEOUT", 0.05)
+    monkeypatch.setattr("service.store.engines.sqlite.BUSY_TIMEOUT", 0.05)
     async with open_bench(tmp_path, robot, envelope) as bench:
         await bench.runner.start(bench.campaign.id)
         await bench.runner.finished()

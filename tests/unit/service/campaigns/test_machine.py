@@ -29,7 +29,7 @@ async def test_who_loses_the_lease_stops_and_moves_no_more(bench: Bench) -> None
     campaign = bench.store.campaign(bench.campaign.id)
     assert (campaign.state, campaign.cause) == (
         CampaignState.PAUSED,
-        "another service has taken the machine; restart this one",
+        "another service has taken the machine; restart this service",
     )
     assert campaign.sweeps[SweepState.INTERRUPTED] == 1
     assert bench.drive.energised == set()
@@ -97,7 +97,7 @@ async def test_a_release_frees_neither_a_stop_under_way_nor_one_of_another(bench
     carl = await bench.machine.stop("carl", "smoke again")  # over sooner than the one before
     await bench.machine.noted()
     (under_way,) = (stop.id for stop in bench.machine.stops if stop.by == "berta")
-    with pytest.raises(Conflict, match=f"stop {under_way} is under way: berta: hose caught"):
+    with pytest.raises(Conflict, match=f"stop {under_way} is not finished yet: berta: hose caught"):
         await bench.machine.reset_stop("anna", [anna.id, under_way])
     for _ in range(2):  # the same request again
         await bench.machine.reset_stop("anna", [anna.id])
@@ -164,7 +164,7 @@ async def test_a_computer_that_comes_late_is_told_apart_from_a_database_that_doe
     await until(asked.is_set)
     asyncio.get_running_loop().call_soon(time.sleep, LEASE_TIME)  # something else has the processor
     await until(lambda: bench.machine.held != "")
-    assert bench.machine.held.startswith("the machine's lease could not be renewed: this computer was late by 0.")
+    assert bench.machine.held.startswith("the machine's lease could not be renewed: this computer was delayed by 0.")
     assert "stop" in bench.drive.trace  # who is late may have lost the machine all the same
     answer.set()
     await until(lambda: bench.machine.held == "")

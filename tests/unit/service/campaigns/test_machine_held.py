@@ -13,7 +13,7 @@ from structlog.testing import capture_logs
 from service.application import tell_own_stop
 from service.errors import Conflict, NotFound
 from service.execution import sweep_executor
-from service.execution.second_stop import watching
+from service.execution.external_stops import watching
 from service.store.documents import CampaignState, SweepState
 from service.store.guards import MachineLease, StopLatch
 from service.store.people.audit import AuditStore
@@ -136,7 +136,7 @@ async def test_a_stop_that_the_database_does_not_take_is_seen_and_reset_all_the_
 async def test_what_the_database_did_not_take_is_noted_once_it_does(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.execution.holds.AGAIN", 0.02)
+    monkeypatch.setattr("service.execution.latched_stops.AGAIN", 0.02)
     await bench.machine.connect()
     with bench.database.write() as session:
         session.execute(text("CREATE TRIGGER refuse BEFORE INSERT ON stop BEGIN SELECT RAISE(FAIL, 'full'); END"))

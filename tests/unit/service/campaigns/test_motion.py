@@ -20,7 +20,7 @@ async def connected(bench: Bench) -> Bench:
 
 
 async def test_nobody_moves_a_machine_that_nobody_uses(connected: Bench, envelope: Envelope) -> None:
-    with pytest.raises(Conflict, match="nobody uses the machine"):
+    with pytest.raises(Conflict, match="the machine is not reserved"):
         async with connected.machine.motion(envelope):
             pass
     assert connected.drive.trace == []
@@ -35,7 +35,10 @@ async def test_an_axis_has_energy_while_it_moves_and_no_longer(connected: Bench,
 
 
 async def test_only_the_way_that_was_checked(connected: Bench, envelope: Envelope) -> None:
-    with connected.machine.used_by("a test"), pytest.raises(Conflict, match=r"0\.2 was not checked, but 0 to 0\.1"):
+    with (
+        connected.machine.used_by("a test"),
+        pytest.raises(Conflict, match=r"target 0\.2 is outside the checked range 0 to 0\.1"),
+    ):
         async with connected.machine.motion(envelope) as motion, motion.moving("joint_1", HOME, 0.1, 0.05) as go:
             await go(0.2)
     assert connected.drive.trace == ["enable joint_1", "stop"]

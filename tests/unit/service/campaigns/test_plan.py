@@ -67,7 +67,7 @@ def test_every_leg_and_sweep_passes_the_envelope_in_turn(plan: PlanDocument, max
     here = np.zeros(6)
     for sweep in plan.sweeps:
         for leg in sweep.legs:
-            envelope.check_move(leg.joint, here, leg.target, 0.1)
+            envelope.check_move(leg.joint, here.tolist(), leg.target, 0.1)
             here[max100.index(leg.joint)] = leg.target
         assert np.abs(here - sweep.spec.pose).max() < 1e-3
         command = sweep.command()
@@ -153,7 +153,7 @@ def test_a_pose_behind_a_wall_is_dropped_with_its_reason(arm: Robot) -> None:
     request = PlanRequest(robot_id=1, axes=("j1",), varied=("j1", "j2"), step=15.0, poses=60)
     plan = build_plan(arm, request, Cell(name="walled", boxes=(wall,), floor=0.0))
     assert plan.dropped
-    assert all("no way of single-axis moves" in pose.reason for pose in plan.dropped)
+    assert all("no collision-free path of single-axis moves" in pose.reason for pose in plan.dropped)
     assert plan.sweeps
 
 
@@ -201,7 +201,7 @@ def test_lines_and_rate_of_one_s_choice(max100: Robot, workshop: Cell) -> None:
         ({"lines": (2.0, 90.0)}, "sample_rate: 250.0 Hz is below 900.0 Hz"),
         ({"axes": ("joint_9",)}, "axes: unknown joint joint_9"),
         ({"varied": ("joint_2", "joint_2")}, "varied: names a joint twice"),
-        ({"poses": 1000}, "poses: 1000 wanted"),
+        ({"poses": 1000}, "poses: 1000 requested"),
         ({"sample_rate": 20.0}, "sample_rate: 20.0 Hz is below 50.0 Hz"),
         ({"locked_rotor": {"joint_1": 1.5}}, "locked_rotor.joint_1: 1.5 Hz is not above"),
         ({"step": 0.5, "varied": ("joint_1", "joint_2", "joint_3")}, "step: 0.5 gives a grid"),

@@ -107,8 +107,11 @@ BROKEN = {
         {"position": jump(GOOD.position, 1e-4), "velocity": jump(GOOD.velocity, 0.0125, 2), "load_position": None},
         "velocity jumps",
     ),
-    "velocity's unit": ({"velocity": GOOD.velocity * 1.02}, r"position changes 0.98\d* times as velocity says"),
-    "velocity's sign": ({"velocity": -GOOD.velocity}, "position changes -1"),
+    "velocity's unit": (
+        {"velocity": GOOD.velocity * 1.02},
+        r"position changes by 0.98\d* times the integral of velocity",
+    ),
+    "velocity's sign": ({"velocity": -GOOD.velocity}, "position changes by -1"),
     "load's unit": ({"load_position": GOOD.position * 1.06}, "direct encoder moves 1.06 times as far"),
     "load's sign": ({"load_position": -GOOD.load_position}, "direct encoder|load position jumps"),
     "effort's sign": ({"effort": -GOOD.effort}, r"apparent inertia -\d+.* at 2 Hz is below 0"),
@@ -124,7 +127,7 @@ def test_contradictions_are_found_and_told(case: str) -> None:
 
 def test_signs_are_found_without_an_offset() -> None:
     recording = measured(STILL)
-    with pytest.raises(ImplausibleChannels, match="position changes -1"):
+    with pytest.raises(ImplausibleChannels, match="position changes by -1"):
         check_channels(STILL, changed(recording, velocity=-recording.velocity))
     with pytest.raises(ImplausibleChannels, match="below 0"):
         check_channels(STILL, changed(recording, effort=-recording.effort))

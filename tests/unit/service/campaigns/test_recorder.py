@@ -51,7 +51,7 @@ SPEC = SweepSpec(id="0003", axis="joint_1", pose=(0.0,) * 6, offset_velocity=0.0
 def block(start: int, stop: int, late: float = 0.0) -> SampleBlock:
     """Samples whose time is that of the middle of a cycle when `late` is half a cycle."""
     index = np.arange(start, stop)
-    time = (index + late) / RATE
+    time = np.asarray((index + late) / RATE, np.float64)
     return SampleBlock("joint_1", index, time, 3 * time, 2 * time, time**2, time, load_position=1.02 * time**2)
 
 
@@ -132,11 +132,11 @@ def test_contradicting_channels_make_no_complete_recording(files: RecordingFiles
 
 
 BROKEN = {
-    "lost": (block(101, 200), "sample 101 came where 100 was due"),
-    "doubled": (block(99, 200), "sample 99 came where 100 was due"),
+    "lost": (block(101, 200), "sample 101 received instead of 100"),
+    "doubled": (block(99, 200), "sample 99 received instead of 100"),
     "inner gap": (
         dataclasses.replace(block(100, 102), index=np.array([100, 102])),
-        "sample 102 came where 101 was due",
+        "sample 102 received instead of 101",
     ),
     "no number": (
         dataclasses.replace(block(100, 102), effort=np.array([1.0, np.nan])),
@@ -164,7 +164,7 @@ def test_a_gap_ends_the_sweep_and_keeps_what_came_before(files: RecordingFiles, 
 
 def test_the_first_sample_may_not_be_missing(files: RecordingFiles) -> None:
     recorder = Recorder(files.stream(RUN), COMMAND)
-    with pytest.raises(SamplesMissing, match="sample 1 came where 0 was due"):
+    with pytest.raises(SamplesMissing, match="sample 1 received instead of 0"):
         recorder.write(block(1, 100))
     recorder.close()
     assert salvage(files, RUN, {}) is None

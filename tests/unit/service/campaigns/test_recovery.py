@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from service.campaigns.session import SweepEvent, sweep_move
+from service.campaigns.state_machine import SweepEvent, sweep_move
 from service.execution.recording.recorder import Recorder
 from service.execution.recording.recovery import recover
 from service.robot import Robot

@@ -49,7 +49,9 @@ async def ran_out(bench: Bench) -> None:
     assert bench.drive.energised == set()
 
 
-async def test_what_a_database_refuses_is_stored_as_soon_as_it_takes_it(faulted: Bench) -> None:
+async def test_what_a_database_refuses_is_stored_as_soon_as_it_takes_it(
+    faulted: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     attempts = list[str]()
     with refusing(faulted):
         with capture_logs() as logs:
@@ -61,7 +63,7 @@ async def test_what_a_database_refuses_is_stored_as_soon_as_it_takes_it(faulted:
                 attempts.append("")
                 return sweeps_in(*states)
 
-            faulted.store.sweeps_in = attempt
+            monkeypatch.setattr(faulted.store, "sweeps_in", attempt)
             await until(lambda: len(attempts) > 3)  # each begins so, and is not told
         assert [log["event"] for log in logs] == ["sweep_given_up", "sweep_not_ended", "end_not_stored"]
         assert "stop" in faulted.drive.trace
@@ -106,7 +108,7 @@ async def test_an_abort_that_was_refused_can_be_said_again(faulted: Bench) -> No
 @pytest.mark.parametrize("command", ["start", "pause"])
 async def test_the_next_command_stores_what_was_refused(faulted: Bench, command: str) -> None:
     await aborted_in_vain(faulted)
-    with pytest.raises(Conflict, match="does not fit state paused"):
+    with pytest.raises(Conflict, match="is not possible in state paused"):
         await getattr(faulted.runner, command)(1)
     assert faulted.store.campaign(1).sweeps == {SweepState.INTERRUPTED: 1, SweepState.PLANNED: 3}
 
@@ -200,7 +202,7 @@ async def test_a_gap_ends_the_sweep_while_the_disk_stalls(bench: Bench, disk: Di
     await until(lambda: "stop" in bench.drive.trace)
     disk.go.set()
     await ran_out(bench)
-    assert bench.store.sweep(1, 1).cause == "SamplesMissing: joint_1: sample 601 came where 600 was due"
+    assert bench.store.sweep(1, 1).cause == "SamplesMissing: joint_1: sample 601 received instead of 600"
     assert bench.store.recording(1, 1).samples == 500
 
 

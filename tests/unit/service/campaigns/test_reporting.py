@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from service.campaigns.session import SweepEvent, sweep_move
+from service.campaigns.state_machine import SweepEvent, sweep_move
 from service.errors import Conflict, NotFound
 from service.estimation import estimate_document
 from service.identification import spectrum
@@ -27,7 +27,7 @@ def identify(bench: Bench, document: dict[str, Any], campaign_id: int = 1) -> No
     """The same estimate after each recorded sweep."""
     for sweep in bench.store.sweeps(campaign_id):
         if sweep.state is SweepState.RECORDED:
-            bench.store.add_estimate(sweep, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, document)
+            bench.store.add_estimate([(sweep, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), document)
 
 
 async def test_origin_drives_and_one_sweep_come_from_what_was_recorded(bench: Bench, robot: Robot) -> None:
@@ -58,10 +58,13 @@ async def test_origin_drives_and_one_sweep_come_from_what_was_recorded(bench: Be
     assert origin["ordered by"] == "not recorded"
     assert origin["newest diagnosis"].startswith("number 2, of campaign 1, 20")
     assert origin["recordings"].startswith("4, SHA-256 ")
-    names = [one["name"] for one in document["base_parameters"]]
+    parameters: Any = document["base_parameters"]
+    names = [one["name"] for one in parameters]
     assert [number for number, _ in job.revisions] == [1, 2, 3, 4]
-    assert all([one["name"] for one in found] == names for _, found in job.revisions)  # pyright: ignore
-    assert job().startswith("<!doctype html>")
+    assert all([one["name"] for one in found] == names for _, found in job.revisions)  # pyright: ignore[reportOptionalIterable, reportGeneralTypeIssues]  # JSON
+    page = job()
+    assert isinstance(page, str)
+    assert page.startswith("<!doctype html>")
 
     path = bench.files.path(bench.store.recording(1, 1))
     path.with_suffix(".json").unlink()

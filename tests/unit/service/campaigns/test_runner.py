@@ -3,14 +3,17 @@
 import asyncio
 import dataclasses
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from drivers.errors import CommunicationLost, DriveFault
 from service.errors import Conflict
+from service.recording import Recording
 from service.store.documents import CampaignState, RecordingState, SweepState
 from service.store.files.columns import read_columns
+from service.store.files.recordings import Run
 from service.store.store import StaleVersion
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, Taken, until, until_cancelled
 
@@ -100,6 +103,28 @@ async def test_a_failed_sweep_is_repeated_only_on_command(bench: Bench) -> None:
     assert [s.state for s in bench.store.sweeps(bench.campaign.id)] == [SweepState.FAILED, *[SweepState.RECORDED] * 3]
 
 
+async def test_what_the_disk_refused_is_stored_when_the_campaign_goes_on(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path, recording: Recording) -> None:
+        raise OSError(30, "Read-only file system", str(path))
+
+    bench.drive.fail[3] = DriveFault("over-current")
+    with monkeypatch.context() as read_only:
+        read_only.setattr("service.store.files.recordings.write_columns", refuse)
+        await bench.runner.start(bench.campaign.id)
+        await run_out(bench)
+    assert "partial recording not written: [Errno 30] Read-only file system" in bench.store.sweep(1, 1).cause
+    assert list(bench.files.streams()) == [Run(1, 1, 1)]
+    bench.drive.fail.clear()
+    await bench.runner.resume(bench.campaign.id)
+    await run_out(bench)
+    partial = bench.store.recording(bench.campaign.id, 1)
+    assert (partial.state, partial.samples) == (RecordingState.PARTIAL, 750)
+    assert len(bench.files.load(partial).time) == 750
+    assert bench.files.streams() == {}
+
+
 async def test_repeat_measures_failed_sweeps_once_more(bench: Bench) -> None:
     bench.drive.fail[3] = DriveFault("over-current")
     await bench.runner.start(bench.campaign.id)
@@ -118,7 +143,7 @@ async def test_a_lost_sample_fails_the_sweep(bench: Bench) -> None:
     await run_out(bench)
     sweep = bench.store.sweep(bench.campaign.id, 1)
     assert sweep.state is SweepState.FAILED
-    assert sweep.cause == "SamplesMissing: joint_1: sample 601 came where 600 was due"
+    assert sweep.cause == "SamplesMissing: joint_1: sample 601 received instead of 600"
     assert bench.store.recording(bench.campaign.id, 1).samples == 500
     assert "stop" in bench.drive.trace
 
@@ -216,7 +241,9 @@ async def test_stop_reaches_the_drives_first_and_holds_the_machine(bench: Bench)
     assert state(bench) is CampaignState.MEASURED
 
 
-async def test_a_stop_while_a_drive_is_being_enabled_leaves_no_energy(bench: Bench) -> None:
+async def test_a_stop_while_a_drive_is_being_enabled_leaves_no_energy(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     enable = bench.drive.enable
 
     async def slow(joint):
@@ -225,7 +252,7 @@ async def test_a_stop_while_a_drive_is_being_enabled_leaves_no_energy(bench: Ben
         await enable(joint)  # the drive's answer comes after the stop
         await stopping
 
-    bench.drive.enable = slow
+    monkeypatch.setattr(bench.drive, "enable", slow)
     await bench.runner.start(bench.campaign.id)
     await run_out(bench)
     assert not any(entry.startswith(("sweep", "move")) for entry in bench.drive.trace)
@@ -289,7 +316,7 @@ async def test_a_resume_that_meets_the_pause_leaves_no_campaign_running_that_not
     go.set()
     with pytest.raises(StaleVersion):
         await refused
-    with pytest.raises(Conflict, match="resume it once more"):
+    with pytest.raises(Conflict, match="resume it again"):
         await resuming
     assert state(bench) is CampaignState.PAUSED
     await bench.runner.resume(bench.campaign.id)
@@ -312,7 +339,9 @@ async def test_abort_stops_the_sweep_and_skips_the_rest(bench: Bench) -> None:
     assert bench.store.recording(bench.campaign.id, 1).samples == 500
 
 
-async def test_an_abort_in_the_moment_in_which_a_sweep_begins_leaves_none_running(bench: Bench) -> None:
+async def test_an_abort_in_the_moment_in_which_a_sweep_begins_leaves_none_running(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     begin, begins, go = bench.store.begin_sweep, threading.Event(), threading.Event()
 
     def slow(*arguments):
@@ -320,7 +349,7 @@ async def test_an_abort_in_the_moment_in_which_a_sweep_begins_leaves_none_runnin
         go.wait(TIMEOUT)
         return begin(*arguments)
 
-    bench.store.begin_sweep = slow
+    monkeypatch.setattr(bench.store, "begin_sweep", slow)
     await bench.runner.start(bench.campaign.id)
     await until(begins.is_set)
     aborting = asyncio.create_task(bench.runner.abort(bench.campaign.id, "enough"))

@@ -10,7 +10,7 @@ from sqlalchemy import text
 
 from drivers.errors import DriveFault
 from drivers.ports import Sine, SweepCommand, SweepMode
-from service.campaigns.session import SweepEvent, sweep_move
+from service.campaigns.state_machine import SweepEvent, sweep_move
 from service.errors import BadInput, EnvelopeViolation
 from service.execution.runner import Runner
 from service.execution.sweep_executor import SweepExecutor
@@ -249,7 +249,7 @@ async def test_a_trajectory_of_which_one_axis_was_identified_does_not_block_its_
     bench.drive.hold = None
     bench.drive.go.set()
     await asyncio.wait_for(runner.finished(), TIMEOUT)
-    store.add_estimate(store.sweep(planned.id, 1), identify, SPECTRUM, {})
+    store.add_estimate([(store.sweep(planned.id, 1), SPECTRUM)], identify, {})
     store.move_sweep(planned.id, 2, fail, "identification: no")
     before = len(bench.drive.trace)
     await runner.resume(planned.id, repeat=True)
@@ -260,7 +260,7 @@ async def test_a_trajectory_of_which_one_axis_was_identified_does_not_block_its_
         {SweepState.IDENTIFIED: 1, SweepState.SKIPPED: 1},
     )
     assert store.sweep(planned.id, 2).cause == ended.cause
-    assert "can only be repeated as a whole" in ended.cause
+    assert "can only be repeated completely" in ended.cause
     assert not any(entry.startswith(("enable", "sweep")) for entry in bench.drive.trace[before:])
 
 

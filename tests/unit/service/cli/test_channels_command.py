@@ -52,7 +52,7 @@ def test_an_axis_without_sweeps_is_bad_input(bundle: Path) -> None:
 def test_what_cannot_be_told_apart_is_said() -> None:
     lag = Lag(5e-4, 1e-5, 0.0, 2e-4, 5e-4, 1e-5, apart=False)
     text = profile_lines("joint_1", ChannelLags(lag, lag, DriveTrain(58.0, 140.0, 60.0, 1e-6, 1e-3), 21.3))
-    assert "effort_delay: 0.0005000 # s, +- 1e-05, delay and smoothing together: they cannot be told apart" in text
+    assert "effort_delay: 0.0005000 # s, +- 1e-05, delay and smoothing together: they cannot be separated" in text
     assert yaml.safe_load(text)["channels"]["effort_smoothing"] == 0.0
 
 

@@ -62,15 +62,19 @@ def test_a_file_nested_too_deeply_is_one_line_and_2(tmp_path: Path) -> None:
         assert "deep.yaml" in ended.stderr
 
 
-def test_a_port_that_is_taken_is_1_and_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize("setting", ["port", "stop_port"])
+def test_a_port_that_is_taken_is_1_and_named(tmp_path: Path, setting: str) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        ended = run("serve", "--port", str(port), "--data-dir", str(tmp_path / "data"))
+        settings = tmp_path / "settings.yaml"
+        ports = {"port": 0, "stop_port": 0} | {setting: port}
+        settings.write_text("".join(f"{name}: {number}\n" for name, number in ports.items()), "utf-8")
+        ended = run("serve", "--config", str(settings), "--data-dir", str(tmp_path / "data"))
     assert (ended.returncode, ended.stdout) == (1, "")
-    (line,) = ended.stderr.splitlines()  # no log before it
-    assert f"127.0.0.1:{port}" in line
+    assert ended.stderr.count("\n") == 1, ended.stderr  # no log before it
+    assert f"127.0.0.1:{port}" in ended.stderr
 
 
 def test_export_refuses_a_folder_with_something_in_it(tmp_path: Path, plan_file: Path) -> None:
@@ -126,7 +130,7 @@ def test_what_is_not_there_is_told_with_what_is(root: Path) -> None:
 
 
 def test_who_waits_at_a_terminal_sees_for_what() -> None:
-    code = "from service.cli.waiting import waiting\nwith waiting('the plan'): print('42')"
+    code = "from service.cli.progress_indicator import waiting\nwith waiting('the plan'): print('42')"
     shown, inside = os.openpty()
     try:
         environment = os.environ | {"TERM": "xterm"}

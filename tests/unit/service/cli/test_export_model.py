@@ -52,7 +52,7 @@ def test_what_cannot_be_exported_is_told(bundle: Path, side_file: Path, tmp_path
     (tmp_path / "no.json").write_text("[1]")
     (tmp_path / "other.json").write_text("{}")
     for arguments, reason in (
-        (["no.json", "out"], "--robot: is needed with an estimate"),
+        (["no.json", "out"], "--robot: is required with an estimate"),
         (["no.json", "out", "--robot", str(side_file)], "no.json: is not a JSON object"),
         (["other.json", "out", "--robot", str(side_file)], "other.json.axes: Field required"),
         (["missing.json", "out", "--robot", str(side_file)], "missing.json: cannot be read"),

@@ -2,17 +2,22 @@
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from service.configuration import read_robot
 from service.errors import BadInput
-from service.export.load import Load, load_of
-from service.export.sheet import check_sheet, fingerprint
-from service.export.sheet_text import as_markdown
+from service.export.sheets.load import Load, load_of
+from service.export.sheets.making import check_sheet, fingerprint, sheet
+from service.export.sheets.text import as_markdown
+from service.results.estimate import Estimate
 from service.results.identified.payload import Payload
 from service.results.identified.sheet import Sheet
+from service.store.files.bundle import read_bundle
 from tests.command import sweepid
 from tests.unit.service.cli.test_export_model import side_file
 from tests.unit.service.cli.test_identify import INERTIA, bundle
@@ -48,8 +53,38 @@ def test_the_truth_comes_out_on_the_side_of_the_motor(made: tuple[Sheet, str]) -
     assert "- j1 was measured with j1 " in text
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda axis: axis["inertia"][0].update(value=0.0),
+        lambda axis: axis.update(torque_gain={"value": 0.0, "std": 0.1}),
+        lambda axis: axis.update(torque_gain={"value": 5e-324, "std": 0.1}),
+    ],
+    ids=["inertia", "gain", "next to 0"],
+)
+def test_a_value_of_zero_has_no_share_of_std(change: Callable[[dict[str, Any]], object]) -> None:
+    document = json.loads((Path(__file__).parents[3] / "stored/estimate.json").read_text("utf-8"))
+    axis = document["axes"]["joint_2"] | {"confidence_percent": None}
+    axis["inertia"] = axis["inertia"][:1]
+    change(axis)
+    robot = read_robot(Path(__file__).parents[4] / "config/robots/max100-class.yaml")
+    document["axes"] = {"joint_2": axis}
+    with pytest.raises(BadInput, match=r"e.json axes.joint_2: its inertia or torque_gain has the value 0"):
+        sheet(robot, Estimate.read(document, "e.json"), "e.json")
+
+
+def test_a_ragged_covariance_is_refused(made: tuple[Sheet, str], bundle: Path, tmp_path: Path) -> None:
+    path = tmp_path / "estimate.json"
+    assert sweepid("identify", str(bundle), "--json", str(path)).returncode == 0
+    document = json.loads(path.read_text("utf-8"))
+    document["base"]["covariance"][0] = [1.0, 2.0, 3.0, 4.0, 5.0]
+    robot = read_bundle(bundle).robot
+    with pytest.raises(BadInput, match=r"e.json base.covariance: must be \d+ x \d+ finite numbers"):
+        sheet(robot, Estimate.read(document, "e.json"), "e.json")
+
+
 def test_a_load_is_not_made_of_an_estimate(made: tuple[Sheet, str]) -> None:
-    assert made[1].count("Left out. An estimate of the robot tells combinations") == 2  # KUKA, ABB
+    assert made[1].count("left out. An estimate of the robot contains only combinations") == 2  # KUKA, ABB
 
 
 def test_a_load_that_was_measured_stands_in_the_words_of_kuka_and_abb(made: tuple[Sheet, str]) -> None:
@@ -120,7 +155,7 @@ def test_what_is_no_load_is_refused(given: dict) -> None:
 def test_a_load_that_is_known_in_part_is_refused() -> None:
     known = payload()
     known["inertia"]["Izz"]["value"] = None
-    with pytest.raises(BadInput, match="--payload: does not know Izz"):
+    with pytest.raises(BadInput, match="--payload: lacks Izz"):
         load(known)
 
 
@@ -135,7 +170,7 @@ def test_the_fingerprint_is_that_of_the_result_and_tells_what_was_altered(
     done = sweepid("export-sheet", str(estimate), "--robot", str(side_file), "--json", str(again))
     assert done.returncode == 0, done.stderr
     assert fingerprint(read(again)) == sheet.fingerprint
-    assert "make the sheet of the bundle" in done.stdout  # for its poses
+    assert "make the sheet from the bundle" in done.stdout  # for its poses
     (axis,) = sheet.axes
     altered = sheet.model_copy(update={"axes": (axis.model_copy(update={"motor": 1.01 * axis.motor}),)})
     with pytest.raises(BadInput, match="was altered"):
@@ -159,4 +194,41 @@ def test_what_no_body_can_have_and_what_is_hardly_known_is_not_for_use(
     assert (done.returncode, done.stdout) == (2, "")
     assert "no body can have those of one" in done.stderr
     done = sweepid("export-sheet", str(path))
-    assert "--robot: is needed with an estimate" in done.stderr
+    assert "--robot: is required with an estimate" in done.stderr
+
+
+def test_a_later_bundle_is_compared_with_the_sheet(made: tuple[Sheet, str], bundle: Path, tmp_path: Path) -> None:
+    sheet, out = tmp_path / "sheet.json", tmp_path / "check.json"
+    done = sweepid("check-sheet", str(sheet), str(bundle))
+    assert done.returncode == 0, done.stderr
+    assert f"the same as the sheet {made[0].fingerprint}" in done.stdout
+    assert "j1: " in done.stdout
+    assert "+0.00 %" in done.stdout
+
+    light = json.loads(sheet.read_text("utf-8"))
+    for parameter in light["base_parameters"]:
+        parameter["value"] *= 0.8
+    changed = Sheet.read(light, "sheet")
+    light["fingerprint"] = fingerprint(changed)
+    (tmp_path / "light.json").write_text(json.dumps(light), "utf-8")
+    done = sweepid("check-sheet", str(tmp_path / "light.json"), str(bundle), "--json", str(out))
+    assert done.returncode == 1, done.stderr
+    found = json.loads(out.read_text("utf-8"))
+    assert (found["verdict"], found["axes"][0]["joint"]) == ("changed", "j1")
+    assert found["axes"][0]["differs_percent"] == pytest.approx(25, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ((), "name either a bundle or a campaign"),
+        (("bundle", "--campaign", "1"), "name either a bundle or a campaign"),
+        (("--campaign", "1", "--url", "http://127.0.0.1:9"), "no service at http://127.0.0.1:9"),
+    ],
+)
+def test_what_cannot_be_compared_is_told(
+    made: tuple[Sheet, str], tmp_path: Path, arguments: tuple[str, ...], reason: str
+) -> None:
+    done = sweepid("check-sheet", str(tmp_path / "sheet.json"), *arguments)
+    assert (done.returncode > 0, done.stdout) == (True, "")
+    assert reason in done.stderr

@@ -118,7 +118,7 @@ def test_known_effects_of_a_model_are_taken_into_account_and_told(bundle: Path, 
     [
         ("no json", "model.json: cannot be read as JSON"),
         ("[]", "model.json: is not a JSON object"),
-        ('{"axes": {"j9": {}}}', "model.json: model.axes.j9: is not a joint of the robot, j1, j2 are"),
+        ('{"axes": {"j9": {}}}', "model.json: model.axes.j9: is not a joint of the robot; its joints are j1, j2"),
     ],
 )
 def test_a_model_that_cannot_be_read_is_one_line_and_two(bundle: Path, tmp_path: Path, text: str, reason: str) -> None:

@@ -45,7 +45,7 @@ def test_every_result_has_a_report(name: str, words: tuple[str, ...], tmp_path: 
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        ("{}", "is no result of `sweepid identify --json` or `sweepid diagnose --json`"),
+        ("{}", "is not a result of `sweepid identify --json` or `sweepid diagnose --json`"),
         ('{"axes": {"a": {"verdict": 3}}}', "axes"),
         ("no JSON", "cannot be read as JSON"),
         ('{"axes": 7}', "axes"),

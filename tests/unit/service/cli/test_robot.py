@@ -29,7 +29,7 @@ def test_a_urdf_is_looked_at_and_nothing_is_written(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     said = words(done.stdout)
     assert "ur5: 6 axes, shoulder_pan_joint to wrist_3_joint" in said
-    for told in ("gear ratio", "rated effort", "motor inertia", "collision meshes", "taken as nested"):
+    for told in ("gear ratio", "rated effort", "motor inertia", "collision meshes", "treated as nested"):
         assert told in said
     assert list(tmp_path.iterdir()) == []
 
@@ -93,14 +93,14 @@ def test_a_name_that_leads_elsewhere_is_refused(tmp_path: Path) -> None:
 
 
 ODD = {  # what a person should know of each before it is measured
-    "ur5": "changed: 7 collision meshes count as convex hulls",
-    "ur10": "changed: 7 collision meshes count as convex hulls",
+    "ur5": "changed: 7 collision meshes are used as convex hulls",
+    "ur10": "changed: 7 collision meshes are used as convex hulls",
     "panda": "changed: follows panda_finger_joint1 (<mimic>): fixed at 0",
-    "xarm7": "changed: 8 collision meshes count as convex hulls",
+    "xarm7": "changed: 8 collision meshes are used as convex hulls",
     "kinova": "changed: turns without end (continuous): limited to half a turn either way",
-    "z1": "unusual: moves and has no collision shape",
+    "z1": "unusual: moves but has no collision shape",
     "tiago": "unusual: no body has its principal inertias",
-    "alex": "changed: is not on the way to the tip: fixed at 0",
+    "alex": "changed: is not between base and tip: fixed at 0",
 }
 
 

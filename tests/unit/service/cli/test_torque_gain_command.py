@@ -99,7 +99,7 @@ def test_bundles_that_do_not_belong_together(tmp_path: Path) -> None:
     before = _bundle(tmp_path / "a", INERTIA)
     with pytest.raises(BadInput, match="no axis was swept in the same pose before and after"):
         torque_gain(before, _bundle(tmp_path / "b", INERTIA, height=0.4), 8.0, "0,0.5,0")
-    with pytest.raises(BadInput, match="was not measured on the same robot"):
+    with pytest.raises(BadInput, match="is of another robot than"):
         torque_gain(before, _bundle(tmp_path / "c", INERTIA, ratio=90.0), 8.0, "0,0.5,0")
 
 
@@ -108,7 +108,7 @@ def test_a_mass_that_does_not_show_is_refused(tmp_path: Path) -> None:
     forgotten = sweepid("torque-gain", str(before), str(before), "--mass", str(MASS), "--center", f"0,{ARM},0")
     assert (forgotten.returncode, forgotten.stdout) == (2, "")
     assert "j1: the second campaign shows no added inertia beyond its uncertainty" in forgotten.stderr
-    assert "was the mass on? kg and m?" in forgotten.stderr
+    assert "check that the mass was mounted, and its units (kg, m)" in forgotten.stderr
     with pytest.raises(BadInput, match="j1: the second campaign shows no added inertia"):
         torque_gain(_bundle(tmp_path / "b", INERTIA + MASS * ARM**2), before, MASS, f"0,{ARM},0")
 

@@ -73,7 +73,7 @@ def test_the_loaded_scenario_needs_the_torque_of_the_twin(tmp_path: Path) -> Non
     patches: list[Patch] = [effect["scenario"] for effect in document["axes"][JOINT]["effects"]]
     inertia = HEAVIER * model().inertia
     entry = axis_entry(robot, JOINT, float(inertia.mean()), 190.0, patches)
-    pull = gravity_of_fit(motion.poses, robot.index(JOINT), *load_of(JOINT, *names)[1:])[motion.spot]
+    pull = gravity_of_fit(motion.poses, robot.index(JOINT), *load_of(JOINT, *names)[1:])[motion.pose_index]
     runs = [Run(k, entry, float(inertia[k]), (float(pull[k, 0]), float(pull[k, 1]))) for k in chosen]
     ours = torques(robot, JOINT, ways(sweeps), runs)
     for k, axis, one, other in zip(chosen, axes, theirs, ours, strict=True):

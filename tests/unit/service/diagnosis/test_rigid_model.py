@@ -44,7 +44,7 @@ def test_the_pose_of_middling_weight_is_held_back_of_four_and_none_of_three() ->
     motion = tracks(robot, JOINT, following(robot, JOINT, designed))
     unseen = held_back(motion, grouped(motion))
     assert unseen is not None
-    weight = [float(motion.gravity[motion.spot == k].mean()) for k in range(4)]
+    weight = [float(motion.gravity[motion.pose_index == k].mean()) for k in range(4)]
     assert sorted(weight).index(weight[unseen]) == 2
     few = [sweep for sweep in following(robot, JOINT, designed) if sweep.spec.pose != tuple(POSES[0])]
     motion = tracks(robot, JOINT, few)

@@ -125,5 +125,5 @@ def test_an_estimate_of_another_robot_is_one_clear_error(robot: Robot, estimate:
     assert error.value.place == "other.json base_parameters"
     assert "Izz(turret)" in error.value.reason
     nothing = estimate | {"axes": {}}
-    with pytest.raises(BadInput, match="identified nothing"):
+    with pytest.raises(BadInput, match="contains no identified parameters"):
         started_from(robot, nothing, "nothing")

@@ -90,7 +90,7 @@ def run_of(design: DesignedSweep) -> SweepRun:
 def model(joint: str = JOINT) -> Model:
     robot, _, motion = measured(joint)
     axis = robot.axis(joint)
-    inertia, torque, slope = nominal_load(robot, joint, motion.poses)[:, motion.spot]
+    inertia, torque, slope = nominal_load(robot, joint, motion.poses)[:, motion.pose_index]
     motor = axis.reflected_motor_inertia or 0.0
     return Model(inertia, motor, axis.viscous_friction or 0.0, motion.gravity, torque, slope)
 
@@ -105,7 +105,7 @@ def torque(patches: Sequence[Patch], joint: str = JOINT) -> Array:
     robot, sweeps, motion = measured(joint)
     fitted, index = model(joint), robot.index(joint)
     entry = axis_entry(robot, joint, float(fitted.inertia.mean()), fitted.viscous, patches)
-    pull = gravity(robot, entry.links, index, motion.poses)[motion.spot]
+    pull = gravity(robot, entry.links, index, motion.poses)[motion.pose_index]
     runs = [Run(k, entry, float(fitted.inertia[k]), (float(pull[k, 0]), float(pull[k, 1]))) for k in range(len(sweeps))]
     return laid_out(motion, torques(robot, joint, ways(sweeps), runs))
 

@@ -125,14 +125,14 @@ def test_quaternions_at_every_angle() -> None:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"axes": {}}, "identified nothing"),
+        ({"axes": {}}, "contains no identified parameters"),
         ({"axes": {"joint_9": {"inertia": [], "rmse_percent": RMSE}}}, "joint_9: unknown joint"),
         ({"standard_parameters": {"links": {}, "motor_inertias": {}}}, "ten parameters of link link_1"),
-        ({"physical": {"deviation_in_std": None}}, "identified nothing"),
+        ({"physical": {"deviation_in_std": None}}, "contains no identified parameters"),
         ({"base_parameters": [{"name": "a"}]}, "base_parameters.0.value"),
         (
             {"base_parameters": [{"name": "a", "value": float("nan"), "std": 1.0}]},
-            "base_parameters a: nan is not a finite",
+            "base_parameters.0.value: Input should be a finite number, got nan",
         ),
     ],
 )
@@ -151,7 +151,7 @@ def test_a_massless_link_is_refused(max100: Robot, document: dict[str, Any]) -> 
 
 def test_a_missing_motor_is_refused(max100: Robot, document: dict[str, Any]) -> None:
     del document["standard_parameters"]["motor_inertias"]["Jm(joint_3)"]
-    with pytest.raises(BadInput, match="no motor inertia of joint joint_3"):
+    with pytest.raises(BadInput, match="the motor inertia of joint joint_3"):
         identified_model(max100, document)
 
 

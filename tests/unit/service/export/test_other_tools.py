@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import mujoco
 import numpy as np
-import pinocchio as pin  # pyright: ignore[reportMissingImports]  # found once its path file has run
+import pinocchio as pin
 import pytest
 
 from service.export import IdentifiedModel, identified_model, model_files, write_model

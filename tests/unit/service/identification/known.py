@@ -5,10 +5,10 @@ from typing import Any
 from service.identification.axis.known_effects import KnownEffects, known_effects
 from service.results.revision import KnownModel, StoredModel
 
-Told = dict[str, tuple[float, float]]  # parameter: value, std
+Parameters = dict[str, tuple[float, float]]  # parameter: value, std
 
 
-def model(torques: str = "recorded", **axes: dict[str, Told]) -> dict[str, Any]:
+def model(torques: str = "recorded", **axes: dict[str, Parameters]) -> dict[str, Any]:
     """The document of a model: by joint the effects with their parameters."""
     return {
         "axes": {
@@ -27,7 +27,7 @@ def model(torques: str = "recorded", **axes: dict[str, Told]) -> dict[str, Any]:
     }
 
 
-def known(torques: str = "recorded", **axes: dict[str, Told]) -> KnownEffects:
+def known(torques: str = "recorded", **axes: dict[str, Parameters]) -> KnownEffects:
     """The same, read."""
     return read(model(torques, **axes), *axes)
 

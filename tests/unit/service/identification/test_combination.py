@@ -13,6 +13,7 @@ from service.identification.estimates.combination import (
     Source,
     combine,
 )
+from service.identification.estimates.combination_document import combination_document
 from service.identification.model.inverse_dynamics import Motion, dynamics_rows
 from service.identification.model.parameter_prior import nominal_parameters
 from service.identification.model.regressor import axis_rows
@@ -149,3 +150,34 @@ def test_model_error_counts_as_noise() -> None:
 def test_without_trajectories_there_is_nothing_to_combine() -> None:
     with pytest.raises(BadInput, match="no trajectory"):
         combine(robot(), [], [])
+
+
+def test_what_is_no_number_is_refused_with_axis_and_sweep() -> None:
+    r = robot()
+    good = record(r, 1, noise=NOISE)
+    spoilt = replace(good.tracks[1], effort=good.tracks[1].effort * np.nan)
+    with pytest.raises(BadInput, match=r"^sweep joint_2 of joint_2: \d+ of \d+ values of its harmonics are not finite"):
+        combine(r, [], [replace(good, tracks=(good.tracks[0], spoilt, good.tracks[2]))])
+    inertias = sweeps(r)
+    inertias[2] = replace(inertias[2], values=inertias[2].values * np.inf)
+    with pytest.raises(
+        BadInput, match=r"^joint_3: 20 of 420 values of the inertias and the covariance of its sweeps are not finite"
+    ):
+        combine(r, inertias, [good])
+
+
+def test_the_noise_has_settled_in_the_last_round() -> None:
+    r = robot()
+    found = combine(r, sweeps(r), [record(r, 11, noise=NOISE), record(r, 21, noise=NOISE)])
+    print({joint: f"{change:.2g}" for joint, change in found.noise_change.items()})
+    assert max(found.noise_change.values()) < 0.05
+
+
+def test_noise_that_has_not_settled_is_in_the_document() -> None:
+    r = robot()
+    found = combine(r, sweeps(r), [record(r, 11, noise=NOISE)])
+    assert {one.warning for one in combination_document(found).noise.values()} == {""}
+    changing = combination_document(replace(found, noise_change=dict.fromkeys(r.joints, 0.2)))
+    assert {one.warning for one in changing.noise.values()} == {
+        "its noise still changes by 20 % in the last round; limit 5 %"
+    }

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from service.errors import BadInput
-from service.identification.model.convergence import converged
+from service.identification.model.convergence import converged, finite, unsettled
 
 
 def rosenbrock(x: np.ndarray) -> np.ndarray:
@@ -26,3 +26,14 @@ def test_what_is_no_number_is_refused() -> None:
     found.cost = np.nan
     with pytest.raises(BadInput, match=r"^joint_1: the fit of a valley has no finite residual"):
         converged(found, "joint_1", "a valley")
+
+
+def test_a_start_that_is_no_number_is_refused_with_its_place() -> None:
+    finite(np.ones(3), "joint_1", "a valley")
+    with pytest.raises(BadInput, match=r"^joint_1: 2 of 3 values of a valley are not finite, the first is number 1"):
+        finite(np.array([1.0, np.nan, np.inf]), "joint_1", "a valley")
+
+
+def test_noise_that_still_changes_is_worth_a_warning() -> None:
+    assert unsettled(0.01) is None
+    assert unsettled(0.2) == "its noise still changes by 20 % in the last round; limit 5 %"

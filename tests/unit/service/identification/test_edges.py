@@ -106,7 +106,7 @@ def test_a_motion_that_leaves_the_inertia_open_is_refused() -> None:
     robot = _robot()
     free = {"excitation": "trajectory", "sines": (), "period": None, "periods": None}
     steady = spectrum(robot, _sweep(1, 310.0, 2.0, (), **free))
-    with pytest.raises(BadInput, match="sweep 0001: its motion of 1500 samples does not tell inertia from"):
+    with pytest.raises(BadInput, match="sweep 0001: its motion of 1500 samples does not separate inertia from"):
         fit_record(steady)
     short = spectrum(robot, _sweep(2, 310.0, 2.0, **free, measure_from=2.98))
     with pytest.raises(BadInput, match="sweep 0002: its motion of 10 samples"):

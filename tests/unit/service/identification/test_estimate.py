@@ -1,6 +1,7 @@
 """From spectra to the estimate's document: order does not matter, rank is honest, numbers are JSON."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,10 @@ import pytest
 
 from service.errors import BadInput
 from service.identification import Spectrum, as_document, identify, spectrum
+from service.identification.axis import joint_fit
 from service.identification.design.excitation import design_sweep, velocity_setpoint
+from service.identification.estimates import estimate as estimates
+from service.identification.model import physical_consistency
 from service.identification.model.regressor import gravity_terms, inertia_rows
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot
@@ -99,3 +103,33 @@ def test_standard_parameters_reproduce_the_base_parameters(robot: Robot) -> None
 def test_nothing_to_identify_from(robot: Robot) -> None:
     with pytest.raises(BadInput, match="no sweep"):
         identify(robot, [])
+
+
+def test_a_search_of_the_nearest_robot_that_did_not_converge_is_in_the_document(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spectra = _spectra(robot, POSES)
+    assert "warning" not in _document(robot, spectra)["physical"]
+    monkeypatch.setattr(physical_consistency, "STEPS", 1)
+    assert "did not reach" in _document(robot, spectra)["physical"]["warning"]
+
+
+def test_noise_that_has_not_settled_is_a_warning_of_each_inertia(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    spectra = _spectra(robot, POSES)
+    assert all("warning" not in one for one in _document(robot, spectra)["axes"]["lift"]["inertia"])
+    monkeypatch.setattr(joint_fit, "ROUNDS", 1)
+    warnings = [one["warning"] for one in _document(robot, spectra[:-1])["axes"]["lift"]["inertia"]]
+    assert all("its noise still changes by" in warning for warning in warnings)
+
+
+def test_an_inertia_that_is_no_number_is_refused_with_its_sweep(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    def spoilt(compute: Any, *inputs: Any) -> Any:
+        axis = compute(*inputs)
+        sweeps = (replace(axis.sweeps[0], value=float("nan")), *axis.sweeps[1:])
+        return replace(axis, sweeps=sweeps)
+
+    monkeypatch.setattr(estimates, "unchanged_or", spoilt)
+    with pytest.raises(
+        BadInput, match=r"^sweep 0001 of swing: its inertia nan with variance .* is not a finite number"
+    ):
+        identify(robot, _spectra(robot, POSES))

@@ -73,7 +73,7 @@ def test_a_resonance_below_the_lines_is_refused(robot: Robot, resonance: float) 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0])
 def test_without_effort_for_sines_there_is_no_sweep(robot: Robot, limit: float) -> None:
-    with pytest.raises(BadInput, match="leaves nothing for the sines"):
+    with pytest.raises(BadInput, match="leaves no effort for the sines"):
         design_sweep(robot, "swing", POSE, load_inertia=300.0, effort_limit=limit)
 
 

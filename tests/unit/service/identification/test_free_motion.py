@@ -82,7 +82,7 @@ def test_an_estimate_of_single_axes_refuses_them() -> None:
 def test_a_record_in_which_nothing_moves_is_refused() -> None:
     both = [sweep("joint_1"), sweep("joint_2")]
     still = [replace(s, recording=replace(s.recording, position=0 * s.recording.time)) for s in both]
-    with pytest.raises(BadInput, match="no axis moves for longer than"):
+    with pytest.raises(BadInput, match="no axis moves for more than"):
         combine(robot(), (), (), free_motions(robot(), still))
 
 
@@ -145,3 +145,13 @@ def test_stretches_are_runs() -> None:
     sound = np.array([True, True, False, True, False])
     assert stretches(sound) == [slice(0, 2), slice(3, 4)]
     assert stretches(np.zeros(3, dtype=bool)) == []
+
+
+def test_a_sample_that_is_no_number_is_refused_with_its_sweep() -> None:
+    """It used to spread over the whole record by the filter, and the combination was NaN."""
+    spoilt = sweep("joint_2", id="0007")
+    effort = spoilt.recording.effort.copy()
+    effort[123] = np.nan
+    spoilt = replace(spoilt, recording=replace(spoilt.recording, effort=effort))
+    with pytest.raises(BadInput, match=r"^sweep 0007 of joint_2: effort is not a number at sample 123"):
+        free_motions(robot(), [sweep("joint_1"), spoilt])

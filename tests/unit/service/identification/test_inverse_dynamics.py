@@ -1,7 +1,7 @@
 """The rows of all efforts against Pinocchio (an independent code), on random chains, revolute and prismatic."""
 
 import numpy as np
-import pinocchio as pin  # pyright: ignore[reportMissingImports]  # found once its path file has run
+import pinocchio as pin
 import pytest
 
 from service.identification.model.inverse_dynamics import Motion, dynamics_names, dynamics_rows, link_rows

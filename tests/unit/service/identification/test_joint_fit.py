@@ -232,3 +232,19 @@ def test_a_fit_that_does_not_converge_tells_nothing(robot: Robot, monkeypatch: p
     monkeypatch.setattr(joint_fit, "ROUNDS", 1)
     with pytest.raises(BadInput, match=r"^lift: its fit over 8 sweeps did not converge: the cost still falls after"):
         fit_axis(spectra, shared, poses, 6.0)
+
+
+def test_derivatives_that_overflow_are_refused_with_the_axis(robot: Robot) -> None:
+    """Residuals in standard deviations of 1e-150 are numbers, their derivatives squared are not."""
+    rng = np.random.default_rng(1)
+    spectra = [_measure(robot, number, load, 6.0, rng) for number, load in enumerate(LOADS)]
+    shared, poses = _priors()
+    with np.errstate(all="ignore"), pytest.raises(BadInput, match=r"^lift: has no finite residual or derivative"):
+        fit_axis(spectra, shared, poses, 1e-146)
+
+
+def test_the_noise_has_settled_in_the_last_round(robot: Robot) -> None:
+    rng = np.random.default_rng(1)
+    spectra = [_measure(robot, number, load, 6.0, rng) for number, load in enumerate(LOADS)]
+    for guess in (0.6, 6.0, 600.0):
+        assert fit_axis(spectra, *_priors(), guess).noise_change.max() < 1e-4

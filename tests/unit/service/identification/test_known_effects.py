@@ -71,7 +71,10 @@ def test_a_variance_without_a_root_gives_no_correlations() -> None:
     ("document", "message"),
     [
         ({}, r"model\.axes: Field required"),
-        ({"axes": {"joint_9": {"effects": []}}}, r"model\.axes\.joint_9: is not a joint of the robot, lift are"),
+        (
+            {"axes": {"joint_9": {"effects": []}}},
+            r"model\.axes\.joint_9: is not a joint of the robot; its joints are lift",
+        ),
         ({"axes": {"lift": []}}, r"model\.axes\.lift: Input should be"),
         ({"axes": {"lift": {"effects": {}}}}, r"lift\.effects: Input should be"),
         ({"axes": {"lift": {"effects": [{}]}}}, r"lift\.effects\.0\.effect: Field required"),

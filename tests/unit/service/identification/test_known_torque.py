@@ -11,7 +11,7 @@ from service.identification.axis.known_torque import Corrected, Load, corrected,
 from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Robot
-from tests.unit.service.identification.known import Told, known
+from tests.unit.service.identification.known import Parameters, known
 
 RATE, START, INERTIA, VISCOUS = 1000.0, 1.0, 300.0, 40.0
 SINES = tuple(Sine(frequency=f, amplitude=a, phase=f) for f, a in ((2.0, 0.004), (3.0, 0.003), (5.0, 0.002)))
@@ -65,7 +65,9 @@ def lines(spectrum_: Spectrum) -> np.ndarray:
     return (spectrum_.effort / spectrum_.velocity)[spectrum_.line]
 
 
-def taken_out(robot: Robot, effort: Signal, load: Load = NO_LOAD, gain: float = 1.0, **effects: Told) -> Corrected:
+def taken_out(
+    robot: Robot, effort: Signal, load: Load = NO_LOAD, gain: float = 1.0, **effects: Parameters
+) -> Corrected:
     axis: KnownAxis = known(lift=effects).of("lift")
     return corrected(measured(robot, effort), axis, gain, load)
 
@@ -116,7 +118,7 @@ def test_effort_that_comes_late_is_taken_earlier(robot: Robot) -> None:
         ),
     ],
 )
-def test_friction_of_a_known_law_is_taken_out(robot: Robot, name: str, told: Told, law: Signal) -> None:
+def test_friction_of_a_known_law_is_taken_out(robot: Robot, name: str, told: Parameters, law: Signal) -> None:
     known: dict[str, Any] = {name: told}
     rubbed: Signal = lambda time: rigid(time) + law(velocity(time))  # noqa: E731
     done = taken_out(robot, rubbed, **known)
@@ -142,7 +144,7 @@ def test_friction_that_grows_with_the_load_is_taken_out_where_gravity_rules(robo
 
         return effort
 
-    law: Told = {"coulomb": (20.0, 1.0), "load_dependence": (0.05, 0.002)}
+    law: Parameters = {"coulomb": (20.0, 1.0), "load_dependence": (0.05, 0.002)}
     done = taken_out(robot, rubbed(heavy), heavy, load_dependent_friction=law)
     np.testing.assert_allclose(lines(done.spectrum), IMPEDANCE, rtol=1e-7)
     assert done.doubt == 0.0

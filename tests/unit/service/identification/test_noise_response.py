@@ -124,3 +124,12 @@ def test_records_that_hold_no_response(
 ) -> None:
     with pytest.raises(BadInput, match=reason):
         noise_spectrum(robot, Sweep(spec(1, **changes), replace(recording(), **columns)))
+
+
+def test_a_sample_that_is_no_number_is_refused_with_its_sweep(robot: Robot) -> None:
+    record = recording()
+    assert record.excitation_effort is not None
+    injected = record.excitation_effort.copy()
+    injected[5] = np.nan
+    with pytest.raises(BadInput, match=r"^sweep 0001 of swing: excitation_effort is not a number at sample 5"):
+        noise_spectrum(robot, Sweep(spec(1), replace(record, excitation_effort=injected)))

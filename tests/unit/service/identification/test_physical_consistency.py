@@ -5,8 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from service.errors import BadInput
 from service.identification.model.base_parameters import base_parameters
-from service.identification.model.physical_consistency import Physical, is_physical, nearest_physical, pseudo_inertia
+from service.identification.model.physical_consistency import (
+    Ended,
+    Physical,
+    _Problem,  # pyright: ignore[reportPrivateUsage]  what it does at the end of the numbers is seen nowhere else
+    is_physical,
+    nearest_physical,
+    pseudo_inertia,
+)
 from service.urdf import Chain, read_chain
 from tests.random_chain import random_urdf
 
@@ -171,3 +179,51 @@ def test_whether_a_link_is_physical() -> None:
     assert not is_physical(ball * [1, 1, 1, 1, 1, 1, 1, 1, 1, 2.1]).any()  # 0.1 + 0.1 < 0.21
     far = ball + np.eye(10)[1] * 3  # its centre at 3 m, and no moments about the origin to match
     assert not is_physical(far).any()
+
+
+@pytest.mark.parametrize("link", [[5e-324, 1.0], [1e308, 1e308], [1e-300, -1e300], [1.0, 1e200]])
+def test_numbers_that_overflow_are_not_physical(link: list[float]) -> None:
+    parameters = np.array([*link, 0, 0, 1, 0, 1, 0, 0, 1])
+    assert not is_physical(parameters)
+    assert is_physical(np.array([parameters, [2.0, 0, 0, 0, 1, 0, 1, 0, 0, 1]])).tolist() == [False, True]
+
+
+@pytest.mark.parametrize("distance", [0.1, 1e3, 1e9, 1e15])
+def test_a_nominal_centre_of_mass_may_lie_anywhere(distance: float) -> None:
+    """A URDF says where it lies, and rounding left a matrix without a root."""
+    nominal = np.array([1.0, -distance, 0, 0, 1, 0, 1, 0, 0, 1, 1.0])
+    found = nearest(nominal, np.eye(11)[:1], np.array([5.0]), np.eye(1))
+    assert np.isfinite(found.parameters).all()
+    assert found.parameters[0] > 0
+
+
+def test_a_step_that_leaves_the_numbers_leaves_the_domain() -> None:
+    """Newton's method tries steps of any length."""
+    nominal = np.array([2.0, 0.1, 0, 0, 1, 0, 1, 0, 0, 1, 1.0])
+    problem = _Problem.of(nominal, (0.3, np.array([0.1])), 1e200 * np.eye(11)[:2], np.array([2e200, 1e199]))
+    assert problem.inside(np.zeros(2))
+    assert not problem.inside(np.array([1e200, -1e200]))
+
+
+def test_how_the_search_ended_is_told() -> None:
+    """Effort of the wrong sign: all links of negative mass, a thousand standard deviations from possible."""
+    ended: list[Ended] = []
+    for seed in range(12):
+        _, _, combination, nominal = robot(seed)
+        spread = np.diag((1e-3 * np.abs(combination @ nominal) + 1e-9) ** 2)
+        exact = nearest(nominal, combination, combination @ nominal, spread)
+        assert (exact.ended, exact.deviation) == (Ended.EXACT, 0.0)
+        far = nearest(nominal, combination, -1e4 * combination @ nominal, spread)
+        assert buildable(far.parameters)
+        ended.append(far.ended)
+    assert set(ended) == {Ended.MOST_PROBABLE, Ended.UNFINISHED}
+
+
+@pytest.mark.parametrize("name", ["nominal model", "rows", "values", "covariance"])
+def test_what_is_no_number_is_refused(name: str) -> None:
+    _, _, combination, nominal = robot(1)
+    values = combination @ nominal
+    given = {"nominal model": nominal, "rows": combination, "values": values, "covariance": np.eye(len(values))}
+    given[name] = given[name] * np.nan
+    with pytest.raises(BadInput, match=rf"^base parameters: \d+ of \d+ values of their {name} are not finite"):
+        nearest(*given.values())

@@ -1,10 +1,10 @@
 """The rows against Pinocchio (an independent code), on random chains with fixed, revolute and prismatic joints."""
 
 import numpy as np
-import pinocchio as pin  # pyright: ignore[reportMissingImports]  # found once its path file has run
+import pinocchio as pin
 import pytest
 
-from service.identification.model.base_parameters import base_parameters, condition_number
+from service.identification.model.base_parameters import base_parameters, condition_number, reduce_columns
 from service.identification.model.regressor import (
     axis_rows,
     fold,
@@ -142,6 +142,22 @@ def test_base_parameters_carry_the_whole_inertia() -> None:
         )
     assert len(set(base.names)) == len(base.names)
     assert all(name.split(" ")[0] in parameter_names(chain) for name in base.names)
+
+
+def test_a_tall_matrix_has_the_base_of_a_short_one() -> None:
+    """The columns' lengths and angles alone count: rows that are mixed among one another change nothing."""
+    rng = np.random.default_rng(9)
+    chain = read_chain(random_urdf(rng, 3))
+    rows = axis_rows(chain, 1, rng.uniform(-2.0, 2.0, (300, 3)))
+    names = parameter_names(chain)
+    tall, short = (
+        reduce_columns(rows, names),
+        reduce_columns(np.asarray(np.linalg.qr(rows, mode="r"), dtype=float), names),
+    )
+    assert len(rows) > rows.shape[1]
+    assert tall.columns == short.columns
+    np.testing.assert_allclose(rows[:, list(tall.columns)] @ tall.combination, rows, atol=1e-9 * np.abs(rows).max())
+    np.testing.assert_allclose(tall.combination, short.combination, atol=1e-9 * np.abs(tall.combination).max())
 
 
 def test_condition_number_is_that_of_unit_columns() -> None:

@@ -1,10 +1,14 @@
 """Inertia of a speed loop and of a torque response: exact by formula, and standard deviations that hold."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from service.errors import BadInput
+from service.identification.spectra import speed_loop
 from service.identification.spectra.speed_loop import fit_closed_loop, fit_torque_response
 
 OVER_GAIN, FRICTION, DELAY = 3.6e-3, 0.025, 0.7e-3  # J/K in s, mu/K, s
@@ -70,3 +74,27 @@ def test_what_shows_no_inertia_is_refused() -> None:
         fit_torque_response(FREQUENCY, loop(), "y", lowest=1e4)
     with pytest.raises(BadInput, match=r"x: shows no inertia from 3\.91 to"):
         fit_closed_loop(FREQUENCY, np.conj(loop()), "x")
+
+
+@pytest.mark.parametrize("spoilt", [np.nan, np.inf])
+def test_a_line_that_is_no_number_is_refused(spoilt: float) -> None:
+    """A linear fit of NaN used to give NaN and call it converged; SciPy's error named no file."""
+    response = loop()
+    response[20] = spoilt
+    with pytest.raises(BadInput, match=r"^x: 1 of 255 values of its response are not finite, the first is number 20"):
+        fit_closed_loop(FREQUENCY, response, "x")
+    with pytest.raises(BadInput, match=r"^y: 1 of 255 values of its response are"):
+        fit_torque_response(FREQUENCY, response, "y")
+
+
+def test_a_part_that_does_not_converge_leaves_no_standard_deviation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The fit of all lines converges; the one without its third stretch is cut short."""
+    calls: list[int] = []
+
+    def cut_short(*given: Any, **options: Any) -> Any:
+        calls.append(1)
+        return least_squares(*given, **options | ({"max_nfev": 2} if len(calls) == 4 else {}))
+
+    monkeypatch.setattr(speed_loop, "least_squares", cut_short)
+    with pytest.raises(BadInput, match=r"^x: the fit without its lines from 43 to 58\.6 Hz ended: The maximum number"):
+        fit_closed_loop(FREQUENCY, loop(), "x")

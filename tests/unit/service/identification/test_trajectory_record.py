@@ -1,6 +1,7 @@
 """Harmonics of a trajectory: exact motion, noise from the scatter between periods, what belongs together."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -115,3 +116,11 @@ def test_sweeps_that_do_not_belong_together_are_refused() -> None:
             trajectory(robot(), [axis_track(sweep("joint_2")), axis_track(other)])
     with pytest.raises(BadInput, match="leaves the record"):
         axis_track(sweep("joint_1", periods=9))
+
+
+def test_a_sample_that_is_no_number_is_refused_with_its_sweep() -> None:
+    spoilt = sweep("joint_2")
+    position = spoilt.recording.position.copy()
+    position[40] = np.inf
+    with pytest.raises(BadInput, match=r"^sweep joint_2 of joint_2: position is not a number at sample 40"):
+        axis_track(replace(spoilt, recording=replace(spoilt.recording, position=position)))

@@ -51,7 +51,7 @@ def test_a_direction_hardly_excited_stays_with_the_model(robot: Robot) -> None:
     open_ = [each for each in document["base_parameters"] if each["std"] is None]
     assert open_
     for each in open_:
-        assert "the data tell it no better than the nominal model" in each["reason"]
+        assert "the data do not determine it better than the nominal model" in each["reason"]
     start = estimate.base.combination @ np.concatenate([robot.chain.inertial.ravel(), [57.8, 57.8]])
     assert np.abs(estimate.solution.values - start).max() < 3 * estimate.spread.max()
     for link in document["standard_parameters"]["links"].values():

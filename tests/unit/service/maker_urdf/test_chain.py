@@ -54,7 +54,7 @@ def test_what_is_not_on_the_way_is_fixed_and_told() -> None:
     root = robot("abcde", *HAND, *FINGERS)
     told = choose_chain(root, "c", "x")
     assert [(one.kind, one.place, one.sentence) for one in told] == [
-        ("changed", "left", "is not on the way to the tip: fixed at 0"),
+        ("changed", "left", "is not between base and tip: fixed at 0"),
         ("changed", "right", "follows left (<mimic>): fixed at 0"),
     ]
     assert [one.name for one in chain(root).joints] == ["arm"]
@@ -77,7 +77,7 @@ def test_a_joint_whose_limits_leave_out_0_is_fixed_at_the_nearest(kind: str) -> 
 
 def test_a_follower_on_the_way_is_no_axis() -> None:
     root = robot("abc", joint("one", "revolute", "ab"), joint("two", "revolute", "bc", f'{LIMIT}<mimic joint="one"/>'))
-    with pytest.raises(BadInput, match=r"joint two: follows joint 'one' \(<mimic>\) and is on the way to the tip"):
+    with pytest.raises(BadInput, match=r"joint two: follows joint 'one' \(<mimic>\) and is between base and tip"):
         choose_chain(root, None, "x")
 
 
@@ -94,7 +94,7 @@ def test_another_tree_is_left_out_and_told() -> None:
     with pytest.raises(BadInput, match="has 2 chains"):
         choose_chain(robot("abcd", joint("one", "revolute", "ab"), joint("two", "revolute", "cd")), None, "x")
     (told,) = choose_chain(root, "d", "x")
-    assert (told.place, told.sentence) == ("a", "is the base of another tree: left out with all it carries")
+    assert (told.place, told.sentence) == ("a", "is the base of another tree: left out with all its links")
     assert [one.name for one in chain(root).joints] == ["two"]
 
 
@@ -104,9 +104,9 @@ def test_another_tree_is_left_out_and_told() -> None:
         (robot("ab", joint("one", "revolute", "ab")), "z", "--tip: 'z' is not a link of x"),
         (robot("ab", joint("one", "fixed", "ab")), None, "has no moving joint"),
         (robot("abc", joint("one", "revolute", "ac"), joint("two", "revolute", "bc")), None, "a closed loop"),
-        (robot("ab", joint("one", "revolute", "ab"), joint("two", "revolute", "ba")), None, "carries itself"),
+        (robot("ab", joint("one", "revolute", "ab"), joint("two", "revolute", "ba")), None, "is its own ancestor"),
         (robot("a", joint("one", "revolute", "ab")), None, "link 'b' of joint 'one' is not defined"),
-        (robot("ab", joint("one", "floating", "ab")), "b", "type 'floating' is on the way to the tip"),
+        (robot("ab", joint("one", "floating", "ab")), "b", "type 'floating' is not supported between base and tip"),
         (
             robot("abc", joint("one", "revolute", "ab"), joint("two", "planar", "ac")),
             "b",

@@ -1,6 +1,8 @@
 """Convex hulls hold all of their mesh, stay near it, and a guessed inertial is that of the body they enclose."""
 
+import re
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,10 +12,14 @@ from scipy.spatial import ConvexHull
 
 from service.errors import BadInput
 from service.geometry.hull import read_hull, write_hull
-from service.maker_urdf.hulls import FINEST, MOST_VERTICES, convex_hull, solid
+from service.maker_urdf.hulls import FINEST, MOST_VERTICES, convex_hull, embed_hulls, solid
 from service.maker_urdf.inertials import DENSITY, complete_inertials, look_at_inertials
+from service.maker_urdf.packages import Packages
 from service.urdf import read_chain
 
+ARM = """<robot name="arm"><link name="base"/><joint name="j" type="revolute"><parent link="base"/><child link="tip"/>
+<axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" velocity="1" effort="1"/></joint><link name="tip">{shape}</link></robot>"""
 BOX = np.array([[x, y, z] for x in (0.1, 0.3) for y in (-0.2, 0.2) for z in (0.0, 0.1)])
 
 
@@ -33,6 +39,46 @@ def test_a_flat_mesh_gets_a_thickness() -> None:
     vertices, off = convex_hull(BOX * [1, 1, 0])
     assert np.ptp(vertices[:, 2]) == pytest.approx(FINEST)
     assert off < 2 * FINEST
+
+
+@pytest.mark.parametrize(
+    ("shape", "reason"),
+    [
+        ('<box size="nan 1 1"/>', r"collision <box>: size='nan 1 1' m: limits 1e-06 and 10000 m"),
+        ('<box size="1 0 1"/>', "size='1 0 1' m: limits"),
+        ('<sphere radius="1e308"/>', "radius='1e308' m: limits"),
+        ('<sphere radius=""/>', "radius='' m: limits"),
+        ('<cylinder radius="0.1" length="0"/>', "length='0' m: limits"),
+        ('<capsule radius="5e-324" length="1"/>', "radius='5e-324' m: limits"),
+    ],
+)
+@pytest.mark.parametrize("origin", ["", '<origin xyz="1 0 0"/>'])
+def test_a_shape_that_encloses_nothing_gives_no_inertial(shape: str, reason: str, origin: str) -> None:
+    root = ET.fromstring(ARM.format(shape=f"<collision>{origin}<geometry>{shape}</geometry></collision>"))
+    (found,) = complete_inertials(root, "arm.urdf")
+    assert (found.kind, found.place) == ("missing", "tip")
+    assert re.search(f"has no <inertial>, and its shapes give none: .*{reason}", found.sentence)
+    assert root.find("link[@name='tip']/inertial") is None
+
+
+def test_a_shape_that_lies_beyond_all_measure_gives_no_inertial() -> None:
+    shape = '<collision><origin xyz="1e5 0 0"/><geometry><sphere radius="1"/></geometry></collision>'
+    (found,) = complete_inertials(ET.fromstring(ARM.format(shape=shape)), "arm.urdf")
+    assert "collision <sphere> reaches 1e+05 m, limit 10000 m" in found.sentence
+
+
+def test_a_mesh_of_many_links_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n")
+    shape = '<collision><geometry><mesh filename="a.obj"{}/></geometry></collision>'
+    root = ET.fromstring(ARM.format(shape=shape.format("") * 50 + shape.format(' scale="2 2 2"')))
+    reads: list[str] = []
+    packages = Packages([tmp_path], tmp_path)
+    read = packages.read
+    monkeypatch.setattr(packages, "read", lambda name, here: reads.append(name) or read(name, here))
+    _, unread = embed_hulls(root, packages, "arm.urdf")
+    assert (unread, reads) == ([], ["a.obj"] * 2)
+    hulls = [np.ptp(read_hull(mesh, "x"), axis=0) for mesh in root.iter("mesh")]
+    np.testing.assert_allclose(hulls, [[1, 1, 1]] * 50 + [[2, 2, 2]], atol=3e-4)
 
 
 def test_a_box_has_the_volume_and_moments_of_a_box() -> None:

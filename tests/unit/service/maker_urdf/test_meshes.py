@@ -1,13 +1,14 @@
-"""Points of mesh files: the three kinds, what is cut off or no number, and folders that are not to be left."""
+"""Points of mesh files: the three kinds, what is incomplete or no number, and folders that are not to be left."""
 
 import struct
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from service.errors import BadInput
-from service.maker_urdf import packages
+from service.maker_urdf import collada, meshes, packages
 from service.maker_urdf.meshes import mesh_points
 from service.maker_urdf.packages import Packages
 
@@ -56,8 +57,8 @@ def test_the_scene_of_a_dae_places_scales_and_turns() -> None:
 @pytest.mark.parametrize(
     ("content", "name", "told"),
     [
-        (binary_stl([[0, 1, 2]], b"\0")[:-7], "a.stl", "is cut off: 1 triangles told in 127 bytes"),
-        (b"", "a.stl", "is cut off"),
+        (binary_stl([[0, 1, 2]], b"\0")[:-7], "a.stl", "is incomplete: 1 triangles declared in 127 bytes"),
+        (b"", "a.stl", "is incomplete"),
         (b"solid nothing", "a.stl", "has no points"),
         (b"v 1 2\n", "a.obj", "fewer than three numbers"),
         (b"v 1 2 x\n", "a.obj", "could not convert"),
@@ -73,6 +74,61 @@ def test_the_scene_of_a_dae_places_scales_and_turns() -> None:
 def test_what_is_no_mesh_is_told(content: bytes, name: str, told: str) -> None:
     with pytest.raises(BadInput, match=f"(?s)a\\..*{told}"):
         mesh_points(content, name, "x")
+
+
+def nodes(levels: int, inner: str = "") -> bytes:
+    """Each node shows the next one twice."""
+    made = "".join(
+        f'<node id="n{k}"><instance_node url="#n{k + 1}"/><instance_node url="#n{k + 1}"/></node>'
+        for k in range(levels)
+    )
+    return dae(f'{made}<node id="n{levels}">{inner}</node>')
+
+
+def test_nodes_that_show_each_other_are_counted() -> None:
+    """2^60 of them, which hold nothing: no limit of geometries ended the search."""
+    with pytest.raises(BadInput, match="shows more than 10000 nodes and geometries"):
+        mesh_points(nodes(60), "a.dae", "x")
+
+
+def test_a_geometry_that_is_shown_often_is_read_once_and_its_points_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = nodes(5, '<instance_geometry url="#g"/>')
+    assert len(np.unique(mesh_points(shown, "a.dae", "x"), axis=0)) == 3
+    monkeypatch.setattr(collada, "MOST_POINTS", 20)
+    with pytest.raises(BadInput, match="shows more than 20 points"):
+        mesh_points(shown, "a.dae", "x")
+
+
+def test_xml_that_unfolds_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(BadInput, match="declares a DOCTYPE; entities are not expanded"):
+        mesh_points(b'<!DOCTYPE r [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]>' + dae("&b;"), "a.dae", "x")
+    monkeypatch.setattr(collada, "MOST_ELEMENTS", 10)
+    with pytest.raises(BadInput, match="has more than 10 elements"):
+        mesh_points(dae(""), "a.dae", "x")
+
+
+def test_a_geometry_has_one_list_of_vertices() -> None:
+    vertices = b'<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>'
+    for more in (vertices * 3, vertices.replace(b"/></", b'/><input semantic="POSITION" source="#p"/></')):
+        with pytest.raises(BadInput, match=r"a geometry has \d <vertices> with \d positions; one of each is read"):
+            mesh_points(dae("").replace(vertices, more), "a.dae", "x")
+
+
+def test_text_meshes_take_no_more_memory_than_some_copies_of_the_file() -> None:
+    """As lists of words they took thirty times the file."""
+    content = b"v 1 2 3\r" * 500_000
+    tracemalloc.start()
+    assert mesh_points(content, "a.obj", "x").shape == (500_000, 3)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 75e6
+
+
+def test_too_many_points_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(meshes, "MOST_POINTS", 2)
+    assert len(mesh_points(b"v 1 2 3\nv 0 0 0\n" * 2, "a.obj", "x")) == 2
+    with pytest.raises(BadInput, match="has 3 different points, limit 2; make it coarser"):
+        mesh_points(OBJ, "a.obj", "x")
 
 
 @pytest.fixture

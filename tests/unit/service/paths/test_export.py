@@ -109,7 +109,7 @@ def test_a_plan_of_another_robot_or_cell_is_refused(
 def test_a_cycle_too_slow_for_the_sines_is_refused(
     tmp_path: Path, plan: PlanDocument, robot: Robot, cell: Cell, control: Control
 ) -> None:
-    with pytest.raises(BadInput, match=r"sine of 5 Hz: a cycle of 0\.020001 s gives it under 10 steps"):
+    with pytest.raises(BadInput, match=r"sine of 5 Hz: a cycle of 0\.020001 s gives fewer than 10 steps"):
         export_paths(
             tmp_path / "paths", plan, robot, cell, control.model_copy(update={"interpolation_cycle": 0.020001})
         )

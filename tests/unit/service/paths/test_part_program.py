@@ -9,8 +9,8 @@ from service.errors import BadInput
 from service.geometry.cell import Cell
 from service.identification.design.excitation import velocity_setpoint
 from service.paths.control import Control
-from service.paths.course import PathSweep, path_sweeps
 from service.paths.part_program import DECIMALS, part_program, velocity_bound
+from service.paths.sweep_paths import PathSweep, path_sweeps
 from service.planning.plan import PlanDocument
 from service.robot import Robot
 from service.traces.mapping import CncAxis

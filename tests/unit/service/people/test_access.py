@@ -15,7 +15,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from service.client import ServiceClient, ServiceProblem
-from service.people.chain import verify
+from service.people.audit_chain import verify
 from service.people.keys import new_key
 from service.people.permissions import PERMISSIONS, SOCKET, Role
 from service.store.database import Database, open_database
@@ -84,7 +84,7 @@ def test_an_attack_is_refused_and_in_the_audit(
         ("outcome", "unknown", "127.0.0.1", 401): 108
     }
     assert {cast(Any, one["route"]) for one in entries} == {"/api/v1/campaigns/{campaign_id}/start", None}
-    assert Counter(str(one["why"])[:8] for one in entries) == {"no key: ": 3, "this key": 105}
+    assert Counter(str(one["why"])[:8] for one in entries) == {"not auth": 3, "this key": 105}
     stored = b"".join(path.read_bytes() for path in (folder / "data").glob("sweepid.sqlite*"))
     stored += (folder / "service.log").read_bytes()
     assert not [key for key in (*keys.values(), *guesses) if key.removeprefix("sweepid-").encode() in stored]
@@ -121,7 +121,7 @@ def test_a_key_is_limited_to_its_scopes(url: str, keys: dict[str, str], database
         assert http.get("/api/v1/robots").status_code == 200
         assert http.post(START).status_code == 404
         refused = http.post("/api/v1/stop/reset", json={"by": "line 7", "stops": [1]})
-        told = "POST /api/v1/stop/reset needs scope machine; line-7 is operator, limited to read, measure"
+        told = "POST /api/v1/stop/reset requires scope machine; line-7 has the role operator, limited to read, measure"
         assert (refused.status_code, refused.json()["detail"]) == (403, told)
         assert http.get("/metrics").status_code == 403
         me = http.get("/api/v1/me").json()["refused"]
@@ -130,7 +130,7 @@ def test_a_key_is_limited_to_its_scopes(url: str, keys: dict[str, str], database
         assert http.post("/api/v1/stop").json()["type"] == "urn:sweepid:problem:stop-not-confirmed"
     assert [one.entry["why"] for one in after(database, before) if one.entry.get("status") == 403] == [
         told,
-        "GET /metrics needs scope metrics; line-7 is operator, limited to read, measure",
+        "GET /metrics requires scope metrics; line-7 has the role operator, limited to read, measure",
     ]
 
 
@@ -138,13 +138,13 @@ def test_the_client_takes_its_key_from_the_environment(
     url: str, keys: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SWEEPID_KEY", raising=False)
-    with ServiceClient(url) as client, pytest.raises(ServiceProblem, match="no key") as refused:
+    with ServiceClient(url) as client, pytest.raises(ServiceProblem, match="not authenticated") as refused:
         client.robots()
     assert refused.value.status == 401
     monkeypatch.setenv("SWEEPID_KEY", keys["viewer"])
     with ServiceClient(url) as client:
         assert client.robots()
-        with pytest.raises(ServiceProblem, match="needs operator; the-viewer is viewer"):
+        with pytest.raises(ServiceProblem, match="requires operator; the-viewer has the role viewer"):
             client.start(1)
 
 
@@ -180,7 +180,7 @@ def test_what_cannot_be_audited_is_not_done_but_stops_are(
             assert "unaudited" in [stop["why"] for stop in http.get("/api/v1/stop").json()["stops"]]
             unread = admin.get("/api/v1/audit")  # waits until the stop's entry is refused
             assert (unread.status_code, unread.json()["type"]) == (503, "urn:sweepid:problem:audit-unreadable")
-            assert "no such table: audit; look with" in unread.json()["detail"]
+            assert "no such table: audit; check it with" in unread.json()["detail"]
         finally:
             beside.execute("ALTER TABLE gone RENAME TO audit")
             beside.close()

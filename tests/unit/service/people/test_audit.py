@@ -14,7 +14,7 @@ from structlog.testing import capture_logs
 from service.cli.people.audit import export_audit
 from service.cli.people.people import add_key, list_people
 from service.errors import BadInput, Conflict
-from service.people.chain import FIRST, AuditBroken, canonical, read_head, sha256, verify
+from service.people.audit_chain import FIRST, AuditBroken, canonical, read_head, sha256, verify
 from service.people.permissions import LOCAL
 from service.store.database import Database, open_database
 from service.store.people.audit import AuditStore

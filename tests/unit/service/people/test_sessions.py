@@ -157,7 +157,7 @@ def test_the_limits_of_a_session(database: Database, users: UserStore) -> None:
     session, token = store.open(user, WHO)
     assert session.expires_at - session.created_at == timedelta(seconds=3600)
     assert session.trouble(session.expires_at - timedelta(seconds=1)) == ""
-    assert session.trouble(session.expires_at) == f"the session of {user.name} is over: log in again"
+    assert session.trouble(session.expires_at) == f"the session of {user.name} has expired: log in again"
 
     def at(seen: timedelta, created: timedelta) -> str:
         """Trouble now, of a session that was seen and created so long ago."""
@@ -174,9 +174,9 @@ def test_the_limits_of_a_session(database: Database, users: UserStore) -> None:
     renewed = store.find(token)  # the look before was a use
     assert renewed is not None
     assert renewed.seen_at >= session.seen_at
-    assert "is over" in at(minutes(61), minutes(61))
+    assert "has expired" in at(minutes(61), minutes(61))
     assert at(minutes(1), hours(23)) == ""
-    assert "is over" in at(minutes(1), hours(24))
+    assert "has expired" in at(minutes(1), hours(24))
     assert session.id not in [one.id for one in store.all()]
     at(hours(25), hours(25))
     store.open(user, WHO)

@@ -44,7 +44,7 @@ def test_two_people_and_two_steps(
         refused = operator.post(start)
         assert (refused.status_code, refused.json()["detail"]) == (
             409,
-            f"an engineer must approve plan {plan} first: nobody has",
+            f"plan {plan} requires the approval of an engineer: not approved yet",
         )
         seen = operator.get(approvals).json()
         assert (seen["needed"], seen["missing"], seen["items"]) == (True, refused.json()["detail"], [])
@@ -57,7 +57,7 @@ def test_two_people_and_two_steps(
         own = engineer.post(start)
         assert (own.status_code, own.json()["detail"]) == (
             409,
-            f"plan {plan} is approved by the-engineer alone: another one must approve it, or start it",
+            f"plan {plan} is approved by the-engineer alone: another person must approve it, or start it",
         )
         assert operator.get(approvals).json()["missing"] == ""
         assert operator.post(start).status_code == 503  # all that is missing is a machine
@@ -65,8 +65,8 @@ def test_two_people_and_two_steps(
         with (folder / "cells" / "workshop.yaml").open("a", encoding="utf-8") as cell:
             cell.write("\njoint_margin: 0.06\n")
         void = operator.post(start)
-        assert (void.status_code, "is void" in void.json()["detail"]) == (409, True)
-        assert "is void" in operator.get(approvals).json()["items"][0]["void"]
+        assert (void.status_code, "is no longer valid" in void.json()["detail"]) == (409, True)
+        assert "is no longer valid" in operator.get(approvals).json()["items"][0]["void"]
         audit = [one["entry"] for one in admin.get("/audit", params={"limit": 200}).json()["items"]]
     told = [one for one in audit if one["event"] == "outcome" and one.get("sha256") == seen["sha256"]]
     assert [(one["actor"], one["status"], one["plan"], one["by"]) for one in told] == [

@@ -74,7 +74,7 @@ def test_users(own: Database) -> None:
     assert users.check("anna", PASSWORD) == anna
     assert users.check("anna", OTHER) is None
     assert users.check("berta", PASSWORD) is None
-    with pytest.raises(Conflict, match="a user anna; a name is given once"):
+    with pytest.raises(Conflict, match="a user anna: use another name"):
         users.add("anna", Role.ADMIN, PASSWORD, WHO)
     assert users.change_password("anna", OTHER, WHO) == anna
     assert users.check("anna", PASSWORD) is None
@@ -84,11 +84,14 @@ def test_users(own: Database) -> None:
     assert users.check("anna", OTHER) is None
     with pytest.raises(Conflict, match="anna was disabled on"):
         users.change_password("anna", PASSWORD, WHO)
-    for name in ("change_password", "shut_out"):
+    enabled = users.let_in("anna", WHO)
+    assert users.let_in("anna", WHO) == enabled == anna
+    assert users.check("anna", OTHER) == anna
+    for name in ("change_password", "shut_out", "let_in"):
         arguments = ("nobody", PASSWORD, WHO) if name == "change_password" else ("nobody", WHO)
         with pytest.raises(NotFound, match="no user nobody"):
             getattr(users, name)(*arguments)
-    assert told(own) == ["user added", "password changed", "user disabled"]
+    assert told(own) == ["user added", "password changed", "user disabled", "user enabled"]
 
 
 def test_a_name_is_a_users_or_a_keys(own: Database) -> None:
@@ -136,6 +139,12 @@ def test_the_commands_take_a_password_from_stdin(tmp_path: Path) -> None:
     assert "password" not in line
     with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
         assert told(database) == ["user added", "password changed", "user disabled"]
+    enabled = command("people", "enable-user", "anna", *here)
+    assert (enabled.returncode, enabled.stdout) == (0, "anna\n"), enabled.stderr
+    assert json.loads(command("people", "list", *here).stdout)["trouble"] == ""
+    with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
+        assert told(database)[-1] == "user enabled"
+        assert AuditStore(database).documents()[-1].entry["user"] == "anna"
         assert fits(OTHER, stored(database, "anna"))
 
 
@@ -168,7 +177,7 @@ def test_at_a_terminal_the_password_is_asked_for_twice_and_not_shown(tmp_path: P
             shown += rest
         os.close(screen)
     assert PASSWORD.encode() not in shown
-    assert (b"the two are not the same" in shown) == (code == 2)
+    assert (b"the two passwords differ" in shown) == (code == 2)
     with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
         assert len(UserStore(database).all()) == (code == 0)
 

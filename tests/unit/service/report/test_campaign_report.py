@@ -73,10 +73,10 @@ def test_confirmed_only_where_check_and_diagnosis_speak_for_it() -> None:
     [
         (estimate(), None, diagnosis("none"), "the data were not checked yet"),
         (estimate(), SOUND, None, "no diagnosis was made of it"),
-        (estimate(), SOUND, diagnosis("untestable"), "does not tell whether something is missing in joint_1"),
+        (estimate(), SOUND, diagnosis("untestable"), "does not decide whether an effect is missing in joint_1"),
         (estimate(40.0), SOUND, diagnosis("none"), "The inertias of joint_1 and joint_2 are too uncertain to use"),
         (estimate(suspect=[SUSPECT]), SOUND, diagnosis("none"), "but 1 sweep does not fit the others"),
-        (estimate(axes={}), SOUND, None, "No inertia of an axis by itself"),
+        (estimate(axes={}), SOUND, None, "No inertia of a single axis"),
     ],
 )
 def test_what_is_not_known_is_not_confirmed(
@@ -100,7 +100,7 @@ def test_a_test_mass_is_told() -> None:
             diagnosis("named", "coulomb_friction", "backlash"),
             "the model of joint_1 lacks Coulomb friction and backlash",
         ),
-        (SOUND, diagnosis("ambiguous"), "something is missing in joint_1"),
+        (SOUND, diagnosis("ambiguous"), "the model of joint_1 lacks an effect that is not named yet"),
         (SOUND, diagnosis("unknown"), "joint_1 has a gap that no known effect explains"),
     ],
 )
@@ -193,4 +193,4 @@ def test_a_campaign_without_an_inertia_has_what_there_is(max100: Robot) -> None:
     text = text_of(campaign_page(report(drives=(), check=None), max100.joints, document, None).html())
     assert "m(link_6) 12 – not excited not identified" in text
     assert "Not recorded: the sweeps were imported" in text
-    assert "Not confirmed. No inertia of an axis by itself" in text
+    assert "Not confirmed. No inertia of a single axis" in text

@@ -144,7 +144,7 @@ def test_example_shows_what_either_model_leaves() -> None:
 
 def test_evidence_on_a_scale_of_powers() -> None:
     bars = figures(candidates=["coulomb_friction", "stribeck_friction"])["evidence"]["data"][0]
-    assert bars["y"] == ("Coulomb friction", "Stribeck friction", "Payload")
+    assert bars["y"] == ["Coulomb friction", "Stribeck friction", "Payload"]
     assert bars["x"] == pytest.approx([0.0, -0.6021, 4.0])
     assert bars["marker"]["color"][1] != bars["marker"]["color"][2]
 
@@ -236,7 +236,7 @@ def test_where_nothing_was_repeated_no_noise_floor_is_made_up() -> None:
     gap["by_pose"] = [{**pose, "noise_floor_rms": None} for pose in gap["by_pose"]]
     page = diagnosis_page(document(gap=gap), "title").html()
     assert "nothing was measured twice" in page
-    assert "judged on its own sweeps" in page
+    assert "evaluated on its own sweeps" in page
     assert "(on the sweeps themselves: none could be left out) falls from 30 N m (112 % of the effort)" in page
     assert "noise alone" not in page
 
@@ -294,7 +294,7 @@ def test_a_gap_without_a_pose_held_back_says_how_it_was_judged() -> None:
     gap = {**axis()["gap"], "held_out_sweeps": 0}
     assert "the gap (cross-validated) falls" in diagnosis_page(document(gap=gap), "t").html()
     markup = diagnosis_page(document(gap={**gap, "cross_validated": False}), "t").html()
-    assert "nothing could be left out" in markup
+    assert "nothing could be held out" in markup
 
 
 def test_the_summary_of_the_unknown_tells_what_is_known_in_part_or_that_the_data_are_wrong() -> None:

@@ -5,7 +5,6 @@ import re
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +12,11 @@ from pypdf import PdfReader
 
 from service.configuration import read_robot
 from service.report import NoPdf, campaign_page, diagnosis_page, estimate_page
-from service.report.drawing import DECADES, figure, line, points, scale
+from service.report.drawing import DECADES, Figure, figure, line, points, scale
 from service.report.figures import convergence, in_frequency, in_time
 from service.report.paper.plot import svg
 from service.report.paper.scales import round_steps, scale_of
+from service.report.paper.schema import Axis
 from service.results.diagnosis import Diagnosis
 from service.robot import Robot
 from tests.stored.documents import stored
@@ -99,7 +99,7 @@ def test_tables_alone(max100: Robot) -> None:
     assert page.written("html") == page.html()
 
 
-def drawn(described: dict[str, Any]) -> ET.Element:
+def drawn(described: Figure) -> ET.Element:
     return ET.fromstring(svg(described, 1))
 
 
@@ -108,7 +108,7 @@ def names(root: ET.Element, tag: str) -> list[ET.Element]:
 
 
 def test_a_point_lies_where_its_scales_say() -> None:
-    axes = {"height": 300, "xaxis": scale("x") | {"range": [0, 4]}, "yaxis": scale("y") | {"range": [0, 2]}}
+    axes = {"height": 300, "xaxis": {**scale("x"), "range": [0, 4]}, "yaxis": {**scale("y"), "range": [0, 2]}}
     root = drawn(figure([points("one", [1.0, 3.0], np.array([0.5, 1.5]), "#000000")], axes))
     first, second = names(root, "circle")[1:]  # the first stands in the legend
     labels = {label.text: label for label in names(root, "text")}
@@ -126,7 +126,7 @@ def test_lines_of_one_panel_differ_by_more_than_colour() -> None:
 
 
 def test_what_is_missing_leaves_a_gap_and_no_word() -> None:
-    axes = {"height": 300, "xaxis": scale("x"), "yaxis": scale("y") | DECADES}
+    axes = {"height": 300, "xaxis": scale("x"), "yaxis": {**scale("y"), **DECADES}}
     root = drawn(figure([line("a", [0, 1, 2, 3, 4], np.array([1.0, 10.0, np.nan, 100.0, 50.0]), "#112233")], axes))
     (curve,) = [e for e in names(root, "path") if e.attrib.get("stroke") == "#112233" and e.attrib["d"].count("M") > 1]
     assert curve.attrib["d"].count("M") == 2
@@ -152,6 +152,6 @@ def test_round_steps(low: float, high: float, most: int, steps: list[float]) -> 
 
 def test_scales_of_values_that_are_all_alike_or_none() -> None:
     for values in ([2.0, 2.0], [0.0], []):
-        found = scale_of(scale(""), values, False, 0.0, 100.0)
+        found = scale_of(Axis(), values, False, 0.0, 100.0)
         assert all(0 <= (found.at(value) or 0.0) <= 100 for value in values)
         assert found.high > found.low

@@ -16,7 +16,7 @@ from service.sinumerik.base85 import decode
 from service.sinumerik.document import Given, measurement_document, response_table, tuning_document
 from service.sinumerik.measurement import Measurement, read_measurement
 from service.sinumerik.members import LARGEST
-from service.sinumerik.told import LoopInertia, Size, SpeedController
+from service.sinumerik.models import LoopInertia, Size, SpeedController
 from service.sinumerik.tuning import read_tuning
 from tests.control_file import DELAY, GAIN, INERTIA, TOTAL, Loop, array, base85, tuning_xml
 
@@ -50,12 +50,12 @@ def test_numbers_in_base_85() -> None:
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("kMGfN.kM", "torn"),
-        ("kMGfN", "1 words of base 85 are no doubles"),
+        ("kMGfN.kM", "incomplete"),
+        ("kMGfN", "1 words of base 85 are not whole doubles"),
         ("kMGf%.", "a character that is not of the control's base 85"),
-        ("~~~~~.", "2 words of base 85 are no doubles"),
-        (base85(np.array([1.0, np.nan])), "number 1 is none"),
-        (base85(np.array([-np.inf])), "number 0 is none"),
+        ("~~~~~.", "2 words of base 85 are not whole doubles"),
+        (base85(np.array([1.0, np.nan])), "number 1 is NaN"),
+        (base85(np.array([-np.inf])), "number 0 is NaN"),
     ],
 )
 def test_torn_or_foreign_numbers_are_refused(text: str, reason: str) -> None:
@@ -140,7 +140,7 @@ def test_a_tuning_file_gives_the_inertia_of_rotor_and_load(tmp_path: Path) -> No
         ("TimeSeries", "Series", "has no TimeSeries: save the measurement with its time series"),
         ("</ResponseTestCustom>", "", "is not a complete XML file"),
         ('name="m_bIsLinearMotor">false<', 'name="m_bIsLinearMotor">true<', "is of a linear motor"),
-        ('name="m_GainValue_real">1<', 'name="m_GainValue_real">2<', "is told to be distorted"),
+        ('name="m_GainValue_real">1<', 'name="m_GainValue_real">2<', "is distorted by"),
     ],
 )
 def test_what_is_missing_or_foreign_is_refused(tmp_path: Path, old: str, new: str, reason: str) -> None:
@@ -158,7 +158,7 @@ def test_a_nan_in_a_series_is_refused(tmp_path: Path) -> None:
     broken = speed.copy()
     broken[5] = np.nan
     text = loop.xml().replace(array("m_ValueVector", speed), array("m_ValueVector", broken))
-    with pytest.raises(BadInput, match="m_ValueVector: number 5 is none"):
+    with pytest.raises(BadInput, match="m_ValueVector: number 5 is NaN"):
         read(tmp_path, text)
 
 
@@ -286,7 +286,7 @@ def test_options_that_do_not_fit_the_file_are_refused(tmp_path: Path) -> None:
         import_trace(path, out=tmp_path / "tables")
     with pytest.raises(BadInput, match=r"--source: .* is the measurement itself, not a mapping"):
         import_trace(path, source=path)
-    with pytest.raises(BadInput, match="--speed-gain: is for a Sinumerik's measurement"):
+    with pytest.raises(BadInput, match="--speed-gain: applies only to a measurement of a Sinumerik"):
         import_trace(tmp_path / "mapping.yaml", out=tmp_path / "b", speed_gain=1.0)
-    with pytest.raises(BadInput, match="--out: is needed"):
+    with pytest.raises(BadInput, match="--out: is missing"):
         import_trace(tmp_path / "mapping.yaml")

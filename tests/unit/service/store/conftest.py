@@ -1,4 +1,4 @@
-"""A real SQLite database, a store on it, and a robot."""
+"""A real database of each kind, a store on it, and a robot."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,13 +10,36 @@ from service.recording import SweepSpec
 from service.robot import Robot
 from service.store.database import Database, open_database
 from service.store.store import Store
+from tests.postgresql_server import PostgresqlServer, running_server
 
 ROBOT = Path(__file__).parents[4] / "config" / "robots" / "max100-class.yaml"
 
 
+@pytest.fixture(scope="session")
+def postgresql() -> Iterator[PostgresqlServer]:
+    """A real server, for tests that leave it running; each takes a `new_database`.
+
+    `PGPASSFILE` leads to its password, here and in the processes that tests start.
+    """
+    with running_server(durable=False) as server, pytest.MonkeyPatch.context() as environment:
+        environment.setenv("PGPASSFILE", str(server.passfile))
+        yield server
+
+
 @pytest.fixture
-def url(tmp_path: Path) -> str:
+def sqlite_url(tmp_path: Path) -> str:
     return f"sqlite:///{tmp_path / 'sweepid.sqlite'}"
+
+
+@pytest.fixture
+def postgresql_url(postgresql: PostgresqlServer) -> str:
+    """Of an empty database."""
+    return postgresql.new_database()
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def url(request: pytest.FixtureRequest) -> str:
+    return str(request.getfixturevalue(f"{request.param}_url"))
 
 
 @pytest.fixture

@@ -189,7 +189,7 @@ FILE = "0002.parquet sweep 0002"
         (first({"pose": [0.0, float("nan")]}), "bundle.json sweeps.1.pose.1", "finite number"),
         (first({"sample_rate": 0}), "bundle.json sweeps.1.sample_rate", "greater than 0"),
         (first({"sample_rate": 99.0}), FILE, "sample_rate is 99 Hz, but time runs at 100 Hz"),
-        (first({"sample_rate": 1000.0}), FILE, "gap in time: 0.01 s follows on 0 s"),
+        (first({"sample_rate": 1000.0}), FILE, "gap in time: 0.01 s follows 0 s"),
         (first({"sample_rate": 1e308}), SWEEP, "2 periods of 1.0 s are not whole samples at 1e+308 Hz"),
         (first({"sample_rate": 1e308, "sines": []}), FILE, "gap in time"),
         (first({"periods": 3}), FILE, "measured window 0.5 to 3.5 s lies outside of the record of 2.5 s"),
@@ -220,7 +220,7 @@ def test_a_lost_sample_is_a_gap(folder: Path, sweep: Sweep) -> None:
     kept = np.delete(np.arange(250), 100)
     columns = {name: getattr(sweep.recording, name)[kept] for name in ("time", "effort", "velocity", "position")}
     write_columns(folder / "sweeps/0002.parquet", Recording(**columns))
-    with pytest.raises(BadInput, match=r"0002 *: gap in time: 1.01 s follows on 0.99 s, sample_rate is 100 Hz"):
+    with pytest.raises(BadInput, match=r"0002 *: gap in time: 1.01 s follows 0.99 s, sample_rate is 100 Hz"):
         read_bundle(folder)
 
 

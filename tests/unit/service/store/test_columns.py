@@ -1,5 +1,7 @@
 """Samples as Parquet and CSV: what is written comes back to the last bit, what is no sample is refused by name."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ from hypothesis.extra import numpy as hnp
 
 from service.errors import BadInput
 from service.recording import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Recording
-from service.store.files.columns import LARGEST_CSV, MOST_NUMBERS, read_columns, write_columns
+from service.store.files.columns import LARGEST_CSV, MOST_NUMBERS, read_columns, read_table, write_columns
 
 PLAIN = "time,effort,velocity,position\n0,1,2,3\n0.5,1,2,3\n"
 
@@ -132,9 +134,82 @@ def test_columns_that_nobody_asked_for_are_not_read(tmp_path: Path) -> None:
     assert pa.default_memory_pool().max_memory() - peak < 10_000_000
 
 
+@pytest.mark.parametrize("end", [b"\n", b"\r", b"\r\n", b""], ids=["LF", "CR", "CR LF", "CR and LF in turn"])
+def test_a_csv_file_of_too_many_numbers_is_refused_before_it_is_parsed(end: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "long.csv"
+    rows = MOST_NUMBERS // 4 + 2
+    two_rows = (b"0,0,0,0" + end) * 2 if end else b"0,0,0,0\r0,0,0,0\n"
+    path.write_bytes(b",".join(name.encode() for name in REQUIRED_COLUMNS) + b"\n" + two_rows * (rows // 2))
+    before = pa.default_memory_pool().max_memory()
+    with pytest.raises(BadInput, match=rf"holds \d+ rows of 4 columns, limit {MOST_NUMBERS} numbers"):
+        read_columns(path)
+    assert pa.default_memory_pool().max_memory() - before < 20_000_000
+
+
+def test_columns_of_a_csv_file_that_nobody_asked_for_are_not_kept(tmp_path: Path) -> None:
+    path = tmp_path / "wide.csv"
+    row = ",".join(["0"] * 1000)
+    path.write_text(
+        ",".join([*REQUIRED_COLUMNS, *(f"c{k}" for k in range(996))]) + f"\n{row}\n{row.replace('0', '1', 1)}"
+    )
+    np.testing.assert_array_equal(read_columns(path).time, [0, 1])
+    path.write_text(path.read_text().replace("effort", "torque"))
+    with pytest.raises(BadInput, match=r"'effort' is missing; there are time, torque, .*, c15 and 980 more"):
+        read_columns(path)
+
+
 def test_a_csv_file_that_is_too_large_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "large.csv"
     with path.open("wb") as file:
         file.truncate(LARGEST_CSV + 1)
     with pytest.raises(BadInput, match=f"limit {LARGEST_CSV} bytes"):
+        read_columns(path)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="the largest resident memory is read from /proc")
+@pytest.mark.parametrize("suffix", [".parquet", ".csv"])
+def test_a_long_file_is_in_memory_once_and_a_part_of_it_twice(tmp_path: Path, suffix: str) -> None:
+    """Largest resident memory of a process that reads 3,000,000 rows, whose four columns are 92 MiB.
+
+    Some 120 MiB of it do not depend on the file (libraries and the buffers of Arrow).
+    """
+    path = tmp_path / f"long{suffix}"
+    rows = 3_000_000
+    values = np.random.default_rng(1).normal(size=rows).round(4)
+    write_columns(path, Recording(np.arange(rows) / 1000, values, values, values))
+    program = (
+        "import sys; from pathlib import Path; from service.store.files.columns import read_columns;"
+        "largest = lambda: int(Path('/proc/self/status').read_text().partition('VmHWM:')[2].split()[0]);"
+        "before = largest(); print(read_columns(Path(sys.argv[1])).time.size, largest() - before)"
+    )
+    answer = subprocess.run([sys.executable, "-c", program, str(path)], capture_output=True, text=True, check=True)
+    read, grown = map(int, answer.stdout.split())
+    assert read == rows
+    assert grown < 280 * 1024  # KiB
+
+
+def test_lines_may_end_in_different_ways(tmp_path: Path) -> None:
+    path = tmp_path / "sweep.csv"
+    path.write_bytes(b"time,effort,velocity,position\r0,1,2,3\n1,1,2,4\r\n2,1,2,5\r3,1,2,6\r4,1,2,7\n")
+    np.testing.assert_array_equal(read_columns(path).position, [3, 4, 5, 6, 7])
+
+
+def test_a_column_of_whole_numbers_may_go_on_with_fractions(tmp_path: Path) -> None:
+    """The file is read in blocks of 1 MiB, and the kind of a column is not that of its first block."""
+    path = tmp_path / "sweep.csv"
+    rows = 150_000
+    effort = [str(k) for k in range(rows - 1)]
+    path.write_text(
+        "time,effort,velocity,position\n"
+        + "".join(f"{k},{value},,0\n" for k, value in enumerate(effort))
+        + f"{rows - 1},0.5,1e-3,0\n"
+    )
+    assert path.stat().st_size > 2**21
+    found = read_table(path, "the sweep", ("time", "effort", "velocity"))
+    np.testing.assert_array_equal(found["effort"], [*range(rows - 1), 0.5])
+    assert np.isnan(found["velocity"][:-1]).all()
+    assert found["velocity"][-1] == 1e-3
+    path.write_text(path.read_text() + f"{rows},half,0,0\n")
+    with pytest.raises(BadInput, match=f"Row #{rows + 2}: CSV conversion error to double: invalid value 'half'"):
         read_columns(path)

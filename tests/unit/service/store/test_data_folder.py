@@ -17,6 +17,11 @@ from service.store.store import Store
 TIME = np.arange(100) / 100.0
 
 
+@pytest.fixture
+def url(sqlite_url: str) -> str:
+    return sqlite_url
+
+
 def recorded(folder: Path, kind: str = "campaign-000001") -> Path:
     path = folder / "recordings" / kind / "0001-1.parquet"
     path.parent.mkdir(parents=True)
@@ -62,7 +67,7 @@ def test_a_lost_database_is_told(tmp_path: Path, url: str, kind: str, claimed: b
             part.unlink()
     recorded(tmp_path, kind)
     with open_database(url) as database:
-        assert "holds 1 recordings" in claim_folder(tmp_path, database)
+        assert "contains 1 recordings" in claim_folder(tmp_path, database)
         assert "restore it from a backup" in claim_folder(tmp_path, database)
     assert (tmp_path / FILE).exists() is claimed
 
@@ -86,7 +91,7 @@ def test_what_a_killed_import_left_makes_no_lost_database(tmp_path: Path, url: s
 
 def test_a_damaged_file_is_told(tmp_path: Path, url: str) -> None:
     (tmp_path / FILE).write_text("{", "utf-8")
-    with open_database(url) as database, pytest.raises(BadInput, match="which database"):
+    with open_database(url) as database, pytest.raises(BadInput, match="does not name the database"):
         claim_folder(tmp_path, database)
 
 

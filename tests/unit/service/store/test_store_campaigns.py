@@ -6,7 +6,7 @@ import pytest
 from pydantic import JsonValue
 from sqlalchemy.exc import IntegrityError
 
-from service.campaigns.session import CampaignEvent, SweepEvent, campaign_move, sweep_move
+from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
 from service.errors import Conflict, NotFound
 from service.recording import SweepSpec
 from service.robot import Robot
@@ -22,6 +22,7 @@ from service.store.documents import (
     SpectrumRecord,
     SweepDocument,
     SweepState,
+    SweepStatus,
 )
 from service.store.store import StaleVersion, Store
 
@@ -89,7 +90,7 @@ def test_a_stale_version_is_refused_and_changes_nothing(store: Store, campaign: 
 
 def test_a_move_that_does_not_fit_changes_nothing(store: Store, campaign: CampaignDocument) -> None:
     before = store.last_event_id()
-    with pytest.raises(Conflict, match="pause does not fit state planned"):
+    with pytest.raises(Conflict, match="pause is not possible in state planned"):
         store.move_campaign(campaign.id, campaign_move(CampaignEvent.PAUSE))
     assert store.campaign(campaign.id) == campaign
     assert store.last_event_id() == before
@@ -105,10 +106,10 @@ def test_sweeps_go_with_their_campaign_in_one_step(store: Store, campaign: Campa
 def test_a_result_counts_once(store: Store, campaign: CampaignDocument, record: Callable[[int], SweepDocument]) -> None:
     sweep = record(1)
     identify = sweep_move(SweepEvent.IDENTIFY)
-    first = store.add_estimate(sweep, identify, SPECTRUM, {"value": 0.1})
+    first = store.add_estimate([(sweep, SPECTRUM)], identify, {"value": 0.1})
     events = store.last_event_id()
     assert first is not None
-    assert store.add_estimate(sweep, identify, SPECTRUM, {"value": 0.1}) is None
+    assert store.add_estimate([(sweep, SPECTRUM)], identify, {"value": 0.1}) is None
     assert store.estimates(campaign.id) == (first,)
     assert store.spectra(campaign.id) == (SPECTRUM,)
     assert store.last_event_id() == events
@@ -118,7 +119,7 @@ def test_revisions_follow_one_another(
     store: Store, campaign: CampaignDocument, record: Callable[[int], SweepDocument]
 ) -> None:
     for number in (2, 1):
-        store.add_estimate(record(number), sweep_move(SweepEvent.IDENTIFY), SPECTRUM, {"n": number})
+        store.add_estimate([(record(number), SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {"n": number})
     assert [(e.revision, e.number) for e in store.estimates(campaign.id)] == [(1, 2), (2, 1)]
     assert store.estimate(campaign.id).document == {"n": 1}
     assert store.estimate(campaign.id, 1).document == {"n": 2}
@@ -132,23 +133,23 @@ def test_the_result_of_an_earlier_attempt_has_no_effect(
     store.move_sweep(campaign.id, 1, sweep_move(SweepEvent.REPEAT))
     new = record(1)
     assert (old.attempt, new.attempt) == (1, 2)
-    assert store.add_estimate(old, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, {}) is None
-    assert store.add_estimate(new, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, {}) is not None
+    assert store.add_estimate([(old, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {}) is None
+    assert store.add_estimate([(new, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {}) is not None
 
 
 def test_the_database_itself_refuses_a_second_estimate_of_a_sweep(
     database: Database, store: Store, record: Callable[[int], SweepDocument]
 ) -> None:
     sweep = record(1)
-    store.add_estimate(sweep, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, {})
-    with pytest.raises(IntegrityError, match="UNIQUE"), database.write() as session:
+    store.add_estimate([(sweep, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {})
+    with pytest.raises(IntegrityError, match=r"(?i)unique"), database.write() as session:
         session.add(t.EstimateRow(campaign_id=sweep.campaign_id, revision=2, sweep_id=1, document={}))
 
 
 def test_floats_come_back_exactly(store: Store, record: Callable[[int], SweepDocument]) -> None:
     document: dict[str, JsonValue] = {"x": [0.1 + 0.2, 1e-300, 2.0**-1074, -1.7976931348623157e308]}
     sweep = record(1)
-    store.add_estimate(sweep, sweep_move(SweepEvent.IDENTIFY), SPECTRUM, document)
+    store.add_estimate([(sweep, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), document)
     assert store.estimate(sweep.campaign_id).document == document
 
 
@@ -156,7 +157,7 @@ def test_every_change_is_told_in_order(
     store: Store, campaign: CampaignDocument, record: Callable[[int], SweepDocument]
 ) -> None:
     store.move_campaign(campaign.id, campaign_move(CampaignEvent.START))
-    store.add_estimate(record(1), sweep_move(SweepEvent.IDENTIFY), SPECTRUM, {})
+    store.add_estimate([(record(1), SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), {})
     events = store.events(0, campaign.id)
     assert [event.id for event in events] == sorted(event.id for event in events)
     told = [(event.kind, event.data.get("state") or event.data.get("revision")) for event in events]
@@ -169,3 +170,15 @@ def test_every_change_is_told_in_order(
         (EventKind.SWEEP, "identified"),
     ]
     assert store.events(events[2].id, limit=2) == events[3:5]
+
+
+def test_statuses_tell_of_each_sweep_what_its_document_tells(
+    store: Store, campaign: CampaignDocument, record: Callable[[int], SweepDocument]
+) -> None:
+    record(1)
+    sweeps = store.sweeps(campaign.id)
+    assert len({sweep.state for sweep in sweeps}) == 2
+    assert store.sweep_statuses(campaign.id) == tuple(
+        SweepStatus(sweep.number, sweep.state, sweep.attempt, sweep.spec.started_at) for sweep in sweeps
+    )
+    assert store.sweep_statuses(campaign.id + 1) == ()

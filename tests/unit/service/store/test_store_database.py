@@ -15,8 +15,8 @@ from service.store.database import Database, open_database, refusal
 from service.store.store import Store
 
 
-def test_sqlite_is_durable_and_keeps_references(database: Database) -> None:
-    with database.read() as session:
+def test_sqlite_is_durable_and_keeps_references(sqlite_url: str) -> None:
+    with open_database(sqlite_url) as database, database.read() as session:
         pragma = {
             name: session.scalar(text(f"PRAGMA {name}")) for name in ("journal_mode", "synchronous", "foreign_keys")
         }
@@ -43,7 +43,7 @@ def test_what_was_written_is_there_after_reopening(url: str, robot: Robot) -> No
 def test_a_transaction_that_fails_leaves_nothing(database: Database) -> None:
     told: list[str] = []
     database.on_write(lambda: told.append("written"))
-    rows = [t.StopRow(by="a", why="b"), t.PlanRow(robot_id=99, document={})]
+    rows = [t.StopRow(machine_id=1, by="a", why="b"), t.PlanRow(robot_id=99, document={})]
     with pytest.raises(IntegrityError), database.write() as session:
         session.add_all(rows)
     with database.read() as session:
@@ -56,8 +56,8 @@ def test_the_folder_of_the_database_is_made(tmp_path: Path) -> None:
         assert Store(database).campaigns() == ()
 
 
-def test_a_refusal_is_told_without_the_statement(url: str) -> None:
-    with open_database(url) as database, pytest.raises(OperationalError) as refused, database.write() as session:
+def test_a_refusal_is_told_without_the_statement(sqlite_url: str) -> None:
+    with open_database(sqlite_url) as database, pytest.raises(OperationalError) as refused, database.write() as session:
         session.execute(text("UPDATE no_table SET secret = 1"))
     assert refusal(refused.value) == "the database refused: no such table: no_table"
     assert refusal(NoConnection("all of the pool are taken")) == "the database refused: all of the pool are taken"

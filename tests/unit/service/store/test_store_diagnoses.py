@@ -88,11 +88,11 @@ def test_an_experiment_is_one_and_leads_to_one_diagnosis(
     diagnoses: DiagnosisStore, store: Store, new: NewDiagnosis, sweeps: list[NewSweep]
 ) -> None:
     waiting = diagnoses.add(new)
-    with pytest.raises(Conflict, match="is waiting; an experiment follows one that is done"):
+    with pytest.raises(Conflict, match="is waiting; an experiment requires a diagnosis that is done"):
         diagnoses.approve(waiting.id, "joint_1", "Ada", None, {}, sweeps)
     parent = done(diagnoses, new)
     first = diagnoses.approve(parent.id, "joint_1", "Ada", MASS, {}, sweeps)
-    with pytest.raises(Conflict, match=rf"has its experiment, campaign {first.id} \(planned\)"):
+    with pytest.raises(Conflict, match=rf"already has an experiment, campaign {first.id} \(planned\)"):
         diagnoses.approve(parent.id, "joint_1", "Ada", None, {}, sweeps)
     store.move_campaign(first.id, lambda _: CampaignState.ABORTED)
     second = diagnoses.approve(parent.id, "joint_1", "Bob", MASS, {}, sweeps)
@@ -127,14 +127,14 @@ def test_models_are_numbered_robot_by_robot_and_a_diagnosis_becomes_one(
 ) -> None:
     first = models.add(done(diagnoses, new).id, "Ada", {"n": 1}, None)
     later = done(diagnoses, new.model_copy(update={"model": first.id}))
-    with pytest.raises(Conflict, match="another model of robot 1 was accepted meanwhile"):
+    with pytest.raises(Conflict, match="another model of robot 1 was accepted in the meantime"):
         models.add(later.id, "Bob", {"n": 2}, None)
     assert models.newest(new.robot_id) == first
     second = models.add(later.id, "Bob", {"n": 2}, first.id)
     assert models.newest(new.robot_id) == second
     assert models.newest(new.robot_id + 1) is None
     assert [(model.revision, model.parent) for model in (first, second)] == [(1, None), (2, first.id)]
-    with pytest.raises(Conflict, match=f"became model {second.id} already"):
+    with pytest.raises(Conflict, match=f"was already accepted as model {second.id}"):
         models.add(later.id, "Bob", {"n": 3}, second.id)
     assert models.models(new.robot_id) == (first, second)
     assert models.models(new.robot_id, after=first.id) == (second,)

@@ -36,7 +36,7 @@ def test_a_second_service_is_refused_while_the_first_lives_and_gets_the_machine_
         try:
             assert holder.stdout is not None
             assert holder.stdout.readline() == "held\n"
-            with pytest.raises(MachineTaken, match=f"pid {holder.pid} .*; stop that one first"):
+            with pytest.raises(MachineTaken, match=f"pid {holder.pid} .*: stop that service"):
                 MachineLease(database, LEASE_TIME).acquire()
             holder.send_signal(signal.SIGKILL)
             holder.wait()
@@ -107,7 +107,7 @@ def test_a_stop_outlives_the_process_until_a_person_resets_it(url: str) -> None:
 def test_a_key_gives_the_same_answer_twice(database: Database) -> None:
     keys = IdempotencyKeys(database)
     assert keys.claim("k", "a") is None
-    with pytest.raises(Conflict, match="under way"):
+    with pytest.raises(Conflict, match="still being processed"):
         keys.claim("k", "a")
     keys.answer("k", 201, "{}")
     assert keys.claim("k", "a") == StoredAnswer(status=201, body="{}")

@@ -19,6 +19,7 @@ def test_a_trapezoid_by_hand() -> None:
 def test_a_triangle_and_no_way_at_all() -> None:
     assert travel(-2.0, 0.0, 50.0, 2.0, 2.0).velocities == pytest.approx((0, -2, -2, 0))
     assert travel(0.0, 0.0, 1.0, 1.0, 1.0).duration == 0.0
+    assert travel(5e-324, 0.0, 1.0, 0.5, 0.5).duration == 0.0  # the square of its speed underflows
     assert brake(0.0, 1.0).duration == 0.0
     assert brake(-3.0, 2.0).distance == pytest.approx(-2.25)
 

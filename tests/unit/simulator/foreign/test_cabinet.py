@@ -14,9 +14,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from simulator.canopen.node import Frame
+from simulator.fault_orders import Plant, carry_out
 from simulator.foreign.cabinet import ForeignCabinet
 from simulator.machine import Machine
-from simulator.orders import Plant, carry_out
 from simulator.scenario import ScenarioError, load_scenario
 from tests.foreign_bench import PLAIN, ROOT, SCENARIO, Foreign, bench, file_of
 from tests.unit.simulator.foreign.conftest import mastered

@@ -89,7 +89,7 @@ Change = Callable[[dict[str, Any]], object]
         (lambda m: m["signals"]["velocity"].update(type="i64"), "signals.velocity.type"),
         (lambda m: m["signals"]["velocity"].update(adress=1), "signals.velocity.adress: Extra inputs"),
         (lambda m: m["signals"]["frequency"].update(count=8), "signals.frequency: count 8 must be 16"),
-        (lambda m: m["signals"]["constant"].pop("value"), "signals.constant: constant has a value"),
+        (lambda m: m["signals"]["constant"].pop("value"), "signals.constant: value is needed for constant and not"),
         (lambda m: m["signals"]["product"].update(address=1), r"register 1 belongs to constant"),
         (lambda m: m["trace"]["page"].update(address=65000), "trace.page: reaches beyond register 65535"),
         (lambda m: m["trace"]["page"].update(registers=5), "trace.page: holds no whole sample"),
@@ -109,7 +109,16 @@ def test_a_bad_map_is_told_with_its_place(tmp_path: Path, change: Change, reason
 
 
 @pytest.mark.parametrize(
-    ("text", "reason"), [(None, "cannot be read"), ("a: [", "not YAML"), ("a: !!bool x", "not YAML"), ("- 1", "map: ")]
+    ("text", "reason"),
+    [
+        (None, "cannot be read"),
+        ("a: [", "not YAML"),
+        ("a: !!bool x", "not YAML"),
+        ("- 1", "map: "),
+        ("a: &a [*a]", r"alias \*a is inside of its own anchor"),
+        (f"a: &a {'n' * 100_000}\nb: [{', '.join(['*a'] * 100)}]", "aliases stand for more than"),
+        ("#" * (2**20 + 1), "YAML of 1048577 characters, limit 1048576"),
+    ],
 )
 def test_what_is_no_map(tmp_path: Path, text: str | None, reason: str) -> None:
     path = tmp_path / "map.yaml"

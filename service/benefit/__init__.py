@@ -1,0 +1,21 @@
+"""Benefit of an estimate: the drive torque of held-out sweeps, predicted by CAD and by the estimate.
+
+Pure functions from recordings and robot file to `Benefit`, and its section of a report.
+"""
+
+from service.benefit.benefit import benefit
+from service.benefit.feed_forward import feed_forward
+from service.benefit.result import AxisBenefit, Benefit, Followed, ModelBenefit, Tracking
+from service.benefit.section import benefit_section, sentence
+
+__all__ = [
+    "AxisBenefit",
+    "Benefit",
+    "Followed",
+    "ModelBenefit",
+    "Tracking",
+    "benefit",
+    "benefit_section",
+    "feed_forward",
+    "sentence",
+]

@@ -1,0 +1,94 @@
+"""The parts of a service that owns a machine; a service without one (`--no-machine`) only reads data of the plant."""
+
+import asyncio
+from dataclasses import dataclass
+
+from service.diagnosis_loop.diagnosing import Diagnosing
+from service.diagnosis_loop.experiments import Experiments
+from service.execution.approvals import Approvals
+from service.execution.machine import Machine
+from service.execution.runner import Runner
+from service.execution.sweep_executor import SweepExecutor
+from service.jobs.batches import Batches
+from service.jobs.checking import Checking
+from service.jobs.jobs import Jobs
+from service.jobs.recording_uploads import RecordingUploads
+from service.publishing.publisher import Publisher
+from service.safety.robot_and_machine import DriveAxis
+from service.stop_process.handle import StopProcess
+from service.store.files.recordings import RecordingFiles
+from service.store.rows import NoMachine
+
+
+@dataclass(frozen=True)
+class Cell:
+    """The machine of a service, and the parts that move it or compute from its recordings."""
+
+    drive_axes: tuple[DriveAxis, ...]  # as in the profile
+    machine_sha256: str  # of the drive profile with its files, as used
+    lost: str
+    """Reason why nothing may be stored: the database does not belong to the data folder; empty if it does."""
+    machine: Machine
+    jobs: Jobs
+    executor: SweepExecutor
+    runner: Runner
+    approvals: Approvals
+    diagnosing: Diagnosing
+    experiments: Experiments
+    checking: Checking
+    batches: Batches
+    moving: RecordingUploads | None  # None: recordings stay in the data folder
+    publisher: Publisher | None  # None: neither OPC UA nor MQTT
+    stop_process: StopProcess | None
+
+    async def troubles(self, files: RecordingFiles, least_free_disk: int) -> tuple[str, ...]:
+        """Reasons why no measurement or identification is possible now; "" for each part that works."""
+        process = self.stop_process
+        return (
+            self.lost,
+            "" if self.machine.connected else f"machine not connected: {self.machine.trouble or 'not tried yet'}",
+            self.machine.forbidden,
+            process.trouble if process is not None and process.ended else "",
+            await asyncio.to_thread(files.disk_trouble, least_free_disk),
+            self.runner.unstored,
+            *self.jobs.troubles,
+            *self.checking.troubles,
+            *self.diagnosing.troubles,
+            *self.batches.troubles,
+        )
+
+
+class WithCell:
+    """Gives the parts of the cell by name. NoMachine if there is none and the caller requires one."""
+
+    cell: Cell | None
+
+    @property
+    def own(self) -> Cell:
+        if self.cell is None:
+            raise NoMachine
+        return self.cell
+
+    @property
+    def machine(self) -> Machine:
+        return self.own.machine
+
+    @property
+    def runner(self) -> Runner:
+        return self.own.runner
+
+    @property
+    def jobs(self) -> Jobs:
+        return self.own.jobs
+
+    @property
+    def approvals(self) -> Approvals:
+        return self.own.approvals
+
+    @property
+    def diagnosing(self) -> Diagnosing:
+        return self.own.diagnosing
+
+    @property
+    def experiments(self) -> Experiments:
+        return self.own.experiments

@@ -1,0 +1,1 @@
+"""The command that reports the benefit of an estimate."""

@@ -1,0 +1,1 @@
+"""Commands on a plant as a whole: many machines, robots and campaigns."""

@@ -1,0 +1,120 @@
+"""The held-out test: residual before and after each effect, and the model without the effects that fail.
+
+An effect that does not reduce the residual of the held-out sweeps is removed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.diagnosis.effects import CATALOGUE
+from service.diagnosis.effects.patch import Inexpressible, Patch
+from service.diagnosis.fit.equations import Equations, Term
+from service.diagnosis.fit.fitted import Point, of_columns, uncertainty
+from service.diagnosis.fit.gap import by_prior, improves, residual
+from service.diagnosis.fit.parameters import Parameter, parameters
+from service.diagnosis.fit.select import local
+from service.diagnosis.model.held_out import simulated
+from service.recording import Sweep
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """An effect of the model: parameters, covariance (k, k), part of a scenario (None: no scenario can contain it)."""
+
+    effect: str
+    parameters: dict[str, Parameter]
+    covariance: Array
+    patch: Patch | None
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The rigid part of the model: load (3, m), see `rigid`, with covariance (3 m, 3 m); viscous friction."""
+
+    load: Array
+    covariance: Array
+    viscous: float
+    viscous_std: float
+
+    @property
+    def inertia(self) -> Array:
+        return self.load[0]
+
+    @property
+    def inertia_std(self) -> Array:
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))[: self.load.shape[1]]
+
+
+@dataclass(frozen=True)
+class HeldOutCheck:
+    """The residuals (n, rows), N m (N), before and after; the RMS of the twin's residual (None: not requested, or no
+    scenario can contain the model); and the model.
+    """
+
+    before: Array
+    after: Array
+    twin_rms: float | None
+    fitted: tuple[Fitted, ...]
+    fit: Fit
+    rolled_back: tuple[str, ...]
+    sentences: tuple[str, ...]
+
+
+def check_held_out(
+    given: Equations, sweeps: Sequence[Sweep], fixed: Sequence[Term], added: Sequence[Term], *, twin: bool
+) -> HeldOutCheck:
+    """Test the terms `added`, in this order, after the terms `fixed`."""
+    # an effect visible in one pose only: other poses cannot predict its size, so use its repeats
+    by_repeat = bool(added) and local(given, fixed, [*fixed, *added])
+    terms, rolled_back = [*fixed], list[str]()
+    by_load = any(CATALOGUE[term.effect].by_load for term in added)
+    before = residual(given, terms, by_repeat=by_repeat, as_cad=by_load)
+    after = residual(given, terms, by_repeat=by_repeat) if by_load else before
+    for term in added:
+        further = residual(given, [*terms, term], by_repeat=by_repeat)
+        # a gain that comes from the prior alone cannot reduce the residual
+        if CATALOGUE[term.effect].by_load or by_prior(given, terms, [*terms, term]) or improves(given, after, further):
+            terms, after = [*terms, term], further
+        else:
+            rolled_back.append(term.effect)
+    point = of_columns(given, terms)
+    twin_rms, said = _twin(given, sweeps, point) if twin else (None, ())
+    return HeldOutCheck(
+        before=before,
+        after=after,
+        twin_rms=twin_rms,
+        fitted=_fitted(given, point),
+        fit=_fit(given, point),
+        rolled_back=tuple(rolled_back),
+        sentences=said,
+    )
+
+
+def _twin(given: Equations, sweeps: Sequence[Sweep], point: Point) -> tuple[float | None, tuple[str, ...]]:
+    try:
+        led = simulated(given, sweeps, point)
+    except Inexpressible as reason:
+        return None, (f"No scenario can hold this model ({reason}).",)
+    rms = float(np.sqrt(np.mean(led.residual[given.tracks.usable] ** 2)))
+    return rms, tuple(f"In the twin {held}." for held in led.held)
+
+
+def _fitted(given: Equations, point: Point) -> tuple[Fitted, ...]:
+    fitted = parameters(given, point.terms) if point.terms else []
+    result: list[Fitted] = []
+    for own, patch, (named, correlation) in zip(point.terms, point.patches, fitted, strict=True):
+        std = np.array([parameter.std for parameter in named.values()])
+        held = None if isinstance(patch, Inexpressible) else patch
+        result.append(Fitted(own.effect, named, correlation * np.outer(std, std), held))
+    return tuple(result)
+
+
+def _fit(given: Equations, point: Point) -> Fit:
+    loads, spread = uncertainty(given, point)
+    b = given.width_of_base
+    return Fit(point.load, loads, point.viscous, float(np.sqrt(spread[b - 1, b - 1])))

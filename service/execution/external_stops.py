@@ -1,0 +1,86 @@
+"""Stops from outside the event loop: the machine is held immediately; the loop confirms and latches them later.
+
+They come from the stop process or from the drivers: the host was suspended, another host is on the bus, an axis was
+enabled or disabled by another party.
+"""
+
+import asyncio
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+
+import structlog
+
+from drivers.errors import DriveError
+from service.execution.machine import Hold, Machine
+from service.stop_process.handle import StopProcess
+from service.tasks.background import Background
+
+_log = structlog.get_logger(__name__)
+
+WATCH = "host watch"  # source of a stop that is not from a person
+
+
+@asynccontextmanager
+async def listening(
+    process: StopProcess, machine: Machine, report: Callable[[str, str, str], None]
+) -> AsyncGenerator[None]:
+    """Receive from the stop process during the block, and handle the stops from before it.
+
+    `report` is called with source, reason and address of each stop after the machine is held; it does not wait.
+    """
+    async with _holding(machine) as hold:
+
+        def word(by: str, why: str, press: str, address: str) -> None:
+            hold(by, why, press)
+            process.taken_over()
+            report(by, why, address)
+
+        process.attach(word)
+        try:
+            yield
+        finally:
+            process.attach(None)
+
+
+@asynccontextmanager
+async def watching(machine: Machine, report: Callable[[str, str], None]) -> AsyncGenerator[None]:
+    """Receive the findings of the host watch during the block. `report`: called with source and reason, as in
+    `listening`.
+    """
+    async with _holding(machine) as hold:
+
+        def found(why: str) -> None:
+            hold(WATCH, f"{why}; check the machine, release this stop and resume", "")
+            report(WATCH, why)
+
+        machine.watch(found)
+        try:
+            yield
+        finally:
+            machine.watch(None)
+
+
+@asynccontextmanager
+async def _holding(machine: Machine) -> AsyncGenerator[Callable[[str, str, str], None]]:
+    """A function that holds the machine, with source, reason and press; may be called from any thread."""
+    loop, confirming = asyncio.get_running_loop(), Background()
+
+    def follow(hold: Hold) -> None:
+        confirming.begin("confirm a stop", _confirm(machine, hold))
+
+    def hold_at_once(by: str, why: str, press: str) -> None:
+        loop.call_soon_threadsafe(follow, machine.seize(by, why, press))
+
+    try:
+        yield hold_at_once
+    finally:
+        await asyncio.sleep(0)  # run the pending callbacks
+        await confirming.settle()
+
+
+async def _confirm(machine: Machine, hold: Hold) -> None:
+    """Errors are reported to the service's own stop request, if there is one; here they are logged."""
+    try:
+        await machine.confirm(hold)
+    except DriveError as error:
+        _log.error("stop_not_confirmed", by=hold.document.by, reason=str(error))

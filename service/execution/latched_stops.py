@@ -1,0 +1,145 @@
+"""The latched stops: in memory immediately, in the database as soon as possible. No stop waits for the database."""
+
+import asyncio
+import itertools
+import secrets
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import partial
+from typing import ParamSpec, TypeVar
+
+import structlog
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.errors import Conflict, NotFound, NotNow
+from service.store.database import refusal
+from service.store.documents import StopDocument
+from service.store.guards import StopLatch
+
+_log = structlog.get_logger(__name__)
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+AGAIN = 1.0  # s until storing a stop is tried again
+_MOST_NAMES = 1000
+_NAMES = 2**30
+
+
+@dataclass(slots=True, eq=False)
+class Hold:
+    """A stop that holds the machine. The id of its document is negative until the database has stored it."""
+
+    document: StopDocument
+    press: str  # id of a button press that is received by two ways
+    under_way: int = 0  # number of callers that wait for confirmation by the drives
+
+
+class LatchedStops:
+    """`take` may be called from any thread, everything else from the event loop."""
+
+    def __init__(self, latch: StopLatch, latched: Sequence[StopDocument]) -> None:
+        """`latched`: the stops in force at the start of the service."""
+        self._latch = latch
+        self._holds = [Hold(stop, "") for stop in latched]  # oldest first
+        # not from -1: an id of the previous run of the service must not match a new stop
+        self._names = itertools.count(-1 - secrets.randbelow(_NAMES), -1)
+        self._ids: dict[int, int] = {}  # by the negative id reported first; newest last
+        self._writing = asyncio.Lock()  # store and memory change in the same order
+        self._noting: asyncio.Task[None] | None = None
+        self._ending = asyncio.Event()
+
+    @property
+    def documents(self) -> tuple[StopDocument, ...]:
+        """Documents of every stop that holds the machine, oldest first."""
+        return tuple(hold.document for hold in tuple(self._holds))
+
+    def take(self, by: str, why: str, press: str) -> Hold:
+        """A new stop, or the existing one of the same press."""
+        hold = next((each for each in tuple(self._holds) if press and each.press == press), None)
+        if hold is None:
+            at = datetime.now(UTC)
+            document = StopDocument(id=next(self._names), by=by, why=why, at=at, reset_by=None, reset_at=None)
+            hold = Hold(document, press)
+            self._holds.append(hold)
+        hold.under_way += 1
+        return hold
+
+    def note(self) -> None:
+        """Store pending stops in the database in the background; does not wait."""
+        if self._noting is None or self._noting.done():
+            self._noting = asyncio.create_task(self._note(), name="note stops")
+
+    async def noted(self) -> None:
+        """Wait until the database has stored every stop."""
+        if self._noting is not None:
+            await asyncio.wait([self._noting])
+
+    async def close(self) -> None:
+        """Try once more to store pending stops; those that fail are only in the log."""
+        self._ending.set()
+        await self.noted()
+
+    async def reset(self, by: str, stops: Sequence[int]) -> tuple[StopDocument, ...]:
+        """Release these stops, by their ids or their earlier negative ids. NotFound; Conflict while one is in progress.
+
+        NotNow if the database cannot store it: then they remain in force.
+        """
+        async with self._writing:
+            ids = [self._ids.get(number, number) for number in stops]
+            named = {hold.document.id: hold for hold in tuple(self._holds) if hold.document.id in ids}
+            for number, hold in named.items():
+                if hold.under_way:
+                    raise Conflict(f"stop {number} is not finished yet: {hold.document.by}: {hold.document.why}")
+            unstored = {number: hold.document for number, hold in named.items() if number < 0}
+            for number in ids:
+                if number < 0 and number not in unstored:
+                    raise NotFound(f"stop {number}")
+            try:
+                stored = await apart(self._latch.reset, by, [number for number in ids if number >= 0])
+            except SQLAlchemyError as error:
+                raise NotNow(
+                    f"not released, because the database cannot be written ({type(error).__name__}): "
+                    "the machine stays stopped. Check locks and disk of the database, then release "
+                    "again"
+                ) from error
+            for hold in named.values():
+                self._holds.remove(hold)
+        done = {"reset_by": by, "reset_at": datetime.now(UTC)}
+        return (*stored, *(document.model_copy(update=done) for document in unstored.values()))
+
+    async def _note(self) -> None:
+        while (hold := next((each for each in tuple(self._holds) if each.document.id < 0), None)) is not None:
+            if await self._noted(hold):
+                continue
+            if self._ending.is_set():
+                _log.error("stop_not_noted", by=hold.document.by, why=hold.document.why, until="the service ends")
+                return
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._ending.wait(), AGAIN)
+
+    async def _noted(self, hold: Hold) -> bool:
+        async with self._writing:
+            if hold not in self._holds:  # released meanwhile
+                return True
+            document = hold.document
+            try:
+                hold.document = await apart(self._latch.latch, document.by, document.why, document.at)
+            except SQLAlchemyError as error:
+                _log.error("stop_not_noted_yet", by=document.by, why=document.why, reason=refusal(error))
+                return False
+            self._ids[document.id] = hold.document.id
+            if len(self._ids) > _MOST_NAMES:
+                del self._ids[next(iter(self._ids))]
+            return True
+
+
+async def apart(work: Callable[Arguments, Result], *args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+    """Run `work` on a separate thread: safety functions must not wait for a full shared thread pool."""
+    executor = ThreadPoolExecutor(1, thread_name_prefix="machine")
+    result = asyncio.get_running_loop().run_in_executor(executor, partial(work, *args, **kwargs))
+    executor.shutdown(wait=False)  # the thread ends with its only task
+    return await result

@@ -1,0 +1,81 @@
+// Torque and speed of the moving axis, as the service sends them: decimated; the service never waits for the page.
+
+import { protocols } from "./api.js";
+import { byId, tell } from "./elements.js";
+import { unitsOf } from "./motion.js";
+import { plot } from "./plots.js";
+import { text } from "./words.js";
+
+const SHOWN = 20; // s
+const PAUSE = 250; // ms between two redraws, at any data rate
+const OVER = 1500; // ms without a block: the sweep has ended
+
+let socket = null;
+let campaign = null; // id
+let samples = []; // [time, effort, velocity]
+let joint = "";
+let waiting = false;
+let heard = 0; // ms, time of the last block
+let units = null; // of the moving robot
+let si = false; // rad and m instead of deg and mm
+
+// moving: the campaign that moves, or undefined
+export function showLive(moving, inSi) {
+  const id = moving?.id ?? null;
+  si = inSi;
+  byId("live").hidden = id === null;
+  if (id === campaign) {
+    if (samples.length && performance.now() - heard > OVER) tell("live-title", text("live.last", { axis: joint }));
+    return;
+  }
+  campaign = id;
+  socket?.close();
+  socket = null;
+  samples = [];
+  if (id !== null) open(id, moving.robot_id);
+}
+
+function open(id, robot) {
+  units = null;
+  unitsOf(robot).then((found) => (units = found), () => {}); // without units nothing is drawn
+  tell("live-title", text("live.waits"));
+  const own = new WebSocket(`${location.protocol.replace("http", "ws")}//${location.host}/api/v1/campaigns/${id}/live?form=json`, protocols());
+  socket = own;
+  own.onmessage = ({ data }) => own === socket && take(JSON.parse(data));
+  own.onclose = () => {
+    if (own !== socket) return;
+    socket = campaign = null; // opened again at the next status of the machine
+  };
+}
+
+function take(block) {
+  const last = samples.at(-1)?.[0];
+  if (block.joint !== joint || block.time[0] < last) samples = [];
+  joint = block.joint;
+  heard = performance.now();
+  samples.push(...block.time.map((time, k) => [time, block.effort[k], block.velocity[k]]));
+  while (samples[0][0] < samples.at(-1)[0] - SHOWN) samples.shift();
+  if (waiting) return;
+  waiting = true;
+  setTimeout(draw, PAUSE);
+}
+
+function draw() {
+  waiting = false;
+  if (byId("live").hidden || document.hidden || !samples.length || !units) return;
+  tell("live-title", text("live.title", { axis: joint }));
+  const linear = units.prismatic.has(joint);
+  const [factor, unit] = si ? [1, linear ? " m" : " rad"] : units.scale(joint);
+  const effort = linear ? "N" : "N m";
+  const speed = `${unit.trim()}/s`;
+  const x = samples.map(([time]) => time - samples[0][0]);
+  const line = (name, y, yaxis, color) => ({ type: "scatter", mode: "lines", name, x, y, yaxis, line: { color, width: 1.5 } });
+  plot("live-chart", [
+    line(`${text(linear ? "live.force" : "live.effort")}, ${effort}`, samples.map((one) => one[1]), "y", "#2f7ef0"),
+    line(`${text("live.velocity")}, ${speed}`, samples.map((one) => one[2] * factor), "y2", "#d97706"),
+  ], {
+    xaxis: { title: { text: text("live.time") }, anchor: "y2" },
+    yaxis: { title: { text: effort }, domain: [0.55, 1] },
+    yaxis2: { title: { text: speed }, domain: [0, 0.45] },
+  });
+}

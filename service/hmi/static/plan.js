@@ -1,0 +1,144 @@
+// The planning page: the requested measurement, its motion, and a campaign of it. Nothing moves here.
+
+import { all, call, get } from "./api.js";
+import { byId, choices, complain, element, link, tell } from "./elements.js";
+import { held } from "./intent.js";
+import { watchMachine } from "./machine.js";
+import { showMotion, unitsOf } from "./motion.js";
+import { showMoving } from "./moving.js";
+import { showGrid, showPicture } from "./picture.js";
+import { refresher } from "./refresh.js";
+import { events } from "./stream.js";
+import { language, text, Told } from "./words.js";
+
+const USUAL = { poses: "24", confidence: text("plan.usual-confidence"), duration: "60" };
+const MINUTE = 60; // s
+
+let robots = [];
+let paused; // the paused campaign
+let plan = null; // {id, robot_id, document}
+let units = null;
+let grid = null;
+
+// -- the request
+
+async function showRobots() {
+  const [campaigns, diagnoses, known, cells] = await Promise.all([all("/campaigns"), all("/diagnoses"), all("/robots"), get("/cells")]);
+  paused = held(campaigns);
+  await showMoving(campaigns, diagnoses);
+  choices(byId("cell"), cells.names.map((name) => [name, name]));
+  const changed = known.length !== robots.length;
+  robots = known;
+  choices(byId("robot"), robots.map((one) => [one.id, `${one.name} (${one.id})`]).reverse());
+  if (changed) await showJoints();
+  if (plan) await showPlan();
+}
+
+async function showJoints() {
+  const id = byId("robot").value;
+  if (!id) return;
+  const joints = (await get(`/robots/${id}`)).description.axes.map((axis) => axis.joint);
+  for (const [id, first] of [["axes-measured", 0], ["axes-varied", 1]]) {
+    byId(id).replaceChildren(byId(id).firstElementChild, ...joints.map((joint, k) => box(joint, k >= first && k < 3)));
+  }
+}
+
+function box(joint, checked) {
+  const input = element("input");
+  input.type = "checkbox";
+  input.value = joint;
+  input.checked = checked;
+  const label = element("label");
+  label.append(input, ` ${joint}`);
+  return label;
+}
+
+const chosen = (id) => [...byId(id).querySelectorAll(":checked")].map((one) => one.value);
+
+// comma or point, depending on the keyboard
+function given(id) {
+  const value = Number(byId(id).value.trim().replace(",", "."));
+  if (!(value > 0)) throw new Told("plan.no-number", { given: byId(id).value });
+  return value;
+}
+
+async function makePlan() {
+  const budget = byId("budget").value;
+  const amount = given("amount") * (budget === "duration" ? MINUTE : 1);
+  const request = { robot_id: Number(byId("robot").value), cell: byId("cell").value, axes: chosen("axes-measured"), varied: chosen("axes-varied"), step: given("step") };
+  if (!request.axes.length || !request.varied.length) throw new Told("plan.no-axes");
+  const made = await call("POST", "/plans", { ...request, [budget]: amount });
+  plan = made.content;
+  byId("taken").replaceChildren();
+  units = await unitsOf(plan.robot_id);
+  grid = await get(`/plans/${plan.id}/grid`);
+  choices(byId("sweep"), plan.document.sweeps.map((sweep, k) => [k + 1, `${k + 1}: ${sweep.spec.axis}`]));
+  byId("sweep").value = 1;
+  showLegs();
+  await showPlan();
+}
+
+// -- the plan
+
+async function showPlan() {
+  const { document: content, id } = plan;
+  byId("planned").hidden = false;
+  tell("planned-title", text("plan.number", { id }));
+  const confidence = content.confidence.at(-1);
+  tell("promise", confidence === null ? text("plan.open") : text("plan.promise", { percent: Number(confidence.toPrecision(2)) }));
+  const shown = `${id}/${language()}`;
+  if (byId("motion").dataset.shown === shown) return;
+  showMotion(byId("motion"), { ...content, duration: plan.expected_time }, units, await get("/drives"));
+  byId("motion").dataset.shown = shown;
+  showGrid(grid, units);
+  await showArm();
+}
+
+const sweepOf = () => plan.document.sweeps[Number(byId("sweep").value) - 1];
+
+function showLegs() {
+  const legs = sweepOf().legs.map((leg, k) => [k + 1, `${k + 1}: ${leg.joint}`]);
+  choices(byId("leg"), [[0, text("plan.before")], ...legs]);
+  byId("leg").value = legs.length;
+}
+
+async function showArm() {
+  const picture = await get(`/plans/${plan.id}/picture?sweep=${byId("sweep").value}&step=${byId("leg").value}`);
+  const told = picture.joints.map((joint, k) => `${joint} ${units.length(joint, picture.pose[k])}`).join(", ");
+  tell("picture-told", told);
+  showPicture(picture);
+}
+
+async function take() {
+  const made = await call("POST", "/campaigns", { plan_id: plan.id });
+  const { id } = made.content;
+  byId("taken").replaceChildren(link(text("plan.taken", { id }), `./#campaign-${id}`));
+}
+
+// -- event handlers
+
+const refresh = refresher(showRobots);
+
+const busy = (button, run) => async (event) => {
+  event.preventDefault();
+  byId(button).disabled = true;
+  tell("working", button === "make" ? text("plan.working") : "");
+  await run().then(() => complain(null), complain);
+  tell("working", "");
+  byId(button).disabled = false;
+};
+
+byId("request").querySelector("button").id = "make";
+byId("request").addEventListener("submit", busy("make", makePlan));
+byId("take").addEventListener("click", busy("take", take));
+byId("robot").addEventListener("change", () => showJoints().catch(complain));
+byId("budget").addEventListener("change", () => (byId("amount").value = USUAL[byId("budget").value]));
+byId("sweep").addEventListener("change", () => {
+  showLegs();
+  showArm().catch(complain);
+});
+byId("leg").addEventListener("change", () => showArm().catch(complain));
+const stream = events();
+stream.addEventListener("open", refresh);
+for (const kind of ["campaign", "diagnosis", "stop"]) stream.addEventListener(kind, refresh);
+watchMachine(refresh, () => paused);

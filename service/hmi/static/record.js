@@ -1,0 +1,49 @@
+// Model revisions and the audit: events and their authors.
+
+import { all, get } from "./api.js";
+import { byId, element, row } from "./elements.js";
+import { mayNot } from "./login.js";
+import { PRESSED, whose } from "./causes.js";
+import { knows, moment, parts, text, word } from "./words.js";
+
+const API = "/api/v1";
+
+export function table(id, heads, lines) {
+  const head = element("tr");
+  head.append(...heads.map(([key, kind]) => element("th", text(key), kind)));
+  byId(id).replaceChildren();
+  byId(id).createTHead().append(head);
+  byId(id).createTBody().append(...(lines.length ? lines : [row([[text("results.nothing"), "quiet"]])]));
+}
+
+export async function showModels(robot) {
+  const models = await all(`/models?robot=${robot}`);
+  table("models", [["results.revision"], ["results.diagnosis"], ["results.accepted-by"], ["results.when"], ["results.effects"]], models.toReversed().map((one) => row([
+    [one.revision], [one.diagnosis_id], [one.accepted_by], [moment(one.created_at)],
+    [Object.entries(one.document.effects).map(([joint, effects]) => `${joint}: ${effects.map((effect) => word("effect", effect.effect)).join(", ")}`).join("; "), "words"],
+  ])));
+}
+
+export async function showAudit() {
+  const why = mayNot("GET /audit");
+  byId("audit-why").textContent = why;
+  if (why) return table("audit", [["results.when"]], []);
+  const entries = (await get("/audit?newest=true&limit=200")).items.map((one) => one.entry);
+  const done = entries.filter((one) => one.event !== "request").toReversed();
+  table("audit", [["results.when"], ["results.who"], ["results.what"], ["results.outcome"]], done.map((one) => row([
+    [moment(one.at)], [whose(one.by ?? one.actor)], [whatOf(one), "words"], [outcomeOf(one)],
+  ])));
+}
+
+// the action of an audit entry, as text if the page has a translation
+function whatOf({ method, path, route, event }) {
+  const code = route ? [method, route.replace(API, "")].join(" ") : event;
+  const key = `done.${code}`;
+  if (!knows(key)) return `${method ?? ""} ${path ?? event}`.trim();
+  return parts(key, { id: path?.match(/\/(\d+)(\/|$)/)?.[1], joint: path?.split("/").at(-2) });
+}
+
+function outcomeOf({ status, why }) {
+  if (status === undefined) return why === PRESSED ? text("stop.button") : why ?? "";
+  return status < 400 ? text("results.done") : text("results.refused", { status });
+}

@@ -1,0 +1,159 @@
+// The page of results: estimate of a campaign, its uncertainty, earlier estimates, and the audit.
+
+import { address, all, get, Refused } from "./api.js";
+import { clear } from "./drawing.js";
+import { byId, choices, complain, element, EMPTY, fixed, link, number, row, tell } from "./elements.js";
+import { campaignName, first, held, noCampaign } from "./intent.js";
+import { identified } from "./login.js";
+import { watchMachine } from "./machine.js";
+import { showMoving } from "./moving.js";
+import { plot } from "./plots.js";
+import { showAudit, showModels, table } from "./record.js";
+import { refresher } from "./refresh.js";
+import { events } from "./stream.js";
+import { language, text, word } from "./words.js";
+
+const EARLIER = 5; // number of earlier campaigns
+const BLUE = "#2f7ef0";
+
+let campaigns = [];
+let found = null; // the estimate's document
+let shown = "";
+
+async function showList() {
+  const [listed, diagnoses] = await Promise.all([all("/campaigns"), all("/diagnoses")]);
+  const new_ = listed.length !== campaigns.length;
+  campaigns = listed;
+  choices(byId("campaigns"), campaigns.map((one) => [one.id, campaignName(one)]).reverse());
+  const asked = campaigns.find((one) => location.hash === `#campaign-${one.id}`);
+  if (new_ && campaigns.length) byId("campaigns").value = (asked ?? first(campaigns)).id;
+  await showMoving(campaigns, diagnoses);
+}
+
+async function showCampaign() {
+  const id = byId("campaigns").value;
+  if (!id) return tell("told", noCampaign());
+  const campaign = await get(`/campaigns/${id}`);
+  tell("campaign-state", word("campaign-state", campaign.state));
+  byId("campaign-state").className = `badge ${campaign.state}`;
+  const estimate = await latest(campaign.id);
+  const now = `${campaign.id}/${estimate?.revision}/${campaign.state}/${campaign.progress.done}/${language()}`;
+  if (now === shown) return;
+  shown = now;
+  found = estimate?.document ?? null;
+  tell("told", estimate ? text("estimate.told", { revision: estimate.revision, sweep: estimate.number, condition: number(found.condition_number) }) : text("estimate.none"));
+  showDownloads(campaign, estimate);
+  showTable();
+  await showConvergence(campaign.id);
+  choices(byId("axis"), Object.keys(found?.axes ?? {}).map((joint) => [joint, joint]));
+  showSweeps();
+  await showEarlier(campaign);
+  await showModels(campaign.robot_id);
+}
+
+async function latest(id) {
+  try {
+    return await get(`/campaigns/${id}/estimates/latest`);
+  } catch (error) {
+    if (error instanceof Refused) return null;
+    throw error;
+  }
+}
+
+function showDownloads({ id, progress }, estimate) {
+  const files = [];
+  if (progress.done) files.push(["results.bundle", "bundle"]);
+  if (estimate) files.push(["report", "report"], ["results.pdf", "report.pdf"], ["results.tables", "report.json"], ["results.urdf", "model.urdf"], ["results.mjcf", "model.xml"], ["results.yaml", "model.yaml"]);
+  byId("downloads").replaceChildren(...files.map(([key, name]) => link(text(key), address(`/campaigns/${id}/${name}`))));
+  if (!files.length) tell("downloads", text("results.nothing"));
+}
+
+function showTable() {
+  const percent = (value) => (value === null ? EMPTY : `${fixed(value, 2)} %`);
+  table("table", [["axis"], ["results.sweeps", "number"], ["results.cad-measured", "number"], ["results.identified-measured", "number"], ["results.cad-identified", "number"], ["results.confidence", "number"]],
+    Object.entries(found?.axes ?? {}).map(([joint, { inertia, rmse_percent: rmse, confidence_percent: confidence }]) => row([
+      [joint], [inertia.length, "number"], [percent(rmse.reference_measured), "number"], [percent(rmse.identified_measured), "number"],
+      [percent(rmse.reference_identified), "number"], [percent(confidence), "number"],
+    ])));
+}
+
+async function showConvergence(id) {
+  const { wanted, revisions } = await get(`/campaigns/${id}/estimates/convergence`);
+  tell("wanted", wanted === null ? text("results.all-sweeps") : text("results.wanted", { percent: wanted }));
+  if (!revisions.length) return clear("convergence");
+  const x = revisions.map((one) => one.sweep);
+  const joints = Object.keys(revisions[0].percent);
+  const lines = joints.map((joint, k) => ({ type: "scatter", mode: "lines+markers", name: joint, x, y: revisions.map((one) => one.percent[joint]), marker: { symbol: k } }));
+  const known = lines.flatMap((one) => one.y).filter((value) => value !== null);
+  const far = Math.max(...known) / Math.min(...known);
+  if (wanted !== null) lines.push({ type: "scatter", mode: "lines", name: text("results.limit"), x: [x[0], x.at(-1)], y: [wanted, wanted], line: { dash: "dash" } });
+  plot("convergence", lines, { xaxis: { title: { text: text("chart.sweep") }, tick0: 1, dtick: Math.ceil(x.at(-1) / 10) }, yaxis: { title: { text: text("results.confidence") }, type: "log", ...(far > 1 && far < 8 ? {} : { dtick: "D2" }) } });
+}
+
+function showSweeps() {
+  const inertia = found?.axes[byId("axis").value]?.inertia ?? [];
+  choices(byId("sweep"), inertia.map((one) => [one.sweep, one.sweep]));
+  showResponse();
+}
+
+// each with as many decimals as two figures of the standard deviation have
+function inertiaOf({ value, std, reference, identified }) {
+  const decimals = std > 0 ? Math.min(Math.max(0, 1 - Math.floor(Math.log10(std))), 12) : 3;
+  const shown = (one) => fixed(one ?? null, decimals);
+  return { value: shown(value), std: shown(std), cad: shown(reference), model: shown(identified) };
+}
+
+function showResponse() {
+  const sweep = found?.axes[byId("axis").value]?.inertia.find((one) => one.sweep === byId("sweep").value);
+  tell("inertia", sweep ? text("results.inertia", inertiaOf(sweep)) : "");
+  const lines = sweep?.frequency_response ?? [];
+  if (!lines.length) return clear("response");
+  const x = lines.map((one) => one.frequency);
+  const size = lines.map((one) => Math.hypot(one.re, one.im));
+  const bars = { type: "data", array: lines.map((one) => one.std) };
+  plot("response", [
+    { type: "scatter", mode: "lines+markers", name: text("results.amplitude"), x, y: size, error_y: bars, line: { color: BLUE } },
+    { type: "scatter", mode: "lines+markers", name: text("results.phase"), x, y: lines.map((one) => (Math.atan2(one.im, one.re) * 180) / Math.PI), yaxis: "y2", line: { color: "#d97706", dash: "dot" }, marker: { symbol: "square" } },
+  ], {
+    xaxis: { title: { text: text("results.frequency") }, anchor: "y2" }, yaxis: { title: { text: "N m s/rad" }, domain: [0.55, 1] },
+    yaxis2: { title: { text: "°" }, domain: [0, 0.45] },
+  });
+}
+
+// medians over the measured poses; other poses give other medians
+async function showEarlier({ id, robot_id }) {
+  const others = campaigns.filter((one) => one.robot_id === robot_id && one.id !== id).slice(-EARLIER).reverse();
+  const known = [];
+  for (const one of others) {
+    const estimate = await latest(one.id);
+    if (estimate) known.push([one.id, estimate.document]);
+  }
+  if (found) known.unshift([id, found]);
+  table("earlier", [["campaign.title"], ["axis"], ["results.sweeps", "number"], ["results.median", "number"], ["results.confidence", "number"]], known.flatMap(([number_, document]) => Object.entries(document.axes).map(([joint, axis]) => row([
+    [number_], [joint], [axis.inertia.length, "number"], [number(median(axis.inertia.map((one) => one.identified))), "number"], [number(axis.confidence_percent, " %"), "number"],
+  ]))));
+}
+
+function median(values) {
+  const sorted = values.toSorted((one, other) => one - other);
+  return sorted.length ? (sorted[(sorted.length - 1) >> 1] + sorted[sorted.length >> 1]) / 2 : null;
+}
+
+const refresh = refresher(async () => {
+  await showList();
+  await showCampaign();
+});
+
+byId("campaigns").addEventListener("change", () => showCampaign().catch(complain));
+byId("axis").addEventListener("change", showSweeps);
+byId("sweep").addEventListener("change", showResponse);
+const record = refresher(async () => {
+  await identified;
+  await showAudit();
+});
+const stream = events();
+for (const kind of ["open", "campaign", "estimate", "diagnosis", "stop"]) {
+  stream.addEventListener(kind, refresh);
+  stream.addEventListener(kind, record);
+}
+watchMachine(async () => Promise.all([refresh(), record()]), () => held(campaigns));

@@ -1,0 +1,20 @@
+// The verdict of an axis in the language of the page. The service's own sentence is in English only.
+
+import { element, figure } from "./elements.js";
+import { foreign, isMain, text, word } from "./words.js";
+
+// parts: the sentence of the page, and the service's sentence if its language is different
+export function verdictParts(joint, axis) {
+  if (isMain()) return [foreign(axis.summary)];
+  return [text(`verdict-told.${kindOf(axis)}`, { joint, effects: effectsOf(axis), before: gapOf(axis, "before"), after: gapOf(axis, "after") }), " ", element("small", foreign(axis.summary))];
+}
+
+const kindOf = ({ verdict, data }) => ((data ?? []).some((one) => one.severity === "wrong") ? "wrong-data" : verdict);
+
+function effectsOf({ verdict, effects, alternatives }) {
+  const open = [...new Set((alternatives ?? []).flat())];
+  const names = verdict === "ambiguous" && open.length ? open : effects.map((one) => one.effect);
+  return names.map((name) => word("effect", name)).join(", ");
+}
+
+const gapOf = ({ gap, unit }, when) => text("verdict-gap", { rms: figure(gap[`${when}_rms`]), unit, percent: figure(gap[`${when}_percent`]) });

@@ -1,0 +1,146 @@
+"""The publisher process from the service's side: data are kept, replaced or dropped; the service never waits."""
+
+import asyncio
+import sys
+from asyncio.subprocess import PIPE, Process
+from collections import deque
+from contextlib import suppress
+
+import structlog
+
+from service.publishing.state import Configuration, FromPublisher, Notice, State, ToPublisher
+
+_log = structlog.get_logger(__name__)
+
+NOTICES = 256  # waiting for the publisher; the oldest are dropped
+_AGAIN = 2.0  # s until the publisher is restarted after its end
+_END = 5.0  # s for a regular end
+
+
+class Publisher:
+    """One process, restarted when it ends. Must be created in the event loop."""
+
+    def __init__(self, configuration: Configuration) -> None:
+        self._configuration = configuration
+        self._state: State | None = None
+        self._sent: State | None = None
+        self._notices: deque[Notice] = deque(maxlen=NOTICES)
+        self._news = asyncio.Event()
+        self._dropped = 0
+        self._sent_notices = 0  # to the current process
+        self._life = FromPublisher(part="mqtt")  # its last report
+        self._troubles: dict[str, str] = {}
+        self.ports: dict[str, int] = {}
+        """Ports of its servers, by part; may change at a restart if any free port is used."""
+
+    @property
+    def dropped(self) -> int:
+        """Number of notices that were not published, since the start of the service."""
+        return self._dropped + self._life.dropped
+
+    @property
+    def troubles(self) -> dict[str, str]:
+        """Reason why a part does not work, by part; empty if all work."""
+        return {part: trouble for part, trouble in self._troubles.items() if trouble}
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """The configured parts."""
+        wanted = {"opcua": self._configuration.opcua, "mqtt": self._configuration.mqtt}
+        return tuple(part for part, settings in wanted.items() if settings is not None)
+
+    def state(self, state: State) -> None:
+        """Set the state; it replaces one that was not sent yet. Returns at once."""
+        self._state = state
+        self._news.set()
+
+    def notice(self, notice: Notice) -> None:
+        """Add a notice; returns at once; drops the oldest if too many wait."""
+        if len(self._notices) == NOTICES:
+            self._dropped += 1
+        self._notices.append(notice)
+        self._news.set()
+
+    async def run(self) -> None:
+        """Run until cancelled."""
+        while True:
+            try:
+                await self._serve()
+            except (OSError, ValueError) as error:  # it ended, or sent an invalid line
+                reason = str(error) or type(error).__name__
+                _log.warning("publisher_ended", reason=reason)
+                self._troubles = dict.fromkeys(self.parts, "the publisher is started anew")
+            await asyncio.sleep(_AGAIN)
+
+    async def _serve(self) -> None:
+        """Run the process once; OSError when it ends."""
+        command = [sys.executable, "-P", "-m", "service.publishing.process"]
+        process = await asyncio.create_subprocess_exec(*command, stdin=PIPE, stdout=PIPE, start_new_session=True)
+        hearing = asyncio.create_task(self._hear(process), name="publisher reports")
+        writing = asyncio.create_task(self._write(process), name="to the publisher")
+        both = (hearing, writing)
+        try:
+            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in both:
+                task.cancel()
+            ends = await asyncio.gather(*both, return_exceptions=True)
+            await _end(process)
+            self._lose()
+        for end in ends:
+            if isinstance(end, Exception):
+                raise end
+        raise BrokenPipeError(f"ended with code {process.returncode}")
+
+    async def _write(self, process: Process) -> None:
+        if process.stdin is None:
+            raise BrokenPipeError
+        self._sent = None  # a new process has no state
+        await _send(process.stdin, ToPublisher(configuration=self._configuration))
+        while True:
+            self._news.clear()
+            newest = self._state
+            if newest is not None and newest is not self._sent:
+                self._sent = newest
+                await _send(process.stdin, ToPublisher(state=newest))
+            while self._notices:
+                self._sent_notices += 1
+                await _send(process.stdin, ToPublisher(notice=self._notices.popleft()))
+            await self._news.wait()
+
+    async def _hear(self, process: Process) -> None:
+        if process.stdout is None:
+            raise BrokenPipeError
+        self._troubles = {}
+        while line := await process.stdout.readline():
+            said = FromPublisher.model_validate_json(line)
+            if said.trouble != self._troubles.get(said.part) or said.port is not None:
+                _log.info("publishing", part=said.part, port=said.port, trouble=said.trouble)
+            self._troubles[said.part] = said.trouble
+            if said.part == "mqtt":
+                self._life = said
+            if said.port is not None:
+                self.ports[said.part] = said.port
+
+    def _lose(self) -> None:
+        """Count the notices that the ended process had received and not published as lost."""
+        if self._configuration.mqtt is not None:
+            self._dropped += self._sent_notices - self._life.published
+        self._sent_notices, self._life = 0, FromPublisher(part="mqtt")
+
+
+async def _send(pipe: asyncio.StreamWriter, line: ToPublisher) -> None:
+    pipe.write(line.model_dump_json(exclude_none=False).encode() + b"\n")
+    await pipe.drain()
+
+
+async def _end(process: Process) -> None:
+    """Close its input to end it; kill it if it does not end."""
+    if process.stdin is not None:
+        process.stdin.close()
+    with suppress(TimeoutError):
+        await asyncio.wait_for(process.wait(), _END)
+    if process.returncode is None:
+        with suppress(ProcessLookupError):
+            process.kill()
+        await process.wait()

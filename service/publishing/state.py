@@ -1,0 +1,133 @@
+"""The published data. SI units; JSON between the service and its publisher, and to MQTT."""
+
+from datetime import datetime
+from typing import Literal, Self
+
+from pydantic import BaseModel, ConfigDict, JsonValue
+
+from service.settings import Settings
+from service.settings.publishing import Mqtt, OpcUa
+from service.store.documents import CampaignState
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Held(_Part):
+    """A stop that was not released yet; negative `id`: it is not in the database yet."""
+
+    id: int
+    by: str
+    why: str
+    at: datetime
+
+
+class MachineState(_Part):
+    """`reason`: why it may not move, or is not connected; else empty."""
+
+    name: str
+    connected: bool
+    may_move: bool
+    stopped: bool
+    stops: tuple[Held, ...]
+    reason: str
+
+
+class CampaignProgress(_Part):
+    """The campaign last started, changed or measured on this machine. `sweeps`, `axes`: running now."""
+
+    id: int
+    state: CampaignState
+    cause: str
+    done: int
+    total: int
+    sweeps: tuple[int, ...]
+    axes: tuple[str, ...]
+
+
+class AxisQuality(_Part):
+    """Relative RMS differences of inertia: measured and robot file, measured and estimate; `std`: 1 s, relative."""
+
+    sweeps: int
+    gap: float
+    left: float
+    std: float | None
+
+
+class Body(_Part):
+    """The ten parameters of a link at the origin of its frame: kg, kg m, kg m^2, by name (`m`, `mx` ... `Izz`)."""
+
+    parameters: dict[str, float]
+
+
+class LatestEstimate(_Part):
+    """The latest estimate of a campaign of this machine; `links` with its bodies."""
+
+    robot: str
+    campaign: int
+    revision: int
+    made: datetime
+    condition: float | None
+    axes: dict[str, AxisQuality]
+    links: dict[str, Body]
+
+
+class State(_Part):
+    """The complete state; null for missing parts."""
+
+    machine: MachineState
+    campaign: CampaignProgress | None
+    estimate: LatestEstimate | None
+
+
+class Notice(_Part):
+    """An event. `number`: of the event in the database, null for a stop or a release."""
+
+    number: int | None
+    kind: str
+    campaign: int | None
+    at: datetime
+    data: JsonValue
+
+
+class Configuration(_Part):
+    """The configuration of the publisher."""
+
+    machine: str
+    opcua: OpcUa | None
+    mqtt: Mqtt | None
+    log_level: str
+
+    @classmethod
+    def of(cls, settings: Settings) -> Self | None:
+        """None if nothing is published. BadInput if files in the settings are invalid."""
+        opcua, mqtt = settings.opcua, settings.mqtt
+        if opcua is None and mqtt is None:
+            return None
+        return cls(
+            machine=settings.machine_name,
+            opcua=None if opcua is None else opcua.checked(),
+            mqtt=None if mqtt is None else mqtt.checked(trusted_network=settings.trusted_network),
+            log_level=settings.log_level,
+        )
+
+
+class ToPublisher(_Part):
+    """One line to the publisher: the configuration first, then states and notices."""
+
+    configuration: Configuration | None = None
+    state: State | None = None
+    notice: Notice | None = None
+
+
+class FromPublisher(_Part):
+    """One line from the publisher: `part` works (at `port`) or has trouble. Since the start of the process:
+    numbers of published and of dropped notices.
+    """
+
+    part: Literal["opcua", "mqtt"]
+    port: int | None = None
+    trouble: str = ""
+    dropped: int = 0
+    published: int = 0

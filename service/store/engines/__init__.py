@@ -1,0 +1,1 @@
+"""Differences between the supported databases: one file for each, and nowhere else."""

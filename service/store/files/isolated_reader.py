@@ -1,0 +1,98 @@
+"""External files are read in a separate process: a file that expands without limit or crashes its reader does not
+affect the memory or the life of the process that owns the machine.
+
+The reader (`files.reader`) answers with JSON, never with objects: a compromised reader cannot run code here.
+"""
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from service.errors import BadInput
+
+_ENVIRONMENT: Mapping[str, str] = {
+    # address space is limited: no pools and stacks for as many threads as there are cores
+    **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
+    "ARROW_DEFAULT_MEMORY_POOL": "system",
+    "MALLOC_ARENA_MAX": "2",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits of one reader."""
+
+    memory: int = 4 * 2**30  # bytes of address space; Windows and macOS have no such limit
+    time: float = 600.0  # s
+    answer: int = 16 * 2**20  # bytes, maximum answer to this process
+
+    def __str__(self) -> str:
+        return f"limits {self.memory} bytes of memory and {self.time:.6g} s"
+
+
+LIMITS = Limits()
+
+
+async def read_isolated(
+    task: Callable[..., Any], arguments: tuple[Path, ...], place: str, limits: Limits = LIMITS
+) -> Any:
+    """The answer of `task`, a function of a module with paths as arguments and a JSON-compatible result.
+
+    Raises BadInput: that of the task, or one at `place` that names the exceeded limit or the crash; OSError: that of
+    the task, e.g. a full disk. The reader ends on cancellation and when this process dies.
+    """
+    named = f"{task.__module__}:{task.__qualname__}"
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-P", "-m", "service.store.files.reader", str(limits.memory), named, *map(str, arguments)),
+        stdin=subprocess.PIPE,  # closed when this process dies
+        stdout=subprocess.PIPE,
+        env={**os.environ, **_ENVIRONMENT},
+    )
+    try:
+        async with asyncio.timeout(limits.time):
+            answer = await _all_of(process.stdout, place, limits.answer)
+            code = await process.wait()
+    except TimeoutError:
+        raise BadInput(place, f"was not read within the limit of {limits.time:.6g} s") from None
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+    if code:
+        raise BadInput(place, f"the process that read it {_ended(code)}; {limits}")
+    return _result(json.loads(answer), place, limits)
+
+
+async def _all_of(stream: asyncio.StreamReader | None, place: str, most: int) -> bytes:
+    content = bytearray()
+    while stream is not None and (part := await stream.read(2**16)):
+        content += part
+        if len(content) > most:
+            raise BadInput(place, f"unpacks to more than the limit of {most} bytes")
+    return bytes(content)
+
+
+def _ended(code: int) -> str:
+    try:
+        return f"was ended by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"ended with {code}, see the log"
+
+
+def _result(answer: dict[str, Any], place: str, limits: Limits) -> Any:
+    match answer:
+        case {"done": done}:
+            return done
+        case {"place": str(where), "reason": str(reason)}:
+            raise BadInput(where, reason)
+        case {"errno": int(number)}:
+            raise OSError(number, os.strerror(number))
+        case _:
+            raise BadInput(place, f"needs more memory than the limit of {limits.memory} bytes")

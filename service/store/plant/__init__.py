@@ -1,0 +1,1 @@
+"""Queries over all machines of a plant."""

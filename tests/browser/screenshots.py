@@ -1,0 +1,139 @@
+"""``python -m tests.browser.screenshots FOLDER``: pictures of the pages and of a report, to look at and for the docs.
+
+A real service and a virtual machine that runs faster than the clock: a campaign is planned, measured and diagnosed, and
+each page is photographed at widths of 1280 and 768 px, light and dark, as a palette of 64 colours so that the files are
+small. The report is saved as PDF as well.
+"""
+
+import argparse
+import io
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from PIL import Image
+from playwright.sync_api import Page, expect
+
+from service.client import Json, ServiceClient
+from tests.browser.browsing import browsing
+from tests.browser.conftest import connected
+from tests.browser.looking import settled
+from tests.system.rest_bench import PATIENT_LEASE, Service, VirtualMachine, serving, until, virtual_machine
+
+SIZES = (1280, 768)  # px wide
+HEIGHT = 900  # px
+SCHEMES = ("light", "dark")
+COLOURS = 64
+AXES = ["joint_2", "joint_3"]
+
+Take = Callable[[str], None]
+
+
+def main() -> int:
+    wanted = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    wanted.add_argument("folder", type=Path, help="where the PNG files go")
+    wanted.add_argument("--locale", default="en-GB", help="language and country of the browser")
+    wanted.add_argument("--poses", type=int, default=6, help="poses of the campaign")
+    wanted.add_argument("--speed-factor", type=float, default=8.0, help="of the virtual machine against the clock")
+    wanted.add_argument("--for-docs", action="store_true", help="light and 1280 px wide alone, without the suffix")
+    given = wanted.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory() as work, virtual_machine(Path(work), given.speed_factor) as machine:
+        with (
+            serving(Path(work), machine.profile, PATIENT_LEASE) as service,
+            browsing(f"{service.url}/plan", locale=given.locale) as page,
+        ):
+            _pages(page, service, machine, given.poses, camera(page, given.folder, given.for_docs), given.folder)
+        with (
+            serving(Path(work), machine.profile, PATIENT_LEASE, login=True) as service,
+            browsing(service.url, locale=given.locale) as page,
+        ):
+            expect(page.locator("#login")).to_be_visible()
+            camera(page, given.folder, given.for_docs)("page-login")
+    return 0
+
+
+def _pages(page: Page, service: Service, machine: VirtualMachine, poses: int, take: Take, folder: Path) -> None:
+    with ServiceClient(service.url) as client:
+        until(lambda: connected(client), "the machine is connected", 300.0)
+        page.goto(service.url, wait_until="commit")
+        expect(page.locator("#axes tr")).to_have_count(6)
+        take("page-first")
+        page.goto(f"{service.url}/plan", wait_until="commit")
+        _planned(page, poses)
+        expect(page.locator("#views svg")).to_have_count(2)
+        take("page-plan")
+        page.locator("#take").click()
+        page.locator("#taken a").click()
+        expect(page.locator("#start")).to_be_enabled()
+        expect(page.locator("#motion li").first).to_be_visible()
+        take("page-before-start")
+        page.locator("#start").click()
+        campaign = int(client.campaigns()[-1]["id"])
+        until(lambda: int(client.campaign(campaign)["progress"]["done"]) >= 3, "three sweeps", 600.0)
+        expect(page.locator("#live-chart .scatterlayer .trace")).to_have_count(2)
+        expect(page.locator("#campaign-state")).to_have_class("badge running")
+        take("page-running")
+        page.locator("#stop").click()
+        expect(page.locator("#held")).to_be_visible()
+        take("page-stopped")
+        page.locator("#reset-by").fill("Ada")
+        page.locator("#held button").click()
+        expect(page.locator("#held")).to_be_hidden()
+        page.locator("#resume").click()
+        until(lambda: _is(client.campaign(campaign), "completed"), "the campaign", 900.0)
+        page.goto(f"{service.url}/#campaign-{campaign}", wait_until="commit")
+        expect(page.locator("#parameters tr").first).to_be_visible()
+        take("page-completed")
+        page.goto(f"{service.url}/results#campaign-{campaign}", wait_until="commit")
+        expect(page.locator("#response .scatterlayer .trace")).to_have_count(2)
+        take("page-results")
+        client.diagnosed(int(client.add_diagnosis([campaign], AXES[:1])["id"]))
+        page.goto(f"{service.url}/diagnosis", wait_until="commit")
+        expect(page.locator("#diagnoses tr, table tbody tr").first).to_be_visible()
+        take("page-diagnosis")
+        page.goto(f"{service.url}/fleet", wait_until="commit")
+        expect(page.locator("#robots tbody tr").first).to_be_visible()
+        take("page-fleet")
+        (folder / "report.html").write_bytes(client.campaign_report(campaign))
+        (folder / "report.pdf").write_bytes(client.campaign_report(campaign, "pdf"))
+        page.goto((folder / "report.html").absolute().as_uri(), timeout=300_000)  # 5 MB of plotly.js in one file
+        take("report-campaign")
+        until(machine.stands, "standing axes")
+
+
+def _is(campaign: Json, state: str) -> bool:
+    return bool(campaign["state"] == state)
+
+
+def _planned(page: Page, poses: int) -> None:
+    """Poses of two axes."""
+    expect(page.locator("#axes-measured input")).to_have_count(6)
+    page.locator("#axes-measured [value=joint_1]").uncheck()
+    page.locator("#amount").fill(str(poses))
+    page.locator("#make").click()
+    expect(page.locator("#planned")).to_be_visible()
+
+
+def camera(page: Page, folder: Path, for_docs: bool) -> Take:
+    """What photographs the whole page as it is now, in each width and scheme, into `folder`."""
+
+    def take(name: str) -> None:
+        for width in SIZES[:1] if for_docs else SIZES:
+            page.set_viewport_size({"width": width, "height": HEIGHT})
+            for scheme in SCHEMES[:1] if for_docs else SCHEMES:
+                page.emulate_media(color_scheme=scheme)
+                settled(page)
+                page.wait_for_timeout(600)  # plots follow the size of their panel after a pause of their own
+                picture = Image.open(io.BytesIO(page.screenshot(full_page=True)))
+                path = folder / (f"{name}.png" if for_docs else f"{name}-{scheme}-{width}.png")
+                picture.convert("RGB").quantize(COLOURS).save(path, optimize=True)
+                print(f"{path}: {picture.width} x {picture.height}, {path.stat().st_size / 1e3:.0f} kB", flush=True)
+        page.set_viewport_size({"width": SIZES[0], "height": HEIGHT})
+        page.emulate_media(color_scheme=SCHEMES[0])
+
+    return take
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,107 @@
+"""All of the work on the page: plan with a picture, start, live samples, results, downloads, the audit."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from service.client import ServiceClient
+from tests.browser.accessible import both_schemes
+from tests.browser.browsing import WITHOUT_BROWSER, browsing
+from tests.browser.looking import cut, faint, settled, small, too_wide, unlike_ink
+from tests.system.rest_bench import Service, VirtualMachine, serving, until, virtual_machine
+
+pytestmark = WITHOUT_BROWSER
+WORDS = {
+    "en-US": (
+        "Make the plan",
+        "Make a campaign of it",
+        "Start",
+        "Live: sweep of joint_1",
+        "Fieldbus: the drives make",
+        "Campaign {} started",
+    ),
+    "de-DE": (
+        "Plan erstellen",
+        "Messreihe daraus erstellen",
+        "Start",
+        "Live: Messfahrt von joint_1",
+        "Feldbus: Die An",
+        "Messreihe {} gestartet",
+    ),
+}
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Iterator[VirtualMachine]:
+    """Faster than a real one: its long moves end in time on a busy computer as well."""
+    with virtual_machine(tmp_path, speed_factor=4.0) as machine:
+        yield machine
+
+
+@pytest.fixture
+def service(tmp_path: Path, machine: VirtualMachine) -> Iterator[Service]:
+    with serving(tmp_path, machine.profile) as service:
+        yield service
+
+
+@pytest.mark.parametrize("locale", WORDS)
+def test_from_the_plan_to_the_results(machine: VirtualMachine, service: Service, locale: str) -> None:
+    make, take, start, live, bus, started = WORDS[locale]
+    with browsing(f"{service.url}/plan", locale=locale) as page, ServiceClient(service.url) as client:
+        expect(page.locator("#axes-measured input")).to_have_count(6)
+        for joint in ("joint_2", "joint_3"):
+            page.locator(f"#axes-measured [value={joint}]").uncheck()
+        page.locator("#amount").fill("2")
+        look(page)
+        page.get_by_role("button", name=make).click()
+        expect(page.locator("#planned")).to_be_visible()
+        expect(page.locator("#views svg")).to_have_count(2)
+        assert page.locator("#views polygon.link").count() > 10
+        expect(page.locator("#picture-told")).to_contain_text("joint_2 ")
+        expect(page.locator("#motion li").last).to_contain_text(bus)
+        before = page.locator("#views svg").first.inner_html()
+        page.locator("#leg").select_option("0")
+        expect(page.locator("#picture-told")).to_contain_text("joint_2 0")
+        assert page.locator("#views svg").first.inner_html() != before
+        expect(page.locator("#grid .trace.scatter, #grid .scatterlayer .trace")).not_to_have_count(0)
+        look(page)
+        page.get_by_role("button", name=take).click()
+        page.locator("#taken a").click()
+        page.get_by_role("button", name=start, exact=True).click()
+        expect(page.locator("#live-title")).to_have_text(live)
+        expect(page.locator("#live-chart .scatterlayer .trace")).to_have_count(2)
+        assert page.locator("#live-chart").evaluate("chart => chart.data[0].x.length") > 2
+        expect(page.locator("#live-chart")).to_contain_text("\u00b0/s")  # the unit of the table of axes
+        campaign = client.campaigns()[-1]["id"]
+        until(lambda: client.campaign(campaign)["state"] == "completed", "the campaign")
+        expect(page.locator("#live")).to_be_hidden()
+        page.goto(f"{service.url}/results#campaign-{campaign}", wait_until="commit")
+        expect(page.locator("#table tbody tr")).to_have_count(1)
+        expect(page.locator("#table tbody")).to_contain_text("%")
+        expect(page.locator("#response .scatterlayer .trace")).to_have_count(2)
+        expect(page.locator("#convergence .scatterlayer .trace")).not_to_have_count(0)
+        expect(page.locator("#audit tbody")).to_contain_text(started.format(campaign))
+        expect(page.locator("#earlier tbody tr")).to_have_count(1)
+        look(page)
+        with page.expect_download() as bundle:
+            page.locator("#downloads a").first.click()
+        assert bundle.value.path().stat().st_size > 1000
+
+
+def test_an_amount_that_is_no_number_is_told(service: Service) -> None:
+    with browsing(f"{service.url}/plan") as page:
+        expect(page.locator("#axes-measured input")).to_have_count(6)
+        page.locator("#amount").fill("many")
+        page.get_by_role("button", name="Make the plan").click()
+        expect(page.locator("#error")).to_have_text("many is not a number above 0")
+
+
+def look(page: Page) -> None:
+    assert both_schemes(page) == []  # dark is the last
+    assert unlike_ink(page) == []
+    for width in (768, 1920):
+        page.set_viewport_size({"width": width, "height": 1000})
+        settled(page)
+        assert (faint(page), small(page), cut(page), too_wide(page)) == ([], [], [], False), width

@@ -1,0 +1,86 @@
+"""Which frames only another host can have sent, and that a stop is nobody's trespass."""
+
+import uuid
+
+import can
+import pytest
+
+from drivers.canopen import frames
+from drivers.canopen.bus import Bus
+from drivers.canopen.foreign_frames import ForeignFrames
+from drivers.canopen.profile import BusProfile
+from drivers.cia402 import states
+from tests.unit.drivers.test_bus import eventually
+
+HOST, NODES = 127, (1, 2)
+
+TRESPASSES = {
+    "heartbeat with node number 127, which this host uses (COB-ID 77Fh)": (frames.HEARTBEAT + HOST, b"\x05"),
+    "SYNC (COB-ID 080h)": (frames.SYNC, b""),
+    "NMT command 01h to node 2 (COB-ID 000h)": (frames.NMT, b"\x01\x02"),
+    "NMT command 81h to every node (COB-ID 000h)": (frames.NMT, b"\x81\x00"),
+    "NMT command 80h to node 1 (COB-ID 000h)": (frames.NMT, b"\x80\x01"),
+    "RPDO1 to node 1 (COB-ID 201h)": (frames.RPDO1 + 1, frames.rpdo1(states.ENABLE_OPERATION, 7)),
+    "RPDO2 to node 2 (COB-ID 302h)": (frames.RPDO2 + 2, b"\x00"),
+    "SDO request to node 1 (COB-ID 601h)": (frames.SDO_REQUEST + 1, bytes(8)),
+}
+OTHERS = (
+    (frames.HEARTBEAT + 1, b"\x05"),
+    (frames.HEARTBEAT + 9, b"\x05"),
+    (frames.NMT, b"\x01\x09"),
+    (frames.NMT, b"\x01"),
+    (frames.RPDO1 + 9, frames.rpdo1(states.ENABLE_OPERATION, 7)),
+    (frames.SDO_REQUEST + 9, bytes(8)),
+    (frames.SDO_RESPONSE + 1, bytes(8)),
+    (frames.TPDO1 + 1, bytes(8)),
+    (frames.EMERGENCY + 1, bytes(8)),
+)
+
+
+@pytest.mark.parametrize("what", TRESPASSES)
+def test_what_only_another_host_says(what: str) -> None:
+    assert ForeignFrames(NODES, HOST).word(*TRESPASSES[what]) == f"another host is on the bus: {what}"
+
+
+@pytest.mark.parametrize("frame", OTHERS, ids=str)
+def test_what_is_said_by_or_to_others(frame: tuple[int, bytes]) -> None:
+    assert ForeignFrames(NODES, HOST).word(*frame) == ""
+
+
+def test_the_stop_of_the_stop_process_is_none_and_excuses_one_sync() -> None:
+    strangers = ForeignFrames(NODES, HOST)
+    for frame in (*frames.stop(NODES, ()), *frames.stop(NODES, NODES)):
+        assert strangers.word(*frame) == ""
+    assert strangers.word(frames.SYNC, b"") != ""
+
+
+@pytest.mark.parametrize("what", TRESPASSES)
+def test_a_bus_hears_them_once_it_was_alone(what: str) -> None:
+    identifier, data = TRESPASSES[what]
+    channel = f"strangers-{uuid.uuid4()}"
+    message = can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
+    with can.Bus(interface="virtual", channel=channel) as peer:
+        bus = Bus(BusProfile(interface="virtual", channel=channel, drive_timeout=60.0), NODES)
+        try:
+            peer.send(message)
+            peer.send(can.Message(arbitration_id=frames.HEARTBEAT + 1, data=b"\x00", is_extended_id=False))
+            eventually(lambda: bus.restarted(1))  # both were heard
+            assert bus.watch.reason == ""
+            bus.expect_no_host()
+            for own in (frames.stop(NODES, ()), [(frames.HEARTBEAT + HOST, b"\x05"), (frames.SYNC, b"")]):
+                for frame in own:
+                    bus.send(*frame)
+            peer.send(message)
+            eventually(lambda: bus.watch.reason != "")
+            assert what in bus.watch.reason
+        finally:
+            bus.close()
+
+
+def test_a_stop_by_an_rpdo_of_its_own_is_no_stranger_either() -> None:
+    """Where positions are streamed, quick stop has an RPDO with the controlword alone."""
+    wires = frames.Wires(set_point=2, stop=1, counted=False)
+    strangers = ForeignFrames((3,), 127, wires)
+    for identifier, data in frames.stop((3,), (3,), wires=wires):
+        assert strangers.word(identifier, data) == ""
+    assert "RPDO1 to node 3" in ForeignFrames((3,), 127).word(*wires.stop_frame(3))

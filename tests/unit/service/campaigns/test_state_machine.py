@@ -1,0 +1,82 @@
+"""The state tables, exhaustively; and the page that is generated from them."""
+
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+from service.campaigns.state_machine import (
+    CAMPAIGN,
+    SWEEP,
+    CampaignEvent,
+    SweepEvent,
+    campaign_move,
+    diagrams,
+    sweep_move,
+)
+from service.errors import Conflict
+from service.store.documents import CampaignState, SweepState
+
+PAGE = Path(__file__).parents[4] / "docs" / "reference" / "states.md"
+
+# written out by hand, state by state: what each event leads to; every pair that is not here must be refused
+CAMPAIGN_EXPECTED = {
+    "planned": {"start": "running", "abort": "aborted"},
+    "running": {"pause": "pausing", "abort": "aborted", "trouble": "paused", "measured": "measured"},
+    "pausing": {
+        "resume": "running",
+        "abort": "aborted",
+        "held": "paused",
+        "trouble": "paused",
+        "measured": "measured",
+    },
+    "paused": {"resume": "running", "abort": "aborted"},
+    "measured": {"identified": "completed"},
+    "completed": {},
+    "aborted": {},
+}
+SWEEP_EXPECTED = {
+    "planned": {"begin": "running", "skip": "skipped"},
+    "running": {"record": "recorded", "fail": "failed", "interrupt": "interrupted"},
+    "recorded": {"identify": "identified", "fail": "failed"},
+    "identified": {},
+    "failed": {"repeat": "planned"},
+    "interrupted": {"repeat": "planned"},
+    "skipped": {},
+}
+
+
+@pytest.mark.parametrize(("state", "event"), list(product(CampaignState, CampaignEvent)))
+def test_every_pair_of_a_campaign(state: CampaignState, event: CampaignEvent) -> None:
+    expected = CAMPAIGN_EXPECTED[state.value].get(event.value)
+    if expected is None:
+        with pytest.raises(Conflict, match=f"{event.value} is not possible in state {state.value}"):
+            campaign_move(event)(state)
+    else:
+        assert campaign_move(event)(state) is CampaignState(expected)
+
+
+@pytest.mark.parametrize(("state", "event"), list(product(SweepState, SweepEvent)))
+def test_every_pair_of_a_sweep(state: SweepState, event: SweepEvent) -> None:
+    expected = SWEEP_EXPECTED[state.value].get(event.value)
+    if expected is None:
+        with pytest.raises(Conflict, match=f"{event.value} is not possible in state {state.value}"):
+            sweep_move(event)(state)
+    else:
+        assert sweep_move(event)(state) is SweepState(expected)
+
+
+def test_only_a_person_makes_a_campaign_run() -> None:
+    into_running = {event for (_, event), after in CAMPAIGN.items() if after is CampaignState.RUNNING}
+    assert into_running == {CampaignEvent.START, CampaignEvent.RESUME}
+
+
+def test_every_state_can_be_reached() -> None:
+    assert {CampaignState.PLANNED, *CAMPAIGN.values()} == set(CampaignState)
+    assert {SweepState.PLANNED, *SWEEP.values()} == set(SweepState)
+
+
+def test_the_page_of_the_states_is_fresh() -> None:
+    assert PAGE.read_text(encoding="utf-8") == diagrams(), (
+        "run: python -m service.campaigns.state_machine > docs/reference/states.md"
+    )

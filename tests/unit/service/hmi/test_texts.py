@@ -1,0 +1,124 @@
+"""Each word of the pages stands in the catalogue of each language, and nowhere else."""
+
+import re
+from typing import get_args
+
+import pytest
+
+from drivers import errors as drive_errors
+from drivers.ports import AxisState
+from service import errors
+from service.data_check.finding import Severity
+from service.diagnosis.effects import CATALOGUE
+from service.diagnosis.experiments import FULL_DESIGN, MORE_POSES, TEST_MASS, WARM_UP
+from service.diagnosis.sensitivity.design import BLOCKS
+from service.hmi.pages import texts
+from service.people.permissions import PERMISSIONS, Role
+from service.results.diagnosis import Verdict
+from service.store.diagnosis_documents import DiagnosisState
+from service.store.documents import CampaignState
+from tests.unit.service.hmi.page_words import DOCUMENTS, SCRIPTS, literals, named, read, words
+
+TEXTS = texts()
+KEYS = set(TEXTS["en"])
+PLURAL = re.compile(r"\.(one|other)$")
+STEMS = {PLURAL.sub("", key) for key in KEYS}
+# the codes of the service that have a word in each language
+FAMILIES = {
+    "campaign-state": {state.value for state in CampaignState},
+    "axis-state": {state.value for state in AxisState},
+    "diagnosis-state": {state.value for state in DiagnosisState},
+    "verdict": set(get_args(Verdict)),
+    "verdict-told": {*get_args(Verdict), "wrong-data"},
+    "severity": set(get_args(Severity)),
+    "role": {role.word for role in Role},
+    "block": {"sweep", "forward", "backward", *BLOCKS, FULL_DESIGN, MORE_POSES, TEST_MASS, WARM_UP},
+    "effect": set(CATALOGUE),
+    "column": {"pose", "axis", "block", "sweeps", "from", "goes", "speed", "time"},
+    "pose-state": {"chosen", "free", "no_room", "collides"},
+    "figure": {"map", "gap_by_pose", "example", "evidence", "parameters"},
+}
+OPEN_FAMILIES = ("cause", "done", "parameter", "problem")  # what has no word there is shown as the service has it
+KINDS = {name for module in (drive_errors, errors) for name in vars(module)}
+# of a script that are no words: what the service stores of a stop, classes, units, names and routes
+NO_WORDS = {
+    "api.js": {"Bearer"},
+    "app.js": {"badge"},
+    "causes.js": {"operator page", "stop button"},
+    "commands.js": {"POST /campaigns/{campaign_id}/"},
+    "diagnosis.js": {"badge", "verdict"},
+    "elements.js": {"min"},
+    "findings.js": {"finding"},
+    "results.js": {"badge"},
+    "machine.js": {"state", "state bad"},
+    "login.js": {"not authenticated"},
+    "words.js": {"Coulomb", "Stribeck"},
+}
+
+
+def placeholders(text: str) -> set[str]:
+    return set(re.findall(r"\{(\w+)\}", text))
+
+
+def test_english_is_first_and_there_is_german() -> None:
+    assert list(TEXTS) == ["en", "de"]
+
+
+@pytest.mark.parametrize("language", TEXTS)
+def test_each_language_has_each_text(language: str) -> None:
+    assert set(TEXTS[language]) == KEYS
+    assert [key for key, text in TEXTS[language].items() if not text.strip()] == []
+
+
+@pytest.mark.parametrize("language", TEXTS)
+def test_each_language_has_the_same_placeholders(language: str) -> None:
+    other = {key: text for key, text in TEXTS[language].items() if placeholders(text) != placeholders(TEXTS["en"][key])}
+    assert other == {}
+
+
+def test_a_text_that_counts_has_one_and_many() -> None:
+    counting = {PLURAL.sub("", key) for key in KEYS if PLURAL.search(key)}
+    assert {f"{stem}.{form}" for stem in counting for form in ("one", "other")} - KEYS == set()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_each_code_of_the_service_has_its_word(family: str) -> None:
+    assert {key.removeprefix(f"{family}.") for key in KEYS if key.startswith(f"{family}.")} == FAMILIES[family]
+
+
+def test_causes_and_problems_are_ones_that_the_service_knows() -> None:
+    causes = {key.removeprefix("cause.") for key in KEYS if re.match(r"cause\.[A-Z]", key)}
+    assert causes - KINDS == set()
+
+
+def test_what_was_done_is_a_command_of_the_api() -> None:
+    done = {key.removeprefix("done.") for key in KEYS if key.startswith("done.")}
+    assert done - {f"{method} {path.removeprefix('/api/v1')}" for method, path in PERMISSIONS} == {"stop"}  # an event
+
+
+def test_each_text_that_is_asked_for_is_there_and_none_is_unused() -> None:
+    asked = {key for script in SCRIPTS.values() for key in named(script)}
+    asked |= {key for document in DOCUMENTS.values() for key in read(document).keys}
+    assert asked - STEMS == set()
+    written = {text for script in SCRIPTS.values() for text in literals(script)}
+    by_code = (*FAMILIES, *OPEN_FAMILIES)
+    assert {key for key in STEMS - asked - written if not key.startswith(tuple(f"{one}." for one in by_code))} == set()
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_a_document_has_no_words_of_its_own(name: str) -> None:
+    assert read(DOCUMENTS[name]).words == []
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_a_script_has_no_words_of_its_own(name: str) -> None:
+    assert set(words(SCRIPTS[name])) - NO_WORDS.get(name, set()) == set()
+
+
+@pytest.mark.parametrize(
+    "planted",
+    ['tell("machine", "connected");', "x = `campaign ${id} runs`;", 'const TITLE = "Not so";', 'element("p", `none`)'],
+)
+def test_a_word_that_is_planted_is_found(planted: str) -> None:
+    assert words(planted)
+    assert read('<p title="Look">Start</p>').words == ["title=Look", "Start"]

@@ -1,0 +1,90 @@
+"""`sweepid serve` is killed in the middle of an upload: the next one brings the recording there once, as it was."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx
+import pytest
+
+from tests.object_store_server import BUCKET, S3Server, Wire, key_file, without_keys
+from tests.unit.service.api.conftest import CONFIG, profile
+
+__all__ = ["profile"]
+
+pytestmark = pytest.mark.slow
+
+PATIENCE = 60.0  # s
+
+
+@contextmanager
+def serving(settings: Path) -> Iterator[tuple[httpx.Client, "subprocess.Popen[bytes]"]]:
+    command = [str(Path(sys.executable).with_name("sweepid")), "serve", "--config", str(settings), "--port", "0"]
+    log = settings.with_suffix(".log")
+    with (
+        log.open("ab") as words,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=words, env=without_keys()) as service,
+    ):
+        try:
+            line = service.stdout.readline() if service.stdout else b""
+            assert line, log.read_text("utf-8")
+            with httpx.Client(base_url=json.loads(line)["url"], timeout=PATIENCE) as http:
+                yield http, service
+        finally:
+            service.kill()
+
+
+def metric(http: httpx.Client, name: str) -> float:
+    text = http.get("/metrics").text
+    return next(float(line.split()[1]) for line in text.splitlines() if line.startswith(f"{name} "))
+
+
+def test_what_was_on_its_way_arrives_once(data: Path, s3: S3Server, wire: Wire, tmp_path: Path, profile: Path) -> None:
+    paths = sorted(data.glob("recordings/*/*.parquet"))
+    before = [path.read_bytes() for path in paths]
+    settings = tmp_path / "service.yaml"
+    settings.write_text(
+        json.dumps(
+            {
+                "data_dir": str(data),
+                "drive": str(profile),
+                "robots_dir": str(CONFIG / "robots"),
+                "cells_dir": str(CONFIG / "cells"),
+                "recordings_url": f"s3://{BUCKET}/lab",
+                "recordings_endpoint": wire.endpoint,
+                "recordings_key_file": str(key_file(tmp_path)),
+                "recordings_retry": 0.2,
+            }
+        ),
+        "utf-8",
+    )
+    wire.hold_after(100_000)  # in the middle of a recording
+    with serving(settings) as (http, service):
+        assert wire.held.wait(PATIENCE)
+        told = http.get("/api/v1/health/ready").json()["recordings"]
+        assert told["waiting"] == metric(http, "sweepid_recordings_waiting") == 2
+        assert told["since"] is not None
+        service.kill()
+        service.wait()
+    assert s3.keys() == []
+    assert [path.read_bytes() for path in paths] == before
+    wire.hold_after(None)
+    with serving(settings) as (http, service):
+        deadline = time.monotonic() + PATIENCE
+        while metric(http, "sweepid_recordings_waiting"):
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        for path in paths:
+            path.unlink()  # as if the cache had no room for them
+        found = [http.get(f"/api/v1/campaigns/1/sweeps/{number}/recording/file") for number in (1, 2)]
+        assert [each.content for each in found] == before
+        hashes = [each.headers["X-Content-SHA256"] for each in found]
+        service.terminate()
+        assert service.wait(PATIENCE) == 0
+    assert s3.keys() == sorted(f"lab/{sha256[:2]}/{sha256}.parquet" for sha256 in hashes)
+    assert [s3.read(f"lab/{sha256[:2]}/{sha256}.parquet") for sha256 in hashes] == before
+    assert "not-for-logs" not in settings.with_suffix(".log").read_text("utf-8")

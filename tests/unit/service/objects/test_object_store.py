@@ -1,0 +1,175 @@
+"""Objects come and go whole, by their hash; what is wrong, missing or away is told apart."""
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from service.errors import BadInput
+from service.settings import Settings
+from service.settings.object_store import StoreAddress, store_address
+from service.store.files.recordings import file_sha256
+from service.store.objects.object_store import MissingObject, ObjectStore, StoreAway, WrongObject, check_usable
+from tests.object_store_server import BUCKET, S3Server, Wire, key_file
+from tests.unit.service.objects.conftest import WAIT
+
+
+def edit(address: StoreAddress, request: pytest.FixtureRequest, sha256: str, content: bytes) -> None:
+    """Another hand in the store."""
+    if address.protocol == "file":
+        Path(address.key(sha256)).write_bytes(content)
+    else:
+        request.getfixturevalue("s3").write(address.key(sha256).removeprefix(f"{BUCKET}/"), content)
+
+
+def test_what_is_put_is_fetched(address: StoreAddress, recording: Path, tmp_path: Path) -> None:
+    sha256 = file_sha256(recording)
+    ObjectStore(address).put(recording, sha256)
+    ObjectStore(address).check(sha256, recording.stat().st_size)
+    ObjectStore(address).fetch(sha256, tmp_path / "fetched")
+    assert (tmp_path / "fetched").read_bytes() == recording.read_bytes()
+    recording.unlink()
+    ObjectStore(address).put(recording, sha256)  # it is there, as a database from a backup does not know
+
+
+def test_one_that_is_there_is_not_written_again(tmp_path: Path, recording: Path) -> None:
+    address = store_address(tmp_path.as_uri(), None, None, WAIT)
+    sha256 = file_sha256(recording)
+    ObjectStore(address).put(recording, sha256)
+    before = Path(address.key(sha256)).stat()
+    ObjectStore(address).put(recording, sha256)
+    assert Path(address.key(sha256)).stat().st_ino == before.st_ino
+
+
+def test_two_services_put_the_same(address: StoreAddress, recording: Path, request: pytest.FixtureRequest) -> None:
+    sha256 = file_sha256(recording)
+    start = threading.Barrier(2)
+
+    def put(_: int) -> None:
+        start.wait()
+        for _ in range(5):  # as a service does: this server refuses at times what it is being sent twice
+            with suppress(StoreAway):
+                return ObjectStore(address).put(recording, sha256)
+        raise AssertionError("refused each time")
+
+    with ThreadPoolExecutor(2) as both:
+        assert list(both.map(put, range(2))) == [None, None]
+    ObjectStore(address).check(sha256)
+    if address.protocol == "s3":
+        assert len(request.getfixturevalue("s3").keys()) == 1
+    else:
+        assert len([path for path in Path(address.root).rglob("*") if path.is_file()]) == 1
+
+
+@pytest.mark.parametrize("wrong", [b"", b"something else", None])
+def test_a_wrong_object_is_told_and_repaired(
+    address: StoreAddress, recording: Path, tmp_path: Path, request: pytest.FixtureRequest, wrong: bytes | None
+) -> None:
+    sha256 = file_sha256(recording)
+    store = ObjectStore(address)
+    store.put(recording, sha256)
+    content = recording.read_bytes()
+    edit(address, request, sha256, content[:-1] + bytes([content[-1] ^ 1]) if wrong is None else wrong)
+    told = f"{address.shown(sha256)}: object was changed, SHA-256 is not {sha256}"
+    with pytest.raises(WrongObject, match=told):
+        store.check(sha256)
+    with pytest.raises(WrongObject, match=told):
+        store.fetch(sha256, tmp_path / "fetched")
+    assert not (tmp_path / "fetched").exists()
+    store.put(recording, sha256)
+    store.check(sha256)
+
+
+def test_a_missing_object_is_told(address: StoreAddress, tmp_path: Path) -> None:
+    with pytest.raises(MissingObject, match="object is missing"):
+        ObjectStore(address).fetch("0" * 64, tmp_path / "fetched")
+    assert not (tmp_path / "fetched").exists()
+
+
+def test_a_file_that_was_changed_is_not_put(address: StoreAddress, recording: Path) -> None:
+    sha256 = file_sha256(recording)
+    recording.write_bytes(b"changed")
+    with pytest.raises(BadInput, match=f"recording file was changed, SHA-256 is not {sha256}"):
+        ObjectStore(address).put(recording, sha256)
+    with pytest.raises(MissingObject):
+        ObjectStore(address).check(sha256)
+
+
+def test_a_store_that_is_gone_and_comes_back(
+    through_wire: StoreAddress, wire: Wire, s3: S3Server, recording: Path
+) -> None:
+    sha256 = file_sha256(recording)
+    store = ObjectStore(through_wire)
+    wire.cut()
+    with pytest.raises(StoreAway, match="Could not connect"):
+        store.put(recording, sha256)
+    wire.hold_after(20_000)  # enough for a question, not for a recording: it takes the connection and says nothing
+    wire.mend()
+    with pytest.raises(StoreAway):
+        store.put(recording, sha256)
+    assert s3.keys() == []
+    wire.cut()
+    wire.hold_after(None)
+    wire.mend()
+    store.put(recording, sha256)
+    assert s3.read(s3.keys()[0]) == recording.read_bytes()
+
+
+def test_a_share_that_is_not_mounted_is_not_made(tmp_path: Path, recording: Path) -> None:
+    folder = tmp_path / "share"
+    store = ObjectStore(store_address(folder.as_uri(), None, None, WAIT))
+    with pytest.raises(StoreAway, match="does not exist: create the folder, or mount its share"):
+        store.put(recording, file_sha256(recording))
+    assert not folder.exists()
+
+
+def test_no_bucket_and_no_key_are_no_missing_object(s3: S3Server, tmp_path: Path, recording: Path) -> None:
+    address = store_address("s3://another/lab", s3.endpoint, key_file(tmp_path), WAIT)
+    with pytest.raises(StoreAway, match="bucket does not exist"):
+        ObjectStore(address).put(recording, file_sha256(recording))
+
+
+@pytest.mark.parametrize(
+    ("given", "place", "reason"),
+    [
+        ({"recordings_url": "ftp://x/y"}, "recordings_url", "neither s3://BUCKET/PREFIX nor file:///FOLDER"),
+        ({"recordings_url": "s3:///x"}, "recordings_url", "neither"),
+        ({"recordings_url": "file://host/x"}, "recordings_url", "neither"),
+        ({"recordings_url": "s3://id:secret@bucket/x"}, "recordings_url", "a key belongs in"),
+        ({"recordings_url": "s3://bucket/../x"}, "recordings_url", "has .. in it"),
+        ({"recordings_url": "file:///x", "recordings_key_file": "/k"}, "recordings_url", "neither endpoint nor key"),
+        ({"recordings_key_file": "/k"}, "recordings_url", "is missing"),
+    ],
+)
+def test_what_cannot_be_a_store_is_told(given: dict[str, str], place: str, reason: str) -> None:
+    with pytest.raises(BadInput, match=reason) as told:
+        Settings.model_validate(given).check_recordings()
+    assert told.value.place == place
+    assert "secret" not in str(told.value)
+
+
+def _unreadable(folder: Path) -> Path:
+    return folder / "nowhere"
+
+
+def _half(folder: Path) -> Path:
+    path = folder / "half"
+    path.write_text("[default]\naws_access_key_id = not-for-logs-1\n", "utf-8")
+    return path
+
+
+def _binary(folder: Path) -> Path:
+    path = folder / "binary"
+    path.write_bytes(b"not-for-logs-2 \xff")
+    return path
+
+
+@pytest.mark.parametrize("make", [_unreadable, _half, _binary])
+def test_a_key_file_that_is_none_is_told_without_its_content(tmp_path: Path, make: Callable[[Path], Path]) -> None:
+    with pytest.raises(BadInput) as told:
+        check_usable(store_address("s3://bucket", None, make(tmp_path), WAIT))
+    assert told.value.place == "recordings_key_file"
+    assert "not-for-logs" not in str(told.value)

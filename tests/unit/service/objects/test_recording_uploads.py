@@ -1,0 +1,164 @@
+"""Recordings move by themselves, wait for a store that is gone, and come back to whoever wants them."""
+
+import asyncio
+import os
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from service.backup.examination import examine
+from service.backup.making import make_backup
+from service.backup.restoring import restore
+from service.errors import BadInput, NotNow
+from service.jobs.recording_uploads import RecordingUploads
+from service.settings import Settings
+from service.settings.object_store import StoreAddress
+from service.store.database import open_database
+from service.store.documents import RecordingDocument
+from service.store.files.recordings import RecordingFiles
+from service.store.objects.moves import MoveStore
+from service.store.store import Store
+from service.tasks.background import Background
+from service.worker.transfers import Transfers
+from tests.object_store_server import BUCKET, S3Server, Wire
+
+PATIENCE = 60.0  # s
+
+
+@dataclass(frozen=True)
+class Bench:
+    files: RecordingFiles
+    moving: RecordingUploads
+    documents: tuple[RecordingDocument, ...]
+
+    async def until(self, holds: Callable[[int, str], bool]) -> None:
+        """Of the number that waits, and the trouble."""
+        async with asyncio.timeout(PATIENCE):
+            while True:
+                found = await self.moving.waiting()
+                if holds(found.number, found.trouble):
+                    return
+                await asyncio.sleep(0.02)
+
+    async def until_none_is_here(self, data: Path) -> None:
+        async with asyncio.timeout(PATIENCE):
+            while True:
+                if not recordings(data):
+                    return
+                await asyncio.sleep(0.02)
+
+
+@asynccontextmanager
+async def moving(data: Path, address: StoreAddress, cache: int = 0) -> AsyncGenerator[Bench]:
+    """What a service does beside everything else; files are old enough to go."""
+    for path in recordings(data):
+        os.utime(path, (0, 0))
+    settings = Settings(data_dir=data, recordings_cache=cache, recordings_retry=0.1)
+    with open_database(settings.url) as database:
+        transfers, tasks = Transfers(), Background()
+        files = RecordingFiles(data, address, transfers.fetch)
+        bench = Bench(
+            files,
+            RecordingUploads(MoveStore(database), files, settings, transfers),
+            tuple(Store(database).recordings(1).values()),
+        )
+        tasks.begin("move recordings", bench.moving.follow())
+        try:
+            yield bench
+        finally:
+            await tasks.close()
+            await transfers.close()
+
+
+def recordings(data: Path) -> list[Path]:
+    return sorted(data.glob("recordings/*/*.parquet"))
+
+
+async def test_they_move_make_room_and_come_back(data: Path, through_wire: StoreAddress, s3: S3Server) -> None:
+    before = {path: path.read_bytes() for path in recordings(data)}
+    async with moving(data, through_wire) as bench:
+        await bench.until(lambda waiting, _: waiting == 0)
+        await bench.until_none_is_here(data)
+        assert sorted(map(s3.read, s3.keys())) == sorted(before.values())
+        assert s3.keys() == sorted(f"lab/{one.sha256[:2]}/{one.sha256}.parquet" for one in bench.documents)
+        paths = [await asyncio.to_thread(bench.files.local, one) for one in bench.documents]
+        assert {path: path.read_bytes() for path in paths} == before
+        assert all(path.with_suffix(".json").exists() for path in paths)
+
+
+async def test_a_store_that_is_gone_is_waited_for(
+    data: Path, through_wire: StoreAddress, wire: Wire, s3: S3Server
+) -> None:
+    wire.cut()
+    async with moving(data, through_wire) as bench:
+        await bench.until(lambda waiting, trouble: waiting == 2 and "Could not connect" in trouble)
+        assert (await bench.moving.waiting()).since is not None
+        assert len(recordings(data)) == 2
+        wire.mend()
+        await bench.until(lambda waiting, trouble: (waiting, trouble) == (0, ""))
+        assert len(s3.keys()) == 2
+        wire.cut()
+        recordings_left = recordings(data)
+        for path in recordings_left:
+            path.unlink()
+        with pytest.raises(NotNow, match="Could not connect"):
+            await asyncio.to_thread(bench.files.local, bench.documents[0])
+
+
+async def test_one_that_was_changed_stays_and_the_other_moves(
+    data: Path, through_wire: StoreAddress, s3: S3Server
+) -> None:
+    changed = recordings(data)[0]
+    changed.write_bytes(b"changed")
+    async with moving(data, through_wire, cache=2**40) as bench:
+        await bench.until(lambda waiting, trouble: waiting == 1 and "was changed" in trouble)
+        assert len(s3.keys()) == 1
+        assert len(recordings(data)) == 2  # there is room
+
+
+async def test_a_wrong_or_missing_object_is_told_to_who_wants_it(
+    data: Path, through_wire: StoreAddress, s3: S3Server
+) -> None:
+    async with moving(data, through_wire, cache=2**40) as bench:
+        await bench.until(lambda waiting, _: waiting == 0)
+        for path in recordings(data):
+            path.unlink()
+        wrong, missing = (f"lab/{one.sha256[:2]}/{one.sha256}.parquet" for one in bench.documents)
+        s3.write(wrong, b"wrong")
+        s3.remove(missing)
+        with pytest.raises(BadInput, match=f"object was changed, SHA-256 is not {bench.documents[0].sha256}"):
+            await asyncio.to_thread(bench.files.local, bench.documents[0])
+        with pytest.raises(BadInput, match=r"recording file is missing, and .*: object is missing"):
+            await asyncio.to_thread(bench.files.local, bench.documents[1])
+        assert recordings(data) == []
+    found = [(each.place, each.what) for each in examine(data / "sweepid.sqlite", data, 0, through_wire)]
+    assert (f"s3://{BUCKET}/{wrong}", f"object was changed, SHA-256 is not {bench.documents[0].sha256}") in found
+    assert (f"s3://{BUCKET}/{missing}", "object is missing") in found
+    assert len(found) == 2
+
+
+async def test_backup_restore_and_doctor_know_them(
+    data: Path, through_wire: StoreAddress, wire: Wire, tmp_path: Path
+) -> None:
+    database = data / "sweepid.sqlite"
+    async with moving(data, through_wire, cache=2**40) as bench:
+        await bench.until(lambda waiting, _: waiting == 0)
+    gone = recordings(data)[0]
+    gone.unlink()
+    assert examine(database, data, 0, through_wire) == ()
+    (unset,) = examine(database, data, 0)
+    assert unset.what == "2 recordings are in an object store, but none is configured"
+    manifest = make_backup(database, data, tmp_path / "backup")
+    relative = gone.relative_to(data).as_posix()
+    assert list(manifest.in_store) == [relative]
+    assert relative not in manifest.files
+    assert sum(path.endswith(".parquet") for path in manifest.files) == 1
+    again = tmp_path / "again"
+    assert restore(tmp_path / "backup", again) == manifest
+    assert examine(again / "sweepid.sqlite", again, 0, through_wire) == ()
+    wire.cut()
+    (away,) = examine(database, data, 0, through_wire)
+    assert "Could not connect" in away.place

@@ -1,0 +1,229 @@
+"""Several cells on one database: what belongs to a machine is read by all and changed by its own service alone."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+from alembic import command
+from sqlalchemy import create_engine, text
+
+from drivers.ports import SweepMode
+from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
+from service.errors import NotFound
+from service.recording import SweepSpec
+from service.robot import Robot
+from service.store.approvals import ApprovalStore
+from service.store.database import Database, alembic_config, open_database
+from service.store.diagnosis.diagnoses import DiagnosisStore
+from service.store.diagnosis_documents import NewDiagnosis
+from service.store.documents import CampaignDocument, CampaignState, NewSweep, SweepState
+from service.store.files.data_folder import ForeignFolder, claim_folder
+from service.store.guards import MachineLease, MachineTaken, StopLatch
+from service.store.requests import IdempotencyKeys
+from service.store.rows import NoMachine, OtherMachine
+from service.store.store import Store
+
+LEASE_TIME = 2.0  # s
+RUNNING, PLANNED = campaign_move(CampaignEvent.START), sweep_move(SweepEvent.BEGIN)
+
+
+@pytest.fixture
+def cells(url: str) -> Iterator[tuple[Database, Database]]:
+    """The database as the services of two machines open it."""
+    with open_database(url, machine="cell A") as a, open_database(url, machine="cell B") as b:
+        yield a, b
+
+
+def started(database: Database, robot: Robot, spec: SweepSpec) -> CampaignDocument:
+    store = Store(database)
+    plan = store.add_plan(store.add_robot(robot).id, {"any": "document"})
+    campaign = store.add_campaign(plan.id, [NewSweep(spec=spec, mode=SweepMode.HOST_STREAMED)])
+    store.move_campaign(campaign.id, RUNNING)
+    store.begin_sweep(campaign.id, 1, PLANNED)
+    return store.campaign(campaign.id)
+
+
+def test_two_machines_are_held_by_two_services_at_once(cells: tuple[Database, Database]) -> None:
+    leases = [MachineLease(cell, 60.0) for cell in cells]
+    for lease in leases:
+        lease.acquire(wait=_must_not_wait)
+    for lease in leases:
+        lease.renew()
+    third = MachineLease(cells[0], LEASE_TIME)
+    with pytest.raises(MachineTaken, match=r"in use by another service .* than 'cell A', set `machine_name`"):
+        third.acquire(wait=lambda _: leases[0].renew())
+    leases[0].release()
+    third.acquire(wait=_must_not_wait)
+    leases[1].renew()  # the other cell's is not touched
+
+
+def test_a_campaign_is_read_by_all_and_changed_by_its_own(
+    cells: tuple[Database, Database], robot: Robot, specs: tuple[SweepSpec, ...]
+) -> None:
+    a, b = map(Store, cells)
+    campaign = started(cells[0], robot, specs[0])
+    assert (campaign.machine, campaign.here) == ("cell A", True)
+    seen = b.campaign(campaign.id)
+    assert (seen.machine, seen.here, seen.state) == ("cell A", False, CampaignState.RUNNING)
+    refused = rf"campaign {campaign.id} belongs to machine 'cell A': send it to the service of that machine"
+    interrupt = sweep_move(SweepEvent.INTERRUPT)
+    changes = (
+        lambda: b.move_campaign(campaign.id, campaign_move(CampaignEvent.PAUSE)),
+        lambda: b.move_campaign(campaign.id, campaign_move(CampaignEvent.ABORT)),
+        lambda: b.begin_sweep(campaign.id, 1, PLANNED),
+        lambda: b.move_sweep(campaign.id, 1, interrupt),
+        lambda: b.end_sweep(campaign.id, 1, interrupt),
+        lambda: b.add_check_move(campaign.id, 1, "joint_1", 0.01, "rad"),
+    )
+    before = a.last_event_id()
+    for change in changes:
+        with pytest.raises(OtherMachine, match=refused):
+            change()
+    assert a.sweep(campaign.id, 1).state is SweepState.RUNNING
+    assert a.last_event_id() == before
+
+
+def test_what_a_start_recovers_is_its_own(
+    cells: tuple[Database, Database], robot: Robot, specs: tuple[SweepSpec, ...]
+) -> None:
+    own, other = started(cells[0], robot, specs[0]), started(cells[1], robot, specs[1])
+    for cell, campaign in zip(cells, (own, other), strict=True):
+        store = Store(cell)
+        assert [one.id for one in store.campaigns_in(CampaignState.RUNNING)] == [campaign.id]
+        assert [one.campaign_id for one in store.sweeps_in(SweepState.RUNNING)] == [campaign.id]
+    keys = [IdempotencyKeys(cell) for cell in cells]
+    for each in keys:
+        assert each.claim("same key", "request") is None  # of a service each, not of the plant
+    keys[0].release_unanswered()
+    assert keys[0].claim("same key", "request") is None
+    with pytest.raises(Exception, match="still being processed"):
+        keys[1].claim("same key", "request")
+    diagnoses = [DiagnosisStore(cell) for cell in cells]
+    new = NewDiagnosis(robot_id=own.robot_id, campaigns=(own.id,), axes=("joint_1",), unattended=True)
+    begun = diagnoses[0].add(new)
+    assert [one.id for one in diagnoses[0].open()] == [begun.id]
+    assert diagnoses[1].open() == ()
+    diagnoses[1].attend("the service was restarted")
+    assert diagnoses[0].diagnosis(begun.id).unattended
+    with pytest.raises(OtherMachine, match=f"diagnosis {begun.id} belongs to machine 'cell A'"):
+        diagnoses[1].begin(begun.id)
+
+
+def test_a_stop_holds_its_machine_and_no_other(cells: tuple[Database, Database]) -> None:
+    latches = [StopLatch(cell) for cell in cells]
+    stop = latches[0].latch("anna", "smoke")
+    assert [one.id for one in latches[0].latched()] == [stop.id]
+    assert latches[1].latched() == ()
+    with pytest.raises(NotFound, match=f"stop {stop.id}"):
+        latches[1].reset("berta", [stop.id])
+    assert latches[0].latched() != ()
+    latches[0].reset("anna", [stop.id])
+    assert latches[0].latched() == ()
+
+
+def test_an_approval_holds_for_its_machine(
+    cells: tuple[Database, Database], robot: Robot, specs: tuple[SweepSpec, ...]
+) -> None:
+    plan = started(cells[0], robot, specs[0]).plan_id or 0
+    approvals = [ApprovalStore(cell) for cell in cells]
+    given = approvals[0].add(plan, "0" * 64, "anna", timedelta(hours=8))
+    assert [one.id for one in approvals[0].of_plan(plan)] == [given.id]
+    assert approvals[1].of_plan(plan) == ()
+
+
+def test_a_data_folder_has_one_machine(cells: tuple[Database, Database], tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    folder.mkdir()
+    assert claim_folder(folder, cells[0]) == ""
+    assert claim_folder(folder, cells[0]) == ""
+    with pytest.raises(ForeignFolder, match=r"belongs to machine 'cell A', not to 'cell B': set `machine_name`"):
+        claim_folder(folder, cells[1])
+
+
+def test_who_owns_no_machine_reads_and_changes_nothing(
+    cells: tuple[Database, Database], url: str, robot: Robot, specs: tuple[SweepSpec, ...]
+) -> None:
+    campaign = started(cells[0], robot, specs[0])
+    with open_database(url, machine=None, migrated=False) as database:
+        store = Store(database)
+        assert [(one.id, one.here) for one in store.campaigns()] == [(campaign.id, False)]
+        for change in (
+            lambda: store.move_campaign(campaign.id, campaign_move(CampaignEvent.PAUSE)),
+            lambda: store.add_campaign(campaign.plan_id or 0, []),
+            lambda: StopLatch(database).latch("anna", "smoke"),
+            lambda: MachineLease(database, LEASE_TIME),
+        ):
+            with pytest.raises(NoMachine, match="only shows the plant; ask the service of the machine"):
+                change()
+
+
+def test_robots_of_one_file_differ_by_serial_number(database: Database, robot: Robot) -> None:
+    """A robot that says none keeps the hash that it had before there were any."""
+    store = Store(database)
+    plain = store.add_robot(robot)
+    named = [
+        store.add_robot(
+            Robot(robot.description.model_copy(update={"serial": serial, "revision": "B"}), robot.urdf_text)
+        )
+        for serial in ("1001", "1002", "1001")
+    ]
+    assert "serial" not in plain.description.model_dump(mode="json")
+    assert (plain.serial, plain.revision) == (None, None)
+    assert [(one.serial, one.revision) for one in named] == [("1001", "B"), ("1002", "B"), ("1001", "B")]
+    assert named[0].id == named[2].id
+    assert len({plain.id, named[0].id, named[1].id}) == 3
+
+
+def test_a_database_of_one_cell_becomes_that_of_machine_1(url: str) -> None:
+    """With the rows that the schema before could hold; the lease of a service of before still excludes ours."""
+    engine = create_engine(url)
+    with ExitStack() as stack:
+        stack.callback(engine.dispose)
+        with engine.begin() as connection:
+            command.upgrade(alembic_config(connection), "0011")
+            for statement in _BEFORE:
+                connection.execute(text(statement))
+    with open_database(url) as database:
+        store = Store(database)
+        assert database.machine is not None
+        assert (database.machine.id, database.machine.name) == (1, "machine")
+        campaign = store.campaign(4)
+        assert (campaign.machine, campaign.here, campaign.state) == ("machine", True, CampaignState.PAUSED)
+        with database.read() as session:
+            assert session.execute(text("SELECT id, serial FROM robot")).all() == [(7, None)]
+        assert [stop.id for stop in StopLatch(database).latched()] == [2]
+        stored = IdempotencyKeys(database).claim("k", "f")
+        assert stored is not None
+        assert (stored.status, stored.body) == (201, "{}")
+        seen: list[float] = []
+        lease = MachineLease(database, LEASE_TIME)
+        lease.acquire(wait=lambda pause: (seen.append(pause), _sleep(pause))[1])
+        assert seen  # it waited for the holder that was there
+    with open_database(url, machine="cell B") as second:
+        assert second.machine is not None
+        assert second.machine.id == 2
+        assert StopLatch(second).latched() == ()
+
+
+_AT = "'2026-01-02 03:04:05.000006'"
+_BEFORE = (
+    f"INSERT INTO robot VALUES (7, 'x', 'old', '{{}}', '<robot/>', {_AT})",
+    f"INSERT INTO plan VALUES (3, 7, '{{}}', {_AT})",
+    "INSERT INTO campaign (id, robot_id, plan_id, state, cause, version, created_at) "
+    f"VALUES (4, 7, 3, 'paused', '', 2, {_AT})",
+    f"INSERT INTO stop (id, \"by\", why, at) VALUES (2, 'anna', 'smoke', {_AT})",
+    f"INSERT INTO idempotency_key VALUES ('k', 'f', 201, '{{}}', {_AT})",
+    "INSERT INTO lease VALUES ('machine', 'a service of before', 5)",
+)
+
+
+def _sleep(pause: float) -> None:
+    import time
+
+    time.sleep(pause)
+
+
+def _must_not_wait(_: float) -> None:
+    raise AssertionError("it waits for a machine that is free")
