@@ -128,9 +128,31 @@ class MachinesAtOnce(LoadScopeScheduling):
         return unit_of(nodeid)
 
     def _reschedule(self, node: WorkerController) -> None:
-        """A process has one test that runs and one that follows: with more a long test waits where others are free."""
-        if not self.workqueue or self._pending_of(self.assigned_work[node]) < 2:
-            super()._reschedule(node)
+        """A process has one test that runs and one that follows: with more a long test waits where others are free.
+
+        It runs a test when it knows the next one, or that there is none: one that took the place of a process that died
+        would wait for ever with a single one.
+        """
+        while self.workqueue and not node.shutting_down and self._pending_of(self.assigned_work[node]) < 2:
+            self._assign_work_unit(node)
+        if not self.workqueue and not node.shutting_down:
+            node.shutdown()
+
+    def remove_node(self, node: WorkerController) -> str | None:
+        """What a process had done before it died is not handed on: whoever got it would wait for its end for ever.
+
+        The test that it died of counts as done: it would end the others too.
+        """
+        workload = self.assigned_work[node]
+        if self._pending_of(workload):
+            running = next(nodeid for done in workload.values() for nodeid, it_is in done.items() if not it_is)
+            workload[unit_of(running)][running] = True
+        else:
+            running = None
+        for unit in [unit for unit, done in workload.items() if all(done.values())]:
+            del workload[unit]
+        super().remove_node(node)
+        return running
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         moving = sum(self._moves(other) for other in self.assigned_work if other is not node)
