@@ -61,7 +61,7 @@ def build_plan(
         raise BadInput(
             "poses",
             f"{request.poses or 1} requested, but of {len(poses)} poses of the grid only "
-            f"{len(candidates)} are free with room for a sweep of every axis in cell {cell.name}",
+            f"{len(candidates)} are collision-free and have room for a sweep of every axis in cell {cell.name}",
         )
     observed = observe(robot, request, home)
     design = SweepDesign(robot, request, envelope, candidates, analyses or {})

@@ -53,7 +53,7 @@ def build_diagnosis_plan(robot: Robot, request: DiagnosisRequest, cell: Cell) ->
             raise BadInput(
                 "poses",
                 f"{request.poses} requested, but of {len(poses)} poses of the grid only "
-                f"{len(candidates)} are free with room for every block of {joint} in cell {cell.name}",
+                f"{len(candidates)} are collision-free and have room for every block of {joint} in cell {cell.name}",
             )
         chosen, left_out = _choose(robot, request, envelope, joint, candidates, home)
         refused += left_out
