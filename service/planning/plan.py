@@ -70,7 +70,7 @@ def build_plan(
     count = len({sweep.spec.pose for sweep in sweeps}) + len(dropped)
     dropped = (*refused, *dropped)
     if not sweeps:
-        raise BadInput("poses", f"none of the chosen poses can be measured; the first because: {dropped[0].reason}")
+        raise BadInput("poses", f"none of the chosen poses can be measured; reason for the first: {dropped[0].reason}")
     return PlanDocument(
         robot=robot.name,
         request=request,

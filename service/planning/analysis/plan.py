@@ -57,7 +57,7 @@ def build_analysis_plan(robot: Robot, request: AnalysisRequest, cell: Cell) -> A
         for pose in chosen[order_poses(chosen, np.array(way.here))]:
             way.measure(index, pose)
     if not way.sweeps:
-        raise BadInput("poses", f"no pose can be measured; the first because: {way.dropped[0].reason}")
+        raise BadInput("poses", f"no pose can be measured; reason for the first: {way.dropped[0].reason}")
     return AnalysisPlan(
         robot=robot.name,
         request=request,
