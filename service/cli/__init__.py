@@ -112,7 +112,7 @@ def _tell_completions(shell: str | None) -> None:
         typer.echo(script(shell))
         raise typer.Exit
     if shell is not None:
-        raise BadInput(_COMPLETIONS, f"there is no shell {shell}: bash, zsh or fish")
+        raise BadInput(_COMPLETIONS, f"unknown shell {shell}: use bash, zsh or fish")
 
 
 def _asked() -> list[str] | None:

@@ -61,7 +61,7 @@ def build_plan(
         raise BadInput(
             "poses",
             f"{request.poses or 1} requested, but of {len(poses)} poses of the grid only "
-            f"{len(candidates)} are free with room for a sweep of every axis in cell {cell.name}",
+            f"{len(candidates)} are collision-free and have room for a sweep of every axis in cell {cell.name}",
         )
     observed = observe(robot, request, home)
     design = SweepDesign(robot, request, envelope, candidates, analyses or {})
@@ -70,7 +70,7 @@ def build_plan(
     count = len({sweep.spec.pose for sweep in sweeps}) + len(dropped)
     dropped = (*refused, *dropped)
     if not sweeps:
-        raise BadInput("poses", f"none of the chosen poses can be measured; the first because: {dropped[0].reason}")
+        raise BadInput("poses", f"none of the chosen poses can be measured; reason for the first: {dropped[0].reason}")
     return PlanDocument(
         robot=robot.name,
         request=request,

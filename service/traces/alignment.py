@@ -57,7 +57,11 @@ def motion_start(path: Excitation, position: float, time: Array, set_position: A
     _check_size(path, position, time, set_position, place)
     swing = float(np.sqrt(sum((sine.amplitude / (2 * np.pi * sine.frequency)) ** 2 for sine in path.sines) / 2))
     if np.ptp(set_position) < swing:
-        raise BadInput(place, f"the set position moves by {np.ptp(set_position):.2g} rad (m) only: another axis?")
+        raise BadInput(
+            place,
+            f"the set position moves by {np.ptp(set_position):.2g} rad (m), limit at least {swing:.2g}: it is probably "
+            "of another axis",
+        )
     match = _match(path, position, time, set_position, np.ones(1))
     if not match.rms <= RESIDUAL * swing:
         raise BadInput(place, _what_it_is(path, position, time, set_position, match, swing))
@@ -66,8 +70,8 @@ def motion_start(path: Excitation, position: float, time: Array, set_position: A
     if abs(match.offset) > START:
         raise BadInput(
             place,
-            f"the set position starts {match.offset:+.5f} off the path's {position:.5f} rad (m), limit {START}: "
-            "another pose, or another zero of the axis",
+            f"the set position starts {match.offset:+.5f} rad (m) from the start of the path, {position:.5f}; "
+            f"limit {START}: another pose, or another zero of the axis",
         )
     if match.start + path.measure_from < time[0] or match.start + measured > time[-1]:
         raise BadInput(
@@ -109,9 +113,9 @@ def _what_it_is(path: Excitation, position: float, time: Array, signal: Array, m
         return _slow(slow)
     mirrored = _match(path, position, time, 2 * position - signal, np.ones(1))
     if mirrored.rms <= RESIDUAL * swing:
-        return "the set position runs the path backwards: wrong direction of the axis"
+        return "the set position follows the path in the opposite direction: wrong direction of the axis"
     return (
-        f"the set position is not this sweep's path: {match.rms:.3g} rad (m) RMS off at best, limit "
+        f"the set position is not this sweep's path: {match.rms:.3g} rad (m) RMS away from it, limit "
         f"{RESIDUAL * swing:.3g}; another sweep, another axis, or not the whole motion"
     )
 

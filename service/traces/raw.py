@@ -56,7 +56,7 @@ def _channels(wanted: dict[str, Column], entry: TraceSweep) -> tuple[Channel, ..
 def _refuse_groups(wanted: dict[str, Column], entry: TraceSweep, path: Path) -> None:
     for group in (entry.group, *(column.group for column in wanted.values())):
         if group is not None:
-            raise BadInput(str(path), f"has no groups, and the mapping names {group!r}; MDF4 and HDF5 have")
+            raise BadInput(str(path), f"has no groups, but the mapping names {group!r}: only MDF4 and HDF5 have groups")
 
 
 def _table(wanted: dict[str, Column], mapping: Mapping, path: Path) -> dict[str, Array]:

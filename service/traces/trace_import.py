@@ -48,7 +48,7 @@ def import_trace(mapping_file: Path, source: Path | None = None) -> tuple[Robot,
     """
     mapping = read_yaml(mapping_file, Mapping)
     if source is not None and len(mapping.sweeps) > 1:
-        raise BadInput(str(mapping_file), f"names {len(mapping.sweeps)} traces, so none can be given in their place")
+        raise BadInput(str(mapping_file), f"names {len(mapping.sweeps)} traces: --source can replace only one")
     if isinstance(mapping.robot, SingleAxis):
         robot = _single_axis_robot(mapping.robot, str(mapping_file))
     else:
@@ -61,7 +61,10 @@ def import_trace(mapping_file: Path, source: Path | None = None) -> tuple[Robot,
     for path, entry in traces:
         if entry.axis not in robot.joints or len(entry.pose) != len(robot.joints):
             where = f"axis {entry.axis} in pose {entry.pose}"
-            raise BadInput(f"{path} sweep {entry.id}", f"{where} is not one of robot {robot.name}")
+            raise BadInput(
+                f"{path} sweep {entry.id}",
+                f"{where} does not exist on robot {robot.name}, which has {', '.join(robot.joints)}",
+            )
     for (path, entry), raw in zip(traces, read_raw(mapping, traces), strict=True):
         place = f"{path} sweep {entry.id}"
         taken = _columns(mapping, robot, entry, raw, path)
@@ -149,7 +152,7 @@ def _derived(position: Array, sample_rate: float, corner: float, place: str) -> 
     if corner >= sample_rate / 2:
         raise BadInput(place, f"low-pass of {corner} Hz is not below half the sample rate {sample_rate} Hz")
     if not np.isfinite(position).all():
-        raise BadInput(place, "a position is missing; the filter needs all")
+        raise BadInput(place, "a position is missing; the low-pass filter needs all positions")
     if not len(position) > _SETTLED * sample_rate / corner:
         raise BadInput(place, f"{len(position)} samples are too few for a low-pass of {corner} Hz")
     return differentiate(position, sample_rate, corner)

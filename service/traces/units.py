@@ -42,7 +42,10 @@ def plain(unit: str) -> str:
 def check_same(said: Unit, unit: str, place: str) -> None:
     """BadInput if the unit in the mapping contradicts the unit in the file."""
     if plain(unit) not in _SAME[said]:
-        raise BadInput(place, f"the mapping says {said!r}, the file says {unit!r}; scale and offset would overrule it")
+        raise BadInput(
+            place,
+            f"the mapping says {said!r}, the file says {unit!r}: correct the mapping, or give scale and offset",
+        )
 
 
 def to_si(column: str, unit: str, prismatic: bool, place: str) -> Scaling:
@@ -55,7 +58,7 @@ def to_si(column: str, unit: str, prismatic: bool, place: str) -> Scaling:
     if found is None:
         raise BadInput(
             place,
-            f"unit {unit!r} of the file is none that {column} can have ({', '.join(known)}); "
+            f"unit {unit!r} of the file is not a unit of {column} ({', '.join(known)}); "
             "give a unit, or scale and offset, in the mapping",
         )
     return found

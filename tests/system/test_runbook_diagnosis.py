@@ -57,10 +57,10 @@ def one_way(client: ServiceClient) -> int:
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        ((ROBOT, "joint_9", "--varied", "joint_2"), "has no joint joint_9, but joint_1"),
+        ((ROBOT, "joint_9", "--varied", "joint_2"), "has no joint joint_9; it has: joint_1"),
         ((ROBOT, AXIS), "either --varied to measure, or --campaigns"),
         ((ROBOT, AXIS, "--campaigns", "first"), "first is not the number of a campaign"),
-        (("nobody", AXIS, "--varied", "joint_2"), "knows no robot nobody"),
+        (("nobody", AXIS, "--varied", "joint_2"), "has no robot nobody"),
     ],
 )
 def test_bad_input_is_reported_before_anything_moves(

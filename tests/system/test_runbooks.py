@@ -139,8 +139,8 @@ def test_the_cell_is_the_robots_own_or_the_only_one_and_never_a_guess(monkeypatc
 def test_bad_input_is_told_before_anything_moves(books: Books, client: ServiceClient) -> None:
     known = len(client.campaigns())
     code, protocol, printed = books.run("overnight", "nobody", *PLAN[1:], "--confidence", "2", "--yes", "--dry-run")
-    assert (code, "knows no robot nobody" in printed) == (BAD_INPUT, True)
-    assert "knows no robot nobody" in protocol["result"]
+    assert (code, "has no robot nobody" in printed) == (BAD_INPUT, True)
+    assert "has no robot nobody" in protocol["result"]
     code, protocol, printed = books.run(*OVERNIGHT, "--cell", "nowhere", "--yes", "--dry-run")
     assert (code, "the service has no cell nowhere; it has: workshop" in printed) == (BAD_INPUT, True)
     assert len(client.campaigns()) == known

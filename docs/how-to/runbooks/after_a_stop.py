@@ -31,7 +31,7 @@ class Step:
 
 def main() -> int:
     parser = parser_of(__doc__)
-    parser.add_argument("--campaign", type=int, help="the one to go on with; default: the newest that is paused")
+    parser.add_argument("--campaign", type=int, help="campaign to resume; default: the newest that is paused")
     return run("after_a_stop", parser, after_a_stop)
 
 
@@ -51,7 +51,7 @@ def after_a_stop(book: Runbook) -> Exit:
     while steps := due(book):
         step = steps[0]
         if step.what in done:
-            book.step(step.what, "did not help: look at the machine, docs/how-to/when-it-stops.md")
+            book.step(step.what, "did not help: check the machine, see docs/how-to/when-it-stops.md")
             return Exit.FAILED
         if not confirmed(book, step):
             return Exit.STOPPED
@@ -66,7 +66,9 @@ def paused(book: Runbook) -> Json | None:
     every = book.client.campaigns()
     busy = next((one for one in every if one["state"] in ("running", "pausing")), None)
     if busy is not None:
-        raise BadInput("campaign", f"campaign {busy['id']} is {busy['state']}: this is for a machine that was stopped")
+        raise BadInput(
+            "campaign", f"campaign {busy['id']} is {busy['state']}: wait until it ends, or stop the machine first"
+        )
     wanted = book.given.campaign
     found = [one for one in every if one["state"] == "paused" and wanted in (None, one["id"])]
     if wanted is not None and not found:
@@ -109,7 +111,7 @@ def due(book: Runbook) -> list[Step]:
     ]
     drives = client.drives()
     if not drives["connected"]:
-        then = f"{NOTHING}; the axes are without energy afterwards"
+        then = f"{NOTHING}; the axes are disabled afterwards"
         steps.append(Step("connect the drives", "connect", then, client.connect))
     for axis in drives["axes"]:
         if axis["fault"] is not None:
@@ -120,7 +122,7 @@ def due(book: Runbook) -> list[Step]:
 
 def confirmed(book: Runbook, step: Step) -> bool:
     book.step("next", f"{step.what}; {step.moves}")
-    if book.agreed("Did you look at the machine?", step.word):
+    if book.agreed("Did you check the machine?", step.word):
         return True
     book.step(step.what, "declined")
     return False
@@ -138,7 +140,7 @@ def resumed(book: Runbook, campaign: Json) -> Exit:
     """The last step: resume the campaign, and repeat its failed and interrupted sweeps."""
     client, number = book.client, campaign["id"]
     tell_resume(book, campaign)
-    step = Step(f"resume campaign {number}", "resume", "moves as told above", lambda: None)
+    step = Step(f"resume campaign {number}", "resume", "moves as printed above", lambda: None)
     if not confirmed(book, step):
         return Exit.STOPPED
     campaign = book.watched(number, lambda: client.resume(number, repeat=True))
@@ -147,7 +149,7 @@ def resumed(book: Runbook, campaign: Json) -> Exit:
 
 def tell_resume(book: Runbook, campaign: Json) -> None:
     sweeps = left(book, campaign)
-    book.step(f"resume of campaign {campaign['id']}", f"{len(sweeps)} sweeps left, these axes move")
+    book.step(f"resume of campaign {campaign['id']}", f"{len(sweeps)} sweeps left; these axes move")
     if sweeps:
         book.tell_moves(book.identify_machine(book.client.robot(campaign["robot_id"])), sweeps)
 

@@ -27,7 +27,7 @@ def main() -> int:
     parser.add_argument("--config", type=Path, help="settings of the service; default: config/service.yaml")
     parser.add_argument("--data-dir", type=Path, help="database and recordings; default: that of the settings")
     parser.add_argument(
-        "--rehearse-in", type=Path, help="where there is room for the rehearsal; default: beside target"
+        "--rehearse-in", type=Path, help="folder with enough space for the test restore; default: next to the target"
     )
     return run("back_up", parser, back_up)
 
@@ -40,7 +40,7 @@ def back_up(book: Runbook) -> Exit:
     place = given.rehearse_in or given.target.parent
     for name, folder in (("target", given.target.parent), ("--rehearse-in", place)):
         if not folder.is_dir():
-            raise BadInput(name, f"there is no folder {folder}: is the disk mounted?")
+            raise BadInput(name, f"folder {folder} does not exist: is the disk mounted?")
     if hasattr(os, "nice"):
         os.nice(10)  # lower priority than the process that streams set-points
     database = sqlite_file(settings.url)
@@ -62,7 +62,7 @@ def back_up(book: Runbook) -> Exit:
         book.step("restored", f"{len(manifest.files)} files, each as it was copied")
         if found(book, "rehearsal", restored / DATABASE, restored, 0):
             return Exit.FAILED
-    book.step("rehearsal", "removed again")
+    book.step("rehearsal", "temporary folder removed")
     return Exit.DONE
 
 

@@ -13,7 +13,7 @@ more than 4 standard deviations, or failed, 2 bad input, 3 stopped, 4 an axis be
 import sys
 
 import numpy as np
-from inertias import inertias
+from inertias import inertia_unit, inertias
 from moves import STILL
 from numpy.typing import NDArray
 from runbook import CELL_HELP, Exit, Runbook, judged, optional_list, parser_of, run, worst
@@ -25,9 +25,9 @@ from service.robot import Robot
 
 def main() -> int:
     parser = parser_of(__doc__)
-    parser.add_argument("robot", help="name of a robot that the service knows")
-    parser.add_argument("--before", type=int, help="campaign before the repair; left out: measure it")
-    parser.add_argument("--after", type=int, help="campaign after the repair; left out: measure it")
+    parser.add_argument("robot", help="name of a robot that is stored in the service")
+    parser.add_argument("--before", type=int, help="campaign before the repair; default: measure it")
+    parser.add_argument("--after", type=int, help="campaign after the repair; default: measure it")
     parser.add_argument("--axes", type=optional_list, default=[], help="before: joints to measure, comma separated")
     parser.add_argument("--varied", type=optional_list, default=[], help="before: joints that make the poses")
     parser.add_argument("--cell", help=CELL_HELP)
@@ -44,7 +44,9 @@ def before_and_after(book: Runbook) -> Exit:
     robot = book.identify_machine(client.robot(before["robot_id"]))
     if given.after is None:
         if before["plan_id"] is None:
-            raise BadInput("before", f"campaign {before['id']} was imported: there is no plan to measure again")
+            raise BadInput(
+                "before", f"campaign {before['id']} was imported and has no plan to measure again: give --after too"
+            )
         after = book.measured(robot, client.plan(before["plan_id"]))
         if after is None:
             return Exit.DONE
@@ -62,7 +64,7 @@ def first(book: Runbook) -> Exit:
     """Measure the campaign before the repair."""
     given = book.given
     if given.after is not None or not given.axes or not given.varied:
-        raise BadInput("before", "name a campaign, or --axes and --varied to measure one")
+        raise BadInput("before", "give --before with the number of a campaign, or --axes and --varied to measure one")
     document = book.robot_named(given.robot)
     robot = book.identify_machine(document)
     request = {"robot_id": document["id"], "cell": book.cell(), "axes": given.axes, "varied": given.varied}
@@ -92,7 +94,9 @@ def compared(book: Runbook, robot: Robot, before: Json, after: Json) -> Exit:
     estimates = [book.client.estimate(campaign["id"])["document"] for campaign in (before, after)]
     poses = common([book.client.sweeps(campaign["id"]) for campaign in (before, after)])
     if not len(poses):
-        raise BadInput("after", f"campaigns {before['id']} and {after['id']} have no pose in common: measure one plan")
+        raise BadInput(
+            "after", f"campaigns {before['id']} and {after['id']} have no common pose: measure the same plan twice"
+        )
     axes = [joint for joint in estimates[0]["axes"] if joint in estimates[1]["axes"]]
     codes: list[Exit] = []
     words: list[str] = []
@@ -111,8 +115,8 @@ def compared(book: Runbook, robot: Robot, before: Json, after: Json) -> Exit:
         words.append(f"{joint} {changed} ({percent:+.2f} %, {significance:+.1f} standard deviations)")
         book.step(
             joint,
-            f"{means[0]:.4g} before, {means[1]:.4g} after: {difference:+.3g} +- {std:.2g} kg m2 (kg) over {len(poses)} "
-            f"poses, {significance:+.1f} standard deviations",
+            f"{means[0]:.4g} before, {means[1]:.4g} after: {difference:+.3g} +- {std:.2g} {inertia_unit(robot, joint)} "
+            f"over {len(poses)} poses, {significance:+.1f} standard deviations",
             axis=joint,
             before=means[0],
             after=means[1],

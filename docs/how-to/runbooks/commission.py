@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from inertias import inertia_unit
 from runbook import Exit, Runbook, optional_list, parser_of, run, worst
 
 from service.configuration import read_robot
@@ -45,7 +46,7 @@ def commission(book: Runbook) -> Exit:
     axes = given.axes or list(robot.joints)
     request = {"robot_id": stored["id"], "cell": given.cell.stem, "axes": axes, "varied": given.varied}
     plan = client.add_plan(request | {"poses": given.poses, "step": given.step})
-    book.step("first plan", "robot and drives fit together, and ways free of collision were found", plan=plan["id"])
+    book.step("first plan", "robot file and drives agree, and collision-free paths were found", plan=plan["id"])
     campaign = book.measured(robot, plan)
     if campaign is None:
         return Exit.DONE
@@ -79,9 +80,8 @@ def told(book: Runbook, robot: Robot, campaign: int, joint: str) -> Exit:
     if axis is None or not axis["inertia"]:
         book.step(joint, "its sweeps show no inertia", axis=joint)
         return Exit.AMBER
-    unit = "kg" if robot.chain.joints[robot.joints.index(joint)].kind == "prismatic" else "kg m2"
     values = ", ".join(f"{sweep['value']:.4g} +- {sweep['std']:.2g}" for sweep in axis["inertia"])
-    book.step(joint, f"{values} {unit}", axis=joint, inertia=axis["inertia"])
+    book.step(joint, f"{values} {inertia_unit(robot, joint)}", axis=joint, inertia=axis["inertia"])
     return Exit.DONE
 
 

@@ -9,7 +9,7 @@ and sweep. Exit codes: 0 all green, 1 an axis red or the check failed, 2 bad inp
 import sys
 
 import numpy as np
-from inertias import inertias
+from inertias import inertia_unit, inertias
 from runbook import Exit, Runbook, judged, optional_list, parser_of, request_of, run, worst
 
 from service.client import Json, ServiceProblem
@@ -22,10 +22,12 @@ COLOUR = {Exit.DONE: "green", Exit.AMBER: "amber", Exit.FAILED: "red"}
 
 def main() -> int:
     parser = parser_of(__doc__)
-    parser.add_argument("robot", help="name of a robot that the service knows")
+    parser.add_argument("robot", help="name of a robot that is stored in the service")
     parser.add_argument("--axes", type=optional_list, default=[], help="comma separated; default: all of the estimate")
     parser.add_argument("--poses", type=int, choices=(1, 2), default=1)
-    parser.add_argument("--campaign", type=int, help="whose estimate is the reference; default: the newest that can be")
+    parser.add_argument(
+        "--campaign", type=int, help="campaign of the reference estimate; default: the newest that is suitable"
+    )
     return run("daily_check", parser, check)
 
 
@@ -49,7 +51,7 @@ def stored(book: Runbook) -> tuple[Json, Json]:
     given, client = book.given, book.client
     ids = {robot["id"] for robot in client.robots() if robot["name"] == given.robot}
     if not ids:
-        raise BadInput("robot", f"{given.url} knows no robot {given.robot}")
+        raise BadInput("robot", f"{given.url} has no robot {given.robot}")
     wanted = None if given.campaign is None else client.campaign(given.campaign)
     for campaign in [wanted] if wanted else reversed(client.campaigns()):
         if campaign["state"] != "completed" or campaign["robot_id"] not in ids or campaign["plan_id"] is None:
@@ -60,10 +62,8 @@ def stored(book: Runbook) -> tuple[Json, Json]:
             continue  # measured, but not identified
         if suffices(estimate, given.axes) and "kind" not in client.plan(campaign["plan_id"])["document"]["request"]:
             return campaign, estimate
-    which = f"campaign {given.campaign}" if wanted else "no completed campaign of the robot"
-    raise BadInput(
-        "campaign", f"{which} has every axis in {LEAST_POSES} poses and tells its inertia: measure one first"
-    )
+    which = f"campaign {given.campaign} did not identify" if wanted else "no completed campaign of the robot identified"
+    raise BadInput("campaign", f"{which} every axis in at least {LEAST_POSES} poses: measure such a campaign first")
 
 
 def suffices(estimate: Json, wanted: list[str]) -> bool:
@@ -93,7 +93,7 @@ def compared(book: Runbook, robot: Robot, estimate: Json, campaign: Json, joint:
         book.step(
             joint,
             f"{colour}: {deviation:+.2f} % from the estimate, {significance:+.1f} standard deviations "
-            f"({sweep['value']:.4g}, expected {expected:.4g} kg m2)",
+            f"({sweep['value']:.4g}, expected {expected:.4g} {inertia_unit(robot, joint)})",
             axis=joint,
             colour=colour,
             deviation_percent=deviation,

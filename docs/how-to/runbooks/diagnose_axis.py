@@ -22,7 +22,7 @@ SETTLED = ("none", "named")
 
 def main() -> int:
     parser = parser_of(__doc__)
-    parser.add_argument("robot", help="name of a robot that the service knows")
+    parser.add_argument("robot", help="name of a robot that is stored in the service")
     parser.add_argument("axis", help="the joint that deviates")
     parser.add_argument("--varied", type=optional_list, default=[], help="joints that make the poses, comma separated")
     parser.add_argument("--campaigns", type=optional_list, default=[], help="completed campaigns to diagnose instead")
@@ -36,9 +36,9 @@ def diagnose(book: Runbook) -> Exit:
     document = book.robot_named(given.robot)
     robot = book.identify_machine(document)
     if given.axis not in robot.joints:
-        raise BadInput("axis", f"robot {given.robot} has no joint {given.axis}, but {', '.join(robot.joints)}")
+        raise BadInput("axis", f"robot {given.robot} has no joint {given.axis}; it has: {', '.join(robot.joints)}")
     if bool(given.campaigns) == bool(given.varied):
-        raise BadInput("--varied", "give either --varied to measure, or --campaigns to use recordings that exist")
+        raise BadInput("--varied", "give either --varied to measure, or --campaigns to use completed campaigns")
     if given.campaigns:
         campaigns = completed(book, document["id"])
         if given.dry_run:
@@ -123,7 +123,10 @@ def continued(book: Runbook, parent: int) -> int:
             found = book.client.diagnosis(event["data"]["diagnosis"])
             if found["parent"] == parent:
                 return int(found["id"])
-    raise BadInput("diagnosis", f"the service sends no more events; diagnosis {parent} was not continued")
+    raise BadInput(
+        "diagnosis",
+        f"the service ended the connection before it continued diagnosis {parent}: run this again with --campaigns",
+    )
 
 
 def accepted(book: Runbook, number: int, found: Json) -> Exit:

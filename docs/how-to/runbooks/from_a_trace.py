@@ -9,6 +9,7 @@ by a person, 4 identified, with warnings.
 import sys
 from pathlib import Path
 
+from inertias import inertia_unit
 from runbook import Exit, Runbook, parser_of, run
 
 from service.cli.documents import as_json, write_file
@@ -21,8 +22,8 @@ from service.traces.trace_import import import_trace
 
 def main() -> int:
     parser = parser_of(__doc__)
-    parser.add_argument("mapping", type=Path, help="what the columns of the trace are (YAML)")
-    parser.add_argument("--source", type=Path, help="trace file in place of the one that the mapping names")
+    parser.add_argument("mapping", type=Path, help="mapping file of the columns of the trace (YAML)")
+    parser.add_argument("--source", type=Path, help="trace file that replaces the one in the mapping")
     parser.add_argument("--out", type=Path, required=True, help="folder of the new bundle; must not exist")
     return run("from_a_trace", parser, from_a_trace)
 
@@ -47,10 +48,10 @@ def from_a_trace(book: Runbook) -> Exit:
     for joint in axes:
         inertia = document.axes[joint].inertia if joint in document.axes else ()
         for sweep in inertia:
-            value = f"{sweep.value:.5g} +- {sweep.std:.2g} kg m2 (kg)"
+            value = f"{sweep.value:.5g} +- {sweep.std:.2g} {inertia_unit(robot, joint)}"
             book.step(f"{joint}, sweep {sweep.sweep}", value, inertia=sweep.as_json())
         if not inertia:
-            book.step(joint, "its sweeps tell no inertia")
+            book.step(joint, "its sweeps show no inertia")
             found = Exit.FAILED
     book.step("estimate", f"{estimate}")
     return found

@@ -14,6 +14,11 @@ Array = NDArray[np.float64]
 Json = Mapping[str, Any]
 
 
+def inertia_unit(robot: Robot, joint: str) -> str:
+    """Unit of the inertia of an axis: kg for a linear axis, else kg m2."""
+    return "kg" if robot.chain.joints[robot.joints.index(joint)].kind == "prismatic" else "kg m2"
+
+
 def inertias(robot: Robot, estimate: Json, joint: str, poses: Array, place: str) -> tuple[Array, Array]:
     """Inertia (m,) of an axis at poses (m, n) and its covariance (m, m), from the document of an estimate; SI.
 

@@ -17,7 +17,7 @@ LEFT_OPEN = "J is left open: the sweeps determine a base parameter no better tha
 
 def main() -> int:
     parser = parser_of(__doc__)
-    parser.add_argument("robot", help="name of a robot that the service knows")
+    parser.add_argument("robot", help="name of a robot that is stored in the service")
     parser.add_argument("--axes", type=optional_list, required=True, help="joints to measure, comma separated")
     parser.add_argument("--varied", type=optional_list, required=True, help="joints that make the poses")
     parser.add_argument("--confidence", type=float, required=True, help="largest std of J over the workspace, percent")

@@ -33,20 +33,23 @@ def restored(book: Runbook) -> Exit:
     given = book.given
     target: Path = given.data_dir
     if not target.absolute().parent.is_dir():
-        raise BadInput("data_dir", f"there is no folder {target.absolute().parent}: is the disk mounted?")
+        raise BadInput("data_dir", f"folder {target.absolute().parent} does not exist: is the disk mounted?")
     manifest = check_backup(given.backup)
     size = f"{len(manifest.files)} files, {manifest.size} bytes, of {manifest.made_at:%Y-%m-%d %H:%M} UTC"
-    book.step("backup", f"whole: {size}", files=len(manifest.files))
+    book.step("backup", f"complete: {size}", files=len(manifest.files))
     for stream in manifest.streams_left_out:
         book.step("not in the backup", f"{stream}: its sweep will be interrupted")
     if manifest.in_store:
-        book.step("object store", f"{len(manifest.in_store)} recordings are there alone: set recordings_url")
+        book.step("object store", f"{len(manifest.in_store)} recordings are only there: set recordings_url")
     running = service_runs(book)
     if given.dry_run:
         book.step("restore", f"{given.backup} would be restored into {target}; moves nothing")
         return Exit.DONE
     if running:
-        book.step("restore", "not begun: two services would command one machine. End the service, then run this again")
+        book.step(
+            "restore",
+            "not started: two services would command one machine. End the service, then run this script again",
+        )
         return Exit.FAILED
     if not book.agreed("Has the service on the old data folder ended for good?", "ended"):
         book.step("restore", "declined")

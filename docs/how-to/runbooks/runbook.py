@@ -74,11 +74,11 @@ def chosen_cell(asked: str | None, cells: Sequence[str], robot: str) -> str:
 def parser_of(text: str) -> ArgumentParser:
     """The common arguments of all runbooks."""
     parser = ArgumentParser(description=text.partition("\n")[0])
-    parser.add_argument("--by", required=True, help="who stands at the machine")
+    parser.add_argument("--by", required=True, help="your name, for the protocol")
     parser.add_argument("--url", default=os.environ.get("SWEEPID_URL", "http://127.0.0.1:8642"))
     parser.add_argument("--protocol", type=Path, help="file to write; default: name and time, here")
-    parser.add_argument("--dry-run", action="store_true", help="say what would move, and move nothing")
-    parser.add_argument("--yes", action="store_true", help="no questions: virtual machines and tests alone")
+    parser.add_argument("--dry-run", action="store_true", help="print what would move, and move nothing")
+    parser.add_argument("--yes", action="store_true", help="answer every question with yes: only for virtual machines")
     return parser
 
 
@@ -132,7 +132,9 @@ class Runbook:
         """The newest robot with this name. BadInput if there is none."""
         found = [robot for robot in self.client.robots() if robot["name"] == name]
         if not found:
-            raise BadInput("robot", f"{self.given.url} knows no robot {name}")
+            raise BadInput(
+                "robot", f"{self.given.url} has no robot {name}: store it first, for example with commission.py"
+            )
         return self.client.robot(found[-1]["id"])
 
     def cell(self) -> str:
@@ -168,8 +170,8 @@ class Runbook:
         document = plan["document"]
         self.step(
             f"plan {plan['id']}",
-            f"{len(document['sweeps'])} sweeps, {minutes(plan['expected_time'])}; first each axis goes half a degree "
-            "there and back",
+            f"{len(document['sweeps'])} sweeps, {minutes(plan['expected_time'])}; first each axis moves half a degree "
+            "and back",
             plan=plan["id"],
             duration_s=plan["expected_time"],
         )
@@ -232,7 +234,7 @@ def told(move: Move) -> str:
     low, high = move.range_shown()
     arm = "" if move.arm_mm is None else f" (the arm's end by up to {move.arm_mm:.0f} mm)"
     time = (
-        f"{move.seconds:.0f} s of sweeps with the ways to them" if move.seconds else "on the way to other axes' poses"
+        f"{move.seconds:.0f} s of sweeps with the paths to them" if move.seconds else "on paths to poses of other axes"
     )
     return f"{low:.1f} to {high:.1f} {move.unit}{arm}, {time}"
 
@@ -252,7 +254,7 @@ def run(name: str, parser: ArgumentParser, work: Callable[[Runbook], Exit]) -> i
             signals.by = told_by or type(error).__name__  # later signals wait: the stop is sent first
             stop = stopped(book, signals.by) if book.moving else ""
             if isinstance(error, KeyboardInterrupt):
-                code, result = Exit.STOPPED, f"stopped: {told_by or 'nobody said yes'}"
+                code, result = Exit.STOPPED, f"stopped: {told_by or 'not confirmed'}"
             elif isinstance(error, SweepidError):
                 code = Exit.BAD_INPUT if isinstance(error, BadInput) and not stop else Exit.FAILED
                 result = str(error)
@@ -277,7 +279,7 @@ def stopped(book: Runbook, why: str) -> str:
         book.client.stop(book.name, why)
     except SweepidError as error:
         return f"; THE STOP IS NOT CONFIRMED: {error}; look at the machine"
-    return "; machine stopped, then: after_a_stop.py"
+    return "; machine stopped; next: after_a_stop.py"
 
 
 def optional_list(text: str) -> list[str]:

@@ -42,6 +42,8 @@ def benefit(
 def _same_joints(cad: Robot, measured: Robot, path: Path) -> Robot:
     if cad.joints != measured.joints:
         raise BadInput(
-            str(path), f"has joints {', '.join(cad.joints)}, the bundle's robot {', '.join(measured.joints)}"
+            str(path),
+            f"has joints {', '.join(cad.joints)}, but the robot of the bundle has {', '.join(measured.joints)}: "
+            "give the robot that was measured",
         )
     return cad

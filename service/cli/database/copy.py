@@ -42,7 +42,7 @@ def copy(
     """
     file = parsed_url(source)
     if file.get_backend_name() == "sqlite" and not Path(file.database or "").is_file():
-        raise BadInput("--from", f"there is no database {file.database}")
+        raise BadInput("--from", f"database {file.database} does not exist")
     with (
         waiting("the copy"),
         open_database(source, from_password_file, machine=None) as old,

@@ -60,7 +60,7 @@ def release(campaign: Campaign, config: Config = None, data_dir: DataDir = None)
     """Let the retention rule apply to a held campaign again."""
     with _store(config, data_dir) as (store, _):
         store.release(campaign, shell_entry())
-    typer.echo(f"campaign {campaign} is not held any more")
+    typer.echo(f"campaign {campaign} is released: the retention rule applies to it")
 
 
 def holds(config: Config = None, data_dir: DataDir = None) -> None:
@@ -76,7 +76,7 @@ def _store(config: Path | None, data_dir: Path | None) -> Generator[tuple[Retent
     settings = settings_of(config, data_dir)
     owner = read_owner(settings.data_dir)
     if owner is None:
-        raise BadInput(str(settings.data_dir), "belongs to no machine yet: a service was never started with it")
+        raise BadInput(str(settings.data_dir), "belongs to no machine: start a service with this data folder first")
     with opened(config, data_dir) as database:
         yield RetentionStore(database, owner.machine), settings
 
@@ -88,7 +88,7 @@ def _print(one: Doomed) -> None:
 
 def _summary(found: Pruned, dry_run: bool) -> None:
     for campaign, why in sorted(found.stay.items()):
-        typer.echo(f"campaign {campaign} stays: {why}", err=True)
+        typer.echo(f"campaign {campaign} is kept: {why}", err=True)
     done = "would be removed" if dry_run else "removed"
     typer.echo(
         f"{done}: {found.recordings} recordings, {found.spectra} spectra, {found.estimates} estimates of "

@@ -20,8 +20,8 @@ def export_model(
     write_model(folder, model)
     if model.deviation_in_std:
         typer.echo(
-            f"no robot can have exactly these base parameters; the one written is {model.deviation_in_std:.2g} "
-            "standard deviations away",
+            "these base parameters are not physically possible; the model contains the nearest possible ones, "
+            f"{model.deviation_in_std:.2g} standard deviations away",
             err=True,
         )
     typer.echo(str(folder))

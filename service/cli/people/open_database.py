@@ -27,7 +27,7 @@ def opened(config: Path | None, data_dir: Path | None, make: bool = False) -> Ge
         settings = settings.model_copy(update={"data_dir": data_dir})
     file = parsed_url(settings.url)
     if not make and file.get_backend_name() == "sqlite" and not Path(file.database or "").is_file():
-        raise BadInput(str(file.database), "there is no database; name its folder with --data-dir or --config")
+        raise BadInput(str(file.database), "the database does not exist: give its folder with --data-dir or --config")
     try:
         with open_database(settings.url, settings.database_password_file, machine=None) as database:
             yield database

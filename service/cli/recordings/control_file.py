@@ -81,7 +81,7 @@ def _print(document: MeasuredResponse | ServoTuning, console: Console) -> None:
         line(f"the control's own: {document.by_control.total_inertia:.4g} kg m^2, without uncertainty")
     _print_response(document.frequency_response, line)
     for what in document.cannot_tell:
-        line(f"not told: {what}")
+        line(f"not determined: {what}")
 
 
 def _print_response(response: Response, line: Callable[[str], None]) -> None:

@@ -34,7 +34,7 @@ def payload_command(
 def payload_of(before: Bundle, after: Bundle, place: str, gains: Path | None = None) -> Payload:
     """The document; BadInput where the bundles are not of one robot or have no motion in common."""
     if (before.robot.description, before.robot.urdf_text) != (after.robot.description, after.robot.urdf_text):
-        raise BadInput(place, f"is of another robot than {before.robot.name} of the bundle before")
+        raise BadInput(place, f"is not of robot {before.robot.name} of the first bundle: robot file or URDF differs")
     found = payload(before.robot, before.sweeps, after.sweeps, read_gains(gains) if gains else None)
     return payload_document(before.robot, found)
 

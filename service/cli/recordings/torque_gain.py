@@ -52,7 +52,7 @@ def torque_gain(
 def calibrate(before: Bundle, after: Bundle, mass: KnownMass, place: str) -> dict[str, Calibration]:
     """By joint; BadInput where the bundles are not of one robot or share no pose, or cannot be without and with it."""
     if (before.robot.description, before.robot.urdf_text) != (after.robot.description, after.robot.urdf_text):
-        raise BadInput(place, f"is of another robot than {before.robot.name} of the bundle before")
+        raise BadInput(place, f"is not of robot {before.robot.name} of the first bundle: robot file or URDF differs")
     _check_place(before.robot, mass)
     spectra = [
         [spectrum(bundle.robot, sweep) for sweep in bundle.sweeps if sweep.spec.periodic] for bundle in (before, after)
@@ -101,7 +101,7 @@ def _numbers(option: str, text: str, count: int) -> tuple[float, ...]:
     except ValueError:
         numbers = ()
     if len(numbers) != count or not all(abs(number) < float("inf") for number in numbers):
-        raise BadInput(option, f"{text!r} is not {count} numbers with commas between")
+        raise BadInput(option, f"{text!r} is not {count} numbers separated by commas")
     return numbers
 
 

@@ -31,7 +31,7 @@ def write_recordings(
     there = [sweep.spec.id for sweep in bundle.sweeps]
     for wanted in ids:
         if wanted not in there:
-            raise BadInput("--sweep", f"there is no sweep {wanted!r}; there are {', '.join(there)}")
+            raise BadInput("--sweep", f"sweep {wanted!r} does not exist; there are {', '.join(there)}")
     sweeps = [sweep for sweep in bundle.sweeps if not ids or sweep.spec.id in ids]
     recordings = Recordings(bundle.robot, sweeps, began or UNKNOWN)
     if out.suffix == "":

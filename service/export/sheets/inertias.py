@@ -48,13 +48,13 @@ class Inertias:
         BadInput if the axis was not measured or its inertia is unknown at a pose.
         """
         if joint not in self.joints:
-            raise BadInput(self.place, f"has not measured {joint}, but {', '.join(self.joints)}")
+            raise BadInput(self.place, f"did not measure {joint}; it measured {', '.join(self.joints)}")
         for k, position in self.fixed.items():
             if np.abs(poses[:, k] - position).max() > STILL:
-                raise BadInput(self.place, f"was measured with {self.robot.joints[k]} at {position:.4g} alone")
+                raise BadInput(self.place, f"was measured only with {self.robot.joints[k]} at {position:.4g} rad (m)")
         rows, opened = self._rows(joint, poses)
         if opened:
-            raise BadInput(self.place, f"does not know the inertia of {joint} there: {opened} is not identified")
+            raise BadInput(self.place, f"gives no inertia of {joint} in this pose: {opened} is not identified")
         return rows
 
     def knows(self, joint: str, poses: Array) -> bool:
@@ -94,7 +94,7 @@ def _inertias(
     free = [k for k in range(len(robot.joints)) if k not in fixed]
     measured = sorted(robot.index(name) for name in joints)
     if not set(measured) <= set(free):
-        raise BadInput(f"{place} base.locked", "names a measured axis")
+        raise BadInput(f"{place} base.locked", "contains a measured axis")
     chain = lock(robot.chain, fixed)
     base = base_parameters(chain, tuple(free.index(k) for k in measured))
     if tuple(one.name for one in parameters) != base.names:

@@ -49,7 +49,7 @@ def load_of(found: Payload) -> Load:
     if np.linalg.det(axes) < 0:
         axes[:, 0] *= -1
     if not moments[0] > 0 or moments[2] > moments[0] + moments[1] + 1e-9:
-        raise BadInput(_PLACE, "no body has these moments of inertia")
+        raise BadInput(_PLACE, "has moments of inertia that are not physically possible")
     least, middle, most = moments.tolist()
     return Load(found.frame, near.mass, found.mass.std_total, near.center, (least, middle, most), axes)
 

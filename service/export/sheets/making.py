@@ -119,9 +119,9 @@ def _axis(robot: Robot, joint: str, axis: EstimatedAxis) -> AxisSheet:
     std = share * abs(value)
     left_out = ""
     if not identified.min() > 0:
-        left_out = f"the model has an inertia of {identified.min():.3g} in a measured pose: no robot has that"
+        left_out = f"the model has an inertia of {identified.min():.3g} in a measured pose, limit above 0"
     elif share > UNSURE:
-        left_out = f"known to {100 * share:.0f} % only, limit {100 * UNSURE:.0f} %"
+        left_out = f"uncertainty {100 * share:.0f} %, limit {100 * UNSURE:.0f} %"
     factor = 1 / ratio**2
     return AxisSheet(
         joint=joint,
@@ -151,7 +151,7 @@ def _check_physical(standard: StandardParameters, place: str) -> None:
     bad = [link for link, values in links.items() if not (np.isfinite(values).all() and is_physical(values))]
     bad += [name for name, value in standard.motor_inertias.items() if not 0 <= value < np.inf]
     if bad:
-        raise BadInput(where, f"no body can have those of {', '.join(bad)}")
+        raise BadInput(where, f"not physically possible for {', '.join(bad)}")
 
 
 def _ranges(robot: Robot, estimate: Estimate, poses: Mapping[str, Sequence[float]]) -> Ranges:

@@ -56,7 +56,9 @@ def compare(sheet: Sheet, robot: Robot, estimate: Estimate, poses: Mapping[str, 
     covariance = covariance + own
     std = np.sqrt(np.diag(covariance))
     if not std.min() > 0:
-        raise BadInput(place, f"knows {joints[int(np.argmin(std))]} without any uncertainty: no significance follows")
+        raise BadInput(
+            place, f"gives {joints[int(np.argmin(std))]} without uncertainty: the significance cannot be computed"
+        )
     difference = new - old
     probability = _probability(difference / std, covariance / np.outer(std, std))
     axes = tuple(

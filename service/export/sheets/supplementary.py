@@ -91,7 +91,7 @@ def supplementary(
         if left - after < WORTH:
             used, bodies, after = fewer, without, left
     loads = tuple(_load(robot, link, bodies[link], upright) for link in used)
-    told = "" if loads else "no body on A1 to A3 brings the model nearer: the robot has less inertia than CAD"
+    told = "" if loads else "no body on A1 to A3 reduces the difference from CAD: the robot has less inertia than CAD"
     left = _per_parameter(after, difference)
     if loads and left > MISFIT:  # a motor or a lighter link, for example
         loads, told = (

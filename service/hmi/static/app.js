@@ -163,7 +163,7 @@ function drawChart(found) {
   };
   plot("chart", [trace], {
     xaxis: { title: { text: text("chart.sweep"), standoff: 10 }, type: "category", nticks: room },
-    yaxis: { title: { text: text("chart.inertia") } },
+    yaxis: { title: { text: text(units?.prismatic.has(byId("axis").value) ? "chart.inertia-linear" : "chart.inertia") } },
   });
 }
 

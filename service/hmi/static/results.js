@@ -6,6 +6,7 @@ import { byId, choices, complain, element, EMPTY, fixed, link, number, row, tell
 import { campaignName, first, held, noCampaign } from "./intent.js";
 import { identified } from "./login.js";
 import { watchMachine } from "./machine.js";
+import { unitsOf } from "./motion.js";
 import { showMoving } from "./moving.js";
 import { plot } from "./plots.js";
 import { showAudit, showModels, table } from "./record.js";
@@ -18,6 +19,7 @@ const BLUE = "#2f7ef0";
 
 let campaigns = [];
 let found = null; // the estimate's document
+let units = null; // of the campaign's robot
 let shown = "";
 
 async function showList() {
@@ -36,11 +38,12 @@ async function showCampaign() {
   const campaign = await get(`/campaigns/${id}`);
   tell("campaign-state", word("campaign-state", campaign.state));
   byId("campaign-state").className = `badge ${campaign.state}`;
-  const estimate = await latest(campaign.id);
+  const [estimate, itsUnits] = await Promise.all([latest(campaign.id), unitsOf(campaign.robot_id)]);
   const now = `${campaign.id}/${estimate?.revision}/${campaign.state}/${campaign.progress.done}/${language()}`;
   if (now === shown) return;
   shown = now;
   found = estimate?.document ?? null;
+  units = itsUnits;
   tell("told", estimate ? text("estimate.told", { revision: estimate.revision, sweep: estimate.number, condition: number(found.condition_number) }) : text("estimate.none"));
   showDownloads(campaign, estimate);
   showTable();
@@ -96,26 +99,33 @@ function showSweeps() {
   showResponse();
 }
 
-// each with as many decimals as two figures of the standard deviation have
+const linear = (joint) => units.prismatic.has(joint);
+const inertiaUnit = (joint) => text(linear(joint) ? "results.unit-linear" : "results.unit");
+
+// all values end at the second figure of the standard deviation
 function inertiaOf({ value, std, reference, identified }) {
-  const decimals = std > 0 ? Math.min(Math.max(0, 1 - Math.floor(Math.log10(std))), 12) : 3;
-  const shown = (one) => fixed(one ?? null, decimals);
+  const last = std > 0 ? Math.min(1 - Math.floor(Math.log10(Number(std.toPrecision(2)))), 12) : 3;
+  const step = 10 ** -Math.min(0, last); // above 1 for a deviation of 100 or more
+  const rounded = (one) => (step > 1 ? Math.round(one / step) * step : one);
+  const shown = (one) => fixed(typeof one === "number" ? rounded(one) : null, Math.max(0, last));
   return { value: shown(value), std: shown(std), cad: shown(reference), model: shown(identified) };
 }
 
 function showResponse() {
-  const sweep = found?.axes[byId("axis").value]?.inertia.find((one) => one.sweep === byId("sweep").value);
-  tell("inertia", sweep ? text("results.inertia", inertiaOf(sweep)) : "");
+  const joint = byId("axis").value;
+  const sweep = found?.axes[joint]?.inertia.find((one) => one.sweep === byId("sweep").value);
+  tell("inertia", sweep ? text("results.inertia", { ...inertiaOf(sweep), unit: inertiaUnit(joint) }) : "");
   const lines = sweep?.frequency_response ?? [];
   if (!lines.length) return clear("response");
   const x = lines.map((one) => one.frequency);
   const size = lines.map((one) => Math.hypot(one.re, one.im));
+  const amplitude = linear(joint) ? "results.amplitude-linear" : "results.amplitude";
   const bars = { type: "data", array: lines.map((one) => one.std) };
   plot("response", [
-    { type: "scatter", mode: "lines+markers", name: text("results.amplitude"), x, y: size, error_y: bars, line: { color: BLUE } },
+    { type: "scatter", mode: "lines+markers", name: text(amplitude), x, y: size, error_y: bars, line: { color: BLUE } },
     { type: "scatter", mode: "lines+markers", name: text("results.phase"), x, y: lines.map((one) => (Math.atan2(one.im, one.re) * 180) / Math.PI), yaxis: "y2", line: { color: "#d97706", dash: "dot" }, marker: { symbol: "square" } },
   ], {
-    xaxis: { title: { text: text("results.frequency") }, anchor: "y2" }, yaxis: { title: { text: "N m s/rad" }, domain: [0.55, 1] },
+    xaxis: { title: { text: text("results.frequency") }, anchor: "y2" }, yaxis: { title: { text: linear(joint) ? "N s/m" : "N m s/rad" }, domain: [0.55, 1] },
     yaxis2: { title: { text: "°" }, domain: [0, 0.45] },
   });
 }
@@ -130,7 +140,7 @@ async function showEarlier({ id, robot_id }) {
   }
   if (found) known.unshift([id, found]);
   table("earlier", [["campaign.title"], ["axis"], ["results.sweeps", "number"], ["results.median", "number"], ["results.confidence", "number"]], known.flatMap(([number_, document]) => Object.entries(document.axes).map(([joint, axis]) => row([
-    [number_], [joint], [axis.inertia.length, "number"], [number(median(axis.inertia.map((one) => one.identified))), "number"], [number(axis.confidence_percent, " %"), "number"],
+    [number_], [joint], [axis.inertia.length, "number"], [number(median(axis.inertia.map((one) => one.identified)), ` ${inertiaUnit(joint)}`), "number"], [number(axis.confidence_percent, " %"), "number"],
   ]))));
 }
 

@@ -48,7 +48,8 @@ def build_analysis_plan(robot: Robot, request: AnalysisRequest, cell: Cell) -> A
     if len(candidates) < request.poses:
         raise BadInput(
             "poses",
-            f"{request.poses} requested, but only {len(candidates)} of the grid are free with room for the sweeps",
+            f"{request.poses} requested, but only {len(candidates)} poses of the grid are collision-free and have room "
+            "for the sweeps: request fewer poses, or a smaller step",
         )
     way = _Way(robot, request, envelope, home)
     for index in axes:
@@ -56,7 +57,7 @@ def build_analysis_plan(robot: Robot, request: AnalysisRequest, cell: Cell) -> A
         for pose in chosen[order_poses(chosen, np.array(way.here))]:
             way.measure(index, pose)
     if not way.sweeps:
-        raise BadInput("poses", f"no pose can be measured; the first because: {way.dropped[0].reason}")
+        raise BadInput("poses", f"no pose can be measured; reason for the first: {way.dropped[0].reason}")
     return AnalysisPlan(
         robot=robot.name,
         request=request,

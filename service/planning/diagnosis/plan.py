@@ -53,7 +53,7 @@ def build_diagnosis_plan(robot: Robot, request: DiagnosisRequest, cell: Cell) ->
             raise BadInput(
                 "poses",
                 f"{request.poses} requested, but of {len(poses)} poses of the grid only "
-                f"{len(candidates)} are free with room for every block of {joint} in cell {cell.name}",
+                f"{len(candidates)} are collision-free and have room for every block of {joint} in cell {cell.name}",
             )
         chosen, left_out = _choose(robot, request, envelope, joint, candidates, home)
         refused += left_out
@@ -85,7 +85,7 @@ def build_experiment_plan(
     way = DesignedWay(robot, request, envelope, np.array(cell.home_pose(robot.joints)))
     way.follow(designed)
     if not way.sweeps:
-        raise BadInput("experiment", f"none of its sweeps can be run; the first because: {way.dropped[0].reason}")
+        raise BadInput("experiment", f"none of its sweeps can be run; reason for the first: {way.dropped[0].reason}")
     return ExperimentPlan(
         robot=robot.name,
         request=request,
@@ -121,7 +121,7 @@ def _choose(
                 break
             refused.append(DroppedPose(pose=tuple(candidates[pick].tolist()), reason=reason))
     if not chosen:
-        raise BadInput("poses", f"no pose of {joint} can be measured; the first because: {refused[0].reason}")
+        raise BadInput("poses", f"no pose of {joint} can be measured; reason for the first: {refused[0].reason}")
     return candidates[chosen], refused
 
 

@@ -64,7 +64,7 @@ def read_bundle(directory: Path) -> Bundle:
         sweep = Sweep(spec, read_columns(path, here))
         numbers += sum(column.size for column in columns_of(sweep.recording).values())
         if numbers > MOST_NUMBERS:
-            raise BadInput(str(place), f"its sweeps hold more than {MOST_NUMBERS} numbers together")
+            raise BadInput(str(place), f"its sweeps contain more than {MOST_NUMBERS} numbers in total")
         check_clock(sweep, here)
         sweeps.append(sweep)
     return Bundle(robot, tuple(sweeps))
@@ -171,7 +171,7 @@ def _inside(directory: Path, name: str, place: str) -> Path:
         path = directory / name
         inside = not Path(name).is_absolute() and path.resolve().is_relative_to(directory.resolve())
     except (OSError, ValueError, RuntimeError) as error:  # NUL in the name, loop of links
-        raise BadInput(place, f"file {name!r} cannot be named: {error}") from None
+        raise BadInput(place, f"file name {name!r} is not valid: {error}") from None
     if not inside:
         raise BadInput(place, f"file {name!r} lies outside of the bundle")
     return path

@@ -62,7 +62,7 @@ def write_columns(path: Path, recording: Recording) -> None:
     elif path.suffix == ".parquet":
         _parquet.write_table(table, str(path))
     else:
-        raise BadInput(str(path), "samples are .parquet or .csv")
+        raise BadInput(str(path), "a file of samples must be .parquet or .csv")
 
 
 def check_samples(recording: Recording, place: str) -> None:
@@ -71,7 +71,7 @@ def check_samples(recording: Recording, place: str) -> None:
     """
     count = recording.time.size
     if count < 2:
-        raise BadInput(place, f"has {count} samples; a sweep has two at least")
+        raise BadInput(place, f"has {count} samples; limit at least 2")
     for name, column in columns_of(recording).items():
         if column.shape != (count,):
             raise BadInput(place, f"column {name!r} has shape {column.shape}, time has ({count},)")
@@ -97,7 +97,7 @@ def read_table(
     text instead of a number.
     """
     if path.suffix not in (".csv", ".parquet"):
-        raise BadInput(place, "samples are .parquet or .csv")
+        raise BadInput(place, "a file of samples must be .parquet or .csv")
     wanted = tuple(dict.fromkeys((*required, *optional)))
     try:
         if path.suffix == ".csv":

@@ -50,5 +50,5 @@ def _fetch(file: RecordingFile, target: Path) -> None:
         ObjectStore(file.store).fetch(file.sha256, target)
     except MissingObject as error:
         if file.was_here:  # not moved yet, and this worker has no access to the service's data folder
-            raise StoreAway(f"{error}, yet") from None
+            raise StoreAway(f"{error}: the service has not moved it yet") from None
         raise BadInput(str(file.path), f"recording file is missing, and {error.place}: {error.reason}") from None

@@ -68,7 +68,7 @@ class KeyStore:
         with self._database.write(quiet=True) as session:
             row = session.scalar(select(t.ApiKeyRow).where(t.ApiKeyRow.name == name))
             if row is None:
-                raise NotFound(f"no key of {name}")
+                raise NotFound(f"key of {name} does not exist; `sweepid people list` lists all keys")
             if row.revoked_at is None:
                 row.revoked_at = t.now()
                 append(session, [{**entry, "event": "key revoked", "key": name}])

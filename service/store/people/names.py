@@ -11,4 +11,4 @@ def check_free(session: Session, name: str) -> None:
     """Raises Conflict if the name is or was in use."""
     for row, who in ((t.ApiKeyRow, "a key of"), (t.UserRow, "a user")):
         if session.scalar(select(row.id).where(row.name == name)) is not None:
-            raise Conflict(f"there is or was {who} {name}: use another name, because names are not reused in the audit")
+            raise Conflict(f"{who} {name} exists or existed: use another name, because the audit needs unique names")

@@ -81,7 +81,7 @@ class SessionStore:
         with self._database.write(quiet=True) as session:
             row = session.get(t.SessionRow, session_id)
             if row is None:
-                raise NotFound(f"no session {session_id}; `sweepid people sessions` lists all sessions")
+                raise NotFound(f"session {session_id} does not exist; `sweepid people sessions` lists all sessions")
             user = session.get_one(t.UserRow, row.user_id)
             if row.ended_at is None:
                 row.ended_at = t.now()

@@ -132,7 +132,7 @@ def user_document(row: t.UserRow) -> UserDocument:
 def _row(session: Session, name: str) -> t.UserRow:
     row = session.scalar(select(t.UserRow).where(t.UserRow.name == name))
     if row is None:
-        raise NotFound(f"no user {name}; `sweepid people list` lists all users")
+        raise NotFound(f"user {name} does not exist; `sweepid people list` lists all users")
     return row
 
 

@@ -83,10 +83,10 @@ class BatchStore:
             for number in campaigns or ():
                 rows.own_campaign(session, number)
                 if number not in usable:
-                    raise BadInput("campaigns", f"campaign {number} is not over, or has no identified sweep")
+                    raise BadInput("campaigns", f"campaign {number} has not ended, or has no identified sweep")
             wanted = sorted(usable if campaigns is None else set(campaigns))
             if not wanted:
-                raise BadInput("campaigns", "this machine has no campaign that is over and has an identified sweep")
+                raise BadInput("campaigns", "this machine has no campaign that has ended and has an identified sweep")
             row = t.BatchRow(
                 machine_id=rows.own(session),
                 kind=REIDENTIFY,

@@ -101,7 +101,7 @@ class RetentionStore:
         with self._database.write(quiet=True) as session:
             reason = _protected(session).get(one.campaign_id)
             if reason is not None:
-                raise Conflict(f"campaign {one.campaign_id} stays: {reason}")
+                raise Conflict(f"campaign {one.campaign_id} is kept: {reason}")
             for sample in one.samples:
                 session.get_one(t.RecordingRow, sample.id).pruned_at = at
             session.execute(delete(t.SpectrumRow).where(t.SpectrumRow.id.in_([number for number, _ in one.spectra])))
@@ -126,7 +126,7 @@ class RetentionStore:
             rows.get(session, t.CampaignRow, campaign_id, "campaign")
             row = session.get(t.HoldRow, campaign_id)
             if row is not None:
-                raise Conflict(f"campaign {campaign_id} is held by {row.by} already: {row.why}")
+                raise Conflict(f"campaign {campaign_id} is already held by {row.by}: {row.why}")
             session.add(row := t.HoldRow(campaign_id=campaign_id, by=by, why=why, at=t.now()))
             append(session, [{**entry, "event": "hold added", "campaign": campaign_id, "why": why}])
             session.flush()
@@ -208,21 +208,21 @@ def _protected(session: Session) -> dict[int, str]:
     found: dict[int, str] = {}
     over = t.CampaignRow.state.in_(_OVER)
     for number in session.scalars(select(t.CampaignRow.id).where(~over)):
-        found[number] = "it is not over"
+        found[number] = "it has not ended"
     for hold in session.scalars(select(t.HoldRow)):
         found.setdefault(hold.campaign_id, f"held by {hold.by}: {hold.why}")
     for model, diagnosis in session.execute(select(t.ModelRow.id, t.ModelRow.diagnosis_id)):
         for number in _evidence(session, diagnosis):
-            found.setdefault(number, f"model {model} rests on it")
+            found.setdefault(number, f"model {model} was made from it")
     open_ones = select(t.DiagnosisRow.id).where(t.DiagnosisRow.state.in_(_OPEN_DIAGNOSES))
     for diagnosis in session.scalars(open_ones):
         for number in _evidence(session, diagnosis):
-            found.setdefault(number, f"diagnosis {diagnosis} is not over")
+            found.setdefault(number, f"diagnosis {diagnosis} has not ended")
     for batch in session.scalars(select(t.BatchRow).where(t.BatchRow.state.in_(_OPEN_BATCHES))):
         for number in batch.campaigns:
-            found.setdefault(number, f"job {batch.id} is not over")
+            found.setdefault(number, f"job {batch.id} has not ended")
     for number, by in _named_by_plans(session, found).items():
-        found.setdefault(number, f"the plan of campaign {by} names it")
+        found.setdefault(number, f"the plan of campaign {by} refers to it")
     return found
 
 

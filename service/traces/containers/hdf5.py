@@ -47,7 +47,7 @@ def _dataset(file: Any, channel: Channel, path: str) -> Any:
         link = here.get(part, getlink=True) if isinstance(here, _h5.Group) else None
         if link is None:
             there = shown(list(map(str, here))) if isinstance(here, _h5.Group) else "none"
-            raise BadInput(place, f"there is no {part!r}; there are {there}")
+            raise BadInput(place, f"{part!r} does not exist; there are {there}")
         if not isinstance(link, _h5.HardLink):
             raise BadInput(
                 place,
@@ -57,7 +57,7 @@ def _dataset(file: Any, channel: Channel, path: str) -> Any:
     if not isinstance(here, _h5.Dataset):
         raise BadInput(place, "is a group, not a dataset")
     if here.is_virtual or here.external:
-        raise BadInput(place, "has its values in other files, which are not opened")
+        raise BadInput(place, "has its values in other files, which are not read: export it into one file")
     if here.dtype.kind not in "iuf" or here.shape is None or here.size != max(here.shape, default=0):
         raise BadInput(place, f"is not a column of numbers: {here.dtype} {here.shape}")
     return here

@@ -81,7 +81,7 @@ def _find(file: Any, channel: Channel, path: str) -> tuple[int, int]:
     numbered = cast("list[Any]", file.groups)
     groups = [k for k, group in enumerate(numbered) if channel.group in (None, k, group.channel_group.acq_name)]
     if not groups:
-        raise BadInput(place, f"there is no group {channel.group!r}; there are {_told(file, range(len(numbered)))}")
+        raise BadInput(place, f"group {channel.group!r} does not exist; there are {_told(file, range(len(numbered)))}")
     found = [
         (group, number)
         for group in groups
@@ -169,4 +169,4 @@ def _conversion(conversion: Any, place: str) -> tuple[float, float]:
     if kind == v4_constants.CONVERSION_TYPE_LIN:
         return float(conversion.a), float(conversion.b)
     named = v4_constants.CONVERSION_TYPE_TO_STRING.get(kind, str(kind))
-    raise BadInput(place, f"is converted by {named}; none and linear are read")
+    raise BadInput(place, f"has the conversion {named}; only none and linear can be read")

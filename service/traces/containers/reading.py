@@ -58,7 +58,7 @@ def read_here(path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken
     """The same in this process, one sweep after the other."""
     room, library = _READERS[path.suffix.lower()]
     if not path.is_file():
-        raise BadInput(str(path), "is no file" if path.exists() else "file does not exist")
+        raise BadInput(str(path), "is not a file" if path.exists() else "file does not exist")
     try:
         reader = cast(_Reader, importlib.import_module(f"service.traces.containers.{room}"))
     except ModuleNotFoundError as error:

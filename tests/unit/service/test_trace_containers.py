@@ -105,8 +105,8 @@ def entries(source: str) -> list[dict[str, object]]:
 @pytest.mark.parametrize(
     ("unit", "column", "reason"),
     [
-        ("rpm", {"source": "velocity"}, "unit 'rpm' of the file is none that velocity can have (rad/s, rad/min, mrad"),
-        ("mm/s", {"source": "velocity"}, "unit 'mm/s' of the file is none that velocity can have"),
+        ("rpm", {"source": "velocity"}, "unit 'rpm' of the file is not a unit of velocity (rad/s, rad/min, mrad"),
+        ("mm/s", {"source": "velocity"}, "unit 'mm/s' of the file is not a unit of velocity"),
         ("rad/s", {"source": "velocity", "unit": "motor rev/min"}, "says 'motor rev/min', the file says 'rad/s'"),
     ],
 )
@@ -148,7 +148,7 @@ def test_linear_conversions_are_applied_and_formulas_refused(tmp_path: Path) -> 
         [signal("counts", "Nm", conversion=linear), signal("formula", conversion=formula)],
     )
     np.testing.assert_array_equal(ask(path, "counts").columns[0], 0.5 * np.arange(500) + 3)
-    assert "channel formula: is converted by ALG; none and linear" in refusal(path, "formula")
+    assert "channel formula: has the conversion ALG; only none and linear" in refusal(path, "formula")
 
 
 def test_what_the_file_calls_invalid_is_no_number(tmp_path: Path) -> None:
@@ -171,7 +171,7 @@ def test_groups_of_one_clock_are_one_sweep_and_others_are_refused(tmp_path: Path
     assert "0 'group 0' has 500 samples from 0 s on at 250 Hz; 2 'group 2' has 200 samples from 0.004 s on" in told
     assert "channel both: occurs 2 times, in groups 0 'group 0', 2 'group 2': give one" in refusal(path, "both")
     assert len(ask(path, "both", group=2).columns[0]) == 200
-    assert "there is no group 'x'; there are 0 'group 0', 1" in refusal(path, "both", group="x")
+    assert "group 'x' does not exist; there are 0 'group 0', 1" in refusal(path, "both", group="x")
     assert "channel none: does not exist; there are time, effort, both" in refusal(path, "none", group=0)
 
 
@@ -195,7 +195,7 @@ def test_hdf5_that_leads_elsewhere_is_not_followed(tmp_path: Path) -> None:
     assert "differ in length, nothing is resampled: run/short has 3, run/long has 4" in refusal(
         path, "short", "long", group="run"
     )
-    assert "dataset run/none: there is no 'none'; there are long, short, text" in refusal(path, "none", group="run")
+    assert "dataset run/none: 'none' does not exist; there are long, short, text" in refusal(path, "none", group="run")
     assert "dataset run: is a group" in refusal(path, "run")
 
 
@@ -259,7 +259,7 @@ def test_without_its_library_the_extra_is_named(
 
 def test_other_traces_have_no_groups(tmp_path: Path) -> None:
     file = mapping(tmp_path, "a.csv", columns=NAMED, sweeps=[entry | {"group": "x"} for entry in entries("a.csv")])
-    with pytest.raises(BadInput, match=r"a.csv: has no groups, and the mapping names 'x'; MDF4 and HDF5 have"):
+    with pytest.raises(BadInput, match=r"a.csv: has no groups, but the mapping names 'x': only MDF4 and HDF5 have"):
         import_trace(file)
 
 

@@ -119,7 +119,7 @@ def test_a_trace_with_a_gap_is_not_written(tmp_path: Path) -> None:
     [
         ("none.csv", {}, "none.csv: file does not exist"),
         ("none.mat", {}, "none.mat: file does not exist"),
-        ("mapping.yaml", {}, "samples are .parquet or .csv"),
+        ("mapping.yaml", {}, "a file of samples must be .parquet or .csv"),
         ("torn.mat", {}, "torn.mat: cannot be read"),
         ("text.mat", {}, "variable 'TORQUE': is not a column of numbers"),
         ("trace.mat", {"robots": "x"}, "robots: unknown key; did you mean robot?"),

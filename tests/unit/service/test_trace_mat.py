@@ -68,5 +68,5 @@ MOST = 50_000_000
 def test_groups_are_refused(tmp_path: Path) -> None:
     (tmp_path / "trace.mat").write_bytes(written())
     grouped = {"columns": {name: {"source": "TORQUE", "group": 1} for name in ("effort", "velocity", "position")}}
-    with pytest.raises(BadInput, match="has no groups, and the mapping names 1; MDF4 and HDF5 have"):
+    with pytest.raises(BadInput, match="has no groups, but the mapping names 1: only MDF4 and HDF5 have"):
         import_trace(mapping(tmp_path, "trace.mat", **grouped))

@@ -115,5 +115,5 @@ async def test_a_recording_that_was_changed_is_a_cause_and_stops_no_other(stored
 async def test_what_cannot_be_identified_again_is_refused(stored: Archive) -> None:
     plan = stored.store.add_plan(stored.store.campaign(stored.campaigns[0]).robot_id, {})
     campaign = stored.store.add_campaign(plan.id, [])
-    with pytest.raises(BadInput, match="is not over, or has no identified sweep"):
+    with pytest.raises(BadInput, match="has not ended, or has no identified sweep"):
         stored.batches.add([campaign.id], "Ada")

@@ -138,7 +138,7 @@ def test_a_block_that_leaves_the_envelope_is_left_out_with_its_reason(robot: Rob
     assert {sweep.spec.block for sweep in plan.sweeps} == {"forward_slow", "revisit_forward_slow"}
     assert [dropped.reason.split(":")[0] for dropped in plan.dropped] == ["wide"]
     assert "peak velocity" in plan.dropped[0].reason or "travel" in plan.dropped[0].reason
-    with pytest.raises(BadInput, match="none of its sweeps can be run; the first because: wide: joint_3: travel"):
+    with pytest.raises(BadInput, match="none of its sweeps can be run; reason for the first: wide: joint_3: travel"):
         build_experiment_plan(robot, EXPERIMENT, [faster(s) for s in designed if s.spec.block == "wide"], cell)
 
 

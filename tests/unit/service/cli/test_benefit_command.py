@@ -56,7 +56,7 @@ def test_cad_may_come_from_a_file(bundle: Path, tmp_path: Path) -> None:
 def test_cad_of_another_robot_is_refused(bundle: Path, root: Path) -> None:
     done = sweepid("benefit", str(bundle), "--robot", str(root / "config/robots/emps.yaml"))
     assert done.returncode == 2
-    assert "emps.yaml: has joints slide, the bundle's robot j1, j2" in done.stderr
+    assert "emps.yaml: has joints slide, but the robot of the bundle has j1, j2" in done.stderr
 
 
 def test_too_few_poses_are_told(tmp_path: Path) -> None:

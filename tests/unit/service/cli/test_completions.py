@@ -23,7 +23,7 @@ def test_a_script_for_each_shell(shell: str) -> None:
 def test_a_shell_that_there_is_not() -> None:
     done = sweepid("--completions", "csh")
     assert (done.returncode, done.stdout) == (2, "")
-    assert "--completions: there is no shell csh: bash, zsh or fish" in done.stderr
+    assert "--completions: unknown shell csh: use bash, zsh or fish" in done.stderr
 
 
 @pytest.mark.skipif(shutil.which("bash") is None and "CI" not in os.environ, reason="no bash here; CI has one")

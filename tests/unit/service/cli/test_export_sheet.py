@@ -186,13 +186,13 @@ def test_what_no_body_can_have_and_what_is_hardly_known_is_not_for_use(
     estimate["axes"]["j1"]["confidence_percent"] = 40.0
     path.write_text(json.dumps(estimate), encoding="utf-8")
     done = sweepid("export-sheet", str(path), "--robot", str(side_file))
-    assert "Left out: j1, known to 40 % only, limit 25 %." in done.stdout
+    assert "Left out: j1, uncertainty 40 %, limit 25 %." in done.stdout
     assert "(no value)" in done.stdout
     estimate["standard_parameters"]["links"]["one"]["m"] = -1.0
     path.write_text(json.dumps(estimate), encoding="utf-8")
     done = sweepid("export-sheet", str(path), "--robot", str(side_file))
     assert (done.returncode, done.stdout) == (2, "")
-    assert "no body can have those of one" in done.stderr
+    assert "not physically possible for one" in done.stderr
     done = sweepid("export-sheet", str(path))
     assert "--robot: is required with an estimate" in done.stderr
 

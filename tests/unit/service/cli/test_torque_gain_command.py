@@ -83,7 +83,7 @@ def test_a_mass_gives_the_gain_and_the_gain_the_inertia(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("mass", "center", "complaint"),
     [
-        (8.0, "0,1", "--center: '0,1' is not 3 numbers with commas between"),
+        (8.0, "0,1", "--center: '0,1' is not 3 numbers separated by commas"),
         (8.0, "0,1,nan", "--center: '0,1,nan' is not 3 numbers"),
         (-8.0, "0,1,0", "mass: -8.0 kg is not above 0"),
         (8.0, "0,0,1", "j1: the test mass adds no inertia to this axis in any of the poses"),
@@ -99,7 +99,7 @@ def test_bundles_that_do_not_belong_together(tmp_path: Path) -> None:
     before = _bundle(tmp_path / "a", INERTIA)
     with pytest.raises(BadInput, match="no axis was swept in the same pose before and after"):
         torque_gain(before, _bundle(tmp_path / "b", INERTIA, height=0.4), 8.0, "0,0.5,0")
-    with pytest.raises(BadInput, match="is of another robot than"):
+    with pytest.raises(BadInput, match="is not of robot"):
         torque_gain(before, _bundle(tmp_path / "c", INERTIA, ratio=90.0), 8.0, "0,0.5,0")
 
 

@@ -160,7 +160,7 @@ def test_mcap_has_a_topic_a_joint(tmp_path: Path) -> None:
         (("out.xls",), "out.xls: recordings are written as .mf4, .h5, .hdf5, .mcap, .csv"),
         (("there.mf4",), "there.mf4: exists already"),
         (("bundle/robot.urdf/out.mcap",), "cannot be written: "),
-        (("out.mcap", "--sweep", "x"), "--sweep: there is no sweep 'x'; there are joint_2 no. 1, joint_3 no. 2"),
+        (("out.mcap", "--sweep", "x"), "--sweep: sweep 'x' does not exist; there are joint_2 no. 1, joint_3 no. 2"),
         (("out.mcap", "--began", "2026-11-24T08:00:00"), "--began: '2026-11-24T08:00:00' has no zone"),
         (("out.mcap", "--began", "9999-01-01T00:00:00Z"), "started_at: 12.3 s is outside"),
         (("out.mcap", "--began", "soon"), "--began: 'soon' is not a time"),

@@ -74,7 +74,7 @@ def test_users(own: Database) -> None:
     assert users.check("anna", PASSWORD) == anna
     assert users.check("anna", OTHER) is None
     assert users.check("berta", PASSWORD) is None
-    with pytest.raises(Conflict, match="a user anna: use another name"):
+    with pytest.raises(Conflict, match="a user anna exists or existed: use another name"):
         users.add("anna", Role.ADMIN, PASSWORD, WHO)
     assert users.change_password("anna", OTHER, WHO) == anna
     assert users.check("anna", PASSWORD) is None
@@ -89,7 +89,7 @@ def test_users(own: Database) -> None:
     assert users.check("anna", OTHER) == anna
     for name in ("change_password", "shut_out", "let_in"):
         arguments = ("nobody", PASSWORD, WHO) if name == "change_password" else ("nobody", WHO)
-        with pytest.raises(NotFound, match="no user nobody"):
+        with pytest.raises(NotFound, match="user nobody does not exist"):
             getattr(users, name)(*arguments)
     assert told(own) == ["user added", "password changed", "user disabled", "user enabled"]
 

@@ -271,7 +271,7 @@ def test_what_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     import_trace(path)
     shown = capsys.readouterr().out
     assert "by time series: J/K = 3.62" in shown
-    assert "not told: inertia in kg m^2" in shown
+    assert "not determined: inertia in kg m^2" in shown
     path.write_text(tuning_xml(), encoding="latin-1")
     import_trace(path)
     assert "the control's own: 0.1467 kg m^2, without uncertainty" in capsys.readouterr().out

@@ -202,8 +202,8 @@ FILE = "0002.parquet sweep 0002"
         (first({"file": "sweeps/0003.parquet"}), "0003.parquet sweep 0002", "file does not exist"),
         (first({"file": "../0002.parquet"}), SWEEP, "'../0002.parquet' lies outside of the bundle"),
         (first({"file": "/etc/passwd"}), SWEEP, "outside of the bundle"),
-        (first({"file": "bundle.json"}), "bundle.json sweep 0002", "samples are .parquet or .csv"),
-        (first({"file": "a\0.csv"}), SWEEP, "cannot be named"),
+        (first({"file": "bundle.json"}), "bundle.json sweep 0002", "a file of samples must be .parquet or .csv"),
+        (first({"file": "a\0.csv"}), SWEEP, "is not valid"),
         (first({"file": None}), "bundle.json sweeps.1.file", "valid string"),
     ],
 )
@@ -286,7 +286,7 @@ def test_any_mutation_is_read_or_refused(folder: Path, data: st.DataObject) -> N
 
 def test_the_sweeps_of_a_bundle_are_counted_together(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("service.store.files.bundle.MOST_NUMBERS", 2 * 250 * 5 - 1)
-    with pytest.raises(BadInput, match=r"bundle\.json: its sweeps hold more than 2499 numbers together"):
+    with pytest.raises(BadInput, match=r"bundle\.json: its sweeps contain more than 2499 numbers in total"):
         read_bundle(folder)
 
 

@@ -93,7 +93,7 @@ def test_what_is_in_the_way_is_refused(sqlite_url: str, postgresql_url: str) -> 
             copy_rows(source, source, LEASE_TIME, quiet)
         MachineLease(source, LEASE_TIME).acquire(wait=_must_not_wait)  # it was released each time
     gone = sweepid("db", "copy", "--from", f"{sqlite_url}.none", "--to", postgresql_url)
-    assert (gone.returncode, "there is no database" in gone.stderr) == (2, True)
+    assert (gone.returncode, "does not exist" in gone.stderr) == (2, True)
 
 
 def test_a_row_that_the_target_does_not_take_leaves_nothing(sqlite_url: str, postgresql_url: str) -> None:

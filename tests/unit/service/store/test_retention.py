@@ -146,7 +146,7 @@ def test_what_an_accepted_model_rests_on_never_goes(plant: Plant, specs: tuple[S
     ModelStore(plant.database).add(child.id, "Ada", {}, None)
     found = plant.prune()
     assert set(found.stay) == {first, second, start}
-    assert set(found.stay.values()) == {"model 1 rests on it"}
+    assert set(found.stay.values()) == {"model 1 was made from it"}
     assert (found.campaigns, plant.on_disk()) == (1, 9)
     assert len(plant.store.estimates(other)) == 1
 
@@ -164,7 +164,7 @@ def test_a_revision_that_a_diagnosis_started_from_stays(plant: Plant, specs: tup
 def test_a_held_campaign_stays_until_it_is_released(plant: Plant, specs: tuple[SweepSpec, ...]) -> None:
     number = plant.campaign(specs)
     plant.retention.hold(number, "ada", "report signed 2026-11-25", ENTRY)
-    with pytest.raises(Conflict, match="is held by ada already: report signed"):
+    with pytest.raises(Conflict, match="is already held by ada: report signed"):
         plant.retention.hold(number, "bob", "again", ENTRY)
     assert plant.prune().stay == {number: "held by ada: report signed 2026-11-25"}
     assert plant.on_disk() == 3
@@ -184,9 +184,9 @@ def test_what_is_open_stays(plant: Plant, specs: tuple[SweepSpec, ...]) -> None:
     BatchStore(plant.database).add([batched], "Ada")
     found = plant.prune()
     assert found.stay == {
-        paused: "it is not over",
-        diagnosed: "diagnosis 1 is not over",
-        batched: "job 1 is not over",
+        paused: "it has not ended",
+        diagnosed: "diagnosis 1 has not ended",
+        batched: "job 1 has not ended",
     }
     assert found.campaigns == 0
 
@@ -195,7 +195,7 @@ def test_what_a_plan_of_a_protected_campaign_names_stays(plant: Plant, specs: tu
     analysis = plant.campaign(specs)
     plan = plant.store.add_plan(plant.robot, {"request": {"analysis": analysis}})
     open_one = plant.store.add_campaign(plan.id, [])
-    assert plant.prune().stay == {analysis: f"the plan of campaign {open_one.id} names it"}
+    assert plant.prune().stay == {analysis: f"the plan of campaign {open_one.id} refers to it"}
 
 
 def test_an_interrupted_run_is_finished_by_the_next(
@@ -252,7 +252,7 @@ def test_the_command(plant: Plant, specs: tuple[SweepSpec, ...], monkeypatch: py
     assert dry.stdout.splitlines()[1].startswith(
         "would be removed: 3 recordings, 0 spectra, 0 estimates of 1 campaigns"
     )
-    assert f"campaign {held} stays: held by " in dry.stderr
+    assert f"campaign {held} is kept: held by " in dry.stderr
     assert plant.on_disk() == 6
     assert sweepid("db", "prune", *folder).stdout.splitlines()[1].startswith("removed: 3 recordings")
     assert plant.on_disk() == 3
