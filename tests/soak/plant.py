@@ -126,12 +126,10 @@ def soak(folder: Path, sweeps: int, seed: int) -> Json:
                 serving(folder, machine.profile, LEASE_TIME, recordings_key_file=keys, **plant.settings) as service,
                 ServiceClient(service.url) as client,
             ):
-                plan = add_plan(client, axes=["joint_2", "joint_3"], poses=sweeps // 2)
+                plan = add_plan(client, axes=["joint_2", "joint_3"], poses=sweeps // 2, step=10.0)
                 campaign = int(client.add_campaign(plan)["id"])
                 client.start(campaign)
-                pauses = 0
                 while (state := resumed(client, campaign)) != "completed":
-                    pauses += state == "paused"
                     if state in ("failed", "aborted"):
                         raise RuntimeError(f"the campaign is {state}: {client.campaign(campaign)['cause']}")
                     quiet = time.monotonic() + calm.uniform(*CALM)
@@ -157,7 +155,6 @@ def soak(folder: Path, sweeps: int, seed: int) -> Json:
         "seconds": time.monotonic() - began,
         "load": os.getloadavg()[0],
         "disturbances": dict(plant.done),
-        "pauses": pauses,
         "not_identified": [sweep["number"] for sweep in measured if sweep["state"] != "identified"],
         "without_revision": sorted({sweep["number"] for sweep in measured} - set(numbers)),
         "counted_twice": sorted(number for number, count in Counter(numbers).items() if count > 1),

@@ -1,6 +1,7 @@
 """What the runs of the soak found, summed up: ``python -m tests.soak.table`` writes docs/reference/soak.md.
 
-A run leaves its figures with ``--json tests/soak/results/WAY-SEED.json``.
+A run leaves its figures with ``--json tests/soak/results/WAY-SEED.json``; `tests.soak.plant` leaves `plant.json`,
+`tests.soak.workers` `dask-workers.json`.
 """
 
 import json
@@ -58,8 +59,84 @@ class Result(BaseModel):
     """What a reader of this run's figures must know, written by hand."""
 
 
+class PlantResult(BaseModel):
+    """One campaign whose plant was killed in parts, as `tests.soak.plant` writes it."""
+
+    sweeps: int
+    seed: int
+    seconds: float
+    load: float
+    disturbances: dict[str, int]
+    not_identified: list[int]
+    without_revision: list[int]
+    counted_twice: list[int]
+    attempts: int
+    largest_difference: float
+
+
+class WorkersResult(BaseModel):
+    """Many jobs, as `tests.soak.workers` writes it."""
+
+    tasks: int
+    seconds: float
+    load: float
+    growth_mib: dict[str, float]
+    most_mib: float
+    looks: list[dict[str, float]]
+    """Resident memory by process, MiB, and the `tasks` done by then."""
+
+
 def results(folder: Path = RESULTS) -> list[Result]:
-    return [Result.model_validate(json.loads(path.read_text("utf-8"))) for path in sorted(folder.glob("*.json"))]
+    paths = sorted(path for way in WAYS for path in folder.glob(f"{way}-[0-9]*.json"))
+    return [Result.model_validate(json.loads(path.read_text("utf-8"))) for path in paths]
+
+
+def plant(folder: Path = RESULTS) -> str:
+    """The section of the plant: PostgreSQL, object store, scheduler and workers."""
+    run = PlantResult.model_validate(json.loads((folder / "plant.json").read_text("utf-8")))
+    jobs = WorkersResult.model_validate(json.loads((folder / "dask-workers.json").read_text("utf-8")))
+    rows = [["", "campaign"]]
+    rows += [[name.replace("_", " "), str(times)] for name, times in sorted(run.disturbances.items())]
+    rows += [
+        ["sweeps", str(run.sweeps)],
+        ["attempts at them", str(run.attempts)],
+        ["**sweeps not identified**", str(len(run.not_identified))],
+        ["**sweeps without a revision**", str(len(run.without_revision))],
+        ["**sweeps counted twice**", str(len(run.counted_twice))],
+        ["largest relative difference of the last estimate from the undisturbed one", f"{run.largest_difference:.1g}"],
+    ]
+    third = jobs.looks[len(jobs.looks) // 3]
+    grown = [
+        [name, f"{mib:+.1f}", f"{jobs.looks[-1][name] - third[name]:+.1f}"] for name, mib in jobs.growth_mib.items()
+    ]
+    return "\n".join(
+        [
+            "## A plant",
+            "",
+            "`python -m tests.soak.plant`: one campaign with PostgreSQL, an S3 store (moto) and four Dask workers with",
+            "TLS, of which parts are killed, restarted or cut off at random moments."
+            f" Seed {run.seed}, {run.seconds:.0f} s, load {run.load:.0f}.",
+            "",
+            *_table(rows),
+            "",
+            f"`python -m tests.soak.workers`: {jobs.tasks} jobs through a scheduler and two workers in"
+            f" {jobs.seconds:.0f} s, load {jobs.load:.0f}.",
+            f"Wanted: after the first {jobs.looks[0]['tasks']:.0f} jobs no process grows by more than"
+            f" {jobs.most_mib:.0f} MiB.",
+            "",
+            *_table(
+                [
+                    [
+                        "growth of the resident memory, MiB",
+                        f"from {jobs.looks[0]['tasks']:.0f} jobs on",
+                        f"from {third['tasks']:.0f} jobs on",
+                    ],
+                    *grown,
+                ]
+            ),
+            "",
+        ]
+    )
 
 
 def page(runs: Sequence[Result]) -> str:
@@ -74,6 +151,10 @@ def page(runs: Sequence[Result]) -> str:
     remarks = [f"- {run.way}, seed {run.seed}: {remark}" for run in runs for remark in run.remarks]
     parts = [_HEAD, "## Each disturbance", "", *_table(each), "", "## All of it", "", *_table(whole), ""]
     return "\n".join([*parts, *(["## Remarks", "", *remarks, ""] if remarks else [])])
+
+
+def whole_page() -> str:
+    return page(results()) + "\n" + plant()
 
 
 def _cells(runs: Sequence[Result], name: str) -> tuple[str, str, str]:
@@ -113,4 +194,4 @@ def _table(rows: Iterable[Sequence[str]]) -> list[str]:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(results()), "utf-8")
+    PAGE.write_text(whole_page(), "utf-8")
