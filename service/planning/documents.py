@@ -144,8 +144,9 @@ class SparePose(BaseModel):
 class PlanDocument(BaseModel):
     """A complete campaign in the order of its sweeps.
 
-    `condition` and `confidence` are lists in the order of *choice*, after each chosen pose: condition number, and
-    predicted largest standard deviation of J over the workspace, percent of J; null while rank deficient.
+    `condition` and `confidence` are lists in the order of *choice*, after each chosen pose: condition number, null
+    while rank deficient, and predicted largest standard deviation of J over the workspace, percent of J, null while
+    the estimate may leave a base parameter undetermined.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -156,6 +157,9 @@ class PlanDocument(BaseModel):
     base_parameters: tuple[str, ...]
     condition: tuple[float | None, ...]
     confidence: tuple[float | None, ...] = ()  # (): from a version that did not predict it
+    # base parameters that the estimate may leave undetermined, because the sweeps are not better than CAD
+    undetermined: tuple[str, ...] = ()  # (): none, or from a version that did not predict it
+    enough_poses: int | None = None  # so many determine all; null: these do, or no such number was found
     spare: tuple[SparePose, ...] = ()
     candidates: int  # poses of the grid
     measurable: int  # collision-free, with room for every sweep

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.geometry.collision import reachable
+from service.identification.axis.nominal_priors import model_spread
 from service.identification.design.halton import spread_evenly
 from service.identification.estimates.estimate import WORKSPACE
 from service.identification.model.base_parameters import base_parameters, joint_ranges
@@ -26,6 +27,7 @@ class Observation:
     home: Array
     names: tuple[str, ...]  # base parameters
     columns: tuple[int, ...]
+    combination: Array  # (p, 11 n) of the parameters of the free joints in the base parameters
 
     def rows(self, poses: Array) -> Array:
         """Rows (m, axes, base parameters) at poses (m, n)."""
@@ -38,6 +40,13 @@ class Observation:
         chain, parameters = self.robot.chain, self.robot.chain.inertial.ravel()
         motors = [self.robot.axes[axis].reflected_motor_inertia or 0.0 for axis in self.axes]
         return np.stack([inertia_rows(chain, axis, poses) @ parameters for axis in self.axes], axis=1) + motors
+
+    def spread(self, largest: float) -> Array:
+        """Standard deviations (p,) of the base parameters in the CAD model, as in the estimate (`base_spread`) if the
+        measurement agrees with it; `largest`: inertia for a motor without data sheet, kg m^2 (kg).
+        """
+        chain = lock(self.robot.chain, _locked(self.home, self.free))
+        return model_spread(self.robot, chain, self.free, self.combination, largest)
 
     def workspace(self, stood: Array) -> Array:
         """Poses (w, n) that represent the workspace, as in the estimate (`Estimate.workspace`)."""
@@ -53,7 +62,7 @@ def observe(robot: Robot, request: PlanRequest, home: Array) -> Observation:
     free = tuple(sorted(robot.index(joint) for joint in {*request.axes, *request.varied}))
     chain = lock(robot.chain, _locked(home, free))
     base = base_parameters(chain, tuple(sorted(free.index(axis) for axis in axes)))
-    return Observation(robot, axes, free, home, base.names, base.columns)
+    return Observation(robot, axes, free, home, base.names, base.columns, base.combination)
 
 
 def _locked(home: Array, free: tuple[int, ...]) -> dict[int, float]:

@@ -3,7 +3,8 @@
 1. Grid: the varied axes on multiples of the step within the joint limits, all other axes at the cell's home.
 2. Room: collision-free poses with room for the travel of the sweep in each requested axis, forward or backward.
 3. Choice: greedy by the request's criterion on the observation matrix, all requested axes stacked (`pose_selection`),
-      one pose after the other until the budget is used: number, time, or the predicted confidence.
+      one pose after the other until the budget is used: number, time, or the predicted confidence. If the estimate
+      may leave base parameters undetermined, the choice is continued to find out how many poses are enough.
 4. Sweeps: designed from the CAD inertia of each pose, and checked against the envelope.
 5. Order: a short path through the first poses chosen, up to the one that makes the matrix regular, then a short path
    through the rest (`travel`): a campaign that ends early still has an estimate of all base parameters.
@@ -13,6 +14,7 @@ reason.
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,7 @@ from service.identification.design.predicted_confidence import PredictedConfiden
 from service.planning.candidates import grid, has_room, workspace_grid
 from service.planning.documents import (
     LARGEST_CHOICE,
+    USUAL_CHOICE,
     DroppedPose,
     PlanDocument,
     PlannedLeg,
@@ -65,10 +68,11 @@ def build_plan(
         )
     observed = observe(robot, request, home)
     design = SweepDesign(robot, request, envelope, candidates, analyses or {})
-    chosen, percent, refused = _choose(request, envelope, design, observed, candidates)
+    choice = _choose(request, envelope, design, observed, candidates)
+    chosen = choice.poses
     sweeps, dropped = _within_duration(SweepSequence(robot, request, envelope), request, chosen, home)
     count = len({sweep.spec.pose for sweep in sweeps}) + len(dropped)
-    dropped = (*refused, *dropped)
+    dropped = (*choice.refused, *dropped)
     if not sweeps:
         raise BadInput("poses", f"none of the chosen poses can be measured; reason for the first: {dropped[0].reason}")
     return PlanDocument(
@@ -78,9 +82,13 @@ def build_plan(
         dropped=dropped,
         base_parameters=observed.names,
         condition=_finite([one.condition for one in chosen[:count]]),
-        confidence=_finite(percent[:count]),
+        confidence=_finite(choice.promised[:count]),
+        undetermined=tuple(
+            name for name, known in zip(observed.names, choice.determined[count - 1], strict=True) if not known
+        ),
+        enough_poses=choice.enough(count),
         spare=tuple(
-            SparePose(number=n + 1, pose=tuple(chosen[n].pose.tolist())) for n in without_gain(percent[:count])
+            SparePose(number=n + 1, pose=tuple(chosen[n].pose.tolist())) for n in without_gain(choice.percent[:count])
         ),
         candidates=len(poses),
         measurable=len(candidates),
@@ -88,13 +96,36 @@ def build_plan(
     )
 
 
+@dataclass(frozen=True)
+class _Choice:
+    """Poses in the order of choice until the budget is used (k), and what is predicted after each.
+
+    `percent`: confidence by the sweeps alone; `determined` (>= k): base parameters (p,) that the estimate determines,
+    also after the poses that were tried beyond the budget; `refused`: poses that would have been chosen but have no
+    path from home, or no sweep.
+    """
+
+    poses: list[ChosenPose]
+    percent: list[float]
+    determined: list[NDArray[np.bool_]]
+    refused: list[DroppedPose]
+
+    @property
+    def promised(self) -> list[float]:
+        """Confidence that the estimate will state after each pose, percent; inf if it will state none."""
+        known = zip(self.percent, self.determined, strict=False)
+        return [percent if determined.all() else math.inf for percent, determined in known]
+
+    def enough(self, count: int) -> int | None:
+        """Least number of poses beyond `count` that determine everything; None if `count` do, or if none is known."""
+        complete = [n for n, determined in enumerate(self.determined, 1) if n >= count and determined.all()]
+        return complete[0] if complete and complete[0] > count else None
+
+
 def _choose(
     request: PlanRequest, envelope: Envelope, design: SweepDesign, observed: Observation, candidates: Array
-) -> tuple[list[ChosenPose], list[float], list[DroppedPose]]:
-    """Poses in the order of choice until the budget is used; the predicted confidence after each, percent.
-
-    Also the poses that would have been chosen but have no path from home, or no sweep.
-    """
+) -> _Choice:
+    """The choice of a request; BadInput if the requested confidence is out of reach."""
     sweeps: dict[int, tuple[Excitation, ...]] = {}
     refused: list[DroppedPose] = []
 
@@ -110,29 +141,44 @@ def _choose(
 
     rows = observed.rows(candidates)
     workspace = observed.workspace(candidates)
-    predicted = PredictedConfidence(observed.rows(workspace), observed.inertia(workspace))
-    chosen: list[ChosenPose] = []
-    percent: list[float] = []
-    needed = 0.0
-    for pick, condition in choices(rows, request.criterion, candidates, observed.home, accept):
+    inertia = observed.inertia(workspace)
+    predicted = PredictedConfidence(observed.rows(workspace), inertia, observed.spread(float(inertia.max())))
+
+    def measure(pick: int) -> None:
         told = zip(request.axes, sweeps[pick], strict=True)
         once = np.array([design.information(joint, pick, sweep) for joint, sweep in told])
         predicted.add(rows[pick], request.realisations * once)
+        determined.append(predicted.determined())
+
+    chosen: list[ChosenPose] = []
+    percent: list[float] = []
+    determined: list[NDArray[np.bool_]] = []
+    needed = 0.0
+    reached = False
+    picks = choices(rows, request.criterion, candidates, observed.home, accept)
+    for pick, condition in picks:
+        measure(pick)
         chosen.append(ChosenPose(candidates[pick], condition, sweeps[pick]))
         percent.append(predicted.percent())
         needed += request.realisations * least_duration(sweeps[pick])
-        if request.confidence is not None and percent[-1] <= request.confidence:
-            return chosen, percent, refused
-        if len(chosen) == (request.poses or LARGEST_CHOICE) or (request.duration or math.inf) < needed:
+        reached = request.confidence is not None and percent[-1] <= request.confidence
+        full = len(chosen) == (request.poses or LARGEST_CHOICE) or (request.duration or math.inf) < needed
+        if reached or full:
             break
-    if request.confidence is not None and chosen:
-        reached = f"reach only {percent[-1]:.4g} %" if math.isfinite(percent[-1]) else "do not determine J everywhere"
+    choice = _Choice(chosen, percent, determined, refused.copy())
+    if request.confidence is not None and chosen and not reached:
+        best = f"reach only {percent[-1]:.4g} %" if math.isfinite(percent[-1]) else "do not determine J everywhere"
         raise BadInput(
             "confidence",
             f"{request.confidence:.4g} % requested, but the best {len(chosen)} of {len(candidates)} "
-            f"measurable poses {reached}",
+            f"measurable poses {best}",
         )
-    return chosen, percent, refused
+    while chosen and not determined[-1].all() and len(determined) < len(chosen) + USUAL_CHOICE:
+        beyond = next(picks, None)
+        if beyond is None:
+            break
+        measure(beyond[0])
+    return choice
 
 
 def _within_duration(

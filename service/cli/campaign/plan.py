@@ -125,11 +125,18 @@ def _tell(document: Json, seconds: float) -> None:
         sys.stderr.write(f"{len(document['sweeps'])} runs, {seconds / 60:.0f} min\n")
         return
     confidence, spare = document["confidence"], document["spare"]
-    known = "will not be known" if confidence[-1] is None else f"should be known to {confidence[-1]:.2g} % or better"
+    known = "may not be known" if confidence[-1] is None else f"should be known to {confidence[-1]:.2g} % or better"
     sys.stderr.write(
         f"{len(confidence)} poses, {len(document['sweeps'])} sweeps, {seconds / 60:.0f} min; "
         f"J {known} everywhere in the workspace\n"
     )
+    if document["undetermined"]:
+        enough = document["enough_poses"]
+        sys.stderr.write(
+            "The estimate may leave these base parameters undetermined, and then states no confidence of J: the sweeps "
+            f"are not better than CAD for {', '.join(document['undetermined'])}. "
+            + (f"Plan {enough} poses (--poses {enough})\n" if enough else "Plan more poses, or vary another joint\n")
+        )
     if spare:
         numbers = ", ".join(str(pose["number"]) for pose in spare)
         sys.stderr.write(f"poses that do not improve this, in the order of choice: {numbers}\n")

@@ -85,13 +85,19 @@ async function showPlan() {
   byId("planned").hidden = false;
   tell("planned-title", text("plan.number", { id }));
   const confidence = content.confidence.at(-1);
-  tell("promise", confidence === null ? text("plan.open") : text("plan.promise", { percent: Number(confidence.toPrecision(2)) }));
+  tell("promise", confidence === null ? openPromise(content) : text("plan.promise", { percent: Number(confidence.toPrecision(2)) }));
   const shown = `${id}/${language()}`;
   if (byId("motion").dataset.shown === shown) return;
   showMotion(byId("motion"), { ...content, duration: plan.expected_time }, units, await get("/drives"));
   byId("motion").dataset.shown = shown;
   showGrid(grid, units);
   await showArm();
+}
+
+// plans of older versions do not name the parameters
+function openPromise({ undetermined = [], enough_poses: poses = null }) {
+  if (undetermined.length === 0) return text("plan.open");
+  return `${text("plan.undetermined", { parameters: undetermined.join(", ") })} ${poses === null ? text("plan.more") : text("plan.enough", { poses })}`;
 }
 
 const sweepOf = () => plan.document.sweeps[Number(byId("sweep").value) - 1];

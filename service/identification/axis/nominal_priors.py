@@ -151,18 +151,26 @@ def link_spread(links: Array, inertia: float) -> Array:
     return inertia * link_sizes(links, LIGHTEST_LINK * float(links[:, 0].mean()))
 
 
+def model_spread(robot: Robot, chain: Chain, unlocked: tuple[int, ...], combination: Array, largest: float) -> Array:
+    """Standard deviations (r,) of the base parameters  beta = `combination` (r, 11 n) x  in the nominal model.
+
+    `largest`: inertia of an axis, kg m^2 (kg), for a motor without data sheet.
+    """
+    motors = [(robot.axes[number].reflected_motor_inertia or 0.0) * robot.prior.motor_inertia for number in unlocked]
+    spread = np.concatenate([link_spread(chain.inertial, robot.prior.inertia), [own or largest for own in motors]])
+    return np.sqrt(combination**2 @ spread**2)
+
+
 def base_spread(
     robot: Robot, chain: Chain, unlocked: tuple[int, ...], combination: Array, measured: "Measured"
 ) -> Array:
-    """Standard deviations (r,) of the base parameters  beta = `combination` (r, 11 n) x  in the nominal model.
+    """Standard deviations (r,) of the base parameters  beta = `combination` (r, 11 n) x  in the nominal model, after a
+    measurement.
 
-    For a motor without data sheet: the largest inertia measured. If the model differs from the measurement by more
-    than its prior, the prior is widened accordingly: it must not override the data.
+    If the model differs from the measurement by more than its prior, the prior is widened accordingly: it must not
+    override the data.
     """
-    motors = [(robot.axes[number].reflected_motor_inertia or 0.0) * robot.prior.motor_inertia for number in unlocked]
-    largest = float(np.abs(measured.values).max())
-    spread = np.concatenate([link_spread(chain.inertial, robot.prior.inertia), [own or largest for own in motors]])
-    base = np.sqrt(combination**2 @ spread**2)
+    base = model_spread(robot, chain, unlocked, combination, float(np.abs(measured.values).max()))
     variance = measured.rows**2 @ base**2 + measured.variance
     return base * max(1.0, float(np.sqrt(np.mean((measured.values - measured.model) ** 2 / variance))))
 

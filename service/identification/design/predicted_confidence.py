@@ -8,8 +8,12 @@ Sines of amplitude a_i [rad/s] at omega_i over N samples of effort noise s show,
 omega_i^2 a_i^2). Near a known locked-rotor frequency f, all three are multiplied by F_i^2 = (1 - (f_i / f)^2)^-2.
 The gravity stiffness k_g has its prior, separately for each sweep, and is eliminated; the compliance c is shared by
 all sweeps of an axis and stays as an unknown in addition to the base parameters beta, J = w beta. The information of
-all sweeps on (beta, c) adds up. The confidence is the largest standard deviation of J over the workspace and the axes,
-in percent of J, conditional on the torque gain.
+all sweeps on (beta, c) adds up:  Lambda = [[A, B], [B', C]].  The confidence is the largest standard deviation of J
+over the workspace and the axes, in percent of J, conditional on the torque gain.
+
+The estimate states a confidence only if it determines all beta. In directions in which the data are not better than
+the nominal model it keeps that model (`least_squares`). `determined` is the rule of the estimate: the same function,
+with the information on beta alone,  A - B C^-1 B',  and the spread of the nominal model.
 
 The noise is an assumption before the measurement: white, of a drive that samples at NOISE_RATE and averages
 down to the requested rate, so that the noise at a line does not depend on that rate.
@@ -22,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.identification.design.pose_selection import SINGULAR
+from service.identification.model.least_squares import Information
 from service.recording import Sine
 
 Array = NDArray[np.float64]
@@ -59,10 +64,12 @@ def sweep_information(
 class PredictedConfidence:
     """Confidence updated pose by pose. a axes are measured in each pose; p base parameters."""
 
-    def __init__(self, rows: Array, inertia: Array) -> None:
-        """`rows` (w, a, p) and the model's `inertia` (w, a) of the axes in the poses of the workspace."""
+    def __init__(self, rows: Array, inertia: Array, spread: Array) -> None:
+        """`rows` (w, a, p) and the model's `inertia` (w, a) of the axes in the poses of the workspace; `spread` (p,):
+        standard deviations of the base parameters in the nominal model.
+        """
         count, axes, size = rows.shape
-        self._size = size
+        self._size, self._spread = size, spread
         self._workspace = np.zeros((count * axes, size + axes))
         self._workspace[:, :size] = rows.reshape(-1, size) / inertia.reshape(-1, 1)
         softest = 1 / (np.median(inertia, axis=0) * (2 * np.pi * SOFTEST) ** 2)
@@ -77,7 +84,9 @@ class PredictedConfidence:
             self._information += parts.T @ about @ parts
 
     def percent(self) -> float:
-        """Largest standard deviation of J over the workspace, percent of J; inf while something is not determined."""
+        """Largest standard deviation of J over the workspace by the sweeps alone, percent of J; inf while rank
+        deficient.
+        """
         scale = np.sqrt(np.diag(self._information))
         if not scale.all():
             return float("inf")
@@ -86,6 +95,14 @@ class PredictedConfidence:
             return float("inf")
         parts = (self._workspace / scale) @ (vectors / np.sqrt(eigenvalues))
         return 100 * float(np.sqrt(np.max(np.sum(parts**2, axis=1))))
+
+    def determined(self) -> NDArray[np.bool_]:
+        """(p,) base parameters that the estimate of these sweeps will determine, if the noise is as assumed."""
+        shared = self._information[: self._size, self._size :]
+        own = self._information[self._size :, self._size :]
+        matrix = self._information[: self._size, : self._size] - shared @ np.linalg.solve(own, shared.T)
+        deviation = np.zeros(self._size)  # from the nominal model: the values do not matter, only their precision
+        return Information(matrix, deviation).solve(deviation, self._spread).determined
 
 
 def without_gain(percent: Sequence[float]) -> list[int]:

@@ -83,9 +83,11 @@ def test_the_command_tells_what_the_plan_promises(url: str, http: httpx.Client) 
     document = http.get(f"/plans/{done.stdout.strip()}").json()["document"]
     assert document["duration"] <= 60
     assert (
-        f"{len(document['confidence'])} poses, {len(document['sweeps'])} sweeps, 1 min; J will not be known"
+        f"{len(document['confidence'])} poses, {len(document['sweeps'])} sweeps, 1 min; J may not be known"
         in done.stderr
     )
+    assert document["undetermined"]
+    assert f"not better than CAD for {', '.join(document['undetermined'])}. Plan" in done.stderr
 
 
 def test_the_command_refuses_two_budgets(url: str) -> None:

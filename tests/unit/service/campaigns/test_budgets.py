@@ -111,6 +111,26 @@ def test_a_plan_from_before_there_was_a_criterion_was_made_by_the_condition_numb
     assert PlanDocument.model_validate(stored).request.criterion is Criterion.CONDITION
 
 
+def test_a_plan_names_what_stays_undetermined_and_how_many_poses_are_enough() -> None:
+    few = plan(poses=1)
+    assert few.confidence == (None,)
+    assert set(few.undetermined) <= set(few.base_parameters)
+    assert few.undetermined
+    assert few.enough_poses is not None
+    assert plan(poses=few.enough_poses - 1).undetermined
+    enough = plan(poses=few.enough_poses)
+    assert (enough.undetermined, enough.enough_poses) == ((), None)
+    assert enough.confidence[-1] is not None
+    assert [sweep.spec.pose for sweep in few.sweeps] == [sweep.spec.pose for sweep in enough.sweeps[:2]]
+
+
+def test_a_plan_from_before_it_named_what_stays_undetermined_is_read() -> None:
+    stored = plan(poses=3).model_dump(mode="json")
+    del stored["undetermined"], stored["enough_poses"]
+    read = PlanDocument.model_validate(stored)
+    assert (read.undetermined, read.enough_poses) == ((), None)
+
+
 def test_travel_buys_a_shorter_way_with_a_little_condition() -> None:
     """24 poses of the MAX 100 class robot, as planned by default."""
     robot, cell = read_robot(CONFIG / "robots/max100-class.yaml"), read_cell(CONFIG / "cells/workshop.yaml")

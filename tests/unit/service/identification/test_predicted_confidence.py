@@ -54,7 +54,7 @@ def test_confidence_is_that_of_the_whole_least_squares() -> None:
     inertia = rng.uniform(50, 200, (50, 2))
     about = rng.normal(size=(6, 2, 4, 2)) * [10.0, 1e6]  # whitened rows of [J, c]
     information = about.swapaxes(-1, -2) @ about
-    predicted = PredictedConfidence(workspace, inertia)
+    predicted = PredictedConfidence(workspace, inertia, np.ones(3))
     percent = []
     for row, own in zip(rows, information, strict=True):
         predicted.add(row, own)
@@ -74,6 +74,30 @@ def test_confidence_is_that_of_the_whole_least_squares() -> None:
     assert percent[-1] == pytest.approx(100 * float((std / inertia).max()), rel=1e-6)
     assert percent[0] == np.inf  # two rows, three parameters
     assert percent[1:] == sorted(percent[1:], reverse=True)
+
+
+def test_a_parameter_is_determined_where_the_sweeps_are_better_than_the_model() -> None:
+    """One axis; each of two parameters has its own pose, and the compliance is known from its prior."""
+    rows = np.eye(2)[:, None, :]
+    workspace, inertia = np.ones((1, 1, 2)), np.full((1, 1), 100.0)
+    predicted = PredictedConfidence(workspace, inertia, np.array([2.0, 2.0]))
+    for row, std in zip(rows, (1.9, 2.1), strict=True):
+        predicted.add(row, np.diag([std**-2, 0.0])[None])
+    assert predicted.determined().tolist() == [True, False]
+    assert np.isfinite(predicted.percent())  # of the sweeps alone
+    predicted.add(rows[1], np.diag([2.1**-2, 0.0])[None])
+    assert predicted.determined().tolist() == [True, True]
+
+
+def test_a_compliance_that_the_sweeps_must_find_costs_precision() -> None:
+    """With correlation 0.8 of J and c, and c free, the variance of J is 1 / (1 - 0.64) of the one with c known."""
+    softest = 1 / (100.0 * (2 * np.pi * SOFTEST) ** 2)
+    scale = np.diag([1.0, 1e6 / softest])  # c is found much better than its prior
+    about = scale @ np.array([[1.0, 0.8], [0.8, 1.0]]) @ scale
+    for spread, determined in ((1.6, False), (1.7, True)):  # 1 / 0.6 = 1.67
+        predicted = PredictedConfidence(np.ones((1, 1, 1)), np.full((1, 1), 100.0), np.array([spread]))
+        predicted.add(np.ones((1, 1)), about[None])
+        assert predicted.determined().tolist() == [determined]
 
 
 def test_a_pose_that_sees_nothing_new_adds_nothing() -> None:
