@@ -24,7 +24,8 @@ _IMAGES = r"""
 ARG BASE=python:3.11-slim-bookworm
 FROM ${BASE} AS packages
 RUN apt-get update -qq \
- && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends postgresql prometheus >/dev/null \
+ && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends -o Dpkg::Options::=--force-unsafe-io \
+      postgresql prometheus >/dev/null \
  && useradd --uid 10001 --no-create-home sweepid
 ENV PATH=/usr/lib/postgresql/15/bin:${PATH}
 
