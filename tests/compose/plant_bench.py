@@ -13,7 +13,7 @@ import httpx
 from service.client import ServiceClient
 from tests.compose.bench import COMMAND, ROOT, Containers, ready
 from tests.object_store_server import free_port
-from tests.system.rest_bench import until
+from tests.system.rest_bench import PATIENT_LEASE, until
 
 CELLS = ("cell-1", "cell-2")
 MACHINES = ("machine-1", "machine-2")
@@ -86,7 +86,7 @@ class Plant(Containers):
         super().__init__(
             folder,
             "sweepid-test-plant",
-            {"COMPOSE_PROFILES": "plant", "SWEEPID_SECRETS": str(secrets)}
+            {"COMPOSE_PROFILES": "plant", "SWEEPID_SECRETS": str(secrets), "SWEEPID_LEASE_TIME": str(PATIENT_LEASE)}
             | {f"SWEEPID_PORT_{name}": str(port) for name, port in ports.items()}
             | {f"SWEEPID_STOP_PORT_{number}": str(free_port()) for number in (1, 2)}
             | images,

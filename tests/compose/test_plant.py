@@ -34,9 +34,9 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
 
 
 def measure(plant: Plant, cell: str, troubles: list[str]) -> int:
-    """A campaign of two sweeps, from plan to estimate; its number."""
+    """A campaign of four sweeps, from plan to estimate; its number."""
     with ServiceClient(plant.url[cell]) as client:
-        campaign = int(client.add_campaign(add_plan(client, axes=["joint_2", "joint_3"], poses=1))["id"])
+        campaign = int(client.add_campaign(add_plan(client, axes=["joint_2", "joint_3"], poses=2))["id"])
         Operator(client, progress=lambda campaign: None, say=troubles.append).run(campaign)
         return campaign
 
@@ -67,14 +67,14 @@ def test_two_cells_measure_at_once_and_a_worker_is_killed(plant: Plant) -> None:
             assert [listed[number][0] for number in campaigns] == list(machines)
             assert [listed[number][1] for number in campaigns] == [name == cell for cell in CELLS]
             for number in campaigns:
-                assert [sweep["state"] for sweep in client.sweeps(number)] == ["identified"] * 2
-                assert client.estimate(number)["revision"] == 2
+                assert [sweep["state"] for sweep in client.sweeps(number)] == ["identified"] * 4
+                assert client.estimate(number)["revision"] == 4
     with ServiceClient(plant.url["plant"]) as client, pytest.raises(ServiceProblem, match="no machine"):
         client.resume(campaigns[0])
 
     # one object store: each recording is in it, by its hash
     recorded = set(rows(plant, "SELECT sha256 FROM recording"))
-    assert len(recorded) >= 4
+    assert len(recorded) >= 8
     until(lambda: rows(plant, "SELECT count(*) FROM recording WHERE moved_at IS NULL") == ["0"], "all are moved")
     kept_keys = {Path(key).stem for key in plant.python("cell-1", _KEYS).split()}
     assert recorded <= kept_keys
