@@ -1,10 +1,7 @@
 """What holds for the house as a whole: its rooms, its sizes, its lock, its container files."""
 
 import importlib
-import os
 import re
-import shutil
-import subprocess
 import tomllib
 from importlib.metadata import metadata
 from pathlib import Path
@@ -74,14 +71,6 @@ def test_the_lock_has_all_that_pyproject_asks_for(root: Path, project: dict[str,
     wanted += [each for group in groups.values() for each in group if isinstance(each, str)]
     names = {re.split(r"[^A-Za-z0-9-]", requirement)[0].lower() for requirement in wanted}
     assert names - locked == set(), "run: make lock"
-
-
-@pytest.mark.skipif(
-    shutil.which("docker-compose") is None and "CI" not in os.environ, reason="no docker-compose here; CI has one"
-)
-def test_docker_compose_accepts_its_file(root: Path) -> None:
-    checked = subprocess.run(["docker-compose", "config", "-q"], cwd=root, capture_output=True, text=True, timeout=60)
-    assert checked.returncode == 0, checked.stderr
 
 
 def test_the_image_is_built_of_what_there_is(root: Path) -> None:

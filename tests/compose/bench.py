@@ -2,7 +2,6 @@
 
 import json
 import os
-import socket
 import subprocess
 import time
 from collections.abc import Iterator
@@ -10,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from service.client import Json, ServiceClient, ServiceUnreachable
+from tests.object_store_server import free_port
 from tests.system.rest_bench import until
 
 ROOT = Path(__file__).parents[2]
@@ -48,51 +48,46 @@ class Watch:
         return any(abs(axis["velocity"]) > 1e-3 for axis in self.all()[-1].values())
 
 
-class Cell:
-    """The containers of docker-compose.yml, from the image that `docker-compose build` has made."""
+class Containers:
+    """A project of docker-compose.yml, from the image that `docker-compose build` has made."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self._port = int(free.getsockname()[1])
-        self.url = f"http://127.0.0.1:{self._port}"
+    def __init__(self, folder: Path, project: str, environment: dict[str, str]) -> None:
+        self.folder = folder
+        self._environment = os.environ | {"COMPOSE_PROJECT_NAME": project} | environment
 
-    def compose(self, *arguments: str) -> str:
+    def compose(self, *arguments: str, patience: float = COMMAND) -> str:
         """What `docker-compose ARGUMENTS` prints; RuntimeError with its complaint if it fails."""
         done = subprocess.run(
             ["docker-compose", *arguments],
             cwd=ROOT,
-            env=self._environment(),
+            env=self._environment,
             capture_output=True,
             text=True,
-            timeout=COMMAND,
+            timeout=patience,
             check=False,
         )
         if done.returncode:
             raise RuntimeError(f"docker-compose {arguments}: {done.stdout[-4000:]}{done.stderr[-4000:]}")
         return done.stdout
 
-    def up(self) -> None:
-        """Start, and wait until it could measure."""
-        self.compose("up", "--detach", "--no-build")
-        with ServiceClient(self.url) as client:
-            until(lambda: _ready(client), "the cell is ready")
+    def numbers(self, *services: str) -> list[str]:
+        """Of the containers of services, running or not; of all."""
+        return self.compose("ps", "--all", "--quiet", *services).split()
 
     def inspect(self, service: str) -> Json:
         """What the engine knows of a container, running or not."""
-        (number,) = self.compose("ps", "--all", "--quiet", service).split()
-        done = subprocess.run(["docker", "inspect", number], capture_output=True, timeout=COMMAND, check=True)
-        return json.loads(done.stdout)[0]
+        (number,) = self.numbers(service)
+        return inspected(number)
 
     @contextmanager
-    def watched(self) -> Iterator[Watch]:
+    def watched(self, machine: str = "machine") -> Iterator[Watch]:
         """Look at the machine itself, beside the service, as long as it runs."""
-        path = self._folder / f"watch-{time.monotonic_ns()}.jsonl"
-        command = ["docker-compose", "exec", "-T", "machine", "python3", "-c", _WATCH]
+        path = self.folder / f"watch-{time.monotonic_ns()}.jsonl"
+        command = ["docker-compose", "exec", "-T", machine, "python3", "-c", _WATCH]
         with (
             path.open("w") as lines,
             subprocess.Popen(
-                command, cwd=ROOT, env=self._environment(), stdin=subprocess.DEVNULL, stdout=lines
+                command, cwd=ROOT, env=self._environment, stdin=subprocess.DEVNULL, stdout=lines
             ) as watching,
         ):
             try:
@@ -107,8 +102,26 @@ class Cell:
         print(self.compose("logs", "--no-color", "--tail", "200"))  # shown when the test has failed
         self.compose("down", "--volumes")
 
-    def _environment(self) -> dict[str, str]:
-        return os.environ | {"COMPOSE_PROJECT_NAME": "sweepid-test", "SWEEPID_PORT": str(self._port)}
+
+class Cell(Containers):
+    """What starts without a profile."""
+
+    def __init__(self, folder: Path) -> None:
+        port = free_port()
+        super().__init__(folder, "sweepid-test", {"SWEEPID_PORT": str(port)})
+        self.url = f"http://127.0.0.1:{port}"
+
+    def up(self) -> None:
+        """Start, and wait until it could measure."""
+        self.compose("up", "--detach", "--no-build")
+        with ServiceClient(self.url) as client:
+            until(lambda: ready(client), "the cell is ready")
+
+
+def inspected(number: str) -> Json:
+    """What the engine knows of a container."""
+    done = subprocess.run(["docker", "inspect", number], capture_output=True, timeout=COMMAND, check=True)
+    return json.loads(done.stdout)[0]
 
 
 def stands(axes: Axes) -> bool:
@@ -120,7 +133,7 @@ def positions(axes: Axes) -> dict[str, float]:
     return {joint: axis["position"] for joint, axis in axes.items()}
 
 
-def _ready(client: ServiceClient) -> bool:
+def ready(client: ServiceClient) -> bool:
     try:
         return bool(client.ready()["ready"])
     except ServiceUnreachable:
