@@ -13,6 +13,7 @@ const SYNC_LOST = 5.0; // s without SYNC, after which time goes on by itself
 const LAG = 0.05, LAG_TIME = 0.2; // rad/s of set-point and speed apart, for s: fault 8400h
 const JUMP = 0.05; // rad from one position target to the next: fault 8611h
 const STANDS = 9e-4; // rad/s
+const SETTLED = 0.02; // s of standstill before the target is reached, as 6068h: the speed swings through zero
 const STIFFNESS = 10.0; // 1/s, of the position controller
 const NOISE = 1.0; // per mille of the rated torque, of the torque that is told
 
@@ -33,7 +34,7 @@ class Drive {
         this.code = 0;
         this.pressed = false;
         this.word = this.mode = 0;
-        this.lagging = 0.0;
+        this.lagging = this.still = 0.0;
         this.after = null; // state at the end of a ramp
         this._begin();
         this.eds = dictionary(number, modes);
@@ -210,6 +211,7 @@ class Drive {
 
     _watch(wanted) {
         this.lagging = Math.abs(wanted - this.plant.velocity) > LAG ? this.lagging + STEP : 0.0;
+        this.still = Math.abs(this.plant.velocity) < STANDS ? this.still + STEP : 0.0;
         const [low, high] = [1, 2].map((sub) => this.get(0x607D, sub) / (TURN * ENCODER));
         if (this.state === State.ENABLED && this.lagging > LAG_TIME)
             this.fail(0x8400);
@@ -314,7 +316,8 @@ class Drive {
         }
         const arrived = this.mode !== PP || this.target === null || this.reference === this.target;
         let word = this.state | 0x200 | (this.pressed ? 0 : 0x10);
-        if (energised && stands && arrived && this.left === 0)
+        const settled = this.mode === PP ? this.still >= SETTLED : stands;
+        if (energised && settled && arrived && this.left === 0)
             word |= 0x400;
         if (this.state === State.ENABLED && (this.mode === PP ? this.acknowledged : this.mode === CSV || this.mode === CSP))
             word |= 0x1000;
