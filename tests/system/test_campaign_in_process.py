@@ -25,6 +25,7 @@ from service.settings import Settings
 from service.store.documents import CampaignDocument, CampaignState, EventKind, RecordingState, SweepState
 from service.store.files.bundle import read_bundle
 from service.store.guards import MachineTaken
+from tests.system.rest_bench import PATIENT_LEASE
 
 ROOT = Path(__file__).resolve().parents[2]
 TIMEOUT = 120.0  # s
@@ -70,6 +71,7 @@ def settings(profile: Path, tmp_path: Path) -> Settings:
         drive=profile,
         robots_dir=ROOT / "config/robots",
         cells_dir=ROOT / "config/cells",
+        lease_time=PATIENT_LEASE,
     )
 
 
