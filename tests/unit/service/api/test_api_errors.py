@@ -2,6 +2,7 @@
 
 import json
 import socket
+from typing import Any
 from urllib.parse import urlsplit
 
 import httpx
@@ -11,7 +12,7 @@ from service.api.gate import BODY_LIMIT, ROBOT_LIMIT
 from service.robot import Robot
 
 
-def problem(response: httpx.Response, status: int) -> dict[str, object]:
+def problem(response: httpx.Response, status: int) -> dict[str, Any]:
     assert response.status_code == status, response.text
     assert response.headers["content-type"] == "application/problem+json"
     document = response.json()
@@ -24,15 +25,15 @@ def robots(http: httpx.Client) -> int:
     return len(http.get("/robots").json()["items"])
 
 
-def body(robot: Robot) -> dict[str, object]:
+def body(robot: Robot) -> dict[str, Any]:
     return {"description": robot.description.model_dump(mode="json"), "urdf_text": robot.urdf_text}
 
 
 def test_a_field_out_of_its_limit_is_named_with_value_and_limit(http: httpx.Client, robot: Robot) -> None:
     before, wrong = robots(http), body(robot)
-    wrong["description"]["axes"][1]["rated_effort"] = -3.0  # type: ignore[index]
+    wrong["description"]["axes"][1]["rated_effort"] = -3.0
     found = problem(http.post("/robots", json=wrong), 422)
-    (error,) = found["errors"]  # type: ignore[misc]
+    (error,) = found["errors"]
     assert error["pointer"] == "#/description/axes/1/rated_effort"
     assert (error["value"], error["limit"]) == (-3.0, 1e-9)
     assert "rated_effort" in str(found["detail"])
@@ -42,7 +43,7 @@ def test_a_field_out_of_its_limit_is_named_with_value_and_limit(http: httpx.Clie
 def test_a_misspelt_field_is_refused(http: httpx.Client, robot: Robot) -> None:
     before = robots(http)
     found = problem(http.post("/robots", json=body(robot) | {"urdf_txt": ""}), 422)
-    assert [error["pointer"] for error in found["errors"]] == ["#/urdf_txt"]  # type: ignore[attr-defined]
+    assert [error["pointer"] for error in found["errors"]] == ["#/urdf_txt"]
     assert robots(http) == before
 
 
@@ -64,7 +65,7 @@ def test_what_is_not_json_is_a_problem(http: httpx.Client, content: bytes) -> No
 def test_half_a_surrogate_pair_is_refused_in_an_answer_that_can_be_sent(http: httpx.Client) -> None:
     headers = {"Content-Type": "application/json"}
     found = problem(http.post("/campaigns", content=b'{"plan_id": "\\ud800"}', headers=headers), 422)
-    assert [error["pointer"] for error in found["errors"]] == ["#/plan_id"]  # type: ignore[attr-defined]
+    assert [error["pointer"] for error in found["errors"]] == ["#/plan_id"]
 
 
 @pytest.mark.parametrize("number", [2**31, 2**63, 10**25])
@@ -74,7 +75,7 @@ def test_a_number_that_no_row_can_have_is_refused(http: httpx.Client, number: in
     for path in (f"/plans?after={number}", f"/events?after={number}", f"/events?campaign={number}"):
         problem(http.get(path), 422)
     problem(http.get("/events", headers={"Last-Event-ID": str(number)}), 422)
-    (error,) = problem(http.post("/campaigns", json={"plan_id": number}), 422)["errors"]  # type: ignore[misc]
+    (error,) = problem(http.post("/campaigns", json={"plan_id": number}), 422)["errors"]
     assert (error["pointer"], error["limit"]) == ("#/plan_id", 2**31 - 1)
 
 
@@ -189,7 +190,7 @@ def release_all(http: httpx.Client) -> None:
 )
 def test_numbers_and_names_of_no_robot_are_refused(http: httpx.Client, robot: Robot, field: str, value: object) -> None:
     before, wrong = robots(http), body(robot)
-    wrong["description"]["axes"][1][field] = value  # type: ignore[index]
+    wrong["description"]["axes"][1][field] = value
     assert f"#/description/axes/1/{field}" in str(problem(http.post("/robots", json=wrong), 422)["errors"])
     assert robots(http) == before
 
