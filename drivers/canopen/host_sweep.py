@@ -21,7 +21,7 @@ from drivers.canopen.bus import Bus
 from drivers.canopen.profile import BusProfile
 from drivers.canopen.punctuality import Punctuality
 from drivers.canopen.stop_sequence import StopStage
-from drivers.canopen.streamed_axis import STANDING_SAMPLES, Ending, StreamedAxis, StreamRequest, Trouble
+from drivers.canopen.streamed_axis import STANDING_SAMPLES, Ending, StreamedAxis, StreamRequest, Trouble, unplanned
 from drivers.cia402.states import State
 from drivers.errors import CommunicationLost
 from drivers.ports import SampleBlock, SetPointTiming
@@ -251,14 +251,16 @@ class HostSweep:
                 self._end(trouble, axis)
 
     def _wait_for_answers(self, events: Events, sent: float) -> None:
-        """Delay the next SYNC for drives that count no samples, as far as the profile allows missed deadlines.
+        """Delay the next SYNC for drives that have not answered, as far as the profile allows missed deadlines.
 
-        A later answer then cannot be assigned to another SYNC. After the last sample one SYNC is left out (`windows`).
+        A later answer of a drive that counts no samples then cannot be assigned to another SYNC; after its last sample
+        one SYNC is left out (`windows`). A drive that counts and is slow (a virtual one on a busy computer) gets no
+        more SYNCs than it can process: those that wait for it would delay its heartbeats, and a stop.
         """
-        axes = [axis for axis in self._axes.values() if not axis.counts]
-        if not axes or self._ended:
+        if self._ended:
             return
-        if self._number == self._last + STANDING_SAMPLES:
+        axes = list(self._axes.values())
+        if self._number == self._last + STANDING_SAMPLES and not all(axis.counts for axis in axes):
             self._listen(events, self._clock.due + self._period)
             self._clock.begin(self._clock.due + self._period)
         until = sent + self._silence / OPENING_SYNCS
@@ -319,7 +321,7 @@ class HostSweep:
             if seen.get(node) == axis.planned(self._number):
                 axis.was_sent(self._number)
             elif not self._ended:
-                self._end(Trouble(*_unplanned(seen.get(node), self._wires.stop_frame(node)[1])), axis)
+                self._end(unplanned(seen.get(node), self._wires.stop_frame(node)[1]), axis)
         self._number += 1
         self._count_sync()
         kernel.note(self._clock.sent(at))
@@ -377,13 +379,6 @@ class HostSweep:
 
     def _post(self, item: SampleBlock | None) -> None:
         self._loop.call_soon_threadsafe(self._blocks.put_nowait, item)
-
-
-def _unplanned(sent: bytes | None, rest: bytes) -> tuple[Ending, str]:
-    """Meaning of a frame of the kernel that is not the planned set-point."""
-    if sent == rest:
-        return Ending.LATE, "the host did not plan the next set-points in time"
-    return Ending.NOT_SENT, "a SYNC was sent without its planned set-point"
 
 
 def _next(events: Events, within: float) -> frames.Event | None:

@@ -21,6 +21,7 @@ from drivers.cia402.waveform import set_point
 from drivers.ports import SampleBlock, SweepCommand
 
 STANDING_SAMPLES = 5  # in a row below the standstill velocity
+MOST_AHEAD = 0.2  # s of SYNCs without a sample, before a host that may miss deadlines waits for a drive that counts
 
 
 class Ending(Enum):
@@ -45,6 +46,13 @@ class Trouble:
     ending: Ending
     reason: str
     stage: StopStage = StopStage.QUICK_STOP
+
+
+def unplanned(sent: bytes | None, rest: bytes) -> Trouble:
+    """Meaning of a frame of the kernel that is not the planned set-point; `rest` is the one that stops the axis."""
+    if sent == rest:
+        return Trouble(Ending.LATE, "the host did not plan the next set-points in time")
+    return Trouble(Ending.NOT_SENT, "a SYNC was sent without its planned set-point")
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +118,10 @@ class StreamedAxis:
 
     @property
     def answered(self) -> bool:
-        """Both TPDOs came since the last SYNC; for a drive that counts samples they may come at any time."""
-        return not isinstance(self._pairing, Windows) or self._pairing.answered
+        """Both TPDOs came since the last SYNC; those of a drive that counts samples may be `MOST_AHEAD` late."""
+        if isinstance(self._pairing, Windows):
+            return self._pairing.answered
+        return (self.behind + self.silent) * self._period <= MOST_AHEAD
 
     @property
     def counts(self) -> bool:

@@ -250,8 +250,8 @@ class SweepExecutor:
     ) -> None:
         """Run the sweeps and write their samples to disk. Raises SamplesMissing if any is missing.
 
-        The samples are monitored as they arrive, independent of the disk: blocks wait in memory, at most all samples
-        of these sweeps.
+        If an axis leaves its envelope because it already brakes, the error is the cause of the braking. The samples are
+        monitored as they arrive, independent of the disk: blocks wait in memory, at most all samples of these sweeps.
         """
         recorders: list[Recorder] = []
         writes: deque[Future[None]] = deque()
@@ -260,17 +260,24 @@ class SweepExecutor:
                 recorders.append(await self._on_disk(Recorder, self._files.stream(each.run), each.command))
             by_joint = {each.command.joint: (each, own) for each, own in zip(together, recorders, strict=True)}
             came = {joint: Gapless() for joint in by_joint}
+            left: EnvelopeViolation | None = None
             async with motion.sweeping([each.command for each in together], here) as blocks:
-                async for block in blocks:
-                    each, recorder = by_joint.get(block.joint, (together[0], recorders[0]))
-                    writes.append(self._disk.submit(recorder.write, block))
-                    await self._watch(motion, each, compiled, block, on_path=len(together) > 1)
-                    self._hub.publish(each.run.campaign_id, each.run.number, block)
-                    came[each.command.joint].check(block)
-                    came[each.command.joint].add(block)
-                    while writes and writes[0].done():
-                        writes.popleft().result()  # a write error ends the sweep
-                    self._waiting = len(writes)
+                try:
+                    async for block in blocks:
+                        each, recorder = by_joint.get(block.joint, (together[0], recorders[0]))
+                        writes.append(self._disk.submit(recorder.write, block))
+                        left = left or await self._watch(motion, each, compiled, block, on_path=len(together) > 1)
+                        self._hub.publish(each.run.campaign_id, each.run.number, block)
+                        if left is None:
+                            came[each.command.joint].check(block)
+                        came[each.command.joint].add(block)
+                        while writes and writes[0].done():
+                            writes.popleft().result()  # a write error ends the sweep
+                        self._waiting = len(writes)
+                except SweepInterrupted as stopped:  # any other error came before: braking axes leave their path
+                    raise left or stopped from None
+                if left is not None:
+                    raise left
             for write in writes:
                 await run_to_end(asyncio.wrap_future(write))
             for recorder in recorders:
@@ -282,16 +289,17 @@ class SweepExecutor:
 
     async def _watch(
         self, motion: Motion, each: _Begun, compiled: CompiledPlan, block: SampleBlock, *, on_path: bool
-    ) -> None:
-        """EnvelopeViolation, with the machine stopped, if the axis left its envelope or its path in a trajectory."""
+    ) -> EnvelopeViolation | None:
+        """How the axis left its envelope, or its path in a trajectory; the machine is then stopped."""
         try:
             compiled.envelope.watch(each.command, block)
             if on_path and isinstance(each.command, SweepCommand):
                 start = each.sweep.spec.pose[compiled.joints.index(block.joint)]
                 compiled.envelope.watch_path(each.command, start, block)
-        except EnvelopeViolation:
+        except EnvelopeViolation as left:
             await motion.stop()
-            raise
+            return left
+        return None
 
     async def _pose(self, sweep: SweepDocument, compiled: CompiledPlan) -> tuple[float, ...]:
         """Positions of all axes; for axes that this machine does not reach, those of the plan.

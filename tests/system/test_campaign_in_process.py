@@ -3,9 +3,11 @@
 import asyncio
 import json
 import math
+import socket
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -44,31 +46,44 @@ def speed_factor() -> float:
     return 20.0
 
 
+@dataclass(frozen=True)
+class Drives:
+    """A virtual machine: the profile that leads to it, and its control port."""
+
+    profile: Path
+    control_port: int
+
+    def order(self, order: str, **details: object) -> None:
+        with socket.create_connection(("127.0.0.1", self.control_port), timeout=TIMEOUT) as client:
+            client.sendall(json.dumps({"order": order, **details}).encode() + b"\n")
+            with client.makefile() as replies:
+                assert json.loads(replies.readline())["ok"]
+
+
 @pytest.fixture
-def profile(tmp_path: Path, scenario: str, speed_factor: float) -> Iterator[Path]:
-    """A virtual machine, and the profile that leads to it."""
+def drives(tmp_path: Path, scenario: str, speed_factor: float) -> Iterator[Drives]:
     command = [sys.executable, "-c", "from service.cli import main; main()", "drive"]
     command += ["--scenario", f"config/scenarios/{scenario}.yaml"]
     command += ["--port", "0", "--control-port", "0", "--speed-factor", str(speed_factor), "--seed", "1"]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         assert process.stdout is not None
-        port = json.loads(process.stdout.readline())["port"]
+        ready = json.loads(process.stdout.readline())
         content = yaml.safe_load((ROOT / "config/drives/virtual-max100.yaml").read_text())
-        content["bus"] |= {"port": port, "sync_period": 0.008}  # a busy computer keeps up with it
+        content["bus"] |= {"port": ready["port"], "sync_period": 0.008}  # a busy computer keeps up with it
         content["eds"] = str(ROOT / "config/eds/virtual-axis.eds")
         path = tmp_path / "drive.yaml"
         path.write_text(yaml.safe_dump(content))
         try:
-            yield path
+            yield Drives(path, ready["control_port"])
         finally:
             process.terminate()
 
 
 @pytest.fixture
-def settings(profile: Path, tmp_path: Path) -> Settings:
+def settings(drives: Drives, tmp_path: Path) -> Settings:
     return Settings(
         data_dir=tmp_path / "data",
-        drive=profile,
+        drive=drives.profile,
         robots_dir=ROOT / "config/robots",
         cells_dir=ROOT / "config/cells",
         lease_time=PATIENT_LEASE,
@@ -90,6 +105,20 @@ async def campaign_of(application: Application, modes: str, **changes: object) -
         | changes
     )
     plan = build_plan(robot.build(), request, read_cell(application.settings.cells_dir / "workshop.yaml"))
+    record = application.store.add_plan(robot.id, plan.model_dump(mode="json"))
+    return await application.add_campaign(record.id)
+
+
+async def trajectory_of(application: Application, **changes: object) -> CampaignDocument:
+    """One trajectory of two axes."""
+    robot = next(robot for robot in application.store.robots() if robot.name == "max100-class")
+    request = TrajectoryRequest.model_validate(
+        {"kind": "trajectory", "robot_id": robot.id, "axes": ("joint_3", "joint_5"), "trajectories": 1, "period": 2.0}
+        | {"harmonics": 3, "move_velocity": 0.5}
+        | changes
+    )
+    cell = read_cell(application.settings.cells_dir / "workshop.yaml")
+    plan = await asyncio.to_thread(build_trajectory_plan, robot.build(), request, cell)
     record = application.store.add_plan(robot.id, plan.model_dump(mode="json"))
     return await application.add_campaign(record.id)
 
@@ -162,18 +191,10 @@ async def test_a_campaign_ends_when_the_confidence_wanted_is_reached(application
 
 @pytest.mark.parametrize("scenario", ["max100-six"])
 async def test_axes_that_move_at_once_are_identified_together(application: Application, tmp_path: Path) -> None:
-    robot = next(robot for robot in application.store.robots() if robot.name == "max100-class")
     alone = await campaign_of(application, "drive_side", axes=("joint_3",), varied=("joint_5",))
     await application.runner.start(alone.id)
     await completed(application, alone.id)
-    request = TrajectoryRequest.model_validate(
-        {"kind": "trajectory", "robot_id": robot.id, "axes": ("joint_3", "joint_5"), "trajectories": 1, "period": 2.0}
-        | {"harmonics": 3, "move_velocity": 0.5, "sweeps": alone.id}
-    )
-    cell = read_cell(application.settings.cells_dir / "workshop.yaml")
-    plan = await asyncio.to_thread(build_trajectory_plan, robot.build(), request, cell)
-    record = application.store.add_plan(robot.id, plan.model_dump(mode="json"))
-    campaign = await application.add_campaign(record.id)
+    campaign = await trajectory_of(application, sweeps=alone.id)
     await application.runner.start(campaign.id)
     done = await completed(application, campaign.id)
     assert done.sweeps == {SweepState.IDENTIFIED: 2}
@@ -193,6 +214,27 @@ async def test_axes_that_move_at_once_are_identified_together(application: Appli
     parts = {parameter["name"]: parameter for parameter in offline["combination"]["base_parameters"]}
     assert found["Fc(joint_3)"]["std"] < 1.5 * parts["Fc(joint_3)"]["std"]
     assert sum(p["identified"] for p in found.values()) >= sum(p["identified"] for p in parts.values())
+
+
+@pytest.mark.parametrize("scenario", ["max100-six"])
+async def test_a_fault_on_a_trajectory_is_told_and_not_that_braking_axes_leave_it(
+    application: Application, drives: Drives
+) -> None:
+    campaign = await trajectory_of(application)
+    with application.hub.subscribe(campaign.id) as live:
+        await application.runner.start(campaign.id)
+        async with asyncio.timeout(TIMEOUT):
+            async for block in live:
+                if block.time[-1] > 2.0:
+                    break
+        drives.order("fault", joint="joint_3", code=0x2310)
+        await asyncio.wait_for(application.runner.finished(), TIMEOUT)
+    states = {joint: axis.state for joint, axis in (await application.machine.status()).items()}
+    assert states == dict.fromkeys(states, AxisState.DISABLED) | {"joint_3": AxisState.FAULT}
+    done = application.store.campaign(campaign.id)
+    assert done.state is CampaignState.PAUSED
+    assert done.cause == "DriveFault: joint_3 (node 3): error 2310h, history 00002310h"
+    assert {sweep.cause for sweep in application.store.sweeps(campaign.id)} == {done.cause}
 
 
 async def test_both_ways_of_measuring_give_the_same_inertia(application: Application) -> None:
