@@ -65,7 +65,9 @@ def _tables(page: Page, estimate: Estimate) -> None:
     """The values of an estimate for axes without a figure; nothing if there are none."""
     if not estimate.axes:
         return
-    page.add("<h2>Inertia of the axes, sweep by sweep</h2>", "<p>kg m² (kg); reference: the CAD model.</p>")
+    page.add(
+        "<h2>Inertia of the axes, sweep by sweep</h2>", "<p>kg m², of a linear axis kg; reference: the CAD model.</p>"
+    )
     rows = [
         [joint, one.sweep, f"{one.value:.5g}", f"{one.std:.2g}", f"{one.identified:.5g}", f"{one.reference:.5g}"]
         for joint, axis in estimate.axes.items()

@@ -212,7 +212,9 @@ def _rigid_model(page: Page, parameters: Sequence[RigidParameter], started_from:
 
 def _fit(page: Page, fit: AxisFit) -> None:
     labels = drawn.pose_labels([entry.pose for entry in fit.inertia])
-    page.add("<p>The axis again, with the effects in its model; kg m² (kg) and N m s/rad (N s/m).</p>")
+    page.add(
+        "<p>The axis again, with the effects in its model; kg m² and N m s/rad, of a linear axis kg and N s/m.</p>"
+    )
     rows = [[f"inertia at {label}", *_number_and_std(entry)] for label, entry in zip(labels, fit.inertia, strict=True)]
     page.table(["", "value", "± std"], [*rows, ["viscous friction", *_number_and_std(fit.viscous_friction)]])
 
