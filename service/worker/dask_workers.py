@@ -13,6 +13,7 @@ from concurrent.futures import CancelledError as Cancelled
 from contextlib import suppress
 from typing import Any, cast
 
+import dask.config
 import distributed
 from distributed.client import ClosedClientError
 from distributed.comm.core import CommClosedError
@@ -29,6 +30,10 @@ _dask = cast(Any, distributed)
 
 _CONNECT_TIMEOUT = 5.0  # s
 _LOOK = 2.0  # s between checks of the connection while a job runs
+_SENT = 10  # messages that the client remembers, each with its jobs; distributed's 1000 of them were 60 MiB
+
+# read by every (re)connection of a client in this process; the scheduler and the workers read config/dask
+dask.config.set({"distributed.admin.low-level-log-length": _SENT})
 
 
 class DaskWorkers(Worker):

@@ -3,6 +3,7 @@
 import asyncio
 import os
 import shutil
+import tracemalloc
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ pytestmark = [
     ),
 ]
 PATIENCE = 240.0  # s
+SIZE = 100_000  # bytes of a large job
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,18 @@ class Wrong:
 
     def __call__(self) -> None:
         raise ValueError("no such thing")
+
+
+@dataclass(frozen=True)
+class Length:
+    """Of numbers, which go the way of a spectrum."""
+
+    numbers: bytes
+    key: str = "length-1"
+    priority: int = 0
+
+    def __call__(self) -> int:
+        return len(self.numbers)
 
 
 @pytest.fixture(scope="module")
@@ -84,6 +98,21 @@ async def test_jobs_are_done_over_mutual_tls(worker: Worker) -> None:
 async def test_jobs_of_one_key_and_other_content_are_not_mixed_up(worker: Worker) -> None:
     found = await asyncio.gather(*(done(worker, Squared(number)) for number in range(20)))
     assert found == [number**2 for number in range(20)]
+
+
+async def test_the_service_does_not_keep_the_jobs_that_were_done(worker: Worker) -> None:
+    async def send(jobs: int) -> None:
+        for _ in range(jobs):
+            assert await asyncio.wait_for(worker.run(Length(os.urandom(SIZE))), PATIENCE) == SIZE
+
+    await send(20)
+    tracemalloc.start()
+    try:
+        await send(60)
+        kept, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert kept < 20 * SIZE
 
 
 async def test_a_stranger_is_refused(dask: DaskProcesses, worker: Worker, tmp_path: Path) -> None:
