@@ -250,7 +250,7 @@ class SweepExecutor:
     ) -> None:
         """Run the sweeps and write their samples to disk. Raises SamplesMissing if any is missing.
 
-        If an axis leaves its envelope because it already brakes, the error is the cause of the braking. The samples are
+        If an axis leaves its path because it already brakes, the error is the cause of the braking. The samples are
         monitored as they arrive, independent of the disk: blocks wait in memory, at most all samples of these sweeps.
         """
         recorders: list[Recorder] = []
@@ -266,7 +266,9 @@ class SweepExecutor:
                     async for block in blocks:
                         each, recorder = by_joint.get(block.joint, (together[0], recorders[0]))
                         writes.append(self._disk.submit(recorder.write, block))
-                        left = left or await self._watch(motion, each, compiled, block, on_path=len(together) > 1)
+                        if left is None:
+                            await self._watch(motion, each, compiled, block)
+                            left = await self._off_path(motion, each, compiled, block) if len(together) > 1 else None
                         self._hub.publish(each.run.campaign_id, each.run.number, block)
                         if left is None:
                             came[each.command.joint].check(block)
@@ -287,14 +289,21 @@ class SweepExecutor:
             for recorder in recorders:
                 self._disk.submit(recorder.close)  # not awaited: after an error the axes have priority
 
-    async def _watch(
-        self, motion: Motion, each: _Begun, compiled: CompiledPlan, block: SampleBlock, *, on_path: bool
-    ) -> EnvelopeViolation | None:
-        """How the axis left its envelope, or its path in a trajectory; the machine is then stopped."""
+    async def _watch(self, motion: Motion, each: _Begun, compiled: CompiledPlan, block: SampleBlock) -> None:
+        """EnvelopeViolation, with the machine stopped, if the axis left its envelope."""
         try:
             compiled.envelope.watch(each.command, block)
-            if on_path and isinstance(each.command, SweepCommand):
-                start = each.sweep.spec.pose[compiled.joints.index(block.joint)]
+        except EnvelopeViolation:
+            await motion.stop()
+            raise
+
+    async def _off_path(
+        self, motion: Motion, each: _Begun, compiled: CompiledPlan, block: SampleBlock
+    ) -> EnvelopeViolation | None:
+        """How the axis left its path in a trajectory; the machine is then stopped."""
+        start = each.sweep.spec.pose[compiled.joints.index(block.joint)]
+        try:
+            if isinstance(each.command, SweepCommand):
                 compiled.envelope.watch_path(each.command, start, block)
         except EnvelopeViolation as left:
             await motion.stop()

@@ -175,8 +175,11 @@ def _over_modbus_tcp(bench: Bench) -> AbstractContextManager[Virtual]:
 def _over_modbus_rtu(bench: Bench) -> AbstractContextManager[Virtual]:
     options = ("--fieldbus", "modbus-rtu", "--registers", str(REGISTERS / "virtual-low-first.yaml"), "--device", "pty")
     name = "virtual-max100-modbus-rtu"
-    silence = {"silence_between_frames": 0.002}  # s; the virtual drive needs none
-    return _process(bench, *options, profile=lambda ready: _profile(name, "line", device=ready["device"], **silence))
+    travel = {"travel_limits": {"rad": 9.0}}  # an axis may move for as long as the watchdog
+    times = {"silence_between_frames": 0.002, "timeout": 4.0, "watchdog": 8.5}  # s; needs no silence; a busy computer
+    return _process(
+        bench, *options, profile=lambda ready: _profile(name, "line", device=ready["device"], **times) | travel
+    )
 
 
 BOTH, DRIVE_SIDE = frozenset(SweepMode), frozenset({SweepMode.DRIVE_SIDE})
