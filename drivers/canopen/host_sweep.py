@@ -271,9 +271,11 @@ class HostSweep:
             event = _next(events, min(left, self._period))
             if event is not None:
                 self._take(event)
+            for axis in axes if event is None else ():
+                axis.silent += axis.counts and not axis.answered  # a cycle without SYNC is one without a sample as well
             self._check()
         for axis in axes if self._clock.patient else ():
-            axis.silent += 0 if axis.answered else round((until - sent) / self._period)
+            axis.silent += 0 if axis.counts or axis.answered else round((until - sent) / self._period)
             axis.settle()
 
     def _wait_for_the_count(self, events: Events) -> None:
