@@ -1,18 +1,12 @@
 """The service's application against the virtual machine over socketcand: plan, run, identify, stop, export."""
 
 import asyncio
-import json
 import math
-import socket
-import subprocess
-import sys
 from collections.abc import AsyncIterator, Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 from drivers.ports import AxisState
 from service.application import Application, open_application
@@ -27,7 +21,7 @@ from service.settings import Settings
 from service.store.documents import CampaignDocument, CampaignState, EventKind, RecordingState, SweepState
 from service.store.files.bundle import read_bundle
 from service.store.guards import MachineTaken
-from tests.system.rest_bench import PATIENT_LEASE
+from tests.system.rest_bench import PATIENT_LEASE, VirtualMachine, virtual_machine
 
 ROOT = Path(__file__).resolve().parents[2]
 TIMEOUT = 120.0  # s
@@ -46,44 +40,17 @@ def speed_factor() -> float:
     return 20.0
 
 
-@dataclass(frozen=True)
-class Drives:
-    """A virtual machine: the profile that leads to it, and its control port."""
-
-    profile: Path
-    control_port: int
-
-    def order(self, order: str, **details: object) -> None:
-        with socket.create_connection(("127.0.0.1", self.control_port), timeout=TIMEOUT) as client:
-            client.sendall(json.dumps({"order": order, **details}).encode() + b"\n")
-            with client.makefile() as replies:
-                assert json.loads(replies.readline())["ok"]
+@pytest.fixture
+def machine(tmp_path: Path, scenario: str, speed_factor: float) -> Iterator[VirtualMachine]:
+    with virtual_machine(tmp_path, speed_factor, scenario=ROOT / f"config/scenarios/{scenario}.yaml") as machine:
+        yield machine
 
 
 @pytest.fixture
-def drives(tmp_path: Path, scenario: str, speed_factor: float) -> Iterator[Drives]:
-    command = [sys.executable, "-c", "from service.cli import main; main()", "drive"]
-    command += ["--scenario", f"config/scenarios/{scenario}.yaml"]
-    command += ["--port", "0", "--control-port", "0", "--speed-factor", str(speed_factor), "--seed", "1"]
-    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
-        assert process.stdout is not None
-        ready = json.loads(process.stdout.readline())
-        content = yaml.safe_load((ROOT / "config/drives/virtual-max100.yaml").read_text())
-        content["bus"] |= {"port": ready["port"], "sync_period": 0.008}  # a busy computer keeps up with it
-        content["eds"] = str(ROOT / "config/eds/virtual-axis.eds")
-        path = tmp_path / "drive.yaml"
-        path.write_text(yaml.safe_dump(content))
-        try:
-            yield Drives(path, ready["control_port"])
-        finally:
-            process.terminate()
-
-
-@pytest.fixture
-def settings(drives: Drives, tmp_path: Path) -> Settings:
+def settings(machine: VirtualMachine, tmp_path: Path) -> Settings:
     return Settings(
         data_dir=tmp_path / "data",
-        drive=drives.profile,
+        drive=machine.profile,
         robots_dir=ROOT / "config/robots",
         cells_dir=ROOT / "config/cells",
         lease_time=PATIENT_LEASE,
@@ -218,7 +185,7 @@ async def test_axes_that_move_at_once_are_identified_together(application: Appli
 
 @pytest.mark.parametrize("scenario", ["max100-six"])
 async def test_a_fault_on_a_trajectory_is_told_and_not_that_braking_axes_leave_it(
-    application: Application, drives: Drives
+    application: Application, machine: VirtualMachine
 ) -> None:
     campaign = await trajectory_of(application)
     with application.hub.subscribe(campaign.id) as live:
@@ -227,7 +194,7 @@ async def test_a_fault_on_a_trajectory_is_told_and_not_that_braking_axes_leave_i
             async for block in live:
                 if block.time[-1] > 2.0:
                     break
-        drives.order("fault", joint="joint_3", code=0x2310)
+        machine.order("fault", joint="joint_3", code=0x2310)
         await asyncio.wait_for(application.runner.finished(), TIMEOUT)
     states = {joint: axis.state for joint, axis in (await application.machine.status()).items()}
     assert states == dict.fromkeys(states, AxisState.DISABLED) | {"joint_3": AxisState.FAULT}
