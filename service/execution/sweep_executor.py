@@ -3,31 +3,30 @@
 import asyncio
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from typing import ParamSpec, TypeVar
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import CommunicationLost, SweepInterrupted
-from drivers.ports import AxisState, AxisStatus, SampleBlock, SweepCommand
+from drivers.ports import AxisState, AxisStatus
 from service.campaigns.live import LiveHub
 from service.campaigns.state_machine import SweepEvent, sweep_move
-from service.errors import EnvelopeViolation, SweepidError
+from service.errors import SweepidError
 from service.execution.check_move import DURATION, WAY, CheckMove, make
 from service.execution.current_activity import CurrentActivity, travels
 from service.execution.machine import Machine
 from service.execution.motion import Motion
-from service.execution.recording.recorder import Gapless, Recorder, finish
+from service.execution.recording.incoming import BegunSweep, Incoming
+from service.execution.recording.recorder import finish
 from service.execution.recording.recovery import break_off, end_runs, store_streams
 from service.logs.about import MACHINE, in_executor
 from service.planning.compiled_plan import CompiledPlan
 from service.recording import SweepSpec
 from service.results.identified.manifest import Facts
-from service.safety.noise_motion import Command
 from service.store.database import refusal
 from service.store.documents import NewRecording, SweepDocument
 from service.store.files.recordings import RecordingFiles, Run
@@ -41,16 +40,6 @@ Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 
-@dataclass(frozen=True, slots=True)
-class _Begun:
-    """A sweep in progress."""
-
-    sweep: SweepDocument
-    run: Run
-    command: Command
-    facts: Facts
-
-
 class SweepExecutor:
     """Runs sweeps: one at a time, or those of one trajectory together."""
 
@@ -61,14 +50,14 @@ class SweepExecutor:
         """First direction of the check move in progress, so that a person can check the motion of the axis."""
         self.set_points = self.set_points_missed = 0
         """Of all streamed sweeps since the start of the service."""
-        self._waiting = 0
+        self._incoming: Incoming | None = None
         # one thread: writing a file and processing it afterwards never overlap, even when cancelled
         self._disk = ThreadPoolExecutor(1, thread_name_prefix="recorder")
 
     @property
     def blocks_waiting(self) -> int:
         """Number of blocks of samples that are not yet on disk."""
-        return self._waiting
+        return 0 if self._incoming is None else self._incoming.waiting
 
     def close(self) -> None:
         """Wait for the disk."""
@@ -107,7 +96,7 @@ class SweepExecutor:
         checked: set[str],
         recorded: Callable[[SweepDocument], None],
     ) -> None:
-        left: list[_Begun] = []  # started, and not recorded yet
+        left: list[BegunSweep] = []  # started, and not recorded yet
         try:
             async with self._machine.motion(compiled.envelope) as motion:
                 await run_to_end(asyncio.to_thread(self._begin, sweeps, compiled, left))
@@ -140,7 +129,7 @@ class SweepExecutor:
         """Store the samples of earlier sweeps that could not be written when they ended. Raises SQLAlchemyError."""
         await self._on_disk(store_streams, self._store, self._files, "the disk did not accept it when the sweep ended")
 
-    def _begin(self, sweeps: Sequence[SweepDocument], compiled: CompiledPlan, begun: list[_Begun]) -> None:
+    def _begin(self, sweeps: Sequence[SweepDocument], compiled: CompiledPlan, begun: list[BegunSweep]) -> None:
         """Begin them in the store; `begun` receives those that were begun, also if one is refused."""
         for planned in sweeps:
             command = compiled.commands[planned.number]
@@ -154,10 +143,10 @@ class SweepExecutor:
                 "spec": sweep.spec.model_dump(mode="json"),
                 "drives": [asdict(identity) for identity in self._machine.identities],
             }
-            begun.append(_Begun(sweep, run, command, facts))
+            begun.append(BegunSweep(sweep, run, command, facts))
             _log.info("sweep_begun", campaign=run.campaign_id, sweep=run.number, attempt=run.attempt)
 
-    async def _finish(self, each: _Begun, started_at: float) -> tuple[SweepSpec, NewRecording]:
+    async def _finish(self, each: BegunSweep, started_at: float) -> tuple[SweepSpec, NewRecording]:
         """The recording of a sweep that ran, and its spec as measured."""
         spec = each.sweep.spec.model_copy(update={"started_at": started_at})
         streamed = self._machine.set_point_timing
@@ -170,10 +159,10 @@ class SweepExecutor:
 
     async def _keep(
         self,
-        each: _Begun,
+        each: BegunSweep,
         spec: SweepSpec,
         recording: NewRecording,
-        left: list[_Begun],
+        left: list[BegunSweep],
         recorded: Callable[[SweepDocument], None],
     ) -> None:
         """Store a recorded sweep; its stream is removed after the row of its recording is stored."""
@@ -187,7 +176,7 @@ class SweepExecutor:
         await self._on_disk(self._files.stream(run).unlink)
 
     async def _approach(
-        self, motion: Motion, together: Sequence[_Begun], compiled: CompiledPlan, checked: set[str], begun: float
+        self, motion: Motion, together: Sequence[BegunSweep], compiled: CompiledPlan, checked: set[str], begun: float
     ) -> tuple[float, ...]:
         """Move the axes to the sweeps' pose, one at a time, and check their positions. Returns the measured pose.
 
@@ -246,69 +235,18 @@ class SweepExecutor:
             self.check_move = None
 
     async def _record(
-        self, motion: Motion, together: Sequence[_Begun], compiled: CompiledPlan, here: Sequence[float]
+        self, motion: Motion, together: Sequence[BegunSweep], compiled: CompiledPlan, here: Sequence[float]
     ) -> None:
-        """Run the sweeps and write their samples to disk. Raises SamplesMissing if any is missing.
-
-        If an axis leaves its path because it already brakes, the error is the cause of the braking. The samples are
-        monitored as they arrive, independent of the disk: blocks wait in memory, at most all samples of these sweeps.
-        """
-        recorders: list[Recorder] = []
-        writes: deque[Future[None]] = deque()
+        """Run the sweeps and write their samples to disk. Raises SamplesMissing if any is missing."""
+        self._incoming = incoming = Incoming(together, compiled, motion.stop, self._hub, self._disk)
         try:
-            for each in together:
-                recorders.append(await self._on_disk(Recorder, self._files.stream(each.run), each.command))
-            by_joint = {each.command.joint: (each, own) for each, own in zip(together, recorders, strict=True)}
-            came = {joint: Gapless() for joint in by_joint}
-            left: EnvelopeViolation | None = None
+            await incoming.open(self._files)
             async with motion.sweeping([each.command for each in together], here) as blocks:
-                try:
-                    async for block in blocks:
-                        each, recorder = by_joint.get(block.joint, (together[0], recorders[0]))
-                        writes.append(self._disk.submit(recorder.write, block))
-                        if left is None:
-                            await self._watch(motion, each, compiled, block)
-                            left = await self._off_path(motion, each, compiled, block) if len(together) > 1 else None
-                        self._hub.publish(each.run.campaign_id, each.run.number, block)
-                        if left is None:
-                            came[each.command.joint].check(block)
-                        came[each.command.joint].add(block)
-                        while writes and writes[0].done():
-                            writes.popleft().result()  # a write error ends the sweep
-                        self._waiting = len(writes)
-                except SweepInterrupted as stopped:  # any other error came before: braking axes leave their path
-                    raise left or stopped from None
-                if left is not None:
-                    raise left
-            for write in writes:
-                await run_to_end(asyncio.wrap_future(write))
-            for recorder in recorders:
-                recorder.check_complete()
+                await incoming.take(blocks)
+            await incoming.written()
         finally:
-            self._waiting = 0
-            for recorder in recorders:
-                self._disk.submit(recorder.close)  # not awaited: after an error the axes have priority
-
-    async def _watch(self, motion: Motion, each: _Begun, compiled: CompiledPlan, block: SampleBlock) -> None:
-        """EnvelopeViolation, with the machine stopped, if the axis left its envelope."""
-        try:
-            compiled.envelope.watch(each.command, block)
-        except EnvelopeViolation:
-            await motion.stop()
-            raise
-
-    async def _off_path(
-        self, motion: Motion, each: _Begun, compiled: CompiledPlan, block: SampleBlock
-    ) -> EnvelopeViolation | None:
-        """How the axis left its path in a trajectory; the machine is then stopped."""
-        start = each.sweep.spec.pose[compiled.joints.index(block.joint)]
-        try:
-            if isinstance(each.command, SweepCommand):
-                compiled.envelope.watch_path(each.command, start, block)
-        except EnvelopeViolation as left:
-            await motion.stop()
-            return left
-        return None
+            self._incoming = None
+            incoming.close()
 
     async def _pose(self, sweep: SweepDocument, compiled: CompiledPlan) -> tuple[float, ...]:
         """Positions of all axes; for axes that this machine does not reach, those of the plan.
@@ -317,7 +255,7 @@ class SweepExecutor:
         """
         return _pose_of(await self._machine.status(), sweep, compiled)
 
-    async def _give_up(self, left: Sequence[_Begun], error: BaseException) -> None:
+    async def _give_up(self, left: Sequence[BegunSweep], error: BaseException) -> None:
         """The machine stands: `Machine.motion` ensured this before it raised the error."""
         interrupted = bool(self._machine.held) or isinstance(error, SweepInterrupted | asyncio.CancelledError)
         cause = cause_of(self._machine, error)
@@ -325,7 +263,7 @@ class SweepExecutor:
         for each in left:
             await self._abandon(each, event, cause)
 
-    async def _abandon(self, each: _Begun, event: SweepEvent, cause: str) -> None:
+    async def _abandon(self, each: BegunSweep, event: SweepEvent, cause: str) -> None:
         """Keep the samples of a sweep, and end it in the store, if that is possible."""
         run = each.run
         _log.error("sweep_given_up", campaign=run.campaign_id, sweep=run.number, cause=cause)
