@@ -15,6 +15,7 @@ import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.errors import Conflict, NotFound, NotNow
+from service.people.keys import masked
 from service.store.database import refusal
 from service.store.documents import StopDocument
 from service.store.guards import StopLatch
@@ -58,11 +59,13 @@ class LatchedStops:
         return tuple(hold.document for hold in tuple(self._holds))
 
     def take(self, by: str, why: str, press: str) -> Hold:
-        """A new stop, or the existing one of the same press."""
+        """A new stop, or the existing one of the same press. It is displayed and stored: keys are masked."""
         hold = next((each for each in tuple(self._holds) if press and each.press == press), None)
         if hold is None:
             at = datetime.now(UTC)
-            document = StopDocument(id=next(self._names), by=by, why=why, at=at, reset_by=None, reset_at=None)
+            document = StopDocument(
+                id=next(self._names), by=masked(by), why=masked(why), at=at, reset_by=None, reset_at=None
+            )
             hold = Hold(document, press)
             self._holds.append(hold)
         hold.under_way += 1

@@ -6,6 +6,9 @@ import secrets
 
 BYTES = 32
 _FORM = re.compile(rf"sweepid-([0-9a-f]{{{2 * BYTES}}})", re.ASCII)
+_PART = re.compile(
+    r"sweepid-[0-9a-f]{16,}", re.ASCII
+)  # also of a key that was cut off; 15 digits or fewer reveal nothing
 
 
 def new_key() -> str:
@@ -26,5 +29,5 @@ def bearer(authorization: str) -> str:
 
 
 def masked(text: str) -> str:
-    """The text without keys in wrong places, for example in a path."""
-    return _FORM.sub("sweepid-(key)", text)
+    """The text without keys in wrong places, for example in a path or as a person's name."""
+    return _PART.sub("sweepid-(key)", text)

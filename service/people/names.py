@@ -1,9 +1,19 @@
 """Valid names of people and keys. Pure."""
 
 import hashlib
+from typing import Annotated
+
+from pydantic import AfterValidator, StringConstraints
+
+from service.people.keys import masked
 
 TAKEN = ("local", "anybody", "unknown")  # these have another meaning in the audit
 LONGEST_NAME = 100  # characters
+
+PersonName = Annotated[
+    str, StringConstraints(strip_whitespace=True, min_length=1, max_length=LONGEST_NAME), AfterValidator(masked)
+]
+"""The name that a caller enters, without login. It is displayed and stored: a key in its place is masked."""
 
 
 def is_name(name: str) -> bool:

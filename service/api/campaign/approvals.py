@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, StringConstraints
 from service.api.dependencies import ApplicationOf, Id
 from service.api.idempotent import IdempotentRoute
 from service.api.people.audit_trail import audit_trail_of
-from service.people.keys import masked
+from service.people.names import PersonName
 from service.store.approvals import ApprovalDocument
 from service.store.tables import now
 
@@ -20,7 +20,7 @@ class NewApproval(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     sha256: Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
-    approved_by: Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=100)] | None = None
+    approved_by: PersonName | None = None
 
 
 class ApprovalView(ApprovalDocument):
@@ -59,7 +59,7 @@ def approve_plan(plan_id: Id, new: NewApproval, request: Request, application: A
     409 if robot, cell, drives, settings or program have changed since the review.
     """
     by = who_asks(request, application) or new.approved_by or ""
-    audit_trail_of(request.scope).told = {"plan": plan_id, "sha256": new.sha256, "by": masked(by)}
+    audit_trail_of(request.scope).told = {"plan": plan_id, "sha256": new.sha256, "by": by}
     sha256 = application.motion_sha256(plan_id)
     return _view(application.approvals.add(plan_id, new.sha256, sha256, by), sha256)
 

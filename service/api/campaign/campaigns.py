@@ -4,9 +4,10 @@ Commands need `If-Match` with the campaign's ETag: 412 if the campaign has chang
 """
 
 from collections.abc import Sequence
+from typing import Annotated
 
 from fastapi import APIRouter, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
 from service.api.campaign.approvals import who_asks
@@ -17,6 +18,7 @@ from service.api.people.audit_trail import audit_trail_of
 from service.application import Application
 from service.execution.check_move import CheckMove
 from service.execution.sign_of_life import SignOfLife
+from service.people.keys import masked
 from service.results.check import DataCheck
 from service.store.documents import LARGEST_ID, CampaignDocument, SweepDocument, SweepState, SweepStatus
 
@@ -54,7 +56,7 @@ class Resume(Start):
 
 class Abort(BaseModel):
     model_config = ConfigDict(extra="forbid")
-    why: str = Field(default="aborted by request", min_length=1, max_length=500)
+    why: Annotated[str, AfterValidator(masked)] = Field(default="aborted by request", min_length=1, max_length=500)
 
 
 class CheckMoveView(BaseModel):

@@ -7,7 +7,7 @@ from http import HTTPStatus
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.errors import StopNotConfirmed
 from service.api.dependencies import ApplicationOf
@@ -15,6 +15,7 @@ from service.api.people.audit_trail import audit_trail_of
 from service.api.problem import Problem, problem_response
 from service.application import Application
 from service.people.keys import masked
+from service.people.names import PersonName
 from service.store.documents import LARGEST_ID, StopDocument
 from service.store.rows import NoMachine
 
@@ -74,7 +75,7 @@ class Reset(BaseModel):
     """`by`: the person who checked the machine. `stops`: ids of the stops to release."""
 
     model_config = ConfigDict(extra="forbid")
-    by: Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=100)]
+    by: PersonName
     stops: Annotated[
         tuple[Annotated[int, Field(ge=-LARGEST_ID, le=LARGEST_ID)], ...], Field(min_length=1, max_length=_SHOWN)
     ]
@@ -123,7 +124,7 @@ async def reset_stop(request: Request, reset: Reset, application: ApplicationOf)
     Nothing moves by this request; a campaign continues after its resume. 503 with `Retry-After` if the database does
     not store the release within some seconds: then all stops stay active.
     """
-    audit_trail_of(request.scope).told = {"by": masked(reset.by), "stops": list(reset.stops)}
+    audit_trail_of(request.scope).told = {"by": reset.by, "stops": list(reset.stops)}
     released = await application.machine.reset_stop(reset.by, reset.stops)
     return _view(application, released[0])
 

@@ -7,7 +7,7 @@ it starts with a person's approval, and is then a campaign like any other (pause
 from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, StringConstraints
+from pydantic import BaseModel, ConfigDict, Field, JsonValue
 from starlette.concurrency import run_in_threadpool
 
 from service.api.campaign.campaigns import CampaignView, view
@@ -16,6 +16,7 @@ from service.api.dependencies import After, ApplicationOf, Id, Limit, Page, set_
 from service.api.idempotent import IdempotentRoute
 from service.diagnosis_loop.starting import Start
 from service.errors import Conflict
+from service.people.names import PersonName
 from service.planning.diagnosis.documents import CELL_NAME
 from service.report.diagnosis import diagnosis_figures
 from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, DiagnosisEntry, ModelDocument
@@ -24,7 +25,6 @@ from service.store.documents import LARGEST_ID, PlanRecord
 router = APIRouter(prefix="/diagnoses", tags=["diagnoses"], route_class=IdempotentRoute)
 
 Number = Annotated[int, Field(ge=1, le=LARGEST_ID)]
-Name = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=100)]
 CellName = Annotated[str, Field(pattern=CELL_NAME)]
 
 
@@ -58,14 +58,14 @@ class PlanOfExperiment(_Body):
 class Approval(PlanOfExperiment):
     """The person who checked the machine, and the mounted mass if the experiment requires one."""
 
-    approved_by: Name
+    approved_by: PersonName
     test_mass: BoltedMass | None = None
 
 
 class Acceptance(_Body):
     """`axes` null: all axes whose effect is named and proven."""
 
-    accepted_by: Name
+    accepted_by: PersonName
     axes: tuple[str, ...] | None = Field(default=None, min_length=1)
 
 

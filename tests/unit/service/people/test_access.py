@@ -64,10 +64,23 @@ def after(database: Database, number: int = 0) -> list[AuditDocument]:
     return list(AuditStore(database).documents(number, 10000))
 
 
+def entries_so_far(url: str, keys: dict[str, str]) -> int:
+    """Of the audit, those of earlier tests' stops too: the service answers when they are written."""
+    with calling(url, keys["admin"]) as admin:
+        newest = admin.get("/api/v1/audit", params={"newest": True, "limit": 1}).json()["items"]
+    return newest[0]["number"] if newest else 0
+
+
+def stored_by_the_service(folder: Path) -> bytes:
+    """Its database and its log."""
+    stored = b"".join(path.read_bytes() for path in (folder / "data").glob("sweepid.sqlite*"))
+    return stored + (folder / "service.log").read_bytes()
+
+
 def test_an_attack_is_refused_and_in_the_audit(
     url: str, keys: dict[str, str], database: Database, folder: Path
 ) -> None:
-    before = len(after(database))
+    before = entries_so_far(url, keys)
     guesses = [new_key() for _ in range(100)]
     with calling(url, None) as http:
         assert http.post(START).status_code == 401
@@ -85,13 +98,12 @@ def test_an_attack_is_refused_and_in_the_audit(
     }
     assert {cast(Any, one["route"]) for one in entries} == {"/api/v1/campaigns/{campaign_id}/start", None}
     assert Counter(str(one["why"])[:8] for one in entries) == {"not auth": 3, "this key": 105}
-    stored = b"".join(path.read_bytes() for path in (folder / "data").glob("sweepid.sqlite*"))
-    stored += (folder / "service.log").read_bytes()
+    stored = stored_by_the_service(folder)
     assert not [key for key in (*keys.values(), *guesses) if key.removeprefix("sweepid-").encode() in stored]
 
 
 def test_expired_and_revoked_keys_are_refused_and_told(url: str, keys: dict[str, str], database: Database) -> None:
-    before = len(after(database))
+    before = entries_so_far(url, keys)
     for name in ("expired", "revoked"):
         with calling(url, keys[name]) as http:
             refused = http.get("/api/v1/robots")
@@ -116,7 +128,7 @@ def test_a_key_is_limited_to_its_scopes(url: str, keys: dict[str, str], database
     made, key = store.add("line-7", Role.OPERATOR, day, {"actor": "test"}, ["read", "measure"])
     assert store.find(key) == made
     assert made.scopes == ("read", "measure")
-    before = len(after(database))
+    before = entries_so_far(url, keys)
     with calling(url, key) as http:
         assert http.get("/api/v1/robots").status_code == 200
         assert http.post(START).status_code == 404
@@ -149,7 +161,7 @@ def test_the_client_takes_its_key_from_the_environment(
 
 
 def test_a_change_is_in_the_audit_before_and_after(url: str, keys: dict[str, str], database: Database) -> None:
-    before = len(after(database))
+    before = entries_so_far(url, keys)
     with calling(url, keys["operator"]) as http:
         assert http.post(START).status_code == 404
         assert http.get("/api/v1/robots").status_code == 200  # reading is nobody's business
@@ -167,7 +179,7 @@ def test_a_change_is_in_the_audit_before_and_after(url: str, keys: dict[str, str
 def test_what_cannot_be_audited_is_not_done_but_stops_are(
     url: str, keys: dict[str, str], database: Database, folder: Path
 ) -> None:
-    before = len(after(database))
+    before = entries_so_far(url, keys)
     beside = sqlite3.connect(folder / "data" / "sweepid.sqlite", timeout=30)
     campaign = {"plan_id": 987654}
     with calling(url, keys["operator"]) as http, calling(url, keys["admin"]) as admin:
@@ -197,13 +209,19 @@ def test_what_cannot_be_audited_is_not_done_but_stops_are(
     assert "happened" in entries[0]
 
 
-def test_who_stops_and_who_releases_is_in_the_audit(url: str, keys: dict[str, str], database: Database) -> None:
-    before = len(after(database))
+def test_who_stops_and_who_releases_is_in_the_audit(
+    url: str, keys: dict[str, str], database: Database, folder: Path
+) -> None:
+    before = entries_so_far(url, keys)
     with calling(url, None) as nobody, calling(url, keys["operator"]) as http, calling(url, keys["revoked"]) as revoked:
         for one, by in ((nobody, "anna"), (http, ""), (revoked, "gone"), (http, keys["admin"])):
             assert one.post("/api/v1/stop", params={"by": by, "why": "smoke"}).status_code == 503
-        stops = [stop["id"] for stop in http.get("/api/v1/stop").json()["stops"]]
+        held = http.get("/api/v1/stop").json()["stops"]
+        stops = [stop["id"] for stop in held]
+        smoke = [stop["by"] for stop in held if stop["why"] == "smoke"]
+        assert Counter(smoke) == Counter(["anna", "127.0.0.1", "gone", "sweepid-(key)"])
         assert http.post("/api/v1/stop/reset", json={"by": "Berta", "stops": stops}).status_code == 200
+    assert keys["admin"].removeprefix("sweepid-").encode() not in stored_by_the_service(folder)
     with calling(url, keys["admin"]) as admin:
         items = admin.get("/api/v1/audit", params={"after": before}).json()["items"]
     outcomes = [one["entry"] for one in items if one["entry"]["event"] == "outcome"]
