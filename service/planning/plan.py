@@ -3,13 +3,15 @@
 1. Grid: the varied axes on multiples of the step within the joint limits, all other axes at the cell's home.
 2. Room: collision-free poses with room for the travel of the sweep in each requested axis, forward or backward.
 3. Choice: greedy by the request's criterion on the observation matrix, all requested axes stacked (`pose_selection`),
-      one pose after the other until the budget is used: number, time, or the predicted confidence. If the estimate
-      may leave base parameters undetermined, the choice is continued to find out how many poses are enough.
+      one pose after the other until the budget is used: number, time, or confidence. A confidence is reached if the
+      predicted one is, and if the estimate will determine all base parameters by its own rule: otherwise it states
+      none. If the choice was continued only for that rule, poses that are not needed for both are left out again.
+      With a number or a time, the choice is continued to find out how many poses are enough for the rule.
 4. Sweeps: designed from the CAD inertia of each pose, and checked against the envelope.
 5. Order: a short path through the first poses chosen, up to the one that makes the matrix regular, then a short path
    through the rest (`travel`): a campaign that ends early still has an estimate of all base parameters.
 A pose without a free path from home or from the previous pose, or with sweeps outside the envelope, is dropped with its
-reason.
+reason. With a confidence, other poses are chosen in its place.
 """
 
 import math
@@ -23,8 +25,8 @@ from service.errors import BadInput, EnvelopeViolation
 from service.geometry.cell import Cell
 from service.identification.axis.ideal_frequency import AxisAnalysis
 from service.identification.design.excitation import Excitation
-from service.identification.design.pose_selection import choices
-from service.identification.design.predicted_confidence import PredictedConfidence, without_gain
+from service.identification.design.pose_selection import choices, conditions
+from service.identification.design.predicted_confidence import PredictedConfidence, needed, without_gain
 from service.planning.candidates import grid, has_room, workspace_grid
 from service.planning.documents import (
     LARGEST_CHOICE,
@@ -68,11 +70,16 @@ def build_plan(
         )
     observed = observe(robot, request, home)
     design = SweepDesign(robot, request, envelope, candidates, analyses or {})
-    choice = _choose(request, envelope, design, observed, candidates)
-    chosen = choice.poses
-    sweeps, dropped = _within_duration(SweepSequence(robot, request, envelope), request, chosen, home)
-    count = len({sweep.spec.pose for sweep in sweeps}) + len(dropped)
-    dropped = (*choice.refused, *dropped)
+    itinerary = SweepSequence(robot, request, envelope)
+    dropped: tuple[DroppedPose, ...] = ()
+    while True:
+        choice = _choose(request, envelope, design, observed, candidates, dropped)
+        chosen = choice.poses
+        sweeps, unreached = _within_duration(itinerary, request, chosen, home)
+        dropped = (*choice.refused, *unreached)
+        if request.confidence is None or not unreached:
+            break
+    count = len({sweep.spec.pose for sweep in sweeps}) + len(unreached)
     if not sweeps:
         raise BadInput("poses", f"none of the chosen poses can be measured; reason for the first: {dropped[0].reason}")
     return PlanDocument(
@@ -123,14 +130,22 @@ class _Choice:
 
 
 def _choose(
-    request: PlanRequest, envelope: Envelope, design: SweepDesign, observed: Observation, candidates: Array
+    request: PlanRequest,
+    envelope: Envelope,
+    design: SweepDesign,
+    observed: Observation,
+    candidates: Array,
+    without: Sequence[DroppedPose],
 ) -> _Choice:
-    """The choice of a request; BadInput if the requested confidence is out of reach."""
+    """The choice of a request, none of them `without`; BadInput if the requested confidence is out of reach."""
     sweeps: dict[int, tuple[Excitation, ...]] = {}
-    refused: list[DroppedPose] = []
+    refused = list(without)
+    closed = {one.pose for one in without}
 
     def accept(candidate: int) -> bool:
         pose = tuple(float(position) for position in candidates[candidate])
+        if pose in closed:
+            return False
         try:
             envelope.order_of_legs(tuple(observed.home), pose)
             sweeps[candidate] = tuple(design.excitation(joint, candidate) for joint in request.axes)
@@ -142,43 +157,73 @@ def _choose(
     rows = observed.rows(candidates)
     workspace = observed.workspace(candidates)
     inertia = observed.inertia(workspace)
-    predicted = PredictedConfidence(observed.rows(workspace), inertia, observed.spread(float(inertia.max())))
+    seen, spread = observed.rows(workspace), observed.spread(float(inertia.max()))
+    predicted = PredictedConfidence(seen, inertia, spread)
+    shown: dict[int, Array] = {}  # information of the sweeps in a candidate
 
     def measure(pick: int) -> None:
-        told = zip(request.axes, sweeps[pick], strict=True)
-        once = np.array([design.information(joint, pick, sweep) for joint, sweep in told])
-        predicted.add(rows[pick], request.realisations * once)
+        if pick not in shown:
+            told = zip(request.axes, sweeps[pick], strict=True)
+            once = np.array([design.information(joint, pick, sweep) for joint, sweep in told])
+            shown[pick] = request.realisations * once
+        predicted.add(rows[pick], shown[pick])
         determined.append(predicted.determined())
 
-    chosen: list[ChosenPose] = []
+    chosen: list[int] = []
+    condition: list[float] = []
     percent: list[float] = []
     determined: list[NDArray[np.bool_]] = []
-    needed = 0.0
-    reached = False
+    duration = 0.0
+    wanted, reached = request.confidence, False
     picks = choices(rows, request.criterion, candidates, observed.home, accept)
-    for pick, condition in picks:
+    for pick, number in picks:
         measure(pick)
-        chosen.append(ChosenPose(candidates[pick], condition, sweeps[pick]))
+        chosen.append(pick)
+        condition.append(number)
         percent.append(predicted.percent())
-        needed += request.realisations * least_duration(sweeps[pick])
-        reached = request.confidence is not None and percent[-1] <= request.confidence
-        full = len(chosen) == (request.poses or LARGEST_CHOICE) or (request.duration or math.inf) < needed
+        duration += request.realisations * least_duration(sweeps[pick])
+        reached = wanted is not None and percent[-1] <= wanted and bool(determined[-1].all())
+        full = len(chosen) == (request.poses or LARGEST_CHOICE) or (request.duration or math.inf) < duration
         if reached or full:
             break
-    choice = _Choice(chosen, percent, determined, refused.copy())
-    if request.confidence is not None and chosen and not reached:
-        best = f"reach only {percent[-1]:.4g} %" if math.isfinite(percent[-1]) else "do not determine J everywhere"
+    if wanted is not None and chosen and not reached:
         raise BadInput(
             "confidence",
-            f"{request.confidence:.4g} % requested, but the best {len(chosen)} of {len(candidates)} "
-            f"measurable poses {best}",
+            f"{wanted:.4g} % requested, but the best {len(chosen)} of {len(candidates)} "
+            f"measurable poses {_shortfall(request, observed, predicted)}",
         )
-    while chosen and not determined[-1].all() and len(determined) < len(chosen) + USUAL_CHOICE:
+    if wanted is not None and len(chosen) > 1 and percent[-2] <= wanted:  # continued only to determine everything
+        chosen = [chosen[n] for n in needed(predicted, [(rows[pick], shown[pick]) for pick in chosen], wanted)]
+        condition = conditions(rows, chosen)
+        predicted = PredictedConfidence(seen, inertia, spread)
+        percent.clear()
+        determined.clear()
+        for pick in chosen:
+            measure(pick)
+            percent.append(predicted.percent())
+    count = len(chosen)
+    reported = refused.copy()  # without those beyond the budget
+    while chosen and not determined[-1].all() and len(determined) < count + USUAL_CHOICE:
         beyond = next(picks, None)
         if beyond is None:
             break
         measure(beyond[0])
-    return choice
+    poses = [ChosenPose(candidates[k], number, sweeps[k]) for k, number in zip(chosen, condition, strict=True)]
+    return _Choice(poses, percent, determined, reported)
+
+
+def _shortfall(request: PlanRequest, observed: Observation, predicted: PredictedConfidence) -> str:
+    """What the poses lack, and for which axes."""
+    unknown = ~predicted.determined()
+    percent = predicted.percent_by_axis()
+    if not unknown.any():
+        return f"reach only {percent.max():.4g} % ({request.axes[int(percent.argmax())]})"
+    names = ", ".join(name for name, open_ in zip(observed.names, unknown, strict=True) if open_)
+    axes = ", ".join(joint for joint, on in zip(request.axes, predicted.depending(unknown), strict=True) if on)
+    return (
+        f"are not better than CAD for {names}, so the estimate would state no confidence of J; "
+        f"J of {axes} depends on them"
+    )
 
 
 def _within_duration(

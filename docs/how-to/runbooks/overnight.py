@@ -32,7 +32,6 @@ def overnight(book: Runbook) -> Exit:
     robot = book.identify_machine(document)
     request = {"robot_id": document["id"], "cell": book.cell(), "axes": given.axes, "varied": given.varied}
     plan = client.add_plan(request | {"step": given.step, "confidence": given.confidence})
-    tell_undetermined(book, plan["document"])
     campaign = book.measured(robot, plan)
     if campaign is None:
         return Exit.DONE
@@ -41,19 +40,6 @@ def overnight(book: Runbook) -> Exit:
         book.step("ended by", "a person" if code is Exit.STOPPED else "a fault", cause=campaign["cause"])
         return code
     return confidence(book, campaign)
-
-
-def tell_undetermined(book: Runbook, document: Json) -> None:
-    """Warn before the motion if the estimate may leave J open after the last sweep of the plan."""
-    if document["undetermined"]:
-        enough = document["enough_poses"]
-        book.step(
-            "no promise",
-            "J may be left open: the sweeps are predicted to be not better than CAD for "
-            f"{', '.join(document['undetermined'])}; {f'{enough} poses are enough' if enough else 'plan more poses'}",
-            undetermined=document["undetermined"],
-            enough_poses=enough,
-        )
 
 
 def confidence(book: Runbook, campaign: Json) -> Exit:

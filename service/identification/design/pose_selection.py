@@ -26,7 +26,7 @@ interlacing). With U the k lowest eigenvectors of G its least eigenvalue is an u
 highest its largest is a lower bound of lambda_max: their quotient is a lower bound of kappa_i^2. With k = 1 this costs
 two products per row and no eigenvalues. The most promising few are evaluated exactly. A candidate that by its bound for
 k = 1 or k = p/4 cannot beat the best of them, or cannot make G regular, is rejected; the rest are evaluated exactly. So
-the result is the result is that of evaluating all.
+the result is that of evaluating all.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -104,6 +104,12 @@ def choices(
             yield pick, greedy.take(pick)
             if poses is not None:
                 away = np.minimum(away, _way(poses, poses[pick]))
+
+
+def conditions(rows: Array, picks: Sequence[int]) -> list[float]:
+    """Condition number after each of `picks` out of the candidates `rows` (m, a, p), as `choices` gives it."""
+    greedy = _Greedy(rows)
+    return [greedy.take(pick) for pick in picks]
 
 
 def condition_numbers(eigenvalues: Array) -> Array:

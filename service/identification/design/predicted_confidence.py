@@ -69,7 +69,7 @@ class PredictedConfidence:
         standard deviations of the base parameters in the nominal model.
         """
         count, axes, size = rows.shape
-        self._size, self._spread = size, spread
+        self._axes, self._size, self._spread = axes, size, spread
         self._workspace = np.zeros((count * axes, size + axes))
         self._workspace[:, :size] = rows.reshape(-1, size) / inertia.reshape(-1, 1)
         softest = 1 / (np.median(inertia, axis=0) * (2 * np.pi * SOFTEST) ** 2)
@@ -83,18 +83,37 @@ class PredictedConfidence:
             parts[1, self._size + axis] = 1.0
             self._information += parts.T @ about @ parts
 
+    def remove(self, rows: Array, information: Array) -> None:
+        """Undo the `add` of a pose."""
+        self.add(rows, -information)
+
     def percent(self) -> float:
         """Largest standard deviation of J over the workspace by the sweeps alone, percent of J; inf while rank
         deficient.
         """
+        return float(self.percent_by_axis().max())
+
+    def reaches(self, wanted: float) -> bool:
+        """Whether the estimate of these sweeps will state a confidence of at most `wanted` percent."""
+        return self.percent() <= wanted and bool(self.determined().all())
+
+    def percent_by_axis(self) -> Array:
+        """(a,) the same for each axis."""
+        unknown = np.full(self._axes, np.inf)
         scale = np.sqrt(np.diag(self._information))
         if not scale.all():
-            return float("inf")
+            return unknown
         eigenvalues, vectors = np.linalg.eigh(self._information / np.outer(scale, scale))
         if eigenvalues[0] <= SINGULAR * eigenvalues[-1]:
-            return float("inf")
+            return unknown
         parts = (self._workspace / scale) @ (vectors / np.sqrt(eigenvalues))
-        return 100 * float(np.sqrt(np.max(np.sum(parts**2, axis=1))))
+        return 100 * np.sqrt(np.sum(parts**2, axis=1).reshape(-1, self._axes).max(axis=0))
+
+    def depending(self, parameters: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(a,) axes whose J depends on some of the base `parameters` (p,) in the workspace."""
+        rows = self._workspace[:, : self._size] * self._spread  # of a size that can be compared
+        size = np.abs(rows).reshape(-1, self._axes, self._size).max(axis=0)
+        return (size[:, parameters] > SINGULAR * size.max()).any(axis=1)
 
     def determined(self) -> NDArray[np.bool_]:
         """(p,) base parameters that the estimate of these sweeps will determine, if the noise is as assumed."""
@@ -103,6 +122,21 @@ class PredictedConfidence:
         matrix = self._information[: self._size, : self._size] - shared @ np.linalg.solve(own, shared.T)
         deviation = np.zeros(self._size)  # from the nominal model: the values do not matter, only their precision
         return Information(matrix, deviation).solve(deviation, self._spread).determined
+
+
+def needed(predicted: PredictedConfidence, poses: Sequence[tuple[Array, Array]], wanted: float) -> list[int]:
+    """Numbers (from 0) of the `poses` without which `predicted`, that of all of them, does not reach `wanted` percent.
+
+    `poses`: rows and information of each, as in `add`. The last ones are tried first; `predicted` is left with the
+    rest.
+    """
+    kept: list[int] = []
+    for number in reversed(range(len(poses))):
+        predicted.remove(*poses[number])
+        if not predicted.reaches(wanted):
+            predicted.add(*poses[number])
+            kept.insert(0, number)
+    return kept
 
 
 def without_gain(percent: Sequence[float]) -> list[int]:

@@ -1,16 +1,20 @@
 """Budgets and criteria of a plan, on the small arm: so many poses, so much time, or so much confidence."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from drivers.ports import SweepCommand
 from service.configuration import read_robot
-from service.errors import BadInput
+from service.errors import BadInput, EnvelopeViolation
 from service.geometry.cell import Cell, read_cell
 from service.identification.design.pose_selection import SLACK, Criterion
 from service.planning.plan import PlanDocument, PlanRequest, build_plan
+from service.robot import Robot, build_robot
+from service.safety.envelope import Envelope
 from tests.unit.service.campaigns.small_arm import small_arm
 
 CONFIG = Path(__file__).parents[4] / "config"
@@ -25,6 +29,13 @@ def request(**budget: object) -> PlanRequest:
 
 def plan(**budget: object) -> PlanDocument:
     return build_plan(small_arm(), request(**budget), CELL)
+
+
+def known_to(inertia: float) -> Robot:
+    """The arm with a CAD model whose inertias are known to this share."""
+    description = small_arm().description
+    prior = description.prior.model_copy(update={"inertia": inertia})
+    return build_robot(description.model_copy(update={"prior": prior}), small_arm().urdf_text)
 
 
 @pytest.fixture(scope="module")
@@ -75,9 +86,44 @@ def test_a_budget_of_confidence_takes_the_fewest_poses_that_reach_it(all_poses: 
 
 def test_a_confidence_out_of_reach_says_what_is_in_reach() -> None:
     with pytest.raises(
-        BadInput, match=r"confidence: 0\.001 % requested, but the best (\d+) of \1 .* reach only 0\.\d+ %"
+        BadInput, match=r"confidence: 0\.001 % requested, but the best (\d+) of \1 .* reach only 0\.\d+ % \(j[12]\)"
     ):
         plan(confidence=0.001)
+
+
+def test_a_confidence_is_not_reached_while_the_estimate_would_state_none() -> None:
+    """The sweeps of three poses give 3 % but are not better than the CAD model in every direction."""
+    alone, document = plan(confidence=3.0), build_plan(known_to(0.03), request(confidence=3.0), CELL)
+    assert build_plan(known_to(0.03), request(poses=len(alone.confidence)), CELL).undetermined
+    assert len(document.confidence) > len(alone.confidence)
+    assert finite(document.confidence)[-1] <= 3.0
+    assert (document.undetermined, document.enough_poses) == ((), None)
+    assert len(document.condition) == len(document.confidence)
+
+
+def test_a_confidence_that_the_estimate_cannot_state_names_parameters_and_axes() -> None:
+    with pytest.raises(
+        BadInput,
+        match=r"confidence: 3 % requested, but the best (\d+) of \1 measurable poses are not better than CAD for "
+        r"mx\(fore\), mz\(fore\), so the estimate would state no confidence of J; J of j1 depends on them",
+    ):
+        build_plan(known_to(0.003), request(confidence=3.0), CELL)
+
+
+def test_a_pose_that_cannot_be_swept_is_no_part_of_the_promise(monkeypatch: pytest.MonkeyPatch) -> None:
+    closed = plan(confidence=2.0).sweeps[-1].spec.pose
+    check = Envelope.check_sweep
+
+    def refuse(envelope: Envelope, command: SweepCommand, pose: Sequence[float]) -> None:
+        if tuple(pose) == closed:
+            raise EnvelopeViolation("closed")
+        check(envelope, command, pose)
+
+    monkeypatch.setattr(Envelope, "check_sweep", refuse)
+    document = plan(confidence=2.0)
+    assert [one.pose for one in document.dropped] == [closed]
+    assert len(document.confidence) == len({sweep.spec.pose for sweep in document.sweeps})
+    assert finite(document.confidence)[-1] <= 2.0
 
 
 @pytest.mark.parametrize("duration", [120.0, 600.0])

@@ -8,6 +8,7 @@ from service.identification.design.predicted_confidence import (
     NOISE_RATE,
     SOFTEST,
     PredictedConfidence,
+    needed,
     sweep_information,
     without_gain,
 )
@@ -87,6 +88,29 @@ def test_a_parameter_is_determined_where_the_sweeps_are_better_than_the_model() 
     assert np.isfinite(predicted.percent())  # of the sweeps alone
     predicted.add(rows[1], np.diag([2.1**-2, 0.0])[None])
     assert predicted.determined().tolist() == [True, True]
+
+
+def test_confidence_and_open_parameters_are_told_by_axis() -> None:
+    """Two axes; J of the first is b1, of the second b1 + b2; b1 is known to 1, b2 to 2 kg m^2."""
+    rows = np.array([[[1.0, 0.0], [1.0, 1.0]]])
+    predicted = PredictedConfidence(rows, np.full((1, 2), 100.0), np.array([5.0, 5.0]))
+    stiff = np.diag([0.0, 1e30])  # compliance known
+    predicted.add(np.eye(2), np.array([np.diag([1.0, 0.0]), np.diag([0.25, 0.0])]) + stiff)
+    assert predicted.percent_by_axis() == pytest.approx([1.0, np.sqrt(5.0)])
+    assert predicted.percent() == pytest.approx(np.sqrt(5.0))
+    assert predicted.depending(np.array([True, False])).tolist() == [True, True]
+    assert predicted.depending(np.array([False, True])).tolist() == [False, True]
+
+
+def test_poses_that_a_confidence_does_not_need_are_found_from_the_last() -> None:
+    """One parameter, which each pose shows with the std 2; two poses give 1.41 %, three 1.15 %."""
+    pose = (np.ones((1, 1)), np.diag([0.25, 0.0])[None])
+    predicted = PredictedConfidence(np.ones((1, 1, 1)), np.full((1, 1), 100.0), np.array([9.0]))
+    for _ in range(5):
+        predicted.add(*pose)
+    assert needed(predicted, [pose] * 5, 1.2) == [0, 1, 2]
+    assert predicted.percent() == pytest.approx(2 / np.sqrt(3))
+    assert needed(predicted, [pose] * 3, 1.0) == [0, 1, 2]  # out of reach: all
 
 
 def test_a_compliance_that_the_sweeps_must_find_costs_precision() -> None:
