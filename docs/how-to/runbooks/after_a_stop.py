@@ -81,7 +81,7 @@ def tell(book: Runbook, campaign: Json | None) -> None:
     drives, ready = book.client.drives(), book.client.ready()
     book.step("machine", "connected" if drives["connected"] else f"not connected: {drives['trouble']}")
     for axis in drives["axes"]:
-        book.step(axis["joint"], f"{axis['state']}{fault_of(axis)}")
+        book.step(axis["joint"], ", ".join(part for part in (axis["state"], fault_of(axis)) if part))
     for cause in ready["causes"]:
         book.step("not ready", cause)
     for stop in book.client.stops():
@@ -94,7 +94,11 @@ def tell(book: Runbook, campaign: Json | None) -> None:
 
 
 def fault_of(axis: Json) -> str:
-    return f", {axis['fault']['text']} ({axis['fault']['code']:04X}h)" if axis["fault"] else ""
+    """The fault of an axis as text; an emergency stop by its name, because the drive shows only a code."""
+    fault = axis["fault"]
+    if fault is None:
+        return ""
+    return f"{'EMERGENCY STOP, ' if fault['emergency_stop'] else ''}{fault['text']} ({fault['code']:04X}h)"
 
 
 def due(book: Runbook) -> list[Step]:
@@ -115,7 +119,8 @@ def due(book: Runbook) -> list[Step]:
         steps.append(Step("connect the drives", "connect", then, client.connect))
     for axis in drives["axes"]:
         if axis["fault"] is not None:
-            what = f"acknowledge {axis['joint']} ({axis['fault']['text']})"
+            emergency = "EMERGENCY STOP: release it at the machine first; " if axis["fault"]["emergency_stop"] else ""
+            what = f"acknowledge {axis['joint']} ({emergency}{axis['fault']['text']})"
             steps.append(Step(what, "acknowledge", NOTHING, partial(client.acknowledge, axis["joint"])))
     return steps
 
