@@ -3,7 +3,8 @@
     python after_a_stop.py --by "your name"
 
 Each step states what it moves and is executed only after you type its word. Exit codes: 0 no step is left,
-1 a step failed or the campaign paused again, 2 bad input, 3 a step was declined or the machine stopped.
+1 a step failed or the campaign paused again, 2 bad input, 3 a step was declined or the machine stopped, 4 a resumed
+campaign with a required confidence used its sweeps up without reaching it.
 """
 
 import sys
@@ -11,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+from reached import confidence
 from runbook import Exit, Runbook, ending, parser_of, run
 
 from service.client import Json
@@ -149,7 +151,11 @@ def resumed(book: Runbook, campaign: Json) -> Exit:
     if not confirmed(book, step):
         return Exit.STOPPED
     campaign = book.watched(number, lambda: client.resume(number, repeat=True))
-    return Exit.DONE if campaign["state"] == "completed" else book.not_completed(campaign)
+    if campaign["state"] != "completed":
+        return book.not_completed(campaign)
+    request = client.plan(campaign["plan_id"])["document"]["request"]
+    wanted = request.get("confidence")
+    return Exit.DONE if wanted is None else confidence(book, campaign, request["axes"], wanted)
 
 
 def tell_resume(book: Runbook, campaign: Json) -> None:

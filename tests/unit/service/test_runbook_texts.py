@@ -3,6 +3,7 @@
 import importlib
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -50,3 +51,42 @@ def test_an_emergency_stop_is_told_by_its_name(runbook: Any) -> None:
     assert fault_of({"fault": fault}) == "EMERGENCY STOP, error 9000h (9000h)"
     assert fault_of({"fault": fault | {"emergency_stop": False}}) == "error 9000h (9000h)"
     assert not fault_of({"fault": None})
+
+
+def test_a_campaign_that_cannot_be_the_reference_says_why(runbook: Any) -> None:
+    lacking = runbook("daily_check").lacking
+    known: dict[str, Any] = {"confidence_percent": 0.4, "inertia": [{}] * 3}
+    assert not lacking({"axes": {"turn": known, "elbow": known}}, [])
+    left_open = known | {"confidence_percent": None}
+    assert "J of turn is left open" in lacking({"axes": {"turn": left_open, "elbow": known}}, [])
+    few = known | {"inertia": [{}]}
+    assert lacking({"axes": {"turn": few}}, []) == "turn measured in fewer than 3 poses"
+    assert lacking({"axes": {"turn": known}}, ["turn", "rail"]) == "rail measured in fewer than 3 poses"
+
+
+@pytest.mark.parametrize(
+    ("percent", "code", "told"),
+    [
+        (0.4, 0, "confidence of 0.6 % reached"),
+        (0.7, 4, "sweeps used up, 0.6 % not reached"),
+        (None, 4, "sweeps used up, 0.6 % not reached"),
+    ],
+)
+def test_a_resumed_night_tells_what_it_reached(
+    runbook: Any, monkeypatch: pytest.MonkeyPatch, percent: float | None, code: int, told: str
+) -> None:
+    after_a_stop = runbook("after_a_stop")
+    campaign = {"id": 2, "plan_id": 7, "state": "completed", "robot_id": 1, "cause": ""}
+    request = {"axes": ["turn"], "confidence": 0.6}
+    client = SimpleNamespace(
+        plan=lambda _: {"document": {"request": request}},
+        estimate=lambda _: {"document": {"axes": {"turn": {"confidence_percent": percent}}}},
+    )
+    steps: list[tuple[str, str]] = []
+    book = SimpleNamespace(
+        client=client, watched=lambda *_: campaign, step=lambda name, result, **_: steps.append((name, result))
+    )
+    monkeypatch.setattr(after_a_stop, "tell_resume", lambda *_: None)
+    monkeypatch.setattr(after_a_stop, "confirmed", lambda *_: True)
+    assert after_a_stop.resumed(book, campaign) == code
+    assert steps[-1] == ("ended by", told)
