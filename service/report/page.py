@@ -9,6 +9,7 @@ from service.identification.model.certainty import UNSURE, not_for_use
 from service.report import figures, initial_analysis
 from service.report.content import Axis, Content, axes_of
 from service.report.diagnosis import diagnosis_section
+from service.report.drawing import slides
 from service.report.html import Page
 from service.results.analysis import Analyses
 from service.results.estimate import Estimate
@@ -141,35 +142,42 @@ def _example(page: Page, content: Content) -> None:
     if content.example is None:
         return
     spec = content.example.spec
-    pose = ", ".join(f"{math.degrees(position):.0f}°" for position in spec.pose)
+    robot = content.robot
+    linear = slides(robot, robot.index(spec.axis))
+    pose = ", ".join(_place(position, slides(robot, number)) for number, position in enumerate(spec.pose))
     page.add(
         "<h2>One sweep</h2>",
-        f"<p>Sweep {escape(spec.id)} of {escape(spec.axis)} in pose ({escape(pose)}): a slow turn with sines on top. "
+        f"<p>Sweep {escape(spec.id)} of {escape(spec.axis)} in pose ({escape(pose)}): a slow motion with sines on top. "
         "Whole periods of the shaded window are measured.</p>",
     )
-    page.figure(figures.in_time(content.example))
+    page.figure(figures.in_time(content.example, linear=linear))
     if spec.periodic:
         page.add("<p>Amplitudes over the measured window. Dots: the excited lines, which carry the inertia.</p>")
-        page.figure(figures.in_frequency(content.example))
+        page.figure(figures.in_frequency(content.example, linear=linear))
+
+
+def _place(position: float, linear: bool) -> str:
+    return f"{1e3 * position:.0f} mm" if linear else f"{math.degrees(position):.0f}°"
 
 
 def parameters_section(page: Page, estimate: Estimate) -> None:
     """The base parameters, and which of them must not be used."""
     page.add(
         "<h2>Base parameters</h2>",
-        "<p>The combinations of inertial parameters that the inertias determine; kg, kg m and kg m², each about its "
-        "joint's frame.</p>",
+        "<p>The combinations of inertial parameters that the inertias determine; each about its joint's "
+        "frame.</p>",
     )
     rows = [
         [
             entry.name if entry.symbolic is None else entry.symbolic,
             f"{entry.value:.5g}",
             "–" if entry.std is None else f"{entry.std:.2g}",
+            figures.parameter_unit(entry.name),
             not_for_use(entry),
         ]
         for entry in estimate.base_parameters
     ]
-    page.table(["parameter", "value", "± std", "not for use"], rows, "name")
+    page.table(["parameter", "value", "± std", "unit", "not for use"], rows, "name")
     if any(row[-1] for row in rows):
         page.add(
             f"<p>Do not use: a value whose standard deviation is more than {100 * UNSURE:.0f} % of it, "
