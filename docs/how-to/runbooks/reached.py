@@ -6,7 +6,10 @@ from runbook import Exit, Runbook
 
 from service.client import Json
 
-LEFT_OPEN = "J is left open: the sweeps determine a base parameter no better than CAD does; measure more poses"
+LEFT_OPEN = (
+    "J is left open: the sweeps determine a base parameter no better than CAD does; measure more poses, and see that "
+    "the robot file has the cogging orders of the motors"
+)
 
 
 def confidence(book: Runbook, campaign: Json, joints: Sequence[str], wanted: float) -> Exit:
