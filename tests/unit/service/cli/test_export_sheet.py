@@ -51,6 +51,7 @@ def test_the_truth_comes_out_on_the_side_of_the_motor(made: tuple[Sheet, str]) -
     assert sheet.poses is not None
     assert sheet.poses["j1"].keys() == {"j1", "j2"}
     assert "- j1 was measured with j1 " in text
+    assert not re.search(r" (\S+) \.\.\. \1 (mm|deg)\b", text)  # a joint that stood has one position
 
 
 @pytest.mark.parametrize(
