@@ -1,7 +1,7 @@
 """Content and order of the report."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from html import escape
 
 from service.identification.estimates.analysis_document import analyses_from
@@ -29,7 +29,7 @@ def estimate_sections(page: Page, content: Content) -> None:
     """All sections of an estimate, from the main values to the base parameters."""
     axes = axes_of(content)
     _facts(page, content, axes)
-    analysis_section(page, content.robot.joints, content.estimate.analysis)
+    analysis_section(page, content.robot.joints, content.estimate.analysis, _linear(content.robot))
     _inertias(page, content, axes)
     _accuracy(page, content, axes)
     _convergence(page, content)
@@ -40,12 +40,18 @@ def estimate_sections(page: Page, content: Content) -> None:
 def analysis_page(robot: Robot, analysis: Analyses) -> Page:
     """A report of an initial analysis alone."""
     page = Page(f"Initial analysis of the robot {robot.name}")
-    analysis_section(page, robot.joints, analysis)
+    analysis_section(page, robot.joints, analysis, _linear(robot))
     return page
 
 
-def analysis_section(page: Page, joints: Sequence[str], analysis: Analyses) -> None:
-    """The initial analysis of an estimate, in the order of `joints`; nothing if it is empty."""
+def _linear(robot: Robot) -> frozenset[str]:
+    return frozenset(joint for number, joint in enumerate(robot.joints) if slides(robot, number))
+
+
+def analysis_section(
+    page: Page, joints: Sequence[str], analysis: Analyses, linear: Collection[str] = frozenset()
+) -> None:
+    """The initial analysis of an estimate, in the order of `joints`; nothing if it is empty. `linear`: prismatic ones."""
     analyses = analyses_from(analysis)
     if not analyses:
         return
@@ -58,14 +64,14 @@ def analysis_section(page: Page, joints: Sequence[str], analysis: Analyses) -> N
     )
     for joint, axis in analyses.items():
         page.add(f"<h3>{escape(joint)}</h3>", "<p>Amplitude responses; dots measured, lines fitted.</p>")
-        page.figure(initial_analysis.amplitude_responses(axis))
+        page.figure(initial_analysis.amplitude_responses(axis, linear=joint in linear))
         page.add(
             "<p>The same as an apparent inertia, pose by pose. Dashed: the asymptotes of inertia and friction. Dotted: "
             "the corner, the ideal frequency (blue, in the middle) and the locked-rotor frequency of the fit.</p>"
         )
-        page.figure(initial_analysis.ideal_frequencies(axis))
+        page.figure(initial_analysis.ideal_frequencies(axis, linear=joint in linear))
     page.add("<p>Both methods with one standard deviation: the fit, and in brackets the asymptotes.</p>")
-    page.table(*initial_analysis.table(analyses, joints))
+    page.table(*initial_analysis.table(analyses, joints, linear))
 
 
 def _facts(page: Page, content: Content, axes: Sequence[Axis]) -> None:
