@@ -23,7 +23,7 @@ def load_profile(path: Path) -> dict[str, object]:
 
 
 def open_profile(path: Path) -> tuple[dict[str, object], DrivePort]:
-    """Content of a profile file, and the port of its machine, not yet connected. BadProfile names file, place, reason."""
+    """Content of a profile file, and its machine's port, not yet connected. BadProfile names file, place, reason."""
     profile = load_profile(path)
     try:
         return profile, open_drive(profile, path.parent)

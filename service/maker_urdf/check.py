@@ -128,7 +128,7 @@ def _drive_data(chain: Chain, ratios: Mapping[str, float | None]) -> list[Findin
         Finding(
             "missing",
             ", ".join(joints),
-            "cogging orders (torque ripple, periods per motor revolution); without them J can be ten times less certain",
+            "cogging orders (torque ripple, periods per motor turn); without them J can be ten times less certain",
         )
     )
     return told

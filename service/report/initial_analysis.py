@@ -118,7 +118,10 @@ def ideal_frequencies(analysis: AxisAnalysis, *, linear: bool = False) -> Figure
 def table(
     analyses: Mapping[str, AxisAnalysis], joints: Sequence[str], linear: Collection[str] = ()
 ) -> tuple[list[str], list[list[str]]]:
-    """Head and rows, by pose: from the fit, in brackets from asymptotes. `linear`: the prismatic ones of all `joints` of the robot."""
+    """Head and rows, by pose: from the fit, in brackets from asymptotes.
+
+    `linear`: the prismatic ones of all `joints` of the robot.
+    """
     slides = {number for number, joint in enumerate(joints) if joint in linear}
     places, sizes = ("deg, linear axes mm", "kg m², linear axes kg") if linear else ("deg", "kg m²")
     head = ["axis", f"pose in {places}", f"J in {sizes}", "locked rotor in Hz", "friction corner in Hz", "ideal in Hz"]

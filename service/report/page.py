@@ -51,7 +51,10 @@ def _linear(robot: Robot) -> frozenset[str]:
 def analysis_section(
     page: Page, joints: Sequence[str], analysis: Analyses, linear: Collection[str] = frozenset()
 ) -> None:
-    """The initial analysis of an estimate, in the order of `joints`; nothing if it is empty. `linear`: prismatic ones."""
+    """The initial analysis of an estimate, in the order of `joints`; nothing if it is empty.
+
+    `linear`: the prismatic joints.
+    """
     analyses = analyses_from(analysis)
     if not analyses:
         return
@@ -170,8 +173,7 @@ def parameters_section(page: Page, estimate: Estimate) -> None:
     """The base parameters, and which of them must not be used."""
     page.add(
         "<h2>Base parameters</h2>",
-        "<p>The combinations of inertial parameters that the inertias determine; each about its joint's "
-        "frame.</p>",
+        "<p>The combinations of inertial parameters that the inertias determine; each about its joint's frame.</p>",
     )
     rows = [
         [

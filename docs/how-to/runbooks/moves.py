@@ -73,4 +73,3 @@ def moves(robot: Robot, sweeps: Sequence[Json], stands: Mapping[str, float | Non
         way = None if linear or arm < ON_THE_AXIS else 1e3 * arm * (highest - lowest)
         found.append(Move(joint, lowest, highest, "mm" if linear else "deg", way, seconds[joint]))
     return found
-

@@ -13,6 +13,7 @@ from runbook import CELL_HELP, Exit, Runbook, optional_list, parser_of, run
 
 from service.client import Json
 
+
 def main() -> int:
     parser = parser_of(__doc__)
     parser.add_argument("robot", help="name of a robot that is stored in the service")

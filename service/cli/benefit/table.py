@@ -30,8 +30,8 @@ def print_benefit(found: Benefit, console: Console) -> None:
     for joint, why in found.not_judged.items():
         console.print(f"Not judged: {joint} {why}.", highlight=False)
     console.print(
-        f"Smallest seen: the smallest external effort that a torque monitor detects with one false alarm in {found.quiet_hours:g} h; "
-        "force: the same at the end of the robot, perpendicular to the lever arm.",
+        "Smallest seen: the smallest external effort that a torque monitor detects with one false alarm in "
+        f"{found.quiet_hours:g} h; force: the same at the end of the robot, perpendicular to the lever arm.",
         style="dim",
         highlight=False,
     )

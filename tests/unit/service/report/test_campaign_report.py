@@ -48,7 +48,8 @@ def estimate(percent: float = 0.8, **more: Any) -> Estimate:
     document = stored("estimate")
     known = {"confidence_percent": percent, "torque_gain": {"value": 1.0, "std": 0.006}}
     axes = {joint: document["axes"][joint] | known for joint in ("joint_1", "joint_2")}
-    document["base_parameters"] = [entry | {"std": entry["std"] or 0.1, "reason": ""} for entry in document["base_parameters"]]
+    parameters = document["base_parameters"]
+    document["base_parameters"] = [entry | {"std": entry["std"] or 0.1, "reason": ""} for entry in parameters]
     return Estimate.read(document | {"axes": axes} | more, "estimate")
 
 
