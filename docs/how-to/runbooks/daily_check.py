@@ -44,7 +44,12 @@ def check(book: Runbook) -> Exit:
         return Exit.DONE
     if campaign["state"] != "completed":
         return book.not_completed(campaign)
-    return worst([compared(book, robot, estimate, campaign, joint) for joint in axes])
+    codes = {joint: compared(book, robot, estimate, campaign, joint) for joint in axes}
+    for joint in (joint for joint, code in codes.items() if code is Exit.FAILED):
+        varied = ",".join(plan["document"]["request"]["varied"])
+        command = f"diagnose_axis.py {book.given.robot} {joint} --varied {varied}"
+        book.step("next", f"if no load was changed, {command}", axis=joint)
+    return worst(list(codes.values()))
 
 
 def stored(book: Runbook) -> tuple[Json, Json]:

@@ -86,8 +86,9 @@ def _sinumerik(sheet: Sheet) -> str:
             "motor's side:",
             _inertias(sheet, "MD32650"),
             "It has an effect only with torque feed-forward: `MD32620 $MA_FFW_MODE` 2 or 4, and `FFWON`. The "
-            "equivalent time constants (MD32800, MD32810) are left out: they depend on the current and speed controllers, "
-            "not on the inertia. Before you type a value, compare its unit with the list of machine data of your control.",
+            "equivalent time constants (MD32800, MD32810) are left out: they depend on the current and speed "
+            "controllers, not on the inertia. Before you type a value, compare its unit with the list of machine data "
+            "of your control.",
             *_left_out(sheet),
         ]
     )

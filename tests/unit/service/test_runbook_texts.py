@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from service.errors import BadInput
 from tests.unit.service.benefit.pair import URDF, robot
 
 RUNBOOKS = Path(__file__).parents[3] / "docs" / "how-to" / "runbooks"
@@ -90,3 +91,34 @@ def test_a_resumed_night_tells_what_it_reached(
     monkeypatch.setattr(after_a_stop, "confirmed", lambda *_: True)
     assert after_a_stop.resumed(book, campaign) == code
     assert steps[-1] == ("ended by", told)
+
+
+def test_a_red_axis_tells_the_next_command(runbook: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    daily_check, exits = runbook("daily_check"), runbook("runbook").Exit
+    reference = {"id": 6, "plan_id": 7, "robot_id": 1, "created_at": "2026-01-01T00:00"}
+    plan = {"document": {"request": {"varied": ["shoulder", "elbow"]}}}
+    colours = {"turn": exits.DONE, "elbow": exits.FAILED}
+    steps: list[tuple[str, str]] = []
+    book = SimpleNamespace(
+        client=SimpleNamespace(plan=lambda _: plan, robot=lambda _: {}, add_plan=lambda _: plan),
+        given=SimpleNamespace(robot="railpal", axes=[], poses=1),
+        identify_machine=lambda _: None,
+        measured=lambda *_: {"id": 8, "state": "completed"},
+        step=lambda name, result, **_: steps.append((name, result)),
+    )
+    monkeypatch.setattr(daily_check, "stored", lambda _: (reference, {"axes": colours}))
+    monkeypatch.setattr(daily_check, "compared", lambda *given: colours[given[-1]])
+    assert daily_check.check(book) == exits.FAILED
+    assert steps[-1] == ("next", "if no load was changed, diagnose_axis.py railpal elbow --varied shoulder,elbow")
+
+
+def test_a_campaign_of_too_few_poses_says_what_to_measure(runbook: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    before_and_after = runbook("before_and_after")
+
+    def nothing(*_: object) -> None:
+        raise BadInput("campaign 8", "gives no inertia of turn in this pose")
+
+    monkeypatch.setattr(before_and_after, "inertias", nothing)
+    before, after = {"id": 6}, {"id": 8}
+    with pytest.raises(BadInput, match=r"^after: campaign 8: gives no .* Too few poses: .*--before 6 without --after"):
+        before_and_after.known(None, after, {}, "turn", None, before)
