@@ -122,3 +122,19 @@ def test_a_campaign_of_too_few_poses_says_what_to_measure(runbook: Any, monkeypa
     before, after = {"id": 6}, {"id": 8}
     with pytest.raises(BadInput, match=r"^after: campaign 8: gives no .* Too few poses: .*--before 6 without --after"):
         before_and_after.known(None, after, {}, "turn", None, before)
+
+
+def test_a_diagnosis_says_that_it_takes_time_before_it_is_waited_for(runbook: Any) -> None:
+    happened: list[str] = []
+
+    def diagnosed(_: int) -> dict[str, str]:
+        happened.append("waited")
+        return {"state": "failed", "cause": "none"}
+
+    book = SimpleNamespace(
+        client=SimpleNamespace(diagnosed=diagnosed),
+        given=SimpleNamespace(axis="elbow"),
+        step=lambda name, *_, **__: happened.append(name),
+    )
+    runbook("diagnose_axis").settled(book, None, 3)
+    assert happened == ["waiting", "waited", "diagnosis 3"]
