@@ -22,6 +22,15 @@ def load_profile(path: Path) -> dict[str, object]:
         raise BadProfile(f"{path}: {error}") from None
 
 
+def open_profile(path: Path) -> tuple[dict[str, object], DrivePort]:
+    """Content of a profile file, and its machine's port, not yet connected. BadProfile names file, place, reason."""
+    profile = load_profile(path)
+    try:
+        return profile, open_drive(profile, path.parent)
+    except BadProfile as error:
+        raise BadProfile(f"{path}: {error}") from None
+
+
 def open_drive(profile: Mapping[str, object], base: Path) -> DrivePort:
     """The port of a profile's machine, not yet connected. Files named in the profile are relative to `base`.
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import structlog
 
 from drivers.errors import DriveError
-from drivers.registry import load_profile, open_drive
+from drivers.registry import open_profile
 from service.campaigns.estimate_quality import Quality, quality_of
 from service.campaigns.fleet_history import FleetHistory
 from service.campaigns.live import EventFeed, LiveHub
@@ -232,8 +232,7 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
         stack.enter_context(traced(settings.traces, settings.machine_name))
         if brought := CATALOGUE.brought:
             _log.info("effects_of_other_packages", packages=brought)
-        profile = None if settings.no_machine else load_profile(settings.drive)
-        port = None if profile is None else open_drive(profile, settings.drive.parent)
+        profile, port = (None, None) if settings.no_machine else open_profile(settings.drive)
         settings.data_dir.mkdir(parents=True, exist_ok=True)
         name = None if settings.no_machine else settings.machine_name
         database = stack.enter_context(

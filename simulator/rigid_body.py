@@ -2,7 +2,8 @@
 
 The link inertials of the scenario are written into the URDF text, which MuJoCo compiles; J_k(pose) is the diagonal
 of its joint-space inertia matrix. With the other joints held, gravity about revolute joint k is A cos q_k + B sin
-q_k: two evaluations of MuJoCo's bias force, at q_k = 0 and pi/2, give A and B exactly.
+q_k: two evaluations of MuJoCo's bias force, at q_k = 0 and pi/2, give A and B exactly. Along a prismatic joint it is
+constant.
 """
 
 import xml.etree.ElementTree as ET
@@ -22,7 +23,7 @@ _mujoco = cast(Any, mujoco)  # a binary module without type stubs
 
 @dataclass(frozen=True, slots=True)
 class Gravity:
-    """Torque the drive needs to hold the axis: ``cosine cos q + sine sin q + constant``, N m."""
+    """Effort that holds the axis: ``cosine cos q + sine sin q + constant``, N m (prismatic: `constant` alone, N)."""
 
     cosine: float = 0.0
     sine: float = 0.0
@@ -47,11 +48,16 @@ class RigidBody:
         names = tuple(self._model.joint(k).name for k in range(self._model.njnt))
         if names != scenario.joints:
             raise ScenarioError(f"scenario {scenario.name}: URDF joints {names} differ from axes {scenario.joints}")
-        if any(self._model.jnt_type != _mujoco.mjtJoint.mjJNT_HINGE):
-            raise ScenarioError(f"scenario {scenario.name}: only revolute joints can be simulated")
+        self._slides = self._model.jnt_type == _mujoco.mjtJoint.mjJNT_SLIDE
+        unknown = ~self._slides & (self._model.jnt_type != _mujoco.mjtJoint.mjJNT_HINGE)
+        if unknown.any():
+            raise ScenarioError(
+                f"scenario {scenario.name}: joint {names[int(unknown.argmax())]} is neither revolute nor prismatic; "
+                "no other joint can be simulated"
+            )
 
     def inertia(self, pose: ArrayLike) -> Array:
-        """Load inertia about every joint in one pose (n,): (n,) kg m^2, without motors."""
+        """Load inertia about every joint in one pose (n,): (n,) kg m^2 (prismatic: kg), without motors."""
         self._data.qpos[:] = pose
         _mujoco.mj_kinematics(self._model, self._data)
         _mujoco.mj_comPos(self._model, self._data)
@@ -60,8 +66,10 @@ class RigidBody:
         return np.diag(self._matrix).copy()
 
     def gravity(self, joint: int, pose: ArrayLike) -> Gravity:
-        """Gravity about joint number `joint` as a function of its own angle, with the others held at `pose` (n,)."""
+        """Gravity about joint number `joint` as a function of its own position, with the others held at `pose` (n,)."""
         turned = np.array(pose, dtype=float)
+        if self._slides[joint]:
+            return Gravity(constant=float(self._bias(turned)[joint]))
         turned[joint] = 0.0
         cosine = self._bias(turned)[joint]
         turned[joint] = np.pi / 2

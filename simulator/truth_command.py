@@ -30,7 +30,9 @@ def truth(
         elif poses is not None and hide is None:
             found = true_inertias(scenario, _read_poses(poses))
         else:
-            raise ScenarioError("give exactly one of --poses and --hide")
+            raise ScenarioError(
+                "give one of --poses FILE (prints the inertias in these poses) and --hide SEED (prints the effect)"
+            )
     except ScenarioError as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(2) from None

@@ -82,7 +82,7 @@ class AxisProfile(Frozen):
         if self.gear_ratio == 0:
             raise ValueError("gear_ratio must not be 0")
         if self.load_encoder and self.unit == "m":
-            raise ValueError("load_encoder: the trace gives revolutions; not supported for a linear axis")
+            raise ValueError("load_encoder: not supported for a linear axis (unit m), set it to false")
         low, high = self.position_limits
         if low >= high:
             raise ValueError(f"position_limits: {low} is not below {high}")
@@ -113,10 +113,11 @@ def parse(kind: type[Parsed], content: Mapping[str, object]) -> Parsed:
         return kind.model_validate(content)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        place = ".".join(str(part) for part in first["loc"]) or "profile"
+        place = "".join(f"{part}." for part in first["loc"]).removesuffix(".")
+        reason = first["msg"].removeprefix("Value error, ")
         shown = repr(first["input"])
         given = "" if isinstance(first["input"], Mapping) else f" (given: {shown[:LONGEST_SHOWN]})"
-        raise BadProfile(f"{place}: {first['msg']}{given}") from None
+        raise BadProfile(f"{place}: {reason}{given}" if place else f"{reason}{given}") from None
 
 
 def refuse_unfilled(content: Mapping[str, object]) -> None:

@@ -19,7 +19,7 @@ from drivers.commission.moving import motion_text, moved
 from drivers.commission.sheet import Row
 from drivers.commission.survey import digests, load, survey
 from drivers.errors import BadProfile
-from drivers.registry import load_profile, open_drive
+from drivers.registry import open_profile
 
 commission = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="CANopen drives of other manufacturers.")
 
@@ -111,7 +111,7 @@ def _moved(profile: Path, axis: CanopenAxis) -> list[Row]:
     numbers = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     before = {number: signal.signal(number, signal.default_int_handler) for number in numbers}
     try:
-        return asyncio.run(moved(open_drive(load_profile(profile), profile.parent), axis))
+        return asyncio.run(moved(open_profile(profile)[1], axis))
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

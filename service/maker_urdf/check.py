@@ -124,6 +124,13 @@ def _drive_data(chain: Chain, ratios: Mapping[str, float | None]) -> list[Findin
     told = [Finding("missing", ", ".join(bare), "gear ratio")] if bare else []
     told.append(Finding("missing", ", ".join(joints), "rated effort: a URDF has only the limit"))
     told.append(Finding("missing", ", ".join(joints), "motor inertia; left open it is found with the load, less well"))
+    told.append(
+        Finding(
+            "missing",
+            ", ".join(joints),
+            "cogging orders (torque ripple, periods per motor turn); without them J can be ten times less certain",
+        )
+    )
     return told
 
 

@@ -28,10 +28,13 @@ def side_file_text(told: UrdfCheck, name: str, urdf: str) -> str:
     """The side file (`config/robots/*.yaml`) of a robot with the data of its URDF; null where data are missing."""
     lines = [
         ("# Drafted from a maker's URDF. Complete the values that are null from the data sheets of motors and gears:"),
-        "# gear_ratio: motor revolutions per joint revolution (prismatic: rad per m), signed; has to be completed",
+        "# gear_ratio: motor revolutions per joint revolution (prismatic: motor rad per m), signed; must be completed",
         "# rated_effort: what motor and gear can give continuously, at the joint; has to be completed",
         ("# motor_inertia: kg m^2 on the motor side, brake included; null: unknown, it is measured with the load"),
         "# viscous_friction: N m s/rad (N s/m) at the joint; null: unknown",
+        "# cogging_orders: torque ripple, periods per motor revolution, from the motor's maker; [] if unknown.",
+        "#   A ripple that is not given here counts as noise, and J can be ten times less certain",
+        "# transmission_orders: gear error, periods per motor revolution, from the gear's maker; [] if unknown",
         f"name: {_scalar(name)}",
         f"urdf: {_scalar(urdf)}",
         "gravity: [0.0, 0.0, -9.81] # in the base frame: turn it for a robot that hangs",
@@ -46,6 +49,8 @@ def side_file_text(told: UrdfCheck, name: str, urdf: str) -> str:
             "    motor_inertia: null",
             f"    rated_effort: null # the URDF's limit is {joint.effort:g} {unit}",
             "    viscous_friction: null",
+            "    cogging_orders: []",
+            "    transmission_orders: []",
         ]
     lines.append("prior: # how far the model may be off: one sigma, relative")
     if told.guessed:

@@ -91,6 +91,7 @@ class Axis:
     """One axis: its sweeps in order of measurement, and both models. Inertias in kg m^2 (kg)."""
 
     joint: str
+    unit: str  # of its inertia: kg m², of a linear axis kg
     poses: Array  # (k, n)
     numbers: tuple[int, ...]  # of the sweeps, 1, 2, ... in the order of measurement
     measured: Array  # (k,)
@@ -120,6 +121,7 @@ def axes_of(content: Content) -> tuple[Axis, ...]:
         axes.append(
             Axis(
                 joint=joint,
+                unit="kg" if content.robot.chain.joints[index].kind == "prismatic" else "kg m²",
                 poses=own,
                 numbers=tuple(order[sweep.sweep] for sweep in sweeps),
                 measured=np.array([sweep.value for sweep in sweeps], dtype=float),

@@ -7,6 +7,8 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from service.robot import Robot
+
 Array = NDArray[np.float64]
 Drawn = str | float | None | Sequence["Drawn"] | Mapping[str, "Drawn"]  # accepted by plotly.js
 Part = Mapping[str, Drawn]  # a trace, a scale, an annotation
@@ -93,6 +95,21 @@ def colours(count: int) -> list[str]:
 def degrees(angles: Array) -> list[float]:
     """Angles in degrees."""
     return [round(math.degrees(angle), 3) for angle in angles]
+
+
+def slides(robot: Robot, number: int) -> bool:
+    """Whether joint `number` is prismatic: its positions are m, its efforts N, its inertia kg."""
+    return robot.chain.joints[number].kind == "prismatic"
+
+
+def positions(robot: Robot, number: int, values: Array) -> list[float]:
+    """Positions (rad, m) of joint `number` in deg or mm."""
+    return [round(1e3 * float(value), 3) for value in values] if slides(robot, number) else degrees(values)
+
+
+def position_title(robot: Robot, number: int) -> str:
+    """Title of an axis of a figure with positions of joint `number`."""
+    return f"{robot.joints[number]} in {'mm' if slides(robot, number) else 'deg'}"
 
 
 def rounded(values: Array, decimals: int | None = None) -> list[Drawn]:

@@ -17,10 +17,11 @@ from service.report.drawing import (
     Figure,
     Part,
     colours,
-    degrees,
     figure,
     line,
     points,
+    position_title,
+    positions,
     rounded,
     scale,
     symbols,
@@ -36,43 +37,43 @@ def surface(robot: Robot, axis: Axis) -> Figure:
     x, y, (identified, reference) = _mesh(
         axis.workspace, first, second, (axis.identified_workspace, axis.reference_workspace)
     )
-    names = robot.joints
+    titles = (position_title(robot, first), position_title(robot, second))
     return figure(
         [
             {
                 "type": "surface",
                 "name": "identified model",
-                "x": degrees(x),
-                "y": degrees(y),
+                "x": positions(robot, first, x),
+                "y": positions(robot, second, y),
                 "z": rounded(identified),
                 "colorscale": [[0, "#bfdbfe"], [1, IDENTIFIED]],
                 "opacity": 0.9,
                 "contours": {"z": {"show": True, "color": "#1e3a8a", "width": 1}},
                 "showscale": False,
                 "showlegend": True,
-                "hovertemplate": _hover(names, first, second, "identified"),
+                "hovertemplate": _hover(titles, axis.unit, "identified"),
             },
             {
                 "type": "surface",
                 "name": "reference model (CAD)",
-                "x": degrees(x),
-                "y": degrees(y),
+                "x": positions(robot, first, x),
+                "y": positions(robot, second, y),
                 "z": rounded(reference),
                 "colorscale": [[0, REFERENCE], [1, REFERENCE]],
                 "opacity": 0.45,
                 "showscale": False,
                 "showlegend": True,
-                "hovertemplate": _hover(names, first, second, "reference"),
+                "hovertemplate": _hover(titles, axis.unit, "reference"),
             },
             {
                 "type": "scatter3d",
                 "mode": "markers",
                 "name": "measured",
-                "x": degrees(axis.poses[:, first]),
-                "y": degrees(axis.poses[:, second]),
+                "x": positions(robot, first, axis.poses[:, first]),
+                "y": positions(robot, second, axis.poses[:, second]),
                 "z": rounded(axis.measured),
                 "marker": {"size": 4.5, "color": MEASURED, "line": {"color": "white", "width": 1}},
-                "hovertemplate": _hover(names, first, second, "measured"),
+                "hovertemplate": _hover(titles, axis.unit, "measured"),
             },
         ],
         {
@@ -80,9 +81,9 @@ def surface(robot: Robot, axis: Axis) -> Figure:
             "meta": {"width": 960},  # px; with less, the names of the axes are cut off
             "margin": {"l": 0, "r": 0, "t": 10, "b": 0},
             "scene": {
-                "xaxis": {"title": {"text": f"{names[first]} in deg"}},
-                "yaxis": {"title": {"text": f"{names[second]} in deg"}},
-                "zaxis": {"title": {"text": "J in kg m²"}},
+                "xaxis": {"title": {"text": titles[0]}},
+                "yaxis": {"title": {"text": titles[1]}},
+                "zaxis": {"title": {"text": f"J in {axis.unit}"}},
                 "camera": {"eye": {"x": -1.15, "y": -1.45, "z": 0.62}, "center": {"x": 0, "y": 0, "z": -0.24}},
                 "aspectratio": {"x": 1.2, "y": 1.2, "z": 0.8},
             },
@@ -107,20 +108,20 @@ def deviation_map(robot: Robot, axis: Axis) -> Figure:
         [
             {
                 "type": "heatmap",
-                "x": degrees(x),
-                "y": degrees(y),
+                "x": positions(robot, first, x),
+                "y": positions(robot, second, y),
                 "z": rounded(z),
                 "colorscale": ramp,
                 "zmin": low,
                 "zmax": high,
                 "hoverongaps": False,
                 "colorbar": {"title": {"text": "%"}, "thickness": 12},
-                "hovertemplate": "%{x:.0f}°, %{y:.0f}°: %{z:+.1f} %<extra></extra>",
+                "hovertemplate": "%{x:.0f}, %{y:.0f}: %{z:+.1f} %<extra></extra>",
             },
             {
                 "type": "contour",
-                "x": degrees(x),
-                "y": degrees(y),
+                "x": positions(robot, first, x),
+                "y": positions(robot, second, y),
                 "z": rounded(z),
                 "contours": {"coloring": "none", "showlabels": True, "labelfont": {"size": 11, "color": "#0f172a"}},
                 "line": {"color": "#475569", "width": 0.8},
@@ -133,16 +134,16 @@ def deviation_map(robot: Robot, axis: Axis) -> Figure:
                 "type": "scatter",
                 "mode": "markers",
                 "name": "measured poses",
-                "x": degrees(axis.poses[:, first]),
-                "y": degrees(axis.poses[:, second]),
+                "x": positions(robot, first, axis.poses[:, first]),
+                "y": positions(robot, second, axis.poses[:, second]),
                 "marker": {"size": 8, "color": "#0f172a", "line": {"color": "white", "width": 1.5}},
                 "hoverinfo": "skip",
             },
         ],
         {
             "height": 430,
-            "xaxis": scale(f"{robot.joints[first]} in deg"),
-            "yaxis": scale(f"{robot.joints[second]} in deg"),
+            "xaxis": scale(position_title(robot, first)),
+            "yaxis": scale(position_title(robot, second)),
         },
     )
 
@@ -152,8 +153,8 @@ def curve(robot: Robot, axis: Axis) -> Figure:
     if axis.varied:
         joint = axis.varied[0]
         order = np.argsort(axis.workspace[:, joint])
-        line_x = degrees(axis.workspace[order, joint])
-        points_x, title = degrees(axis.poses[:, joint]), f"{robot.joints[joint]} in deg"
+        line_x = positions(robot, joint, axis.workspace[order, joint])
+        points_x, title = positions(robot, joint, axis.poses[:, joint]), position_title(robot, joint)
         identified, reference = axis.identified_workspace[order], axis.reference_workspace[order]
     else:
         line_x = points_x = list(axis.numbers)
@@ -165,7 +166,7 @@ def curve(robot: Robot, axis: Axis) -> Figure:
             points("paper's formula", points_x, axis.paper, PAPER, symbol="x-thin-open"),
             points("measured (± 2 std)", points_x, axis.measured, MEASURED, error=2 * axis.std),
         ],
-        {"height": 380, "xaxis": scale(title), "yaxis": scale("J in kg m²")},
+        {"height": 380, "xaxis": scale(title), "yaxis": scale(f"J in {axis.unit}")},
     )
 
 
@@ -206,11 +207,12 @@ def paper_residuals(axes: Sequence[Axis]) -> Figure:
         )
         for axis, colour, symbol in zip(axes, colours(len(axes)), symbols(len(axes)), strict=True)
     ]
+    units = " or ".join(dict.fromkeys(axis.unit for axis in axes))
     return figure(
         traces,
         {
             "height": 360,
-            "xaxis": scale("J measured in kg m²"),
+            "xaxis": scale(f"J measured in {units}"),
             "yaxis": scale("(paper's formula − identified) in %", zeroline=True),
         },
     )
@@ -269,7 +271,7 @@ def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> Figure:
         }
         annotations.append(
             {
-                "text": _short(name),
+                "text": f"{_short(name)} in {parameter_unit(name)}" if x else f"{_short(name)}: not identified",
                 "hovertext": name,
                 "x": left + 0.13 * width,
                 "y": top - 0.13 * height,
@@ -284,8 +286,8 @@ def convergence(revisions: Sequence[Revision], names: Sequence[str]) -> Figure:
     return figure(traces, layout)
 
 
-def in_time(sweep: Sweep) -> Figure:
-    """One sweep: velocity and effort over time, the measured window shaded."""
+def in_time(sweep: Sweep, *, linear: bool = False) -> Figure:
+    """One sweep: velocity and effort over time, the measured window shaded. `linear`: of a prismatic axis."""
     recording, spec = sweep.recording, sweep.spec
     step = max(1, len(recording.time) // 4000)
     time = rounded(recording.time[::step], 4)
@@ -313,14 +315,14 @@ def in_time(sweep: Sweep) -> Figure:
         {
             "height": 430,
             "xaxis": {**scale("time in s"), "anchor": "y2"},
-            "yaxis": {**scale("velocity in mrad/s"), "domain": [0.55, 1.0]},
-            "yaxis2": {**scale("effort in N m"), "domain": [0.0, 0.45]},
+            "yaxis": {**scale(f"velocity in {'mm' if linear else 'mrad'}/s"), "domain": [0.55, 1.0]},
+            "yaxis2": {**scale(f"effort in {'N' if linear else 'N m'}"), "domain": [0.0, 0.45]},
             "shapes": [window] if spec.periodic else [],
         },
     )
 
 
-def in_frequency(sweep: Sweep) -> Figure:
+def in_frequency(sweep: Sweep, *, linear: bool = False) -> Figure:
     """Amplitudes of velocity and effort over the measured complete periods; the excited lines are highlighted."""
     spec, recording = sweep.spec, sweep.recording
     end = spec.measure_from + (spec.period or 0.0) * (spec.periods or 0)
@@ -349,8 +351,8 @@ def in_frequency(sweep: Sweep) -> Figure:
         {
             "height": 430,
             "xaxis": {**scale("frequency in Hz"), "anchor": "y2"},
-            "yaxis": {**scale("velocity in mrad/s"), "domain": [0.55, 1.0], **DECADES},
-            "yaxis2": {**scale("effort in N m"), "domain": [0.0, 0.45], **DECADES},
+            "yaxis": {**scale(f"velocity in {'mm' if linear else 'mrad'}/s"), "domain": [0.55, 1.0], **DECADES},
+            "yaxis2": {**scale(f"effort in {'N' if linear else 'N m'}"), "domain": [0.0, 0.45], **DECADES},
         },
     )
 
@@ -367,8 +369,14 @@ def _mesh(poses: Array, first: int, second: int, values: Sequence[Array]) -> tup
     return x, y, matrices
 
 
-def _hover(names: Sequence[str], first: int, second: int, what: str) -> str:
-    return f"{names[first]} %{{x:.1f}}°<br>{names[second]} %{{y:.1f}}°<br>{what} %{{z:.1f}} kg m²<extra></extra>"
+def _hover(titles: tuple[str, str], unit: str, what: str) -> str:
+    return f"{titles[0]}: %{{x:.1f}}<br>{titles[1]}: %{{y:.1f}}<br>{what}: %{{z:.1f}} {unit}<extra></extra>"
+
+
+def parameter_unit(name: str) -> str:
+    """The unit of a base parameter, which is that of its first term: m(link), mx(link), Ixx(link) or Jm(joint)."""
+    kind = name.partition("(")[0]
+    return "kg" if kind == "m" else "kg m" if kind in ("mx", "my", "mz") else "kg m²"
 
 
 def _short(name: str) -> str:

@@ -1,7 +1,7 @@
 """Figures 1a and 1b of the paper from the initial analysis of an axis ("analysis" of an estimate's document)."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,15 +29,18 @@ COLUMNS = 3
 _LIGHT, _HEAVY = np.array([14, 165, 233]), np.array([124, 45, 18])  # colours of the lightest and the heaviest pose
 
 
-def amplitude_responses(analysis: AxisAnalysis) -> Figure:
-    """Fig. 1a: velocity over effort in every pose, measured (dots) and fitted (lines), from light to heavy."""
+def amplitude_responses(analysis: AxisAnalysis, *, linear: bool = False) -> Figure:
+    """Fig. 1a: velocity over effort in every pose, measured (dots) and fitted (lines), from light to heavy.
+
+    `linear`: of a prismatic axis.
+    """
     traces: list[Part] = []
     poses = sorted(analysis.poses, key=lambda pose: pose.fit.inertia.value)
     for number, pose in enumerate(poses):
         share = number / max(len(poses) - 1, 1)
         colour = "#" + "".join(f"{int(value):02x}" for value in (1 - share) * _LIGHT + share * _HEAVY)
         frequency = pose.response.frequency
-        name = f"J = {pose.fit.inertia.value:.0f} kg m²"
+        name = f"J = {pose.fit.inertia.value:.0f} {_unit(linear)}"
         measured = points(name, rounded(frequency), 1 / np.abs(pose.response.impedance), colour, size=4)
         fine = _fine(frequency)
         fitted = line(name, rounded(fine), 1 / np.abs(_fitted(analysis, pose, fine)), colour, width=1.2)
@@ -47,12 +50,12 @@ def amplitude_responses(analysis: AxisAnalysis) -> Figure:
         {
             "height": 460,
             "xaxis": {**scale("frequency in Hz"), **_LOG},
-            "yaxis": {**scale("|Ω/Γ| in rad/s per N m"), **DECADES},
+            "yaxis": {**scale(f"|Ω/Γ| in {'m/s per N' if linear else 'rad/s per N m'}"), **DECADES},
         },
     )
 
 
-def ideal_frequencies(analysis: AxisAnalysis) -> Figure:
+def ideal_frequencies(analysis: AxisAnalysis, *, linear: bool = False) -> Figure:
     """Fig. 1b in every pose: apparent inertia |Z|/ω, its asymptotes, and the ideal frequency between their ends."""
     poses = sorted(analysis.poses, key=lambda pose: pose.fit.inertia.value)
     rows = -(-len(poses) // COLUMNS)
@@ -81,14 +84,14 @@ def ideal_frequencies(analysis: AxisAnalysis) -> Figure:
             "range": [math.log10(end) for end in ends],
         }
         layout[f"yaxis{number}"] = {
-            **scale("|Γ/Ω|/ω in kg m²" if column == 0 else ""),
+            **scale(f"|Γ/Ω|/ω in {_unit(linear)}" if column == 0 else ""),
             **DECADES,
             "domain": [top - 0.8 * height, top - 0.12 * height],
             "anchor": f"x{number}",
         }
         annotations.append(
             {
-                "text": f"J = {pose.fit.inertia.value:.0f} kg m², ideal {_ideal(pose, '.2g')} Hz → "
+                "text": f"J = {pose.fit.inertia.value:.0f} {_unit(linear)}, ideal {_ideal(pose, '.2g')} Hz → "
                 f"{pose.fit.sweep_frequency:.0f} Hz",
                 "x": left + 0.13 * width,
                 "y": top - 0.1 * height,
@@ -112,9 +115,16 @@ def ideal_frequencies(analysis: AxisAnalysis) -> Figure:
     return figure(traces, layout)
 
 
-def table(analyses: Mapping[str, AxisAnalysis], joints: Sequence[str]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows, by pose: from the fit, in brackets from asymptotes."""
-    head = ["axis", "pose in deg", "J in kg m²", "locked rotor in Hz", "friction corner in Hz", "ideal in Hz"]
+def table(
+    analyses: Mapping[str, AxisAnalysis], joints: Sequence[str], linear: Collection[str] = ()
+) -> tuple[list[str], list[list[str]]]:
+    """Head and rows, by pose: from the fit, in brackets from asymptotes.
+
+    `linear`: the prismatic ones of all `joints` of the robot.
+    """
+    slides = {number for number, joint in enumerate(joints) if joint in linear}
+    places, sizes = ("deg, linear axes mm", "kg m², linear axes kg") if linear else ("deg", "kg m²")
+    head = ["axis", f"pose in {places}", f"J in {sizes}", "locked rotor in Hz", "friction corner in Hz", "ideal in Hz"]
     rows: list[list[str]] = []
     for joint in joints:
         for pose in analyses[joint].poses if joint in analyses else ():
@@ -122,7 +132,10 @@ def table(analyses: Mapping[str, AxisAnalysis], joints: Sequence[str]) -> tuple[
             rows.append(
                 [
                     joint,
-                    ", ".join(f"{math.degrees(position):.0f}" for position in pose.pose),
+                    ", ".join(
+                        f"{1e3 * place if number in slides else math.degrees(place):.0f}"
+                        for number, place in enumerate(pose.pose)
+                    ),
                     f"{fit.inertia.value:.1f} ± {fit.inertia.std:.1f}",
                     _locked_rotor(pose),
                     f"{fit.corner.value:.3f} ± {fit.corner.std:.3f} ({read.corner.value:.2f})",
@@ -130,6 +143,10 @@ def table(analyses: Mapping[str, AxisAnalysis], joints: Sequence[str]) -> tuple[
                 ]
             )
     return head, rows
+
+
+def _unit(linear: bool) -> str:
+    return "kg" if linear else "kg m²"
 
 
 def _locked_rotor(pose: PoseAnalysis) -> str:

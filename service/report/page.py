@@ -1,7 +1,7 @@
 """Content and order of the report."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from html import escape
 
 from service.identification.estimates.analysis_document import analyses_from
@@ -9,6 +9,7 @@ from service.identification.model.certainty import UNSURE, not_for_use
 from service.report import figures, initial_analysis
 from service.report.content import Axis, Content, axes_of
 from service.report.diagnosis import diagnosis_section
+from service.report.drawing import slides
 from service.report.html import Page
 from service.results.analysis import Analyses
 from service.results.estimate import Estimate
@@ -28,7 +29,7 @@ def estimate_sections(page: Page, content: Content) -> None:
     """All sections of an estimate, from the main values to the base parameters."""
     axes = axes_of(content)
     _facts(page, content, axes)
-    analysis_section(page, content.robot.joints, content.estimate.analysis)
+    analysis_section(page, content.robot.joints, content.estimate.analysis, _linear(content.robot))
     _inertias(page, content, axes)
     _accuracy(page, content, axes)
     _convergence(page, content)
@@ -39,12 +40,21 @@ def estimate_sections(page: Page, content: Content) -> None:
 def analysis_page(robot: Robot, analysis: Analyses) -> Page:
     """A report of an initial analysis alone."""
     page = Page(f"Initial analysis of the robot {robot.name}")
-    analysis_section(page, robot.joints, analysis)
+    analysis_section(page, robot.joints, analysis, _linear(robot))
     return page
 
 
-def analysis_section(page: Page, joints: Sequence[str], analysis: Analyses) -> None:
-    """The initial analysis of an estimate, in the order of `joints`; nothing if it is empty."""
+def _linear(robot: Robot) -> frozenset[str]:
+    return frozenset(joint for number, joint in enumerate(robot.joints) if slides(robot, number))
+
+
+def analysis_section(
+    page: Page, joints: Sequence[str], analysis: Analyses, linear: Collection[str] = frozenset()
+) -> None:
+    """The initial analysis of an estimate, in the order of `joints`; nothing if it is empty.
+
+    `linear`: the prismatic joints.
+    """
     analyses = analyses_from(analysis)
     if not analyses:
         return
@@ -57,14 +67,14 @@ def analysis_section(page: Page, joints: Sequence[str], analysis: Analyses) -> N
     )
     for joint, axis in analyses.items():
         page.add(f"<h3>{escape(joint)}</h3>", "<p>Amplitude responses; dots measured, lines fitted.</p>")
-        page.figure(initial_analysis.amplitude_responses(axis))
+        page.figure(initial_analysis.amplitude_responses(axis, linear=joint in linear))
         page.add(
             "<p>The same as an apparent inertia, pose by pose. Dashed: the asymptotes of inertia and friction. Dotted: "
             "the corner, the ideal frequency (blue, in the middle) and the locked-rotor frequency of the fit.</p>"
         )
-        page.figure(initial_analysis.ideal_frequencies(axis))
+        page.figure(initial_analysis.ideal_frequencies(axis, linear=joint in linear))
     page.add("<p>Both methods with one standard deviation: the fit, and in brackets the asymptotes.</p>")
-    page.table(*initial_analysis.table(analyses, joints))
+    page.table(*initial_analysis.table(analyses, joints, linear))
 
 
 def _facts(page: Page, content: Content, axes: Sequence[Axis]) -> None:
@@ -141,35 +151,41 @@ def _example(page: Page, content: Content) -> None:
     if content.example is None:
         return
     spec = content.example.spec
-    pose = ", ".join(f"{math.degrees(position):.0f}°" for position in spec.pose)
+    robot = content.robot
+    linear = slides(robot, robot.index(spec.axis))
+    pose = ", ".join(_place(position, slides(robot, number)) for number, position in enumerate(spec.pose))
     page.add(
         "<h2>One sweep</h2>",
-        f"<p>Sweep {escape(spec.id)} of {escape(spec.axis)} in pose ({escape(pose)}): a slow turn with sines on top. "
+        f"<p>Sweep {escape(spec.id)} of {escape(spec.axis)} in pose ({escape(pose)}): a slow motion with sines on top. "
         "Whole periods of the shaded window are measured.</p>",
     )
-    page.figure(figures.in_time(content.example))
+    page.figure(figures.in_time(content.example, linear=linear))
     if spec.periodic:
         page.add("<p>Amplitudes over the measured window. Dots: the excited lines, which carry the inertia.</p>")
-        page.figure(figures.in_frequency(content.example))
+        page.figure(figures.in_frequency(content.example, linear=linear))
+
+
+def _place(position: float, linear: bool) -> str:
+    return f"{1e3 * position:.0f} mm" if linear else f"{math.degrees(position):.0f}°"
 
 
 def parameters_section(page: Page, estimate: Estimate) -> None:
     """The base parameters, and which of them must not be used."""
     page.add(
         "<h2>Base parameters</h2>",
-        "<p>The combinations of inertial parameters that the inertias determine; kg, kg m and kg m², each about its "
-        "joint's frame.</p>",
+        "<p>The combinations of inertial parameters that the inertias determine; each about its joint's frame.</p>",
     )
     rows = [
         [
             entry.name if entry.symbolic is None else entry.symbolic,
             f"{entry.value:.5g}",
             "–" if entry.std is None else f"{entry.std:.2g}",
+            figures.parameter_unit(entry.name),
             not_for_use(entry),
         ]
         for entry in estimate.base_parameters
     ]
-    page.table(["parameter", "value", "± std", "not for use"], rows, "name")
+    page.table(["parameter", "value", "± std", "unit", "not for use"], rows, "name")
     if any(row[-1] for row in rows):
         page.add(
             f"<p>Do not use: a value whose standard deviation is more than {100 * UNSURE:.0f} % of it, "

@@ -44,8 +44,8 @@ def _estimate(estimate: Estimate) -> tuple[str, str]:
         worst = max(sure, key=lambda joint: shares[joint])
         told.append(
             f"{_inertias(sure)} known to {100 * shares[worst]:.2g} % or better"
-            f"{f', {worst} the worst' if len(sure) > 1 else ''} (one standard deviation, that of the torque constants "
-            "included)"
+            " (one standard deviation, with that of the torque constants"
+            f"{f'; {worst} is the least accurate' if len(sure) > 1 else ''})"
         )
     if unsure:
         told.append(f"{_inertias(unsure)} too uncertain to use")
@@ -53,6 +53,9 @@ def _estimate(estimate: Estimate) -> tuple[str, str]:
     if suspects:
         told.append(f"{_count(len(suspects), 'sweep does', 'sweeps do')} not fit the others")
     text = ", but ".join(told)
+    open_ = sum(entry.std is None for entry in estimate.base_parameters)
+    if open_:
+        text += f"; the sweeps do not identify {open_} of {len(estimate.base_parameters)} base parameters"
     return (OPEN if unsure or suspects else CONFIRMED), text[:1].upper() + text[1:]
 
 
@@ -68,18 +71,18 @@ def _check(check: DataCheck | None) -> tuple[str, str]:
     wrong = [one for one in check.findings if one.severity == "wrong"]
     if wrong:
         codes = sorted({f"{one.code.replace('_', ' ')} of {one.axis or 'the robot'}" for one in wrong})
-        return CONTRADICTED, f"but the check of the data says that they cannot be trusted ({', '.join(codes)})"
+        return CONTRADICTED, f"but the data check says that the data cannot be trusted ({', '.join(codes)})"
     warnings = len(check.findings)
     return (
         CONFIRMED,
-        f"the check of the data found {_count(warnings, 'warning', 'warnings') if warnings else 'nothing'}",
+        f"the data check found {_count(warnings, 'warning', 'warnings') if warnings else 'nothing'}",
     )
 
 
 def _diagnosis(estimate: Estimate, diagnosis: tuple[int, Diagnosis] | None) -> tuple[str, str]:
     """An effect that is included in the estimate is not missing from it."""
     if diagnosis is None:
-        return OPEN, "no diagnosis was made of it"
+        return OPEN, "no diagnosis was made"
     number, document = diagnosis
     taken = {(one.axis, one.effect) for one in estimate.effects if one.used}
     against: list[str] = []

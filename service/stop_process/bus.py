@@ -93,10 +93,11 @@ class Bus:
     def _keep(self) -> None:
         # imported here, because the process listens before these are loaded
         from drivers.errors import DriveError
-        from drivers.registry import load_profile, open_drive
+        from drivers.registry import open_profile
 
         try:
-            sender = open_drive(load_profile(self._profile), self._profile.parent).stop_sender()
+            _, port = open_profile(self._profile)
+            sender = port.stop_sender()
         except DriveError as error:  # also a medium with one owner: the service's own way is the only one
             self._note(str(error))
             self._open.set()

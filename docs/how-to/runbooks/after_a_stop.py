@@ -3,7 +3,8 @@
     python after_a_stop.py --by "your name"
 
 Each step states what it moves and is executed only after you type its word. Exit codes: 0 no step is left,
-1 a step failed or the campaign paused again, 2 bad input, 3 a step was declined or the machine stopped.
+1 a step failed or the campaign paused again, 2 bad input, 3 a step was declined or the machine stopped, 4 a resumed
+campaign with a required confidence used its sweeps up without reaching it.
 """
 
 import sys
@@ -11,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
+from reached import confidence
 from runbook import Exit, Runbook, ending, parser_of, run
 
 from service.client import Json
@@ -81,7 +83,7 @@ def tell(book: Runbook, campaign: Json | None) -> None:
     drives, ready = book.client.drives(), book.client.ready()
     book.step("machine", "connected" if drives["connected"] else f"not connected: {drives['trouble']}")
     for axis in drives["axes"]:
-        book.step(axis["joint"], f"{axis['state']}{fault_of(axis)}")
+        book.step(axis["joint"], ", ".join(part for part in (axis["state"], fault_of(axis)) if part))
     for cause in ready["causes"]:
         book.step("not ready", cause)
     for stop in book.client.stops():
@@ -94,7 +96,11 @@ def tell(book: Runbook, campaign: Json | None) -> None:
 
 
 def fault_of(axis: Json) -> str:
-    return f", {axis['fault']['text']} ({axis['fault']['code']:04X}h)" if axis["fault"] else ""
+    """The fault of an axis as text; an emergency stop by its name, because the drive shows only a code."""
+    fault = axis["fault"]
+    if fault is None:
+        return ""
+    return f"{'EMERGENCY STOP, ' if fault['emergency_stop'] else ''}{fault['text']} ({fault['code']:04X}h)"
 
 
 def due(book: Runbook) -> list[Step]:
@@ -115,7 +121,8 @@ def due(book: Runbook) -> list[Step]:
         steps.append(Step("connect the drives", "connect", then, client.connect))
     for axis in drives["axes"]:
         if axis["fault"] is not None:
-            what = f"acknowledge {axis['joint']} ({axis['fault']['text']})"
+            emergency = "EMERGENCY STOP: release it at the machine first; " if axis["fault"]["emergency_stop"] else ""
+            what = f"acknowledge {axis['joint']} ({emergency}{axis['fault']['text']})"
             steps.append(Step(what, "acknowledge", NOTHING, partial(client.acknowledge, axis["joint"])))
     return steps
 
@@ -144,7 +151,11 @@ def resumed(book: Runbook, campaign: Json) -> Exit:
     if not confirmed(book, step):
         return Exit.STOPPED
     campaign = book.watched(number, lambda: client.resume(number, repeat=True))
-    return Exit.DONE if campaign["state"] == "completed" else book.not_completed(campaign)
+    if campaign["state"] != "completed":
+        return book.not_completed(campaign)
+    request = client.plan(campaign["plan_id"])["document"]["request"]
+    wanted = request.get("confidence")
+    return Exit.DONE if wanted is None else confidence(book, campaign, request["axes"], wanted)
 
 
 def tell_resume(book: Runbook, campaign: Json) -> None:

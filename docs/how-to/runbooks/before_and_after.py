@@ -105,7 +105,7 @@ def compared(book: Runbook, robot: Robot, before: Json, after: Json) -> Exit:
             [
                 (values.mean(), covariance.mean())  # mean over the poses
                 for campaign, estimate in zip((before, after), estimates, strict=True)
-                for values, covariance in [inertias(robot, estimate, joint, poses, f"campaign {campaign['id']}")]
+                for values, covariance in [known(robot, campaign, estimate, joint, poses, before)]
             ]
         ).T.tolist()
         difference, std = means[1] - means[0], float(np.sqrt(sum(variances)))
@@ -129,6 +129,17 @@ def compared(book: Runbook, robot: Robot, before: Json, after: Json) -> Exit:
         raise BadInput("after", "the campaigns have no axis in common")
     book.step("verdict", f"From campaign {before['id']} to {after['id']}: {', '.join(words)}.")
     return worst(codes)
+
+
+def known(
+    robot: Robot, campaign: Json, estimate: Json, joint: str, poses: NDArray[np.float64], before: Json
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Inertia (m,) at poses (m, n) with covariance (m, m); BadInput for a campaign of too few poses says what to do."""
+    try:
+        return inertias(robot, estimate, joint, poses, f"campaign {campaign['id']}")
+    except BadInput as error:
+        after = f"measure the plan of campaign {before['id']} again: --before {before['id']} without --after"
+        raise BadInput("after" if campaign is not before else "before", f"{error}. Too few poses: {after}") from None
 
 
 def common(sweeps: list[list[Json]]) -> NDArray[np.float64]:

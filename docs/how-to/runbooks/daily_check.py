@@ -17,6 +17,7 @@ from service.errors import BadInput
 from service.robot import Robot
 
 LEAST_POSES = 3  # per axis; a campaign with fewer poses is itself a check and no reference
+NAMED = 3  # campaigns in an error: the newest
 COLOUR = {Exit.DONE: "green", Exit.AMBER: "amber", Exit.FAILED: "red"}
 
 
@@ -43,7 +44,12 @@ def check(book: Runbook) -> Exit:
         return Exit.DONE
     if campaign["state"] != "completed":
         return book.not_completed(campaign)
-    return worst([compared(book, robot, estimate, campaign, joint) for joint in axes])
+    codes = {joint: compared(book, robot, estimate, campaign, joint) for joint in axes}
+    for joint in (joint for joint, code in codes.items() if code is Exit.FAILED):
+        varied = ",".join(plan["document"]["request"]["varied"])
+        command = f"diagnose_axis.py {book.given.robot} {joint} --varied {varied}"
+        book.step("next", f"if no load was changed, {command}", axis=joint)
+    return worst(list(codes.values()))
 
 
 def stored(book: Runbook) -> tuple[Json, Json]:
@@ -53,6 +59,7 @@ def stored(book: Runbook) -> tuple[Json, Json]:
     if not ids:
         raise BadInput("robot", f"{given.url} has no robot {given.robot}")
     wanted = None if given.campaign is None else client.campaign(given.campaign)
+    lacks: list[str] = []
     for campaign in [wanted] if wanted else reversed(client.campaigns()):
         if campaign["state"] != "completed" or campaign["robot_id"] not in ids or campaign["plan_id"] is None:
             continue
@@ -60,18 +67,26 @@ def stored(book: Runbook) -> tuple[Json, Json]:
             estimate = client.estimate(campaign["id"])["document"]
         except ServiceProblem:
             continue  # measured, but not identified
-        if suffices(estimate, given.axes) and "kind" not in client.plan(campaign["plan_id"])["document"]["request"]:
+        if "kind" in client.plan(campaign["plan_id"])["document"]["request"]:
+            continue
+        lack = lacking(estimate, given.axes)
+        if not lack:
             return campaign, estimate
-    which = f"campaign {given.campaign} did not identify" if wanted else "no completed campaign of the robot identified"
-    raise BadInput("campaign", f"{which} every axis in at least {LEAST_POSES} poses: measure such a campaign first")
+        lacks.append(f"campaign {campaign['id']}: {lack}")
+    told = "; ".join(lacks[:NAMED]) or "no campaign that could be one is completed"
+    raise BadInput("campaign", f"no reference to compare with: {told}. Measure a campaign with more poses first")
 
 
-def suffices(estimate: Json, wanted: list[str]) -> bool:
-    axes = [estimate["axes"].get(joint) for joint in wanted or estimate["axes"]]
-    return bool(axes) and all(
-        axis is not None and axis["confidence_percent"] is not None and len(axis["inertia"]) >= LEAST_POSES
-        for axis in axes
-    )
+def lacking(estimate: Json, wanted: list[str]) -> str:
+    """What an estimate lacks to be the reference; empty: nothing."""
+    axes = {joint: estimate["axes"].get(joint) for joint in wanted or estimate["axes"]}
+    few = [joint for joint, axis in axes.items() if axis is None or len(axis["inertia"]) < LEAST_POSES]
+    if few or not axes:
+        return f"{', '.join(few) or 'no axis'} measured in fewer than {LEAST_POSES} poses"
+    left_open = [joint for joint, axis in axes.items() if axis is not None and axis["confidence_percent"] is None]
+    if left_open:
+        return f"J of {', '.join(left_open)} is left open, the sweeps determine a base parameter no better than CAD"
+    return ""
 
 
 def compared(book: Runbook, robot: Robot, estimate: Json, campaign: Json, joint: str) -> Exit:

@@ -72,6 +72,7 @@ def settled(book: Runbook, robot: Robot, number: int) -> Exit:
     """Report a diagnosis; continue while it proposes an experiment and the person agrees."""
     client, axis = book.client, book.given.axis
     while True:
+        book.step("waiting", f"the service computes diagnosis {number}; it takes minutes, and nothing moves")
         diagnosis = client.diagnosed(number)
         if diagnosis["state"] != "done":
             book.step(f"diagnosis {number}", f"failed: {diagnosis['cause']}", diagnosis=number)

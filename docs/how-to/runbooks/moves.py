@@ -5,18 +5,20 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.benefit.lever_arm import ON_THE_AXIS, lever_arm
 from service.export.sheets.inertias import STILL
-from service.robot import Robot, RobotDescription, build_robot, link_frames
+from service.robot import Robot, RobotDescription, build_robot
 
-Array = NDArray[np.float64]
 Json = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class Move:
-    """Largest motion of an axis: rad (m); at the arm's end in mm (None: a linear axis); duration of its sweeps, s."""
+    """Largest motion of an axis: rad (m); at the arm's end in mm; duration of its sweeps, s.
+
+    `arm_mm` is None for a linear axis, and for an axis through the arm's end.
+    """
 
     joint: str
     lowest: float
@@ -60,20 +62,14 @@ def moves(robot: Robot, sweeps: Sequence[Json], stands: Mapping[str, float | Non
     for joint, position in stands.items():
         if position is not None and joint in places:
             places[joint].append(position)
-    arms = _arms(robot, np.array([sweep["spec"]["pose"] for sweep in sweeps]))
+    poses = np.array([sweep["spec"]["pose"] for sweep in sweeps])
+    arms = [float(lever_arm(robot, number, poses).max()) for number in range(len(robot.joints))]
     found: list[Move] = []
     for joint, kind, arm in zip(robot.joints, (one.kind for one in robot.chain.joints), arms, strict=True):
         lowest, highest = min(places[joint], default=0.0), max(places[joint], default=0.0)
         if highest - lowest < STILL:
             continue
         linear = kind == "prismatic"
-        way = None if linear else 1e3 * arm * (highest - lowest)
+        way = None if linear or arm < ON_THE_AXIS else 1e3 * arm * (highest - lowest)
         found.append(Move(joint, lowest, highest, "mm" if linear else "deg", way, seconds[joint]))
     return found
-
-
-def _arms(robot: Robot, poses: Array) -> Array:
-    """The largest distance (n,) of the last joint's origin from each joint's axis over poses (m, n), m."""
-    rotations, origins = link_frames(robot.chain, poses)
-    axes = np.stack([rotations[:, k] @ joint.axis for k, joint in enumerate(robot.chain.joints)], axis=1)
-    return np.linalg.norm(np.cross(axes, origins[:, -1:] - origins), axis=-1).max(axis=0)

@@ -8,11 +8,10 @@ by a fault, 2 bad input, 3 stopped by a person, 4 no sweeps left before the conf
 
 import sys
 
+from reached import confidence
 from runbook import CELL_HELP, Exit, Runbook, optional_list, parser_of, run
 
 from service.client import Json
-
-LEFT_OPEN = "J is left open: the sweeps determine a base parameter no better than CAD does; measure more poses"
 
 
 def main() -> int:
@@ -39,22 +38,7 @@ def overnight(book: Runbook) -> Exit:
         code = book.not_completed(campaign)
         book.step("ended by", "a person" if code is Exit.STOPPED else "a fault", cause=campaign["cause"])
         return code
-    return confidence(book, campaign)
-
-
-def confidence(book: Runbook, campaign: Json) -> Exit:
-    """For a completed campaign: was the confidence reached, or were all sweeps used?"""
-    axes = book.client.estimate(campaign["id"])["document"]["axes"]
-    reached = {joint: axes[joint]["confidence_percent"] if joint in axes else None for joint in book.given.axes}
-    for joint, percent in reached.items():
-        told = LEFT_OPEN if percent is None else f"J known to {percent:.3g} %"
-        book.step(joint, told, percent=percent)
-    wanted = book.given.confidence
-    if all(percent is not None and percent <= wanted for percent in reached.values()):
-        book.step("ended by", f"confidence of {wanted:g} % reached", cause=campaign["cause"])
-        return Exit.DONE
-    book.step("ended by", f"sweeps used up, {wanted:g} % not reached", cause=campaign["cause"])
-    return Exit.AMBER
+    return confidence(book, campaign, given.axes, given.confidence)
 
 
 if __name__ == "__main__":

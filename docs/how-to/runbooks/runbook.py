@@ -42,7 +42,12 @@ class Exit(IntEnum):
     AMBER = 4
 
 
-OUTCOME = {Exit.DONE: "done", Exit.FAILED: "red or failed", Exit.STOPPED: "stopped by a person", Exit.AMBER: "amber"}
+OUTCOME = {
+    Exit.DONE: "done",
+    Exit.FAILED: "not passed (exit code 1), see the lines above",
+    Exit.STOPPED: "stopped by a person",
+    Exit.AMBER: "not decided, or with warnings (exit code 4), see the lines above",
+}
 
 
 def judged(significance: float) -> Exit:

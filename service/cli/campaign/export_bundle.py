@@ -14,8 +14,18 @@ from service.client import ServiceClient
 from service.errors import BadInput
 
 
+def campaign_number(text: str) -> int:
+    """The number of a campaign; an error tells the other commands that export."""
+    if text.isascii() and text.isdecimal() and int(text) >= 1:
+        return int(text)
+    raise typer.BadParameter(
+        f"{text!r} is not the number of a campaign. For the values of a control use `sweepid export-sheet`, "
+        "for URDF and MJCF `sweepid export-model`"
+    )
+
+
 def export_bundle(
-    campaign: Annotated[int, typer.Argument(min=1, help="Number of a campaign.")],
+    campaign: Annotated[int, typer.Argument(parser=campaign_number, help="Number of a campaign.")],
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder to write; must be empty or not exist.")],
     url: Url = DEFAULT_URL,
 ) -> None:

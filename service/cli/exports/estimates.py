@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from service.cli.documents import read_document
+from service.cli.documents import LARGEST, read_document
 from service.cli.recordings.identify import identify_bundle
-from service.configuration import read_robot
+from service.configuration import read_robot, read_text
 from service.errors import BadInput
 from service.results.estimate import Estimate
 from service.robot import Robot
@@ -30,6 +30,8 @@ def read_estimate(source: Path, side_file: Path | None) -> tuple[Robot, Estimate
         bundle = read_bundle(source)
         return bundle.robot, identify_bundle(bundle, None, str(source)), bundle
     if side_file is None:
+        if not source.exists():  # a misspelt name may be that of a bundle
+            read_text(source, LARGEST)
         raise BadInput(
             "--robot", "is required with an estimate, which contains neither geometry nor gear ratios of the robot"
         )

@@ -74,7 +74,8 @@ def _position(low: float, high: float, kind: str | None) -> str:
     if kind is None:  # axis without measurement, in a sheet of an older sweepid
         return f"{low:.3g} ... {high:.3g} rad (m)"
     factor, unit = (1e3, "mm") if kind == "prismatic" else (math.degrees(1.0), "deg")
-    return f"{low * factor:.4g} ... {high * factor:.4g} {unit}"
+    first, last = f"{low * factor:.4g}", f"{high * factor:.4g}"
+    return f"{first} {unit}" if first == last else f"{first} ... {last} {unit}"
 
 
 def _sinumerik(sheet: Sheet) -> str:
@@ -84,9 +85,10 @@ def _sinumerik(sheet: Sheet) -> str:
             "Machine data of the axis `MD32650 $MA_AX_INERTIA`, inertia for torque feed-forward, kg m², on the "
             "motor's side:",
             _inertias(sheet, "MD32650"),
-            "It acts with torque feed-forward alone: `MD32620 $MA_FFW_MODE` 2 or 4, `FFWON`. Its balancing (the "
-            "equivalent time constants MD32800, MD32810) is left out: it belongs to the current and speed control, not "
-            "to the inertia. Compare the unit in your control's list of machine data before you type.",
+            "It has an effect only with torque feed-forward: `MD32620 $MA_FFW_MODE` 2 or 4, and `FFWON`. The "
+            "equivalent time constants (MD32800, MD32810) are left out: they depend on the current and speed "
+            "controllers, not on the inertia. Before you type a value, compare its unit with the list of machine data "
+            "of your control.",
             *_left_out(sheet),
         ]
     )

@@ -55,6 +55,7 @@ async function showCampaign() {
   const [planned, known] = await Promise.all([planOf(answer.content), unitsOf(answer.content.robot_id)]);
   if (byId("campaigns").value !== id) return; // another campaign was selected meanwhile
   [campaign, etag, plan, units] = [answer.content, answer.etag, planned, known];
+  if (machine) showAxes(machine.drives, units);
   showProgress();
   tell("cause", causeParts(campaign.cause));
   showDataCheck(campaign.data_check);

@@ -28,8 +28,8 @@ export function showAxes(drives, units) {
 }
 
 function scaleOf(joint, units) {
-  const effort = units?.prismatic.has(joint) ? " N" : " N m";
-  if (units === null) return [1, "", effort]; // only the robot file gives the type of a joint
+  if (units === null) return [1, "", ""]; // only the robot file gives the type of a joint
+  const effort = units.prismatic.has(joint) ? " N" : " N m";
   if (byId("si").checked) return [1, units.prismatic.has(joint) ? " m" : " rad", effort];
   return [...units.scale(joint), effort];
 }

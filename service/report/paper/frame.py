@@ -103,12 +103,19 @@ def _scale(layout: Layout, traces: Sequence[Flat], name: str, start: float, end:
         for value, reach in zip(along, errors.array if errors is not None else (), strict=False):
             if value is not None and reach and not isinstance(value, str):
                 values += [value - reach, value + reach]
-    if axis.range is None and any(isinstance(trace, Heatmap) for trace in own):
-        numbers = [value for value in values if isinstance(value, float)]
-        axis = axis.model_copy(update={"range": (min(numbers), max(numbers))})
+    fields = [trace.x if lies else trace.y for trace in own if isinstance(trace, Heatmap)]
+    if axis.range is None and fields:
+        axis = axis.model_copy(update={"range": _whole_cells(sorted({*fields[0]}))})
     if bars:
         values.append(0.0)
     return scale_of(axis, values, bars or axis.rangemode == "tozero", start, end)
+
+
+def _whole_cells(grid: Sequence[float]) -> tuple[float, float]:
+    """The range of a map: half a cell beyond its first and its last grid position, so that no cell or mark is cut."""
+    if len(grid) < 2:
+        return grid[0] - 1.0, grid[0] + 1.0
+    return grid[0] - (grid[1] - grid[0]) / 2, grid[-1] + (grid[-1] - grid[-2]) / 2
 
 
 def _needed(layout: Layout, scales: dict[str, Scale], wide: float) -> float:

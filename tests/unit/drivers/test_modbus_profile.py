@@ -71,5 +71,5 @@ def test_what_is_refused() -> None:
 
 def test_a_bad_register_map_is_a_bad_profile(tmp_path: Path) -> None:
     (tmp_path / "map.yaml").write_text("word_order: high_first\nsignals: {}\n")
-    with pytest.raises(BadProfile, match=r"registers: .*map\.yaml: profile: .*missing"):
+    with pytest.raises(BadProfile, match=r"registers: .*map\.yaml: signals: missing"):
         from_profile(changed(TCP, registers=str(tmp_path / "map.yaml")), DRIVES)

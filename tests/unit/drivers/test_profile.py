@@ -1,16 +1,18 @@
 """Drive profiles and the registry."""
 
 import copy
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from drivers.canopen.device_map import load_device_map
 from drivers.canopen.profile import parse_profile
 from drivers.cia402.machine import Cia402Machine
 from drivers.errors import BadProfile
-from drivers.registry import load_profile, open_drive
+from drivers.registry import load_profile, open_drive, open_profile
 
 DRIVES = Path(__file__).parents[3] / "config" / "drives"
 
@@ -38,11 +40,11 @@ def test_the_virtual_machine_has_six_axes(profile: dict[str, Any]) -> None:
         ("adapter", "telepathy", "adapter: 'telepathy' is unknown; installed: .*canopen"),
         ("axes.0.velocity_limt", 1.0, "axes.0.velocity_limt: Extra inputs are not permitted"),
         ("axes.0.velocity_limit", -1.0, "axes.0.velocity_limit: .*greater than 0.*given: -1.0"),
-        ("axes.0.gear_ratio", 0.0, "axes.0: .*gear_ratio must not be 0"),
+        ("axes.0.gear_ratio", 0.0, "axes.0: gear_ratio must not be 0"),
         ("axes.0.gear_ratio", float("nan"), "axes.0.gear_ratio: .*finite"),
         ("axes.0.position_limits", [1.0, -1.0], "axes.0: .*1.0 is not below -1.0"),
-        ("axes.1.node", 1, "profile: .*nodes"),
-        ("axes.1.joint", "joint_1", "profile: .*joints"),
+        ("axes.1.node", 1, "joints .* and nodes .* must each be different"),
+        ("axes.1.joint", "joint_1", "joints .* must each be different"),
         ("bus.port", 70000, "bus.port: .*65535.*given: 70000"),
         ("bus.sync_period", 0.0015, "bus: .*whole milliseconds"),
         (
@@ -54,7 +56,7 @@ def test_the_virtual_machine_has_six_axes(profile: dict[str, Any]) -> None:
         ("travel_limits", {}, "axes.0: joint_1 would travel 3.125 rad .*limit 1.6 rad"),
         ("axes.1.velocity_limit", 1.2, "axes.1: joint_2 would travel 3.78 rad"),
         ("travel_limits.rad", 0.0, "travel_limits.rad: .*greater than 0"),
-        ("bus.host_node", 3, "profile: .*host_node 3"),
+        ("bus.host_node", 3, "host_node 3"),
         ("eds", "nowhere.eds", "eds: no file .*nowhere.eds"),
         ("axes.0.identity.product", 0x999, "eds: .*is for vendor 00005357h, product 00000402h; joint_1 is .*00000999h"),
     ],
@@ -76,6 +78,24 @@ def test_a_missing_value_is_named(profile: dict[str, Any]) -> None:
     del profile["axes"][0]["rated_torque"]
     with pytest.raises(BadProfile, match=r"axes\.0\.rated_torque: Field required"):
         parse_profile(profile, DRIVES)
+
+
+def test_an_error_in_a_file_names_the_file(profile: dict[str, Any], tmp_path: Path) -> None:
+    bad = tmp_path / "machine.yaml"
+    eds = str(DRIVES / profile["eds"])
+    for change, message in (
+        ({"adapter": "telepathy"}, "adapter: 'telepathy' is unknown"),
+        ({"axes": None}, "axes: Input should be"),
+    ):
+        bad.write_text(yaml.safe_dump(profile | {"eds": eds} | change))
+        with pytest.raises(BadProfile, match=f"^{re.escape(str(bad))}: {message}"):
+            open_profile(bad)
+
+
+def test_a_linear_axis_has_no_load_encoder(profile: dict[str, Any]) -> None:
+    profile["axes"][0]["unit"] = "m"
+    with pytest.raises(BadProfile, match=r"^axes\.0: load_encoder: not supported .* set it to false"):
+        open_drive(profile, DRIVES)
 
 
 def test_unreadable_files(tmp_path: Path) -> None:

@@ -38,6 +38,21 @@ def test_gravity_along_the_whole_turn_of_an_axis(scenario: Callable[[str], Scena
                 assert gravity.at(angle) == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.parametrize("joint", ["joint_1", "joint_3"])
+def test_a_linear_axis(scenario: Callable[[str], Scenario], joint: str) -> None:
+    full = scenario("full")
+    urdf = full.robot.urdf.replace(f'name="{joint}" type="revolute"', f'name="{joint}" type="prismatic"')
+    rail = full.model_copy(update={"robot": full.robot.model_copy(update={"urdf": urdf})})
+    body = RigidBody(rail)
+    oracle = pinocchio.buildModelFromXML(real_urdf(rail))
+    data = oracle.createData()
+    number = rail.joints.index(joint)
+    for pose in POSES:
+        np.testing.assert_allclose(body.inertia(pose), np.diag(pinocchio.crba(oracle, data, pose)), rtol=1e-9)
+        expected = pinocchio.computeGeneralizedGravity(oracle, data, pose)[number]
+        assert body.gravity(number, pose).at(pose[number]) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
 def test_real_links_differ_from_cad_by_at_most_a_fifth(scenario: Callable[[str], Scenario]) -> None:
     full = scenario("full")
     cad = RigidBody(full.model_copy(update={"links": {}}))
@@ -72,6 +87,7 @@ def test_poses_that_do_not_fit_are_refused(scenario: Callable[[str], Scenario]) 
         ('<mass value="655"/>', '<mass value="-655"/>', "MuJoCo refuses"),
         ('xyz="0.0027 -0.0284 0.2365" rpy="0 0 0"', 'xyz="0 0 0" rpy="0 0 1"', "turned"),
         ('name="joint_6" type="revolute"', 'name="joint_6" type="fixed"', "joint_6"),
+        ('name="joint_1" type="revolute"', 'name="joint_1" type="floating"', "joint_1"),
     ],
 )
 def test_a_robot_that_cannot_be_simulated_is_refused(

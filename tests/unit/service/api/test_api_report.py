@@ -46,7 +46,7 @@ def test_the_report_is_one_page_with_verdict_and_origin(http: httpx.Client, camp
     page = answer.text
     body = page.partition("<main>")[2].partition("</main>")[0]
     for words in (
-        "no diagnosis was made of it",
+        "no diagnosis was made",
         "Identified from 3 sweeps; revision 3 of the estimate.",
         "Drives",
         "Inertia of the axes over the poses",
@@ -84,7 +84,7 @@ def test_the_report_as_pdf(http: httpx.Client, campaign: int) -> None:
     answer = http.get(f"/campaigns/{campaign}/report.pdf")
     assert (answer.status_code, answer.headers["content-type"]) == (200, "application/pdf")
     text = " ".join(" ".join(page.extract_text() for page in PdfReader(io.BytesIO(answer.content)).pages).split())
-    for words in ("no diagnosis was made of it", "Origin", "Figure 1. Inertia of the axes", "sweepid 0."):
+    for words in ("no diagnosis was made", "Origin", "Figure 1. Inertia of the axes", "sweepid 0."):
         assert words in text
 
 

@@ -35,6 +35,13 @@ def test_a_table_for_people(bundle: Path) -> None:
         assert words in told
 
 
+def test_the_table_fits_80_columns_without_a_shortened_word(bundle: Path) -> None:
+    told = sweepid("benefit", str(bundle)).stdout
+    assert max(len(line) for line in told.splitlines()) <= 80
+    assert "…" not in told
+    assert "times less" not in told
+
+
 def test_json_alone_on_stdout(bundle: Path) -> None:
     done = sweepid("benefit", str(bundle), "--json", "-")
     assert done.returncode == 0, done.stderr

@@ -51,6 +51,7 @@ def test_the_truth_comes_out_on_the_side_of_the_motor(made: tuple[Sheet, str]) -
     assert sheet.poses is not None
     assert sheet.poses["j1"].keys() == {"j1", "j2"}
     assert "- j1 was measured with j1 " in text
+    assert not re.search(r" (\S+) \.\.\. \1 (mm|deg)\b", text)  # a joint that stood has one position
 
 
 @pytest.mark.parametrize(
@@ -232,3 +233,15 @@ def test_what_cannot_be_compared_is_told(
     done = sweepid("check-sheet", str(tmp_path / "sheet.json"), *arguments)
     assert (done.returncode > 0, done.stdout) == (True, "")
     assert reason in done.stderr
+
+
+def test_a_source_that_does_not_exist_is_named() -> None:
+    done = sweepid("export-sheet", "bundel")
+    assert done.returncode == 2
+    assert "bundel: cannot be read: No such file" in done.stderr
+
+
+def test_export_sheet_in_two_words_tells_the_command() -> None:
+    done = sweepid("export", "sheet", "bundle")
+    assert done.returncode == 2
+    assert "sweepid export-sheet" in " ".join(done.stderr.split())

@@ -96,6 +96,12 @@ def test_what_was_done_is_a_command_of_the_api() -> None:
     assert done - {f"{method} {path.removeprefix('/api/v1')}" for method, path in PERMISSIONS} == {"stop"}  # an event
 
 
+def test_each_command_of_the_audit_has_its_word() -> None:
+    """The audit has every request but those that only read; the live plots are no command."""
+    commands = {f"{method} {path.removeprefix('/api/v1')}" for method, path in PERMISSIONS if method == "POST"}
+    assert {one for one in commands if f"done.{one}" not in KEYS} == set()
+
+
 def test_each_text_that_is_asked_for_is_there_and_none_is_unused() -> None:
     asked = {key for script in SCRIPTS.values() for key in named(script)}
     asked |= {key for document in DOCUMENTS.values() for key in read(document).keys}

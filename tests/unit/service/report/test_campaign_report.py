@@ -48,6 +48,8 @@ def estimate(percent: float = 0.8, **more: Any) -> Estimate:
     document = stored("estimate")
     known = {"confidence_percent": percent, "torque_gain": {"value": 1.0, "std": 0.006}}
     axes = {joint: document["axes"][joint] | known for joint in ("joint_1", "joint_2")}
+    parameters = document["base_parameters"]
+    document["base_parameters"] = [entry | {"std": entry["std"] or 0.1, "reason": ""} for entry in parameters]
     return Estimate.read(document | {"axes": axes} | more, "estimate")
 
 
@@ -62,17 +64,25 @@ def test_confirmed_only_where_check_and_diagnosis_speak_for_it() -> None:
     assert found.standing == CONFIRMED
     # hypot(0.8, 0.6) = 1.0
     assert found.sentence == (
-        "The inertias of joint_1 and joint_2 are known to 1 % or better, joint_1 the worst (one standard deviation, "
-        "that of the torque constants included); the check of the data found nothing; diagnosis 7 finds no effect "
+        "The inertias of joint_1 and joint_2 are known to 1 % or better (one standard deviation, with that of the "
+        "torque constants; joint_1 is the least accurate); the data check found nothing; diagnosis 7 finds no effect "
         "missing."
     )
+
+
+def test_base_parameters_that_are_not_identified_are_counted() -> None:
+    document = stored("estimate")["base_parameters"]
+    sure = [entry | {"std": 0.1, "reason": ""} for entry in document]
+    open_ = [sure[0] | {"std": None}, *sure[1:]]
+    told = verdict(estimate(base_parameters=open_), SOUND, diagnosis("none")).sentence
+    assert f"; the sweeps do not identify 1 of {len(document)} base parameters; the data check" in told
 
 
 @pytest.mark.parametrize(
     ("document", "check", "found", "words"),
     [
         (estimate(), None, diagnosis("none"), "the data were not checked yet"),
-        (estimate(), SOUND, None, "no diagnosis was made of it"),
+        (estimate(), SOUND, None, "no diagnosis was made"),
         (estimate(), SOUND, diagnosis("untestable"), "does not decide whether an effect is missing in joint_1"),
         (estimate(40.0), SOUND, diagnosis("none"), "The inertias of joint_1 and joint_2 are too uncertain to use"),
         (estimate(suspect=[SUSPECT]), SOUND, diagnosis("none"), "but 1 sweep does not fit the others"),
@@ -94,7 +104,7 @@ def test_a_test_mass_is_told() -> None:
 @pytest.mark.parametrize(
     ("check", "found", "words"),
     [
-        (WRONG, diagnosis("none"), "they cannot be trusted (effort sign of joint_1)"),
+        (WRONG, diagnosis("none"), "the data cannot be trusted (effort sign of joint_1)"),
         (
             SOUND,
             diagnosis("named", "coulomb_friction", "backlash"),

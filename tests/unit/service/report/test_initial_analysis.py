@@ -61,3 +61,15 @@ def test_the_page_holds_two_figures_an_axis(found: AxisAnalysis) -> None:
     assert data is not None
     assert len(json.loads(data[1])) == 2
     assert "<h3>j1</h3>" in page
+
+
+def test_a_linear_axis_has_its_own_units(found: AxisAnalysis) -> None:
+    layout = read_figure(ideal_frequencies(found, linear=True)).layout
+    assert layout.annotations[0].text.startswith("J = 198 kg,")
+    text = json.dumps([amplitude_responses(found, linear=True), ideal_frequencies(found, linear=True)])
+    assert "m/s per N" in text
+    assert "kg m" not in text
+    head, rows = table({"j1": found}, ("j1", "j2"), {"j1"})
+    assert head[1:3] == ["pose in deg, linear axes mm", "J in kg m², linear axes kg"]
+    first = found.poses[0].pose
+    assert rows[0][1].split(", ")[0] == f"{1e3 * first[0]:.0f}"

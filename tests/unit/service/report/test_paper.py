@@ -11,9 +11,9 @@ import pytest
 from pypdf import PdfReader
 
 from service.configuration import read_robot
-from service.report import NoPdf, campaign_page, diagnosis_page, estimate_page
+from service.report import NoPdf, axes_of, campaign_page, diagnosis_page, estimate_page
 from service.report.drawing import DECADES, Figure, figure, line, points, scale
-from service.report.figures import convergence, in_frequency, in_time
+from service.report.figures import convergence, deviation_map, in_frequency, in_time
 from service.report.paper.plot import svg
 from service.report.paper.scales import round_steps, scale_of
 from service.report.paper.schema import Axis
@@ -155,3 +155,16 @@ def test_scales_of_values_that_are_all_alike_or_none() -> None:
         found = scale_of(Axis(), values, False, 0.0, 100.0)
         assert all(0 <= (found.at(value) or 0.0) <= 100 for value in values)
         assert found.high > found.low
+
+
+def test_a_map_shows_the_marks_of_its_outer_poses_whole(max100: Robot) -> None:
+    report_content = content(max100)
+    axis = next(one for one in axes_of(report_content) if len(one.varied) >= 2)
+    drawn = ET.fromstring(svg(deviation_map(max100, axis), 1))
+    cells = [one for one in drawn.iter() if one.tag.endswith("rect") and one.get("stroke-width") == "0.4"]
+    left = min(float(one.get("x", "nan")) for one in cells)
+    right = max(float(one.get("x", "nan")) + float(one.get("width", "nan")) for one in cells)
+    _, *marks = [float(one.get("cx", "nan")) for one in drawn.iter() if one.tag.endswith("circle")]  # the first: legend
+    assert left + 5 < min(marks) < max(marks) < right - 5
+    (area,) = next(one for one in drawn.iter() if one.tag.endswith("clipPath"))
+    assert float(area.get("x", "nan")) <= left + 1

@@ -13,8 +13,9 @@ from service.identification.model.regressor import axis_rows, lock
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.report import Content, Row, axes_of, estimate_page
 from service.report.content import revision
+from service.report.figures import parameter_unit
 from service.results.estimate import BaseParameter, Estimate
-from service.robot import INERTIAL_NAMES, Robot
+from service.robot import INERTIAL_NAMES, Robot, build_robot
 
 AXES = ("joint_1", "joint_2", "joint_3")
 HEAVIER = 1.1  # the "identified" robot: every link and motor by this factor
@@ -168,3 +169,54 @@ def test_truth_and_what_is_not_determined(max100: Robot) -> None:
     assert "<td>0.3</td>" in page
     assert page.count("</script>") == 3
     assert "&lt;/script&gt;" in page
+
+
+def test_a_linear_axis_has_its_own_units(max100: Robot) -> None:
+    urdf = max100.urdf_text
+    for joint in ("joint_1", "joint_3"):
+        urdf = urdf.replace(f'name="{joint}" type="revolute"', f'name="{joint}" type="prismatic"')
+    rail = build_robot(max100.description, urdf)
+    page = estimate_page(content(rail, example=sweep())).html()
+    drawn = figures(page)
+    scene = drawn["figure-1"]["layout"]["scene"]
+    assert scene["zaxis"]["title"]["text"] == "J in kg"
+    assert (scene["xaxis"]["title"]["text"], scene["yaxis"]["title"]["text"]) == ("joint_2 in deg", "joint_3 in mm")
+    assert drawn["figure-1"]["data"][2]["y"][:2] == [-1000.0, 0.0]
+    titles = {
+        axis["title"]["text"]
+        for figure in drawn.values()
+        for name, axis in figure["layout"].items()
+        if name.startswith(("xaxis", "yaxis"))
+    }
+    assert {"velocity in mm/s", "effort in N", "J measured in kg or kg m²"} <= titles
+    assert not titles & {"velocity in mrad/s", "effort in N m"}
+    assert "in pose (0 mm, 0°, 0 mm, 0°, 0°, 0°): a slow motion" in page
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("m(carriage) + Jm(rail)", "kg"),
+        ("mz(link_2) + 0.85 m(link_3)", "kg m"),
+        ("Ixx(link_2) - Izz(link_2)", "kg m²"),
+        ("Jm(joint_6)", "kg m²"),
+    ],
+)
+def test_the_unit_of_a_base_parameter(name: str, unit: str) -> None:
+    assert parameter_unit(name) == unit
+
+
+def test_every_base_parameter_has_its_unit_in_the_table(max100: Robot) -> None:
+    page = estimate_page(content(max100)).html()
+    assert "<td>3</td><td>0.1</td><td>kg m²</td>" in page
+
+
+def test_a_parameter_without_a_curve_says_why(max100: Robot) -> None:
+    base = content(max100)
+    estimate = base.estimate.model_copy(
+        update={"base_parameters": (BaseParameter(name="mx(link_2)", value=1.0, std=None),)}
+    )
+    steps = tuple(revision(estimate.base_parameters, ["mx(link_2)"], n) for n in (1, 2))
+    drawn = figures(estimate_page(content(max100, estimate=estimate, revisions=steps)).html())
+    told = [one["text"] for figure in drawn.values() for one in figure["layout"].get("annotations", [])]
+    assert "mx(link_2): not identified" in told
