@@ -11,8 +11,6 @@ import sys
 from reached import confidence
 from runbook import CELL_HELP, Exit, Runbook, optional_list, parser_of, run
 
-from service.client import Json
-
 
 def main() -> int:
     parser = parser_of(__doc__)
