@@ -353,12 +353,32 @@ async def test_an_estimate_that_does_not_fit_the_robot_is_passed_over(tmp_path: 
         assert diagnosis.estimate == EstimateOf(campaign_id=first, revision=1)
 
 
+async def test_a_daily_check_of_one_pose_is_no_start_while_a_better_one_is_there(tmp_path: Path, robot: Robot) -> None:
+    async with open_bench(tmp_path, InProcess()) as bench:
+        whole, daily, third = (measured(bench.store, bench.files, robot, "joint_1", seed) for seed in (1, 2, 3))
+        identified(bench, robot, daily)
+        alone = await bench.diagnosing.request([third], None, None, unattended=False)
+        identified(bench, robot, whole, confidence=0.5)
+        again = measured(bench.store, bench.files, robot, "joint_1", 4)
+        identified(bench, robot, again)  # newer than the one that knows J
+        both = await bench.diagnosing.request([third], None, None, unattended=False)
+    assert alone.estimate == EstimateOf(campaign_id=daily, revision=1)
+    assert both.estimate == EstimateOf(campaign_id=whole, revision=1)
+
+
 def identified(
-    bench: Bench, robot: Robot, campaign: int, change: dict[str, Any] | None = None, *, over: bool = True
+    bench: Bench,
+    robot: Robot,
+    campaign: int,
+    change: dict[str, Any] | None = None,
+    *,
+    over: bool = True,
+    confidence: float | None = None,
 ) -> None:
-    """The estimate of a campaign, as if it had come with its last sweep."""
+    """The estimate of a campaign, as if it had come with its last sweep; its poses leave J open unless `confidence`."""
     sweeps = campaign_bundle(bench.store, bench.files, campaign).sweeps
     document = estimate_document(robot, [sweep_spectrum(robot, sweep) for sweep in sweeps]).as_json() | (change or {})
+    cast("dict[str, Any]", document["axes"])["joint_1"]["confidence_percent"] = confidence
     last = bench.store.sweeps(campaign)[-1]
     assert bench.store.add_estimate([(last, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), document) is not None
     if over:
