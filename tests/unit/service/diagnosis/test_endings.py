@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from service.cli.recordings.diagnose import print_diagnosis
-from service.diagnosis import axis_document, diagnose_axis
+from service.diagnosis import axis_document, diagnose_axis, model_document
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.patch import Inexpressible
 from service.diagnosis.fit import equations as equations_module
@@ -36,6 +36,7 @@ from tests.stored.documents import diagnosis
 from tests.unit.service.diagnosis.following import RATE, equations_of, following, known_to
 from tests.unit.service.diagnosis.test_calibration import MASS, SLOW, TIGHT, measured
 from tests.unit.service.diagnosis.test_calibration import POSES as MASS_POSES
+from tests.unit.service.diagnosis.test_revision import axis_of
 
 JOINT = "joint_2"
 POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
@@ -255,3 +256,15 @@ def test_inertias_of_links_that_are_not_found_are_refused() -> None:
         inertia_factors(robot, {}, wanted, steps=1)
     with pytest.raises(Inexpressible, match="those of the axes are not finite"):
         inertia_factors(robot, {}, [(robot.index(JOINT), POSES, np.array([np.nan, 100.0]))])
+
+
+def test_a_model_without_possible_masses_has_those_of_cad_with_a_note() -> None:
+    """Gravity that only a link of negative mass explains; before, there was no document at all."""
+    axis = axis_of(JOINT, "coulomb_friction")
+    for pose in axis["fit"]["gravity"]:
+        pose["torque"], pose["slope"] = -30 * pose["torque"], -30 * pose["slope"]
+    found = model_document(max100(), {"axes": {JOINT: axis}})
+    (note,) = [note for note in found["notes"] if "mass of" in note]
+    assert note.endswith("masses and centres of the links are those of CAD here")
+    assert not any({"mass", "shift"} & set(link) for link in found["scenario"]["links"].values())
+    assert set(found["scenario"]["axes"]) == {JOINT}
