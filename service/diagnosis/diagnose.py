@@ -22,6 +22,7 @@ from service.diagnosis.fit.gap import Gap, gap, noise, residual
 from service.diagnosis.fit.parameters import Parameter
 from service.diagnosis.fit.search import CurrentModel
 from service.diagnosis.fit.select import Selection, allowed_by_physics, select, settled, with_groups
+from service.diagnosis.fit.solving import NotFinite
 from service.diagnosis.localisation.example import Example, example
 from service.diagnosis.localisation.locate import Cell, cells, lines, sentences
 from service.diagnosis.localisation.repeatability import unrepeated
@@ -29,9 +30,10 @@ from service.diagnosis.localisation.ripple_search import ripples, with_ripples
 from service.diagnosis.model.held_out_check import Fit, Fitted, HeldOutCheck, check_held_out
 from service.diagnosis.model.rigid_model import RigidParameter, rigid_model
 from service.diagnosis.rows.periods import in_periods
-from service.diagnosis.rows.signals import SHORTEST, sticking_within, tracks
+from service.diagnosis.rows.signals import SHORTEST, finite_samples, sticking_within, tracks
 from service.diagnosis.sensitivity.visibility import untestable
 from service.diagnosis.start import source_of
+from service.diagnosis.unfinished import Unfinished, unfinished
 from service.diagnosis.verdict import Verdict, at_floor, judge, of_one_record, share, tie_sets, without
 from service.errors import BadInput
 from service.identification.axis.nominal_priors import TorqueGain
@@ -102,6 +104,7 @@ class AxisDiagnosis:
     next_experiment: NextExperiment | None
     untestable: tuple[str, ...]
     data: tuple[Finding, ...]  # findings of the data check
+    unfinished: tuple[Unfinished, ...]  # searches that used up their steps
 
     @property
     def candidates(self) -> tuple[str, ...]:
@@ -118,7 +121,8 @@ def diagnose_axis(
     weighed: Weighed | None = None,
     twin: bool = True,
 ) -> AxisDiagnosis:
-    """Diagnose `joint` from its sweeps. BadInput if no sweep moves or an effect of `known` is not in the catalogue.
+    """Diagnose `joint` from its sweeps. BadInput if no sweep moves, if an effect of `known` is not in the catalogue, or
+    with axis and sweep if a sample or a column of an effect is not finite; with the axis if its equations are not.
 
     `robot`: with the rigid model of CAD or of an estimate (`start.started_from`).
 
@@ -133,7 +137,20 @@ def diagnose_axis(
             raise BadInput(name, f"unknown effect; there are {', '.join(CATALOGUE)}")
     together = {spec.id for group in at_once([sweep.spec for sweep in sweeps]) for spec in group}
     sweeps = [sweep for sweep in sweeps if sweep.spec.id not in together]  # the equations of one axis do not hold there
-    gain = _accepted(known) if weighed is None else weighed_gain(robot, joint, sweeps, weighed)
+    finite_samples(sweep for sweep in sweeps if sweep.spec.axis == joint)
+    try:
+        return _diagnosed(robot, joint, sweeps, known, weighed, twin=twin)
+    except (NotFinite, np.linalg.LinAlgError) as error:
+        raise BadInput(
+            joint, f"{error}; its sweeps cannot be diagnosed, check their units and the robot file"
+        ) from None
+
+
+def _diagnosed(
+    robot: Robot, joint: str, sweeps: Sequence[Sweep], known: Known, weighed: Weighed | None, *, twin: bool
+) -> AxisDiagnosis:
+    by_mass = None if weighed is None else weighed_gain(robot, joint, sweeps, weighed)
+    gain = _accepted(known) if by_mass is None else by_mass
     wrong = gain if gain is not None and is_wrong(gain) else None
     calibrated = gain is not None and is_decided(gain)
     own = in_periods(joint, corrected(sweeps, wrong) if wrong else sweeps)
@@ -188,6 +205,7 @@ def diagnose_axis(
         unexplained=selection.unexplained,
         next_experiment=wanted,
         data=(*data, *found.said),
+        unfinished=unfinished(joint, selection, by_mass),
         untestable=(*hidden, *(name for name in CATALOGUE if name not in known and not applies(selection.given, name))),
     )
 

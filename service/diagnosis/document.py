@@ -89,6 +89,8 @@ def axis_document(one: "AxisDiagnosis") -> dict[str, Any]:
         "data": [asdict(finding) for finding in one.data],
         "visible_in": {effect: list(CATALOGUE[effect].visible_in) for effect in one.untestable},
     }
+    if one.unfinished:
+        document["unfinished"] = [asdict(search) for search in one.unfinished]
     return document | {"summary": summary(one.joint, document)}
 
 

@@ -77,6 +77,7 @@ def _axis(page: Page, joint: str, axis: AxisDiagnosis) -> None:
     if told:
         page.add("<h3>Check of the data</h3>")
         findings(page, axis.data)
+    page.add(*(f"<p><b>warning:</b> {escape(one.sentence)} {escape(one.action)}</p>" for one in axis.unfinished))
     _gap(page, axis)
     if "map" in figures:
         page.add(

@@ -70,6 +70,16 @@ class Example(Part):
     after: tuple[float, ...]
 
 
+class Unfinished(Part):
+    """A search that used up its steps: a warning. `effect`: whose search it was; null: that of the load and all shapes
+    in turn.
+    """
+
+    effect: str | None
+    sentence: str
+    action: str
+
+
 class RigidParameter(Part):
     """A base parameter of the rigid model: value of CAD or an estimate (null: none), and identified value."""
 
@@ -83,7 +93,8 @@ class AxisDiagnosis(Document):
     """The result for one axis; `unit` is that of its effort.
 
     `effects`: named (or, if undecided, the simplest explanation so far). `known`: in the model. `part`: those that
-    explain a part; the rest is unknown. `where`: the map of the gap. `data`: findings of the data check.
+    explain a part; the rest is unknown. `where`: the map of the gap. `data`: findings of the data check. `unfinished`:
+    searches that used up their steps, only if there are any.
     """
 
     verdict: Verdict
@@ -107,6 +118,7 @@ class AxisDiagnosis(Document):
     next_experiment: Experiment | None
     untestable: tuple[str, ...]
     data: tuple[Finding, ...] = ()
+    unfinished: tuple[Unfinished, ...] = ()
     visible_in: dict[str, tuple[str, ...]] = Field(default={})
     summary: str
 

@@ -134,6 +134,8 @@ def print_diagnosis(document: Diagnosis, console: Console) -> None:
             console.print(f"  The rigid model started from {axis.started_from}.", highlight=False, soft_wrap=True)
         for sentence in axis.sentences:
             console.print(f"  {sentence}")
+        for search in axis.unfinished:
+            console.print(f"  Warning: {search.sentence} {search.action}")
         for effect in axis.effects:
             _print_effect(effect, "If it is that: " if effect.effect in axis.candidates else "", console)
         for effect in axis.part:

@@ -25,6 +25,7 @@ from service.errors import BadInput
 from service.identification import spectrum
 from service.identification.axis.nominal_priors import TorqueGain
 from service.identification.estimates.torque_gain import KnownMass, torque_gains
+from service.identification.model.convergence import finite
 from service.recording import Sweep, SweepSpec
 from service.robot import Robot
 
@@ -39,6 +40,7 @@ FRICTION = 0.005  # of the rated effort: change of friction while a mass is moun
 BY_LOAD = 0.1  # of the torque through the gear: friction that increases with it
 LEAST = 0.0003  # of the rated effort: scatter of the mean of a sweep
 SAME = 1e-3  # rad (m): largest difference between positions of one pose
+ROUNDS = 2  # of fits, each weighted by the residual of the one before
 SPEED = 1e-5  # rad/s (m/s): largest difference between equal speeds
 
 
@@ -50,8 +52,22 @@ class Weighed:
     sweeps: tuple[Sweep, ...]
 
 
-def weighed_gain(robot: Robot, joint: str, bare: Sequence[Sweep], weighed: Weighed) -> TorqueGain:
-    """Indicated effort over true effort; BadInput if no sweep of the axis was run both without and with the mass."""
+@dataclass(frozen=True, slots=True)
+class WeighedGain(TorqueGain):
+    """A gain from sweeps with a test mass. `noise_change`: relative change of its noise in the last round of weighting.
+
+    It is 0 for a gain from inertias (`torque_gains`), whose fit is refused unless it converges.
+    """
+
+    noise_change: float = 0.0
+
+
+def weighed_gain(
+    robot: Robot, joint: str, bare: Sequence[Sweep], weighed: Weighed, rounds: int = ROUNDS
+) -> WeighedGain:
+    """Indicated effort over true effort; BadInput if no sweep of the axis was run both without and with the mass, or if
+    the gain is not finite. `rounds`: number of fits, each weighted by the noise of the fit before.
+    """
     if not weighed.mass.mass > 0:
         raise BadInput("mass", f"{weighed.mass.mass} kg is not above 0")
     turning = [[s for s in part if s.spec.axis == joint and s.spec.offset_velocity] for part in (bare, weighed.sweeps)]
@@ -63,11 +79,15 @@ def weighed_gain(robot: Robot, joint: str, bare: Sequence[Sweep], weighed: Weigh
     pull, rated = _added(heavy, weighed.mass), robot.axis(joint).rated_effort
     if np.abs(pull).max() < PULLS * rated:
         spectra = [[spectrum(robot, s) for s in part if s.spec.periodic] for part in common]
-        return torque_gains(robot, spectra[0], spectra[1], weighed.mass)[joint].gain
+        gain = torque_gains(robot, spectra[0], spectra[1], weighed.mass)[joint].gain
+        return WeighedGain(gain.gain, gain.std)
     more = _means(heavy, nominal_right(heavy), visits) - _means(light, nominal_right(light), visits)
     grown = _means(heavy, heavy.direction * (np.abs(heavy.gravity + pull) - np.abs(heavy.gravity)), visits)
     columns = [_means(heavy, pull, visits), _means(heavy, heavy.direction, visits), grown]
-    return _solved(np.stack(columns, axis=-1), more, LEAST * rated, np.array([np.inf, FRICTION * rated, BY_LOAD]))
+    prior = np.array([np.inf, FRICTION * rated, BY_LOAD])
+    found = _solved(np.stack(columns, axis=-1), more, LEAST * rated, prior, rounds)
+    finite(np.array([found.gain, found.std]), joint, "its torque gain with the standard deviation")
+    return found
 
 
 def is_wrong(gain: TorqueGain) -> bool:
@@ -106,13 +126,15 @@ def _means(motion: Tracks, signal: Array, visits: Sequence[Visit]) -> Array:
     return np.array([sum(some) / len(some) for some in of_visit])
 
 
-def _solved(columns: Array, right: Array, scatter: float, prior: Array) -> TorqueGain:
+def _solved(columns: Array, right: Array, scatter: float, prior: Array, rounds: int) -> WeighedGain:
     """The first coefficient; each has a zero-mean `prior` (k,). The scatter is increased to the residual of the fit."""
     held = np.diag(prior**-2.0)
-    values = np.zeros(len(prior))
-    for _ in range(2):
+    values, before = np.zeros(len(prior)), scatter
+    for _ in range(rounds):
+        before = scatter
         values = np.linalg.solve(columns.T @ columns / scatter**2 + held, columns.T @ right / scatter**2)
         left = right - columns @ values
         scatter = max(scatter, float(np.sqrt(left @ left / max(len(right) - 1, 1))))
     spread = float(np.linalg.inv(columns.T @ columns / scatter**2 + held)[0, 0])
-    return TorqueGain(float(values[0]), float(np.sqrt(spread + (KNOWN * values[0]) ** 2)))
+    std = float(np.sqrt(spread + (KNOWN * values[0]) ** 2))
+    return WeighedGain(float(values[0]), std, scatter / before - 1)

@@ -27,10 +27,12 @@ from service.diagnosis.fit.cross_products import (
     noise_model,
     pairing,
 )
+from service.diagnosis.fit.ended import Ended
 from service.diagnosis.fit.solving import solve, symmetric
 from service.diagnosis.rows.responses import Complex, bins, through
 from service.diagnosis.rows.rigid import Rigid, nominal_load, rigid
 from service.diagnosis.rows.signals import EVERY, Tracks, white_covariance
+from service.identification.model.convergence import finite
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -46,10 +48,13 @@ REPEATED = 0.2  # of the velocity, RMS: largest difference between repeats
 
 @dataclass(frozen=True)
 class Term:
-    """An effect of the model with its shape parameters."""
+    """An effect of the model with its shape parameters. `ended`: how the search of the shape ended; None: not searched.
+    It takes no part in comparisons.
+    """
 
     effect: str
     shape: Shape = ()
+    ended: Ended | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -121,23 +126,28 @@ class Equations:
         return [through(column, rate, delayed) for column in columns]
 
     def rows(self, term: Term) -> Array:
-        """Columns of an effect, filtered and whitened, (n, rows, k)."""
-        return self._whitened(self.columns(term))
+        """Columns of an effect, filtered and whitened, (n, rows, k). BadInput with sweep and axis if not finite."""
+        return self._whitened(term.effect, self.columns(term))
 
-    def _whitened(self, columns: Sequence[Array]) -> Array:
+    def _whitened(self, name: str, columns: Sequence[Array]) -> Array:
         if not columns:
             return self.base[..., :0]
-        rows = self.tracks.whitened(np.concatenate(columns), self.whitening.taps)
+        signals = np.concatenate(columns)
+        if not np.isfinite(signals).all():
+            for number, signal in enumerate(signals):
+                spec = self.tracks.specs[number % len(self.tracks.specs)]
+                finite(signal, f"sweep {spec.id} of {self.tracks.joint}", f"a column of {name}")
+        rows = self.tracks.whitened(signals, self.whitening.taps)
         return np.moveaxis(rows.reshape(len(columns), -1, rows.shape[1]), 0, -1)
 
-    def _gathered(self, columns: Sequence[Array]) -> Gathered:
-        return self.pairs.gathered(self._whitened(columns))
+    def _gathered(self, name: str, columns: Sequence[Array]) -> Gathered:
+        return self.pairs.gathered(self._whitened(name, columns))
 
     def gathered(self, term: Term, *, keep: bool = True) -> Gathered:
         """The usable rows of these columns; the result is cached if `keep`."""
         if term in self.kept:
             return self.kept[term]
-        found = self._gathered(self.columns(term))
+        found = self._gathered(term.effect, self.columns(term))
         if keep:
             self.kept[term] = found
         return found
@@ -150,7 +160,9 @@ class Equations:
         if scan is None or not new:
             return [self.gathered(term, keep=keep) for term in terms]
         columns = scan(self.tracks, self.model, [term.shape for term in new])
-        found = {term: self._gathered(self._as_measured(name, own)) for term, own in zip(new, columns, strict=True)}
+        found = {
+            term: self._gathered(name, self._as_measured(name, own)) for term, own in zip(new, columns, strict=True)
+        }
         if keep:
             self.kept.update(found)
         return [found.get(term) or self.kept[term] for term in terms]
@@ -196,11 +208,17 @@ class Equations:
 
 
 def equations(tracks: Tracks, groups: Sequence[Group], whitening: Whitening | None = None) -> Equations:
-    """The equations of the base model. The whitening is computed from the repeats unless it is given."""
+    """The equations of the base model. The whitening is computed from the repeats unless it is given.
+
+    BadInput with sweep and axis if squares of the effort overflow.
+    """
     axis, prior = tracks.robot.axis(tracks.joint), tracks.robot.prior
+    remaining = tracks.rows(nominal_right(tracks))
+    for spec, own in zip(tracks.specs, remaining, strict=True):
+        # as a sum over all rows may be
+        finite(remaining.size * np.square(own), f"sweep {spec.id} of {tracks.joint}", "the squares of its effort")
     model = rigid(tracks.robot, tracks.joint, tracks.poses, tracks.sizes)
     viscous = axis.viscous_friction or 0.0
-    remaining = tracks.rows(nominal_right(tracks))
     rows = np.stack([tracks.rows(signal) for signal in (*map(tracks.along, model.basis), tracks.velocity)], axis=-1)
     alone = white_covariance(tracks.effort, tracks.inside, tracks.rate, ORDER)
     left = _refitted(tracks, rows, remaining)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.diagnosis.effects import CATALOGUE
+from service.diagnosis.fit.ended import Ended
 from service.diagnosis.fit.equations import Equations, Term, remodelled, reshaped, with_base
 from service.diagnosis.fit.gap import over_floor
 from service.diagnosis.fit.search import LITTLE, LONGEST, CurrentModel, Explanation, derivatives, from_vector, to_vector
@@ -29,13 +30,14 @@ def bends(terms: Sequence[Term]) -> list[int]:
     return [k for k, term in enumerate(terms) if CATALOGUE[term.effect].parts is not None]
 
 
-def together(given: Equations, start: Explanation) -> tuple[Equations, Explanation]:
-    """Minimise the cost over the load and the shape of the term that changes its effect, together.
+def together(given: Equations, start: Explanation, steps: int = STEPS) -> tuple[Equations, Explanation]:
+    """Minimise the cost over the load and the shape of the term that changes its effect, together. `Term.ended` of that
+    term says how it ended.
 
     With a load that is too light, the cost may have several minima in stiffness. Unless the residual is near the noise
     floor, the steps start again from other stiffnesses (the first entry of the shape).
     """
-    best = _from(given, start)
+    best = _from(given, start, steps)
     for factor in ELSEWHERE:
         if over_floor(best[0], best[1].terms) < NEAR_FLOOR:
             break
@@ -43,23 +45,25 @@ def together(given: Equations, start: Explanation) -> tuple[Equations, Explanati
         plain = [entry.grid[0] for entry in CATALOGUE[term.effect].shape(given.tracks, given.model)]
         other = replace(term, shape=(factor * term.shape[0], *plain[1:]))
         terms = (*start.terms[:number], other, *start.terms[number + 1 :])
-        best = min(best, _from(given, CurrentModel(given, terms).alone()), key=lambda found: found[1].cost)
+        best = min(best, _from(given, CurrentModel(given, terms).alone(), steps), key=lambda found: found[1].cost)
     return best
 
 
-def _from(given: Equations, start: Explanation) -> tuple[Equations, Explanation]:
+def _from(given: Equations, start: Explanation, steps: int) -> tuple[Equations, Explanation]:
     number = bends(start.terms)[0]
     given = remodelled(given, start.terms)
-    best = CurrentModel(given, start.terms).alone()
-    for _ in range(STEPS):
+    best, ended = CurrentModel(given, start.terms).alone(), Ended.UNFINISHED
+    for _ in range(steps):
         further = _step(given, best, number)
         if further is None:
+            ended = Ended.AT_REST
             break
         gain = best.cost - further[1].cost
         given, best = further
         if gain < LITTLE:
+            ended = Ended.SETTLED
             break
-    return given, best
+    return given, best.searched(number, ended)
 
 
 def _step(given: Equations, best: Explanation, number: int) -> tuple[Equations, Explanation] | None:

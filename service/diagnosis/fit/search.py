@@ -1,7 +1,7 @@
 """The cost of sets of effects: shapes are scanned on grids and refined; all other products are computed once."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.effects.effect import Shape, ShapeParameter
 from service.diagnosis.fit.cross_products import Gathered
+from service.diagnosis.fit.ended import Ended
 from service.diagnosis.fit.equations import Equations, Term
 from service.diagnosis.fit.solving import solve, symmetric
 
@@ -37,6 +38,11 @@ class Explanation:
     @property
     def names(self) -> tuple[str, ...]:
         return tuple(term.effect for term in self.terms)
+
+    def searched(self, number: int, ended: Ended) -> "Explanation":
+        """The same; the search of the shape of term `number` ended so."""
+        terms = [replace(term, ended=ended) if k == number else term for k, term in enumerate(self.terms)]
+        return replace(self, terms=tuple(terms))
 
 
 class CurrentModel:
@@ -67,18 +73,22 @@ class CurrentModel:
             for shape, columns in zip(shapes, self._given.scanned(name, shapes, keep=keep), strict=True)
         ]
 
-    def refined(self, start: Explanation) -> Explanation:
-        """The explanation with the shape of the last term optimised."""
+    def refined(self, start: Explanation, steps: int = STEPS) -> Explanation:
+        """The explanation with the shape of the last term optimised; its `Term.ended` says how that ended."""
         effect = CATALOGUE[start.terms[-1].effect]
         shapes = effect.shape(self._given.tracks, self._given.model)
         if not shapes:
             return start
-        return self._stepped(start, shapes) if effect.scan is None else self._rescanned(start, shapes)
+        found, ended = self._stepped(start, shapes, steps) if effect.scan is None else self._rescanned(start, shapes)
+        return found.searched(len(found.terms) - 1, ended)
 
-    def _rescanned(self, start: Explanation, shapes: Sequence[ShapeParameter]) -> Explanation:
-        """Scan one parameter after the other on finer and finer grids: for costs that are not smooth."""
-        best = start
+    def _rescanned(self, start: Explanation, shapes: Sequence[ShapeParameter]) -> tuple[Explanation, Ended]:
+        """Scan one parameter after the other on finer and finer grids: for costs that are not smooth. UNFINISHED
+        if the best point is at an end of the finest grid, but not at a limit of the parameter.
+        """
+        best, ended = start, Ended.SETTLED
         for width in WIDTHS:
+            ended = Ended.SETTLED
             for k, shape in enumerate(shapes):
                 at = to_vector(shapes, best.terms[-1].shape)
                 grid = to_vector([shape] * len(shape.grid), shape.grid)
@@ -87,12 +97,14 @@ class CurrentModel:
                 name = best.terms[-1].effect
                 found = self._at(name, [from_vector(shapes, vector) for vector in moved], keep=False)
                 best = min([best, *found], key=lambda one: one.cost)
-        return best
+                if best in (found[0], found[-1]) and shape.low < best.terms[-1].shape[k] < shape.high:
+                    ended = Ended.UNFINISHED
+        return best, ended
 
-    def _stepped(self, start: Explanation, shapes: Sequence[ShapeParameter]) -> Explanation:
+    def _stepped(self, start: Explanation, shapes: Sequence[ShapeParameter], steps: int) -> tuple[Explanation, Ended]:
         """Gauss-Newton steps, each shortened until the cost decreases."""
         best, name = start, start.terms[-1].effect
-        for _ in range(STEPS):
+        for _ in range(steps):
             at = to_vector(shapes, best.terms[-1].shape)
             step = self._step(best.terms[-1], shapes, at)
             for _ in range(HALVINGS):
@@ -101,11 +113,11 @@ class CurrentModel:
                     break
                 step = step / 3
             else:
-                return best
+                return best, Ended.AT_REST
             gain, best = best.cost - tried.cost, tried
             if gain < LITTLE:
-                return best
-        return best
+                return best, Ended.SETTLED
+        return best, Ended.UNFINISHED
 
     def _step(self, term: Term, shapes: Sequence[ShapeParameter], at: Array) -> Array:
         """The step of the shape vector `at`, from derivatives fitted together with the columns."""

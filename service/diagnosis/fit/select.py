@@ -21,11 +21,12 @@ from scipy.special import chdtri
 
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.cross_products import ORDER, Group, pairing
+from service.diagnosis.fit.ended import Ended
 from service.diagnosis.fit.equations import Equations, Term, remodelled, with_base
 from service.diagnosis.fit.gap import over_floor
 from service.diagnosis.fit.joint_steps import NEAR_FLOOR, bends, together
 from service.diagnosis.fit.parameters import by_name, of_load
-from service.diagnosis.fit.search import CurrentModel, Explanation
+from service.diagnosis.fit.search import LITTLE, CurrentModel, Explanation
 from service.diagnosis.fit.solving import given_rest, solve
 
 Array = NDArray[np.float64]
@@ -50,12 +51,16 @@ NEAR = 0.5  # of the best gain: below, a candidate is not refined
 
 @dataclass(frozen=True)
 class Selection:
-    """The chosen explanation, its equations, the cost of the rigid model, and the other explanations tried."""
+    """The chosen explanation, its equations, the cost of the rigid model, and the other explanations tried.
+
+    `ended`: how the fits of load and shapes in turn ended.
+    """
 
     given: Equations
     chosen: Explanation
     rigid: Explanation
     tried: tuple[Explanation, ...]  # one term exchanged
+    ended: Ended = Ended.SETTLED
 
     @property
     def unexplained(self) -> float:
@@ -73,7 +78,7 @@ def select(given: Equations, known: Sequence[str], candidates: Sequence[str]) ->
         given = remodelled(given, fixed)
     rigid = CurrentModel(given, fixed).alone()
     chance = CHANCE / (8 * max(1, len(candidates)))
-    chosen, tried = rigid, list[Explanation]()
+    chosen, tried, ended = rigid, list[Explanation](), Ended.SETTLED
     for _ in range(MOST):
         if chosen is not rigid and over_floor(given, chosen.terms) < NEAR_FLOOR:
             break  # the small residual is probably due to simplified effects
@@ -82,13 +87,12 @@ def select(given: Equations, known: Sequence[str], candidates: Sequence[str]) ->
         if step is None:
             tried = tried or table
             break
-        given, chosen = step
-        given, chosen = _consistent(given, chosen, len(fixed))
+        given, chosen, ended = _consistent(*step, len(fixed))
         chosen = _without_needless(given, chosen, rigid.cost, chance, len(fixed))
         tried = _exchanges(given, chosen, candidates, len(fixed))
         if (better := _exchange(given, chosen, tried, rigid.cost, len(fixed))) is not chosen:
             chosen, tried = better, _exchanges(given, better, candidates, len(fixed))
-    return Selection(given, chosen, rigid, tuple(tried))
+    return Selection(given, chosen, rigid, tuple(tried), ended)
 
 
 def with_groups(selection: Selection, groups: Sequence[Group]) -> Selection:
@@ -101,9 +105,11 @@ def with_groups(selection: Selection, groups: Sequence[Group]) -> Selection:
         groups=tuple(groups),
         pairs=pairing(given.tracks.usable, groups, ORDER, 1 + max(group.fold for group in groups)),
     )
+    ended = Ended.UNFINISHED
     for _ in range(ROUNDS):
         before, whole = whole, remodelled(whole, selection.chosen.terms)
         if whole is before:
+            ended = Ended.SETTLED
             break
     costs = {
         terms: CurrentModel(whole, terms).alone()
@@ -114,16 +120,17 @@ def with_groups(selection: Selection, groups: Sequence[Group]) -> Selection:
         costs[selection.chosen.terms],
         costs[selection.rigid.terms],
         tuple(costs[o.terms] for o in selection.tried),
+        ended,
     )
 
 
-def settled(selection: Selection, known: Sequence[str]) -> Selection:
-    """The same explanation with the shapes fitted to all sweeps."""
+def settled(selection: Selection, known: Sequence[str], rounds: int = ROUNDS) -> Selection:
+    """The same explanation with the shapes fitted to all sweeps, in at most `rounds`."""
     fixed = sum(term.effect in known for term in selection.chosen.terms)
     if len(selection.chosen.terms) == fixed:
         return selection
-    given, chosen = _consistent(selection.given, selection.chosen, fixed)
-    return replace(selection, given=given, chosen=chosen)
+    given, chosen, ended = _consistent(selection.given, selection.chosen, fixed, rounds)
+    return replace(selection, given=given, chosen=chosen, ended=ended)
 
 
 def held_out(given: Equations, terms: Sequence[Term]) -> Array:
@@ -205,7 +212,7 @@ def _step(
         if step is None or not _gains(given, before, step, excess, chance, first=first):
             return None
         # columns that depend on the load are only correct with the load fitted for them
-        there, settled = _consistent(given, step, len(before.terms)) if _of_model(step) else (given, step)
+        there, settled = _consistent(given, step, len(before.terms))[:2] if _of_model(step) else (given, step)
         if _holds(given, before, there, settled) and allowed_by_physics(there, settled):
             return there, settled
         wanted.remove(step)
@@ -263,19 +270,25 @@ def _of_model(explanation: Explanation) -> bool:
     return any(CATALOGUE[term.effect].of_model for term in explanation.terms)
 
 
-def _consistent(given: Equations, chosen: Explanation, fixed: int) -> tuple[Equations, Explanation]:
-    """Load and shapes fitted in turn until both converge; together if the load is behind a spring."""
+def _consistent(
+    given: Equations, chosen: Explanation, fixed: int, rounds: int = ROUNDS
+) -> tuple[Equations, Explanation, Ended]:
+    """Load and shapes fitted in turn until both converge; together if the load is behind a spring, with one round of
+    the shapes of the other effects.
+    """
     if any(number >= fixed for number in bends(chosen.terms)):
         given, chosen = together(given, chosen)
-        if len(chosen.terms) - fixed > 1:
-            given, chosen = together(given, _settled(given, chosen, fixed, anew=False))
-        return given, chosen
-    for count in range(ROUNDS):
+        if len(chosen.terms) - fixed == 1:
+            return given, chosen, Ended.SETTLED
+        cost = chosen.cost
+        given, chosen = together(given, _settled(given, chosen, fixed, anew=False))
+        return given, chosen, Ended.SETTLED if cost - chosen.cost < LITTLE else Ended.UNFINISHED
+    for count in range(rounds):
         before, given = given, remodelled(given, chosen.terms)
         if given is before:
-            break
+            return given, chosen, Ended.SETTLED
         chosen = _settled(given, chosen, fixed, anew=count == 0)
-    return given, chosen
+    return given, chosen, Ended.UNFINISHED
 
 
 def _settled(given: Equations, start: Explanation, fixed: int, *, anew: bool) -> Explanation:

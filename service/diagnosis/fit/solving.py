@@ -3,10 +3,16 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from service.errors import SweepidError
+
 Array = NDArray[np.float64]
 
 SMALLEST = 1e-60  # product below which a column counts as zero
 FLAT = 1e-12  # of a column's own product: below, it is a linear combination of the others
+
+
+class NotFinite(SweepidError):
+    """A system has entries that are NaN or infinite; `diagnose_axis` names the axis."""
 
 
 def symmetric(products: Array) -> Array:
@@ -16,13 +22,15 @@ def symmetric(products: Array) -> Array:
 
 def solve(system: Array, precision: Array) -> tuple[Array, float, int]:
     """Least squares from a system (k + 1, k + 1) of [base, columns, right side] and the prior `precision` (b, b) of the
-    base: coefficients (k,), cost including that of the prior, rank.
+    base: coefficients (k,), cost including that of the prior, rank. NotFinite if the system or the solution is not.
     """
     values, vectors, scale = _scaled(system, precision)
     right, kept = system[:-1, -1] / scale, values > FLAT
     turned = vectors[:, kept].T @ right
     solution = vectors[:, kept] @ (turned / values[kept])
-    return solution / scale, float(system[-1, -1] - right @ solution), int(kept.sum())
+    cost = float(system[-1, -1] - right @ solution)
+    _finite(solution, np.array(cost))
+    return solution / scale, cost, int(kept.sum())
 
 
 def covariance(system: Array, precision: Array) -> Array:
@@ -34,12 +42,20 @@ def covariance(system: Array, precision: Array) -> Array:
 def given_rest(system: Array, precision: Array, rest: Array) -> Array:
     """Coefficients (b,) of the base if those of all other columns are fixed at `rest` (k - b,)."""
     b = len(precision)
+    _finite(system, precision, rest)
     right = system[:b, -1] - system[:b, b:-1] @ rest
     return np.asarray(np.linalg.solve(system[:b, :b] + precision, right), dtype=np.float64)
 
 
+def _finite(*parts: Array) -> None:
+    """NotFinite unless all are. With a cost of NaN, a search would end as if at a minimum: comparisons are false."""
+    if not all(bool(np.isfinite(part).all()) for part in parts):
+        raise NotFinite("the equations have entries that are not finite: effort, motion or prior overflow")
+
+
 def _scaled(system: Array, precision: Array) -> tuple[Array, Array, Array]:
     """Eigenvalues and eigenvectors of the matrix scaled to unit diagonal, and the scale (k,)."""
+    _finite(system, precision)
     matrix = system[:-1, :-1].copy()
     matrix[: len(precision), : len(precision)] += precision
     diagonal = np.diag(matrix)

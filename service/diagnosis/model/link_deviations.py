@@ -101,9 +101,12 @@ def gravity_of(robot: Robot, inertial: Array, joint: int, poses: Array) -> Array
     return gravity_of_fit(poses, joint, torque, stiffness)
 
 
-def inertia_factors(robot: Robot, links: Links, wanted: Sequence[tuple[int, Array, Array]]) -> dict[str, float]:
+def inertia_factors(
+    robot: Robot, links: Links, wanted: Sequence[tuple[int, Array, Array]], steps: int | None = None
+) -> dict[str, float]:
     """Factors of the links' inertias about their centres, fitted to axis inertias: for each joint its number, poses
     (m, n), and inertias (m,) without motor, kg m^2. A part that such links cannot represent is ignored.
+    Inexpressible if the fit is not finite or does not converge within `steps` (None: SciPy's limit).
     """
     count = len(robot.chain.joints)
     bare = _inertial(robot, links, np.zeros(count))
@@ -114,7 +117,12 @@ def inertia_factors(robot: Robot, links: Links, wanted: Sequence[tuple[int, Arra
     matrix = np.vstack([row @ own.reshape(count, -1).T for row in rows]) / CLOSE
     right = np.concatenate([1 - row @ bare.ravel() for row in rows]) / CLOSE
     prior = np.eye(count) / robot.prior.inertia
-    found = lsq_linear(np.vstack([matrix, prior]), np.append(right, prior.sum(axis=0)), bounds=FACTORS)
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        raise Inexpressible("inertias of the links: those of the axes are not finite")
+    whole = np.vstack([matrix, prior])
+    found = lsq_linear(whole, np.append(right, prior.sum(axis=0)), bounds=FACTORS, max_iter=steps)
+    if found.status <= 0:
+        raise Inexpressible(f"inertias of the links: their fit did not converge: {' '.join(found.message.split())}")
     factors = np.where(np.abs(matrix).max(axis=0) > 0, found.x, 1.0)
     return {joint.link: float(factor) for joint, factor in zip(robot.chain.joints, factors, strict=True)}
 

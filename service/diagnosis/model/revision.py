@@ -78,7 +78,7 @@ def _scenario(robot: Robot, axes: Documents) -> dict[str, Any]:
     scenario = {
         "name": f"{robot.name}-model",
         "robot": ROBOT_FILE,
-        "links": _links(robot, axes, entries),
+        "links": _links(robot, axes, entries, notes),
         "axes": {
             joint: {
                 "train": entry.train,
@@ -115,8 +115,10 @@ def _inertia(axis: Mapping[str, Any]) -> float:
     return float(np.mean([pose["value"] for pose in axis["fit"]["inertia"]]))
 
 
-def _links(robot: Robot, axes: Documents, entries: Mapping[str, AxisEntry]) -> dict[str, Any]:
-    """Links that give each axis its gravity and, as far as rigid links can, its inertias."""
+def _links(robot: Robot, axes: Documents, entries: Mapping[str, AxisEntry], notes: list[str]) -> dict[str, Any]:
+    """Links that give each axis its gravity and, as far as rigid links can, its inertias; those of CAD where there are
+    none, with a note.
+    """
     gravities: list[tuple[int, Any, Any]] = []
     inertias: list[tuple[int, Any, Any]] = []
     added: dict[str, Any] = {}
@@ -135,6 +137,15 @@ def _links(robot: Robot, axes: Documents, entries: Mapping[str, AxisEntry]) -> d
         inertias.append((index, poses, np.maximum(measured - motor, 0.02 * measured)))
         # a payload is one body, on whichever axis it was found
         added = {link: {"added": part["added"]} for link, part in entry.links.items() if "added" in part} | added
-    links = merged(deviations(robot, joined(robot, gravities)), added)
-    factors = inertia_factors(robot, links, inertias)
+    moved: dict[str, Any] = {}
+    factors: dict[str, float] = {}
+    try:
+        moved = deviations(robot, joined(robot, gravities))
+    except Inexpressible as reason:
+        notes.append(f"{reason}; masses and centres of the links are those of CAD here")
+    links = merged(moved, added)
+    try:
+        factors = inertia_factors(robot, links, inertias)
+    except Inexpressible as reason:
+        notes.append(f"{reason}; inertias of the links are those of CAD here")
     return merged(links, {link: {"inertia": factor} for link, factor in factors.items() if factor != 1.0})

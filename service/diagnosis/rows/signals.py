@@ -6,8 +6,8 @@ so linear relations between them are preserved. Samples are first averaged down 
 would look like a delay or a spring.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from service.diagnosis.rows.responses import Complex, back, derivative_spectrum, in_frequency
 from service.errors import BadInput
+from service.identification.model.convergence import finite
 from service.identification.model.regressor import gravity_rows
 from service.identification.motion.trajectory_record import runs_at_once
-from service.recording import Sweep, SweepSpec
+from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot
 
 Array = NDArray[np.float64]
@@ -204,12 +205,22 @@ def is_evidence(spec: SweepSpec) -> bool:
     return spec.moves and not runs_at_once(spec)
 
 
+def finite_samples(sweeps: Iterable[Sweep]) -> None:
+    """BadInput with sweep, axis and channel if a sample is NaN or infinite."""
+    for sweep in sweeps:
+        for channel in fields(Recording):
+            values: Array | None = getattr(sweep.recording, channel.name)
+            if values is not None:
+                finite(values, f"sweep {sweep.spec.id} of {sweep.spec.axis}", channel.name)
+
+
 def tracks(robot: Robot, joint: str, sweeps: Sequence[Sweep]) -> Tracks:
-    """The sweeps of `joint` that are evidence; BadInput if there is none."""
+    """The sweeps of `joint` that are evidence; BadInput if there is none, or if a sample is not finite."""
     index = robot.index(joint)
     own = [s for s in sweeps if s.spec.axis == joint and is_evidence(s.spec)]
     if not own:
         raise BadInput(joint, "has no sweep that moves")
+    finite_samples(own)
     rates = {s.spec.sample_rate for s in own}
     if len(rates) > 1:
         raise BadInput(joint, f"sweeps have several sample rates: {sorted(rates)} Hz")

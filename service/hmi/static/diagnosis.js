@@ -128,7 +128,8 @@ async function showAxis(campaign, after) {
   }
   tell("verdict", verdictParts(joint, axis));
   byId("verdict").className = `verdict ${axis.verdict}`;
-  byId("data").replaceChildren(...findingParts(axis.data ?? []));
+  const unfinished = (axis.unfinished ?? []).map((one) => ({ severity: "warning", ...one }));
+  byId("data").replaceChildren(...findingParts([...(axis.data ?? []), ...unfinished]));
   byId("effects").replaceChildren(...axis.effects.flatMap(effectParts));
   if (axis.verdict === "ambiguous") byId("effects").prepend(element("p", text("diagnosis.simplest")));
   showPart(axis.part ?? []);
