@@ -25,6 +25,7 @@ Start = Callable[..., Any]
 
 PEOPLE = {
     "olga": {"preferred_username": "olga", "groups": ["staff", "cell-operators"]},
+    "otto": {"preferred_username": "otto", "groups": ["staff", "cell-operators"]},
     "adam": {"preferred_username": "adam", "groups": ["cell-operators", "cell-admins"]},
     "nobody": {"preferred_username": "nobody", "groups": ["staff"]},
     "nogroups": {"preferred_username": "nogroups"},

@@ -94,10 +94,10 @@ def test_a_login_from_its_beginning_to_the_logout(
         assert asked["redirect_uri"] == f"{url}/"
         assert (asked["response_type"], asked["code_challenge_method"]) == ("code", "S256")
         assert min(len(asked[name]) for name in ("state", "nonce", "code_challenge")) >= 43
-        brought = at_provider(address, "olga")
+        brought = at_provider(address, "otto")
         logged_in = hand_in(http, brought)
         assert logged_in.status_code == 200, logged_in.text
-        told = {"login": True, "name": "olga", "role": "operator", "session": True}
+        told = {"login": True, "name": "otto", "role": "operator", "session": True}
         assert {name: logged_in.json()[name] for name in told} == told
         (cookie,) = http.cookies.jar
         assert cookie.name == f"sweepid-{httpx.URL(url).port}"
@@ -107,12 +107,12 @@ def test_a_login_from_its_beginning_to_the_logout(
         assert http.get("/api/v1/me").json() == logged_in.json()
         assert http.post("/api/v1/logout", headers={"Origin": url}).status_code == 200
         http.cookies.set(cookie.name, str(cookie.value))  # who kept it
-        assert http.get("/api/v1/me").json()["detail"] == "the session of olga was ended: log in again"
-    (olga,) = [user for user in UserStore(database).all() if user.name == "olga"]
-    assert (olga.issuer, olga.subject, olga.role) == (issuer, "olga", Role.OPERATOR)
+        assert http.get("/api/v1/me").json()["detail"] == "the session of otto was ended: log in again"
+    (otto,) = [user for user in UserStore(database).all() if user.name == "otto"]
+    assert (otto.issuer, otto.subject, otto.role) == (issuer, "otto", Role.OPERATOR)
     entries = since()
-    assert [(one["event"], one["actor"]) for one in entries[:2]] == [("user added", "anybody"), ("logged in", "olga")]
-    assert (entries[1]["issuer"], entries[1]["subject"]) == (issuer, "olga")
+    assert [(one["event"], one["actor"]) for one in entries[:2]] == [("user added", "anybody"), ("logged in", "otto")]
+    assert (entries[1]["issuer"], entries[1]["subject"]) == (issuer, "otto")
     kept = b"".join(path.read_bytes() for path in (folder / "data").glob("sweepid.sqlite*"))
     kept += (folder / "service.log").read_bytes()
     for secret in (brought["code"], brought["state"], "a secret of the client"):
