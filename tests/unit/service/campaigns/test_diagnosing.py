@@ -1,146 +1,39 @@
 """From measured campaigns to a diagnosis, with a real worker process that dies and a service that is restarted."""
 
-import asyncio
 import os
 import signal
-from collections.abc import AsyncGenerator, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar, cast
 
-import numpy as np
 import psutil
 import pytest
 
-from service.campaigns.state_machine import SweepEvent, sweep_move
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.sensitivity.design import full_design
 from service.diagnosis.sensitivity.predicted_sweeps import expected
 from service.diagnosis_loop.acceptance import accept_model
-from service.diagnosis_loop.diagnosing import Diagnosing
 from service.diagnosis_loop.evidence import campaigns_of, recorded_sweeps
-from service.diagnosis_loop.starting import Start
-from service.errors import BadInput, Conflict, SweepidError
-from service.estimation import estimate_document, sweep_spectrum
+from service.errors import BadInput, Conflict
 from service.identification.estimates.torque_gain import KnownMass
-from service.identification.model.regressor import gravity_terms, inertia_rows
-from service.recording import Sweep
 from service.robot import Robot
-from service.settings.workers import Cluster
 from service.store.database import open_database
-from service.store.diagnosis.diagnoses import DiagnosisStore
-from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import (
     BoltedMass,
-    DiagnosisDocument,
     DiagnosisState,
-    EstimateOf,
-    ModelDocument,
     NewDiagnosis,
     Weighing,
 )
-from service.store.documents import CampaignState, NewSweep, SpectrumRecord
+from service.store.documents import CampaignState, NewSweep
 from service.store.files.bundle import Bundle
-from service.store.files.exchange import campaign_bundle, import_campaign
+from service.store.files.exchange import import_campaign
 from service.store.files.intake import save_bundle
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
-from service.worker import DiagnosisJob, JobFailed, Work, Worker, open_worker
+from service.worker import DiagnosisJob, open_worker
 from service.worker.dask_workers import DaskWorkers
+from tests.unit.service.campaigns.diagnosis_bench import NOBODY, POSES, InProcess, axes_of, measured, open_bench, until
 
 pytestmark = pytest.mark.slow
-
-SPECTRUM = SpectrumRecord(path="s", sha256="0" * 64)  # where its content makes no difference
-POSES = np.array([[0.0, -0.6, 0.4, 0.0, 0.0, 0.0], [0.5, 0.4, -0.7, 0.0, 0.0, 0.0]])
-PATIENCE = 300.0  # s; the worker gives way to whatever else the computer does
-NOBODY = Cluster("tcp://127.0.0.1:1")  # a scheduler that does not answer
-
-Answer = TypeVar("Answer")
-
-
-def measured(
-    store: Store,
-    files: RecordingFiles,
-    robot: Robot,
-    joint: str,
-    seed: int,
-    mass: KnownMass | None = None,
-    coulomb: float = 60.0,
-) -> int:
-    """A campaign of slow sweeps of one axis with dry friction, and with a mass on the last link; its number."""
-    random, index = np.random.default_rng(seed), robot.index(joint)
-    body = np.zeros(robot.chain.inertial.size)
-    if mass is not None:
-        body[-10:] = mass.parameters
-    motor = robot.axes[index].reflected_motor_inertia or 0.0
-    sweeps: list[Sweep] = []
-    for designed in full_design(robot, joint, POSES, sample_rate=250.0, blocks=("forward_slow", "backward_slow")):
-        sweep = expected(designed, designed.spec.pose[index])
-        record, pose = sweep.recording, sweep.spec.pose
-        links = robot.chain.inertial.ravel() + body
-        inertia = motor + float((inertia_rows(robot.chain, index, np.array([pose])) @ links)[0])
-        friction = 200.0 * record.velocity + coulomb * np.sign(record.velocity)
-        noise = random.normal(0, 3.0, len(record.time))
-        (pulls,) = gravity_terms(robot.chain, links, robot.gravity, index, np.array([pose]))
-        away = record.position - pose[index]
-        gravity = pulls[0] * np.cos(away) + pulls[1] * np.sin(away)
-        record.effort[:] = inertia * np.gradient(record.velocity, record.time) + friction + gravity + noise
-        sweeps.append(sweep)
-    return import_campaign(store, files, save_bundle(files, Bundle(robot, tuple(sweeps)))).id
-
-
-class InProcess(DaskWorkers):
-    """Does jobs at once and keeps them; fails as a worker process does."""
-
-    def __init__(self) -> None:
-        super().__init__(NOBODY)
-        self.jobs: list[Work[Any]] = []
-
-    async def run(self, job: Work[Answer]) -> Answer:
-        self.jobs.append(job)
-        try:
-            return await asyncio.to_thread(job)
-        except SweepidError as error:
-            raise JobFailed(str(error)) from None
-
-
-@dataclass
-class Bench:
-    store: Store
-    files: RecordingFiles
-    diagnoses: DiagnosisStore
-    models: ModelStore
-    diagnosing: Diagnosing
-
-    async def over(self, diagnosis_id: int) -> DiagnosisDocument:
-        ended = (DiagnosisState.DONE, DiagnosisState.FAILED)
-        await until(lambda: self.diagnoses.diagnosis(diagnosis_id).state in ended)
-        return self.diagnoses.diagnosis(diagnosis_id)
-
-
-@asynccontextmanager
-async def open_bench(folder: Path, worker: Worker) -> AsyncGenerator[Bench]:
-    async with AsyncExitStack() as stack:
-        database = stack.enter_context(open_database(f"sqlite:///{folder / 'sweepid.sqlite'}"))
-        store, files, diagnoses = Store(database), RecordingFiles(folder), DiagnosisStore(database)
-        models = ModelStore(database)
-        diagnosing = Diagnosing(store, diagnoses, models, files, worker)
-        stack.push_async_callback(diagnosing.close)
-        yield Bench(store, files, diagnoses, models, diagnosing)
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(PATIENCE):
-        while not condition():  # noqa: ASYNC110
-            await asyncio.sleep(0.02)
-
-
-def axes_of(found: DiagnosisDocument | ModelDocument) -> Any:
-    """The axes in a stored document, as the API has them."""
-    assert found.document is not None
-    return found.document["axes"]
 
 
 async def test_a_worker_killed_in_the_middle_changes_nothing(tmp_path: Path, robot: Robot) -> None:
@@ -308,81 +201,6 @@ async def test_a_known_effect_that_has_changed_may_be_accepted(tmp_path: Path, r
             found.append(effect["parameters"]["coulomb"]["value"])
         assert done.verdicts == {"joint_1": "none"}
     assert found == pytest.approx([60.0, 80.0], abs=0.5)
-
-
-async def test_the_rigid_model_starts_from_the_robots_latest_estimate_that_is_no_evidence(
-    tmp_path: Path, robot: Robot
-) -> None:
-    worker = InProcess()
-    async with open_bench(tmp_path, worker) as bench:
-        first, second = (measured(bench.store, bench.files, robot, "joint_1", seed) for seed in (1, 2))
-        request = bench.diagnosing.request
-        before = await request([second], None, None, unattended=False)
-        assert before.estimate is None  # there is none yet
-        identified(bench, robot, first, over=False)
-        before = await request([second], None, None, unattended=False)
-        assert before.estimate is None  # a better one may follow
-        bench.store.move_campaign(first, lambda _: CampaignState.COMPLETED)
-        told = EstimateOf(campaign_id=first, revision=1)
-        other, same, both, asked = [
-            await request(campaigns, None, None, unattended=False, start=start)
-            for campaigns, start in (
-                ([second], Start.ESTIMATE),
-                ([first], Start.ESTIMATE),
-                ([first, second], Start.ESTIMATE),
-                ([second], Start.CAD),
-            )
-        ]
-        assert [one.estimate for one in (other, same, both, asked)] == [told, None, None, None]
-        assert bench.diagnoses.diagnosis(other.id).estimate == told
-        found = await bench.over(other.id)
-        by_cad = await bench.over(asked.id)
-        assert found.document is not None, found.cause
-        assert by_cad.document is not None, by_cad.cause
-        axes = axes_of(found)["joint_1"], axes_of(by_cad)["joint_1"]
-        assert [axis["started_from"] for axis in axes] == [f"campaign {first}, revision 1", "cad"]
-        assert axes[0]["rigid_model"][0]["nominal"] != axes[1]["rigid_model"][0]["nominal"]
-
-
-async def test_an_estimate_that_does_not_fit_the_robot_is_passed_over(tmp_path: Path, robot: Robot) -> None:
-    async with open_bench(tmp_path, InProcess()) as bench:
-        first, second, third = (measured(bench.store, bench.files, robot, "joint_1", seed) for seed in (1, 2, 3))
-        identified(bench, robot, first)
-        identified(bench, robot, second, {"base_parameters": []})
-        diagnosis = await bench.diagnosing.request([third], None, None, unattended=False)
-        assert diagnosis.estimate == EstimateOf(campaign_id=first, revision=1)
-
-
-async def test_a_daily_check_of_one_pose_is_no_start_while_a_better_one_is_there(tmp_path: Path, robot: Robot) -> None:
-    async with open_bench(tmp_path, InProcess()) as bench:
-        whole, daily, third = (measured(bench.store, bench.files, robot, "joint_1", seed) for seed in (1, 2, 3))
-        identified(bench, robot, daily)
-        alone = await bench.diagnosing.request([third], None, None, unattended=False)
-        identified(bench, robot, whole, confidence=0.5)
-        again = measured(bench.store, bench.files, robot, "joint_1", 4)
-        identified(bench, robot, again)  # newer than the one that knows J
-        both = await bench.diagnosing.request([third], None, None, unattended=False)
-    assert alone.estimate == EstimateOf(campaign_id=daily, revision=1)
-    assert both.estimate == EstimateOf(campaign_id=whole, revision=1)
-
-
-def identified(
-    bench: Bench,
-    robot: Robot,
-    campaign: int,
-    change: dict[str, Any] | None = None,
-    *,
-    over: bool = True,
-    confidence: float | None = None,
-) -> None:
-    """The estimate of a campaign, as if it had come with its last sweep; its poses leave J open unless `confidence`."""
-    sweeps = campaign_bundle(bench.store, bench.files, campaign).sweeps
-    document = estimate_document(robot, [sweep_spectrum(robot, sweep) for sweep in sweeps]).as_json() | (change or {})
-    cast("dict[str, Any]", document["axes"])["joint_1"]["confidence_percent"] = confidence
-    last = bench.store.sweeps(campaign)[-1]
-    assert bench.store.add_estimate([(last, SPECTRUM)], sweep_move(SweepEvent.IDENTIFY), document) is not None
-    if over:
-        bench.store.move_campaign(campaign, lambda _: CampaignState.COMPLETED)
 
 
 def test_the_sweeps_of_two_campaigns_share_a_clock_and_no_repeats(tmp_path: Path, robot: Robot) -> None:
