@@ -31,7 +31,8 @@ def truth(
             found = true_inertias(scenario, _read_poses(poses))
         else:
             raise ScenarioError(
-                "give one of --poses FILE (prints the inertias in these poses) and --hide SEED (prints the effect)"
+                "give exactly one of --poses and --hide: --poses FILE prints the inertias in these poses, --hide SEED "
+                "the hidden effect"
             )
     except ScenarioError as error:
         typer.echo(str(error), err=True)
