@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from service.identification.model.regressor import axis_rows, lock
 from service.recording import Sweep, SweepSpec
+from service.report.drawing import slides
 from service.results.check import DataCheck
 from service.results.diagnosis import Diagnosis
 from service.results.estimate import BaseParameter, Estimate
@@ -121,7 +122,7 @@ def axes_of(content: Content) -> tuple[Axis, ...]:
         axes.append(
             Axis(
                 joint=joint,
-                unit="kg" if content.robot.chain.joints[index].kind == "prismatic" else "kg m²",
+                unit="kg" if slides(content.robot, index) else "kg m²",
                 poses=own,
                 numbers=tuple(order[sweep.sweep] for sweep in sweeps),
                 measured=np.array([sweep.value for sweep in sweeps], dtype=float),
