@@ -161,6 +161,7 @@ async def test_a_campaign_ends_when_the_confidence_wanted_is_reached(application
 
     await application.runner.start(campaign.id)
     await until(lambda: campaign_now().sweeps[SweepState.PLANNED] <= planned - 4 or ended())
+    assert not ended(), campaign_now().cause
     await application.runner.pause(campaign.id)
     await until(ended)
     assert campaign_now().cause == "paused by request"
