@@ -134,8 +134,9 @@ class Page:
         self.first_page_ends()
 
     def first_page_ends(self) -> None:
-        """The following parts come after the table of contents, if there is one."""
+        """The following parts come after the table of contents, if there is one, and belong to no section of it."""
         self._first = len(self._parts)
+        self._section = ["", ""]
 
     def figure(self, figure: Figure) -> None:
         """Add a figure with the height of its layout."""

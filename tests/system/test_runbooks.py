@@ -146,6 +146,19 @@ def test_bad_input_is_told_before_anything_moves(books: Books, client: ServiceCl
     assert len(client.campaigns()) == known
 
 
+def test_an_output_that_nobody_reads_is_told_without_a_traceback(books: Books, client: ServiceClient) -> None:
+    process, file = books.begin(*OVERNIGHT, "--dry-run")
+    with process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()  # as by "| head", before the first line
+        told = process.stderr.read()
+    assert process.returncode == FAILED
+    assert told == "overnight: the output was closed, nobody reads it\n"
+    assert read(file, process.returncode)["result"] == "the output was closed, nobody reads it"
+    assert client.campaigns() == []
+
+
 def test_a_night_ends_with_the_confidence(reference: Json, machine: VirtualMachine) -> None:
     assert "confidence of 2 % reached" in reference["steps"][-1]["result"]
     assert reference["robot"]["name"] == "max100-class"

@@ -1,8 +1,8 @@
 """Common parts of the runbooks: arguments, steps with a line and a protocol entry, monitored campaigns, the stop.
 
 The protocol is a JSON file that is complete after every step, so it also documents an interrupted run. If a run ends
-while the machine may move (Ctrl-C, SIGTERM, a lost terminal, a failure of this program or of the network), the
-machine is stopped first.
+while the machine may move (Ctrl-C, SIGTERM, a lost terminal, a closed output, a failure of this program or of the
+network), the machine is stopped first.
 """
 
 import json
@@ -263,10 +263,13 @@ def run(name: str, parser: ArgumentParser, work: Callable[[Runbook], Exit]) -> i
             elif isinstance(error, SweepidError):
                 code = Exit.BAD_INPUT if isinstance(error, BadInput) and not stop else Exit.FAILED
                 result = str(error)
+            elif isinstance(error, BrokenPipeError):
+                result = "the output was closed, nobody reads it"
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for the lines that are not flushed yet
             else:
                 result = f"{type(error).__name__}: {error}"
             result += stop
-            if not isinstance(error, KeyboardInterrupt | SweepidError):
+            if not isinstance(error, KeyboardInterrupt | SweepidError | BrokenPipeError):
                 raise
         finally:
             book.protocol |= {"ended": datetime.now(UTC).isoformat(), "result": result, "exit_code": int(code)}

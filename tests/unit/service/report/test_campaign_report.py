@@ -1,5 +1,6 @@
 """The report of a campaign: its verdict, its origin, and what is drawn where nobody told the workspace."""
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -195,6 +196,14 @@ def test_the_page_begins_with_verdict_and_origin(max100: Robot) -> None:
     ]
     assert order == sorted(order)
     assert campaign_page(report(), max100.joints, drawn.estimate, drawn).html() == page
+
+
+def test_the_tables_of_the_first_page_end_with_the_drives(max100: Robot) -> None:
+    drawn: Content = content(max100)
+    page = campaign_page(report(), max100.joints, drawn.estimate, drawn)
+    sections = [table["section"] for table in json.loads(page.written("json"))["tables"]]
+    assert sections[:2] == ["Origin", "Drives"]
+    assert "Drives" not in sections[2:]
 
 
 def test_a_campaign_without_an_inertia_has_what_there_is(max100: Robot) -> None:
