@@ -1,6 +1,7 @@
 """A move to a position in profile position mode: the drive generates the ramps, the host monitors."""
 
 import asyncio
+import math
 import threading
 import time
 from collections.abc import Iterable
@@ -14,6 +15,8 @@ from drivers.errors import DriveError, EnvelopeLeft, NotReady, SweepInterrupted
 POLL = 0.01  # s
 MARGIN = 5.0  # s added to the time that the move needs
 ARRIVAL = 2e-3  # rad (m), tolerance at the target
+# s at standstill there: where a controller overshoots, the speed passes through zero before the axis stands
+ARRIVAL_TIME = 0.05
 
 
 async def move(
@@ -37,6 +40,7 @@ async def move(
     needed = abs(position - start.position) / velocity + 2 * velocity / profile.acceleration
     deadline = time.monotonic() + needed + MARGIN
     await thread.run(_start, axis, position, velocity, stop)
+    arrived = math.inf  # since when, s on the monotonic clock
     while True:
         reading = await thread.run(axis.read)
         if stop.is_set():
@@ -49,9 +53,11 @@ async def move(
         violation = envelope.violation(reading.position, reading.velocity, reading.effort)
         if violation is not None:
             raise EnvelopeLeft(f"{axis.place}: {violation}")
-        if _arrived(axis, reading, position):
+        now = time.monotonic()
+        arrived = min(arrived, now) if _arrived(axis, reading, position) else math.inf
+        if now - arrived >= ARRIVAL_TIME:
             return
-        if time.monotonic() > deadline:
+        if now > deadline:
             raise DriveError(
                 f"{axis.place}: at {reading.position:.5g} {profile.unit} instead of {position:.5g} {profile.unit} "
                 f"after {needed + MARGIN:.1f} s"
