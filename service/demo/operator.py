@@ -8,6 +8,7 @@ from service.client import Json, ServiceClient, ServiceProblem
 from service.errors import SweepidError
 
 _PATIENCE = 3  # faults that the operator acknowledges before giving up
+_NO_PERSON = "host watch"  # source of a stop that no person pressed
 
 
 class CampaignFailed(SweepidError):
@@ -65,8 +66,12 @@ class Operator:
     def _clear(self, campaign_id: int) -> None:
         """React to a fault as an operator: check, acknowledge, continue with the failed sweep.
 
-        Continuing reconnects first if the connection was lost; a fault found then is another fault.
+        Continuing reconnects first if the connection was lost; a fault found then is another fault. A stop of the host
+        watch (this computer was suspended) is released; a stop that a person pressed is not.
         """
+        watched = [stop["id"] for stop in self.client.stops() if stop["by"] == _NO_PERSON]
+        if watched:
+            self.client.reset_stop("sweepid demo", watched)
         for axis in self.client.drives()["axes"]:
             if axis["fault"] is not None:
                 self.client.acknowledge(axis["joint"])

@@ -35,8 +35,8 @@ WORDS = {
 
 @pytest.fixture
 def machine(tmp_path: Path) -> Iterator[VirtualMachine]:
-    """Faster than a real one: its long moves end in time on a busy computer as well."""
-    with virtual_machine(tmp_path, speed_factor=4.0) as machine:
+    """Faster than a real one: long moves end in time on a busy computer. A slow browser still sees a sweep."""
+    with virtual_machine(tmp_path, speed_factor=2.0) as machine:
         yield machine
 
 

@@ -64,7 +64,13 @@ def moving(client: ServiceClient, machine: VirtualMachine, modes: str = "drive_s
     campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=1, modes=modes))["id"])
     client.start(campaign)
     streamed = ["joint_1"] if modes == "host_streamed" else JOINTS
-    until(lambda: any(machine.axes()[joint]["velocity"] != 0 for joint in streamed), "it moves", 3 * PATIENCE)
+
+    def moves() -> bool:
+        return any(machine.axes()[joint]["velocity"] != 0 for joint in streamed)
+
+    until(lambda: moves() or client.campaign(campaign)["state"] != "running", "it moves", 3 * PATIENCE)
+    found = client.campaign(campaign)
+    assert found["state"] == "running", found["cause"]
     return campaign
 
 
