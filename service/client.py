@@ -15,6 +15,7 @@ import httpx
 from service.errors import BadInput, SweepidError
 
 Json = dict[str, Any]
+HOST_WATCH = "host watch"  # `by` of a stop that no person pressed
 
 _TIMEOUT = httpx.Timeout(30.0, connect=5.0)
 _LONG_TIMEOUT = httpx.Timeout(600.0, connect=5.0)  # planning many poses, large bundles
@@ -22,8 +23,7 @@ _STOP_TIMEOUT = httpx.Timeout(3.0)
 _BAD_INPUT = 422  # HTTP status
 _OPEN = ("waiting", "running")
 _SILENCE = 40.0  # s; an idle event stream carries a comment every 15 s
-_RECONNECT_FOR = 20.0  # s
-_RECONNECT_PAUSE = 0.5  # s
+_RECONNECT_FOR, _RECONNECT_PAUSE = 20.0, 0.5  # s
 
 
 class ServiceUnreachable(SweepidError):

@@ -60,7 +60,7 @@ async def move(
         if now > deadline:
             raise DriveError(
                 f"{axis.place}: at {reading.position:.5g} {profile.unit} instead of {position:.5g} {profile.unit} "
-                f"after {needed + MARGIN:.1f} s"
+                f"after {needed + MARGIN:.1f} s, at {reading.velocity:.2g} {profile.unit}/s"
             )
         await asyncio.sleep(POLL)
 

@@ -4,11 +4,10 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from service.client import Json, ServiceClient, ServiceProblem
+from service.client import HOST_WATCH, Json, ServiceClient, ServiceProblem
 from service.errors import SweepidError
 
 _PATIENCE = 3  # faults that the operator acknowledges before giving up
-_NO_PERSON = "host watch"  # source of a stop that no person pressed
 
 
 class CampaignFailed(SweepidError):
@@ -69,7 +68,7 @@ class Operator:
         Continuing reconnects first if the connection was lost; a fault found then is another fault. A stop of the host
         watch (this computer was suspended) is released; a stop that a person pressed is not.
         """
-        watched = [stop["id"] for stop in self.client.stops() if stop["by"] == _NO_PERSON]
+        watched = [stop["id"] for stop in self.client.stops() if stop["by"] == HOST_WATCH]
         if watched:
             self.client.reset_stop("sweepid demo", watched)
         for axis in self.client.drives()["axes"]:

@@ -1,7 +1,8 @@
 """The operator of `sweepid demo`: continues after this computer was suspended, but not after a stop by a person."""
 
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Generator, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 
 import psutil
@@ -31,21 +32,26 @@ def service(tmp_path: Path, machine: VirtualMachine) -> Iterator[Service]:
         yield service
 
 
-def moves(machine: VirtualMachine) -> bool:
-    return any(axis["velocity"] != 0 for axis in machine.axes().values())
-
-
 def operated(service: Service, campaign: int, notes: list[str]) -> None:
     with ServiceClient(service.url) as client:
         Operator(client, progress=lambda _: None, say=notes.append).run(campaign)
 
 
+@contextmanager
+def moving(
+    service: Service, machine: VirtualMachine, client: ServiceClient, notes: list[str]
+) -> Generator[tuple[int, Future[None]]]:
+    """A campaign under way, and the run of its operator, which ends within."""
+    campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=1))["id"])
+    with ThreadPoolExecutor(1) as operator:
+        run = operator.submit(operated, service, campaign, notes)
+        until(lambda: any(axis["velocity"] != 0 for axis in machine.axes().values()), "it moves")
+        yield campaign, run
+
+
 def test_a_suspended_computer_is_released_and_the_campaign_ends(service: Service, machine: VirtualMachine) -> None:
     notes: list[str] = []
-    with ServiceClient(service.url) as client, ThreadPoolExecutor(1) as operator:
-        campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=1))["id"])
-        run = operator.submit(operated, service, campaign, notes)
-        until(lambda: moves(machine), "it moves")
+    with ServiceClient(service.url) as client, moving(service, machine, client, notes) as (campaign, run):
         process = psutil.Process(service.running().pid)
         process.suspend()
         with pytest.raises(psutil.TimeoutExpired):
@@ -58,11 +64,7 @@ def test_a_suspended_computer_is_released_and_the_campaign_ends(service: Service
 
 
 def test_a_stop_by_a_person_is_not_released(service: Service, machine: VirtualMachine) -> None:
-    notes: list[str] = []
-    with ServiceClient(service.url) as client, ThreadPoolExecutor(1) as operator:
-        campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=1))["id"])
-        run = operator.submit(operated, service, campaign, notes)
-        until(lambda: moves(machine), "it moves")
+    with ServiceClient(service.url) as client, moving(service, machine, client, []) as (_, run):
         client.stop("Ada", "a noise")
         with pytest.raises(CampaignFailed, match=r"cannot go on: .*stopped by Ada: a noise"):
             run.result()

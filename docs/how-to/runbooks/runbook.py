@@ -20,14 +20,13 @@ from typing import Any
 from moves import Move, moves, robot_of
 
 from service.cli.termination_signals import TerminationSignals
-from service.client import Json, ServiceClient
+from service.client import HOST_WATCH, Json, ServiceClient
 from service.errors import BadInput, SweepidError
 from service.robot import Robot
 
 OVER = ("completed", "paused", "aborted")
 TOLD = ("recorded", "failed", "interrupted")  # states of a sweep that make a step
 BY_REQUEST = "paused by request"  # cause of a pause that a person requested, as the service gives it
-HOST_WATCH = "host watch"  # source of stops without a person
 AMBER, RED = 2.0, 4.0  # standard deviations
 CELL_HELP = "cell in which the robot stands; default: the one with the robot's name, or the only one"
 
