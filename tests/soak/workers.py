@@ -1,7 +1,7 @@
 """Many small jobs through a Dask scheduler and its workers: does any process grow with the jobs that it has done?
 
 `python -m tests.soak.workers --tasks 10000` writes results/dask-workers.json. Resident memory of scheduler, workers and
-of the service's end is looked at after `WARM` jobs and after each further tenth.
+of the service's end, which is this process, is looked at after `WARM` jobs and after each further tenth.
 """
 
 import argparse
@@ -90,7 +90,9 @@ async def soak(folder: Path, tasks: int) -> dict[str, Any]:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tasks", type=int, default=10_000)
+    parser.add_argument("--result", type=Path, default=RESULT)
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="plant-soak-") as name:
-        result = asyncio.run(soak(Path(name), parser.parse_args().tasks))
-    RESULT.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        result = asyncio.run(soak(Path(name), options.tasks))
+    options.result.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     print(json.dumps(result, indent=1))
