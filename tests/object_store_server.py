@@ -25,7 +25,7 @@ class S3Server:
 
     def __init__(self, port: int) -> None:
         self.port = port
-        self.http = httpx.Client(base_url=f"http://127.0.0.1:{port}", headers=_SIGNED)
+        self.http = httpx.Client(base_url=f"http://127.0.0.1:{port}", headers=_SIGNED, timeout=60)
 
     @property
     def endpoint(self) -> str:

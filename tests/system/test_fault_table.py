@@ -165,7 +165,8 @@ class Bench:
             time.sleep(0.02)
 
     def recording(self, campaign: int) -> str:
-        answer = httpx.get(f"{self.service.url}/api/v1/campaigns/{campaign}/sweeps/1/recording", trust_env=False)
+        recording = f"{self.service.url}/api/v1/campaigns/{campaign}/sweeps/1/recording"
+        answer = httpx.get(recording, timeout=60, trust_env=False)
         return "no samples" if answer.status_code == 404 else str(answer.raise_for_status().json()["state"])
 
     def connect(self) -> httpx.Response:

@@ -43,7 +43,8 @@ def test_the_service_dies_during_a_sweep(tmp_path: Path) -> None:
             assert held["progress"]["done"] == 0
             (sweep,) = client.sweeps(campaign)
             assert (sweep["state"], sweep["attempt"]) == ("interrupted", 1)
-            with httpx.Client(base_url=f"{service.url}/api/v1/campaigns/{campaign}", trust_env=False) as http:
+            url = f"{service.url}/api/v1/campaigns/{campaign}"
+            with httpx.Client(base_url=url, timeout=60, trust_env=False) as http:
                 recording = http.get("/sweeps/1/recording").json()
                 file = http.get("/sweeps/1/recording/file")
             assert recording["state"] == file.headers["x-recording-state"] == "partial"

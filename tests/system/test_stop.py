@@ -76,7 +76,7 @@ def moving(client: ServiceClient, machine: VirtualMachine, modes: str = "drive_s
 
 def stop_url(service: Service) -> str:
     """Where the stop process listens, once it is on the bus."""
-    with httpx.Client(base_url=f"{service.url}/api/v1", trust_env=False) as http:
+    with httpx.Client(base_url=f"{service.url}/api/v1", timeout=60, trust_env=False) as http:
         until(lambda: http.get("/stop").json()["process_trouble"] == "", "the stop process is on the bus")
         return f"http://127.0.0.1:{http.get('/stop').json()['port']}/stop"
 

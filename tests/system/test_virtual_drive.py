@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 EDS = str(ROOT / "config/eds/virtual-axis.eds")
 GEAR = 171.0  # of joint_1
 HOST = 127
-PATIENCE = 10.0  # s for an answer
+PATIENCE = 60.0  # s for an answer
 TRACE = np.dtype(
     [("cycle", "<u4"), ("torque", "<f4"), ("command", "<f4"), ("speed", "<f4"), ("enc", "<f8"), ("enc2", "<f8")]
 )

@@ -13,6 +13,7 @@ from simulator import Scenario
 from simulator.machine import Machine
 from simulator.virtual_drive import VirtualDrive
 
+PATIENCE = 60.0  # s; a busy computer
 EDS = Path(__file__).parents[3] / "config/eds/virtual-axis.eds"
 READ_STATUSWORD = can.Message(arbitration_id=0x601, data=[0x40, 0x41, 0x60, 0, 0, 0, 0, 0], is_extended_id=False)
 
@@ -25,7 +26,7 @@ def running(drive: VirtualDrive) -> Iterator[VirtualDrive]:
         yield drive
     finally:
         drive.stop()
-        thread.join(5)
+        thread.join(PATIENCE)
         drive.close()
         assert not thread.is_alive()
 
@@ -36,7 +37,7 @@ def machine(scenario: Callable[[str], Scenario]) -> Machine:
 
 
 def wait_for(bus: can.BusABC, identifier: int) -> bytes:
-    while (message := bus.recv(5.0)) is not None:
+    while (message := bus.recv(PATIENCE)) is not None:
         if message.arbitration_id == identifier:
             return bytes(message.data)
     raise AssertionError(f"no frame {identifier:x}")
@@ -57,11 +58,11 @@ def test_clients_of_the_socketcand_server_share_the_bus(machine: Machine) -> Non
             assert wait_for(second, 0x123) == b"\x00\x0f\xf0\xff"
             assert wait_for(third, 0x123) == b"\x00\x0f\xf0\xff"
             first.send(READ_STATUSWORD)
-            while (message := first.recv(5.0)) is not None and message.arbitration_id != 0x581:
+            while (message := first.recv(PATIENCE)) is not None and message.arbitration_id != 0x581:
                 assert message.arbitration_id != 0x123  # no echo of its own
             extended = can.Message(arbitration_id=0x18FF1234, data=b"\x01", is_extended_id=True)
             second.send(extended)
-            while (message := third.recv(5.0)) is not None and not message.is_extended_id:
+            while (message := third.recv(PATIENCE)) is not None and not message.is_extended_id:
                 pass
             assert message is not None
             assert message.arbitration_id == extended.arbitration_id
@@ -77,7 +78,7 @@ def test_clients_of_the_socketcand_server_share_the_bus(machine: Machine) -> Non
 def test_another_channel_is_refused(machine: Machine) -> None:
     with running(VirtualDrive(machine, EDS)) as drive:
         assert drive.port is not None
-        with socket.create_connection(("127.0.0.1", drive.port), timeout=5) as client:
+        with socket.create_connection(("127.0.0.1", drive.port), timeout=PATIENCE) as client:
             assert client.recv(64) == b"< hi >"
             client.sendall(b"< open can7 >")
             assert client.recv(64) == b"< error no channel can7 here >"

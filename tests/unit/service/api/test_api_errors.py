@@ -168,7 +168,7 @@ def test_the_stop_waits_for_no_body(url: str) -> None:
                 break
             except ValueError:
                 content += connection.recv(65536)
-    with httpx.Client(base_url=f"{url}/api/v1", trust_env=False) as http:
+    with httpx.Client(base_url=f"{url}/api/v1", timeout=60, trust_env=False) as http:
         release_all(http)
 
 

@@ -65,4 +65,4 @@ def test_what_killed_transfers_left_is_cleared_at_the_start(tmp_path: Path, prof
         (transfer / name / "bundle" / "0001.parquet").write_bytes(bytes(1000))
     with serving(tmp_path, profile) as url:
         assert list(transfer.iterdir()) == []
-        assert httpx.get(f"{url}/api/v1/campaigns", trust_env=False).json()["items"] == []
+        assert httpx.get(f"{url}/api/v1/campaigns", timeout=60, trust_env=False).json()["items"] == []

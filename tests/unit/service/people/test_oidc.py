@@ -70,7 +70,7 @@ def begin(http: httpx.Client) -> str:
 
 def at_provider(address: str, sub: str) -> dict[str, str]:
     """What the provider sends the browser back with."""
-    answer = httpx.post(address, data={"sub": sub}, trust_env=False)
+    answer = httpx.post(address, data={"sub": sub}, timeout=60, trust_env=False)
     assert answer.status_code == 302, answer.text
     return {name: values[0] for name, values in parse_qs(urlsplit(answer.headers["location"]).query).items()}
 

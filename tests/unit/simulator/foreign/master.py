@@ -25,6 +25,8 @@ class Master:
         self.node: Any = BaseNode402(number, str(foreign.files[joint]))
         network.add_node(self.node)
         self.node.sdo.RESPONSE_TIMEOUT = PATIENCE
+        for limit in ("CHECK_TPDO", "RESET_FAULT", "SWITCH_OP_MODE", "SWITCH_STATE_FINAL", "SWITCH_STATE_SINGLE"):
+            setattr(self.node, f"TIMEOUT_{limit}", PATIENCE)  # the package gives a drive 0.2 to 0.8 s
         self.emergencies: list[int] = []
         self.node.emcy.add_callback(lambda error: self.emergencies.append(error.code))
         self.reset()
