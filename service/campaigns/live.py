@@ -27,9 +27,9 @@ RETRY = 2.0  # s until the next attempt after an error of the database
 LOOK = 1.0  # s between queries for entries of other services
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class LiveBlock:
-    """Decimated samples of one block: arrays (n,), s and SI on the joint side."""
+    """Decimated samples of one block: arrays (n,), s and SI on the joint side. Equal only to itself."""
 
     campaign_id: int
     number: int

@@ -8,6 +8,7 @@ oldest ones; the recording contains all samples.
 
 import asyncio
 import json
+from functools import lru_cache
 from typing import Any, Literal, cast
 
 import pyarrow as pa
@@ -25,6 +26,7 @@ router = APIRouter(prefix="/campaigns/{campaign_id}/live", tags=["live"])
 _arrow = cast(Any, pa)
 
 _UNKNOWN_CAMPAIGN = 4404  # private close code: 4000 + the HTTP status
+_BLOCKS = 16  # last ones, each encoded once for all viewers: a sweep's set-points wait meanwhile
 
 
 @router.websocket("")
@@ -64,6 +66,7 @@ async def _send(socket: WebSocket, campaign_id: int, application: ApplicationOf,
                 await socket.send_bytes(message(block))
 
 
+@lru_cache(_BLOCKS)
 def text(block: LiveBlock) -> str:
     """One block as a JSON object; numbers have seven digits."""
     columns = {name: [float(f"{one:.7g}") for one in column] for name, column in _columns(block).items()}
@@ -74,6 +77,7 @@ def _columns(block: LiveBlock) -> dict[str, Array]:
     return {"time": block.time, "effort": block.effort, "velocity": block.velocity, "position": block.position}
 
 
+@lru_cache(_BLOCKS)
 def message(block: LiveBlock) -> bytes:
     """One block as an Arrow stream."""
     columns = _columns(block)

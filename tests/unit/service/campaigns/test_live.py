@@ -1,6 +1,7 @@
 """Fan-out of live samples, and the event feed."""
 
 import asyncio
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,14 @@ from structlog.testing import capture_logs
 
 from drivers.ports import SampleBlock
 from service.api.machine.live import message
-from service.campaigns.live import EventFeed, LiveHub, thin
+from service.api.machine.live import text as json_text
+from service.campaigns.live import EventFeed, LiveBlock, LiveHub, thin
 from service.store.database import open_database
 from service.store.guards import StopLatch
 from service.store.store import Store
 from tests.unit.service.campaigns.conftest import until
 
-TIMEOUT = 5.0  # s
+TIMEOUT = 60.0  # s
 
 
 def block(start: int, count: int = 100, rate: float = 1000.0) -> SampleBlock:
@@ -44,6 +46,19 @@ async def test_a_slow_subscriber_loses_the_oldest_and_the_runner_does_not_wait()
         hub.close()
         assert [round(live.time[0], 6) async for live in queue] == [0.7, 0.8, 0.9]
         assert queue.dropped == 7
+
+
+@pytest.mark.parametrize("form", [json_text, message])
+async def test_a_block_is_encoded_once_for_all_subscribers(form: Callable[[LiveBlock], object]) -> None:
+    hub = LiveHub(rate=100.0)
+    with hub.subscribe(1) as first, hub.subscribe(1) as second:
+        hub.publish(1, 7, block(0))
+        hub.publish(1, 7, block(100))
+        hub.close()
+        sent = [form(one) async for one in first]
+        again = [form(one) async for one in second]
+    assert sent[0] != sent[1]
+    assert all(one is other for one, other in zip(sent, again, strict=True))
 
 
 async def test_a_waiting_subscriber_is_woken() -> None:
