@@ -1,9 +1,10 @@
 """``python -m tests.benchmarks.live_viewers --minutes 10 --rate 1000 --json FILE``: what live plots cost the machine.
 
-Three axes move at once, each streamed by the host and sampled at `--rate`, in campaigns of trajectories that are
-watched and not watched in turn, so that both see the same load of the computer. Watched: three browsers' streams
-(`form=json`) and a fourth that reads one message in two seconds, all in a process of their own. Asked: no sample lost,
-and no more set-points late than without viewers.
+Three axes move at once, each streamed by the host and sampled at `--rate`, in campaigns of trajectories in turn, so
+that all see the same load of the computer. Watched: three browsers' streams (`form=json`) and a fourth that reads one
+message in two seconds, all in a process of their own. Not watched: nobody. Bystander: nobody watches either, but a
+process takes as much of the processors as that of the viewers did, as often; so what differs between bystander and
+watched is the service's part. Asked: no sample lost, and no more set-points late than without viewers.
 """
 
 import argparse
@@ -20,6 +21,7 @@ from datetime import UTC, datetime
 from multiprocessing.synchronize import Event
 from pathlib import Path
 from threading import Thread
+from typing import TypeAlias
 from urllib.request import urlopen
 
 import numpy as np
@@ -86,8 +88,9 @@ def main() -> int:
 
 def measured(folder: Path, seconds: float, rate: float) -> Json:
     """Campaigns in turn until those that are watched have recorded `seconds`."""
-    sides = {"not_watched": Side(), "watched": Side()}
+    sides = {"watched": Side(), "not_watched": Side(), "bystander": Side()}
     blocks: Counter[str] = Counter()
+    spent = [0.0, 0.0]  # s of processor and of the clock, of the viewers' process
     with ExitStack() as stack:
         machine = stack.enter_context(virtual_machine(folder, 1.0))
         profile = yaml.safe_load(machine.profile.read_text("utf-8"))
@@ -103,7 +106,11 @@ def measured(folder: Path, seconds: float, rate: float) -> Json:
         while sides["watched"].seconds < seconds:
             for name, side in sides.items():
                 campaign = int(client.add_campaign(plan["id"])["id"])
-                with viewers(service.url, campaign, blocks) if name == "watched" else nullcontext():
+                with {
+                    "watched": lambda campaign=campaign: viewers(service.url, campaign, blocks, spent),
+                    "not_watched": nullcontext,
+                    "bystander": lambda: bystander(spent[0] / spent[1], sum(blocks.values()) / spent[1]),
+                }[name]():
                     _run(client, campaign, side)
                 _count(service.data, campaign, rate, side)
                 loads.append(os.getloadavg()[0])
@@ -116,6 +123,7 @@ def measured(folder: Path, seconds: float, rate: float) -> Json:
         "load": [round(began[0], 1), round(max(loads), 1)],
         **{name: side.document() for name, side in sides.items()},
         "messages": dict(blocks),
+        "processor_of_viewers": round(spent[0] / spent[1], 4),
         "dropped_for_slow_readers": dropped,
     }
 
@@ -167,7 +175,7 @@ def _count(data: Path, campaign: int, rate: float, side: Side) -> None:
 
 
 @contextmanager
-def viewers(url: str, campaign: int, blocks: Counter[str]) -> Generator[None]:
+def viewers(url: str, campaign: int, blocks: Counter[str], spent: list[float]) -> Generator[None]:
     """Three browsers' streams and a slow reader in a process of their own, as if on other computers."""
     context = multiprocessing.get_context("spawn")
     over, counts = context.Event(), context.Queue()
@@ -177,13 +185,42 @@ def viewers(url: str, campaign: int, blocks: Counter[str]) -> Generator[None]:
         yield
     finally:
         over.set()
-        for name, number in counts.get(timeout=60.0).items():
+        seen, processor, clock = counts.get(timeout=60.0)
+        for name, number in seen.items():
             blocks[name] += number
+        spent[0] += processor
+        spent[1] += clock
         process.join()
 
 
-def _watch(url: str, campaign: int, over: Event, counts: "multiprocessing.Queue[dict[str, int]]") -> None:
+@contextmanager
+def bystander(share: float, rate: float) -> Generator[None]:
+    """A process that computes `share` of the time, `rate` times a second."""
+    context = multiprocessing.get_context("spawn")
+    over = context.Event()
+    process = context.Process(target=_stand_by, args=(share, rate, over))
+    process.start()
+    try:
+        yield
+    finally:
+        over.set()
+        process.join()
+
+
+def _stand_by(share: float, rate: float, over: Event) -> None:
     os.nice(10)
+    while not over.wait(max(0.0, (1.0 - share) / rate)):
+        until = time.process_time() + share / rate
+        while time.process_time() < until:
+            pass
+
+
+_Counts: TypeAlias = "multiprocessing.Queue[tuple[dict[str, int], float, float]]"
+
+
+def _watch(url: str, campaign: int, over: Event, counts: _Counts) -> None:
+    os.nice(10)
+    began = time.process_time(), time.monotonic()
     seen: Counter[str] = Counter()
     watching = [Thread(target=_view, args=(url, campaign, over, seen, "browsers", 0.0)) for _ in range(QUICK)]
     watching.append(Thread(target=_view, args=(url, campaign, over, seen, "slow reader", SLOWLY)))
@@ -191,7 +228,7 @@ def _watch(url: str, campaign: int, over: Event, counts: "multiprocessing.Queue[
         one.start()
     for one in watching:
         one.join()
-    counts.put(dict(seen))
+    counts.put((dict(seen), time.process_time() - began[0], time.monotonic() - began[1]))
 
 
 def _view(url: str, campaign: int, over: Event, seen: Counter[str], name: str, pause: float) -> None:
