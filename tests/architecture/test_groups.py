@@ -65,6 +65,7 @@ def test_the_files_that_are_named_are_there(root: Path) -> None:
     assert [file for file in sorted({*KEEP_TIME_TOO, *LONGEST, *SHARED_OUT}) if not (root / file).is_file()] == []
 
 
+@pytest.mark.slow
 def test_what_keeps_to_time_starts_first(root: Path) -> None:
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST_")}
     files = ("tests/unit/drivers/test_states.py", "tests/unit/drivers/test_host_sweep_ends.py")

@@ -52,6 +52,7 @@ def test_a_file_made_to_break_its_reader_is_one_error(content: bytes, reason: st
     assert "trace.mat" in str(refusal.value)
 
 
+@pytest.mark.slow
 def test_a_compressed_file_that_unfolds_meets_the_limit_of_memory(tmp_path: Path) -> None:
     """1 MB of zeros stands for 400 MB."""
     path = tmp_path / "trace.mat"

@@ -55,6 +55,7 @@ def test_replay_reproduces_the_torque(
         assert np.sqrt(np.mean((effort - columns["effort"])[inside] ** 2)) < rms
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elastic", [False, True])
 def test_replay_knows_every_effect(
     noise_free: Callable[[str], Scenario], sweep: Callable[..., SweepRun], elastic: bool

@@ -58,6 +58,7 @@ def test_by_hand() -> None:
     assert (step.since, step.change) == (4, pytest.approx(2.0))
 
 
+@pytest.mark.slow
 def test_the_false_alarm_rate_is_kept() -> None:
     """400 plants at 5 %: as many plants with an alarm as chance gives once in 1,000 times, at most."""
     random = np.random.default_rng(8160)
@@ -76,6 +77,7 @@ def test_a_change_of_1_percent_is_found_and_the_other_seven_are_quiet(seed: int)
     assert alarms(values, RATE) == {int(robot)}
 
 
+@pytest.mark.slow
 def test_a_slow_drift_to_1_percent_is_mostly_found_within_the_year() -> None:
     """Even from month to month, 1 % from the third to the twelfth: in 85 of 100 plants."""
     found = wrong = 0

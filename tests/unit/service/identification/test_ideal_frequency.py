@@ -43,6 +43,7 @@ def analysis(
     return analyse_axis("swing", poses, [response(load, noise, rng, train) for load in loads], PRIOR, priors)
 
 
+@pytest.mark.slow
 def test_the_drive_train_is_found_within_its_standard_deviations() -> None:
     found = np.array([analysis(seed=seed).mean for seed in range(40)])
     stated = np.sqrt(np.diag(analysis().covariance))

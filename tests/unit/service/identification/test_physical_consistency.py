@@ -205,6 +205,7 @@ def test_a_step_that_leaves_the_numbers_leaves_the_domain() -> None:
     assert not problem.inside(np.array([1e200, -1e200]))
 
 
+@pytest.mark.slow
 def test_how_the_search_ended_is_told() -> None:
     """Effort of the wrong sign: all links of negative mass, a thousand standard deviations from possible."""
     ended: list[Ended] = []

@@ -114,6 +114,7 @@ def test_a_geometry_has_one_list_of_vertices() -> None:
             mesh_points(dae("").replace(vertices, more), "a.dae", "x")
 
 
+@pytest.mark.slow
 def test_text_meshes_take_no_more_memory_than_some_copies_of_the_file() -> None:
     """As lists of words they took thirty times the file."""
     content = b"v 1 2 3\r" * 500_000

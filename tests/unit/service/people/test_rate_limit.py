@@ -70,6 +70,7 @@ def test_the_tables_are_bounded() -> None:
     assert guesses.wait("10.0.11.183", None, 0.0) == WINDOW  # the newest is not
 
 
+@pytest.mark.slow
 def test_who_guesses_is_refused_and_told_once(tmp_path: Path, profile: Path) -> None:
     with (
         serving(tmp_path, profile, login=True, wrong_keys=WRONG) as url,

@@ -90,6 +90,7 @@ async def test_a_foreign_client_reads_machine_campaign_estimate_and_loads(
     assert found["children"]["ns=2;s=Loads"] == [f"2:{link}" for link in links]
 
 
+@pytest.mark.slow
 async def test_a_foreign_client_gets_every_change(client: NodeClient, state: State) -> None:
     nodes = ["ns=2;s=Campaign.SweepsDone", "ns=2;s=Estimate.Revision"]
     async with serving(OpcUa(port=0), state) as (server, url):
@@ -107,6 +108,7 @@ async def test_a_foreign_client_gets_every_change(client: NodeClient, state: Sta
         assert [value["value"] for name, value in found["changes"] if name == node] == [1, 2, 3, 4]
 
 
+@pytest.mark.slow
 async def test_nobody_writes_or_calls(client: NodeClient, state: State) -> None:
     nodes = ["ns=2;s=Machine.Name", "ns=2;s=Loads.link_2.Mass"]
     async with serving(OpcUa(port=0), state) as (_, url):
@@ -119,6 +121,7 @@ async def test_nobody_writes_or_calls(client: NodeClient, state: State) -> None:
     assert found["read"][nodes[0]]["value"] == "cell 7"
 
 
+@pytest.mark.slow
 async def test_with_certificates_only_trusted_clients_read(client: NodeClient, state: State, tmp_path: Path) -> None:
     own, friend, stranger = (certificate(tmp_path, name) for name in ("server", "friend", "stranger"))
     old = certificate(tmp_path, "old", timedelta(days=-1))
