@@ -345,7 +345,7 @@ async def _open_cell(
     stack.push_async_callback(diagnosing.close)
     experiments = Experiments(settings, store, app.diagnoses, runner, diagnosing)
     stack.push_async_callback(experiments.close)
-    told = await asyncio.to_thread(store.last_event_id)
+    last_event = await asyncio.to_thread(store.last_event_id)
     await diagnosing.recover()
     await experiments.recover()
     checking = Checking(store, app.checks, files, worker)
@@ -356,8 +356,8 @@ async def _open_cell(
     await batches.recover()
     following = Background()
     stack.push_async_callback(following.close)
-    following.begin("check of the data", checking.follow(app.feed, told))
-    following.begin("loop of the diagnoses", experiments.follow(app.feed, told))
+    following.begin("check of the data", checking.follow(app.feed, last_event))
+    following.begin("loop of the diagnoses", experiments.follow(app.feed, last_event))
     moving = None
     if transfers is not None:
         moving = RecordingUploads(MoveStore(database), files, settings, transfers)
@@ -370,7 +370,7 @@ async def _open_cell(
         published = Following(store, machine, runner, settings.machine_name, publisher)
         following.begin("publisher", publisher.run())
         following.begin("publish the machine", published.look())
-        following.begin("publish events", published.follow(app.feed, told))
+        following.begin("publish events", published.follow(app.feed, last_event))
 
     await jobs.recover()
     try:
@@ -385,8 +385,8 @@ async def _open_cell(
 
 def _tell_stop(audit: AuditWriter, by: str, why: str, address: str) -> None:
     """A stop by the port of the stop process, which has no login: `by` is the name in the request."""
-    told: Entry = {"actor": "anybody", "address": address, "by": masked(by), "why": masked(why)}
-    audit.keep({"event": "stop", "way": "stop process", **told})
+    stop: Entry = {"actor": "anybody", "address": address, "by": masked(by), "why": masked(why)}
+    audit.keep({"event": "stop", "way": "stop process", **stop})
 
 
 def tell_own_stop(audit: AuditWriter, way: str, why: str) -> None:

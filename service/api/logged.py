@@ -36,9 +36,9 @@ class Logged:
             span.note("http.request.method", scope["method"])
             span.note("url.path", path)
 
-            async def told(message: Message) -> None:
+            async def noted(message: Message) -> None:
                 if message["type"] == "http.response.start":
                     span.note("http.response.status_code", message["status"])
                 await send(message)
 
-            await self._app(scope, receive, told)
+            await self._app(scope, receive, noted)

@@ -95,9 +95,9 @@ def problem_response(
     detail: str,
     errors: Sequence[FieldProblem] = (),
     headers: Mapping[str, str] | None = None,
-    told: Mapping[str, object] | None = None,
+    additional: Mapping[str, object] | None = None,
 ) -> Response:
-    """The response of one problem; `told`: its additional members."""
+    """The response of one problem; `additional`: its additional members."""
     members = {
         "type": f"urn:sweepid:problem:{name}",
         "title": status.phrase,
@@ -106,7 +106,7 @@ def problem_response(
         "instance": _cut(request.url.path, _LONGEST_TEXT),
         "errors": tuple(errors),
     }
-    problem = Problem.model_validate(members | dict(told or {}))
+    problem = Problem.model_validate(members | dict(additional or {}))
     content = problem.model_dump_json(exclude_none=True)
     return Response(content, status.value, headers, media_type=MEDIA_TYPE)
 
@@ -136,8 +136,8 @@ def _on_refused(request: Request, error: Exception) -> Response:
 
 def _on_invalid_request(request: Request, error: Exception) -> Response:
     details: Sequence[ErrorDetails] = error.errors() if isinstance(error, RequestValidationError) else ()
-    told = _SECRET not in request.url.path
-    errors = tuple(_field_problem(detail, told) for detail in details[:_MOST_ERRORS])
+    returned = _SECRET not in request.url.path
+    errors = tuple(_field_problem(detail, returned) for detail in details[:_MOST_ERRORS])
     first = errors[0]
     given = "" if first.value is None else f" (given: {first.value})"
     more = f"; {len(details)} errors, the first {_MOST_ERRORS} are listed" if len(details) > _MOST_ERRORS else ""
@@ -170,8 +170,8 @@ def _on_unknown_error(request: Request, error: Exception) -> Response:
     return problem_response(request, status, "internal-error", f"{type(error).__name__}; see the service's log")
 
 
-def _field_problem(detail: ErrorDetails, told: bool) -> FieldProblem:
-    """`told`: the given value may be returned."""
+def _field_problem(detail: ErrorDetails, returned: bool) -> FieldProblem:
+    """`returned`: the given value may be returned."""
     where, *path = detail["loc"] or ("body",)
     path = [part for part in path if not str(part).startswith(TAG)]
     escaped = [str(part).replace("~", "~0").replace("/", "~1") for part in path]
@@ -183,7 +183,7 @@ def _field_problem(detail: ErrorDetails, told: bool) -> FieldProblem:
     return FieldProblem(
         pointer=_cut(pointer, _LONGEST_VALUE),
         reason=_cut(detail["msg"], _LONGEST_VALUE),
-        value=_shown(detail["input"]) if told else None,
+        value=_shown(detail["input"]) if returned else None,
         limit=limit,
     )
 

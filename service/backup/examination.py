@@ -38,7 +38,7 @@ def examine(
     if unknown:  # check again those that still exist: a service may just have stored them
         named = database.contents().of_machine(_machine(data_dir))
         unknown = [path for path in unknown if path.exists() and _nobodys(path, database.file, data_dir, named)]
-    return *found, *(Finding(str(path), *_told(path, data_dir)) for path in unknown)
+    return *found, *(Finding(str(path), *_unknown_file(path, data_dir)) for path in unknown)
 
 
 def _machine(data_dir: Path) -> int:
@@ -61,8 +61,8 @@ def _database(place: str, named: Contents, wrong: list[tuple[str, str]]) -> Iter
         yield Finding(place, line, action)
     newest = known_schemas()[-1]
     if named.schema != newest:
-        told = f"has schema {named.schema}, this sweepid's is {newest}"
-        yield Finding(place, told, "make a backup; the next start of the service migrates it")
+        difference = f"has schema {named.schema}, this sweepid's is {newest}"
+        yield Finding(place, difference, "make a backup; the next start of the service migrates it")
 
 
 def _owner(data_dir: Path, named: Contents) -> Iterator[Finding]:
@@ -116,7 +116,7 @@ def _nobodys(path: Path, database: Path | None, data_dir: Path, named: Contents)
     return not (named.held_by and under_way)
 
 
-def _told(path: Path, data_dir: Path) -> tuple[str, str]:
+def _unknown_file(path: Path, data_dir: Path) -> tuple[str, str]:
     """Description of a file without a row, and what to do."""
     if any(end in path.name for end in _PUT_ASIDE):
         return (

@@ -59,8 +59,10 @@ def _check_file(path: Path, stored: StoredFile) -> None:
     except OSError as error:
         raise BadInput(str(path), f"cannot be read: {error.strerror or error}") from None
     if not same:
-        told = f"{size} bytes instead of {stored.size}" if size != stored.size else f"SHA-256 is not {stored.sha256}"
-        raise BadInput(str(path), f"was changed, {told}: the backup is not complete")
+        difference = (
+            f"{size} bytes instead of {stored.size}" if size != stored.size else f"SHA-256 is not {stored.sha256}"
+        )
+        raise BadInput(str(path), f"was changed, {difference}: the backup is not complete")
 
 
 def _compare(backup: Path, manifest: Manifest, found: Contents) -> None:

@@ -39,16 +39,18 @@ def sentence(found: Benefit) -> str:
     """What changes for the user of the robot; requires at least one axis."""
     axes = list(found.axes.values())
     left = (_span([each(one).left_percent for one in axes]) for each in (_identified, _cad))
-    told = (
+    summary = (
         "With the identified model a torque feed-forward leaves {} % of the test motion's torque to the position "
         "controller, with CAD {} %."
     ).format(*left)
     forces = [one for one in axes if one.cad.smallest_force is not None]
     if forces:
         seen = (_span([each(one).smallest_force or 0.0 for one in forces]) for each in (_identified, _cad))
-        told += " A torque monitor sees a push of {} N at the end of the robot; with CAD it takes {} N.".format(*seen)
+        summary += " A torque monitor sees a push of {} N at the end of the robot; with CAD it takes {} N.".format(
+            *seen
+        )
     worse = [joint for joint, one in found.axes.items() if one.lines_ratio <= 1]
-    return f"{told} On {', '.join(worse)} the estimate is no better than CAD." if worse else told
+    return f"{summary} On {', '.join(worse)} the estimate is no better than CAD." if worse else summary
 
 
 def _tracking(page: Page, found: Tracking) -> None:

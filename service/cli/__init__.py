@@ -125,7 +125,7 @@ def _asked() -> list[str] | None:
 
 
 def _overview(
-    told: Annotated[
+    version: Annotated[
         bool, typer.Option(_VERSION, help="Print the version.", callback=_tell_version, is_eager=True)
     ] = False,
     completions: Annotated[

@@ -119,5 +119,5 @@ def _print_diagnosis(found: Found, console: Console) -> None:
         f"{gap.after_rms:.3g} N m after, noise floor {'–' if floor is None else f'{floor:.3g} N m'}.",
         highlight=False,
     )
-    console.print(f"Hidden: {found.told}.", highlight=False)
+    console.print(f"Hidden: {found.description}.", highlight=False)
     console.print(f"[bold]{found.judgement}[/bold]", highlight=False)

@@ -36,31 +36,31 @@ def check(
     ] = None,
 ) -> None:
     """Tell what of a URDF is unusual and what is missing, and draft the files of the robot. Nothing is overwritten."""
-    told = check_urdf(read_text(urdf), Packages(packages or [], urdf.parent), tip, str(urdf))
-    called = name or told.name
-    findings = told.findings
+    checked = check_urdf(read_text(urdf), Packages(packages or [], urdf.parent), tip, str(urdf))
+    called = name or checked.name
+    findings = checked.findings
     drafts: dict[Path, str] = {}
-    if not told.unread:
-        cell, found = cell_text(told, called)
+    if not checked.unread:
+        cell, found = cell_text(checked, called)
         findings = (*findings, *found)
         if out is not None:
-            drafts = _drafts(told, called, out, cell)
-    _print(findings, told, called, Console(stderr=out is not None))
-    if out is not None and told.unread:
-        raise told.unread[0]
+            drafts = _drafts(checked, called, out, cell)
+    _print(findings, checked, called, Console(stderr=out is not None))
+    if out is not None and checked.unread:
+        raise checked.unread[0]
     for path, text in drafts.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         write_file(path, text.rstrip("\n"))
         typer.echo(str(path))
 
 
-def _drafts(told: UrdfCheck, name: str, out: Path, cell: str) -> dict[Path, str]:
+def _drafts(checked: UrdfCheck, name: str, out: Path, cell: str) -> dict[Path, str]:
     """Texts by path; BadInput for a name that makes no file, and where a file is there already."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", name):
         raise BadInput("--name", f"{name!r} is not a file name: use letters, digits, '-', '_' and '.'")
     drafts = {
-        out / "robots" / f"{name}.urdf": told.urdf_text,
-        out / "robots" / f"{name}.yaml": side_file_text(told, name, f"{name}.urdf"),
+        out / "robots" / f"{name}.urdf": checked.urdf_text,
+        out / "robots" / f"{name}.yaml": side_file_text(checked, name, f"{name}.urdf"),
         out / "cells" / f"{name}.yaml": cell,
     }
     for path in drafts:
@@ -69,9 +69,9 @@ def _drafts(told: UrdfCheck, name: str, out: Path, cell: str) -> dict[Path, str]
     return drafts
 
 
-def _print(findings: tuple[Finding, ...], told: UrdfCheck, name: str, console: Console) -> None:
+def _print(findings: tuple[Finding, ...], checked: UrdfCheck, name: str, console: Console) -> None:
     """One row a finding."""
-    joints = told.chain.joints
+    joints = checked.chain.joints
     table = Table(title=f"{name}: {len(joints)} axes, {joints[0].name} to {joints[-1].name}")
     for column in ("", "where", "what"):
         table.add_column(column, overflow="fold")

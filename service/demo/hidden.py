@@ -74,7 +74,7 @@ class Found:
         return found if deviation >= SURE else None
 
     @property
-    def told(self) -> str:
+    def description(self) -> str:
         """The hidden effect, in words."""
         sizes = ", ".join(f"{plain(name)} {value:.4g}" for name, value in self.hidden["parameters"].items())
         return plain(self.hidden["effect"]) + (f" ({sizes})" if sizes else "")

@@ -90,7 +90,7 @@ def run_demo(out: Path, seed: int, poses: int, screen: Screen) -> Outcome:
     columns = tuple(axis.joint for axis in axes)
     subtitle = (
         f"{content.subtitle} Then a second machine with a hidden effect in {found.joint}, revealed "
-        f"after its diagnosis: {found.told}. {found.judgement} Last, the benefit of the estimate of "
+        f"after its diagnosis: {found.description}. {found.judgement} Last, the benefit of the estimate of "
         "the first machine."
     )
     content = replace(content, subtitle=subtitle, truth=truth, truth_columns=columns, diagnosis=found.diagnosis)

@@ -156,12 +156,14 @@ class Diagnosing:
 
     def _job(self, diagnosis: DiagnosisEntry, joint: str) -> DiagnosisJob:
         robot = self._store.robot(diagnosis.robot_id)
-        sweeps, told = recorded_sweeps(self._store, self._files, campaigns_of(self._store, diagnosis.campaigns), joint)
-        mass, weighed, told_too = None, (), ()
+        sweeps, hashes = recorded_sweeps(
+            self._store, self._files, campaigns_of(self._store, diagnosis.campaigns), joint
+        )
+        mass, weighed, mass_hashes = None, (), ()
         weighing = self._weighing(diagnosis, joint)
         if weighing is not None:
             campaign = campaigns_of(self._store, [weighing.campaign_id])
-            weighed, told_too = recorded_sweeps(self._store, self._files, campaign, joint)
+            weighed, mass_hashes = recorded_sweeps(self._store, self._files, campaign, joint)
             mass = KnownMass(**weighing.mass.model_dump())
         known, start = self._known(diagnosis.model, joint), diagnosis.estimate
         # the same files may be used with different options: the key contains all of them
@@ -171,7 +173,7 @@ class Diagnosing:
             None if diagnosis.estimate is None else diagnosis.estimate.model_dump(mode="json"),
             [robot.description.model_dump(mode="json"), robot.urdf_text],
             {effect: {name: asdict(value) for name, value in own.items()} for effect, own in known.items()},
-            [told, told_too],
+            [hashes, mass_hashes],
         ]
         digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
         return DiagnosisJob(

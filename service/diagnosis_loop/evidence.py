@@ -50,7 +50,7 @@ def recorded_sweeps(
     the two are not repeats back to back: the block name then contains the campaign.
     """
     sweeps: list[RecordedSweep] = []
-    told: list[str] = []
+    hashes: list[str] = []
     visits: set[tuple[str, tuple[float, ...]]] = set()
     start = campaigns[0].started_at or campaigns[0].created_at
     end = 0.0
@@ -60,7 +60,7 @@ def recorded_sweeps(
         shift = max(((campaign.started_at or campaign.created_at) - start).total_seconds(), end)
         for recording, spec in own:
             file = files.named(recording)
-            told.append(recording.sha256)
+            hashes.append(recording.sha256)
             moved = spec.model_copy(
                 update={
                     "id": f"{campaign.id}/{spec.id}",
@@ -71,7 +71,7 @@ def recorded_sweeps(
             sweeps.append(RecordedSweep(moved, file))
             end = max(end, moved.started_at + recording.samples / spec.sample_rate)
         visits.update((spec.block, spec.pose) for _, spec in own)
-    return tuple(sweeps), tuple(told)
+    return tuple(sweeps), tuple(hashes)
 
 
 def _again(spec: SweepSpec, campaign_id: int) -> str:

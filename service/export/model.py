@@ -96,10 +96,10 @@ def _friction(axis: EstimatedAxis | None, place: str) -> float | None:
     """Noise can make a very small friction negative, which would accelerate the joint."""
     if axis is None:
         return None
-    told = [sweep.viscous_friction for sweep in axis.inertia if sweep.viscous_friction is not None]
-    if not told or len(told) < len(axis.inertia):
+    frictions = [sweep.viscous_friction for sweep in axis.inertia if sweep.viscous_friction is not None]
+    if not frictions or len(frictions) < len(axis.inertia):
         raise BadInput(place, "has a sweep without viscous_friction, or no sweep at all")
-    return max(float(np.median([_finite(value, f"{place} viscous_friction") for value in told])), 0.0)
+    return max(float(np.median([_finite(value, f"{place} viscous_friction") for value in frictions])), 0.0)
 
 
 def _finite(value: float, place: str) -> float:

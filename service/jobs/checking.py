@@ -74,11 +74,11 @@ class Checking:
     def _job(self, campaign_id: int) -> CheckJob:
         robot = self._store.robot(self._store.campaign(campaign_id).robot_id)
         sweeps: list[RecordedSweep] = []
-        told: list[str] = []
+        hashes: list[str] = []
         for sweep in self._store.sweeps(campaign_id):
             if sweep.state in COMPLETE:
                 recording = self._store.recording(campaign_id, sweep.number)
                 sweeps.append(RecordedSweep(sweep.spec, self._files.named(recording)))
-                told.append(recording.sha256)
-        digest = hashlib.sha256(json.dumps([campaign_id, told]).encode()).hexdigest()
+                hashes.append(recording.sha256)
+        digest = hashlib.sha256(json.dumps([campaign_id, hashes]).encode()).hexdigest()
         return CheckJob(f"check-{digest}", robot.description, robot.urdf_text, tuple(sweeps))

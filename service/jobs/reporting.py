@@ -175,10 +175,10 @@ def _model(estimate: Estimate) -> str:
     source = estimate.model
     if source is None:
         return "rigid body of the robot document; no accepted effects"
-    told = (
+    named = (
         f"file {source.file}" if isinstance(source, ModelFile) else f"revision {source.revision} (number {source.id})"
     )
-    return f"{told}, its effects taken into account"
+    return f"{named}, its effects taken into account"
 
 
 def _campaign(campaign: CampaignDocument) -> str:
@@ -220,8 +220,8 @@ def _listing(recordings: Sequence[RecordingDocument]) -> str:
 
 def _drives(manifests: Iterable[_Manifest]) -> tuple[Drive, ...]:
     """Every identity that a drive reported, with its number of sweeps."""
-    told = Counter(drive for manifest in manifests for drive in manifest.drives)
-    return tuple(Drive(**drive.model_dump(), sweeps=count) for drive, count in told.items())
+    counted = Counter(drive for manifest in manifests for drive in manifest.drives)
+    return tuple(Drive(**drive.model_dump(), sweeps=count) for drive, count in counted.items())
 
 
 def _time(at: datetime) -> str:

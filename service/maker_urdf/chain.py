@@ -23,14 +23,14 @@ def choose_chain(root: ET.Element, tip: str | None, place: str) -> list[Finding]
     if tip is None:
         tip = tree.only_tip()
     way = tree.way_to(tip)
-    told = tree.drop_other_trees(tip)
+    done = tree.drop_other_trees(tip)
     moving = [joint for joint in way if joint.get("type") != "fixed"]
     for joint in moving:
         _check_moving(joint, place)
     for joint in root.findall("joint"):
         if joint.get("type") != "fixed" and joint not in moving:
-            told.append(_fix(joint, place))
-    return [*told, *(_with_ends(joint) for joint in moving if joint.get("type") == "continuous")]
+            done.append(_fix(joint, place))
+    return [*done, *(_with_ends(joint) for joint in moving if joint.get("type") == "continuous")]
 
 
 class _Tree:

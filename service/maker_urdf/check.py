@@ -71,7 +71,7 @@ def check_urdf(text: str, packages: Packages, tip: str | None, place: str) -> Ur
 
 
 def _shapes(root: ET.Element, chain: Chain, place: str) -> list[Finding]:
-    told: list[Finding] = []
+    reported: list[Finding] = []
     moving = {joint.link for joint in chain.joints}
     for link in root.findall("link"):
         name = link.get("name", "")
@@ -83,27 +83,31 @@ def _shapes(root: ET.Element, chain: Chain, place: str) -> list[Finding]:
             del error  # a missing mesh was reported before
             continue
         if not shapes and name in moving:
-            told.append(Finding("unusual", name, "moves but has no collision shape: its collisions are not detected"))
+            reported.append(
+                Finding("unusual", name, "moves but has no collision shape: its collisions are not detected")
+            )
         for shape in shapes:
             size = float(np.ptp(shape, axis=0).max())
             if not SHORTEST_SHAPE <= size <= LONGEST_SHAPE:
-                told.append(Finding("unusual", name, f"has a collision shape of {size:.3g} m: is its unit the metre?"))
-    return told
+                reported.append(
+                    Finding("unusual", name, f"has a collision shape of {size:.3g} m: is its unit the metre?")
+                )
+    return reported
 
 
 def _limits(joint: Joint) -> list[Finding]:
     unit = "m" if joint.kind == "prismatic" else "rad"
     effort = "N" if joint.kind == "prismatic" else "N m"
-    told: list[Finding] = []
+    reported: list[Finding] = []
     for name, value, most, of in (
         ("velocity", joint.velocity, FASTEST[joint.kind], f"{unit}/s"),
         ("effort", joint.effort, STRONGEST, effort),
     ):
         if not np.isfinite(value) or value <= 0:
-            told.append(Finding("missing", joint.name, f"{name} limit: {value:g} {of} is not a usable limit"))
+            reported.append(Finding("missing", joint.name, f"{name} limit: {value:g} {of} is not a usable limit"))
         elif value > most:
-            told.append(Finding("unusual", joint.name, f"{name} limit {value:g} {of} is not plausible"))
-    return told
+            reported.append(Finding("unusual", joint.name, f"{name} limit {value:g} {of} is not plausible"))
+    return reported
 
 
 def _gear_ratio(root: ET.Element, joint: str, place: str) -> float | None:
@@ -121,17 +125,19 @@ def _drive_data(chain: Chain, ratios: Mapping[str, float | None]) -> list[Findin
     """Data that a URDF cannot contain: the user must complete the side file."""
     joints = [joint.name for joint in chain.joints]
     bare = [joint for joint in joints if ratios[joint] is None]
-    told = [Finding("missing", ", ".join(bare), "gear ratio")] if bare else []
-    told.append(Finding("missing", ", ".join(joints), "rated effort: a URDF has only the limit"))
-    told.append(Finding("missing", ", ".join(joints), "motor inertia; left open it is found with the load, less well"))
-    told.append(
+    reported = [Finding("missing", ", ".join(bare), "gear ratio")] if bare else []
+    reported.append(Finding("missing", ", ".join(joints), "rated effort: a URDF has only the limit"))
+    reported.append(
+        Finding("missing", ", ".join(joints), "motor inertia; left open it is found with the load, less well")
+    )
+    reported.append(
         Finding(
             "missing",
             ", ".join(joints),
             "cogging orders (torque ripple, periods per motor turn); without them J can be ten times less certain",
         )
     )
-    return told
+    return reported
 
 
 def _dampings(root: ET.Element, chain: Chain, place: str) -> list[Finding]:

@@ -24,7 +24,7 @@ POSES = 200  # random poses to find shapes that overlap by construction
 NESTED = 0.9  # fraction of them in which two shapes overlap
 
 
-def side_file_text(told: UrdfCheck, name: str, urdf: str) -> str:
+def side_file_text(check: UrdfCheck, name: str, urdf: str) -> str:
     """The side file (`config/robots/*.yaml`) of a robot with the data of its URDF; null where data are missing."""
     lines = [
         ("# Drafted from a maker's URDF. Complete the values that are null from the data sheets of motors and gears:"),
@@ -40,8 +40,8 @@ def side_file_text(told: UrdfCheck, name: str, urdf: str) -> str:
         "gravity: [0.0, 0.0, -9.81] # in the base frame: turn it for a robot that hangs",
         "axes:",
     ]
-    for joint in told.chain.joints:
-        given, unit = told.gear_ratios[joint.name], "N" if joint.kind == "prismatic" else "N m"
+    for joint in check.chain.joints:
+        given, unit = check.gear_ratios[joint.name], "N" if joint.kind == "prismatic" else "N m"
         ratio = "null" if given is None else f"{given!r} # of the URDF's <transmission>"
         lines += [
             f"  - joint: {_scalar(joint.name)}",
@@ -53,17 +53,17 @@ def side_file_text(told: UrdfCheck, name: str, urdf: str) -> str:
             "    transmission_orders: []",
         ]
     lines.append("prior: # how far the model may be off: one sigma, relative")
-    if told.guessed:
-        lines.append(f"  # the inertials of {', '.join(told.guessed)} are guesses from shapes")
-    spread = 1.0 if told.guessed else 0.3
+    if check.guessed:
+        lines.append(f"  # the inertials of {', '.join(check.guessed)} are guesses from shapes")
+    spread = 1.0 if check.guessed else 0.3
     lines += [f"  inertia: {spread}", f"  gravity: {spread}"]
     lines += ["  viscous_friction: 0.5", "  motor_inertia: 0.1", "  effort_gain: 0.05"]
     return "\n".join(lines) + "\n"
 
 
-def cell_text(told: UrdfCheck, name: str) -> tuple[str, list[Finding]]:
+def cell_text(check: UrdfCheck, name: str) -> tuple[str, list[Finding]]:
     """A cell without obstacles for a robot with all shapes known, and findings that the user should check."""
-    robot = _bare_robot(told)
+    robot = _bare_robot(check)
     nested = _nested(robot)
     pairs = tuple(pair for pair, _ in nested)
     cell = Cell(name=name, clearance=CLEARANCE, joint_margin=MARGIN, ignored_pairs=pairs)
@@ -95,10 +95,10 @@ def cell_text(told: UrdfCheck, name: str) -> tuple[str, list[Finding]]:
     return "\n".join(lines) + "\n", found
 
 
-def _bare_robot(told: UrdfCheck) -> Robot:
+def _bare_robot(check: UrdfCheck) -> Robot:
     """The chain with an arbitrary drive train, which collision checks do not use."""
-    axes = tuple(Axis(joint=joint.name, gear_ratio=1.0, rated_effort=1.0) for joint in told.chain.joints)
-    return build_robot(RobotDescription(name=told.name, urdf="", axes=axes), told.urdf_text)
+    axes = tuple(Axis(joint=joint.name, gear_ratio=1.0, rated_effort=1.0) for joint in check.chain.joints)
+    return build_robot(RobotDescription(name=check.name, urdf="", axes=axes), check.urdf_text)
 
 
 def _nested(robot: Robot) -> Sequence[tuple[Pair, float]]:

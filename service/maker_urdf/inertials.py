@@ -22,7 +22,7 @@ _TOLERANCE = 1e-3  # of the largest principal inertia: rounding by manufacturers
 
 def complete_inertials(root: ET.Element, place: str) -> list[Finding]:
     """Add an `<inertial>` to each moving link whose mass, with all fixed children, is zero; returns the findings."""
-    told: list[Finding] = []
+    found: list[Finding] = []
     links = {link.get("name", ""): link for link in root.findall("link")}
     chain = read_chain(ET.tostring(root, encoding="unicode"), place)
     for joint, inertial in zip(chain.joints, chain.inertial, strict=True):
@@ -31,14 +31,14 @@ def complete_inertials(root: ET.Element, place: str) -> list[Finding]:
         try:
             bodies = [solid(shape) for shape in link_shapes(links[joint.link], place)]
         except BadInput as error:
-            told.append(Finding("missing", joint.link, f"has no <inertial>, and its shapes give none: {error.reason}"))
+            found.append(Finding("missing", joint.link, f"has no <inertial>, and its shapes give none: {error.reason}"))
             continue
         if not bodies:
-            told.append(Finding("missing", joint.link, "has neither <inertial> nor a shape to estimate one from"))
+            found.append(Finding("missing", joint.link, "has neither <inertial> nor a shape to estimate one from"))
             continue
         mass = DENSITY * sum(volume for volume, _, _ in bodies)
         _write(links[joint.link], bodies, mass)
-        told.append(
+        found.append(
             Finding(
                 "changed",
                 joint.link,
@@ -46,7 +46,7 @@ def complete_inertials(root: ET.Element, place: str) -> list[Finding]:
                 "the side file is widened to 100 %",
             )
         )
-    return told
+    return found
 
 
 def _write(link: ET.Element, bodies: list[tuple[float, Array, Array]], mass: float) -> None:
@@ -65,12 +65,12 @@ def _write(link: ET.Element, bodies: list[tuple[float, Array, Array]], mass: flo
 
 def look_at_inertials(root: ET.Element, place: str) -> list[Finding]:
     """Physically impossible values: negative mass, principal inertias that violate the triangle inequality."""
-    told: list[Finding] = []
+    found: list[Finding] = []
     for link in root.findall("link"):
         parameters = read_inertial(link, place)
         name, mass = link.get("name", ""), float(parameters[0])
         if mass < 0 or (mass == 0 and parameters.any()):
-            told.append(Finding("unusual", name, f"has inertia and a mass of {mass:.4g} kg"))
+            found.append(Finding("unusual", name, f"has inertia and a mass of {mass:.4g} kg"))
         if mass <= 0:
             continue
         own = transform_inertial(parameters, np.eye(3), -parameters[1:4] / mass)
@@ -79,5 +79,5 @@ def look_at_inertials(root: ET.Element, place: str) -> list[Finding]:
             principal[0] + principal[1]
         ):
             shown = ", ".join(f"{value:.3g}" for value in principal)
-            told.append(Finding("unusual", name, f"no body has its principal inertias {shown} kg m^2"))
-    return told
+            found.append(Finding("unusual", name, f"no body has its principal inertias {shown} kg m^2"))
+    return found

@@ -16,10 +16,10 @@ _NETWORK = 64  # bits of an IPv6 address that its owner cannot choose
 
 @dataclass(slots=True)
 class _Attempts:
-    """Times of the last wrong keys, s; `told`: the refusal after them is already in the audit."""
+    """Times of the last wrong keys, s; `reported`: the refusal after them is already in the audit."""
 
     times: deque[float]
-    told: bool = False
+    reported: bool = False
 
 
 class Guesses:
@@ -45,9 +45,9 @@ class Guesses:
     def first_refusal(self, address: str) -> bool:
         """Whether this is the first refusal since the last checked attempt: only this one is written to the audit."""
         found = self._wrong.get(_place(address))
-        first = found is not None and not found.told
+        first = found is not None and not found.reported
         if found is not None:
-            found.told = True
+            found.reported = True
         return first
 
     def wrong(self, address: str, now: float) -> None:
@@ -55,7 +55,7 @@ class Guesses:
         place = _place(address)
         found = self._wrong.setdefault(place, _Attempts(deque(maxlen=self._most)))
         found.times.append(now)
-        found.told = False
+        found.reported = False
         self._wrong.move_to_end(place)
         if len(self._wrong) > MOST:
             self._wrong.popitem(last=False)

@@ -45,7 +45,7 @@ class Following:
         self._campaign: CampaignDocument | None = None
         self._estimate: LatestEstimate | None = None
         self._stops: tuple[StopDocument, ...] = ()
-        self._told: State | None = None
+        self._published: State | None = None
 
     async def look(self) -> None:
         """Publish changes, until cancelled."""
@@ -127,8 +127,8 @@ class Following:
             self._publisher.notice(_of_stops(stops))
         self._stops = stops
         state = State(machine=self._machine_state(stops), campaign=self._progress(), estimate=self._estimate)
-        if state != self._told:
-            self._told = state
+        if state != self._published:
+            self._published = state
             self._publisher.state(state)
 
     def _machine_state(self, stops: Sequence[StopDocument]) -> MachineState:

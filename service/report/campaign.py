@@ -52,7 +52,7 @@ def _origin(page: Page, report: CampaignReport) -> None:
         [
             [
                 *(one.joint, one.address, f"{one.vendor:#x}", f"{one.product:#x}", f"{one.revision:#x}"),
-                str(one.serial) if one.serial else "not told",
+                str(one.serial) if one.serial else "not reported",
                 one.dictionary_sha256[:12],
                 str(one.sweeps),
             ]

@@ -73,8 +73,8 @@ def diagnosis_section(page: Page, document: Diagnosis) -> None:
 def _axis(page: Page, joint: str, axis: AxisDiagnosis) -> None:
     figures = figures_of(axis)
     page.add(f'<div class="card {escape(axis.verdict)}"><p class="verdict">{escape(axis.summary)}</p></div>')
-    told = {finding.sentence for finding in axis.data}
-    if told:
+    reported = {finding.sentence for finding in axis.data}
+    if reported:
         page.add("<h3>Check of the data</h3>")
         findings(page, axis.data)
     page.add(*(f"<p><b>warning:</b> {escape(one.sentence)} {escape(one.action)}</p>" for one in axis.unfinished))
@@ -82,7 +82,7 @@ def _axis(page: Page, joint: str, axis: AxisDiagnosis) -> None:
     if "map" in figures:
         page.add(
             "<h3>Where the gap is</h3>",
-            *(f"<p>{escape(sentence)}</p>" for sentence in axis.sentences if sentence not in told),
+            *(f"<p>{escape(sentence)}</p>" for sentence in axis.sentences if sentence not in reported),
         )
         page.figure(figures["map"])
     if axis.known:

@@ -36,8 +36,8 @@ th, td { padding: 7px 12px; text-align: right; border-bottom: 1px solid #e2e8f0;
 th:first-child, td:first-child { text-align: left; white-space: normal; }
 thead th { color: #475569; font-weight: 600; border-bottom: 2px solid #cbd5e1; }
 tbody tr:last-child :is(td, th) { border-bottom: 0; }
-table.told th { color: #475569; font-weight: 600; width: 11em; vertical-align: top; }
-table.told td { text-align: left; white-space: normal; overflow-wrap: anywhere; }
+table.properties th { color: #475569; font-weight: 600; width: 11em; vertical-align: top; }
+table.properties td { text-align: left; white-space: normal; overflow-wrap: anywhere; }
 td.name { font-size: 14px; max-width: 560px; overflow-wrap: anywhere; }
 .note { color: #64748b; font-size: 14px; }
 .printed { display: none; }
@@ -60,7 +60,7 @@ td.name { font-size: 14px; max-width: 560px; overflow-wrap: anywhere; }
   .facts { grid-template-columns: repeat(5, 1fr); gap: 6px; margin: 10px 0; }
   .facts div { padding: 6px 8px; }
   .facts b { font-size: 14pt; }
-  .facts span, .note, td.name, table.told { font-size: 9pt; }
+  .facts span, .note, td.name, table.properties { font-size: 9pt; }
   .scroll { overflow: visible; }
   .scroll:has(tr:nth-child(12)) { break-inside: auto; }
   thead { display: table-header-group; }
@@ -152,8 +152,8 @@ class Page:
     def facts_table(self, facts: Iterable[tuple[str, str]]) -> None:
         """Add names and values, which may be long."""
         facts = list(facts)
-        rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(told)}</td></tr>" for name, told in facts)
-        self._parts.append(f'<div class="card"><table class="told"><tbody>{rows}</tbody></table></div>')
+        rows = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in facts)
+        self._parts.append(f'<div class="card"><table class="properties"><tbody>{rows}</tbody></table></div>')
         self._tell_table(["", "value"], facts)
 
     def table(self, head: Iterable[str], rows: Iterable[Sequence[str]], first: str = "") -> None:

@@ -30,7 +30,7 @@ def verdict(
     parts = (_estimate(estimate), _mass(test_mass), _check(check), _diagnosis(estimate, diagnosis))
     standings = {standing for standing, _ in parts}
     standing = next(one for one in (CONTRADICTED, OPEN, CONFIRMED) if one in standings)
-    return Verdict(standing, f"{'; '.join(told for _, told in parts if told)}.")
+    return Verdict(standing, f"{'; '.join(sentences for _, sentences in parts if sentences)}.")
 
 
 def _estimate(estimate: Estimate) -> tuple[str, str]:
@@ -39,20 +39,20 @@ def _estimate(estimate: Estimate) -> tuple[str, str]:
         return OPEN, "No inertia of a single axis was identified, only the results below"
     unsure = [joint for joint, share in shares.items() if not share <= UNSURE]
     sure = [joint for joint in shares if joint not in unsure]
-    told: list[str] = []
+    sentences: list[str] = []
     if sure:
         worst = max(sure, key=lambda joint: shares[joint])
-        told.append(
+        sentences.append(
             f"{_inertias(sure)} known to {100 * shares[worst]:.2g} % or better"
             " (one standard deviation, with that of the torque constants"
             f"{f'; {worst} is the least accurate' if len(sure) > 1 else ''})"
         )
     if unsure:
-        told.append(f"{_inertias(unsure)} too uncertain to use")
+        sentences.append(f"{_inertias(unsure)} too uncertain to use")
     suspects = estimate.suspect
     if suspects:
-        told.append(f"{_count(len(suspects), 'sweep does', 'sweeps do')} not fit the others")
-    text = ", but ".join(told)
+        sentences.append(f"{_count(len(suspects), 'sweep does', 'sweeps do')} not fit the others")
+    text = ", but ".join(sentences)
     open_ = sum(entry.std is None for entry in estimate.base_parameters)
     if open_:
         text += f"; the sweeps do not identify {open_} of {len(estimate.base_parameters)} base parameters"

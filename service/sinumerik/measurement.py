@@ -165,8 +165,8 @@ def _signal(node: Member, interval: float, order: int) -> Signal:
     series: list[Array] = []
     for member in node.each("TimeSeries"):
         values = member.array("m_ValueVector")
-        end, told = member.number("m_TimeVector.end"), member.whole("m_TimeVector.length")
-        if not len(values) == told == 2**order - 1 or abs(end / ((told - 1) * interval) - 1) > SAME:
+        end, stated = member.number("m_TimeVector.end"), member.whole("m_TimeVector.length")
+        if not len(values) == stated == 2**order - 1 or abs(end / ((stated - 1) * interval) - 1) > SAME:
             raise BadInput(
                 node.place,
                 f"signal {number} has {len(values)} samples to {end} s; a period of order {order} has {2**order - 1} "

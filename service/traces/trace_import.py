@@ -128,11 +128,11 @@ def _columns(mapping: Mapping, robot: Robot, entry: TraceSweep, raw: Raw, path: 
     position_unit = 1e-3 if prismatic else math.radians(1.0)
     taken: dict[str, Array] = {}
     for name, column in columns.sources.items():
-        told, here = raw.units.get(name, ""), f"{path} sweep {entry.id} column {name}"
-        if told and column.unit is not None:
-            check_same(column.unit, told, here)
-        if told and column.unit is None and not column.scaled:
-            scale, offset = to_si(name, told, prismatic, here)
+        stated, here = raw.units.get(name, ""), f"{path} sweep {entry.id} column {name}"
+        if stated and column.unit is not None:
+            check_same(column.unit, stated, here)
+        if stated and column.unit is None and not column.scaled:
+            scale, offset = to_si(name, stated, prismatic, here)
         else:
             scale, offset = column.to_si(axis, cnc, position_unit, sample_rate)
         taken[name] = scale * raw.columns[name] + offset

@@ -59,7 +59,7 @@ def approve_plan(plan_id: Id, new: NewApproval, request: Request, application: A
     409 if robot, cell, drives, settings or program have changed since the review.
     """
     by = who_asks(request, application) or new.approved_by or ""
-    audit_trail_of(request.scope).told = {"plan": plan_id, "sha256": new.sha256, "by": by}
+    audit_trail_of(request.scope).facts = {"plan": plan_id, "sha256": new.sha256, "by": by}
     sha256 = application.motion_sha256(plan_id)
     return _view(application.approvals.add(plan_id, new.sha256, sha256, by), sha256)
 

@@ -121,7 +121,7 @@ async def start_campaign(
 ) -> CampaignView:
     """Start to move and measure. 409 with the reason, also if the plan needs an approval and has no valid one."""
     by, within = who_asks(request, application), (start or Start()).within
-    audit_trail_of(request.scope).told = {"attended": within}
+    audit_trail_of(request.scope).facts = {"attended": within}
     return await _answer(application, await application.runner.start(campaign_id, version, by, within), response)
 
 
@@ -153,7 +153,7 @@ async def resume_campaign(
 ) -> CampaignView:
     """Continue with the next planned sweep. 409 as for a start."""
     wanted, by = resume or Resume(), who_asks(request, application)
-    audit_trail_of(request.scope).told = {"attended": wanted.within}
+    audit_trail_of(request.scope).facts = {"attended": wanted.within}
     campaign = await application.runner.resume(campaign_id, version, wanted.repeat, by, wanted.within)
     return await _answer(application, campaign, response)
 

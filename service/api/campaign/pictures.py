@@ -130,11 +130,11 @@ def get_grid(plan_id: Id, application: ApplicationOf) -> PoseGrid:
     room = np.zeros(len(poses), dtype=bool)
     room[free] = has_room(envelope, poses[free], [robot.index(joint) for joint in plan.request.axes])
     varied = [robot.index(joint) for joint in plan.request.varied]
-    told = zip(poses[:, varied].tolist(), chosen.tolist(), free.tolist(), room.tolist(), strict=True)
+    rows = zip(poses[:, varied].tolist(), chosen.tolist(), free.tolist(), room.tolist(), strict=True)
     return PoseGrid(
         varied=plan.request.varied,
         total=len(shown),
-        poses=tuple(GridPose(at=tuple(at), state=_state(*kinds)) for at, *kinds in told),
+        poses=tuple(GridPose(at=tuple(at), state=_state(*kinds)) for at, *kinds in rows),
     )
 
 

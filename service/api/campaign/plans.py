@@ -30,8 +30,8 @@ from service.store.documents import PlanRecord
 
 
 def _kind(body: object) -> str:
-    told = cast("dict[str, object]", body).get("kind") if isinstance(body, dict) else getattr(body, "kind", None)
-    return f"{TAG}{told}" if told in ("analysis", "trajectory", "diagnosis") else f"{TAG}sweeps"
+    given = cast("dict[str, object]", body).get("kind") if isinstance(body, dict) else getattr(body, "kind", None)
+    return f"{TAG}{given}" if given in ("analysis", "trajectory", "diagnosis") else f"{TAG}sweeps"
 
 
 Wanted = Annotated[

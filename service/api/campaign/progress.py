@@ -67,13 +67,13 @@ def progress(
     `times`: () for a campaign without plan. `now`: s, of the clock of `under_way`. `current`: the sweep that runs.
     """
     left = [sweep for sweep in sweeps if sweep.state in _LEFT]
-    told = state in _OPEN and len(times) == len(sweeps)
-    remaining = _time_left(state, sweeps, times, under_way, now) if told and left else None
+    predictable = state in _OPEN and len(times) == len(sweeps)
+    remaining = _time_left(state, sweeps, times, under_way, now) if predictable and left else None
     return Progress(
         done=sum(sweep.state in _RECORDED for sweep in sweeps),
         total=len(sweeps),
         remaining=remaining if left else 0.0,
-        repeat=_pace(sweeps, times) * _sum(sweeps, times, _AGAIN) if told else 0.0,
+        repeat=_pace(sweeps, times) * _sum(sweeps, times, _AGAIN) if predictable else 0.0,
         current=current,
     )
 

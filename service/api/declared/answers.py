@@ -38,9 +38,9 @@ def complete(document: Json) -> None:
             for status, response in operation["responses"].items():
                 for media, body in response.get("content", {}).items():
                     schema = body.setdefault("schema", {"type": "string"})
-                    told, name = _described(document, schema, media)
+                    description, name = _described(document, schema, media)
                     if response.get("description", _UNTOLD) == _UNTOLD:
-                        response["description"] = told
+                        response["description"] = description
                     example = _example(name, status, media)
                     if example is not None and "examples" not in body:
                         key = name if status in ("200", "201", "202", "default") else f"{name}_{status}"
@@ -55,10 +55,10 @@ def _described(document: Json, schema: Json, media: str) -> tuple[str, str]:
     if not of:
         return _TEXTS.get(media, ("", ""))[0] or _UNTOLD, media.replace("/", ".")
     page, item = of.startswith("Page_"), of.removeprefix("Page_").removesuffix("_")
-    told = " ".join(document["components"]["schemas"][item].get("description", _UNTOLD).split("\n\n")[0].split())
+    description = " ".join(document["components"]["schemas"][item].get("description", _UNTOLD).split("\n\n")[0].split())
     if page:
-        return f"Part of a list, oldest first. {told}", of
-    return (f"A list. {told}", f"List_{of}_") if "items" in schema else (told, of)
+        return f"Part of a list, oldest first. {description}", of
+    return (f"A list. {description}", f"List_{of}_") if "items" in schema else (description, of)
 
 
 def _example(name: str, status: str, media: str) -> Any:

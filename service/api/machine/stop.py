@@ -103,16 +103,20 @@ async def stop(
     """
     client = "unknown" if request.client is None else request.client.host
     by, why = by[:100] or client, why[:500] or "stop requested"
-    audit_trail_of(request.scope).told = {"by": masked(by), "reason": masked(why)}
+    audit_trail_of(request.scope).facts = {"by": masked(by), "reason": masked(why)}
     if application.cell is None:
         # no database query for its machines: a stop must not wait
         return problem_response(request, HTTPStatus.SERVICE_UNAVAILABLE, "no-machine", _NOTHING_STOPPED)
     try:
         held = await application.machine.stop(by, why, press[:100])
     except StopNotConfirmed as error:
-        told = {"confirmed": error.confirmed, "unconfirmed": error.unconfirmed}
+        additional = {"confirmed": error.confirmed, "unconfirmed": error.unconfirmed}
         return problem_response(
-            request, HTTPStatus.SERVICE_UNAVAILABLE, "stop-not-confirmed", f"stop not confirmed: {error}", told=told
+            request,
+            HTTPStatus.SERVICE_UNAVAILABLE,
+            "stop-not-confirmed",
+            f"stop not confirmed: {error}",
+            additional=additional,
         )
     return Stopped(**_view(application, held).model_dump(), confirmed=application.machine.joints)
 
@@ -124,7 +128,7 @@ async def reset_stop(request: Request, reset: Reset, application: ApplicationOf)
     Nothing moves by this request; a campaign continues after its resume. 503 with `Retry-After` if the database does
     not store the release within some seconds: then all stops stay active.
     """
-    audit_trail_of(request.scope).told = {"by": reset.by, "stops": list(reset.stops)}
+    audit_trail_of(request.scope).facts = {"by": reset.by, "stops": list(reset.stops)}
     released = await application.machine.reset_stop(reset.by, reset.stops)
     return _view(application, released[0])
 

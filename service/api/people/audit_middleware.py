@@ -46,11 +46,11 @@ class _Answer:
     def __init__(self, scope: Scope, trail: AuditTrail, send: Send) -> None:
         self._scope, self._trail, self._send = scope, trail, send
         self._start: Message | None = None
-        self._told = False
+        self._written = False
 
     async def send(self, message: Message) -> None:
         kind = message["type"]
-        if self._told or self._trail.hushed:
+        if self._written or self._trail.hushed:
             await self._send(message)
         elif kind == "http.response.start" and (self._trail.changes or message["status"] in _REFUSED):
             self._start = message
@@ -63,15 +63,15 @@ class _Answer:
             await self._tell(HTTPStatus.FORBIDDEN, message.get("reason") or "")
             await self._send(message)
         else:
-            self._told = True
+            self._written = True
             await self._send(message)
 
     def broke_off(self, why: str) -> None:
-        if not self._told and self._trail.changes:
+        if not self._written and self._trail.changes:
             put(self._scope, self._trail.outcome(HTTPStatus.INTERNAL_SERVER_ERROR, why))
 
     async def _tell(self, status: int, why: str) -> None:
-        self._told = True
+        self._written = True
         entry = put(self._scope, self._trail.outcome(status, why))
         if not (self._trail.stop or self._trail.unwritten):
             with suppress(NotAudited):  # the log has the entry; the answer is sent anyway

@@ -24,7 +24,7 @@ class AuditTrail:
 
     `session`: number of the caller's session, if any. `hushed`: no entry, because a similar one exists already.
     `unwritten`: the first entry could not be written, so nothing was done. `key`: the key of a stop. A stop does not
-    wait for its check: the caller is identified when the entry is written. `told`: data of a route for the outcome.
+    wait for its check: the caller is identified when the entry is written. `facts`: data of a route for the outcome.
     """
 
     method: str
@@ -39,14 +39,14 @@ class AuditTrail:
     unwritten: bool = False
     key: str = ""
     session: int | None = None
-    told: dict[str, Fact] = field(default_factory=dict[str, Fact])
+    facts: dict[str, Fact] = field(default_factory=dict[str, Fact])
     request: int | None = None
 
     @property
     def changes(self) -> bool:
         return self.method not in _READING and self.route != SIGN_OF_LIFE
 
-    def entry(self, event: str, **told: Fact) -> Entry:
+    def entry(self, event: str, **facts: Fact) -> Entry:
         return {
             "event": event,
             "actor": self.actor,
@@ -55,11 +55,11 @@ class AuditTrail:
             "method": self.method,
             "route": None if self.route is None else self.route[1],
             "path": masked(self.path)[:_LONGEST],
-            **told,
+            **facts,
         }
 
     def outcome(self, status: int, why: str) -> Entry:
-        return self.entry("outcome", status=status, why=masked(why)[:_LONGEST], request=self.request, **self.told)
+        return self.entry("outcome", status=status, why=masked(why)[:_LONGEST], request=self.request, **self.facts)
 
 
 def begin_audit_trail(scope: Scope) -> AuditTrail:

@@ -49,11 +49,11 @@ def me_of(request: Request, application: Application) -> Me:
 
 
 async def begin_session(
-    user: UserDocument, request: Request, response: Response, application: Application, **told: Fact
+    user: UserDocument, request: Request, response: Response, application: Application, **facts: Fact
 ) -> Me:
-    """Opens a session and sets its cookie. `told`: additional data of its audit entry."""
+    """Opens a session and sets its cookie. `facts`: additional data of its audit entry."""
     trail, settings = audit_trail_of(request.scope), application.settings
-    session, token = await run_in_threadpool(application.sessions.open, user, trail.entry("logged in", **told))
+    session, token = await run_in_threadpool(application.sessions.open, user, trail.entry("logged in", **facts))
     trail.session, trail.hushed = session.id, True  # the session has its own entry in the audit
     response.set_cookie(
         cookie_name(request.scope),

@@ -80,7 +80,7 @@ async def end_oidc(code: Code, request: Request, response: Response, application
     oidc, trail = _set(request), audit_trail_of(request.scope)
     cookie = f"{cookie_name(request.scope)}-oidc"
     named = await oidc.named(request.cookies.get(cookie, ""), code.state, code.code, trail)
-    trail.told |= {"issuer": named.issuer, "subject": named.subject}
+    trail.facts |= {"issuer": named.issuer, "subject": named.subject}
     role = oidc.role(named.groups)
     user = await run_in_threadpool(
         application.external_users.renew, named.issuer, named.subject, named.name, role, trail.entry("login")
@@ -94,7 +94,7 @@ async def end_oidc(code: Code, request: Request, response: Response, application
     if user.trouble:
         raise unauthorized(user.trouble)
     response.delete_cookie(cookie, httponly=True, samesite="strict")
-    return await begin_session(user, request, response, application, **trail.told)
+    return await begin_session(user, request, response, application, **trail.facts)
 
 
 def _set(request: Request) -> OidcLogin:

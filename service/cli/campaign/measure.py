@@ -36,19 +36,19 @@ def measure(
     """
     with ServiceClient(url) as client:
         campaign_id = int(client.add_campaign(plan_number(plan))["id"])
-        with TerminationSignals() as told:
+        with TerminationSignals() as signals:
             try:
                 client.start(campaign_id)
                 watch(client, campaign_id)
             except BaseException:  # also what a terminal that is gone made of it
-                if not told.by:
+                if not signals.by:
                     raise
-                raise _stopped(client, campaign_id, told.by, url) from None
+                raise _stopped(client, campaign_id, signals.by, url) from None
     sys.stdout.write(f"{campaign_id}\n")
 
 
 def _stopped(client: ServiceClient, campaign_id: int, why: str, url: str) -> NotCompleted:
-    """Stop the machine; what a person is told of it."""
+    """Stop the machine; the error to report."""
     then = f"release the stop and resume or abort the campaign at {url}"
     try:
         client.stop("sweepid measure", why)

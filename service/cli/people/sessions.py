@@ -16,8 +16,8 @@ def sessions(config: Config = None, data_dir: DataDir = None) -> None:
     """One JSON line a session in which somebody is logged in; `expires_at` moves on with each request."""
     with opened(config, data_dir) as database:
         for session in _store(database, config).all():
-            told = {**session.model_dump(mode="json", exclude={"disabled", "ended_at"}), "role": session.role.word}
-            sys.stdout.write(f"{json.dumps(told)}\n")
+            printed = {**session.model_dump(mode="json", exclude={"disabled", "ended_at"}), "role": session.role.word}
+            sys.stdout.write(f"{json.dumps(printed)}\n")
 
 
 def revoke_session(

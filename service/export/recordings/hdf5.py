@@ -38,8 +38,8 @@ def write(path: Path, recordings: Recordings) -> None:
 
 
 def _write_sweep(group: Any, sweep: Sweep, prismatic: bool) -> None:
-    told = {name: getattr(sweep.spec, name) for name in (*_TOLD, *_MAYBE)}
-    for name, value in told.items():
+    attributes = {name: getattr(sweep.spec, name) for name in (*_TOLD, *_MAYBE)}
+    for name, value in attributes.items():
         if value not in (None, ""):
             group.attrs[name] = value
     for name, column in columns_of(sweep.recording).items():

@@ -73,13 +73,13 @@ def supplementary(
     scaled = gain * known.values[shown]
     covariance = known.covariance[np.ix_(shown, shown)] + np.outer(scaled, scaled)
     if not covariance.size or not np.isfinite(covariance).all() or not (np.diag(covariance) > 0).all():
-        told = "the estimate has no base parameters with a standard deviation above 0"
-        return Supplementary(loads=(), left_out=told, before=0.0, after=0.0)
+        reason = "the estimate has no base parameters with a standard deviation above 0"
+        return Supplementary(loads=(), left_out=reason, before=0.0, after=0.0)
     white = _whitening(covariance)
     before = float(np.sum((white @ difference) ** 2))
     if chi2.sf(before, len(difference)) > INSIGNIFICANT:
-        told = "the estimate does not differ from CAD by more than its uncertainty"
-        return Supplementary(loads=(), left_out=told, before=_per_parameter(before, difference), after=0.0)
+        reason = "the estimate does not differ from CAD by more than its uncertainty"
+        return Supplementary(loads=(), left_out=reason, before=_per_parameter(before, difference), after=0.0)
     parts = white @ combination[shown][:, : 10 * LINKS]
     size = _Size(float(robot.chain.inertial[:, 0].sum()) or 1.0, _reach(robot))
     used = list(range(LINKS))
@@ -91,14 +91,14 @@ def supplementary(
         if left - after < WORTH:
             used, bodies, after = fewer, without, left
     loads = tuple(_load(robot, link, bodies[link], upright) for link in used)
-    told = "" if loads else "no body on A1 to A3 reduces the difference from CAD: the robot has less inertia than CAD"
+    reason = "" if loads else "no body on A1 to A3 reduces the difference from CAD: the robot has less inertia than CAD"
     left = _per_parameter(after, difference)
     if loads and left > MISFIT:  # a motor or a lighter link, for example
-        loads, told = (
+        loads, reason = (
             (),
             f"no bodies on A1 to A3 explain the difference from CAD: {left:.1f} standard deviations remain",
         )
-    return Supplementary(loads=loads, left_out=told, before=_per_parameter(before, difference), after=left)
+    return Supplementary(loads=loads, left_out=reason, before=_per_parameter(before, difference), after=left)
 
 
 class _Size:

@@ -65,8 +65,8 @@ def _validity(sheet: Sheet) -> str:
         lines.append("An estimate does not contain the measured poses: make the sheet from the bundle.")
     for joint, ranges in (sheet.poses or {}).items():
         kinds = {axis.joint: axis.kind for axis in sheet.axes} | sheet.kinds
-        told = ", ".join(f"{name} {_position(low, high, kinds.get(name))}" for name, (low, high) in ranges.items())
-        lines.append(f"- {joint} was measured with {told}.")
+        placed = ", ".join(f"{name} {_position(low, high, kinds.get(name))}" for name, (low, high) in ranges.items())
+        lines.append(f"- {joint} was measured with {placed}.")
     return "\n".join(lines)
 
 

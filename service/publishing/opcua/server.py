@@ -78,8 +78,8 @@ class Server:
         try:
             if trusted is not None:  # no client can use it: not advertised
                 none = ua.MessageSecurityMode.None_
-                told = server.iserver.endpoints
-                told[:] = [endpoint for endpoint in told if endpoint.SecurityMode != none]
+                offered = server.iserver.endpoints
+                offered[:] = [endpoint for endpoint in offered if endpoint.SecurityMode != none]
             self._report(FromPublisher(part="opcua", port=_port(server)))
             while True:
                 self._news.clear()

@@ -37,11 +37,11 @@ p.verdict { font-size: 11.5pt; margin: 0; }
 table { border-collapse: collapse; width: 100%; font-size: 8.5pt; }
 th, td { padding: 2.5pt 4pt; text-align: right; border-bottom: 0.5pt solid #cbd5e1; }
 th:first-child, td:first-child { text-align: left; }
-td:first-child, table.told td { overflow-wrap: anywhere; }
+td:first-child, table.properties td { overflow-wrap: anywhere; }
 thead th { color: #475569; border-bottom: 1pt solid #64748b; }
 tr { break-inside: avoid; }
-table.told th { color: #475569; width: 9em; vertical-align: top; }
-table.told td { text-align: left; }
+table.properties th { color: #475569; width: 9em; vertical-align: top; }
+table.properties td { text-align: left; }
 td.name { width: 50%; }
 figure { margin: 4pt 0 8pt; break-inside: avoid; }
 figure svg { display: block; width: 100%; height: auto; }
@@ -61,8 +61,8 @@ _HEADING = re.compile(r"<(h[23])>(.*)</\1>", re.DOTALL)
 def paper_html(title: str, first: Sequence[str | Figure], parts: Sequence[str | Figure]) -> str:
     """Markup and figures in order; the table of contents is between `first` and the rest."""
     setting = _Setting()
-    body = [*setting.told(first), ""]
-    rest = list(setting.told(parts))
+    body = [*setting.pieces(first), ""]
+    rest = list(setting.pieces(parts))
     body[-1] = setting.contents()
     return "\n".join(
         (
@@ -83,7 +83,7 @@ class _Setting:
         self._figures = 0
         self._section = self._part = ""
 
-    def told(self, parts: Sequence[str | Figure]) -> Iterator[str]:
+    def pieces(self, parts: Sequence[str | Figure]) -> Iterator[str]:
         for part, after in zip_longest(parts, parts[1:]):
             if not isinstance(part, str):
                 yield self._figure(part)

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 from service.report.paper.marks import rectangle
-from service.report.paper.scales import Scale, round_steps, told
+from service.report.paper.scales import Scale, round_steps, tick_label
 from service.report.paper.schema import ColourScale, Contour, Heatmap, Rows
 from service.report.paper.svg import Point, path, text
 
@@ -45,7 +45,7 @@ def key(trace: Heatmap, left: float, top: float, bottom: float) -> Iterator[str]
         yield rectangle((left, top + k * step, 12, step + 0.3), colour)
     for value in round_steps(low, high, 5):
         height = bottom - (value - low) / ((high - low) or 1.0) * (bottom - top)
-        yield text(told(value), left + 16, height + 4, "start", 11)
+        yield text(tick_label(value), left + 16, height + 4, "start", 11)
     yield text(trace.colorbar.title.text, left, top - 6, "start", 11)
 
 
@@ -62,7 +62,7 @@ def levels(trace: Contour, x: Scale, y: Scale) -> Iterator[str]:
             continue
         yield path(parts, stroke=trace.line.color, stroke_width=trace.line.width)
         (ax, ay), (bx, by) = parts[len(parts) // 2]
-        yield text(told(level), (ax + bx) / 2, (ay + by) / 2 - 2, size=10, colour="#0f172a")
+        yield text(tick_label(level), (ax + bx) / 2, (ay + by) / 2 - 2, size=10, colour="#0f172a")
 
 
 def _crossings(rows: Rows, xs: Sequence[float], ys: Sequence[float], level: float) -> Iterator[tuple[Point, Point]]:

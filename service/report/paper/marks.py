@@ -66,7 +66,7 @@ def bars(trace: Bar, x: Scale, y: Scale, offset: float, breadth: float) -> Itera
     """Bars from zero; `offset` and `breadth` in steps of the categories. `text` is written at their ends."""
     lying = trace.orientation == "h"
     along, across = (x, y) if lying else (y, x)
-    colours, told = trace.marker.color, trace.text
+    colours, labels = trace.marker.color, trace.text
     values, names = (trace.x, trace.y) if lying else (trace.y, trace.x)
     for k, (value, name) in enumerate(zip(values, names, strict=True)):
         end, zero = along.at(value), along.place(0.0)
@@ -79,9 +79,9 @@ def bars(trace: Bar, x: Scale, y: Scale, offset: float, breadth: float) -> Itera
         yield rectangle(box, colours if isinstance(colours, str) else colours[k])
         if trace.marker.pattern.shape:
             yield rectangle(box, HATCHED)
-        if told is not None and lying:
+        if labels is not None and lying:
             side = end < zero
-            yield text(told[k], end + (-4 if side else 4), (a + b) / 2 + 4, "end" if side else "start", 11)
+            yield text(labels[k], end + (-4 if side else 4), (a + b) / 2 + 4, "end" if side else "start", 11)
 
 
 def rectangle(box: tuple[float, float, float, float], fill: str, **more: str | float | None) -> str:

@@ -78,7 +78,7 @@ def round_steps(low: float, high: float, most: int) -> list[float]:
     return [k * step for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
 
 
-def told(value: float) -> str:
+def tick_label(value: float) -> str:
     """A number as text on a scale."""
     return f"{value + 0.0:.6g}".replace("-", "−")
 
@@ -86,17 +86,17 @@ def told(value: float) -> str:
 def _ticks(axis: Axis, scale: Scale, most: int) -> list[tuple[float, str]]:
     low, high = min(scale.low, scale.high), max(scale.low, scale.high)
     if axis.tickvals is not None:
-        labels = axis.ticktext or [told(value) for value in axis.tickvals]
+        labels = axis.ticktext or [tick_label(value) for value in axis.tickvals]
         return [(math.log10(v) if scale.log else v, label) for v, label in zip(axis.tickvals, labels, strict=True)]
     if scale.names:
         return [(float(k), name) for k, name in enumerate(scale.names)]
     if not scale.log:
-        return [(value, told(value)) for value in round_steps(low, high, most)]
+        return [(value, tick_label(value)) for value in round_steps(low, high, most)]
     decades = range(math.floor(low), math.ceil(high) + 1)
     if high - low > 1.3:
         step = max(1, math.ceil(len(decades) / 7))
         return [(float(k), f"10{str(k).translate(_SUPERSCRIPTS)}") for k in decades[::step]]
-    return [(k + math.log10(part), told(part * 10.0**k)) for k in decades for part in (1, 2, 5)]
+    return [(k + math.log10(part), tick_label(part * 10.0**k)) for k in decades for part in (1, 2, 5)]
 
 
 def _reach(numbers: Sequence[float], from_zero: bool) -> tuple[float, float]:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.report.paper.maps import blend
-from service.report.paper.scales import round_steps, told
+from service.report.paper.scales import round_steps, tick_label
 from service.report.paper.schema import Scatter3d, Scene, Surface, Trace
 from service.report.paper.svg import AXIS, element, marker, path, text
 
@@ -120,7 +120,7 @@ def _box(scene: Scene, view: _View) -> Iterator[str]:
         yield _line(view, edge, AXIS)
     for k, axis in enumerate((scene.xaxis, scene.yaxis, scene.zaxis)):
         for s, value in zip(share[k], ticks[k], strict=True):
-            yield _beside(view, k, s, told(value), 14)
+            yield _beside(view, k, s, tick_label(value), 14)
         yield _beside(view, k, 0.5, axis.title.text, 34)
 
 

@@ -13,12 +13,12 @@ _WIDE = 0.56  # mean width of a letter over its size
 
 def element(name: str, content: str = "", /, **attributes: str | float | None) -> str:
     """An element; `_` in names of attributes becomes `-`, None omits one. `content` is markup."""
-    told = "".join(
+    written = "".join(
         f' {key.replace("_", "-")}="{escape(value) if isinstance(value, str) else f"{value:.5g}"}"'
         for key, value in attributes.items()
         if value is not None
     )
-    return f"<{name}{told}>{content}</{name}>"
+    return f"<{name}{written}>{content}</{name}>"
 
 
 def path(parts: Iterable[Sequence[Point]], **attributes: str | float | None) -> str:

@@ -101,10 +101,10 @@ def _due(robot: FleetRobot) -> str:
 
 def _axis_row(label: str, axis: FleetAxis) -> list[str]:
     change, other = axis.change, axis.difference
-    told = [label, *([_NONE] * 5 if change is None else ())]
+    cells = [label, *([_NONE] * 5 if change is None else ())]
     if change is not None:
         kind = "drift" if change.since is None else f"step from campaign {change.since}"
-        told += [
+        cells += [
             f"{change.change_percent:+.2f}",
             f"{change.std_percent:.2f}",
             kind,
@@ -112,9 +112,9 @@ def _axis_row(label: str, axis: FleetAxis) -> list[str]:
             "changed" if change.alarm else "no",
         ]
     if other is None or not math.isfinite(other.difference_percent):
-        return [*told, _NONE, _NONE]
+        return [*cells, _NONE, _NONE]
     outlier = "no" if not other.outlier else "yes, the torque constant can explain it" if other.by_gain else "yes"
-    return [*told, f"{other.difference_percent:+.2f}", outlier]
+    return [*cells, f"{other.difference_percent:+.2f}", outlier]
 
 
 def _day(at: datetime) -> str:

@@ -27,8 +27,8 @@ def read(path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken]:
             names = [_name(channel) for channel in channels]
             lengths = {name: int(dataset.size) for name, dataset in zip(names, datasets, strict=True)}
             if len(set(lengths.values())) > 1:
-                told = ", ".join(f"{name} has {length}" for name, length in lengths.items())
-                raise BadInput(str(path), f"datasets of one sweep differ in length, nothing is resampled: {told}")
+                sizes = ", ".join(f"{name} has {length}" for name, length in lengths.items())
+                raise BadInput(str(path), f"datasets of one sweep differ in length, nothing is resampled: {sizes}")
             length = next(iter(lengths.values()), 0)
             check_numbers(length, len(datasets), MOST_NUMBERS, str(path))
             columns = (np.asarray(dataset[()], np.float64).ravel() for dataset in datasets)

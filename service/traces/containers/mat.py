@@ -30,8 +30,8 @@ def read(path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken]:
                 raise BadInput(str(path), f"has no variable {name!r}; there are {shown(list(stated))}")
         lengths = {name: _length(content[name], f"{path} variable {name!r}") for name in names}
         if len(set(lengths.values())) > 1:
-            told = ", ".join(f"{name} has {lengths[name]}" for name in names)
-            raise BadInput(str(path), f"variables of one sweep differ in length, nothing is resampled: {told}")
+            sizes = ", ".join(f"{name} has {lengths[name]}" for name in names)
+            raise BadInput(str(path), f"variables of one sweep differ in length, nothing is resampled: {sizes}")
         columns = (_column(content, names, k) for k in range(len(names)))
         yield Taken(in_rows(columns, len(names), lengths[names[0]]), ("",) * len(names), None)
 

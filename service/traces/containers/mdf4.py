@@ -81,7 +81,9 @@ def _find(file: Any, channel: Channel, path: str) -> tuple[int, int]:
     numbered = cast("list[Any]", file.groups)
     groups = [k for k, group in enumerate(numbered) if channel.group in (None, k, group.channel_group.acq_name)]
     if not groups:
-        raise BadInput(place, f"group {channel.group!r} does not exist; there are {_told(file, range(len(numbered)))}")
+        raise BadInput(
+            place, f"group {channel.group!r} does not exist; there are {_group_names(file, range(len(numbered)))}"
+        )
     found = [
         (group, number)
         for group in groups
@@ -93,12 +95,12 @@ def _find(file: Any, channel: Channel, path: str) -> tuple[int, int]:
         raise BadInput(place, f"does not exist; there are {shown(names)}")
     if len(found) > 1:
         raise BadInput(
-            place, f"occurs {len(found)} times, in groups {_told(file, [k for k, _ in found])}: give one of them"
+            place, f"occurs {len(found)} times, in groups {_group_names(file, [k for k, _ in found])}: give one of them"
         )
     return found[0]
 
 
-def _told(file: Any, groups: Sequence[int]) -> str:
+def _group_names(file: Any, groups: Sequence[int]) -> str:
     return shown([f"{k} {str(file.groups[k].channel_group.acq_name)!r}" for k in groups])
 
 
@@ -112,8 +114,8 @@ def _common_clock(file: Any, groups: Sequence[int], path: str) -> Array | None:
     first = clocks[0]
     if all(_same(clock, first) for clock in clocks[1:]):
         return first
-    told = "; ".join(f"{_told(file, [k])} has {_pace(clock)}" for k, clock in zip(groups, clocks, strict=True))
-    raise BadInput(path, f"channels of one sweep lie in groups with different clocks, nothing is resampled: {told}")
+    paces = "; ".join(f"{_group_names(file, [k])} has {_pace(clock)}" for k, clock in zip(groups, clocks, strict=True))
+    raise BadInput(path, f"channels of one sweep lie in groups with different clocks, nothing is resampled: {paces}")
 
 
 def _same(one: Array | None, other: Array | None) -> bool:
@@ -131,7 +133,7 @@ def _clock(file: Any, group: int, path: str) -> Array | None:
     for number, channel in enumerate(file.groups[group].channels):
         if channel.channel_type in _MASTERS and channel.sync_type == _TIME:
             unit = _unit(file, (group, number)) or "s"
-            factor, _ = to_si("time", unit, False, f"{path} clock of group {_told(file, [group])}")
+            factor, _ = to_si("time", unit, False, f"{path} clock of group {_group_names(file, [group])}")
             return factor * _values(file, (group, number), path)
     return None
 

@@ -39,8 +39,8 @@ def read_containers(path: Path, sweeps: Sequence[tuple[Channel, ...]], limits: L
         asked = Asked(file=str(path), sweeps=tuple(sweeps))
         (folder / "asked.json").write_text(asked.model_dump_json(), encoding="utf-8")
         answer: list[object] = asyncio.run(read_isolated(take, (folder / "asked.json", folder), str(path), limits))
-        told = [Units.model_validate(units) for units in answer]
-        return tuple(_stored(folder, number, units) for number, units in enumerate(told))
+        found = [Units.model_validate(units) for units in answer]
+        return tuple(_stored(folder, number, units) for number, units in enumerate(found))
 
 
 def take(asked: Path, folder: Path) -> list[dict[str, Any]]:
@@ -66,8 +66,8 @@ def read_here(path: Path, sweeps: Sequence[Sequence[Channel]]) -> Iterator[Taken
     try:
         yield from reader.read(path, sweeps)
     except (*_TORN, OSError, *reader.LIBRARY_ERRORS) as error:
-        told = " ".join(str(error).split())[:300]
-        raise BadInput(str(path), f"cannot be read by {library}: {told or type(error).__name__}") from None
+        reason = " ".join(str(error).split())[:300]
+        raise BadInput(str(path), f"cannot be read by {library}: {reason or type(error).__name__}") from None
 
 
 def _stored(folder: Path, number: int, units: Units) -> Taken:

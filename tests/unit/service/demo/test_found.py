@@ -31,7 +31,7 @@ def found(verdict: str, named: list[str], candidates: list[str], model: int | No
 )
 def test_the_judgement(diagnosed: Found, judgement: str) -> None:
     assert diagnosed.judgement == judgement
-    assert diagnosed.told == "coulomb friction (coulomb 48.79)"
+    assert diagnosed.description == "coulomb friction (coulomb 48.79)"
 
 
 def fitted(hidden: str, value: float, std: float) -> Found:

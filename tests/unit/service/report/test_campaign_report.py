@@ -188,7 +188,7 @@ def test_the_page_begins_with_verdict_and_origin(max100: Robot) -> None:
             "ordered by Ada &lt;ada&gt;",
             "Drives",
             "joint_1 node 1 0x2b1 0x402 0x1 4711 abababababab 12",
-            "joint_2 node 1 0x2b1 0x402 0x1 not told abababababab 12",
+            "joint_2 node 1 0x2b1 0x402 0x1 not reported abababababab 12",
             "Inertia of the axes over the poses",
             "Base parameters",
             "Check of the data wrong: It brakes. Turn it.",
