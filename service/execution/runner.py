@@ -133,7 +133,7 @@ class Runner:
     async def abort(self, campaign_id: int, why: str, if_version: int | None = None) -> CampaignDocument:
         """Stop the present sweep now and end the campaign; the remaining sweeps become skipped."""
         async with self._commands:
-            campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
+            campaign = await asyncio.to_thread(self._store.own_campaign, campaign_id)
             if if_version is not None and campaign.version != if_version:
                 raise StaleVersion(f"campaign {campaign_id} is at version {campaign.version}, not {if_version}")
             campaign_move(CampaignEvent.ABORT)(campaign.state)
@@ -187,7 +187,7 @@ class Runner:
     ) -> CampaignDocument:
         async with self._commands:
             await self._check_idle()
-            campaign = await asyncio.to_thread(self._store.campaign, campaign_id)
+            campaign = await asyncio.to_thread(self._store.own_campaign, campaign_id)
             campaign_move(event)(campaign.state)
             compiled = await asyncio.to_thread(self._compile, campaign)
             await asyncio.to_thread(self._approvals.check, campaign.plan_id, compiled.sha256, by)

@@ -97,6 +97,11 @@ class Store:
         with self._database.read() as session:
             return rows.campaign_document(session, rows.get(session, t.CampaignRow, campaign_id, "campaign"))
 
+    def own_campaign(self, campaign_id: int) -> CampaignDocument:
+        """As `campaign`, for one of this service's machine. Raises OtherMachine, NoMachine."""
+        with self._database.read() as session:
+            return rows.campaign_document(session, rows.own_campaign(session, campaign_id))
+
     def campaigns(self, after: int = 0, limit: int = 100) -> tuple[CampaignDocument, ...]:
         query = select(t.CampaignRow).where(t.CampaignRow.id > after).order_by(t.CampaignRow.id).limit(limit)
         with self._database.read() as session:

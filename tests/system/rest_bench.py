@@ -25,7 +25,7 @@ SCENARIO = CONFIG / "scenarios" / "max100-full.yaml"
 SWEEPID = str(Path(sys.executable).with_name("sweepid"))
 PATIENCE = 180.0  # s for anything on a busy computer
 PATIENT_LEASE = 30.0  # s: a disk that others use may take long over a renewal
-SHORT_LEASE = 6.0  # s, where a service is killed and started again: it waits for so long
+SHORT_LEASE = 16.0  # s, where a service is killed and started again: it waits for so long
 SYNC_PERIOD = 0.008  # s: half the rate of the default, which a computer that does other work cannot always keep
 
 

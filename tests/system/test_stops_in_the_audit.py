@@ -25,7 +25,7 @@ from tests.system.rest_bench import (
     virtual_machine,
 )
 
-LEASE_TIME = 4.0  # s: the machine stands after half of it without a renewal
+LEASE_TIME = 12.0  # s: the machine stands after half of it without a renewal
 MISSED_CYCLES = 20  # of 8 ms: far fewer than a suspension of `SUSPENDED` brings
 SUSPENDED = 0.5  # s, shorter than the drives wait for their host
 

@@ -7,10 +7,18 @@ import pytest
 
 from service.client import ServiceClient, ServiceProblem
 from tests.postgresql_server import running_server
-from tests.system.rest_bench import PATIENT_LEASE, Service, VirtualMachine, add_plan, release, until, virtual_machine
+from tests.system.rest_bench import (
+    PATIENT_LEASE,
+    SHORT_LEASE,
+    Service,
+    VirtualMachine,
+    add_plan,
+    release,
+    until,
+    virtual_machine,
+)
 
 POSES = 2
-LEASE_TIME = 6.0  # s
 
 
 class Cell:
@@ -33,7 +41,7 @@ def test_two_cells_measure_at_once_and_one_is_killed(tmp_path: Path, engine: str
             server = stack.enter_context(running_server())
             settings = {"database_url": server.new_database(), "database_password_file": str(server.password_file)}
         cells: list[Cell] = []
-        for name, lease in (("cell A", PATIENT_LEASE), ("cell B", LEASE_TIME)):
+        for name, lease in (("cell A", PATIENT_LEASE), ("cell B", SHORT_LEASE)):
             folder = tmp_path / name
             folder.mkdir()
             machine = stack.enter_context(virtual_machine(folder))

@@ -69,7 +69,9 @@ def test_a_campaign_is_read_by_all_and_changed_by_its_own(
     assert (seen.machine, seen.here, seen.state) == ("cell A", False, CampaignState.RUNNING)
     refused = rf"campaign {campaign.id} belongs to machine 'cell A': send it to the service of that machine"
     interrupt = sweep_move(SweepEvent.INTERRUPT)
+    assert a.own_campaign(campaign.id) == campaign
     changes = (
+        lambda: b.own_campaign(campaign.id),
         lambda: b.move_campaign(campaign.id, campaign_move(CampaignEvent.PAUSE)),
         lambda: b.move_campaign(campaign.id, campaign_move(CampaignEvent.ABORT)),
         lambda: b.begin_sweep(campaign.id, 1, PLANNED),
