@@ -343,7 +343,7 @@ async def _open_cell(
 
     diagnosing = Diagnosing(store, app.diagnoses, app.models, files, worker)
     stack.push_async_callback(diagnosing.close)
-    experiments = Experiments(settings, store, app.diagnoses, runner, diagnosing)
+    experiments = Experiments(settings, store, app.diagnoses, runner, diagnosing, axes)
     stack.push_async_callback(experiments.close)
     last_event = await asyncio.to_thread(store.last_event_id)
     await diagnosing.recover()

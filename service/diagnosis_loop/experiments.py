@@ -5,6 +5,7 @@ experiments (`unattended`): at most `ROUNDS` per axis, never with a test mass, a
 """
 
 import asyncio
+from collections.abc import Sequence
 from typing import cast
 
 import structlog
@@ -21,6 +22,7 @@ from service.planning.compiled_plan import plan_of
 from service.planning.diagnosis.documents import ExperimentPlan, ExperimentRequest
 from service.planning.diagnosis.plan import build_experiment_plan
 from service.results.experiment import Experiment
+from service.safety.robot_and_machine import DriveAxis, on_machine
 from service.settings import Settings
 from service.store.diagnosis.diagnoses import DiagnosisStore, check_free
 from service.store.diagnosis_documents import (
@@ -47,8 +49,16 @@ class Experiments:
     """Leads from a proposed experiment to the next diagnosis."""
 
     def __init__(
-        self, settings: Settings, store: Store, diagnoses: DiagnosisStore, runner: Runner, diagnosing: Diagnosing
+        self,
+        settings: Settings,
+        store: Store,
+        diagnoses: DiagnosisStore,
+        runner: Runner,
+        diagnosing: Diagnosing,
+        axes: Sequence[DriveAxis],
     ) -> None:
+        """`axes`: of the machine that runs the experiments."""
+        self._axes = axes
         self._settings, self._store, self._diagnoses = settings, store, diagnoses
         self._runner, self._diagnosing = runner, diagnosing
         self._approving = asyncio.Lock()
@@ -66,7 +76,7 @@ class Experiments:
         designed = [DesignedSweep(sweep.spec, sweep.ramp, sweep.settle) for sweep in experiment.sweeps]
         name = cell or self._cell(diagnosis)
         request = ExperimentRequest(robot_id=diagnosis.robot_id, cell=name, test_mass=test_mass)
-        robot = self._store.robot(diagnosis.robot_id).build()
+        robot = on_machine(self._store.robot(diagnosis.robot_id).build(), self._axes)
         return build_experiment_plan(robot, request, designed, read_cell(self._settings.cells_dir / f"{name}.yaml"))
 
     async def approve(

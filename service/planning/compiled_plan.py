@@ -13,7 +13,7 @@ from service.planning.trajectories.documents import TrajectoryPlan
 from service.robot import Robot
 from service.safety.envelope import Envelope
 from service.safety.noise_motion import Command
-from service.safety.robot_and_machine import DriveAxis, differences
+from service.safety.robot_and_machine import DriveAxis, differences, on_machine
 from service.settings import Settings
 from service.store.documents import CampaignDocument, NewSweep, PlanRecord, SweepDocument, SweepState
 from service.store.store import Store
@@ -100,7 +100,7 @@ def compile_plan(
         joints=robot.joints,
         commands={number: sweep.command() for number, sweep in enumerate(plan.sweeps, 1)},
         envelope=Envelope(
-            robot,
+            on_machine(robot, axes),
             cell,
             plan.limits if isinstance(plan, DiagnosisPlan | ExperimentPlan) else None,
             plan.request.known_mass if isinstance(plan, ExperimentPlan) else None,

@@ -5,8 +5,9 @@ without a check. Pure: `COMPARED` is the table of compared values.
 """
 
 import math
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 from pydantic import BaseModel, ConfigDict, OnErrorOmit, field_validator
@@ -98,7 +99,7 @@ def _effort(unit: str) -> str:
 
 # Gear ratios are quotients of numbers of teeth: a rounded one is within 0.1 %. Rated torques are rounded more.
 # Position limits must be equal: otherwise the drive refuses the plan, or allows more than the robot. The
-# drive may have lower limits of speed and effort than the robot.
+# drive may have lower limits of speed and effort than the robot: plans for it keep them, see `on_machine`.
 COMPARED = (
     Comparison(
         "gear ratio",
@@ -125,6 +126,22 @@ COMPARED = (
         _at_most(1e-2),
     ),
 )
+
+
+def on_machine(robot: Robot, axes: Sequence[DriveAxis]) -> Robot:
+    """The robot with the limits of velocity and effort of the drives that are below its own.
+
+    A drive refuses a sweep with higher limits.
+    """
+    root, drives = ET.fromstring(robot.urdf_text), {axis.joint: axis for axis in axes}
+    for joint in root.iter("joint"):
+        limit, drive = joint.find("limit"), drives.get(joint.get("name", ""))
+        if limit is None or drive is None:
+            continue
+        for name, value in (("velocity", drive.velocity_limit), ("effort", drive.effort_limit)):
+            if value is not None and value < float(limit.get(name, "inf")):
+                limit.set(name, repr(value))
+    return replace(robot, urdf_text=ET.tostring(root, encoding="unicode"))
 
 
 def differences(

@@ -238,4 +238,5 @@ def test_measure_told_to_end_stops_the_machine(
     assert b"machine stopped" in words.splitlines()[-1]
     assert measuring.returncode == 1
     until(machine.stands, "the axes stand")
-    assert client.ready()["causes"] == [f"stopped by sweepid measure: {why}"]
+    stopped = [f"stopped by sweepid measure: {why}"]
+    until(lambda: client.ready()["causes"] == stopped, "it is held by that stop alone")  # the campaign's end is stored

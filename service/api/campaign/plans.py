@@ -26,6 +26,7 @@ from service.planning.trajectories.documents import TrajectoryRequest
 from service.planning.trajectories.plan import build_trajectory_plan
 from service.results.analysis import Analyses
 from service.results.stored_json import JsonOf
+from service.safety.robot_and_machine import on_machine
 from service.store.documents import PlanRecord
 
 
@@ -79,6 +80,8 @@ def add_plan(
     )
     if other:
         raise BadInput("robot_id", f"belongs to another machine: {other}")
+    if not elsewhere:
+        robot = on_machine(robot, application.own.drive_axes)
     cell = read_cell(application.settings.cells_dir / f"{wanted.cell}.yaml")
     if isinstance(wanted, AnalysisRequest):
         document = build_analysis_plan(robot, _with_excitation(wanted, application), cell)

@@ -61,7 +61,7 @@ async def loop(tmp_path: Path, robot: Robot, envelope: Envelope) -> AsyncIterato
         diagnoses = DiagnosisStore(bench.database)
         nobody = DaskWorkers(Cluster("tcp://127.0.0.1:1"))
         diagnosing = Diagnosing(bench.store, diagnoses, ModelStore(bench.database), bench.files, nobody)
-        experiments = Experiments(Settings(), bench.store, diagnoses, bench.runner, diagnosing)
+        experiments = Experiments(Settings(), bench.store, diagnoses, bench.runner, diagnosing, ())
         new = NewDiagnosis(
             robot_id=bench.campaign.robot_id, campaigns=(bench.campaign.id,), axes=("joint_1",), unattended=True
         )

@@ -1,8 +1,10 @@
 """Robot and machine belong together: each number that both files have, and what is done with one that differs."""
 
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from drivers.registry import load_profile
@@ -12,7 +14,8 @@ from service.geometry.cell import read_cell
 from service.planning.compiled_plan import compile_plan, planned_sweeps
 from service.planning.plan import PlanRequest, build_plan
 from service.robot import Robot, build_robot
-from service.safety.robot_and_machine import COMPARED, DriveAxis, DriveProfile, differences
+from service.safety.envelope import EnvelopeViolation
+from service.safety.robot_and_machine import COMPARED, DriveAxis, DriveProfile, differences, on_machine
 from service.settings import Settings
 from service.store.database import open_database
 from service.store.documents import CampaignDocument
@@ -132,3 +135,36 @@ def test_a_campaign_for_another_machine_has_no_course(planned: tuple[Store, Sett
     assert said.startswith(f"campaign {campaign.id} is for another machine: joint_6 gear ratio: robot max100-class")
     assert f"has 60, drive profile {PROFILES[0]} has 101" in said
     assert "joint_1" in compile_plan(store, settings, axes_of(PROFILES[0])[:3], "", campaign).joints
+
+
+def lowered(axes: tuple[DriveAxis, ...]) -> tuple[DriveAxis, ...]:
+    """Axis 2 may give less than the robot's 7000 N m and 1.5 rad/s."""
+    return (axes[0], axes[1].model_copy(update={"effort_limit": 6000.0, "velocity_limit": 0.05}), *axes[2:])
+
+
+def test_limits_of_the_drives_below_the_robots_are_the_limits(robot: Robot) -> None:
+    axes = lowered(axes_of(PROFILES[0]))
+    limited = on_machine(robot, (*axes[:-1], DriveAxis(joint="joint_6", effort_limit=1e9)))
+    joint = limited.chain.joints[1]
+    assert (joint.effort, joint.velocity) == (6000.0, 0.05)
+    assert limited.chain.joints[5].effort == robot.chain.joints[5].effort  # never more than the robot's
+    assert np.array_equal(limited.chain.inertial, robot.chain.inertial)
+    assert (joint.lower, joint.upper) == (robot.chain.joints[1].lower, robot.chain.joints[1].upper)
+
+
+def test_a_plan_for_weaker_drives_keeps_their_limits(tmp_path: Path, robot: Robot) -> None:
+    """And one that was made for stronger drives is refused before anything moves."""
+    axes, cell = lowered(axes_of(PROFILES[0])), read_cell(CONFIG / "cells/workshop.yaml")
+    settings = Settings(cells_dir=CONFIG / "cells", drive=PROFILES[0])
+    with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
+        store = Store(database)
+        robot_id = store.add_robot(robot).id
+        request = PlanRequest(robot_id=robot_id, axes=("joint_2",), varied=("joint_3",), step=30.0, poses=1)
+        for machine, allowed in ((on_machine(robot, axes), True), (robot, False)):
+            plan = store.add_plan(robot_id, build_plan(machine, request, cell).model_dump(mode="json"))
+            campaign = store.add_campaign(plan.id, planned_sweeps(plan))
+            compiled = compile_plan(store, settings, axes, "", campaign)
+            (sweep,), (command,) = planned_sweeps(plan), compiled.commands.values()
+            with nullcontext() if allowed else pytest.raises(EnvelopeViolation, match=r"joint_2: .* limit"):
+                compiled.envelope.check_sweep(command, sweep.spec.pose)
+            assert (command.effort_limit <= 6000.0) is allowed

@@ -297,15 +297,15 @@ async def test_a_resume_that_meets_the_pause_leaves_no_campaign_running_that_not
     await bench.runner.start(bench.campaign.id)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     await bench.runner.pause(bench.campaign.id)
-    campaign, asked, go = bench.store.campaign, threading.Event(), threading.Event()
+    campaign, asked, go = bench.store.own_campaign, threading.Event(), threading.Event()
 
     def slow(campaign_id):
-        bench.store.campaign = campaign  # everybody else is answered at once
+        bench.store.own_campaign = campaign  # everybody else is answered at once
         asked.set()
         go.wait(TIMEOUT)
         return campaign(campaign_id)
 
-    bench.store.campaign = slow
+    bench.store.own_campaign = slow
     refused = asyncio.create_task(bench.runner.abort(bench.campaign.id, "by an old page", if_version=1))
     await until(asked.is_set)
     resuming = asyncio.create_task(bench.runner.resume(bench.campaign.id))
