@@ -11,7 +11,7 @@ from typing import Any
 Json = dict[str, Any]
 
 _EXAMPLES: Json = json.loads(files("service.api.declared").joinpath("examples.json").read_text("utf-8"))
-_UNTOLD = "Successful Response"  # FastAPI's text for an answer without description
+_NO_DESCRIPTION = "Successful Response"  # FastAPI's text for an answer without description
 _MODELS = "#/components/schemas/"
 _TEXTS: dict[str, tuple[str, str]] = {
     "application/pdf": ("The file: pages of A4, or the tables.", "%PDF and pages"),
@@ -39,7 +39,7 @@ def complete(document: Json) -> None:
                 for media, body in response.get("content", {}).items():
                     schema = body.setdefault("schema", {"type": "string"})
                     description, name = _described(document, schema, media)
-                    if response.get("description", _UNTOLD) == _UNTOLD:
+                    if response.get("description", _NO_DESCRIPTION) == _NO_DESCRIPTION:
                         response["description"] = description
                     example = _example(name, status, media)
                     if example is not None and "examples" not in body:
@@ -53,9 +53,11 @@ def _described(document: Json, schema: Json, media: str) -> tuple[str, str]:
     some = schema.get("anyOf", [schema])[0]  # an alternative null needs no description of its own
     of = some.get("items", some).get("$ref", "").removeprefix(_MODELS)
     if not of:
-        return _TEXTS.get(media, ("", ""))[0] or _UNTOLD, media.replace("/", ".")
+        return _TEXTS.get(media, ("", ""))[0] or _NO_DESCRIPTION, media.replace("/", ".")
     page, item = of.startswith("Page_"), of.removeprefix("Page_").removesuffix("_")
-    description = " ".join(document["components"]["schemas"][item].get("description", _UNTOLD).split("\n\n")[0].split())
+    description = " ".join(
+        document["components"]["schemas"][item].get("description", _NO_DESCRIPTION).split("\n\n")[0].split()
+    )
     if page:
         return f"Part of a list, oldest first. {description}", of
     return (f"A list. {description}", f"List_{of}_") if "items" in schema else (description, of)

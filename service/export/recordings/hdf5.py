@@ -20,7 +20,7 @@ from service.recording import Sweep
 from service.store.files.columns import columns_of
 
 _h5: Any = h5py  # has no types
-_TOLD = ("id", "axis", "pose", "offset_velocity", "excitation", "measure_from", "sample_rate", "started_at", "repeat")
+_ALWAYS = ("id", "axis", "pose", "offset_velocity", "excitation", "measure_from", "sample_rate", "started_at", "repeat")
 _MAYBE = ("period", "periods", "block")
 
 
@@ -38,7 +38,7 @@ def write(path: Path, recordings: Recordings) -> None:
 
 
 def _write_sweep(group: Any, sweep: Sweep, prismatic: bool) -> None:
-    attributes = {name: getattr(sweep.spec, name) for name in (*_TOLD, *_MAYBE)}
+    attributes = {name: getattr(sweep.spec, name) for name in (*_ALWAYS, *_MAYBE)}
     for name, value in attributes.items():
         if value not in (None, ""):
             group.attrs[name] = value

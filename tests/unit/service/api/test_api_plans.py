@@ -9,7 +9,7 @@ import pytest
 
 from service.configuration import read_robot
 from tests.command import sweepid
-from tests.unit.service.api.conftest import CONFIG
+from tests.unit.service.api.conftest import CONFIG, serving
 
 ROBOT = str(CONFIG / "robots" / "max100-class.yaml")
 AXES = {"axes": ["joint_2"], "varied": ["joint_3"], "step": 10.0}
@@ -62,6 +62,18 @@ def test_a_robot_of_another_machine_is_not_planned(http: httpx.Client, profile: 
     gear = f"joint_6 gear ratio: robot max100-class (number {robot}) has 60, drive profile {profile} has 101"
     assert refused.json()["detail"].startswith(f"robot_id: belongs to another machine: {gear}")
     assert http.post("/plans", params={"elsewhere": True}, json=wanted).status_code == 201
+
+
+def test_a_plan_keeps_a_lower_limit_of_the_drive(tmp_path: Path, profile: Path) -> None:
+    weaker = tmp_path / "weaker.yaml"
+    weaker.write_text(profile.read_text("utf-8").replace("effort_limit: 7000.0", "effort_limit: 6000.0"), "utf-8")
+    with serving(tmp_path, weaker) as url, httpx.Client(base_url=f"{url}/api/v1", timeout=60, trust_env=False) as http:
+        robots = http.get("/robots").json()["items"]
+        robot = next(one["id"] for one in robots if one["name"] == "max100-class")
+        for elsewhere, limit in ((False, 6000.0), (True, 7000.0)):
+            wanted = AXES | {"robot_id": robot, "poses": 1}
+            plan = http.post("/plans", params={"elsewhere": elsewhere}, json=wanted).json()["document"]
+            assert [sweep["effort_limit"] for sweep in plan["sweeps"]] == [limit]
 
 
 def test_a_mesh_that_the_service_does_not_have_is_told(http: httpx.Client) -> None:
