@@ -28,7 +28,7 @@ from drivers.ports import SampleBlock, SetPointTiming
 
 OPENING_SYNCS = 3  # without set-points; after more of them a drive assumes that the host is lost
 BLOCK_TIME = 0.1  # s of samples per block
-STANDSTILL_TIMEOUT = 3.0  # s after the end of the waveform
+STANDSTILL_TIMEOUT = 3.0  # s of cycles after the end of the waveform; s without the last samples
 HOLD_TIMEOUT = 5.0  # s, maximum wait at standstill until the mode is left
 
 Events = queue.SimpleQueue[frames.Event]
@@ -182,7 +182,8 @@ class HostSweep:
             self._bus.kernel_sends(sending=False)
 
     def _by_thread(self, events: Events) -> None:
-        standstill_by = hold_until = float("inf")
+        counted_by = hold_until = float("inf")
+        standstill_by = self._last + round(STANDSTILL_TIMEOUT / self._period)  # a cycle: an axis is slow, not the host
         self._clock.begin(time.monotonic())
         while True:
             now = time.monotonic()
@@ -210,8 +211,9 @@ class HostSweep:
                 if now > hold_until:
                     self._stop_all(StopStage.QUICK_STOP)
             elif unfinished is not None:
-                standstill_by = min(standstill_by, now + STANDSTILL_TIMEOUT)
-                if now > standstill_by:
+                behind = any(axis.behind for axis in self._axes.values())
+                counted_by = min(counted_by, now + STANDSTILL_TIMEOUT) if behind else float("inf")
+                if self._number > standstill_by or now > counted_by:
                     self._end(*unfinished)
             elif self._number > self._last + STANDING_SAMPLES:
                 hold_until = now + HOLD_TIMEOUT

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.canopen import frames
-from drivers.canopen.host_sweep import HostSweep
+from drivers.canopen.host_sweep import STANDSTILL_TIMEOUT, HostSweep
 from drivers.canopen.streamed_axis import MOST_AHEAD, Ending
 from drivers.errors import CommunicationLost
 from drivers.ports import SampleBlock
@@ -320,6 +320,34 @@ async def test_a_late_host_is_counted_and_goes_on_where_the_profile_allows_it() 
         assert run.ending is Ending.COMPLETED
         assert run.timing().missed >= 20
         assert run.timing().worst_lateness >= 0.08
+
+
+async def test_a_stall_while_the_axis_comes_to_standstill_is_not_held_against_the_axis() -> None:
+    def stall(k: int, answer: list[Frame]) -> list[Frame]:
+        if k == SAMPLES + 2:  # the sweep is over, and the host waits for standstill
+            hold_up(STANDSTILL_TIMEOUT + 0.5)
+        return answer
+
+    async with bench(Drive(1, mangle=stall)) as on:
+        run = on.start()
+        samples = of(await run_to_end(run), "joint_1")
+        assert (run.ending, run.reason) == (Ending.COMPLETED, "")
+        assert samples.index.tolist() == list(range(SAMPLES))
+        assert run.timing().worst_lateness > STANDSTILL_TIMEOUT
+
+
+async def test_an_axis_that_does_not_come_to_standstill_is_stopped() -> None:
+    def drift(_: int, answer: list[Frame]) -> list[Frame]:
+        statusword, velocity, torque = struct.unpack("<Hih", answer[0][1])
+        return [(answer[0][0], struct.pack("<Hih", statusword, velocity + 2, torque)), answer[1]]  # 1 is standstill
+
+    async with bench(Drive(1), Drive(2, mangle=drift)) as on:
+        run = on.start()
+        await run_to_end(run)
+        assert (run.ending, run.joint) == (Ending.NO_STANDSTILL, "joint_2")
+        assert run.reason == "joint_2 (node 2): is not at standstill 3 s after its sweep"
+        assert run.timing().cycles >= SAMPLES + STANDSTILL_TIMEOUT / PERIOD
+        assert {drive.statusword for drive in on.cabinet.drives.values()} == {OFF}
 
 
 async def test_more_missed_deadlines_than_allowed_end_the_sweep() -> None:
