@@ -11,8 +11,10 @@ from service.campaigns.live import EventFeed
 from service.diagnosis_loop.diagnosing import Diagnosing
 from service.diagnosis_loop.experiments import ROUNDS, Experiments
 from service.errors import BadInput, Conflict
+from service.planning.diagnosis.documents import PEAK_VELOCITY
 from service.robot import Robot
 from service.safety.envelope import Envelope
+from service.safety.robot_and_machine import DriveAxis
 from service.settings import Settings
 from service.settings.workers import Cluster
 from service.store.diagnosis.diagnoses import DiagnosisStore
@@ -30,14 +32,22 @@ MASS = BoltedMass(mass=20.0, center=(0.1, 0.0, 0.0))
 class Loop:
     bench: Bench
     diagnoses: DiagnosisStore
+    diagnosing: Diagnosing
     experiments: Experiments
     new: NewDiagnosis
 
-    def done(self, kind: str | None, new: NewDiagnosis | None = None, verdict: str = "ambiguous") -> DiagnosisDocument:
-        """A diagnosis of joint_1 that proposes an experiment of a kind."""
+    def of(self, *axes: DriveAxis) -> Experiments:
+        """Experiments of a machine with these axes."""
+        bench = self.bench
+        return Experiments(Settings(), bench.store, self.diagnoses, bench.runner, self.diagnosing, axes)
+
+    def done(
+        self, kind: str | None, new: NewDiagnosis | None = None, verdict: str = "ambiguous", *, sweeps: bool = False
+    ) -> DiagnosisDocument:
+        """A diagnosis of joint_1 that proposes an experiment of a kind, with or without its sweeps."""
         diagnosis = self.diagnoses.add(new or self.new)
         proposal = stored("diagnosis-open")["axes"]["joint_1"]["next_experiment"]
-        wanted = None if kind is None else proposal | {"kind": kind, "sweeps": []}
+        wanted = None if kind is None else proposal | {"kind": kind} | ({} if sweeps else {"sweeps": []})
         self.diagnoses.add_result(diagnosis.id, "joint_1", verdict, {"verdict": verdict})
         axis = axis_document(verdict=verdict, next_experiment=wanted)
         self.diagnoses.finish(diagnosis.id, diagnosis_document(joint_1=axis))
@@ -65,9 +75,18 @@ async def loop(tmp_path: Path, robot: Robot, envelope: Envelope) -> AsyncIterato
         new = NewDiagnosis(
             robot_id=bench.campaign.robot_id, campaigns=(bench.campaign.id,), axes=("joint_1",), unattended=True
         )
-        yield Loop(bench, diagnoses, experiments, new)
+        yield Loop(bench, diagnoses, diagnosing, experiments, new)
         await experiments.close()
         await diagnosing.close()
+
+
+def test_an_experiment_keeps_the_lower_limits_of_the_drive(loop: Loop, robot: Robot) -> None:
+    proposed = loop.done("reversal", sweeps=True)
+    effort = robot.chain.joints[0].effort
+    lower = DriveAxis(joint="joint_1", velocity_limit=0.14, effort_limit=0.75 * effort)
+    for axes, limits in (((), (PEAK_VELOCITY, effort)), ((lower,), (0.14, 0.75 * effort))):
+        plan = loop.of(*axes).plan(proposed.id, "joint_1", "workshop")
+        assert {(sweep.velocity_limit, sweep.effort_limit) for sweep in plan.sweeps} == {limits}
 
 
 @pytest.mark.parametrize("mass", [None, MASS])
