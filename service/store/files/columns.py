@@ -175,7 +175,7 @@ def _read_csv(
         "read_options": _csv.ReadOptions(skip_rows=form.skip_rows, use_threads=False),  # errors then name the row
         "parse_options": _csv.ParseOptions(delimiter=form.delimiter),
     }
-    with _csv.open_csv(str(path), **how) as file:  # only its first block
+    with _csv.open_csv(_arrow.py_buffer(_first_lines(path)), **how) as file:  # a path is read ahead
         names = cast(list[str], file.schema.names)
     present = _present(names, required, wanted, place)
     lines = _lines(path)
@@ -193,6 +193,14 @@ def _read_csv(
                 column[rows:end] = _numbers(batch.column(name))
             rows = end
     return {name: column[:rows] for name, column in columns.items()}
+
+
+def _first_lines(path: Path) -> bytes:
+    """The lines of the first block that pyarrow would read (1 MiB), without a last one that is cut off."""
+    with path.open("rb") as file:
+        block = file.read(2**20)
+    end = max(block.rfind(b"\n"), block.rfind(b"\r")) + 1
+    return block[:end] if end and len(block) == 2**20 else block
 
 
 def _lines(path: Path) -> int:
