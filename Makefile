@@ -28,7 +28,7 @@ docs: $(READY)  ## the documents as a site, docs/_build/index.html; warnings are
 test: check  ## all checks, then all tests
 	$(BIN)/python -m pytest -n 3 --dist loadscope --durations 40  # two wait for machines, one computes
 
-test-fast: $(READY)  ## unit and architecture tests that are not marked slow, in some minutes
+test-fast: $(READY)  ## unit and architecture tests that are not marked slow, in two minutes
 	$(BIN)/python -m pytest -n 2 --dist loadscope -m "not slow" --durations 10 --durations-min 2 tests/unit tests/architecture
 
 test-random: $(READY)  ## unit and architecture tests, the files and the tests in each shuffled; prints the seed

@@ -16,6 +16,8 @@ from service.settings import Settings
 from service.settings.workers import cluster_at
 from service.store.objects.object_store import check_usable
 
+pytestmark = pytest.mark.slow
+
 PLANT = "config/plant"
 MOVING = {"machine", "service", "machine-1", "machine-2", "cell-1", "cell-2"}
 ONCE = {"permissions", "bucket"}

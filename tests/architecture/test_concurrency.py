@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 PACKAGES = ("service", "drivers")
 APART = {"contract", "demo"}  # what outsiders' tests run, and a command that ends with its processes
 MAKERS = {"Thread": "name", "ThreadPoolExecutor": "thread_name_prefix", "create_task": "name"}

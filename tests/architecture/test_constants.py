@@ -9,6 +9,8 @@ import pytest
 from tests.benchmarks.constants import table
 from tests.constants_page import PAGE, ROOT, in_code, on_page, same
 
+pytestmark = pytest.mark.slow
+
 KINDS = ("paper", "statistics", "derived", "equation", "exact", "physics", "field", "scores", "chosen")
 
 

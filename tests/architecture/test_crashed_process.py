@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 _CONFTEST = """
 from xdist.scheduler import LoadScopeScheduling
 from tests.conftest import MachinesAtOnce

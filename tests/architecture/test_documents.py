@@ -17,6 +17,8 @@ from service.cli import build
 from service.configuration import read_robot, read_yaml
 from service.traces.trace_import import Mapping
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 BLOCK = re.compile(r"(<!-- run -->\n+)?^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -10,6 +10,8 @@ import pytest
 
 from tests.guide import written
 
+pytestmark = pytest.mark.slow
+
 BIN = Path(sys.executable).parent
 
 

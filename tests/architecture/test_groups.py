@@ -10,6 +10,8 @@ import pytest
 
 from tests.conftest import KEEP_TIME_TOO, LONGEST, SHARED_OUT, keeps_time, unit_of
 
+pytestmark = pytest.mark.slow
+
 TWO_FILES = ("tests/unit/drivers/test_stop_sequence.py", "tests/unit/drivers/test_states.py")
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 MATHEMATICS = {"dask", "distributed", "plotly", "pyarrow", "scipy"}
 SERVER = {"alembic", "fastapi", "sqlalchemy", "uvicorn"}
 PHYSICS = {"mujoco"}

@@ -29,6 +29,7 @@ def _of_machine(node: ast.Attribute) -> bool:
     return name.endswith("machine") or name == "motion"
 
 
+@pytest.mark.slow
 def test_nothing_else_moves(root: Path) -> None:
     service = root / "service"
     found = [

@@ -67,6 +67,7 @@ def test_no_file_is_long(root: Path) -> None:
     assert sorted(lengths.values())[len(lengths) // 2] <= MEDIAN
 
 
+@pytest.mark.slow
 def test_no_two_folders_need_each_other(root: Path) -> None:
     arrows = arrows_between_folders(root)
     assert {"service", "service.identification", "service.diagnosis"} <= arrows.keys()

@@ -50,6 +50,7 @@ def counted(service: Path) -> dict[str, int]:
     return {folder: number for folder, number in sorted(count.items()) if number}
 
 
+@pytest.mark.slow
 def test_results_have_types(root: Path) -> None:
     assert counted(root / "service") == {}
 

@@ -21,6 +21,8 @@ from tests.commission_bench import DRIVES, OWN, Cabinet, cabinet, words_of_energ
 from tests.foreign_bench import MAKERS, ROOT, file_of
 from tests.planted_mismatches import BOTH, axis
 
+pytestmark = pytest.mark.slow
+
 DEVICES = ROOT / "config" / "devices"
 FILLED = {
     "bitrate": 1_000_000, "gear_ratio": 101.0, "rated_torque": 0.5, "position_limits": [-0.2, 0.2], "increments": 8192,

@@ -19,6 +19,8 @@ from drivers.canopen.profile import BusProfile
 from drivers.canopen.sdo import Sdo
 from drivers.errors import DriveError
 
+pytestmark = pytest.mark.slow
+
 NODE = 1
 # commands of an SDO server: uploads, downloads, segments, block transfer, abort; with other bytes than it would send
 COMMAND = st.sampled_from([0x43, 0x4F, 0x41, 0x40, 0x60, 0x20, 0x00, 0x01, 0x10, 0x11, 0xC6, 0xC2, 0xC1, 0xA1, 0x80])

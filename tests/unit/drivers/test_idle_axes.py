@@ -46,6 +46,7 @@ async def test_a_drive_side_sweep_ends_while_its_consumer_hangs() -> None:
     await port.close()
 
 
+@pytest.mark.slow
 async def test_a_streamed_sweep_ends_while_its_consumer_hangs() -> None:
     drive, standing, stop = Drive(1), Servo("joint_2"), threading.Event()
     thread, axis = DriveThread("test"), Axis(standing, HostWatch(60.0))

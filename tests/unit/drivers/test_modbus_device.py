@@ -142,6 +142,7 @@ def test_a_swapped_drive_gets_no_energy(kind: str, registers: RegisterMap) -> No
         assert get(bank, registers, "statusword") == 0x40
 
 
+@pytest.mark.slow
 @KINDS
 def test_enabling_takes_the_one_path_and_losing_the_drive_stops_it_unheard(
     kind: str, registers: RegisterMap, monkeypatch: pytest.MonkeyPatch

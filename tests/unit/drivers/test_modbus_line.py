@@ -16,6 +16,8 @@ from drivers.modbus.line import Line
 from drivers.modbus.profile import RtuLine, TcpLine
 from tests.unit.drivers.modbus_bank import TIMEOUT, Bank, Request, crc, rtu_frame, serving
 
+pytestmark = pytest.mark.slow
+
 REGISTERS = {0x10: 0x1111, 0x11: 0x2222, 0x12: 0x3333}
 PATIENCE = 1.0  # s for a good answer: line and units share this process, and the computer
 

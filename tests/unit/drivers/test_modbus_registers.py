@@ -126,6 +126,7 @@ JUNK = st.recursive(
 )
 
 
+@pytest.mark.slow
 @given(content=JUNK | st.fixed_dictionaries({}, optional=dict.fromkeys(HIGH, JUNK)))
 def test_junk_is_refused(content: object) -> None:
     with pytest.raises(BadProfile):

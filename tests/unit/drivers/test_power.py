@@ -16,6 +16,8 @@ from drivers.cia402.profile import AxisProfile, IdentityProfile
 from drivers.cia402.states import State
 from drivers.errors import DriveError
 
+pytestmark = pytest.mark.slow
+
 PROFILE = AxisProfile(
     joint="joint_1",
     identity=IdentityProfile(vendor=1, product=2, revision=3),

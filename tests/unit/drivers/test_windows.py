@@ -125,6 +125,7 @@ def test_where_the_host_waits_for_answers_lost_and_doubled_frames_do_no_harm(row
     assert len(samples) >= len(good) - 2 * sum(2 in (m.copies, p.copies) for _, m, p, _ in never_late)
 
 
+@pytest.mark.slow
 @given(st.integers(1, 10), st.integers(2, 20), st.lists(st.integers(-3, 3), min_size=40, max_size=40), st.booleans())
 def test_answers_that_are_all_late_for_a_while_are_found_out(
     since: int, long: int, velocities: list[int], to_the_end: bool

@@ -18,6 +18,7 @@ def drives(request: pytest.FixtureRequest) -> Iterator[Cabinet]:
         yield bench
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("drives", "case"),
     [pytest.param(kind, case, id=f"{kind}-{case.name}") for kind in KINDS for case in CASES if kind in case.kinds],
@@ -54,6 +55,7 @@ def test_an_answer_of_4_bytes_is_told_and_no_mismatch(drives: Cabinet) -> None:
     assert "sent in 4 bytes" in mode.what
 
 
+@pytest.mark.slow
 def test_a_sound_machine_has_none(drives: Cabinet) -> None:
     for _ in range(2):  # as new, and as configured by the first
         drives.heard()

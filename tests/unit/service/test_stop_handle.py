@@ -8,6 +8,8 @@ import pytest
 
 from service.stop_process.handle import StopProcess
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no wake-up descriptor for signals")
 def test_signals_are_told_to_no_closed_pipe(root: Path) -> None:

@@ -32,6 +32,7 @@ def trace(time: np.ndarray, start: float, stretch: float = 1.0, sweep: Excitatio
     return POSITION + way(sweep, (time - start) / stretch)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(start=st.floats(0.0, 6.0), backward=st.booleans(), places=st.sampled_from([4, 5, 6]), seed=st.integers(0, 99))
 def test_the_start_is_found_to_a_part_of_a_sample(start: float, backward: bool, places: int, seed: int) -> None:
@@ -107,6 +108,7 @@ def test_a_path_beyond_all_measure_is_refused_before_it_is_searched(
         motion_start(sweep, position, clock(12.0), trace(clock(12.0), 2.0), "trace.csv")
 
 
+@pytest.mark.slow
 def test_a_trace_without_end_is_refused() -> None:
     time = np.arange(2**21, dtype=np.float64) * 0.02
     with pytest.raises(BadInput, match=r"trace of 41943 s is too long for the search, limit 20972 s"):

@@ -24,6 +24,8 @@ from tests.forked import forked
 from tests.recorded_bundle import bundle
 from tests.unit.service.test_trace_import import mapping
 
+pytestmark = pytest.mark.slow
+
 _h5, _mf4 = cast(Any, h5py), cast(Any, mf4_rs)  # without types
 TIME = np.arange(500) / 250
 WRITERS = "service.export.recordings"

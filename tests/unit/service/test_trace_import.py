@@ -16,6 +16,8 @@ from service.recording import Recording, Sweep
 from service.store.files.bundle import read_bundle, write_bundle
 from service.traces.trace_import import differentiate, import_trace
 
+pytestmark = pytest.mark.slow
+
 POSITION = {"effort": {"source": "TORQUE"}, "position": {"source": "ENC"}}
 
 

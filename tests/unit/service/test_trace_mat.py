@@ -14,6 +14,8 @@ from service.traces.containers.request import Channel
 from service.traces.trace_import import import_trace
 from tests.unit.service.test_trace_import import mapping, trace
 
+pytestmark = pytest.mark.slow
+
 LENGTH = 200  # rows of the trace
 
 

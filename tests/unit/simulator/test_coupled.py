@@ -13,6 +13,8 @@ from simulator.machine import Machine
 from simulator.rigid_body import real_urdf
 from simulator.scenario import STEP
 
+pytestmark = pytest.mark.slow
+
 Load = Callable[[str], Scenario]
 POSE = (0.2, 0.3, -0.6, 0.4, 0.7, -0.3)
 

@@ -13,6 +13,8 @@ from simulator.follow import follow
 from simulator.scenario import ScenarioError, load_scenario
 from simulator.truth import true_inertia
 
+pytestmark = pytest.mark.slow
+
 TIME = np.arange(401) * 1e-3  # s
 TURN = 2 * np.pi / TIME[-1]
 

@@ -51,6 +51,7 @@ def test_one_thing_is_changed_and_nothing_else(seed: int) -> None:
     assert sum(elsewhere) == 1
 
 
+@pytest.mark.slow
 def test_the_size_is_some_hundredths_of_the_rated_effort() -> None:
     scenario = load_scenario(MODELLED)
     sizes = [

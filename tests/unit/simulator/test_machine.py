@@ -11,6 +11,7 @@ from simulator.machine import Machine
 STILL = np.zeros((500, 6))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["full", "rigid", "misfit"])
 def test_an_axis_stands_under_gravity_braked_and_in_closed_loop(
     noise_free: Callable[[str], Scenario], name: str

@@ -11,6 +11,8 @@ from simulator.moving_axis import moving_axis
 from simulator.plant import Plant
 from simulator.rigid_body import RigidBody
 
+pytestmark = pytest.mark.slow
+
 EFFECTS: list[dict[str, object]] = [
     {"motor_friction": {"viscous": 140.0, "coulomb": 90.0, "backward_viscous": 100.0, "backward_coulomb": 60.0}},
     {"load_friction": {"viscous": 60.0, "coulomb": 40.0, "backward_coulomb": 70.0}},

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from simulator.canopen.node import Frame
 from simulator.socketcand import SentFrame, SocketcandServer, parse_send
 
+pytestmark = pytest.mark.slow
+
 LOOSE = settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 

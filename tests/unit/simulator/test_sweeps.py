@@ -8,6 +8,8 @@ import pytest
 
 from simulator import Measurement, NoiseRun, Scenario, ScenarioError, SweepRun, run_sweeps, true_inertia
 
+pytestmark = pytest.mark.slow
+
 Make = Callable[..., SweepRun]
 Load = Callable[[str], Scenario]
 

@@ -27,6 +27,7 @@ def test_names(host: str, allowed: tuple[str, ...], names: set[str]) -> None:
     assert set(Settings(host=host, allowed_hosts=allowed).answers_to) == names
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("host", "answered"),
     [("127.0.0.1:8642", True), ("CELL7.example", True), ("evil.example:8642", False), ("", False)],

@@ -10,6 +10,8 @@ from service.api.declared.answers import complete
 from service.app import create_app
 from service.settings import Settings
 
+pytestmark = pytest.mark.slow
+
 Json = dict[str, Any]
 
 

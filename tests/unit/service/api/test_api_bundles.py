@@ -14,6 +14,8 @@ from service.client import ServiceClient
 from service.store.files.bundle import read_bundle
 from tests.unit.service.api.conftest import packed
 
+pytestmark = pytest.mark.slow
+
 ZIP = {"Content-Type": "application/zip"}
 
 

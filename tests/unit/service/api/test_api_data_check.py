@@ -13,6 +13,8 @@ from service.recording import Sweep
 from service.robot import Robot
 from tests.unit.service.api.test_api_diagnoses import imported, sweeps_of
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def client(url: str) -> Iterator[ServiceClient]:

@@ -177,6 +177,7 @@ def release_all(http: httpx.Client) -> None:
     assert http.post("/stop/reset", json={"by": "test", "stops": stops}).json()["latched"] is False
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("field", "value"),
     [

@@ -9,6 +9,8 @@ import pytest
 from service.client import ServiceClient, ServiceProblem
 from tests.command import sweepid
 
+pytestmark = pytest.mark.slow
+
 TYPE = "max100-class"
 
 

@@ -18,7 +18,7 @@ from service.recording import Sweep
 from service.robot import Robot
 from service.store.files.bundle import read_bundle, write_bundle
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")]
 ZIP = {"Content-Type": "application/zip"}
 ROOM = 100 * 2**10  # kB that the service may grow by
 

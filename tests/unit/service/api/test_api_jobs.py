@@ -10,6 +10,8 @@ from service.errors import BadInput
 from tests.command import sweepid
 from tests.unit.service.api.conftest import CAMPAIGNS
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_same_program_finds_the_same(url: str, campaigns: list[int], http: httpx.Client) -> None:
     """To 1e-9, and the stored estimates stay as they are."""

@@ -18,6 +18,8 @@ from tests.system.rest_bench import until
 from tests.unit.service.api.conftest import CONFIG
 from tests.unit.service.api.test_api_bundles import ZIP, packed
 
+pytestmark = pytest.mark.slow
+
 Samples = dict[tuple[str, frozenset[tuple[str, str]]], float]
 FIGURES = {figure.name: figure for figures in GROUPS.values() for figure in figures}
 STREAMED = {"sweepid_set_points", "sweepid_set_points_missed", "sweepid_set_point_lateness_seconds"}

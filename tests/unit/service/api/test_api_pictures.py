@@ -12,6 +12,8 @@ from tests.system.rest_bench import until
 from tests.unit.service.api.conftest import CONFIG
 from tests.unit.service.api.test_api_bundles import ZIP, packed
 
+pytestmark = pytest.mark.slow
+
 AXES = {"axes": ["joint_2"], "varied": ["joint_2", "joint_3"], "step": 15.0, "poses": 2}
 
 

@@ -11,6 +11,8 @@ from service.configuration import read_robot
 from tests.command import sweepid
 from tests.unit.service.api.conftest import CONFIG, serving
 
+pytestmark = pytest.mark.slow
+
 ROBOT = str(CONFIG / "robots" / "max100-class.yaml")
 AXES = {"axes": ["joint_2"], "varied": ["joint_3"], "step": 10.0}
 

@@ -44,6 +44,7 @@ def test_before_the_start_the_plan_counts_with_its_moves_and_the_check_moves() -
     assert expected_time(plan()) == found.remaining  # what the plan's own page says
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("pace", "extra"), [(1.0, 0.0), (1.3, 0.0), (1.0, 2.1), (0.05, 0.1)])
 def test_after_the_first_quarter_it_is_right_within_a_tenth(pace: float, extra: float) -> None:
     """Whether the machine is slower than planned, needs time around each sweep, or is simulated faster than time."""

@@ -16,6 +16,8 @@ from tests.command import sweepid
 from tests.unit.service.api.test_api_bundles import packed
 from tests.unit.service.report.pango import WITHOUT_PANGO
 
+pytestmark = pytest.mark.slow
+
 PLAN: dict[str, Any] = {
     "cell": "workshop",
     "axes": ["joint_1"],

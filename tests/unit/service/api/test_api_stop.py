@@ -8,6 +8,7 @@ from pathlib import Path
 
 import anyio.to_thread
 import httpx
+import pytest
 
 from service.app import create_app
 from service.settings import Settings
@@ -64,6 +65,7 @@ def test_a_stop_is_answered_without_the_database_and_noted_later(http: httpx.Cli
         assert beside.execute(noted).fetchone()[3] == "berta"
 
 
+@pytest.mark.slow
 async def test_stop_does_not_wait_for_a_thread_of_the_pool(tmp_path: Path, profile: Path) -> None:
     settings = Settings(data_dir=tmp_path, drive=profile, robots_dir=CONFIG / "robots", cells_dir=CONFIG / "cells")
     app = create_app(settings)

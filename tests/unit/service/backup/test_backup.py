@@ -23,6 +23,8 @@ from service.store.store import Store
 from tests.command import sweepid
 from tests.unit.service.backup.conftest import Forks, contents
 
+pytestmark = pytest.mark.slow
+
 
 def backup_of(data: Path, target: Path) -> Path:
     make_backup(data / "sweepid.sqlite", data, target)

@@ -66,6 +66,7 @@ def test_commands_are_the_papers(plan: AnalysisPlan, robot: Robot) -> None:
         assert command.highest < 40
 
 
+@pytest.mark.slow
 def test_the_plan_survives_json(plan: AnalysisPlan) -> None:
     assert AnalysisPlan.model_validate(json.loads(plan.model_dump_json())) == plan
 

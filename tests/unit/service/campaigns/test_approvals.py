@@ -72,6 +72,7 @@ async def test_a_start_and_a_resume_want_an_approval_that_holds(bench: Bench) ->
     asked.close()
 
 
+@pytest.mark.slow
 async def test_an_approval_that_expires_meanwhile_ends_no_motion_and_resumes_none(bench: Bench) -> None:
     asked, plan = Asked(bench), bench.campaign.plan_id or 0
     asked.approvals.add(plan, HASH, HASH, "ada")

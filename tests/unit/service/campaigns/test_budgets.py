@@ -17,6 +17,8 @@ from service.robot import Robot, build_robot
 from service.safety.envelope import Envelope
 from tests.unit.service.campaigns.small_arm import small_arm
 
+pytestmark = pytest.mark.slow
+
 CONFIG = Path(__file__).parents[4] / "config"
 CELL = Cell(name="plain", floor=0.0)
 TRAVEL_AND_NOT = (Criterion.CONDITION_AND_TRAVEL, Criterion.CONDITION)

@@ -3,10 +3,14 @@
 import asyncio
 import dataclasses
 
+import pytest
+
 from service.campaigns.state_machine import SweepEvent, sweep_move
 from service.store.documents import CampaignState, SweepDocument, SweepState
 from tests.stored.documents import stored
 from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench
+
+pytestmark = pytest.mark.slow
 
 
 def wants_confidence(bench: Bench, reached: list[float | None]) -> None:

@@ -72,6 +72,7 @@ def test_what_reverses_takes_no_part_in_the_inertia(plan: DiagnosisPlan) -> None
     assert {sweep.spec.block for sweep in plan.sweeps if not sweep.spec.shows_inertia} == {"reversal"}
 
 
+@pytest.mark.slow
 def test_the_envelope_knows_every_sweep_on_its_way(plan: DiagnosisPlan, robot: Robot, cell: Cell) -> None:
     envelope = Envelope(robot, cell, plan.limits)
     here = list(cell.home_pose(robot.joints))

@@ -28,6 +28,8 @@ from service.worker import Worker, open_worker
 from tests.rigid_sweep import rigid_bundle
 from tests.unit.service.campaigns.conftest import spec, until
 
+pytestmark = pytest.mark.slow
+
 SWEEPS = 7
 slow = pytest.mark.slow
 

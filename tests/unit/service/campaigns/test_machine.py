@@ -14,6 +14,8 @@ from service.store.documents import CampaignState, SweepState
 from service.store.guards import MachineLease
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
 
+pytestmark = pytest.mark.slow
+
 LEASE_TIME = 0.5  # s
 
 

@@ -21,6 +21,8 @@ from service.store.people.keys import KeyStore
 from service.store.people.writer import AuditWriter
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
 
+pytestmark = pytest.mark.slow
+
 LEASE_TIME = 0.5  # s
 PATIENCE = 20.0  # s
 

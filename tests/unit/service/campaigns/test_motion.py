@@ -9,6 +9,8 @@ from service.errors import Conflict, EnvelopeViolation
 from service.safety.envelope import Envelope
 from tests.unit.service.campaigns.conftest import Bench, command
 
+pytestmark = pytest.mark.slow
+
 HOME = (0.0,) * 6
 
 

@@ -147,6 +147,7 @@ def test_few_and_many_poses_have_an_order() -> None:
     assert sorted(order_poses(np.random.default_rng(3).uniform(-1, 1, (300, 2)), start)) == list(range(300))
 
 
+@pytest.mark.slow
 def test_a_pose_behind_a_wall_is_dropped_with_its_reason(arm: Robot) -> None:
     # a wall on top of the shoulder: the arm bent over it is free, but no single axis can bring it there
     wall = Box(name="wall", center=(0.0, 0.0, 2.6), size=(0.02, 1.0, 2.4))

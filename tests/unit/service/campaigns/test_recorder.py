@@ -28,6 +28,8 @@ from service.store.files.columns import read_columns
 from service.store.files.recordings import RecordingFiles, Run
 from service.store.files.stream import UnreadableStream
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[4]
 RUN = Run(campaign_id=1, number=3, attempt=1)
 RATE = 1000.0

@@ -19,6 +19,8 @@ from service.store.documents import CampaignState, RecordingState, SweepState
 from service.store.files.columns import read_columns
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, Taken, until, until_cancelled
 
+pytestmark = pytest.mark.slow
+
 OVER_CURRENT = "DriveFault: joint_1: over-current"
 
 

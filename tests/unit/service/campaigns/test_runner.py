@@ -17,6 +17,8 @@ from service.store.files.recordings import Run
 from service.store.store import StaleVersion
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, Taken, until, until_cancelled
 
+pytestmark = pytest.mark.slow
+
 
 async def run_out(bench: Bench) -> None:
     await asyncio.wait_for(bench.runner.finished(), TIMEOUT)

@@ -12,6 +12,8 @@ from service.store import tables as t
 from service.store.documents import CampaignState
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, open_bench, until
 
+pytestmark = pytest.mark.slow
+
 SET_BY = (timedelta(hours=-1), timedelta(hours=1))
 
 

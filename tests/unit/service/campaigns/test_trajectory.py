@@ -27,6 +27,8 @@ from tests.unit.service.campaigns.conftest import SPECTRUM, TIMEOUT, Bench, Take
 from tests.unit.service.campaigns.formula_drive import FormulaDrive
 from tests.unit.service.campaigns.small_arm import small_arm
 
+pytestmark = pytest.mark.slow
+
 POSE = (-1.0, 0.3)
 FIRST = SweepCommand(
     joint="j1",

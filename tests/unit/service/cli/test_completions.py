@@ -10,6 +10,8 @@ import pytest
 
 from tests.command import sweepid
 
+pytestmark = pytest.mark.slow
+
 SWEEPID = Path(sys.executable).with_name("sweepid")
 
 

@@ -11,6 +11,8 @@ import pytest
 from service.cli.progress_indicator import waiting
 from tests.unit.service.cli.test_identify import bundle
 
+pytestmark = pytest.mark.slow
+
 __all__ = ["bundle"]  # the fixture
 SWEEPID = str(Path(sys.executable).with_name("sweepid"))
 

@@ -10,6 +10,8 @@ from pypdf import PdfReader
 from tests.command import sweepid
 from tests.unit.service.report.pango import WITHOUT_PANGO
 
+pytestmark = pytest.mark.slow
+
 STORED = Path(__file__).resolve().parents[3] / "stored"
 
 

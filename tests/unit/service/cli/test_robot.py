@@ -14,6 +14,8 @@ from service.geometry.collision import CollisionChecker
 from tests.command import sweepid
 from tests.makers_robots import MAKERS, Maker, share, told_of
 
+pytestmark = pytest.mark.slow
+
 ROBOTS = share() / "example-robot-data" / "robots"
 UR5 = str(ROBOTS / "ur_description/urdf/ur5_robot.urdf")
 PANDA = str(ROBOTS / "panda_description/urdf/panda.urdf")

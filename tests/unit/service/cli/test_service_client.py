@@ -55,6 +55,7 @@ def url() -> Iterator[str]:
             thread.join()
 
 
+@pytest.mark.slow
 def test_events_go_on_after_the_last_one_seen_when_the_connection_breaks(url: str) -> None:
     with ServiceClient(url) as client:
         events = client.events(campaign_id=1, after=10)

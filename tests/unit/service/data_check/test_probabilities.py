@@ -27,6 +27,7 @@ def test_quantile_of_poisson(mean: float) -> None:
             assert poisson_quantile(probability, mean) == int(poisson.ppf(probability, mean)), probability
 
 
+@pytest.mark.slow
 def test_upper_tail_of_the_hypergeometric_distribution() -> None:
     numbers = np.random.default_rng().integers(1, 30, (200, 2))
     for marked, others in numbers:

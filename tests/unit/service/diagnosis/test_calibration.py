@@ -18,6 +18,8 @@ from service.recording import Sweep
 from service.robot import Robot
 from tests.unit.service.diagnosis.following import known_to
 
+pytestmark = pytest.mark.slow
+
 POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.0, -0.5, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
 MASS = KnownMass(30.0, (0.15, 0.0, 0.0))
 TIGHT = 0.003  # of inertia and gravity: how well CAD knows the robot

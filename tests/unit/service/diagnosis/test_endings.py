@@ -219,6 +219,7 @@ def test_a_search_that_used_up_its_steps_is_a_warning_of_the_axis() -> None:
     assert unfinished(JOINT, start, WeighedGain(1.0, 0.01, 0.01)) == ()
 
 
+@pytest.mark.slow
 def test_the_document_has_it_only_where_there_is_one() -> None:
     found = diagnose_axis(max100(), JOINT, sweeps_of(Term("coulomb_friction"), 60.0), twin=False)
     assert found.unfinished == ()
@@ -258,6 +259,7 @@ def test_inertias_of_links_that_are_not_found_are_refused() -> None:
         inertia_factors(robot, {}, [(robot.index(JOINT), POSES, np.array([np.nan, 100.0]))])
 
 
+@pytest.mark.slow
 def test_a_model_without_possible_masses_has_those_of_cad_with_a_note() -> None:
     """Gravity that only a link of negative mass explains; before, there was no document at all."""
     axis = axis_of(JOINT, "coulomb_friction")

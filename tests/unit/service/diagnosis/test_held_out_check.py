@@ -16,6 +16,8 @@ from simulator import DriveTrain, Measurement, Scenario, run_sweeps
 from tests.numeric.campaign import max100, scenario_named
 from tests.unit.service.diagnosis.test_twin import run_of
 
+pytestmark = pytest.mark.slow
+
 JOINT = "joint_1"
 POSES = np.array([[0.3, -0.8, 0.5, 0.0, 0.0, 0.0], [0.2, 0.6, 0.2, 0.0, 0.0, 0.0]])
 BLOCKS = ("forward_slow", "backward_slow", "forward_fast")

@@ -14,6 +14,8 @@ from service.recording import Sweep
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, following
 
+pytestmark = pytest.mark.slow
+
 POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
 BLOCKS = ("forward_slow", "backward_slow", "forward_fast")
 

@@ -13,6 +13,8 @@ from service.diagnosis.verdict import Verdict
 from service.recording import Sweep
 from tests.unit.service.diagnosis.following import following, known_to
 
+pytestmark = pytest.mark.slow
+
 DELAY = 4e-3  # s
 RIPPLES = (
     6.0,

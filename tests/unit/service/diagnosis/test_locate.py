@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+import pytest
 
 from service.diagnosis.diagnose import diagnose_axis
 from service.diagnosis.fit.equations import Term, nominal_right
@@ -36,6 +37,7 @@ def test_a_gap_that_is_everywhere_alike_has_no_pattern() -> None:
     assert sentences("joint_1", found) == ("joint_1: the gap is about the same everywhere.",)
 
 
+@pytest.mark.slow
 def test_what_is_said_of_real_sweeps_is_what_their_cells_show() -> None:
     """Friction that grows with the load is a gap where the axis is slow: at speed, viscous friction passes for it."""
     robot = max100()

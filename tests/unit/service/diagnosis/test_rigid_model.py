@@ -1,6 +1,7 @@
 """The rigid model of a healthy machine that CAD does not know well, and which pose is held back."""
 
 import numpy as np
+import pytest
 
 from service.diagnosis import axis_document, diagnose_axis
 from service.diagnosis.fit.equations import grouped, held_back
@@ -11,6 +12,8 @@ from service.identification.model.base_parameters import joint_ranges, reduce_co
 from service.identification.model.regressor import parameter_names
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, following, heavier
+
+pytestmark = pytest.mark.slow
 
 JOINT = "joint_2"
 POSES = np.array([[0.0, angle, elbow, 0, 0, 0] for angle, elbow in ((-0.8, 0.3), (0.1, -0.5), (0.9, 0.9), (0.4, 0.2))])

@@ -14,6 +14,8 @@ from service.robot import Robot
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, equations_of, following
 
+pytestmark = pytest.mark.slow
+
 JOINT = "joint_2"
 POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.1, -0.5, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
 

@@ -18,6 +18,8 @@ from service.estimation import estimate_document, sweep_spectrum
 from service.robot import INERTIAL_NAMES, Robot
 from tests.unit.service.diagnosis.following import RATE, following, known_to
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 JOINT = "joint_2"

@@ -15,6 +15,8 @@ from service.recording import Sweep
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, following
 
+pytestmark = pytest.mark.slow
+
 POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
 JOINT = "joint_2"
 

@@ -132,6 +132,7 @@ def test_every_effect_with_columns_has_a_case() -> None:
     assert set(CASES) == {name for name, effect in CATALOGUE.items() if not effect.by_load}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_column_is_what_the_simulator_does(name: str) -> None:
     parameters, part = CASES[name]
@@ -144,6 +145,7 @@ def test_a_column_is_what_the_simulator_does(name: str) -> None:
     assert apart < part * size
 
 
+@pytest.mark.slow
 def test_a_spring_that_hardens_by_the_torque_it_has_carried() -> None:
     """The simulator steps through resonances twice as stiff; the column takes the twist from the torque measured."""
     parameters = CASES["joint_elasticity"][0] | {"compliance": 4e-6, "hardening": 8.0}

@@ -10,6 +10,8 @@ from service.diagnosis.sensitivity.visibility import untestable
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, equations_of, following, known_to
 
+pytestmark = pytest.mark.slow
+
 POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
 
 

@@ -35,6 +35,7 @@ def assert_same(one: Sweep, other: Sweep) -> None:
         np.testing.assert_array_equal(column, theirs[name], strict=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".mf4", ".h5"])
 def test_what_goes_out_comes_back_bit_by_bit(tmp_path: Path, suffix: str) -> None:
     """The contract: bundle, file, import, bundle; through the commands, the reader in a process of its own."""

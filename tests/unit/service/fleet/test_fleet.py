@@ -11,6 +11,8 @@ from service.fleet.chart import FEWEST, AlarmRate, looks
 from service.fleet.history import History, Measurement, between_campaigns
 from service.fleet.siblings import outliers
 
+pytestmark = pytest.mark.slow
+
 OWN, BETWEEN = 0.0015, 0.001  # relative: of an estimate of J, and between campaigns; set before the runs
 MONTHS, ROBOTS, AXES = 12, 8, 3
 RATE = AlarmRate(probability=0.01, robots=ROBOTS, quantities=AXES, campaigns=MONTHS)

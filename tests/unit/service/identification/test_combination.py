@@ -23,6 +23,8 @@ from service.recording import SweepSpec
 from service.robot import Robot
 from tests.random_chain import random_arm
 
+pytestmark = pytest.mark.slow
+
 SHAPE = Shape(period=4.0, harmonics=4)
 SAMPLES = 8000  # the same instants at which the combination forms friction, so that signs agree
 BINS, NOISE = 41, 1e-3  # up to 10 Hz; N m of a harmonic's real and imaginary part

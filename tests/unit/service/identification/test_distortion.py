@@ -23,6 +23,8 @@ from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.recording import Recording, Sweep, SweepSpec
 from service.robot import Robot
 
+pytestmark = pytest.mark.slow
+
 RATE, VISCOUS, NOISE = 500.0, 200.0, 2.0
 QUADRATIC = 1e5  # N m s^2/rad^2
 

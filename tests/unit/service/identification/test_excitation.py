@@ -21,6 +21,7 @@ def test_a_sweep_stays_within_its_travel_and_ends_at_rest(robot: Robot) -> None:
     assert np.abs(way).max() < np.radians(4.0)
 
 
+@pytest.mark.slow
 @given(
     gear=st.floats(60, 300),
     orders=st.lists(st.integers(2, 60), min_size=1, max_size=2).map(tuple),

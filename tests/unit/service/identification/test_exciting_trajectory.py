@@ -17,6 +17,8 @@ from service.identification.model.whole_base import dynamic_base
 from service.robot import Robot
 from tests.random_chain import random_arm
 
+pytestmark = pytest.mark.slow
+
 SHAPE = Shape(period=4.0, harmonics=3, periods=2, ramp=1.0, settle=0.5)
 
 

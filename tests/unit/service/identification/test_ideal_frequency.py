@@ -14,6 +14,8 @@ from service.identification.spectra.axis_inertia import DriveTrain, impedance
 from service.identification.spectra.noise_response import Response
 from service.results import analysis as results
 
+pytestmark = pytest.mark.slow
+
 TRAIN = DriveTrain(58.0, 300.0, 150.0, 1 / 7.4e5, 1.2e-3)
 LOADS = (140.0, 200.0, 330.0, 600.0)
 FREQUENCY = np.arange(2, 63) / 1.6

@@ -18,6 +18,8 @@ from service.identification.spectra.frequency_response import Spectrum, spectrum
 from service.recording import Recording, Sine, Sweep, SweepSpec
 from service.robot import Robot
 
+pytestmark = pytest.mark.slow
+
 TRAIN = DriveTrain(60.0, 130.0, 80.0, 1 / 6e5, 1e-3)
 LOADS = np.linspace(110.0, 560.0, 8)
 NOMINAL_MOTOR = 57.0

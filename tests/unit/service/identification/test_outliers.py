@@ -50,6 +50,7 @@ def test_what_does_not_settle_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     assert judged(3, 1, 10.0).ended is Ended.UNFINISHED
 
 
+@pytest.mark.slow
 def test_nearly_all_campaigns_settle() -> None:
     """Up to five bad sweeps of 5 to 57: the share that contradicts itself, and that does not settle at all."""
     ended = [judged(seed, spoiled, size).ended for seed in range(60) for spoiled in (1, 2, 3, 5) for size in (1, 3, 10)]

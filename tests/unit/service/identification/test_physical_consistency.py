@@ -18,6 +18,8 @@ from service.identification.model.physical_consistency import (
 from service.urdf import Chain, read_chain
 from tests.random_chain import random_urdf
 
+pytestmark = pytest.mark.slow
+
 SEEDS = st.integers(0, 2**32 - 1)
 FEW = settings(max_examples=25, deadline=None, derandomize=True)
 POINT = np.array([[2.0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0]])  # 2 kg somewhere, without extent

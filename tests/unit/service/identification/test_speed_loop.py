@@ -32,6 +32,7 @@ def test_a_loop_by_formula_is_found_exactly(reset_time: float | None) -> None:
     assert "condition is satisfied" in fit.ended
 
 
+@pytest.mark.slow
 def test_two_standard_deviations_hold() -> None:
     z: list[float] = []
     for seed in range(200):

@@ -64,6 +64,7 @@ def test_two_services_put_the_same(address: StoreAddress, recording: Path, reque
         assert len([path for path in Path(address.root).rglob("*") if path.is_file()]) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", [b"", b"something else", None])
 def test_a_wrong_object_is_told_and_repaired(
     address: StoreAddress, recording: Path, tmp_path: Path, request: pytest.FixtureRequest, wrong: bytes | None
@@ -98,6 +99,7 @@ def test_a_file_that_was_changed_is_not_put(address: StoreAddress, recording: Pa
         ObjectStore(address).check(sha256)
 
 
+@pytest.mark.slow
 def test_a_store_that_is_gone_and_comes_back(
     through_wire: StoreAddress, wire: Wire, s3: S3Server, recording: Path
 ) -> None:

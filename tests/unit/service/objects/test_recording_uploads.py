@@ -25,6 +25,8 @@ from service.tasks.background import Background
 from service.worker.transfers import Transfers
 from tests.object_store_server import BUCKET, S3Server, Wire
 
+pytestmark = pytest.mark.slow
+
 PATIENCE = 60.0  # s
 
 

@@ -26,6 +26,7 @@ def routes_of(routes: Iterable[Any]) -> Iterator[Route]:
         yield from ((method, route.path) for method in getattr(route, "methods", {SOCKET}) if method != "HEAD")
 
 
+@pytest.mark.slow
 def test_each_route_has_an_entry_and_each_entry_a_route() -> None:
     app = create_app(Settings())
     found = sorted(routes_of(app.routes))

@@ -18,6 +18,8 @@ from tests.system.rest_bench import until
 from tests.unit.service.api.conftest import serving
 from tests.unit.service.people.conftest import calling
 
+pytestmark = pytest.mark.slow
+
 WRONG = 3
 START = "/api/v1/campaigns/987654/start"
 

@@ -22,6 +22,8 @@ from tests.mosquitto import PATIENCE, Mosquitto, Secured, broker
 from tests.node_opcua.certificates import certificate
 from tests.unit.service.publishing.conftest import progressed
 
+pytestmark = pytest.mark.slow
+
 STEM = "plant/cell_7"
 
 

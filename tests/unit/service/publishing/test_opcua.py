@@ -22,6 +22,8 @@ from tests.node_opcua import NodeClient, node_client
 from tests.node_opcua.certificates import certificate
 from tests.unit.service.publishing.conftest import progressed
 
+pytestmark = pytest.mark.slow
+
 ROBOTICS = "http://opcfoundation.org/UA/Robotics/"
 LOAD_TYPE = "i=1018"  # in that namespace
 

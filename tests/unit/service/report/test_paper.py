@@ -24,6 +24,8 @@ from tests.unit.service.report.pango import WITHOUT_PANGO
 from tests.unit.service.report.test_campaign_report import report
 from tests.unit.service.report.test_report import content, sweep
 
+pytestmark = pytest.mark.slow
+
 A4 = (595.28, 841.89)  # points
 
 

@@ -195,6 +195,7 @@ def test_a_truncated_file_is_refused(tmp_path: Path, cut: int) -> None:
         read(tmp_path, text[:cut])
 
 
+@pytest.mark.slow
 def test_mutated_files_are_read_or_refused_in_a_sentence(tmp_path: Path) -> None:
     """Values of other sizes, foreign characters, renamed and missing pieces: never anything but BadInput."""
     texts, values = [Loop(order=7).xml(), tuning_xml()], ["0", "-1", "1e308", "5e-324", "nan", "", "true", "9" * 30]
@@ -265,6 +266,7 @@ def test_from_the_command_line(tmp_path: Path) -> None:
     assert (out / "frequency_response.csv").read_text().startswith("frequency,re,im,coherence")
 
 
+@pytest.mark.slow
 def test_what_is_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "loop.xml"
     path.write_text(Loop().xml(), encoding="latin-1")

@@ -121,6 +121,7 @@ def test_nothing_unreadable_is_written(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_small_file_with_very_long_columns_is_refused_before_it_is_read(tmp_path: Path) -> None:
     """Each column is one value many times over: 50 MB of numbers in far less than 1 MB."""
     path = tmp_path / "long.parquet"
@@ -136,6 +137,7 @@ def test_a_small_file_with_very_long_columns_is_refused_before_it_is_read(tmp_pa
     assert pa.total_allocated_bytes() - before < 10_000_000
 
 
+@pytest.mark.slow
 def test_columns_that_nobody_asked_for_are_not_read(tmp_path: Path) -> None:
     path = tmp_path / "wide.parquet"
     time = np.arange(1000) / 1000
@@ -146,6 +148,7 @@ def test_columns_that_nobody_asked_for_are_not_read(tmp_path: Path) -> None:
     assert 0 < pool.max_memory() < 10_000_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", [b"\n", b"\r", b"\r\n", b""], ids=["LF", "CR", "CR LF", "CR and LF in turn"])
 def test_a_csv_file_of_too_many_numbers_is_refused_before_it_is_parsed(end: bytes, tmp_path: Path) -> None:
     path = tmp_path / "long.csv"

@@ -25,6 +25,8 @@ from service.store.requests import IdempotencyKeys
 from service.store.rows import NoMachine, OtherMachine
 from service.store.store import Store
 
+pytestmark = pytest.mark.slow
+
 LEASE_TIME = 2.0  # s
 RUNNING, PLANNED = campaign_move(CampaignEvent.START), sweep_move(SweepEvent.BEGIN)
 

@@ -29,6 +29,8 @@ from service.store.plant.retention import RetentionStore, Rules
 from service.store.store import Store
 from tests.command import sweepid
 
+pytestmark = pytest.mark.slow
+
 ALL = Rules(samples=30, spectra=30, estimates=30)
 ENTRY: Entry = {"actor": "ada (shell)", "address": "shell"}
 LATER = timedelta(days=31)

@@ -26,6 +26,8 @@ from service.store.documents import (
 )
 from service.store.store import StaleVersion, Store
 
+pytestmark = pytest.mark.slow
+
 RECORDING = NewRecording(state=RecordingState.COMPLETE, path="recordings/x.parquet", sha256="0" * 64, samples=10)
 SPECTRUM = SpectrumRecord(path="recordings/x.spectrum.json", sha256="1" * 64)
 

@@ -14,6 +14,8 @@ from service.store import tables as t
 from service.store.database import Database, open_database, refusal
 from service.store.store import Store
 
+pytestmark = pytest.mark.slow
+
 
 def test_sqlite_is_durable_and_keeps_references(sqlite_url: str) -> None:
     with open_database(sqlite_url) as database, database.read() as session:

@@ -17,6 +17,8 @@ from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, Dia
 from service.store.documents import CampaignState, EventKind, NewRecording, NewSweep, RecordingState
 from service.store.store import Store
 
+pytestmark = pytest.mark.slow
+
 MASS = BoltedMass(mass=20.0, center=(0.1, 0.0, 0.0))
 
 

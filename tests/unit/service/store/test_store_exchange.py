@@ -15,6 +15,8 @@ from service.store.files.intake import save_bundle
 from service.store.files.recordings import RecordingFiles
 from service.store.store import Store
 
+pytestmark = pytest.mark.slow
+
 
 def recording(seed: int) -> Recording:
     noise = np.random.default_rng(seed).normal(size=(3, 50))

@@ -14,6 +14,8 @@ from service.store.guards import LeaseLost, MachineLease, MachineTaken, StopLatc
 from service.store.requests import IdempotencyKeys
 from service.store.store import Store
 
+pytestmark = pytest.mark.slow
+
 LEASE_TIME = 0.5  # s
 
 HOLDER = """

@@ -72,6 +72,7 @@ def test_the_variants_differ_in_what_they_are_about_alone() -> None:
             assert int(content[part]["supportedobjects"]) == len(content[part]) - 1
 
 
+@pytest.mark.slow
 def test_absent_limits_are_abort_06020000_and_hold_inside(scenario: Callable[[str], Scenario]) -> None:
     sent: list[Frame] = []
     machine = Machine(scenario("rigid"), 1)

@@ -3,8 +3,11 @@
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 from simulator import DriveTrain, Scenario, SweepRun, run_sweeps, run_trajectories
+
+pytestmark = pytest.mark.slow
 
 EVERYTHING = {
     "motor_friction": {

@@ -12,6 +12,8 @@ from simulator.plant import Samples
 from simulator.scenario import STEP
 from tests.unit.simulator.conftest import CONFIG
 
+pytestmark = pytest.mark.slow
+
 Make = Callable[..., MovingAxis]
 Run = Callable[..., Samples]
 

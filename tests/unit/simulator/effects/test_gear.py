@@ -10,6 +10,8 @@ from simulator.drive_train import DriveTrains
 from simulator.plant import Samples
 from simulator.scenario import STEP
 
+pytestmark = pytest.mark.slow
+
 Make = Callable[..., MovingAxis]
 Run = Callable[..., Samples]
 

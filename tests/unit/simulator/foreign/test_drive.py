@@ -145,6 +145,7 @@ def test_a_velocity_towards_the_position_limit_is_a_fault_before_it(master: Mast
     assert master.number(0x6064) < here + 210000
 
 
+@pytest.mark.slow
 def test_speed_and_torque_stay_below_their_limits(master: Master) -> None:
     cycle = Cycle(master, TARGET_VELOCITY)
     master.write(0x6080, 0, 60, 4)  # rev/min
@@ -179,6 +180,7 @@ def test_quick_stop_as_its_option_says(master: Master, option: int, state: int) 
     assert abs(master.truth()["velocity"]) < 1e-5
 
 
+@pytest.mark.slow
 def test_a_host_that_falls_silent_stops_the_axis(master: Master) -> None:
     cycle = Cycle(master, TARGET_VELOCITY)
     master.write(0x1016, 1, 127 << 16 | 300, 4)

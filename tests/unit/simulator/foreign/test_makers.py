@@ -15,6 +15,8 @@ from tests.foreign_bench import MAKERS, SCENARIO, Foreign, bench
 from tests.unit.simulator.foreign.conftest import mastered
 from tests.unit.simulator.foreign.master import ENABLE, PERIOD, QUICK_STOP, Cycle, Master
 
+pytestmark = pytest.mark.slow
+
 GEAR, RATED = 171, 17.544  # of joint 1; N m of the motor
 AMPERES = 10.0  # at rated torque, of every motor here
 VELOCITY, POSITION, INTERPOLATED = 0x60FF0000, 0x607A0000, 0x60C10100

@@ -6,7 +6,11 @@ import tty
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
+import pytest
+
 from simulator.modbus.pty_pair import PtyPair
+
+pytestmark = pytest.mark.slow
 
 
 @contextmanager
