@@ -1,8 +1,6 @@
 """An MQTT broker and a subscriber that are not ours (Debian's mosquitto and mosquitto_sub), on loopback."""
 
 import json
-import os
-import shutil
 import socket
 import subprocess
 import threading
@@ -13,10 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import pytest
+from tests.programs import path_of, require
 
 PATIENCE = 60.0  # s
-_BROKER = "/usr/sbin/mosquitto"
 
 
 class Message(NamedTuple):
@@ -46,9 +43,7 @@ class Mosquitto:
     """Stopped and started again by tests, on one port. It keeps nothing."""
 
     def __init__(self, folder: Path, secured: Secured | None = None) -> None:
-        for name in (_BROKER, "mosquitto_sub"):
-            if shutil.which(name) is None and "CI" not in os.environ:
-                pytest.skip(f"no {name} here; CI has one")
+        require("mosquitto", "mosquitto_sub")
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port = int(free.getsockname()[1])
         self._secured, self._configuration = secured, folder / "mosquitto.conf"
@@ -68,7 +63,7 @@ class Mosquitto:
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> None:
-        command = [_BROKER, "-c", str(self._configuration)]
+        command = [str(path_of("mosquitto")), "-c", str(self._configuration)]
         self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         began = time.monotonic()
         while True:

@@ -13,20 +13,13 @@ from itertools import count
 from pathlib import Path
 
 import psycopg
-import pytest
+
+from tests.programs import path_of, require
 
 PASSWORD = "not-for-logs-7731"
 USER = "cell"
 _PATIENCE = 180.0  # s
 _UNPRIVILEGED = "postgres"  # the server refuses to run as root
-
-
-def binaries() -> Path | None:
-    """The newest that is installed."""
-    found = [path.parent for path in Path("/usr/lib/postgresql").glob("*/bin/initdb")]
-    if not found and (beside := shutil.which("initdb")):
-        found = [Path(beside).parent]
-    return max(found, key=lambda path: int(path.parent.name) if path.parent.name.isdigit() else 0, default=None)
 
 
 class PostgresqlServer:
@@ -125,16 +118,14 @@ def _as_unprivileged() -> list[str]:
 def running_server(durable: bool = True) -> Iterator[PostgresqlServer]:
     """`durable`: what is committed outlives a power cut, which costs time.
 
-    The test is skipped where PostgreSQL is not installed, but not in CI.
+    The test is skipped where PostgreSQL is not installed.
     """
-    found = binaries()
-    if found is None:
-        if "CI" in os.environ:
-            pytest.fail("no PostgreSQL here, which .ci/run installs")
-        pytest.skip("no PostgreSQL here (Debian: apt-get install postgresql); CI has it")
+    require("initdb", "setpriv")
+    found = path_of("initdb")
+    assert found is not None
     # not in pytest's folders, which are closed to other users
     with tempfile.TemporaryDirectory(prefix="sweepid-postgresql-") as name:
-        server = PostgresqlServer(found, Path(name), durable)
+        server = PostgresqlServer(found.parent, Path(name), durable)
         server.start()
         try:
             yield server

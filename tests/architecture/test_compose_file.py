@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import shutil
 import stat
 import subprocess
 from pathlib import Path
@@ -15,6 +14,7 @@ import yaml
 from service.settings import Settings
 from service.settings.workers import cluster_at
 from service.store.objects.object_store import check_usable
+from tests.programs import needs, require
 
 pytestmark = pytest.mark.slow
 
@@ -23,9 +23,7 @@ MOVING = {"machine", "service", "machine-1", "machine-2", "cell-1", "cell-2"}
 ONCE = {"permissions", "bucket"}
 WITH_KEYS = ("cell-1", "cell-2", "plant")
 
-needs_docker_compose = pytest.mark.skipif(
-    shutil.which("docker-compose") is None and "CI" not in os.environ, reason="no docker-compose here; CI has one"
-)
+needs_docker_compose = needs("docker-compose")
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +33,7 @@ def services(root: Path) -> dict[str, dict[str, Any]]:
 
 @pytest.fixture(scope="module")
 def secrets(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    require("openssl")  # make-secrets makes certificates
     folder = tmp_path_factory.mktemp("plant") / "secrets"
     subprocess.run([root / PLANT / "make-secrets", folder], check=True, capture_output=True, timeout=60)
     return folder

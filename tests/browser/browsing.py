@@ -1,19 +1,15 @@
 """A page in the Chromium of this computer."""
 
-import os
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import pytest
 from playwright.sync_api import Page, expect, sync_playwright
 
+from tests.programs import path_of
+
 PATIENCE = 60_000  # ms, for whatever the page is to do or to show
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+CHROMIUM = path_of("chromium")
 QUIET = ("--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run", "--disable-sync")
-WITHOUT_BROWSER = pytest.mark.skipif(
-    CHROMIUM is None and "CI" not in os.environ, reason="no Chromium on this computer; CI has one"
-)
 
 
 @contextmanager

@@ -8,12 +8,13 @@ from service.client import ServiceClient
 from service.configuration import read_robot
 from service.report import estimate_page
 from tests.browser.accessible import both_schemes
-from tests.browser.browsing import WITHOUT_BROWSER, browsing
+from tests.browser.browsing import browsing
+from tests.programs import needs
 from tests.system.rest_bench import Service, VirtualMachine, add_plan, serving, until
 from tests.unit.service.api.conftest import profile  # noqa: F401 - no machine
 from tests.unit.service.report.test_report import content, sweep
 
-pytestmark = WITHOUT_BROWSER
+pytestmark = needs("chromium")
 
 
 def test_the_operators_page(machine: VirtualMachine, service: Service, page: Page) -> None:

@@ -7,12 +7,13 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from service.client import ServiceClient
-from tests.browser.browsing import WITHOUT_BROWSER, browsing
+from tests.browser.browsing import browsing
 from tests.browser.looking import faint, small
+from tests.programs import needs
 from tests.system.rest_bench import Service, add_plan, serving
 from tests.unit.service.api.conftest import profile  # noqa: F401 - no machine
 
-pytestmark = WITHOUT_BROWSER
+pytestmark = needs("chromium")
 
 
 @pytest.fixture

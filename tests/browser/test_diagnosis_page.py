@@ -14,7 +14,8 @@ from service.diagnosis.sensitivity.design import DesignedSweep, full_design, pap
 from service.recording import Recording, Sweep
 from service.store.files.bundle import write_bundle
 from simulator import Scenario, SweepRun, load_scenario, run_sweeps
-from tests.browser.browsing import WITHOUT_BROWSER, browsing, load_again
+from tests.browser.browsing import browsing, load_again
+from tests.programs import needs
 from tests.system.rest_bench import ROBOT, Service, VirtualMachine, serving, until, virtual_machine
 from tests.system.test_diagnosis_campaign import AXIS, hiding
 
@@ -23,7 +24,7 @@ RATE = 250.0  # Hz
 BLOCKS = ("forward_slow", "backward_slow", "reversal")
 ONE_WAY, BOTH_WAYS = 1, 2  # campaigns, in the order of their import
 
-pytestmark = WITHOUT_BROWSER
+pytestmark = needs("chromium")
 
 
 @pytest.fixture(scope="module")

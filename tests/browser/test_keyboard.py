@@ -3,10 +3,10 @@
 from playwright.sync_api import Locator, Page, expect
 
 from service.client import ServiceClient
-from tests.browser.browsing import WITHOUT_BROWSER
+from tests.programs import needs
 from tests.system.rest_bench import Service, VirtualMachine, until
 
-pytestmark = WITHOUT_BROWSER
+pytestmark = needs("chromium")
 FAR = 80  # presses of Tab that lead once around a page
 
 

@@ -6,11 +6,12 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from service.client import ServiceClient
-from tests.browser.browsing import WITHOUT_BROWSER, browsing, load_again
+from tests.browser.browsing import browsing, load_again
 from tests.browser.looking import cut, faint, settled, small, too_wide
+from tests.programs import needs
 from tests.system.rest_bench import Service, VirtualMachine, add_plan, until
 
-pytestmark = WITHOUT_BROWSER
+pytestmark = needs("chromium")
 NARROW, WIDE = 768, 1920  # px
 
 

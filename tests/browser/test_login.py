@@ -1,6 +1,5 @@
 """With `login: true` the pages ask for a password or a key, let each do what the role may; STOP is free."""
 
-import os
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -15,8 +14,9 @@ from service.people.permissions import Role
 from service.store.database import open_database
 from service.store.people.keys import KeyStore
 from service.store.people.users import UserStore
-from tests.browser.browsing import WITHOUT_BROWSER, browsing
+from tests.browser.browsing import browsing
 from tests.browser.looking import faint, small
+from tests.programs import needs
 from tests.system.rest_bench import (
     SWEEPID,
     Service,
@@ -29,7 +29,7 @@ from tests.unit.service.api.conftest import bundle, profile, robot  # noqa: F401
 from tests.unit.service.api.conftest import serving as serving_alone
 from tests.unit.service.people.conftest import certificate
 
-pytestmark = WITHOUT_BROWSER
+pytestmark = needs("chromium")
 
 
 @pytest.fixture
@@ -209,10 +209,7 @@ def test_a_person_logs_in_with_a_password_and_out(service: Service, page: Page) 
     assert page.context.cookies() == []
 
 
-@pytest.mark.skipif(
-    shutil.which("openssl") is None and "CI" not in os.environ,
-    reason="no openssl here to make a certificate; CI has one",
-)
+@needs("openssl")
 def test_by_tls_the_page_stops_by_both_ways(tmp_path: Path, profile: Path) -> None:  # noqa: F811
     pem, key = (str(path) for path in certificate(tmp_path, "cell7"))
     with (

@@ -4,11 +4,12 @@ from pathlib import Path
 
 from playwright.sync_api import expect
 
-from tests.browser.browsing import WITHOUT_BROWSER, browsing
+from tests.browser.browsing import browsing
+from tests.programs import needs
 from tests.unit.service.api.conftest import profile, serving  # noqa: F401 - no machine
 from tests.unit.service.people.test_oidc import issuer, provider_settings  # noqa: F401 - the provider
 
-pytestmark = WITHOUT_BROWSER
+pytestmark = needs("chromium")
 
 
 def test_the_button_leads_to_the_provider_and_back(tmp_path: Path, profile: Path, issuer: str) -> None:  # noqa: F811

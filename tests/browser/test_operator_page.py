@@ -5,10 +5,11 @@ import math
 from playwright.sync_api import Page, Route, expect
 
 from service.client import ServiceClient
-from tests.browser.browsing import WITHOUT_BROWSER, load_again
+from tests.browser.browsing import load_again
+from tests.programs import needs
 from tests.system.rest_bench import Service, VirtualMachine, add_plan, until
 
-pytestmark = WITHOUT_BROWSER
+pytestmark = needs("chromium")
 
 
 def test_stop_and_release(machine: VirtualMachine, service: Service, page: Page) -> None:

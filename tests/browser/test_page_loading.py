@@ -7,13 +7,14 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from service.client import ServiceClient
-from tests.browser.browsing import WITHOUT_BROWSER, browsing, load_again
+from tests.browser.browsing import browsing, load_again
+from tests.programs import needs
 from tests.system.rest_bench import Service, serving, until
 from tests.unit.service.api.conftest import profile
 
 __all__ = ["profile"]
 
-pytestmark = WITHOUT_BROWSER
+pytestmark = needs("chromium")
 
 
 @pytest.fixture

@@ -6,11 +6,12 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from service.client import ServiceClient
-from tests.browser.browsing import WITHOUT_BROWSER, load_again
+from tests.browser.browsing import load_again
 from tests.browser.looking import faint, green, settled, small, too_wide
+from tests.programs import needs
 from tests.system.rest_bench import Service, VirtualMachine, add_plan, release, until
 
-pytestmark = WITHOUT_BROWSER
+pytestmark = needs("chromium")
 MOVES = 1e-3  # rad/s
 SILENCE = "The service does not answer. Assume that the machine moves: use the emergency stop"
 

@@ -7,10 +7,11 @@ from playwright.sync_api import Page
 
 from service.configuration import read_robot
 from service.report import estimate_page
-from tests.browser.browsing import WITHOUT_BROWSER, browsing
+from tests.browser.browsing import browsing
+from tests.programs import needs
 from tests.unit.service.report.test_report import content, sweep
 
-pytestmark = WITHOUT_BROWSER
+pytestmark = needs("chromium")
 
 # what reaches over the paper's edge: of a figure its drawing, of all else its box
 _CUT = """() => [...document.querySelectorAll(".main-svg, .printed, table, .facts, p, h1, h2, h3")]

@@ -8,11 +8,12 @@ from playwright.sync_api import Page, expect
 
 from service.client import ServiceClient
 from tests.browser.accessible import both_schemes
-from tests.browser.browsing import WITHOUT_BROWSER, browsing
+from tests.browser.browsing import browsing
 from tests.browser.looking import cut, faint, settled, small, too_wide, unlike_ink
+from tests.programs import needs
 from tests.system.rest_bench import Service, VirtualMachine, serving, until, virtual_machine
 
-pytestmark = WITHOUT_BROWSER
+pytestmark = needs("chromium")
 WORDS = {
     "en-US": (
         "Make the plan",

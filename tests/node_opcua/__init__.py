@@ -3,12 +3,11 @@
 import fcntl
 import json
 import os
-import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
 
-import pytest
+from tests.programs import require
 
 PACKAGE = "node-opcua-client@2.186.4"
 _HERE = Path(__file__).parent
@@ -42,9 +41,7 @@ class NodeClient:
 
 def node_client() -> NodeClient:
     """Installed once, beside the caches of others."""
-    missing = [name for name in ("node", "npm") if shutil.which(name) is None]
-    if missing and "CI" not in os.environ:
-        pytest.skip(f"no {missing[0]} here; CI has one")
+    require("node", "npm")
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sweepid" / PACKAGE.replace("@", "-")
     cache.mkdir(parents=True, exist_ok=True)
     with (cache / "lock").open("w") as lock:

@@ -1,24 +1,20 @@
 """The short form of the workers' soak: 1,500 jobs. The long run is by hand."""
 
 import json
-import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from tests.programs import needs
 from tests.soak.workers import MOST_GROWTH, WARM
 
 TASKS = WARM + 1000
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(
-    shutil.which("openssl") is None and "CI" not in os.environ,
-    reason="no openssl here to make a certificate; CI has one",
-)
+@needs("openssl")
 def test_no_process_grows_with_the_jobs_that_it_has_done(tmp_path: Path, root: Path) -> None:
     """In a process of its own: how much this one grows depends on the tests before."""
     result = tmp_path / "result.json"

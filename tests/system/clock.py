@@ -5,6 +5,8 @@ import struct
 import subprocess
 from pathlib import Path
 
+from tests.programs import require
+
 SOURCE = Path(__file__).with_name("clock.c")
 
 
@@ -12,6 +14,7 @@ class Clock:
     """It shows the computer's time and so many seconds more."""
 
     def __init__(self, folder: Path) -> None:
+        require("cc")
         self._file, self._library = folder / "clock", folder / "clock.so"
         self._file.write_bytes(struct.pack("d", 0.0))
         command = ["cc", "-shared", "-fPIC", "-O1", "-Wall", "-Werror", "-o", str(self._library), str(SOURCE), "-lm"]

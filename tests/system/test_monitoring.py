@@ -1,7 +1,6 @@
 """The configuration of the monitoring: a real Prometheus scrapes a real service, and answers every query of ours."""
 
 import json
-import os
 import re
 import shutil
 import socket
@@ -14,6 +13,7 @@ import pytest
 import yaml
 
 from service.api.metrics.page import GROUPS
+from tests.programs import needs
 from tests.system.rest_bench import PATIENT_LEASE, serving, until, virtual_machine
 
 pytestmark = pytest.mark.slow
@@ -42,9 +42,7 @@ def test_the_dashboard_uses_the_provisioned_source() -> None:
     assert {panel["datasource"]["uid"] for panel in dashboard["panels"]} == {source["uid"] for source in sources}
 
 
-@pytest.mark.skipif(
-    shutil.which("prometheus") is None and "CI" not in os.environ, reason="no prometheus here; CI has one"
-)
+@needs("prometheus")
 def test_a_real_prometheus_scrapes_a_service_and_answers(tmp_path: Path) -> None:
     configuration = yaml.safe_load((FOLDER / "prometheus.yml").read_text("utf-8"))
     shutil.copy(FOLDER / "alerts.yml", tmp_path)

@@ -2,7 +2,6 @@
 
 import asyncio
 import os
-import shutil
 import tracemalloc
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import dataclass
@@ -12,15 +11,10 @@ import pytest
 
 from service.settings.workers import Certificates, Cluster
 from service.worker import JobFailed, Worker, WorkerLost, open_worker
+from tests.programs import needs
 from tests.unit.service.cluster import DaskProcesses, certificates
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        shutil.which("openssl") is None and "CI" not in os.environ,
-        reason="no openssl here to make a certificate; CI has one",
-    ),
-]
+pytestmark = [pytest.mark.slow, needs("openssl")]
 PATIENCE = 240.0  # s
 SIZE = 100_000  # bytes of a large job
 

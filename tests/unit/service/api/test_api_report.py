@@ -13,8 +13,8 @@ from pypdf import PdfReader
 
 from service.client import ServiceClient
 from tests.command import sweepid
+from tests.programs import needs
 from tests.unit.service.api.test_api_bundles import packed
-from tests.unit.service.report.pango import WITHOUT_PANGO
 
 pytestmark = pytest.mark.slow
 
@@ -81,7 +81,7 @@ def list_told(data: Path, body: str) -> list[Path]:
     raise AssertionError(f"no folder of recordings has the list {told[1]}")
 
 
-@WITHOUT_PANGO
+@needs("pango")
 def test_the_report_as_pdf(http: httpx.Client, campaign: int) -> None:
     answer = http.get(f"/campaigns/{campaign}/report.pdf")
     assert (answer.status_code, answer.headers["content-type"]) == (200, "application/pdf")

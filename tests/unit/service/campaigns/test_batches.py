@@ -1,8 +1,6 @@
 """Campaigns identified again: by four workers as by one, and whatever dies meanwhile."""
 
 import asyncio
-import os
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,6 +10,7 @@ from service.errors import BadInput
 from service.results.estimate import Estimate
 from service.store.documents import BatchState
 from service.worker import open_worker
+from tests.programs import needs
 from tests.stored_archive import Archive, archive
 from tests.unit.service.campaigns.conftest import until
 from tests.unit.service.cluster import DaskProcesses, certificates
@@ -65,10 +64,7 @@ async def test_one_worker_finds_the_same_and_the_next_process_goes_on(stored: Ar
     check_same(stored, number)
 
 
-@pytest.mark.skipif(
-    shutil.which("openssl") is None and "CI" not in os.environ,
-    reason="no openssl here to make a certificate; CI has one",
-)
+@needs("openssl")
 async def test_four_workers_find_the_same_although_one_is_killed(stored: Archive, tmp_path: Path) -> None:
     dask = DaskProcesses.at_free_port(tmp_path, certificates(tmp_path / "authority", "plant"))
     try:

@@ -1,7 +1,6 @@
 """Completions of the shells: what `sweepid --completions` prints, and what a real bash makes of it."""
 
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.command import sweepid
+from tests.programs import needs
 
 pytestmark = pytest.mark.slow
 
@@ -28,7 +28,7 @@ def test_a_shell_that_there_is_not() -> None:
     assert "--completions: unknown shell csh: use bash, zsh or fish" in done.stderr
 
 
-@pytest.mark.skipif(shutil.which("bash") is None and "CI" not in os.environ, reason="no bash here; CI has one")
+@needs("bash")
 @pytest.mark.parametrize(
     ("line", "expected", "unexpected"),
     [

@@ -8,14 +8,14 @@ import pytest
 from pypdf import PdfReader
 
 from tests.command import sweepid
-from tests.unit.service.report.pango import WITHOUT_PANGO
+from tests.programs import needs
 
 pytestmark = pytest.mark.slow
 
 STORED = Path(__file__).resolve().parents[3] / "stored"
 
 
-@WITHOUT_PANGO
+@needs("pango")
 @pytest.mark.parametrize(
     ("name", "words"),
     [

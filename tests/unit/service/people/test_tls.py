@@ -1,7 +1,5 @@
 """The service by TLS, with a certificate of its own that OpenSSL made; and pages of other origins."""
 
-import os
-import shutil
 import socket
 import ssl
 from collections.abc import Iterator
@@ -21,17 +19,12 @@ from service.settings import Settings
 from service.store.database import open_database
 from service.store.people.keys import KeyStore
 from service.store.people.users import UserStore
+from tests.programs import needs
 from tests.system.rest_bench import until
 from tests.unit.service.api.conftest import serving
 from tests.unit.service.people.conftest import certificate
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        shutil.which("openssl") is None and "CI" not in os.environ,
-        reason="no openssl here to make a certificate; CI has one",
-    ),
-]
+pytestmark = [pytest.mark.slow, needs("openssl")]
 
 PASSWORD = "a horse and a battery"
 LINE = "https://line.example"

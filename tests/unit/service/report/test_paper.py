@@ -19,8 +19,8 @@ from service.report.paper.scales import round_steps, scale_of
 from service.report.paper.schema import Axis
 from service.results.diagnosis import Diagnosis
 from service.robot import Robot
+from tests.programs import needs
 from tests.stored.documents import stored
-from tests.unit.service.report.pango import WITHOUT_PANGO
 from tests.unit.service.report.test_campaign_report import report
 from tests.unit.service.report.test_report import content, sweep
 
@@ -47,13 +47,13 @@ def pages(max100: Robot) -> list[str]:
     return [" ".join(page.extract_text().split()) for page in read.pages]
 
 
-@WITHOUT_PANGO
+@needs("pango")
 def test_the_first_page_has_verdict_people_hashes_and_serial_numbers(pages: list[str]) -> None:
     for words in ("Contradicted.", "cannot be trusted", "Ada <ada>", "cd" * 32, "4711", "not reported", "Contents"):
         assert words in pages[0]
 
 
-@WITHOUT_PANGO
+@needs("pango")
 def test_contents_lead_to_the_pages_they_tell(pages: list[str]) -> None:
     told = re.findall(r"(Base parameters|One sweep|Check of the data)[ .]*(\d+)", pages[0])
     assert len(told) == 3
@@ -61,7 +61,7 @@ def test_contents_lead_to_the_pages_they_tell(pages: list[str]) -> None:
         assert heading in pages[int(number) - 1]
 
 
-@WITHOUT_PANGO
+@needs("pango")
 def test_pages_and_figures_are_numbered(pages: list[str]) -> None:
     assert [page.count(f"{k} / {len(pages)}") for k, page in enumerate(pages, start=1)] == [1] * len(pages)
     numbers = re.findall(r"Figure (\d+)\.", " ".join(pages))
@@ -70,7 +70,7 @@ def test_pages_and_figures_are_numbered(pages: list[str]) -> None:
     assert "Figure 1. Inertia of the axes over the poses: joint_1 over joint_2 and joint_3" in " ".join(pages)
 
 
-@WITHOUT_PANGO
+@needs("pango")
 def test_words_of_the_figures_are_text(pages: list[str]) -> None:
     """Read by whoever searches the file, or has it read aloud."""
     whole = " ".join(pages)
@@ -78,7 +78,7 @@ def test_words_of_the_figures_are_text(pages: list[str]) -> None:
         assert words in whole
 
 
-@WITHOUT_PANGO
+@needs("pango")
 @pytest.mark.parametrize("name", ["diagnosis-named", "diagnosis-open"])
 def test_a_diagnosis_on_paper(name: str) -> None:
     document = Diagnosis.read(stored(name), name)
