@@ -12,9 +12,17 @@ SOAK ?=  # more words for the soak, as: make soak SOAK="--seed 7 --minutes 30"
 
 BENCH ?=  # more words for the benchmarks, as: make bench BENCH="--only wire service"
 
+PART ?=  # of the second tier, as: make test-long PART=3
+
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+TIER = $(PYTEST) --durations 20 --tier 1 $(if $(PART),--part $(PART))
+GUEST := VCAN_OPTIONAL=1 VCAN_TIMEOUT=1800 tests/vcan/run $(BIN)/python -m pytest --vcan --color=no tests/vcan tests/contract
+NODES := $(BIN)/python -m tests.node_canopen.install  # the guest has no network
+TESTS := test-computing test-machines test-vcan
+
 SEED ?=  # of an order that test-random printed, to have it again
 
-.PHONY: demo venv docs test test-fast test-random test-vcan test-drives test-compose fuzz soak bench check format lock sbom audit openapi clean
+.PHONY: demo venv docs test $(TESTS) test-long test-fast test-random test-drives test-compose fuzz soak bench check format lock sbom audit openapi clean
 .PHONY: check-style check-types check-tests-types check-arrows check-habits
 
 demo: $(READY)  ## measure, identify and report a virtual robot
@@ -25,18 +33,29 @@ venv: $(READY)  ## .venv with all that is needed; every other target does it as 
 docs: $(READY)  ## the documents as a site, docs/_build/index.html; warnings are errors
 	$(BIN)/sphinx-build -q -n -W --keep-going docs docs/_build
 
-test: check  ## all checks, then all tests
-	$(BIN)/python -m pytest -n 3 --dist loadscope --durations 40  # two wait for machines, one computes
+test: check $(TESTS)  ## all checks, then the tests of the first tier; with PART=k a part of the second as well
 
-test-fast: $(READY)  ## unit and architecture tests that are not marked slow, in two minutes
-	$(BIN)/python -m pytest -n 2 --dist loadscope -m "not slow" --durations 10 --durations-min 2 tests/unit tests/architecture
+# What computes, then what moves a machine in real time: such a test starves beside one that computes.
+test-computing: $(READY)
+	$(TIER) tests/architecture tests/benchmarks tests/fuzz tests/numeric tests/soak tests/unit
+
+test-machines: $(READY)
+	$(TIER) tests/browser tests/contract tests/system
+
+test-long: $(READY)  ## the second tier, all ten parts; with PART=k, from 1 to 10, one of them
+	$(PYTEST) $(if $(PART),--part $(PART),--tier 2)
+	$(NODES)
+	$(GUEST) $(if $(PART),--part $(PART),--tier 2)
+
+test-fast: $(READY)  ## unit and architecture tests that are not marked slow, in a minute
+	$(PYTEST) -m "not slow" --durations 10 --durations-min 2 tests/unit tests/architecture
 
 test-random: $(READY)  ## unit and architecture tests, the files and the tests in each shuffled; prints the seed
 	$(BIN)/python -m pytest --random-order $(if $(strip $(SEED)),--random-order-seed $(strip $(SEED))) tests/unit tests/architecture
 
 test-vcan: $(READY)  ## what needs a real SocketCAN vcan0; in a guest (user-mode-linux) where the kernel has no CAN
-	$(BIN)/python -m tests.node_canopen.install  # the guest has no network
-	VCAN_TIMEOUT=1800 tests/vcan/run $(BIN)/python -m pytest --vcan --color=no tests/vcan tests/contract
+	$(NODES)
+	$(GUEST) --tier 1 $(if $(PART),--part $(PART))
 
 test-drives: $(READY)  ## the contract suite on every drive and bus, those alike to others included
 	$(BIN)/python -m pytest --every-drive tests/contract

@@ -22,25 +22,16 @@ from tests.benchmarks.bench.computer import computer
 from tests.benchmarks.bench.measured import Measured
 from tests.benchmarks.bench.page import page
 from tests.benchmarks.bench.texts import TITLES
-from tests.conftest import REAL_TIME, session_comes_first
 
 RESULTS = Path(__file__).parents[1] / "results" / "bench.json"
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "benchmarks.md"
-REAL_TIMED = ("wire", "service")  # as a drive's own processor is nobody else's
 SHORT = ("selection", "rows", "plant", "revisions")
 
 
 def measure(name: str) -> dict[str, Any]:
     """One benchmark."""
     before, began = os.getloadavg()[0], time.process_time()
-    keeps_time = name in REAL_TIMED
-    if keeps_time:
-        session_comes_first(REAL_TIME)
-    try:
-        rows = [_told(row) for row in _benchmark(name, "run")()]
-    finally:
-        if keeps_time:
-            session_comes_first(0)
+    rows = [_told(row) for row in _benchmark(name, "run")()]
     return {
         "at": datetime.now(UTC).isoformat(timespec="minutes"),
         "load": [before, os.getloadavg()[0]],
