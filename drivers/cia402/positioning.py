@@ -4,7 +4,7 @@ import asyncio
 import math
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from drivers.cia402 import checks, states
 from drivers.cia402.axis import Axis, Reading
@@ -13,7 +13,9 @@ from drivers.cia402.thread import DriveThread
 from drivers.errors import DriveError, EnvelopeLeft, NotReady, SweepInterrupted
 
 POLL = 0.01  # s
-MARGIN = 5.0  # s added to the time that the move needs
+MARGIN = 5.0  # s for at least `LEAST` of the travel that a start from standstill makes in it
+LEAST = 0.1
+GAP = MARGIN / 10  # s, counted at most between two readings: a host that was suspended has not seen the axis stand
 ARRIVAL = 2e-3  # rad (m), tolerance at the target
 # s at standstill there: where a controller overshoots, the speed passes through zero before the axis stands
 ARRIVAL_TIME = 0.05
@@ -26,21 +28,22 @@ async def move(
     velocity: float,
     stop: threading.Event,
     standing: Iterable[Axis],
+    clock: Callable[[], float] = time.monotonic,
 ) -> None:
     """Returns at standstill at `position`, rad (m). If the axis did not arrive, the caller must stop it.
 
-    An error of an axis that is `standing` also ends the move.
+    An error of an axis that is `standing` also ends the move. The axis has to come nearer; when it arrives is the
+    drive's affair, whose clock is not the host's.
     """
     profile = axis.profile
     envelope = checks.move_envelope(profile)
     start = await thread.run(axis.require_enabled)
     await thread.run(axis.device.read_back)
     await thread.run(axis.device.settle_limits, envelope.velocity_limit, envelope.effort_limit, envelope.window)
-    # Wall time: a machine with a faster clock arrives earlier.
-    needed = abs(position - start.position) / velocity + 2 * velocity / profile.acceleration
-    deadline = time.monotonic() + needed + MARGIN
+    least = LEAST * min(velocity * MARGIN, profile.acceleration * MARGIN**2 / 2)
     await thread.run(_start, axis, position, velocity, stop)
-    arrived = math.inf  # since when, s on the monotonic clock
+    arrived = math.inf  # since when, s on `clock`
+    nearest, waited, before = abs(position - start.position), 0.0, clock()
     while True:
         reading = await thread.run(axis.read)
         if stop.is_set():
@@ -53,14 +56,17 @@ async def move(
         violation = envelope.violation(reading.position, reading.velocity, reading.effort)
         if violation is not None:
             raise EnvelopeLeft(f"{axis.place}: {violation}")
-        now = time.monotonic()
+        now, distance = clock(), abs(position - reading.position)
+        waited, before = waited + min(now - before, GAP), now
+        if distance <= nearest - least:
+            nearest, waited = distance, 0.0
         arrived = min(arrived, now) if _arrived(axis, reading, position) else math.inf
         if now - arrived >= ARRIVAL_TIME:
             return
-        if now > deadline:
+        if waited > MARGIN:
             raise DriveError(
-                f"{axis.place}: at {reading.position:.5g} {profile.unit} instead of {position:.5g} {profile.unit} "
-                f"after {needed + MARGIN:.1f} s, at {reading.velocity:.2g} {profile.unit}/s"
+                f"{axis.place}: at {reading.position:.5g} {profile.unit} instead of {position:.5g} {profile.unit}, "
+                f"no nearer for {MARGIN} s, at {reading.velocity:.2g} {profile.unit}/s"
             )
         await asyncio.sleep(POLL)
 

@@ -1,11 +1,14 @@
-"""The end of a move: the axis stands, also where its controller overshoots."""
+"""The end of a move: the axis stands, also where its controller overshoots; its time is judged by its progress."""
 
+import threading
 from collections.abc import Iterator
 
 import pytest
 
 from drivers.cia402 import states
 from drivers.cia402.device import Motion
+from drivers.cia402.positioning import MARGIN, move
+from drivers.errors import DriveError
 from tests.unit.drivers.small_servo import Servo, machine
 
 TAIL = (0.2, 5e-4, -1.5e-3, -1.2e-3, -4e-4)  # rad/s at consecutive readings; 1e-3 is standstill
@@ -38,3 +41,58 @@ async def test_a_move_ends_when_the_overshoot_is_over(moves: int) -> None:
         await port.move_to("joint_1", 0.0, 0.5)  # the next move is refused as long as the axis moves
         assert servo.last == 0.0
     await port.close()
+
+
+class Drive(Servo):
+    """Reports these positions, rad, one after the other, and then the last; half a second of the host's clock each."""
+
+    positions: Iterator[float] = iter(())
+    position = 0.0
+    time = 0.0
+    gap = 0.0  # s for which the host is suspended when the axis gets there
+
+    def statusword(self) -> int:
+        reached = states.TARGET_REACHED if self.position == 0.1 else 0
+        return super().statusword() | reached
+
+    def motion(self) -> Motion:
+        self.time += 0.5
+        before, self.position = self.position, next(self.positions, self.position)
+        if before != self.position == 0.1:
+            self.time += self.gap
+        return Motion(self.position, 0.01 if self.position not in (before, 0.1) else 0.0, 0.0)
+
+
+async def moved(drive: Drive, positions: list[float]) -> float:
+    """To 0.1 rad at 0.05 rad/s, that is within 2 s and what the ramps need; returns the time that it took."""
+    port, link = machine(drive)
+    await port.connect()
+    await port.enable("joint_1")
+    drive.positions, drive.time = iter([0.0, *positions]), 0.0
+    try:
+        await move(link.thread, link.axes["joint_1"], 0.1, 0.05, threading.Event(), (), lambda: drive.time)
+    finally:
+        await port.close()
+    return drive.time
+
+
+async def test_a_drive_that_is_slow_and_comes_nearer_arrives() -> None:
+    assert await moved(Drive("joint_1"), [k / 200 for k in range(21)]) > 2.0 + MARGIN
+
+
+async def test_a_drive_that_comes_no_nearer_is_told_with_its_place() -> None:
+    drive = Drive("joint_1")
+    with pytest.raises(DriveError, match=r"at 0\.05 rad instead of 0\.1 rad, no nearer for 5\.0 s"):
+        await moved(drive, [0.01, 0.03, 0.05])
+    assert drive.time < 5.0 + 2 * MARGIN
+
+
+async def test_a_drive_that_leaves_again_has_not_come_nearer() -> None:
+    with pytest.raises(DriveError, match="no nearer"):
+        await moved(Drive("joint_1"), [0.01, 0.05, *([0.03, 0.05] * 10)])
+
+
+async def test_a_host_that_was_suspended_near_the_end_finds_the_axis_arrived() -> None:
+    drive = Drive("joint_1")
+    drive.gap = 3600.0
+    assert await moved(drive, [0.05, 0.09, 0.1]) > drive.gap
