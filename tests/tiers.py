@@ -9,7 +9,161 @@ from typing import NamedTuple
 
 PARTS = 10  # each `.ci/run` runs one of them
 
+FAULTS = (  # of tests/system/test_fault_table.py; an adapter has most of them
+    "drive fault", "fault of an axis that stands", "EMCY without a fault state", "lost PDO", "duplicated PDOs",
+    "late PDOs", "bus-off", "silent node that stands", "silent node", "frozen sample counter", "limit switch",
+    "emergency stop", "small encoder glitch", "large encoder glitch", "torque saturation", "reboot of the node",
+    "wrong identity", "swapped addresses",
+)  # fmt: skip
+_TABLE = "tests/system/test_fault_table.py::test_a_fault_ends_in_standstill_and_waits_for_a_person"
+_STOP = "tests/system/test_stop.py"
+_DIAGNOSIS = "tests/browser/test_diagnosis_page.py"
+_PORT = "tests/contract/test_drive_port.py"
+_PORT_FAULTS = "tests/contract/test_faults.py"
+
+SHORT = (  # stays in the first tier although a line of LONG names it: file[::function][[first parameters]
+    # the wiring of each bus and each stack
+    f"{_PORT}::test_connect_leaves_every_axis_disabled",
+    f"{_PORT}::test_identity_is_checked",
+    f"{_PORT}::test_move_arrives_at_standstill",
+    f"{_PORT}::test_stop_from_another_task_and_twice",
+    f"{_PORT}::test_sweep_delivers_consecutive_samples_of_what_was_commanded",
+    f"{_PORT_FAULTS}::test_emergency_stop_in_a_sweep",
+    f"{_PORT_FAULTS}::test_fault_in_a_sweep_delivers_what_there_is_and_waits_for_a_person",
+    "tests/contract/test_independent.py::test_a_streamed_sweep_gives_the_inertia_of_the_plant[node-vcan",
+    # a fault at each adapter, through the service
+    f"{_TABLE}[CANopen, drive's own sweep-drive fault",
+    f"{_TABLE}[CANopen, streamed sweep-emergency stop",
+    f"{_TABLE}[Modbus TCP-limit switch",
+    # the serial line
+    "tests/system/test_virtual_modbus.py::test_identification_and_constant",
+    "tests/system/test_virtual_modbus.py::test_a_sweep_and_its_trace",
+    "tests/system/test_virtual_modbus.py::test_watchdog_of_a_host_that_falls_silent",
+    # hidden effects and faults of data, of each kind one
+    "tests/numeric/blind/test_blind.py::test_a_hidden_effect_is_found[coulomb_friction]",
+    "tests/numeric/blind/test_blind.py::test_a_hidden_effect_is_found[none]",
+    "tests/numeric/second_plant/test_cases.py::test_a_fault_is_in_the_bundle[torque_sign]",
+    "tests/numeric/second_plant/test_cases.py::test_a_large_effect_is_seen_and_no_monster[coulomb_friction]",
+    "tests/numeric/second_plant/test_scoring.py::test_a_fair_sample_goes_through[00001",
+    "tests/numeric/second_plant/test_scoring.py::test_a_fair_sample_goes_through[01000",
+    "tests/numeric/test_channel_timing.py::test_lags_are_found_within_their_uncertainty[none-joint_1",
+    "tests/numeric/test_channel_timing.py::test_lags_are_found_within_their_uncertainty[both-joint_2",
+    "tests/numeric/test_foreign_machines.py::test_what_a_foreign_machine_hides_is_found[01",
+    "tests/numeric/test_foreign_machines.py::test_what_a_foreign_machine_hides_is_found[08",
+    "tests/numeric/test_makers_robots.py::test_from_a_makers_urdf_to_its_inertia[panda",
+    "tests/numeric/test_planned_confidence.py::test_a_campaign_to_a_confidence_keeps_what_its_plan_promises[0.3-springs0",
+)
+
 LONG: dict[str, float] = {  # file[::function][[first parameters]: processor time in s, on an idle computer
+    # the same contract on another transport, dictionary, stack or line
+    f"{_PORT}[canopen-virtual": 8,
+    f"{_PORT}[durand-socketcand": 7,
+    f"{_PORT}[epos4-virtual": 5,
+    f"{_PORT}[modbus-rtu": 8,
+    f"{_PORT}[node-socketcand": 7,
+    f"{_PORT_FAULTS}[canopen-virtual": 5,
+    f"{_PORT_FAULTS}[durand-socketcand": 4,
+    f"{_PORT_FAULTS}[epos4-virtual": 3,
+    f"{_PORT_FAULTS}[modbus-rtu": 6,
+    f"{_PORT_FAULTS}[node-socketcand": 4,
+    "tests/contract/test_canopen.py[canopen-virtual": 4,
+    "tests/contract/test_noise.py[canopen-virtual": 4,
+    "tests/contract/test_other_makers.py": 10,
+    **{
+        f"tests/contract/test_death.py::{function}[{bench}": cost
+        for function, cost in (
+            ("test_axes_stand_after_the_host_hung_and_nothing_resumes", 5),
+            ("test_a_busy_moment_of_the_machine_or_the_host_ends_no_streamed_sweep", 4),
+            ("test_a_machine_that_dies_is_lost_communication", 1),
+        )
+        for bench in ("durand-socketcand", "node-socketcand", "modbus-rtu", "canopen-vcan", "node-vcan")
+    },
+    # the same contract on the kernel's bus, in a guest that is three times as slow
+    **{
+        f"tests/contract/{file}[{bench}": cost
+        for file, bench, cost in (
+            ("test_drive_port.py", "canopen-vcan-drive_side", 60),
+            ("test_drive_port.py", "canopen-vcan-host_streamed", 60),
+            ("test_drive_port.py", "canopen-vcan", 40),
+            ("test_drive_port.py", "node-vcan", 50),
+            ("test_faults.py", "canopen-vcan-drive_side", 40),
+            ("test_faults.py", "canopen-vcan-host_streamed", 40),
+            ("test_faults.py", "canopen-vcan", 40),
+            ("test_faults.py", "node-vcan", 50),
+            ("test_canopen.py", "canopen-vcan", 40),
+            ("test_noise.py", "canopen-vcan", 40),
+            ("test_independent.py", "node-vcan", 40),
+        )
+    },
+    # faults, through the service at each adapter
+    **{
+        f"{_TABLE}[{adapter}-{fault}": 8
+        for adapter in ("CANopen, drive's own sweep", "CANopen, streamed sweep", "Modbus TCP")
+        for fault in FAULTS
+    },
+    # walks at random
+    "tests/system/test_any_order.py::test_nothing_moves_unasked_and_nothing_is_lost[canopen-streamed": 22,
+    "tests/system/test_any_order.py::test_nothing_moves_unasked_and_nothing_is_lost[canopen": 22,
+    "tests/system/test_any_order.py::test_nothing_moves_unasked_and_nothing_is_lost[modbus": 22,
+    # what parts show by themselves, shown again by all processes together, or for a second way, drive or database
+    "tests/system/test_attack.py": 30,
+    "tests/system/test_backup_while_measuring.py": 22,
+    "tests/system/test_cabinet_restart.py": 17,
+    "tests/system/test_demo_operator.py::test_a_suspended_computer_is_released_and_the_campaign_ends": 9,
+    "tests/system/test_diagnosis_campaign.py::test_the_other_blocks_run_and_none_spoils_the_inertia": 8,
+    "tests/system/test_diagnosis_loop.py::test_the_loop_runs_alone_on_a_virtual_machine": 12,
+    "tests/system/test_import_killed.py": 20,
+    "tests/system/test_makers_campaign.py": 60,
+    "tests/system/test_second_host.py::test_an_idle_machine_hears_it_as_well": 7,
+    "tests/system/test_second_host.py::test_words_of_a_stop_are_nobodys_trespass": 7,
+    f"{_STOP}::test_a_press_that_comes_by_both_ways_is_one_stop_and_both_answers_are_good[canopen-host": 8,
+    f"{_STOP}::test_measure_told_to_end_stops_the_machine[canopen-1-": 8,
+    "tests/system/test_stops_in_the_audit.py::test_a_lease_that_another_has_taken": 7,
+    "tests/system/test_stops_in_the_audit.py::test_the_end_of_a_service_that_moves_nothing_is_no_stop": 7,
+    "tests/system/test_two_cells.py::test_two_cells_measure_at_once_and_one_is_killed[sqlite": 30,
+    "tests/system/test_virtual_modbus.py[modbus-rtu": 12,
+    # further states of the page
+    "tests/browser/test_accessibility.py::test_a_report": 9,
+    "tests/browser/test_accessibility.py::test_who_is_not_logged_in": 9,
+    f"{_DIAGNOSIS}::test_a_campaign_tells_what_the_check_of_its_data_found": 9,
+    f"{_DIAGNOSIS}::test_a_test_mass_is_told_with_its_place_in_units_of_the_shop": 9,
+    f"{_DIAGNOSIS}::test_the_names_of_many_sweeps_do_not_lie_over_the_title": 9,
+    f"{_DIAGNOSIS}::test_what_is_known_in_part_the_check_of_the_data_and_where_it_started_are_shown": 9,
+    "tests/browser/test_languages.py::test_a_language_that_there_is_not_is_english": 9,
+    "tests/browser/test_languages.py::test_dates_and_decimal_signs_are_those_of_the_country": 9,
+    "tests/browser/test_languages.py::test_the_language_changes_while_a_campaign_runs_and_is_remembered": 9,
+    "tests/browser/test_login.py::test_a_key_that_is_revoked_ends_the_page": 9,
+    "tests/browser/test_login.py::test_events_and_reports_come_with_the_key": 9,
+    "tests/browser/test_login.py::test_stop_and_release_bear_the_name": 9,
+    "tests/browser/test_login.py::test_the_live_chart_comes_with_a_key": 9,
+    "tests/browser/test_login.py::test_the_page_is_what_the_role_is": 9,
+    "tests/browser/test_operator_page.py::test_a_check_move_is_told_while_it_is_under_way": 9,
+    "tests/browser/test_operator_page.py::test_an_emergency_stop_is_called_one_and_acknowledged_on_all_axes": 9,
+    "tests/browser/test_operator_page.py::test_what_start_will_move_stands_beside_it": 9,
+    "tests/browser/test_page_loading.py::test_the_stop_does_not_wait_for_the_charts": 9,
+    "tests/browser/test_page_truth.py::test_it_can_be_read_and_hit_in_every_state_and_width": 9,
+    "tests/browser/test_page_truth.py::test_resume_shows_what_it_moves_and_what_cannot_work_says_why": 9,
+    "tests/browser/test_page_truth.py::test_stop_is_first_by_keyboard_and_abort_asks": 9,
+    "tests/browser/test_page_truth.py::test_the_campaign_that_matters_is_shown_first": 9,
+    "tests/browser/test_work_on_the_page.py::test_an_amount_that_is_no_number_is_told": 9,
+    # further effects, faults, robots and seeds; statistics over many campaigns
+    "tests/numeric/blind/test_blind.py::test_a_hidden_effect_is_found": 33,
+    "tests/numeric/blind/test_scoring.py::test_a_hidden_effect_is_about_as_large_as_it_says": 11,
+    "tests/numeric/second_plant/test_cases.py::test_a_fault_is_in_the_bundle": 9,
+    "tests/numeric/second_plant/test_cases.py::test_a_large_effect_is_seen_and_no_monster": 20,
+    "tests/numeric/second_plant/test_cases.py::test_what_is_random_comes_in_the_shares_that_are_said": 4,
+    "tests/numeric/second_plant/test_scoring.py::test_a_fair_sample_goes_through": 26,
+    "tests/numeric/test_channel_timing.py::test_lags_are_found_within_their_uncertainty": 8,
+    "tests/numeric/test_drift_in_stored_estimates.py::test_the_drift_is_found_and_the_other_seven_are_quiet": 13,
+    "tests/numeric/test_foreign_inertia.py::test_named_effects_mend_the_inertia": 9,
+    "tests/numeric/test_foreign_machines.py::test_what_a_foreign_machine_hides_is_found": 25,
+    "tests/numeric/test_free_motion.py::test_standard_deviations_keep_what_they_promise": 6,
+    "tests/numeric/test_makers_robots.py::test_from_a_makers_urdf_to_its_inertia": 6,
+    "tests/numeric/test_planned_confidence.py::test_a_campaign_to_a_confidence_keeps_what_its_plan_promises": 5,
+    "tests/numeric/test_planned_confidence.py::test_the_fewer_sweeps_know_inertia_as_well": 5,
+    # how much, not whether
+    "tests/benchmarks/test_ratios.py::test_no_ratio_is_much_worse": 40,
+    "tests/soak/test_workers.py": 60,
 }
 
 
@@ -28,14 +182,18 @@ def name_of(nodeid: str) -> Name:
     return Name(file, function.rpartition("::")[2], parameters.removesuffix("]"))
 
 
+def named_by(entry: str, test: Name) -> bool:
+    """Whether a line of `LONG` or `SHORT` names this test."""
+    file, function, parameters = name_of(entry)
+    return file == test.file and function in ("", test.function) and test.parameters.startswith(parameters)
+
+
 def entry_of(nodeid: str) -> str | None:
-    """Which line of `LONG` a test falls under: the first that names it."""
+    """Which line of `LONG` a test falls under: the first that names it, unless `SHORT` does."""
     test = name_of(nodeid)
-    for entry in _of_file().get(test.file, ()):
-        wanted = name_of(entry)
-        if wanted.function in ("", test.function) and test.parameters.startswith(wanted.parameters):
-            return entry
-    return None
+    if any(named_by(entry, test) for entry in SHORT):
+        return None
+    return next((entry for entry in _of_file().get(test.file, ()) if named_by(entry, test)), None)
 
 
 def part_of(nodeid: str) -> int | None:
