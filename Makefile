@@ -20,9 +20,11 @@ GUEST := VCAN_OPTIONAL=1 VCAN_TIMEOUT=1800 tests/vcan/run $(BIN)/python -m pytes
 NODES := $(BIN)/python -m tests.node_canopen.install  # the guest has no network
 TESTS := test-computing test-machines test-vcan
 
+MUTANTS ?=  # more words for the mutants, as: make mutants MUTANTS="--each 5 --room service/safety"
+
 SEED ?=  # of an order that test-random printed, to have it again
 
-.PHONY: demo venv docs test $(TESTS) test-long test-fast test-random test-drives test-compose fuzz soak bench check format lock sbom audit openapi clean
+.PHONY: demo venv docs test $(TESTS) test-long test-fast test-random test-drives test-compose fuzz soak bench mutants check format lock sbom audit openapi clean
 .PHONY: check-style check-types check-tests-types check-arrows check-habits
 
 demo: $(READY)  ## measure, identify and report a virtual robot
@@ -72,6 +74,9 @@ bench: $(READY)  ## what it costs, beside what else could do the same: docs/refe
 
 fuzz: $(READY)  ## what no program wrote, given to every parser of files from outside; 600 s of CPU, fails on a finding
 	$(BIN)/python -m tests.fuzz $(FUZZ)
+
+mutants: $(READY)  ## plant small errors: which do the unit tests of each room notice?
+	$(BIN)/python -m tests.mutants $(MUTANTS)
 
 check: $(READY)  ## format, lint, types, import arrows, habits (repo-review; exceptions in pyproject.toml), two at once
 	@$(MAKE) --no-print-directory --output-sync=target --jobs=2 check-tests-types check-types check-style check-arrows check-habits
