@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from tests.ports import free_port
 from tests.programs import path_of, require
 
 PATIENCE = 60.0  # s
@@ -44,8 +45,7 @@ class Mosquitto:
 
     def __init__(self, folder: Path, secured: Secured | None = None) -> None:
         require("mosquitto", "mosquitto_sub")
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port = int(free.getsockname()[1])
+        self.port = free_port()
         self._secured, self._configuration = secured, folder / "mosquitto.conf"
         lines = [f"listener {self.port} 127.0.0.1", "persistence false"]
         if secured is None:

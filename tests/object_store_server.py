@@ -15,6 +15,8 @@ from pathlib import Path
 
 import httpx
 
+from tests.ports import free_port
+
 BUCKET = "cell"
 _PATIENCE = 60.0  # s
 _SIGNED = {"Authorization": "AWS4-HMAC-SHA256 Credential=test/20260101/us-east-1/s3/aws4_request"}  # moto asks no more
@@ -50,11 +52,6 @@ class S3Server:
 
     def remove(self, key: str) -> None:
         self.http.delete(f"/{BUCKET}/{key}").raise_for_status()
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return int(free.getsockname()[1])
 
 
 @contextmanager

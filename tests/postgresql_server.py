@@ -3,7 +3,6 @@
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import tempfile
 import time
@@ -14,6 +13,7 @@ from pathlib import Path
 
 import psycopg
 
+from tests.ports import free_port
 from tests.programs import path_of, require
 
 PASSWORD = "not-for-logs-7731"
@@ -31,8 +31,7 @@ class PostgresqlServer:
         self.password_file = folder / "password"
         self.password_file.write_text(PASSWORD + "\n", "utf-8")
         self._numbers = count(1)
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self._port = int(free.getsockname()[1])
+        self._port = free_port()
         if os.geteuid() == 0:
             for path in (folder, self.password_file):
                 shutil.chown(path, _UNPRIVILEGED, _UNPRIVILEGED)

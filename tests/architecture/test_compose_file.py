@@ -35,15 +35,13 @@ def services(root: Path) -> dict[str, dict[str, Any]]:
 def secrets(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     require("openssl")  # make-secrets makes certificates
     folder = tmp_path_factory.mktemp("plant") / "secrets"
-    subprocess.run([root / PLANT / "make-secrets", folder], check=True, capture_output=True, timeout=60)
+    subprocess.run([root / PLANT / "make-secrets", folder], check=True, capture_output=True)
     return folder
 
 
 def asked(root: Path, *arguments: str) -> str:
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("COMPOSE_", "SWEEPID_"))}
-    checked = subprocess.run(
-        ["docker-compose", *arguments], cwd=root, env=environment, capture_output=True, text=True, timeout=60
-    )
+    checked = subprocess.run(["docker-compose", *arguments], cwd=root, env=environment, capture_output=True, text=True)
     assert checked.returncode == 0, checked.stderr
     assert checked.stderr == ""
     return checked.stdout
@@ -153,9 +151,7 @@ def test_the_services_accept_the_secrets(secrets: Path, services: dict[str, dict
 
 def test_secrets_in_use_are_never_replaced(root: Path, secrets: Path) -> None:
     before = {path: path.read_bytes() for path in secrets.rglob("*") if path.is_file()}
-    again = subprocess.run(
-        [root / PLANT / "make-secrets", secrets], capture_output=True, text=True, timeout=60, check=False
-    )
+    again = subprocess.run([root / PLANT / "make-secrets", secrets], capture_output=True, text=True, check=False)
     assert again.returncode == 1
     assert "in use" in again.stderr
     assert {path: path.read_bytes() for path in secrets.rglob("*") if path.is_file()} == before

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from service.client import Json, ServiceClient, ServiceUnreachable
-from tests.object_store_server import free_port
+from tests.ports import free_port
 from tests.system.rest_bench import until
 
 ROOT = Path(__file__).parents[2]

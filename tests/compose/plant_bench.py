@@ -12,7 +12,7 @@ import httpx
 
 from service.client import ServiceClient
 from tests.compose.bench import COMMAND, ROOT, Containers, ready
-from tests.object_store_server import free_port
+from tests.ports import free_port
 from tests.system.rest_bench import PATIENT_LEASE, until
 
 CELLS = ("cell-1", "cell-2")

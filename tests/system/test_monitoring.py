@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-import socket
 import subprocess
 from http import HTTPStatus
 from pathlib import Path
@@ -13,6 +12,7 @@ import pytest
 import yaml
 
 from service.api.metrics.page import GROUPS
+from tests.ports import free_port
 from tests.programs import needs
 from tests.system.rest_bench import PATIENT_LEASE, serving, until, virtual_machine
 
@@ -46,8 +46,7 @@ def test_the_dashboard_uses_the_provisioned_source() -> None:
 def test_a_real_prometheus_scrapes_a_service_and_answers(tmp_path: Path) -> None:
     configuration = yaml.safe_load((FOLDER / "prometheus.yml").read_text("utf-8"))
     shutil.copy(FOLDER / "alerts.yml", tmp_path)
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = int(free.getsockname()[1])
+    port = free_port()
     with (
         virtual_machine(tmp_path) as machine,
         serving(tmp_path, machine.profile, PATIENT_LEASE) as service,

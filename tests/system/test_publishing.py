@@ -1,7 +1,6 @@
 """A real campaign, followed by node-opcua and mosquitto_sub; the publisher is killed, and the campaign goes on."""
 
 import json
-import socket
 import subprocess
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from service.client import ServiceClient
 from tests.mosquitto import broker
 from tests.node_opcua import node_client
+from tests.ports import free_port
 from tests.programs import require
 from tests.system.rest_bench import PATIENT_LEASE, Service, add_plan, release, serving, until, virtual_machine
 
@@ -29,8 +29,7 @@ def publisher(service: Service) -> list[psutil.Process]:
 def test_a_campaign_is_followed_from_outside(tmp_path: Path) -> None:
     require("promtool")
     foreign = node_client()
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = int(free.getsockname()[1])
+    port = free_port()
     url = f"opc.tcp://127.0.0.1:{port}/sweepid"
     with (
         broker(tmp_path) as server,

@@ -4,11 +4,14 @@ import os
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from service.settings.workers import Certificates, Cluster
+from tests.ports import free_port
 
 CONFIG = Path(__file__).parents[3] / "config" / "dask"
 
@@ -25,7 +28,7 @@ def certificates(folder: Path, name: str) -> Certificates:
 
 
 def _openssl(*words: str | Path) -> None:
-    subprocess.run(["openssl", *map(str, words)], check=True, capture_output=True, timeout=60)
+    subprocess.run(["openssl", *map(str, words)], check=True, capture_output=True)
 
 
 @dataclass
@@ -40,18 +43,22 @@ class DaskProcesses:
 
     @classmethod
     def at_free_port(cls, folder: Path, files: Certificates) -> "DaskProcesses":
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            return cls(folder, files, probe.getsockname()[1])
+        return cls(folder, files, free_port())
 
     @property
     def cluster(self) -> Cluster:
         return Cluster(f"tls://127.0.0.1:{self.port}", self.files)
 
     def start_scheduler(self) -> None:
+        """Returns when it listens."""
         self.scheduler = self._start(
             ["scheduler", "--host", "127.0.0.1", "--protocol", "tls", "--port", str(self.port), "--no-dashboard"]
         )
+        while True:
+            with suppress(ConnectionRefusedError), socket.create_connection(("127.0.0.1", self.port)):
+                return
+            assert self.scheduler.poll() is None, (self.folder / "dask.log").read_text("utf-8")
+            time.sleep(0.05)
 
     def start_worker(self) -> None:
         words = ["worker", self.cluster.scheduler, "--nthreads", "1", "--no-nanny", "--no-dashboard"]

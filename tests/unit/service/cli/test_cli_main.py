@@ -13,6 +13,7 @@ import pytest
 from service.errors import BadInput
 from service.geometry.cell import read_cell
 from tests.command import sweepid
+from tests.ports import free_port
 
 pytestmark = pytest.mark.slow
 
@@ -20,13 +21,11 @@ SWEEPID = str(Path(sys.executable).with_name("sweepid"))
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([SWEEPID, *arguments], capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run([SWEEPID, *arguments], capture_output=True, text=True, check=False)
 
 
 def unused_url() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"http://127.0.0.1:{probe.getsockname()[1]}"
+    return f"http://127.0.0.1:{free_port()}"
 
 
 @pytest.fixture
@@ -135,13 +134,13 @@ def test_who_waits_at_a_terminal_sees_for_what() -> None:
     try:
         environment = os.environ | {"TERM": "xterm"}
         done = subprocess.run(
-            [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=inside, timeout=60, check=True, env=environment
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=inside, check=True, env=environment
         )
         assert (done.stdout, b"the plan" in os.read(shown, 10_000)) == (b"42\n", True)
     finally:
         os.close(inside)
         os.close(shown)
-    silent = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=60, check=True)
+    silent = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
     assert (silent.stdout, silent.stderr) == (b"42\n", b"")
 
 
@@ -164,7 +163,5 @@ def test_algebra_runs_on_one_thread() -> None:
         "print(os.environ['OPENBLAS_NUM_THREADS'], len(os.listdir('/proc/self/task')))"
     )
     bare = {key: value for key, value in os.environ.items() if not key.endswith("_NUM_THREADS")}
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True, env=bare
-    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=bare)
     assert done.stdout.splitlines()[-1] == "1 1"

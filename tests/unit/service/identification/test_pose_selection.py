@@ -87,9 +87,9 @@ def test_more_poses_than_candidates_is_refused() -> None:
 
 def test_the_grid_of_two_axes_takes_seconds() -> None:
     rows = candidates(1728, 3, 11)
-    start = time.perf_counter()
+    start = time.process_time()
     select_poses(rows, 24, Criterion.CONDITION)
-    assert time.perf_counter() - start < 10.0
+    assert time.process_time() - start < 10.0  # whatever else the computer does
 
 
 @pytest.mark.parametrize(("m", "a", "p"), [(60, 3, 11), (60, 2, 9), (50, 1, 5), (40, 6, 4)])

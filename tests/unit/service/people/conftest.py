@@ -82,5 +82,5 @@ def certificate(folder: Path, name: str, *options: str) -> tuple[Path, Path]:
         "-keyout",
         str(key),
     ]
-    subprocess.run(command, check=True, capture_output=True, timeout=60)
+    subprocess.run(command, check=True, capture_output=True)
     return pem, key

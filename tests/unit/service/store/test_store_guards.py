@@ -19,37 +19,39 @@ pytestmark = pytest.mark.slow
 LEASE_TIME = 0.5  # s
 
 HOLDER = """
-import sys, time
+import sys
 from service.store.database import open_database
 from service.store.guards import MachineLease
 with open_database(sys.argv[1]) as database:
-    lease = MachineLease(database, 0.5)
+    lease = MachineLease(database, 60.0)
     lease.acquire()
     print("held", flush=True)
-    while True:
-        time.sleep(0.1)
+    for _ in sys.stdin:
         lease.renew()
+        print("renewed", flush=True)
 """
 
 
 def test_a_second_service_is_refused_while_the_first_lives_and_gets_the_machine_when_it_is_killed(url: str) -> None:
     with open_database(url) as database:
-        holder = subprocess.Popen([sys.executable, "-c", HOLDER, url], stdout=subprocess.PIPE, text=True)
-        try:
+        with subprocess.Popen(
+            [sys.executable, "-c", HOLDER, url], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        ) as holder:
+            assert holder.stdin is not None
             assert holder.stdout is not None
-            assert holder.stdout.readline() == "held\n"
+            stdin, stdout = holder.stdin, holder.stdout
+            assert stdout.readline() == "held\n"
+
+            def renewed(_: float) -> None:
+                print(file=stdin, flush=True)
+                assert stdout.readline() == "renewed\n"
+
             with pytest.raises(MachineTaken, match=f"pid {holder.pid} .*: stop that service"):
-                MachineLease(database, LEASE_TIME).acquire()
+                MachineLease(database, 60.0).acquire(wait=renewed)
             holder.send_signal(signal.SIGKILL)
-            holder.wait()
-            began = time.monotonic()
-            MachineLease(database, LEASE_TIME).acquire()
-            assert time.monotonic() - began >= LEASE_TIME
-        finally:
-            holder.kill()
-            holder.wait()
-            if holder.stdout is not None:
-                holder.stdout.close()
+        began = time.monotonic()
+        MachineLease(database, LEASE_TIME).acquire()
+        assert time.monotonic() - began >= LEASE_TIME
 
 
 def test_a_lease_that_is_released_is_free_at_once(database: Database) -> None:
@@ -71,7 +73,7 @@ def test_a_silent_holder_learns_that_it_lost_the_machine(database: Database) -> 
 
 def test_of_two_that_want_a_dead_lease_one_gets_it(database: Database) -> None:
     MachineLease(database, LEASE_TIME).acquire()
-    first, second = MachineLease(database, LEASE_TIME), MachineLease(database, LEASE_TIME)
+    first, second = MachineLease(database, LEASE_TIME), MachineLease(database, 60.0)
     took: list[MachineLease] = []
 
     def first_comes_before(_: float) -> None:
