@@ -141,6 +141,7 @@ class Axis:
         Raises SweepInterrupted once `stop` is set; it is checked before every step and interrupts waiting.
         """
         self._watch.check()
+        self._check_wanted(stop)
         self.check(self.state())
         reading = self.read()
         if not self.stands(reading):

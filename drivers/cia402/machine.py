@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from drivers.cia402 import checks, states
-from drivers.cia402.axis import Axis
+from drivers.cia402.axis import Axis, Energy
 from drivers.cia402.connection import Connection, Fieldbus, Run
 from drivers.cia402.drive_sweep import DriveSweep
 from drivers.cia402.idle_axes import Watched
@@ -109,6 +109,7 @@ class Cia402Machine:
         """Runs once and to its end, even if the caller is cancelled: on a half-closed bus our heartbeat would continue,
         and the drives would keep their energy.
         """
+        axes = self._moving_first(link)
         try:
             await self._interrupt()
             if self._motion is not None and self._motion.run is not None:
@@ -116,7 +117,7 @@ class Cia402Machine:
             if self._cleanups:
                 await asyncio.wait(tuple(self._cleanups))  # their callers get their errors
             self._link = None
-            for axis in link.axes.values():
+            for axis in axes:
                 try:
                     await link.thread.run(axis.device.reopen)
                     await bring_down(link.thread, axis)
@@ -205,9 +206,8 @@ class Cia402Machine:
 
     async def _stop(self, link: Connection) -> tuple[str, ...]:
         """Stop every axis, the moving ones first; `halt` was already sent to all."""
-        moving = () if self._motion is None else self._motion.axes
+        axes = self._moving_first(link)
         await self._interrupt()
-        axes = sorted(link.axes.values(), key=lambda axis: axis not in moving)
         for axis in axes:
             with suppress(DriveError):  # the stop sequence reports it
                 await link.thread.run(axis.device.reopen)
@@ -295,6 +295,11 @@ class Cia402Machine:
             yield motion
         finally:
             self._motion = None
+
+    def _moving_first(self, link: Connection) -> list[Axis]:
+        """Then those with energy: each silent axis costs a time-out, which must not delay the others."""
+        moving = () if self._motion is None else self._motion.axes
+        return sorted(link.axes.values(), key=lambda axis: (axis not in moving, axis.energy is Energy.OFF))
 
     async def _interrupt(self) -> None:
         """Ask the motion in progress to stop, and wait until the stop sequence may talk to its drives."""

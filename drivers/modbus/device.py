@@ -127,10 +127,14 @@ class ModbusDevice:
             return "drive restarted, its settings are lost"
         return f"error {code:04X}h"
 
+    @property
+    def may_move(self) -> bool:
+        """Whether this connection has allowed it to move and not forbidden it since."""
+        return self._line.in_use(self.profile.unit_id)
+
     def halt(self) -> None:
-        """Quick stop without waiting for the answer, but with the time for it on a serial line."""
+        """Quick stop without waiting for the answer."""
         self._unit.tell("controlword", states.QUICK_STOP)
-        time.sleep(self._machine.line.answer_time)
 
     def reopen(self) -> None:
         """Nothing to do: a Modbus drive always receives."""

@@ -70,8 +70,11 @@ class ModbusConnection:
         raise NotReady("host-streamed sweeps are not possible through Modbus")
 
     def halt(self, *, streaming: bool) -> None:
-        """Executed next by the thread of the line, for all units before any unit is asked."""
-        self.thread.post(_halt, self.devices)
+        """Executed next by the thread of the line, for all units before any unit is asked. The answer to a request that
+        is under way is awaited for a short time only.
+        """
+        self.line.hurry()
+        self.thread.post(_halt, self.line, self.devices)
 
     async def close(self) -> None:
         await _release(self.thread, self.line, self.heart)
@@ -92,12 +95,16 @@ async def _beat(thread: DriveThread, devices: Sequence[ModbusDevice], period: fl
         await asyncio.sleep(period)
 
 
-def _halt(devices: Sequence[ModbusDevice]) -> None:
-    for device in devices:
-        try:
-            device.halt()
-        except DriveError as error:  # the others must be halted all the same
-            logger.error("halt: %s", error)
+def _halt(line: Line, devices: Sequence[ModbusDevice]) -> None:
+    """Those that may move first: on a slow line the last of many is told much later."""
+    try:
+        for device in sorted(devices, key=lambda device: not device.may_move):
+            try:
+                device.halt()
+            except DriveError as error:  # the others must be halted all the same
+                logger.error("halt: %s", error)
+    finally:
+        line.stopped()
 
 
 def _introduce(axes: Iterable[Axis]) -> tuple[AxisIdentity, ...]:

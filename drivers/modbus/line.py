@@ -5,21 +5,27 @@ An RTU read is repeated once if the answer was damaged, because then no answer i
 is repeated: an RTU answer does not show to which request it belongs. A unit that did not answer is lost. It is only
 stopped, and not asked, until `due` lets the heartbeat look for it again; its late answers have then been discarded
 with the buffer of the line. On TCP the transaction id identifies an answer, and the connection is opened again.
+
+A stop goes before everything (`hurry`): the answer to a running request is awaited for `STOP_WAIT` at most, and no
+request is made until the stops are written. For `STOP_TIME` after that a silent unit costs at most `STOP_TIMEOUT`.
 """
 
 import logging
+import select
 import socket
 import struct
+import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any, NoReturn, cast
+from typing import Any, NoReturn, Protocol, cast
 
 import serial
 from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ConnectionException, ModbusException
 from pymodbus.pdu import ModbusPDU
 
+from drivers.cia402.thread import StopFirst
 from drivers.errors import CommunicationLost, ConnectionFailed, WrongConfiguration
 from drivers.modbus.profile import RtuLine, TcpLine
 
@@ -27,6 +33,9 @@ logger = logging.getLogger(__name__)
 
 BEATS = 4  # requests to each unit within the watchdog time
 LOOK_AGAIN = 2.0  # s between attempts to reach a lost unit
+STOP_WAIT = 0.1  # s that a stop waits for the answer to a request before it; drives answer within 0.02 s
+STOP_TIMEOUT = 0.5  # s for an answer while the machine is being stopped
+STOP_TIME = 3.0  # s after a stop during which the machine is being stopped
 
 READ, WRITE = 3, 16  # function codes
 GATEWAY = frozenset({0x0A, 0x0B})  # exceptions of a gateway that cannot reach the unit
@@ -41,15 +50,54 @@ EXCEPTIONS = {
 BROKEN = (ModbusException, OSError, struct.error, IndexError, ValueError)
 
 
-class Line:
-    """An open line. For one thread."""
+class Clock(Protocol):
+    """The module `time`, or another clock for a test."""
 
-    def __init__(self, profile: TcpLine | RtuLine) -> None:
+    def monotonic(self) -> float: ...
+
+    def sleep(self, seconds: float, /) -> None: ...
+
+
+class Client(Protocol):
+    """A Modbus client with pymodbus' names, and its errors. It awaits an answer as long as `Line.left` is above 0."""
+
+    garbled: bool
+    """Bytes of an answer have come since this was set to False."""
+
+    def connect(self) -> bool: ...
+
+    def close(self) -> None: ...
+
+    def wake(self) -> None:
+        """`Line.left` has changed. From any thread."""
+        ...
+
+    def read_holding_registers(self, address: int, *, count: int, device_id: int) -> ModbusPDU: ...
+
+    def write_registers(
+        self, address: int, values: list[int], *, device_id: int, no_response_expected: bool = False
+    ) -> ModbusPDU: ...
+
+
+class Line:
+    """An open line. For one thread, except `hurry`."""
+
+    def __init__(
+        self,
+        profile: TcpLine | RtuLine,
+        clock: Clock = time,
+        make: "Callable[[TcpLine | RtuLine, Line], Client] | None" = None,
+    ) -> None:
+        """`make` returns the client of the line."""
         self._profile = profile
-        self._garbled = False
-        self._client = self._make(profile)
+        self._clock = clock
+        self._client = (make or _client)(profile, self)
         self._closed = True
         self._quiet_from = 0.0
+        self._sent = 0.0  # the running request
+        self._stops = 0  # that are not written yet
+        self._stopped = float("-inf")  # when the first of them was ordered
+        self._counting = threading.Lock()
         self._asked: dict[int, float] = {}
         self._heard: dict[int, float] = {}
         self._lost: dict[int, tuple[float, str]] = {}  # by unit: since when, and why
@@ -75,6 +123,30 @@ class Line:
         self._closed = True
         self._client.close()
 
+    # -- a stop --------------------------------------------------------------------------------------------------
+
+    def hurry(self) -> None:
+        """A stop is about to be told; `stopped` must follow. From any thread."""
+        with self._counting:
+            if not self._stops:  # a second stop does not give a silent unit more time
+                self._stopped = self._clock.monotonic()
+            self._stops += 1
+        self._client.wake()
+
+    def stopped(self) -> None:
+        """A stop that was ordered by `hurry` is written."""
+        with self._counting:
+            self._stops -= 1
+
+    @property
+    def left(self) -> float:
+        """For how long the answer to the running request is awaited, s. A stop shortens it."""
+        hurried = self._sent < self._stopped + STOP_TIME
+        until = self._sent + (min(self._profile.timeout, STOP_TIMEOUT) if hurried else self._profile.timeout)
+        if self._stops:
+            until = min(until, self._stopped + STOP_WAIT)
+        return until - self._clock.monotonic()
+
     # -- requests ------------------------------------------------------------------------------------------------
 
     def read(self, unit: int, address: int, count: int, what: str) -> list[int]:
@@ -87,7 +159,7 @@ class Line:
         )
         if len(response.registers) != count:
             self._lose(unit, f"{what}: {len(response.registers)} registers came instead of {count}")
-        self._heard[unit] = time.monotonic()
+        self._heard[unit] = self._clock.monotonic()
         return list(response.registers)
 
     def write(self, unit: int, address: int, registers: Sequence[int], what: str) -> None:
@@ -97,10 +169,10 @@ class Line:
         )
         if (response.address, response.count) != (address, len(registers)):
             self._lose(unit, f"{what}: received the answer to another request")
-        self._heard[unit] = time.monotonic()
+        self._heard[unit] = self._clock.monotonic()
 
     def tell(self, unit: int, address: int, registers: Sequence[int], what: str) -> None:
-        """Write without waiting for an answer, to a lost unit as well.
+        """Write without waiting for an answer, to a lost unit as well. The next request waits until it has come.
 
         Never to unit 0, the broadcast: the line may have drives with another register map.
         """
@@ -111,7 +183,7 @@ class Line:
         except BROKEN as error:
             raise CommunicationLost(f"{what}: {error}") from None
         finally:
-            self._quiet_from = time.monotonic()
+            self._quiet_from = self._clock.monotonic() + self._profile.answer_time  # nobody reads its answer
 
     # -- who is there --------------------------------------------------------------------------------------------
 
@@ -119,9 +191,13 @@ class Line:
         """Raises CommunicationLost if the unit is lost, or was silent for longer than the watchdog time."""
         if unit in self._lost:
             raise CommunicationLost(self._lost[unit][1])
-        silent = time.monotonic() - self._heard.get(unit, 0.0)
+        silent = self._clock.monotonic() - self._heard.get(unit, 0.0)
         if silent > self._profile.watchdog:
             raise CommunicationLost(f"{what}: no answer for {silent:.2f} s")
+
+    def in_use(self, unit: int) -> bool:
+        """Whether the unit may move."""
+        return unit in self._in_use
 
     def use(self, unit: int) -> None:
         """The unit may move from now on: lost units are not searched for."""
@@ -134,7 +210,7 @@ class Line:
         """Whether the heartbeat should ask this unit now, because there was no other request recently. A lost unit is
         asked rarely, and only while no other unit is in use, because each attempt costs a time-out.
         """
-        now = time.monotonic()
+        now = self._clock.monotonic()
         if unit not in self._lost:
             return now - self._asked.get(unit, 0.0) > self.beat / 2
         if now - self._lost[unit][0] < LOOK_AGAIN or self._in_use - self._lost.keys():
@@ -152,7 +228,9 @@ class Line:
         try:
             response = self._exchange(unit, request)
         except BROKEN as error:
-            if not (repeatable and self._garbled):
+            if self._stops:
+                self._leave(unit, what)
+            if not (repeatable and self._client.garbled):
                 self._lose(unit, f"{what}: {error}")
             logger.warning("%s: damaged answer, request repeated", what)
             try:
@@ -162,52 +240,46 @@ class Line:
         if response.function_code & 0x7F != function or response.exception_code in GATEWAY:
             self._lose(unit, f"{what}: answered by {response}")
         if response.isError():
-            self._heard[unit] = time.monotonic()
+            self._heard[unit] = self._clock.monotonic()
             meaning = EXCEPTIONS.get(response.exception_code, "refused")
             raise WrongConfiguration(f"{what}: Modbus exception {response.exception_code}: {meaning}")
         return response
 
     def _exchange(self, unit: int, request: Callable[[], ModbusPDU]) -> ModbusPDU:
         self._wait_for_silence()
-        self._garbled = False
-        self._asked[unit] = time.monotonic()
+        if self._stops:
+            raise StopFirst(f"Modbus {self._profile.place}: a stop goes first")
+        self._client.garbled = False
+        self._asked[unit] = self._sent = self._clock.monotonic()
         try:
             return request()
         finally:
-            self._quiet_from = time.monotonic()
+            self._quiet_from = self._clock.monotonic()
 
     def _wait_for_silence(self) -> None:
-        time.sleep(max(0.0, self._quiet_from + self._profile.silence - time.monotonic()))
+        self._clock.sleep(max(0.0, self._quiet_from + self._profile.silence - self._clock.monotonic()))
 
     def _require_open(self) -> None:
         if self._closed:  # pymodbus would reopen it by itself
             raise CommunicationLost(f"Modbus {self._profile.place}: closed")
 
+    def _leave(self, unit: int, what: str) -> NoReturn:
+        """A stop cannot wait for this answer any longer. On a serial line a late one could be taken for the next."""
+        reason = f"{what}: no answer within {STOP_WAIT} s of a stop"
+        if self._profile.transport == "rtu":
+            self._lost[unit] = (self._clock.monotonic(), reason)
+        elif self._client.garbled:  # the rest must not be read by the next request
+            self._client.close()
+        logger.error("%s", reason)
+        raise StopFirst(reason)
+
     def _lose(self, unit: int, reason: str) -> NoReturn:
         """Raises CommunicationLost now, and at every request until the unit answers again."""
         logger.error("%s", reason)
-        self._lost[unit] = (time.monotonic(), reason)
+        self._lost[unit] = (self._clock.monotonic(), reason)
         if self._profile.transport == "tcp":  # the rest of an answer must not be read by the next request
             self._client.close()
         raise CommunicationLost(reason)
-
-    def _make(self, profile: TcpLine | RtuLine) -> "ModbusTcpClient | SerialClient":
-        if isinstance(profile, TcpLine):
-            return ModbusTcpClient(profile.host, port=profile.port, timeout=profile.timeout, retries=0)
-        return SerialClient(
-            profile.device,
-            baudrate=profile.baudrate,
-            parity=profile.parity,
-            stopbits=profile.stopbits,
-            timeout=profile.timeout,
-            retries=0,
-            trace_packet=self._see,
-        )
-
-    def _see(self, sending: bool, data: bytes) -> bytes:
-        """Bytes of an answer, valid or damaged."""
-        self._garbled = self._garbled or not sending
-        return data
 
 
 def _refusal(profile: TcpLine | RtuLine) -> str:
@@ -224,17 +296,112 @@ def _refusal(profile: TcpLine | RtuLine) -> str:
     return "the log has the reason"
 
 
-class SerialClient(ModbusSerialClient):
-    """pymodbus' client polls for bytes every millisecond until the wall clock passes the time-out. This one waits by
-    the monotonic clock of pyserial, which is not affected when the clock is set.
-    """
+def _client(profile: TcpLine | RtuLine, line: Line) -> Client:
+    if isinstance(profile, TcpLine):
+        return TcpClient(line, profile.host, port=profile.port, timeout=profile.timeout, retries=0)
+    return SerialClient(
+        line,
+        profile.device,
+        baudrate=profile.baudrate,
+        parity=profile.parity,
+        stopbits=profile.stopbits,
+        timeout=profile.timeout,
+        retries=0,
+    )
+
+
+class _Waiting:
+    """Waits for bytes as long as a line awaits an answer. pymodbus waits by the wall clock, and nothing shortens it."""
+
+    def __init__(self, line: Line) -> None:
+        self._line = line
+        self._pair: tuple[socket.socket, socket.socket] | None = None
+
+    def open(self) -> None:
+        if self._pair is None:
+            self._pair = socket.socketpair()
+            self._pair[1].setblocking(False)
+
+    def close(self) -> None:
+        pair, self._pair = self._pair, None
+        for end in pair or ():
+            end.close()
+
+    def wake(self) -> None:
+        """The line awaits the answer for a shorter time. From any thread."""
+        pair = self._pair
+        if pair is not None:
+            with suppress(OSError):  # full: it wakes anyway; closed this moment: nobody waits
+                pair[1].send(b"\0")
+
+    def wait(self, port: Any) -> bool:
+        """Whether there are bytes in time."""
+        while self._pair is not None and (left := self._line.left) > 0:
+            ready = select.select([port, self._pair[0]], [], [], left)[0]
+            if self._pair[0] in ready:
+                self._pair[0].recv(4096)
+            if port in ready:
+                return True
+        return False
+
+
+class TcpClient(ModbusTcpClient):
+    """pymodbus' client with the waiting of this module. `garbled`: bytes of an answer have come."""
+
+    def __init__(self, line: Line, host: str, **others: Any) -> None:
+        super().__init__(host, **others)
+        self.garbled = False
+        self._waiting = _Waiting(line)
+        self.wake = self._waiting.wake
+
+    def connect(self) -> bool:
+        self._waiting.open()
+        return bool(super().connect())
+
+    def close(self) -> None:
+        self._waiting.close()
+        super().close()
 
     def recv(self, size: int | None) -> bytes:
-        """The received bytes, or the first byte within the time-out; empty after that. Raises ConnectionException."""
+        """The received bytes; empty if none came in time. Raises ConnectionException."""
+        if self.socket is None:
+            raise ConnectionException(str(self))
+        if not self._waiting.wait(self.socket):
+            return b""
+        self.garbled = True
+        data = self.socket.recv(size or 4096)
+        if not data:
+            self.close()
+            raise ConnectionException(f"{self}: closed by the drives")
+        return data
+
+
+class SerialClient(ModbusSerialClient):
+    """As `TcpClient`."""
+
+    def __init__(self, line: Line, port: str, **others: Any) -> None:
+        super().__init__(port, **others)
+        self.garbled = False
+        self._waiting = _Waiting(line)
+        self.wake = self._waiting.wake
+
+    def connect(self) -> bool:
+        self._waiting.open()
+        return super().connect()
+
+    def close(self) -> None:
+        self._waiting.close()
+        super().close()
+
+    def recv(self, size: int | None) -> bytes:
+        """As `TcpClient.recv`."""
         port = cast(Any, self.socket)
         if port is None:
             raise ConnectionException(str(self))
         try:
+            if not self._waiting.wait(port):
+                return b""
+            self.garbled = True
             return bytes(port.read(size or max(1, port.in_waiting)))
         except OSError as error:
             with suppress(OSError):

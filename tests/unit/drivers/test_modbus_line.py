@@ -102,7 +102,7 @@ def test_the_heartbeat_is_due_where_nobody_asked(line: Line, monkeypatch: pytest
     line.read(1, 0x10, 1, "x")
     assert not line.due(1)
     later = SimpleNamespace(sleep=time.sleep, monotonic=lambda: time.monotonic() + line.beat / 2)
-    monkeypatch.setattr(line_module, "time", later)
+    monkeypatch.setattr(line, "_clock", later)
     assert line.due(1)
 
 
