@@ -45,14 +45,6 @@ def typed(index: int, sub: int, kind: int) -> Callable[[Cabinet], None]:
     return lambda cabinet: variable(cabinet, index, sub, data_type=kind)
 
 
-def read_only(index: int, sub: int = 0) -> Callable[[Cabinet], None]:
-    return lambda cabinet: variable(cabinet, index, sub, access_type="ro")
-
-
-def unmappable(index: int, sub: int = 0) -> Callable[[Cabinet], None]:
-    return lambda cabinet: variable(cabinet, index, sub, pdo_mappable=False)
-
-
 def holds(index: int, sub: int, value: int) -> Callable[[Cabinet], None]:
     """From power-on on, as a commissioner left it."""
 
@@ -224,25 +216,15 @@ CASES = [
     Case("gear ratio in the drive", {"gear"}, holds(0x6091, 1, 171), kinds=WITH_GEAR),
     Case("gear ratio of shaft to motor", {"gear"}, holds(0x6091, 2, 2), kinds=WITH_GEAR),
     Case("gear too high", {"velocity-limit", "position-limits"}, change=axis(gear_ratio=342.0)),
-    Case("gear too low", {"effort-limit", "limit"}, change=axis(gear_ratio=17.1), kinds=OWN_ONLY),
-    Case("gear too low", {"effort-limit"}, change=axis(gear_ratio=1.71), kinds=EPOS4_ONLY),
+    Case("gear too low", {"effort-limit"}, change=axis(gear_ratio=17.1), kinds=OWN_ONLY),
+    Case("gear too low", {"effort-limit", "velocity-unit"}, change=axis(gear_ratio=1.71), kinds=EPOS4_ONLY),
     # limits
     Case("position limits wider than the drive's", {"position-limits"}, change=axis(position_limits=[-3.5, 2.9])),
     Case("velocity limit above the drive's", {"velocity-limit"}, change=roomy(axis(velocity_limit=2.5))),
     Case("effort limit above the drive's", {"effort-limit"}, change=axis(effort_limit=9000.0), kinds=OWN_ONLY),
     Case("position outside of its limits", {"position"}, change=axis(position_limits=[0.5, 2.0])),
     Case("position offset", {"position", "position-limits"}, change=axis(position_offset=3.1)),
-    # what is written
-    Case("a setting refused", {"setting"}, read_only(0x6085)),
-    Case(
-        "a limit refused",
-        {"limit"},
-        all_of(read_only(0x607D, 1), read_only(0x607D, 2)),
-        axis(position_limits=[-1.0, 1.0]),
-    ),
-    Case(
-        "a stop option that the drive has not", {"setting"}, change=profile(stop_options={"quick_stop": 9}), joints=ALL
-    ),
+    # what a connection writes
     Case(
         "a setting of the maker's that is absent",
         {"maker-setting"},
@@ -256,14 +238,6 @@ CASES = [
         kinds=OWN_ONLY,
         joints=ALL,
     ),
-    Case("mapping refused", {"mapping-refused"}, unmappable(0x606C), kinds=EPOS4_ONLY),
-    Case(
-        "mapping refused", {"mapping-refused"}, all_of(holds(0x1A00, 2, 0x60770010), unmappable(0x606C)), kinds=OWN_ONLY
-    ),
-    Case("mapping of the target refused", {"mapping-refused"}, unmappable(0x60FF), kinds=(*EPOS4_ONLY, *WITH_GEAR)),
-    Case("mapping of the position refused", {"mapping-refused"}, unmappable(0x6064), kinds=(*EPOS4_ONLY, *WITH_GEAR)),
-    Case("mapping read-only", {"mapping-refused"}, all_of(holds(0x1A00, 0, 0), read_only(0x1A00, 0))),
-    Case("transmission type refused", {"mapping-refused"}, all_of(holds(0x1800, 2, 255), read_only(0x1800, 2))),
     Case("a PDO that is not there", {"pdos"}, gone(0x1801, 1)),
     Case("no way of excitation", {"no-excitation"}, holds(0x6502, 0, 0x1)),
     Case("no profile position", {"no-profile-position"}, holds(0x6502, 0, 0x100)),

@@ -52,6 +52,7 @@ HALT = 0x100  # bit 8
 
 SET_POINT_ACKNOWLEDGED = 0x1000  # statusword bit 12
 TARGET_REACHED = 0x400  # statusword bit 10
+REMOTE = 0x200  # statusword bit 9: the drive obeys its controlword
 
 # The next controlword from a state towards a target. A pair that is not in the table is refused. Only ENABLED and only
 # along its one path closes the loop; QUICK_STOP and DISABLED are allowed from everywhere, for they only take energy.

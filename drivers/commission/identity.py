@@ -17,7 +17,7 @@ _LIKE = 2e-3  # tolerance of the rated torque, as at connect
 
 
 def state(node: Node) -> Iterator[Row]:
-    """The drive has no energy and no fault."""
+    """The drive has no energy and no fault, and its fieldbus controls it."""
     word = node.of_map("statusword")
     if word is None:
         return  # reported by `objects`
@@ -33,6 +33,11 @@ def state(node: Node) -> Iterator[Row]:
         )
     else:
         yield node.row("energy", True, f"none: '{found.value}'")
+    remote = bool(word & states.REMOTE)
+    what = f"statusword {word:04X}h: bit 9 (remote) is {remote:d}"
+    yield node.row(
+        "remote", remote, what if remote else f"{what}: the drive does not obey the fieldbus: end its local mode"
+    )
 
 
 def who(node: Node) -> Iterator[Row]:

@@ -1,4 +1,4 @@
-"""One drive that is only read and never commanded: each object is read once."""
+"""One drive that is only read and never written: each object is read once."""
 
 import drivers.lean_can  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
@@ -19,13 +19,13 @@ from drivers.commission.sheet import Row, Verdict
 from drivers.errors import WrongConfiguration
 
 LONG = 4  # bytes
-_COMMANDS = {  # objects that energise or move: controlword, mode, targets, offsets
+COMMANDS = {  # objects that energise or move: controlword, mode, targets, offsets
     (0x6040, 0), (0x6060, 0), (0x6071, 0), (0x607A, 0), (0x60B0, 0), (0x60B1, 0), (0x60B2, 0), (0x60C1, 1), (0x60FF, 0),
 }  # fmt: skip
 
 
 class ReadOnlySdo(Sdo):
-    """An SDO client that refuses to write objects that could energise or move, even if a map or profile asks for it.
+    """An SDO client that refuses to write: what a check changes would be what the next check judges.
 
     Its `client` has no dictionary, because that would shorten an answer that is too long; `long`: answers of 4
     bytes.
@@ -36,10 +36,8 @@ class ReadOnlySdo(Sdo):
         self.long: set[Entry] = set()
 
     def write(self, entry: Entry, value: float) -> None:
-        """Raises WrongConfiguration for a command; otherwise as `Sdo.write`."""
-        if (entry.index, entry.sub) in _COMMANDS:
-            raise WrongConfiguration(f"{self.place}: {entry}: a command, which no setting may be")
-        super().write(entry, value)
+        """Raises WrongConfiguration."""
+        raise WrongConfiguration(f"{self.place}: {entry} = {value:g}: a check writes nothing")
 
     def _answer(self, entry: Entry) -> bytes:
         """Length as the drive states it; otherwise the length of the type. Some drives always send 4 bytes."""
@@ -53,7 +51,10 @@ class ReadOnlySdo(Sdo):
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One axis under check. Every query raises CommunicationLost if the drive does not answer."""
+    """One axis under check. Every query raises CommunicationLost if the drive does not answer.
+
+    `_answers`: of the drive so far; `configured` has those that the drive will give once it is configured.
+    """
 
     axis: CanopenAxis
     machine: CanopenProfile
@@ -69,6 +70,13 @@ class Node:
     def missing(self) -> Mapping[str, str]:
         """Objects that the map lists as missing, and what replaces them."""
         return self.map.missing
+
+    def configured(self) -> "Node":
+        """The drive as it will be with the settings of map and manufacturer, on which its units may depend."""
+        own = [(setting.entry, float(setting.value)) for setting in self.map.settings]
+        makers = [(Entry(m.index, m.sub, m.type, m.name), float(m.value)) for m in self.machine.maker_settings]
+        there = {entry: value for entry, value in (*own, *makers) if not isinstance(self.answer(entry), Exception)}
+        return Node(self.axis, self.machine, self.dictionary, self.sdo, {**self._answers, **there})
 
     def answer(self, entry: Entry) -> float | WrongConfiguration:
         """The value, or the error why there is none."""

@@ -1,6 +1,11 @@
-"""Checks that the drive accepts the settings of a connection, object by object, and the mapping of its PDOs."""
+"""Compares the drive with what a connection will write, object by object, and with the mapping of its PDOs.
 
-from collections.abc import Callable, Iterator
+Nothing is written: a value that differs is a note, because the connection writes it and reads it back before energy.
+What can never be written is a mismatch: an object that is missing or read-only, a command, a value that does not fit.
+"""
+
+import struct
+from collections.abc import Callable, Iterable, Iterator
 
 from drivers.canopen import configuration
 from drivers.canopen.bus_load import check_bus_load
@@ -11,7 +16,7 @@ from drivers.canopen.sdo import ObjectAbsent
 from drivers.canopen.units import Codec
 from drivers.cia402.device import Mode
 from drivers.commission.objects import mappable
-from drivers.commission.read_only_drive import Node
+from drivers.commission.read_only_drive import COMMANDS, Node
 from drivers.commission.sheet import Row
 from drivers.errors import LimitExceeded, WrongConfiguration
 
@@ -23,8 +28,10 @@ def of_map(node: Node) -> Iterator[Row]:
     makers = [(Entry(m.index, m.sub, m.type, m.name), m.value) for m in node.machine.maker_settings]
     for check, wanted in (("map-setting", [(s.entry, s.value) for s in node.map.settings]), ("maker-setting", makers)):
         for entry, value in wanted:
-            error = _settled(node, entry, value)
-            yield node.row(check, error is None, f"{entry}: holds {value}" if error is None else str(error))
+            error = _obstacle(node, entry, value)
+            if error:
+                yield node.row(check, False, error)
+        yield from _differences(node, check, wanted)
 
 
 def standing(node: Node, units: Codec) -> Iterator[Row]:
@@ -79,16 +86,21 @@ def mapping(node: Node, way: Way) -> Iterator[Row]:
         return
     pdos = configuration.pdos(node.map, way, node.axis.node)
     try:
-        there = configuration.configure_pdos(node.sdo, pdos, node.map, node.axis.node)
+        mapped = [configuration.pdos_are_mapped(node.sdo, (pdo,)) for pdo in pdos]
+    except ObjectAbsent:
+        yield node.row("pdos", False, "the drive lacks objects for its PDOs: nothing is streamed")
     except WrongConfiguration as error:
-        yield node.row("mapping-refused", False, str(error))
-        return
-    what = (
-        f"{len(pdos)} mapped, transmission type 1"
-        if there
-        else "the drive lacks objects for its PDOs: nothing is streamed"
-    )
-    yield node.row("pdos", there, what)
+        yield node.row("pdos", False, str(error))
+    else:
+        open_ones = mapped.count(False)
+        what = f"{len(pdos)} mapped, transmission type 1"
+        yield (
+            node.row("pdos", True, what)
+            if not open_ones
+            else node.note(
+                "pdos", f"{open_ones} of {len(pdos)} are mapped otherwise: a connection maps them, with read-back"
+            )
+        )
     cyclic = tuple(pdo for pdo in pdos if pdo.mapped != (node.map.entry("controlword"),))
     bus = node.machine.bus
     try:
@@ -108,24 +120,47 @@ def _own_sweep(node: Node) -> bool:
 
 
 def _all(node: Node, check: str, make: Callable[[], tuple[Setting, ...]]) -> Iterator[Row]:
-    """One row for all settings that hold, one for each that does not. Missing objects are reported by `objects`."""
+    """Missing objects are reported by `objects`."""
     try:
         wanted = make()
     except LimitExceeded as error:
         yield node.row(check, False, f"in drive units: {error}")
         return
-    missing, held = {node.map.entry(name) for name in node.missing}, 0
-    for entry, value in wanted:
-        error = None if entry in missing else _settled(node, entry, value)
-        held += entry not in missing and error is None
-        if error is not None and not isinstance(error, ObjectAbsent):
-            yield node.row(check, False, str(error))
-    yield node.row(f"{check}s", True, f"{held} objects hold what a connection writes")
+    missing = {node.map.entry(name) for name in node.missing}
+    there = [(entry, value) for entry, value in wanted if entry not in missing and not node.absent(entry)]
+    for entry, value in there:
+        error = _obstacle(node, entry, value)
+        if error:
+            yield node.row(check, False, error)
+    yield from _differences(node, check, there)
 
 
-def _settled(node: Node, entry: Entry, value: float) -> WrongConfiguration | None:
+def _obstacle(node: Node, entry: Entry, value: float) -> str:
+    """Why a connection could not make the object hold the value; "" if nothing is known that prevents it."""
+    found = node.answer(entry)
+    if (entry.index, entry.sub) in COMMANDS:
+        return f"{node.sdo.place}: {entry}: a command, which no setting may be"
+    if isinstance(found, WrongConfiguration):
+        return str(found)
     try:
-        node.sdo.settle(entry, value)
-    except WrongConfiguration as error:
-        return error
-    return None
+        entry.pack(value)
+    except struct.error as error:
+        return f"{node.sdo.place}: {entry} cannot hold {value:g}: {error}"
+    listed = node.dictionary.objects.get((entry.index, entry.sub))
+    if found != value and listed is not None and not listed.writable:
+        return f"{node.sdo.place}: {entry}: holds {found:g}, must hold {value:g}, and is read-only in the EDS"
+    return ""
+
+
+def _differences(node: Node, check: str, wanted: Iterable[Setting]) -> Iterator[Row]:
+    """One row for all that hold their value, one note for all that do not."""
+    readable = [
+        (entry, value, found)
+        for entry, value in wanted
+        if not isinstance(found := node.answer(entry), WrongConfiguration) and not _obstacle(node, entry, value)
+    ]
+    other = [f"{entry} holds {found:g}, gets {value:g}" for entry, value, found in readable if found != value]
+    if readable:
+        yield node.row(f"{check}s", True, f"{len(readable) - len(other)} objects hold what a connection writes")
+    if other:
+        yield node.note(f"{check}s", f"a connection writes: {', '.join(other)}")

@@ -1,8 +1,9 @@
-"""Checks every drive of a profile without energy: each axis is read and, in NMT pre-operational, configured."""
+"""Checks every drive of a profile without energy and without a change: each axis is only read."""
 
 import asyncio
 import hashlib
-from collections.abc import Iterator
+import queue
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -30,7 +31,9 @@ def survey(profile: CanopenProfile, name: str, files: dict[str, str] | None = No
     """The sheet of a machine. Raises ConnectionFailed if the bus cannot be opened. Blocking; no event loop may run."""
     ways: dict[str, str] = {}
     rows: list[Row] = []
-    bus = Bus(profile.bus, tuple(axis.node for axis in profile.axes), profile.device_map.wires)
+    nodes = {axis.node: axis.joint for axis in profile.axes}
+    bus = Bus(profile.bus, tuple(nodes), profile.device_map.wires)
+    events = bus.open_stream(*nodes)
     try:
         try:
             asyncio.run(check_alone(bus, profile))
@@ -39,6 +42,7 @@ def survey(profile: CanopenProfile, name: str, files: dict[str, str] | None = No
         else:
             for axis in profile.axes:
                 rows += _axis(bus, axis, profile, ways)
+        rows += _announced(events, nodes)
         if bus.watch.reason:
             rows.append(Row("", "other-host", Verdict.MISMATCH, bus.watch.reason))
     finally:
@@ -60,41 +64,35 @@ def _axis(bus: Bus, axis: CanopenAxis, profile: CanopenProfile, ways: dict[str, 
     node = Node(axis, profile, read_dictionary(profile.eds, axis.node), sdo)
     bus.expect_nodes()  # the time of an earlier silent node does not count
     try:
-        _wake(bus, node)
         other = [*identity.who(node)]
         yield from other
         if _wrong(other):
             yield node.note("not-asked", "units, limits, settings, mapping: it is not the drive of the profile")
             yield from objects.present(node)
             return
-        looked = [*identity.state(node), *_looked_at(node)]
-        yield from looked
-        if _wrong(looked) & _NO_GROUND:
-            yield node.note("not-asked", "settings and mapping: nothing is written before this is right")
-            return
-        bus.send(frames.NMT, bytes([frames.NMT_PRE_OPERATIONAL, axis.node]))
-        yield from _written(node, ways)
+        yield from identity.state(node)
+        yield from _looked_at(node)
+        yield from _compared(node.configured(), ways)
     except CommunicationLost as error:
-        yield node.row("no-answer", False, f"{error}: power, cable, node number or bit rate")
-
-
-_NO_GROUND = {"energy", "fault", "missing-object", "wrong-type", "refused-object", "units", "increments"}
+        causes = "power, cable, node number or bit rate; a drive that a stop put into NMT stopped: switch it off and on"
+        yield node.row("no-answer", False, f"{error}: {causes}")
 
 
 def _wrong(rows: list[Row]) -> set[str]:
     return {row.check for row in rows if row.verdict is Verdict.MISMATCH}
 
 
-def _wake(bus: Bus, node: Node) -> None:
-    """A node in NMT stopped does not answer. Only such a node gets a command before it has reported that it has no
-    energy.
-    """
-    try:
-        node.of_map("statusword")
-    except CommunicationLost:
-        bus.expect_nodes()
-        bus.send(frames.NMT, bytes([frames.NMT_PRE_OPERATIONAL, node.axis.node]))
-        node.of_map("statusword")
+def _announced(events: "queue.SimpleQueue[frames.Event]", joints: Mapping[int, str]) -> Iterator[Row]:
+    """Errors that a drive announced during the check, also if it cleared them."""
+    while not events.empty():
+        event = events.get()
+        if isinstance(event, frames.Emergency) and event.code:
+            yield Row(
+                joints[event.node],
+                "emcy",
+                Verdict.MISMATCH,
+                f"EMCY {event.code:04X}h during the check, {event.register:02X}h in 1001h, data {event.maker.hex()}",
+            )
 
 
 def _looked_at(node: Node) -> Iterator[Row]:
@@ -108,19 +106,18 @@ def _looked_at(node: Node) -> Iterator[Row]:
         yield from units.at_rest(node, codec)
 
 
-def _written(node: Node, ways: dict[str, str]) -> Iterator[Row]:
-    """Settings that a connection writes."""
+def _compared(node: Node, ways: dict[str, str]) -> Iterator[Row]:
+    """What a connection writes. `node` has the units of the configured drive."""
     yield from settings.of_map(node)
-    fresh = Node(node.axis, node.machine, node.dictionary, node.sdo)  # units after the settings
-    codec, rows = units.conversions(fresh)
+    codec, rows = units.conversions(node)
     yield from rows
     if codec is None:
         return
-    yield from units.resolution(fresh, codec)
-    way, rows = settings.way_of(fresh)
+    yield from units.resolution(node, codec)
+    way, rows = settings.way_of(node)
     yield from rows
     if way is not None:
         ways[node.axis.joint] = f"{way.value} ({node.map.entry(way.target).index:04X}h)"
-        yield from settings.mapping(fresh, way)
-    yield from settings.standing(fresh, codec)
-    yield from settings.limits(fresh, codec)
+        yield from settings.mapping(node, way)
+    yield from settings.standing(node, codec)
+    yield from settings.limits(node, codec)

@@ -85,8 +85,10 @@ def at_rest(node: Node, units: Codec) -> Iterator[Row]:
 def limits(node: Node, units: Codec) -> Iterator[Row]:
     """The profile's limits must be inside the commissioned limits of the drive."""
     if configured_before(node):
-        yield node.note(
-            "drive-limits", "the drive holds limits of an earlier connection: power it off and on to compare its own"
+        yield node.row(
+            "drive-limits",
+            False,
+            "the drive holds limits that a connection wrote: power it off and on, so that its own can be compared",
         )
         return
     axis = node.axis
@@ -123,8 +125,7 @@ def resolution(node: Node, units: Codec) -> Iterator[Row]:
 
 def configured_before(node: Node) -> bool:
     """Whether `sweepid` has configured the drive since power-on: then it monitors the heartbeat of this host."""
-    bus = node.machine.bus
-    return node.value(HEARTBEAT_CONSUMER) == bus.host_node << 16 | round(bus.host_timeout * 1e3)
+    return (node.value(HEARTBEAT_CONSUMER) or 0) >> 16 & 0x7F == node.machine.bus.host_node
 
 
 def _gear(node: Node) -> Iterator[Row]:
