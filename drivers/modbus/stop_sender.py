@@ -2,6 +2,7 @@
 only.
 """
 
+import itertools
 import select
 import socket
 import struct
@@ -10,14 +11,17 @@ from collections.abc import Collection, Mapping
 
 from drivers.cia402 import states
 from drivers.errors import ConnectionFailed, NotReady
-from drivers.modbus.line import WRITE
-from drivers.modbus.profile import ModbusProfile, TcpLine
+from drivers.modbus.line import READ, WRITE
+from drivers.modbus.profile import ModbusAxis, ModbusProfile, TcpLine
 from drivers.modbus.registers import RegisterMap
+from drivers.modbus.units import Gear
 
 CONNECT_TIMEOUT = 0.5  # s
 ANSWER_TIMEOUT = 0.03  # s for a unit, before the stop is sent to the next
 LATE_ANSWER = 0.1  # s for a unit that did not answer then; the stop is sent again after all others
 INSISTENCE = 0.5  # s in total for such units
+POLL = 0.01  # s
+_SILENT = "did not answer"
 _HEAD = struct.Struct(">HHHB")  # transaction, protocol 0, length of the rest, unit: Modbus messaging on TCP/IP V1.0b
 
 
@@ -31,6 +35,7 @@ class ModbusStopSender:
                 f"Modbus {profile.line.place}: only one process can open a serial line, and the service has it"
             )
         self._line = profile.line
+        self._axes, self._map = profile.axes, registers
         signal = registers.signals["controlword"]
         words = signal.format.encode(states.QUICK_STOP, round)
         body = struct.pack(f">BHHB{len(words)}H", WRITE, signal.address, len(words), 2 * len(words), *words)
@@ -64,13 +69,83 @@ class ModbusStopSender:
                         answers.wait_for([unit], LATE_ANSWER)
         except OSError as error:
             raise ConnectionFailed(f"Modbus {self._line.place}: {error}") from None
-        return {joint: answers.words.get(unit, "did not answer") for unit, joint in self._joints.items()}
+        return {joint: answers.words.get(unit, _SILENT) for unit, joint in self._joints.items()}
+
+    def confirm(self, within: float) -> Mapping[str, str]:
+        """Asks one unit after the other for statusword and velocity; those that did not answer last time come last."""
+        deadline = time.monotonic() + within
+        doubts = dict.fromkeys(self._joints.values(), _SILENT)
+        try:
+            with socket.create_connection((self._line.host, self._line.port), min(CONNECT_TIMEOUT, within)) as line:
+                line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                readings = _Readings(line, self._map, deadline)
+                while any(doubts.values()) and time.monotonic() < deadline:
+                    open_ones = [axis for axis in self._axes if doubts[axis.joint]]
+                    for axis in sorted(open_ones, key=lambda axis: doubts[axis.joint] == _SILENT):
+                        doubts[axis.joint] = _doubt(readings, axis)
+                    time.sleep(max(0.0, min(POLL, deadline - time.monotonic())))
+        except (OSError, ValueError) as error:  # ValueError: no time was left to connect
+            why = f"Modbus {self._line.place}: {error}"
+            return {joint: doubt and why for joint, doubt in doubts.items()}
+        return doubts
 
     def insist(self) -> None:
         self.send()
 
     def close(self) -> None:
         """Nothing is held open."""
+
+
+def _doubt(readings: "_Readings", axis: ModbusAxis) -> str:
+    """Why the axis does not report standstill without energy; "" if it does."""
+    word = readings.value(axis.unit_id, "statusword")
+    if word is None:
+        return _SILENT
+    state = states.decode(int(word))
+    if state in states.ENERGISED or state is states.State.UNKNOWN:
+        return f"reports '{state.value}'"
+    speed = readings.value(axis.unit_id, "velocity")
+    if speed is None:
+        return _SILENT
+    velocity = Gear(axis.gear_ratio, axis.position_offset, axis.rated_torque).velocity(speed)
+    return "" if abs(velocity) <= axis.standstill_velocity else f"reports {velocity:.3g} {axis.unit}/s"
+
+
+class _Readings:
+    """Signals of units, read one after the other on a line until `deadline`; each request has its own transaction."""
+
+    def __init__(self, line: socket.socket, registers: RegisterMap, deadline: float) -> None:
+        self._line, self._map, self._deadline = line, registers, deadline
+        self._numbers = itertools.cycle(range(1, 0x10000))
+        self._data = b""
+
+    def value(self, unit: int, name: str) -> float | None:
+        """None if the unit does not answer in time, or refuses. Raises OSError if the drives close the line."""
+        signal, number = self._map.signals[name], next(self._numbers)
+        body = struct.pack(">BHH", READ, signal.address, signal.format.width)
+        self._line.sendall(_HEAD.pack(number, 0, len(body) + 1, unit) + body)
+        until = min(time.monotonic() + LATE_ANSWER, self._deadline)
+        while (left := until - time.monotonic()) > 0 and select.select([self._line], [], [], left)[0]:
+            more = self._line.recv(4096)
+            if not more:
+                raise OSError("closed by the drives")
+            pdu = self._taken(self._data + more, number, unit)
+            if pdu is not None:
+                words = [int.from_bytes(pdu[k : k + 2], "big") for k in range(2, len(pdu), 2)]
+                fits = pdu[0] == READ and len(words) == signal.format.width
+                return float(signal.format.decode(words)[0]) if fits else None
+        return None
+
+    def _taken(self, data: bytes, number: int, unit: int) -> bytes | None:
+        """The PDU that answers a transaction; late answers to others are dropped."""
+        found = None
+        while len(data) > _HEAD.size and len(data) >= (whole := 6 + _HEAD.unpack_from(data)[2]):
+            transaction, _, _, sender = _HEAD.unpack_from(data)
+            if (transaction, sender) == (number, unit):
+                found = data[_HEAD.size : whole]
+            data = data[whole:]
+        self._data = data
+        return found
 
 
 class _Answers:

@@ -1,5 +1,6 @@
 """The stop of Modbus TCP drives before units that answer at once, late, badly and never."""
 
+import time
 from pathlib import Path
 
 import pytest
@@ -7,9 +8,10 @@ import yaml
 
 from drivers.errors import ConnectionFailed
 from drivers.modbus.profile import RtuLine, TcpLine, parse_profile
-from drivers.modbus.registers import load_registers
+from drivers.modbus.registers import RegisterMap, load_registers
 from drivers.modbus.stop_sender import ModbusStopSender
-from tests.unit.drivers.modbus_bank import Bank, Request, serving
+from tests.unit.drivers.modbus_bank import Bank, Request, serving, tcp_frame
+from tests.unit.drivers.modbus_drive import HIGH, drive, following, profile_on, put
 
 ANYTHING = dict.fromkeys(range(0x10000), 0)
 UNITS = range(1, 7)
@@ -73,3 +75,86 @@ def test_a_unit_that_lost_its_request_to_another_that_was_slow_is_told_again(roo
     assert heard[: len(UNITS)] == list(UNITS)
     assert set(heard[len(UNITS) :]) == {3}
     assert set(told.values()) == {""}
+
+
+# -- confirmed
+
+
+def standing(root: Path, bank: Bank, line: TcpLine | RtuLine) -> tuple[ModbusStopSender, RegisterMap]:
+    """Six units that follow their controlwords."""
+    told = sender(root, line)
+    for axis in profile_on(line, "tcp", axes=len(UNITS)).axes:
+        drive(bank, HIGH, axis.unit_id, axis.rated_torque)
+    following(bank, HIGH)
+    return told, HIGH
+
+
+def test_standstill_without_energy_is_confirmed_and_nothing_is_written(root: Path) -> None:
+    bank = Bank("tcp")
+    with serving(bank) as line:
+        told, _ = standing(root, bank, line)
+        assert set(told.send().values()) == {""}
+        bank.requests.clear()
+        assert told.confirm(5.0) == dict.fromkeys((f"joint_{unit}" for unit in UNITS), "")
+    assert {request.function for request in bank.requests} == {3}
+
+
+def test_what_moves_has_energy_or_is_silent_is_not_confirmed_in_time(root: Path) -> None:
+    bank = Bank("tcp")
+    with serving(bank) as line:
+        told, registers = standing(root, bank, line)
+        put(bank, registers, 2, "statusword", 0x27)
+        put(bank, registers, 3, "velocity", 100.0)
+        put(bank, registers, 4, "statusword", 0x07)
+        bank.spoil = lambda request, frame: None if request.unit in (1, 5) else frame
+        begun = time.monotonic()
+        found = told.confirm(1.0)
+        assert time.monotonic() - begun < 1.2
+    assert found["joint_6"] == ""
+    assert found["joint_1"] == found["joint_5"] == "did not answer"
+    assert found["joint_2"] == "reports 'operation enabled'"
+    assert found["joint_3"].startswith("reports 0.0")
+    assert found["joint_3"].endswith("rad/s")
+    assert found["joint_4"] == "reports 'quick stop active'"
+
+
+def test_an_axis_that_comes_to_rest_while_it_is_asked_is_confirmed(root: Path) -> None:
+    bank, asked = Bank("tcp"), list[int]()
+    with serving(bank) as line:
+        told, registers = standing(root, bank, line)
+        put(bank, registers, 1, "velocity", 50.0)
+
+        def spoil(request: Request, frame: bytes) -> bytes:
+            asked.append(request.unit)
+            if asked.count(1) == 4:
+                put(bank, registers, 1, "velocity", 0.0)
+            return frame
+
+        bank.spoil = spoil
+        assert set(told.confirm(5.0).values()) == {""}
+
+
+def test_a_line_that_leads_nowhere_confirms_nothing(root: Path) -> None:
+    with serving(Bank("tcp")) as line:
+        told = sender(root, line)
+    found = told.confirm(0.5)
+    assert all(line.place in reason for reason in found.values())
+    assert len(found) == len(UNITS)
+
+
+def test_no_answer_is_taken_for_that_of_another_unit_or_request(root: Path) -> None:
+    """Unit 1 moves; a gateway answers its requests with frames of unit 2 and of transactions before."""
+    bank = Bank("tcp")
+    with serving(bank) as line:
+        told, registers = standing(root, bank, line)
+        put(bank, registers, 1, "statusword", 0x27)
+
+        def spoil(request: Request, frame: bytes) -> bytes:
+            if request.unit != 1:
+                return frame
+            good = bytes.fromhex("03 04 00000040")
+            number = int.from_bytes(frame[:2], "big")
+            return tcp_frame(number, 2, good) + tcp_frame(number - 1, 1, good) + frame
+
+        bank.spoil = spoil
+        assert told.confirm(0.5)["joint_1"] == "reports 'operation enabled'"
