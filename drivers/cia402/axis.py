@@ -142,8 +142,10 @@ class Axis:
         """
         self._watch.check()
         self._check_wanted(stop)
-        self.check(self.state())
         reading = self.read()
+        self.check(reading.state)
+        self._notice_enabled(reading.state)
+        self._watch.check()
         if not self.stands(reading):
             raise NotReady(f"{self.place}: moves at {reading.velocity:.4g} {self.profile.unit}/s, cannot be enabled")
         self.device.allow_motion()

@@ -10,10 +10,11 @@ from contextlib import aclosing, contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
-from drivers.cia402 import checks, states
+from drivers.cia402 import checks
 from drivers.cia402.axis import Axis, Energy
 from drivers.cia402.connection import Connection, Fieldbus, Run
 from drivers.cia402.drive_sweep import DriveSweep
+from drivers.cia402.enabling import enable_alone
 from drivers.cia402.idle_axes import Watched
 from drivers.cia402.monitoring import attend
 from drivers.cia402.positioning import move
@@ -166,7 +167,7 @@ class Cia402Machine:
         link = self._connected()
         self._enabling.append(enabling)
         try:
-            await link.thread.run(_enable_alone, enabling, tuple(link.axes.values()))
+            await link.thread.run(enable_alone, enabling.axes, tuple(link.axes.values()), enabling.stop)
         except asyncio.CancelledError:  # the call continues in its thread and may still enable an axis
             await self._shield(self._abandon(enabling))
             raise
@@ -379,22 +380,3 @@ def _check_together(axes: tuple[Axis, ...], commands: Sequence[SweepCommand], ca
     times = {(c.mode, c.ramp, c.settle, c.period, c.periods) for c in commands}
     if len(times) > 1:
         raise LimitExceeded("sweeps of several axes at once must have the same mode, ramp, settle, period and periods")
-
-
-def _enable_alone(enabling: Motion, all_axes: tuple[Axis, ...]) -> None:
-    axes = enabling.axes
-    for other in all_axes:
-        state = other.state()
-        other.check(state)
-        if other not in axes and state in states.ENERGISED:
-            raise NotReady(f"{axes[0].place}: {other.place} is '{state.value}'; it must be disabled first")
-    try:
-        for axis in axes:
-            axis.enable(enabling.stop)
-    except BaseException:
-        for axis in axes:
-            try:
-                axis.disable()
-            except DriveError as error:  # the others must be disabled all the same
-                logger.error("after enabling failed: %s", error)
-        raise

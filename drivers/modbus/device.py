@@ -11,6 +11,7 @@ from drivers.cia402.states import State
 from drivers.errors import CommunicationLost, DriveFault, WrongConfiguration, WrongIdentity
 from drivers.modbus import measuring
 from drivers.modbus.codec import Format, Rounding
+from drivers.modbus.control import Control
 from drivers.modbus.line import Line
 from drivers.modbus.profile import ModbusAxis, ModbusProfile
 from drivers.modbus.registers import RegisterMap, Trace
@@ -26,21 +27,33 @@ RESTARTED = 0  # used as error code of a restart
 PAGE_TIME = 0.1  # s that a page may occupy the line, because a stop must wait for it
 
 
+def place_of(axis: ModbusAxis) -> str:
+    """As in "joint_1 (unit 1)"."""
+    return f"{axis.joint} (unit {axis.unit_id})"
+
+
 class ModbusDevice:
     """One unit. See `Device`."""
 
     injector = None  # a register map has no torque noise
 
     def __init__(
-        self, profile: ModbusAxis, machine: ModbusProfile, registers: RegisterMap, sha256: str, line: Line
+        self,
+        profile: ModbusAxis,
+        machine: ModbusProfile,
+        registers: RegisterMap,
+        sha256: str,
+        line: Line,
+        control: Control,
     ) -> None:
         self.profile = profile
-        self.place = f"{profile.joint} (unit {profile.unit_id})"
+        self.place = place_of(profile)
         self.emergency_stop_codes = machine.emergency_stop_codes
         self._machine = machine
         self._map = registers
         self._sha256 = sha256
         self._line = line
+        self._control = control
         self._unit = Unit(line, profile.unit_id, registers, self.place)
         self._gear = Gear(profile.gear_ratio, profile.position_offset, profile.rated_torque)
         self._trace_cycle = 1  # ms
@@ -83,8 +96,12 @@ class ModbusDevice:
     # -- power ---------------------------------------------------------------------------------------------------
 
     def allow_motion(self) -> None:
-        """Checks first that it is the drive of `identify` and is still configured."""
+        """Checks first that it is the drive of `identify` and is still configured, and takes control of all units.
+
+        Raises NotReady if another host has it.
+        """
         self.read_back()
+        self._control.take()
         self._line.use(self.profile.unit_id)
 
     def forbid_motion(self) -> None:

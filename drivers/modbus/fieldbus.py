@@ -14,11 +14,13 @@ from drivers.cia402.connection import Run, capabilities
 from drivers.cia402.host_watch import HostWatch
 from drivers.cia402.thread import DriveThread, to_the_end
 from drivers.errors import DriveError, NotReady
-from drivers.modbus.device import ModbusDevice
+from drivers.modbus.control import Control
+from drivers.modbus.device import ModbusDevice, place_of
 from drivers.modbus.line import Line
 from drivers.modbus.profile import ModbusProfile
 from drivers.modbus.registers import load_registers
 from drivers.modbus.stop_sender import ModbusStopSender
+from drivers.modbus.unit import Unit
 from drivers.ports import AxisIdentity, Capabilities, SweepCommand
 
 logger = logging.getLogger(__name__)
@@ -34,17 +36,20 @@ class ModbusFieldbus:
     async def open(self) -> "ModbusConnection":
         profile, thread, line = self._profile, DriveThread("modbus"), Line(self._profile.line)
         digest = hashlib.sha256(profile.registers.read_bytes()).hexdigest()
-        devices = [ModbusDevice(each, profile, self._map, digest, line) for each in profile.axes]
         watch = HostWatch(profile.line.watchdog)
+        units = [Unit(line, each.unit_id, self._map, place_of(each)) for each in profile.axes]
+        control = Control(units, self._map, watch)
+        devices = [ModbusDevice(each, profile, self._map, digest, line, control) for each in profile.axes]
         axes = {device.profile.joint: Axis(device, watch) for device in devices}
         try:
             await thread.run(line.open)
             identities = await thread.run(_introduce, axes.values())
         except BaseException:
-            await to_the_end(_release(thread, line, None))
+            await to_the_end(_release(thread, line, None, control))
             raise
-        heart = asyncio.create_task(_beat(thread, devices, line.beat), name="modbus-heartbeat")
-        return ModbusConnection(thread, line, heart, devices, axes, identities, capabilities(axes.values()), watch)
+        heart = asyncio.create_task(_beat(thread, devices, control, line.beat), name="modbus-heartbeat")
+        can = capabilities(axes.values())
+        return ModbusConnection(thread, line, heart, devices, axes, identities, can, watch, control)
 
     def stop_sender(self) -> ModbusStopSender:
         """Raises NotReady on a serial line."""
@@ -63,6 +68,7 @@ class ModbusConnection:
     identities: tuple[AxisIdentity, ...]
     capabilities: Capabilities
     watch: HostWatch
+    control: Control
     sync_period: float = math.inf  # there is no cycle
 
     async def stream(self, sweeps: Sequence[tuple[SweepCommand, Envelope]], stop: threading.Event) -> Run:
@@ -77,10 +83,10 @@ class ModbusConnection:
         self.thread.post(_halt, self.line, self.devices)
 
     async def close(self) -> None:
-        await _release(self.thread, self.line, self.heart)
+        await _release(self.thread, self.line, self.heart, self.control)
 
 
-async def _beat(thread: DriveThread, devices: Sequence[ModbusDevice], period: float) -> None:
+async def _beat(thread: DriveThread, devices: Sequence[ModbusDevice], control: Control, period: float) -> None:
     """A request to every unit. It runs on the event loop on purpose: if the host hangs, it stops, and the drives stop
     the axes.
 
@@ -92,6 +98,7 @@ async def _beat(thread: DriveThread, devices: Sequence[ModbusDevice], period: fl
                 await thread.run(device.beat)
             except DriveError as error:  # a refusal of one drive must not affect the others
                 logger.error("heartbeat: %s", error)
+        await thread.run(control.renew)
         await asyncio.sleep(period)
 
 
@@ -111,10 +118,11 @@ def _introduce(axes: Iterable[Axis]) -> tuple[AxisIdentity, ...]:
     return tuple(axis.introduce() for axis in axes)
 
 
-async def _release(thread: DriveThread, line: Line, heart: asyncio.Task[None] | None) -> None:
-    """Ends heartbeat, line and thread, after the request in progress."""
+async def _release(thread: DriveThread, line: Line, heart: asyncio.Task[None] | None, control: Control) -> None:
+    """Ends heartbeat, control, line and thread, after the request in progress."""
     if heart is not None:
         heart.cancel()
         await asyncio.gather(heart, return_exceptions=True)
+    await thread.run(control.release)
     await thread.run(line.close)
     await thread.close()

@@ -49,6 +49,7 @@ OPTIONAL: dict[str, str | None] = {
     "fault_option": None,
     "connection_loss_option": None,
     "watchdog": "ms",
+    "control_owner": None,
 }
 MEASURING: dict[str, str | None] = {  # a map has all of them and a trace, or none
     "measuring_command": None,

@@ -10,6 +10,7 @@ ELEMENTS = 16
 
 CONSTANT = "constant"
 WATCHDOG = "watchdog"
+OWNER = "control_owner"
 
 PAGE_RECORD = (
     ("cycle", "<u4", None),
@@ -61,6 +62,7 @@ SIGNALS: dict[str, Signal] = {
     "fault_option": Signal((0x605E, 0)),
     "connection_loss_option": Signal((0x6007, 0)),
     WATCHDOG: Signal(None, "ms"),
+    OWNER: Signal(None),
     "measuring_command": Signal((0x2100, 1)),
     "measuring_state": Signal((0x2100, 2)),
     "measuring_reason": Signal((0x2100, 3)),

@@ -12,7 +12,7 @@ from simulator.drive.axis import Axis, Mode
 from simulator.drive.dictionary import Abort, AbortCode, Dictionary, Key
 from simulator.drive.host_loss import lose_host
 from simulator.modbus.register_map import MappedSignal, RegisterMap
-from simulator.modbus.signals import SIGNALS, WATCHDOG, factor
+from simulator.modbus.signals import OWNER, SIGNALS, WATCHDOG, factor
 from simulator.modbus.trace_page import page_registers
 
 _EXCEPTIONS = {
@@ -64,6 +64,7 @@ class Unit:
         }
         self._watchdog = 0.0  # ms, 0 = off
         self._heard: float | None = None
+        self._owner, self._owned = 0, 0.0  # token, 0: nobody; and the last time that it was written, s
 
     def renumber(self, number: int) -> None:
         """Change the unit id, as by its address switches: the unit boots with it. The device itself stays the same."""
@@ -75,10 +76,14 @@ class Unit:
         self.dictionary.restore()
         self.axis.reset()
         self._watchdog, self._heard = 0.0, None
+        self._owner = 0
 
     def hear(self, now: float) -> None:
         """A request for this unit arrived at `now`, s."""
         self._heard = now
+        lapsed = self._watchdog > 0 and now > self._owned + self._watchdog * 1e-3
+        if lapsed and not self.axis.energised:  # otherwise the axis has lost its host first
+            self._owner = 0
 
     def run(self, now: float) -> None:
         """Check the watchdog at `now`, s."""
@@ -90,8 +95,10 @@ class Unit:
     def due(self, now: float) -> float:
         """Time at which the watchdog expires, s; infinity if it is off."""
         del now
-        watching = self._watchdog > 0 and self.axis.energised and self._heard is not None
-        return self._heard + self._watchdog * 1e-3 if watching and self._heard is not None else math.inf
+        if self._watchdog <= 0 or not self.axis.energised or self._heard is None:
+            return math.inf
+        last = min(self._heard, self._owned) if self._owner else self._heard  # another host keeps no owner alive
+        return last + self._watchdog * 1e-3
 
     # Registers
 
@@ -140,7 +147,8 @@ class Unit:
         """The value in the unit of its signal."""
         key = _key(element)
         if key is None:
-            return self._watchdog if element.signal == WATCHDOG else float(element.wire.value or 0)
+            held = {WATCHDOG: self._watchdog, OWNER: float(self._owner)}
+            return held.get(element.signal, float(element.wire.value or 0))
         try:
             data = self.dictionary.upload(*key)
         except Abort as abort:
@@ -152,6 +160,9 @@ class Unit:
         """Write a value in the unit of its signal to the dictionary."""
         key = _key(element)
         try:
+            if element.signal == OWNER:
+                self._own(round(value))
+                return
             if key is None:
                 self._watchdog = float(round(value))
                 return
@@ -166,6 +177,12 @@ class Unit:
             raise Refusal(_EXCEPTIONS.get(abort.code, ExcCodes.ILLEGAL_VALUE)) from None
         except (ValueError, OverflowError, struct.error):  # NaN, infinity, wider than the object
             raise Refusal(ExcCodes.ILLEGAL_VALUE) from None
+
+    def _own(self, token: int) -> None:
+        """0 releases. Abort if another token has the unit."""
+        if token and self._owner not in (0, token):
+            raise Abort(AbortCode.STATE)
+        self._owner, self._owned = token, self._heard or 0.0
 
     def _page(self) -> bytes:
         """The samples from page_first on, as far as they are recorded."""

@@ -5,6 +5,8 @@ from typing import Any
 
 import pytest
 
+from drivers.cia402.host_watch import HostWatch
+from drivers.modbus.control import Control
 from drivers.modbus.profile import ModbusProfile, RtuLine, TcpLine, parse_profile
 from drivers.modbus.registers import RegisterMap, load_registers
 from drivers.registry import load_profile
@@ -16,6 +18,11 @@ HIGH, LOW = (load_registers(MAPS / f"virtual-{order}-first.yaml") for order in (
 STATES = {0x00: 0x40, 0x02: 0x40, 0x06: 0x21, 0x07: 0x23, 0x0F: 0x27}  # statusword after a controlword
 
 KINDS = pytest.mark.parametrize(("kind", "registers"), [("tcp", HIGH), ("rtu", LOW)], ids=["tcp", "rtu"])
+
+
+def nobody() -> Control:
+    """Of a line whose drives have no register for an owner."""
+    return Control((), HIGH, HostWatch(60.0))
 
 
 def drive(bank: Bank, registers: RegisterMap, unit: int, rated_torque: float) -> None:

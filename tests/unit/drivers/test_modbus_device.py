@@ -30,7 +30,7 @@ from drivers.modbus.profile import RtuLine
 from drivers.modbus.registers import RegisterMap, load_registers
 from drivers.ports import AxisState, Sine, SweepCommand, SweepMode
 from tests.unit.drivers.modbus_bank import Bank, serving
-from tests.unit.drivers.modbus_drive import HIGH, KINDS, LOW, MAPS, drive, following, get, profile_on, put
+from tests.unit.drivers.modbus_drive import HIGH, KINDS, LOW, MAPS, drive, following, get, nobody, profile_on, put
 
 SWEEP = SweepCommand(
     "joint_1", SweepMode.DRIVE_SIDE, 0.0105, (Sine(2.0, 0.002, 0.3), Sine(4.0, 0.002, 1.1)), 1.0, 5, 0.5, 0.5, 250.0,
@@ -51,7 +51,7 @@ def connected(
         profile = profile_on(served, kind, **axis)
         line = Line(profile.line)
         line.open()
-        yield bank, ModbusDevice(profile.axes[0], profile, registers or real, "0" * 64, line)
+        yield bank, ModbusDevice(profile.axes[0], profile, registers or real, "0" * 64, line, nobody())
         line.close()
 
 

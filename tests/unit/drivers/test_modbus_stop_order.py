@@ -24,7 +24,7 @@ from drivers.modbus.line import Line
 from drivers.modbus.profile import RtuLine, TcpLine
 from drivers.modbus.registers import RegisterMap
 from tests.unit.drivers.modbus_bank import Bank, Request, serving
-from tests.unit.drivers.modbus_drive import HIGH, KINDS, LOW, drive, following, profile_on
+from tests.unit.drivers.modbus_drive import HIGH, KINDS, LOW, drive, following, nobody, profile_on
 from tests.unit.drivers.modbus_memory import Clock, Wire
 
 PROMISE = 0.2  # s from a stop to its write to the unit that moves
@@ -51,15 +51,15 @@ class Machine:
             drive(self.bank, registers, axis.unit_id, axis.rated_torque)
         following(self.bank, registers)
         self.line, self.thread = Line(profile.line, self.clock, self.wire), DriveThread("test")
-        self.devices = [ModbusDevice(axis, profile, registers, "", self.line) for axis in profile.axes]
-        watch = HostWatch(60.0)
+        control, watch = nobody(), HostWatch(60.0)
+        self.devices = [ModbusDevice(axis, profile, registers, "", self.line, control) for axis in profile.axes]
         self.axes = {device.profile.joint: Axis(device, watch) for device in self.devices}
         self.line.open()
         identities = tuple(axis.introduce() for axis in self.axes.values())
         can = capabilities(self.axes.values())
         heart = cast("asyncio.Task[None]", None)  # the test is the only one that asks
         self.connection = ModbusConnection(
-            self.thread, self.line, heart, self.devices, self.axes, identities, can, watch
+            self.thread, self.line, heart, self.devices, self.axes, identities, can, watch, control
         )
         self.devices[MOVING - 1].allow_motion()
         self.controlword = registers.signals["controlword"].address

@@ -105,6 +105,7 @@ def test_every_writable_signal_comes_back_as_it_was_written(bench: Bench) -> Non
         "fault_option": 1,
         "connection_loss_option": 3,
         "watchdog": 800,
+        "control_owner": 4711,
         "mode": 1,
         "controlword": 0,
         "measuring_command": 0,
@@ -270,3 +271,35 @@ def test_identification(bench: Bench, code: int, first: int, objects: list[int])
     texts = {0: "00005357", 1: "00000402", 2: "00010000", 0x80: "000003EB"}
     response = bench.ask(ReadDeviceInformationRequest(read_code=code, object_id=first), unit=3)
     assert getattr(response, "information", None) == {number: texts[number] for number in objects}
+
+
+def test_a_unit_keeps_one_owner_until_it_releases_or_falls_silent(bench: Bench) -> None:
+    bench.put("watchdog", 200)
+    bench.unit.hear(bench.now)
+    bench.put("control_owner", 4711)
+    with pytest.raises(Refusal, match="DEVICE_FAILURE"):
+        bench.put("control_owner", 4712)
+    assert bench.get("control_owner") == 4711
+    bench.put("control_owner", 0)
+    bench.put("control_owner", 4712)
+    bench.now += 0.15
+    bench.unit.hear(bench.now)
+    bench.put("control_owner", 4712)
+    bench.now += 0.19
+    bench.unit.hear(bench.now)
+    assert bench.get("control_owner") == 4712
+    bench.now += 0.02
+    bench.unit.hear(bench.now)
+    assert bench.get("control_owner") == 0
+    bench.put("control_owner", 4711)
+
+
+def test_an_owner_that_falls_silent_is_a_lost_host_whoever_else_asks(bench: Bench) -> None:
+    bench.put("watchdog", 200)
+    bench.unit.hear(bench.now)
+    bench.put("control_owner", 4711)
+    bench.enable()
+    for _ in range(10):
+        bench.unit.hear(bench.now)  # another host
+        bench.wait(0.03)
+    assert bench.get("error_code") == 0x8130
