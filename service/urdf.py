@@ -39,6 +39,7 @@ class Joint:
     upper: float
     velocity: float  # rad/s (m/s)
     effort: float  # N m (N)
+    soft: bool = False  # a position limit is that of `<safety_controller>`, which is narrower
 
 
 @dataclass(frozen=True)
@@ -190,6 +191,9 @@ def _joint(element: ET.Element, link: str, rotation: Array, translation: Array, 
     lower, upper = (
         (-np.inf, np.inf) if kind == "continuous" else (_limit(limit, "lower", here), _limit(limit, "upper", here))
     )
+    hard = lower, upper
+    if kind != "continuous":
+        lower, upper = _soft_limits(element, hard, here)
     if lower >= upper:
         raise BadInput(here, f"lower limit {lower} is not below upper limit {upper}")
     return Joint(
@@ -203,7 +207,21 @@ def _joint(element: ET.Element, link: str, rotation: Array, translation: Array, 
         upper=upper,
         velocity=_limit(limit, "velocity", here),
         effort=_limit(limit, "effort", here),
+        soft=(lower, upper) != hard,
     )
+
+
+def _soft_limits(joint: ET.Element, hard: tuple[float, float], here: str) -> tuple[float, float]:
+    """The narrower of the limits and those of `<safety_controller>`, whose own controller does not run here.
+
+    A limit that it does not state is not one; the specification's default of 0 would leave no travel.
+    """
+    safety = joint.find("safety_controller")
+    low, high = (
+        None if safety is None or safety.get(name) is None else _number(safety, name, here)
+        for name in ("soft_lower_limit", "soft_upper_limit")
+    )
+    return hard[0] if low is None else max(hard[0], low), hard[1] if high is None else min(hard[1], high)
 
 
 def read_inertial(link: ET.Element, place: str) -> Array:

@@ -99,6 +99,10 @@ def _limits(joint: Joint) -> list[Finding]:
     unit = "m" if joint.kind == "prismatic" else "rad"
     effort = "N" if joint.kind == "prismatic" else "N m"
     reported: list[Finding] = []
+    if joint.soft:
+        limits = f"{joint.lower:g} to {joint.upper:g} {unit}"
+        what = "the soft limits of <safety_controller> are narrower than <limit> and are used"
+        reported.append(Finding("unusual", joint.name, f"position limits {limits}: {what}"))
     for name, value, most, of in (
         ("velocity", joint.velocity, FASTEST[joint.kind], f"{unit}/s"),
         ("effort", joint.effort, STRONGEST, effort),

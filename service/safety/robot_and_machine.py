@@ -1,4 +1,5 @@
-"""Consistency of robot and machine: values that are in the files of the robot and in the drive profile must be equal.
+"""Consistency of robot and machine: values that are in the files of the robot and in the drive profile must be equal,
+and limits of the profile at most those of the robot. The narrower one is the limit (`on_machine`).
 
 A wrong gear ratio makes every inertia wrong by its square without any error; a plan for another robot moves joints
 without a check. Pure: `COMPARED` is the table of compared values.
@@ -68,14 +69,19 @@ class Comparison:
     robot: Callable[[_Side], Value]
     drive: Callable[[_Side], Value]
     fits: Callable[[float, float], bool]
+    narrower: bool = False  # a limit, which the drive may narrow
 
 
 def _within(relative: float) -> Callable[[float, float], bool]:
     return lambda robot, drive: math.isclose(robot, drive, rel_tol=relative)
 
 
-def _near(tolerance: float) -> Callable[[float, float], bool]:
-    return lambda robot, drive: math.isinf(robot) or abs(robot - drive) <= tolerance
+def _not_below(tolerance: float) -> Callable[[float, float], bool]:
+    return lambda robot, drive: drive >= robot - tolerance
+
+
+def _not_above(tolerance: float) -> Callable[[float, float], bool]:
+    return lambda robot, drive: drive <= robot + tolerance
 
 
 def _at_most(relative: float) -> Callable[[float, float], bool]:
@@ -98,8 +104,7 @@ def _effort(unit: str) -> str:
 
 
 # Gear ratios are quotients of numbers of teeth: a rounded one is within 0.1 %. Rated torques are rounded more.
-# Position limits must be equal: otherwise the drive refuses the plan, or allows more than the robot. The
-# drive may have lower limits of speed and effort than the robot: plans for it keep them, see `on_machine`.
+# The drive may have narrower limits than the robot: plans for it keep them, see `on_machine`.
 COMPARED = (
     Comparison(
         "gear ratio",
@@ -109,14 +114,29 @@ COMPARED = (
         _within(1e-3),
     ),
     Comparison("rated effort", _effort, lambda s: s.robot.axes[s.index].rated_effort, _rated_effort, _within(1e-2)),
-    Comparison("lower limit", str, lambda s: s.robot.chain.joints[s.index].lower, lambda s: _limit(s, 0), _near(1e-3)),
-    Comparison("upper limit", str, lambda s: s.robot.chain.joints[s.index].upper, lambda s: _limit(s, 1), _near(1e-3)),
+    Comparison(
+        "lower limit",
+        str,
+        lambda s: s.robot.chain.joints[s.index].lower,
+        lambda s: _limit(s, 0),
+        _not_below(1e-3),
+        True,
+    ),
+    Comparison(
+        "upper limit",
+        str,
+        lambda s: s.robot.chain.joints[s.index].upper,
+        lambda s: _limit(s, 1),
+        _not_above(1e-3),
+        True,
+    ),
     Comparison(
         "velocity limit",
         lambda unit: f"{unit}/s",
         lambda s: s.robot.chain.joints[s.index].velocity,
         lambda s: s.drive.velocity_limit,
         _at_most(1e-3),
+        True,
     ),
     Comparison(
         "effort limit",
@@ -124,24 +144,51 @@ COMPARED = (
         lambda s: s.robot.chain.joints[s.index].effort,
         lambda s: s.drive.effort_limit,
         _at_most(1e-2),
+        True,
     ),
 )
 
 
 def on_machine(robot: Robot, axes: Sequence[DriveAxis]) -> Robot:
-    """The robot with the limits of velocity and effort of the drives that are below its own.
+    """The robot with those limits of the drives that are narrower than its own.
 
-    A drive refuses a sweep with higher limits.
+    A drive refuses a sweep with wider limits.
     """
-    root, drives = ET.fromstring(robot.urdf_text), {axis.joint: axis for axis in axes}
+    root, drives = ET.fromstring(robot.urdf_text), {axis.joint: axis for axis in axes if axis.joint in robot.joints}
     for joint in root.iter("joint"):
         limit, drive = joint.find("limit"), drives.get(joint.get("name", ""))
         if limit is None or drive is None:
             continue
-        for name, value in (("velocity", drive.velocity_limit), ("effort", drive.effort_limit)):
-            if value is not None and value < float(limit.get(name, "inf")):
+        own, (low, high) = robot.chain.joints[robot.index(drive.joint)], drive.position_limits or (None, None)
+        if low is not None and low > own.lower:
+            limit.set("lower", repr(low))
+        for name, value, ours in (
+            ("upper", high, own.upper),
+            ("velocity", drive.velocity_limit, own.velocity),
+            ("effort", drive.effort_limit, own.effort),
+        ):
+            if value is not None and value < ours:
                 limit.set(name, repr(value))
     return replace(robot, urdf_text=ET.tostring(root, encoding="unicode"))
+
+
+def narrowed(robot: Robot, axes: Sequence[DriveAxis]) -> str:
+    """Limits that a drive profile narrows, in one sentence; "" if none."""
+    found: list[str] = []
+    for axis in axes:
+        if axis.joint not in robot.joints:
+            continue
+        side = _Side(robot, robot.index(axis.joint), axis)
+        for row in COMPARED:
+            ours, theirs = row.robot(side), row.drive(side)
+            if (
+                row.narrower
+                and ours is not None
+                and theirs is not None
+                and not math.isclose(ours, theirs, rel_tol=1e-3)
+            ):
+                found.append(f"{axis.joint} {row.what} {theirs:.6g} instead of {ours:.6g}")
+    return "; ".join(found)
 
 
 def differences(

@@ -1,5 +1,6 @@
 """Plans: the sweeps, their poses and their order. A plan that leaves the safety envelope is refused."""
 
+import logging
 from typing import Annotated, cast
 
 from fastapi import APIRouter, Request, Response
@@ -26,8 +27,10 @@ from service.planning.trajectories.documents import TrajectoryRequest
 from service.planning.trajectories.plan import build_trajectory_plan
 from service.results.analysis import Analyses
 from service.results.stored_json import JsonOf
-from service.safety.robot_and_machine import on_machine
+from service.safety.robot_and_machine import narrowed, on_machine
 from service.store.documents import PlanRecord
+
+logger = logging.getLogger(__name__)
 
 
 def _kind(body: object) -> str:
@@ -81,6 +84,9 @@ def add_plan(
     if other:
         raise BadInput("robot_id", f"belongs to another machine: {other}")
     if not elsewhere:
+        narrower = narrowed(robot, application.own.drive_axes)
+        if narrower:
+            logger.info("the plan keeps narrower limits of drive profile %s: %s", application.settings.drive, narrower)
         robot = on_machine(robot, application.own.drive_axes)
     cell = read_cell(application.settings.cells_dir / f"{wanted.cell}.yaml")
     if isinstance(wanted, AnalysisRequest):

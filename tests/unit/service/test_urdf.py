@@ -150,3 +150,28 @@ def test_what_no_robot_has_is_refused_before_anything_is_made_of_it(text: str, r
     with pytest.raises(BadInput) as refusal:
         read_chain(text, "robot.urdf")
     assert reason in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("safety", "limits"),
+    [
+        ('soft_lower_limit="-0.5" soft_upper_limit="0.75" k_position="20" k_velocity="10"', (-0.5, 0.75, True)),
+        ('soft_upper_limit="0.75" k_velocity="10"', (-1.0, 0.75, True)),  # no lower one, and none of 0
+        ('soft_lower_limit="-2" soft_upper_limit="2" k_velocity="10"', (-1.0, 1.0, False)),
+        ('k_velocity="10"', (-1.0, 1.0, False)),
+    ],
+)
+def test_the_narrower_of_hard_and_soft_limits_counts(safety: str, limits: tuple[float, float, bool]) -> None:
+    joint = read_chain(_soft(safety)).joints[0]
+    assert (joint.lower, joint.upper, joint.soft) == limits
+
+
+def test_soft_limits_that_leave_no_travel_are_refused() -> None:
+    with pytest.raises(BadInput, match=r"lower limit 0\.5 is not below upper limit -0\.5"):
+        read_chain(_soft('soft_lower_limit="0.5" soft_upper_limit="-0.5" k_velocity="1"'))
+
+
+def _soft(safety: str) -> str:
+    return f"""<robot name="r"><link name="base"/><link name="arm"/><joint name="j" type="revolute">
+    <parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" velocity="1" effort="1"/><safety_controller {safety}/></joint></robot>"""

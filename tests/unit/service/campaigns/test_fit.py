@@ -15,7 +15,7 @@ from service.planning.compiled_plan import compile_plan, planned_sweeps
 from service.planning.plan import PlanRequest, build_plan
 from service.robot import Robot, build_robot
 from service.safety.envelope import EnvelopeViolation
-from service.safety.robot_and_machine import COMPARED, DriveAxis, DriveProfile, differences, on_machine
+from service.safety.robot_and_machine import COMPARED, DriveAxis, DriveProfile, differences, narrowed, on_machine
 from service.settings import Settings
 from service.store.database import open_database
 from service.store.documents import CampaignDocument
@@ -52,7 +52,7 @@ def test_the_profiles_that_are_shipped_fit_their_robot(path: Path, robot: Robot)
         ({"gear_ratio": 60.0, "rated_torque": 350 / 60}, "joint_6 gear ratio: robot r has 101, profile p has 60"),
         ({"gear_ratio": -101.0}, "joint_6 gear ratio: robot r has 101, profile p has -101"),
         ({"rated_torque": 1.0}, "joint_6 rated effort: robot r has 350 N m, profile p has 101 N m"),
-        ({"position_limits": (-3.0, 6.28)}, "joint_6 lower limit: robot r has -6.28 rad, profile p has -3 rad"),
+        ({"position_limits": (-6.3, 6.28)}, "joint_6 lower limit: robot r has -6.28 rad, profile p has -6.3 rad"),
         ({"position_limits": (-6.28, 7.0)}, "joint_6 upper limit: robot r has 6.28 rad, profile p has 7 rad"),
         ({"velocity_limit": 4.0}, "joint_6 velocity limit: robot r has 3.6 rad/s, profile p has 4 rad/s"),
         ({"effort_limit": 800.0}, "joint_6 effort limit: robot r has 700 N m, profile p has 800 N m"),
@@ -67,6 +67,7 @@ def test_a_difference_names_both_places_and_both_values(robot: Robot, change: di
 @pytest.mark.parametrize(
     "change",
     [{"gear_ratio": 101.05}, {"rated_torque": 3.44}, {"velocity_limit": 0.2}, {"effort_limit": 90.0}, {"unit": None}]
+    + [{"position_limits": (-3.0, 6.28)}, {"position_limits": (-6.28, 1.0)}]
     + [{name: None} for name in DriveAxis.model_fields if name != "joint"],
 )
 def test_rounded_values_lower_limits_and_what_a_profile_lacks_are_no_difference(
@@ -150,6 +151,26 @@ def test_limits_of_the_drives_below_the_robots_are_the_limits(robot: Robot) -> N
     assert limited.chain.joints[5].effort == robot.chain.joints[5].effort  # never more than the robot's
     assert np.array_equal(limited.chain.inertial, robot.chain.inertial)
     assert (joint.lower, joint.upper) == (robot.chain.joints[1].lower, robot.chain.joints[1].upper)
+
+
+def test_narrower_position_limits_of_a_profile_are_the_limits_and_are_told(robot: Robot) -> None:
+    axes = (*axes_of(PROFILES[0])[:-1], DriveAxis(joint="joint_6", position_limits=(-3.0, 7.0)))
+    joint = on_machine(robot, axes).chain.joints[5]
+    assert (joint.lower, joint.upper) == (-3.0, robot.chain.joints[5].upper)
+    one = DriveAxis(joint="joint_6", position_limits=(-3.0, 6.28), effort_limit=90.0)
+    assert narrowed(robot, [one]) == ("joint_6 lower limit -3 instead of -6.28; joint_6 effort limit 90 instead of 700")
+    assert narrowed(robot, [DriveAxis(joint="joint_6", position_limits=(-6.28, 6.28))]) == ""
+
+
+def test_a_profile_wider_than_the_soft_limits_of_the_robot_is_refused(robot: Robot) -> None:
+    hard = 'upper="6.28"'
+    assert hard in robot.urdf_text.rpartition('name="joint_6"')[2]
+    head, name, tail = robot.urdf_text.rpartition('<joint name="joint_6"')
+    begin, bracket, rest = tail.partition(">")
+    soft = '<safety_controller soft_lower_limit="-1.5" soft_upper_limit="7" k_velocity="10"/>'
+    gentle = build_robot(robot.description, head + name + begin + bracket + soft + rest)
+    assert (gentle.chain.joints[5].lower, gentle.chain.joints[5].upper) == (-1.5, robot.chain.joints[5].upper)
+    assert told(gentle, axes_of(PROFILES[0])) == "joint_6 lower limit: robot r has -1.5 rad, profile p has -6.28 rad"
 
 
 def test_a_plan_for_weaker_drives_keeps_their_limits(tmp_path: Path, robot: Robot) -> None:
