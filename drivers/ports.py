@@ -351,7 +351,10 @@ class DrivePort(Protocol):
         ...
 
     def watch(self, tell: Callable[[str], None] | None) -> None:
-        """`tell` receives at once, from any thread, the reason why nothing is energised or moved until `allow`."""
+        """`tell` receives at once, from any thread, the reason why nothing is energised or moved until `allow`.
+
+        From now on the host is watched, connected or not, and a finding outlives the connection; None: until `close`.
+        """
         ...
 
     def allow(self) -> None:

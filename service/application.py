@@ -212,6 +212,11 @@ class Application(WithCell):
         return accept_model(self.store, self.diagnoses, self.models, diagnosis_id, axes, accepted_by)
 
 
+def _add_robots(store: Store, folder: Path) -> None:
+    for path in sorted(folder.glob("*.yaml")):
+        store.add_robot(read_robot(path))
+
+
 def _made(written: Written) -> str | bytes:
     if isinstance(written, NoPdf):
         raise written
@@ -259,8 +264,7 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
                 for number in await asyncio.to_thread(recover, store, files):
                     tell_own_stop(audit, f"campaign {number}", "the previous service process ended without a shutdown")
             keys.release_unanswered()
-            for path in sorted(settings.robots_dir.glob("*.yaml")):
-                store.add_robot(read_robot(path))
+            await asyncio.to_thread(_add_robots, store, settings.robots_dir)  # the host watch has begun
         else:
             stack.push_async_callback(keeping.close)
 

@@ -35,11 +35,18 @@ RECEIVE_BUFFER = 1 << 20  # bytes requested, so that a busy moment loses no fram
 class Bus:
     """An open bus. `send` may be called from any thread."""
 
-    def __init__(self, profile: BusProfile, nodes: tuple[int, ...], wires: frames.Wires = frames.VIRTUAL_WIRES) -> None:
-        """Opens the bus (blocking). `wires`: which PDOs to decode. Raises ConnectionFailed if the bus cannot be
-        opened.
+    def __init__(
+        self,
+        profile: BusProfile,
+        nodes: tuple[int, ...],
+        wires: frames.Wires = frames.VIRTUAL_WIRES,
+        watch: HostWatch | None = None,
+    ) -> None:
+        """Opens the bus (blocking). `wires`: which PDOs to decode. `watch`: of the machine, if it outlives this bus.
+
+        Raises ConnectionFailed if the bus cannot be opened.
         """
-        self.watch = HostWatch(profile.host_timeout)
+        self.watch = watch or HostWatch(profile.host_timeout)
         self._strangers = ForeignFrames(nodes, profile.host_node, wires)
         self._alone_from = float("inf")  # on the monotonic clock
         self._profile, self._wires = profile, wires

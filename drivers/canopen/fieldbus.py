@@ -50,12 +50,13 @@ class CanopenFieldbus:
 
     def __init__(self, profile: CanopenProfile) -> None:
         self._profile = profile
+        self.watch = HostWatch(profile.bus.host_timeout)
 
     async def open(self) -> "CanopenConnection":
         profile, thread = self._profile, DriveThread("can-sdo")
         nodes = tuple(axis.node for axis in profile.axes)
         opening = asyncio.create_task(
-            thread.run(Bus, profile.bus, nodes, profile.device_map.wires), name="open the bus"
+            thread.run(Bus, profile.bus, nodes, profile.device_map.wires, self.watch), name="open the bus"
         )
         heart: asyncio.Task[None] | None = None
         try:
@@ -109,10 +110,6 @@ class CanopenConnection:
     axes: Mapping[str, Axis]
     identities: tuple[AxisIdentity, ...]
     capabilities: Capabilities
-
-    @property
-    def watch(self) -> HostWatch:
-        return self.bus.watch
 
     @property
     def bus_traffic(self) -> BusTraffic:

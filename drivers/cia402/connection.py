@@ -56,9 +56,6 @@ class Connection(Protocol):
     def capabilities(self) -> Capabilities: ...
 
     @property
-    def watch(self) -> HostWatch: ...
-
-    @property
     def sync_period(self) -> float:
         """Cycle time of host-streamed sweeps, s."""
         ...
@@ -81,6 +78,11 @@ class Connection(Protocol):
 
 class Fieldbus(Protocol):
     """The bus of a profile, not yet open."""
+
+    @property
+    def watch(self) -> HostWatch:
+        """One for all connections: a finding outlives the connection."""
+        ...
 
     async def open(self) -> Connection:
         """Open, identify and configure; if that fails, everything is closed again."""

@@ -5,10 +5,12 @@ have stopped by their own watchdog. Therefore the event loop, on which the heart
 Code that is about to enable or move an axis first checks the age of the last sign of life: the first thread that
 wakes finds the gap before it sends.
 
+The watch begins with the process, not with the connection: a command may wait for the first connection over a gap.
 A finding stays until a person confirms it (`allow`). A single frame between this check and the system call may still
 be sent; no drive is energised by a single controlword.
 """
 
+import asyncio
 import threading
 import time
 from collections.abc import Callable
@@ -37,6 +39,16 @@ class HostWatch:
         self._reason = ""
         self._lock = threading.Lock()
 
+    async def attend(self) -> None:
+        """Gives the signs of life of the running event loop until cancelled."""
+        try:
+            while True:
+                self.alive()
+                await asyncio.sleep(self.beat)
+        finally:
+            with self._lock:
+                self._alive = None  # nobody shows life from now on: that is no gap
+
     @property
     def reason(self) -> str:
         """Why nothing may be energised or moved; "" if motion is allowed. Detects a gap."""
@@ -52,7 +64,10 @@ class HostWatch:
         return self._woke
 
     def tell_to(self, tell: Callable[[str], None] | None) -> None:
-        """`tell` receives a finding on the thread that detects it, once until `allow`; an existing finding at once."""
+        """`tell` receives each gap on the thread that detects it, any other finding once until `allow`.
+
+        An existing finding is received at once.
+        """
         self._tell = tell
         if self._reason and tell is not None:
             tell(self._reason)
@@ -86,7 +101,8 @@ class HostWatch:
             if gap > self._limit:
                 self._woke = time.monotonic()
                 what = f"the host was suspended for {gap:.1f} s, limit {self._limit:g} s (time-out of its drives)"
-                first = self._note(what)
+                self._note(what)
+                first = True  # each one ends what was wanted before it, also while an earlier one is being released
             if alive or gap > self._limit:
                 self._alive = now
         self._pass_on(what, first)

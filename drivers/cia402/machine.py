@@ -16,7 +16,7 @@ from drivers.cia402.connection import Connection, Fieldbus, Run
 from drivers.cia402.drive_sweep import DriveSweep
 from drivers.cia402.enabling import enable_alone
 from drivers.cia402.idle_axes import Watched
-from drivers.cia402.monitoring import attend
+from drivers.cia402.monitoring import look
 from drivers.cia402.positioning import move
 from drivers.cia402.profile import AxisProfile
 from drivers.cia402.stopping import bring_down
@@ -65,8 +65,9 @@ class Cia402Machine:
         self._closing: asyncio.Task[None] | None = None
         self._reading = asyncio.Lock()  # one status at a time in the thread's queue: a stop must not wait for many
         self._last_run: Run | None = None
-        self._tell: Callable[[str], None] | None = None
+        self._watched = False  # by a caller, who is told
         self._attending: asyncio.Task[None] | None = None
+        self._looking: asyncio.Task[None] | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -96,9 +97,8 @@ class Cia402Machine:
         if self._link is not None:
             raise NotReady("already connected")
         self._link = link = await self._fieldbus.open()
-        link.watch.tell_to(self._tell)
-        link.watch.alive()
-        self._attending = asyncio.create_task(attend(link, self._reading, self._idle), name="host watch")
+        self._attend()
+        self._looking = asyncio.create_task(look(link, self._reading, self._idle), name="look at the axes")
         return link.identities
 
     async def close(self) -> None:
@@ -127,10 +127,11 @@ class Cia402Machine:
         finally:
             self._link = None
             try:
-                if self._attending is not None:
-                    self._attending.cancel()
-                    await asyncio.gather(self._attending, return_exceptions=True)
+                if self._looking is not None:
+                    self._looking.cancel()
+                    await asyncio.gather(self._looking, return_exceptions=True)
                 await link.close()
+                self._attend()
             finally:
                 self._closing = None
 
@@ -140,13 +141,22 @@ class Cia402Machine:
             await asyncio.shield(self._closing)
 
     def watch(self, tell: Callable[[str], None] | None) -> None:
-        self._tell = tell
-        if self._link is not None:
-            self._link.watch.tell_to(tell)
+        self._watched = tell is not None
+        self._fieldbus.watch.tell_to(tell)
+        self._attend()
 
     def allow(self) -> None:
-        if self._link is not None:
-            self._link.watch.allow()
+        self._fieldbus.watch.allow()
+
+    def _attend(self) -> None:
+        """The loop shows life while the machine is watched or connected."""
+        wanted = self._watched or self._link is not None
+        if wanted and self._attending is None:
+            self._fieldbus.watch.alive()  # from this moment, not from the first turn of the task
+            self._attending = asyncio.create_task(self._fieldbus.watch.attend(), name="host watch")
+        elif not wanted and self._attending is not None:
+            self._attending.cancel()
+            self._attending = None
 
     # -- state ---------------------------------------------------------------------------------------------------
 
@@ -182,8 +192,7 @@ class Cia402Machine:
 
     def halt(self) -> None:
         link, motion = self._link, self._motion
-        if link is not None:
-            link.watch.look()  # report a gap as such, and not its consequences
+        self._fieldbus.watch.look()  # report a gap as such, and not its consequences
         for each in (*self._enabling, *(() if motion is None else (motion,))):
             each.stop.set()
         if link is not None:

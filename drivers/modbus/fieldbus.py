@@ -32,15 +32,15 @@ class ModbusFieldbus:
     def __init__(self, profile: ModbusProfile) -> None:
         self._profile = profile
         self._map = load_registers(profile.registers)
+        self.watch = HostWatch(profile.line.watchdog)
 
     async def open(self) -> "ModbusConnection":
         profile, thread, line = self._profile, DriveThread("modbus"), Line(self._profile.line)
         digest = hashlib.sha256(profile.registers.read_bytes()).hexdigest()
-        watch = HostWatch(profile.line.watchdog)
         units = [Unit(line, each.unit_id, self._map, place_of(each)) for each in profile.axes]
-        control = Control(units, self._map, watch)
+        control = Control(units, self._map, self.watch)
         devices = [ModbusDevice(each, profile, self._map, digest, line, control) for each in profile.axes]
-        axes = {device.profile.joint: Axis(device, watch) for device in devices}
+        axes = {device.profile.joint: Axis(device, self.watch) for device in devices}
         try:
             await thread.run(line.open)
             identities = await thread.run(_introduce, axes.values())
@@ -48,8 +48,7 @@ class ModbusFieldbus:
             await to_the_end(_release(thread, line, None, control))
             raise
         heart = asyncio.create_task(_beat(thread, devices, control, line.beat), name="modbus-heartbeat")
-        can = capabilities(axes.values())
-        return ModbusConnection(thread, line, heart, devices, axes, identities, can, watch, control)
+        return ModbusConnection(thread, line, heart, devices, axes, identities, capabilities(axes.values()), control)
 
     def stop_sender(self) -> ModbusStopSender:
         """Raises NotReady on a serial line."""
@@ -67,7 +66,6 @@ class ModbusConnection:
     axes: Mapping[str, Axis]
     identities: tuple[AxisIdentity, ...]
     capabilities: Capabilities
-    watch: HostWatch
     control: Control
     sync_period: float = math.inf  # there is no cycle
 

@@ -3,6 +3,7 @@
 import random
 import time
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import httpx
@@ -62,6 +63,34 @@ def test_nothing_moves_after_a_gap_until_a_person_resumes(
 ) -> None:
     with serving(tmp_path, machine.profile) as service, ServiceClient(service.url) as client, listening(machine) as ear:
         suspend_in_each(phases, modes, service, machine, client, ear)
+
+
+def test_a_start_that_waits_for_the_first_connection_over_a_gap_moves_nothing(
+    tmp_path: Path, machine: VirtualMachine
+) -> None:
+    machine.power_off()
+    with serving(tmp_path, machine.profile) as service, ServiceClient(service.url) as client:
+        campaign = int(client.add_campaign(add_plan(client, axes=[AXIS], poses=2))["id"])
+        assert not client.drives()["connected"]
+        machine.power_on()
+        with ThreadPoolExecutor(1) as person, listening(machine) as ear:
+            started = person.submit(
+                httpx.post, f"{service.url}/api/v1/campaigns/{campaign}/start", timeout=PATIENCE, trust_env=False
+            )
+            until(lambda: client.drives()["trouble"] == "connecting", "the start waits for the drives")
+            suspend(service, machine, ear)
+            answer = started.result()
+            assert answer.status_code == 409, answer.text
+            until(lambda: [stop["id"] for stop in client.stops() if stop["id"] > 0], "latched")
+            assert "the host was suspended for" in client.stops()[0]["why"]
+            release(client)
+            watched(machine, ear, "after the release")
+        assert client.campaign(campaign)["state"] == "planned"
+        if not client.drives()["connected"]:
+            httpx.post(f"{service.url}/api/v1/drives/connect", timeout=PATIENCE, trust_env=False).raise_for_status()
+        client.start(campaign)
+        until(lambda: not machine.stands(), "it moves when a person says so again")
+        client.abort(campaign, "enough seen")
 
 
 def suspend_in_each(

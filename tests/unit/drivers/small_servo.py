@@ -171,12 +171,12 @@ class Link:
 
     def __init__(self, servos: Sequence[Servo]) -> None:
         self._servos = servos
+        self.watch = HostWatch(HOST_TIMEOUT)
         self.opened = self.closed = self.halted = 0
 
     async def open(self) -> "Link":
         self.opened += 1
         self.thread = AskedThread("small")
-        self.watch = HostWatch(HOST_TIMEOUT)
         self.axes = {servo.joint: Axis(servo, self.watch) for servo in self._servos}
         self.identities = tuple([await self.thread.run(axis.introduce) for axis in self.axes.values()])
         return self

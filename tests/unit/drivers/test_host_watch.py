@@ -52,6 +52,9 @@ def test_a_gap_shuts_the_gate_until_a_person_opens_it() -> None:
     watch.alive()
     assert watch.reason  # life alone opens nothing
     assert len(told) == 1
+    miss(watch)
+    watch.alive()
+    assert len(told) == 2  # another gap, whatever is done about the first
     watch.allow()
     watch.check()
 
@@ -140,6 +143,33 @@ async def test_a_machine_watches_over_the_time_of_its_own_loop(monkeypatch: pyte
     await port.close()
 
 
+async def test_a_gap_before_the_first_connection_counts_and_no_connection_clears_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("tests.unit.drivers.small_servo.HOST_TIMEOUT", LIMIT)
+    port, link = machine(Servo("joint_1"))
+    told: list[str] = []
+    port.watch(told.append)
+    miss(link.watch)
+    for _ in range(2):
+        await port.connect()
+        assert "the host was suspended" in told[0]
+        with pytest.raises(MotionForbidden, match="suspended"):
+            await port.enable("joint_1")
+        await port.close()
+    port.watch(None)
+
+
+async def test_who_is_watched_by_nobody_and_not_connected_misses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.unit.drivers.small_servo.HOST_TIMEOUT", LIMIT)
+    port, link = machine(Servo("joint_1"))
+    await port.connect()
+    await port.close()
+    await asyncio.sleep(0)  # the turn in which the watch ends
+    miss(link.watch)
+    assert link.watch.reason == ""
+
+
 @pytest.mark.parametrize("state", [State.SWITCHED_ON, State.OPERATION_ENABLED])
 async def test_an_axis_that_nobody_here_enabled_is_told(state: State) -> None:
     servo = Servo("joint_1")
@@ -153,6 +183,7 @@ async def test_an_axis_that_nobody_here_enabled_is_told(state: State) -> None:
     with pytest.raises(MotionForbidden):
         await port.enable("joint_1")
     await port.stop()
+    port.watch(None)
     await port.close()
 
 
@@ -185,6 +216,7 @@ async def test_energy_that_nobody_here_took_is_missed_in_a_sweep() -> None:
         async for _ in run:
             pass
     assert len(told) == 1
+    port.watch(None)
     await port.close()
 
 
@@ -199,4 +231,5 @@ async def test_energy_that_a_stop_took_is_not_missed() -> None:
     await port.status()
     assert told == []
     await port.enable("joint_1")
+    port.watch(None)
     await port.close()
