@@ -9,6 +9,7 @@ from fastapi.routing import APIRoute
 from starlette.middleware.cors import CORSMiddleware
 
 from service.api import events, health, robots
+from service.api.arrival import EPOCH, Arrival
 from service.api.campaign import approvals, bundles, campaigns, pictures, plans, sweeps
 from service.api.declared.application import DeclaredApi
 from service.api.gate import BUNDLE_LIMIT, ROBOT_LIMIT, Gate
@@ -100,9 +101,10 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
             CORSMiddleware,
             allow_origins=settings.cors_origins,
             allow_methods=("GET", "POST", "PUT", "DELETE"),
-            allow_headers=("Authorization", "Content-Type", "If-Match", "Idempotency-Key", "Last-Event-ID"),
+            allow_headers=("Authorization", "Content-Type", "If-Match", "Idempotency-Key", "Last-Event-ID", EPOCH),
             expose_headers=("ETag", "Location", "Retry-After"),
         )
+    app.add_middleware(Arrival)
     return app
 
 

@@ -26,6 +26,10 @@ class Conflict(SweepidError):
     """The command is not possible in the present state, e.g. starting a campaign that runs (API: 409)."""
 
 
+class Superseded(Conflict):
+    """A stop, a gap of the host, trouble with the lease or a restart came after the command was given (API: 409)."""
+
+
 class NotNow(SweepidError):
     """Nothing was done, because a required part does not answer now; the request may be repeated later (API: 503)."""
 

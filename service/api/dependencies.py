@@ -1,14 +1,17 @@
-"""Shared parts of the routes: the application, a page of a list, and the version that a client has read."""
+"""Shared parts of the routes: the application, the caller and the intention, a page of a list, the version read."""
 
 import re
 from typing import Annotated, Generic, TypeVar
 
-from fastapi import Depends, Header, Path, Query, Response
+from fastapi import Depends, Header, Path, Query, Request, Response
 from pydantic import BaseModel
 from starlette.requests import HTTPConnection
 
+from service.api.arrival import EPOCH, epoch_of
+from service.api.people.audit_trail import audit_trail_of
 from service.application import Application
 from service.errors import BadInput
+from service.execution.epoch import Intention
 from service.store.documents import LARGEST_ID
 
 Item = TypeVar("Item", bound=BaseModel)
@@ -34,6 +37,29 @@ def _if_match(
 
 
 ApplicationOf = Annotated[Application, Depends(_application)]
+
+
+def who_asks(request: Request, application: Application) -> str:
+    """The name of the authenticated caller; "" without login."""
+    return audit_trail_of(request.scope).actor if application.settings.login else ""
+
+
+async def _intention(
+    request: Request,
+    application: ApplicationOf,
+    _shown: Annotated[
+        str | None,
+        Header(
+            alias=EPOCH,
+            description="`epoch` of the state that the person saw; default: that of the arrival. 409 `superseded` "
+            "if a stop came since",
+        ),
+    ] = None,
+) -> Intention:
+    return Intention(epoch_of(request.scope), who_asks(request, application))
+
+
+IntentionOf = Annotated[Intention, Depends(_intention)]
 IfMatch = Annotated[int | None, Depends(_if_match)]
 Id = Annotated[int, Path(ge=1, le=LARGEST_ID)]
 After = Annotated[int, Query(ge=0, le=LARGEST_ID, description="the `next` of the page before; 0 for the first page")]

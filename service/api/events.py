@@ -15,7 +15,7 @@ from starlette.concurrency import run_in_threadpool
 
 from service.api.dependencies import ApplicationOf
 from service.errors import BadInput
-from service.store.documents import LARGEST_ID
+from service.store.documents import LARGEST_ID, EventKind
 
 router = APIRouter(prefix="/events", tags=["events"])
 
@@ -40,9 +40,14 @@ async def follow_events(
     after: Annotated[int | None, Depends(_after)],
     campaign: Annotated[int | None, Query(ge=1, le=LARGEST_ID, description="only events of this campaign")] = None,
 ) -> AsyncIterable[ServerSentEvent]:
-    """`event`: the kind; `data`: the event document; `id`: its id."""
+    """`event`: the kind; `data`: the event document; `id`: its id.
+
+    The data of a stop, and of its release, also have the present `epoch` (header `Sweepid-Epoch`).
+    """
     start = await run_in_threadpool(application.store.last_event_id) if after is None else after
     yield ServerSentEvent(comment="connected", retry=1000)
     async with aclosing(application.feed.follow(start, campaign)) as events:
         async for event in events:
+            if event.kind is EventKind.STOP and application.cell is not None:
+                event = event.model_copy(update={"data": event.data | {"epoch": application.machine.epochs.now}})
             yield ServerSentEvent(data=event, event=event.kind.value, id=str(event.id))

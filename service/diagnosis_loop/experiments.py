@@ -16,6 +16,7 @@ from service.diagnosis.sensitivity.design import DesignedSweep
 from service.diagnosis.verdict import Verdict
 from service.diagnosis_loop.diagnosing import Diagnosing
 from service.errors import BadInput, Conflict, SweepidError
+from service.execution.epoch import Intention
 from service.execution.runner import Runner
 from service.geometry.cell import read_cell
 from service.planning.compiled_plan import plan_of
@@ -62,6 +63,7 @@ class Experiments:
         self._settings, self._store, self._diagnoses = settings, store, diagnoses
         self._runner, self._diagnosing = runner, diagnosing
         self._approving = asyncio.Lock()
+        self._unattended: dict[int, Intention] = {}  # by diagnosis: of the request that permitted its experiments
         self._heard_events = Background()
 
     def plan(
@@ -79,12 +81,24 @@ class Experiments:
         robot = on_machine(self._store.robot(diagnosis.robot_id).build(), self._axes)
         return build_experiment_plan(robot, request, designed, read_cell(self._settings.cells_dir / f"{name}.yaml"))
 
+    def permit(self, diagnosis_id: int, intention: Intention) -> None:
+        """The experiments of an unattended diagnosis and of those that follow from it are wanted."""
+        self._unattended[diagnosis_id] = intention
+
     async def approve(
-        self, diagnosis_id: int, axis: str, approved_by: str, test_mass: BoltedMass | None, cell: str | None
+        self,
+        diagnosis_id: int,
+        axis: str,
+        approved_by: str,
+        test_mass: BoltedMass | None,
+        cell: str | None,
+        intention: Intention,
     ) -> CampaignDocument:
         """Plan the next experiment of an axis, and start its campaign. The diagnosis continues when that is completed.
 
         With the setting `approval` the campaign stays planned: its plan needs a separate approval, and then a start.
+
+        `intention`: of the approval; it is that of the start.
 
         Conflict or DriveError if the machine is not free, `test_mass` is missing or not needed (BadInput), or the
         diagnosis is not finished or already has its experiment. Then nothing is stored and nothing moves.
@@ -100,7 +114,7 @@ class Experiments:
                     "test_mass",
                     "the experiment is without a test mass: remove the mass from the machine and from the request",
                 )
-            await self._runner.check_free()
+            await self._runner.check_free(intention)
             plan = await asyncio.to_thread(self.plan, diagnosis_id, axis, cell, test_mass)
             campaign = await asyncio.to_thread(
                 self._diagnoses.approve,
@@ -114,7 +128,7 @@ class Experiments:
         if self._settings.approval:  # a user starts the campaign after the approval of the plan
             return campaign
         try:
-            return await self._runner.start(campaign.id)
+            return await self._runner.start(campaign.id, intention)
         except (SweepidError, DriveError) as error:
             await self._runner.abort(campaign.id, f"could not be started: {error}")
             raise
@@ -151,6 +165,7 @@ class Experiments:
         diagnosis = await asyncio.to_thread(self._diagnoses.of_experiment, campaign_id)
         if diagnosis is not None and diagnosis.unattended:
             cause = f"campaign {campaign_id} was aborted"
+            self._unattended.pop(diagnosis.id, None)
             await asyncio.to_thread(self._diagnoses.attend, cause, diagnosis.id)
 
     async def _go_on(self, parent: DiagnosisEntry) -> None:
@@ -176,18 +191,24 @@ class Experiments:
         others = [joint for joint in parent.axes if joint != experiment.axis]
         diagnosis = await asyncio.to_thread(self._diagnoses.go_on, new, others)
         if diagnosis is not None:
+            if (intention := self._unattended.pop(parent.id, None)) is not None:
+                self._unattended[diagnosis.id] = intention
             _log.info("diagnosis_goes_on", diagnosis=diagnosis.id, parent=parent.id)
             self._diagnosing.submit(diagnosis)
 
     async def _alone(self, diagnosis: DiagnosisDocument) -> None:
         """Start the next unattended experiment, or store the end of the loop and its reason."""
         axis, cause = await asyncio.to_thread(self._next_axis, diagnosis)
-        if axis is not None:
+        intention = self._unattended.get(diagnosis.id)
+        if axis is not None and intention is None:
+            cause = f"{axis}: the request of the diagnosis is not of this run of the service"
+        elif axis is not None and intention is not None:
             try:
-                await self.approve(diagnosis.id, axis, NOBODY, None, None)
+                await self.approve(diagnosis.id, axis, NOBODY, None, None, intention)
                 return
             except (SweepidError, DriveError) as error:
                 cause = f"{axis}: {error}"
+        self._unattended.pop(diagnosis.id, None)
         await asyncio.to_thread(self._diagnoses.attend, cause, diagnosis.id)
 
     def _next_axis(self, diagnosis: DiagnosisDocument) -> tuple[str | None, str]:

@@ -1,5 +1,6 @@
 """First of two steps to a start, with the setting `approval`: a person approves the motion."""
 
+from collections.abc import Callable
 from datetime import timedelta
 
 from service.errors import BadInput, Conflict
@@ -14,13 +15,18 @@ class Approvals:
         """`valid`: how long an approval is valid."""
         self._store, self.needed, self._valid = store, needed, valid
 
-    def add(self, plan_id: int, shown: str, sha256: str, approved_by: str) -> ApprovalDocument:
-        """`shown`: the hash of the content displayed to the person. Raises Conflict if it is not the present one."""
+    def add(
+        self, plan_id: int, shown: str, sha256: str, approved_by: str, wanted: Callable[[], None]
+    ) -> ApprovalDocument:
+        """`shown`: the hash of the content displayed to the person. Raises Conflict if it is not the present one.
+
+        `wanted` raises Superseded; it is called in the transaction, for which the approval may have waited.
+        """
         if not approved_by:
             raise BadInput("approved_by", "login is disabled: give the name of the person who approves")
         if shown != sha256:
             raise Conflict(f"plan {plan_id} changed after it was displayed: review it again ({sha256})")
-        return self._store.add(plan_id, sha256, approved_by, self._valid)
+        return self._store.add(plan_id, sha256, approved_by, self._valid, wanted)
 
     def of_plan(self, plan_id: int) -> tuple[ApprovalDocument, ...]:
         return self._store.of_plan(plan_id)

@@ -4,6 +4,7 @@ import asyncio
 import time
 from collections.abc import AsyncGenerator, Callable, Generator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager, suppress
+from functools import partial
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
@@ -22,6 +23,7 @@ from drivers.ports import (
     SetPointTiming,
 )
 from service.errors import Conflict
+from service.execution.epoch import Epochs, Intention
 from service.execution.latched_stops import Hold, LatchedStops, apart
 from service.execution.motion import Bounds, Motion
 from service.store.database import refusal
@@ -50,13 +52,14 @@ class Machine:
         `tell` is called with source and reason of each stop that is not latched; it does not wait.
         """
         self._port = port
+        self.epochs = Epochs()
         self._holds = LatchedStops(latch, latched)
         self._order_stop, self._tell = order_stop, tell
         self._ending = ""  # the service ends: no motion until it is started again
         self._lease_trouble = ""  # why this service may have lost the machine
         self._lease_over = False  # permanently
         self._user: str | None = None
-        self._disturbed = ""  # reason of the stop of the present or last user
+        self._intention: Intention | None = None  # of the present or last user
         self._identities: tuple[AxisIdentity, ...] = ()
         self._trouble = "not connected yet"
         self._connecting = asyncio.Lock()
@@ -194,7 +197,7 @@ class Machine:
     def seize(self, by: str, why: str, press: str = "") -> Hold:
         """Block motion and send the stop to every axis; `confirm` must follow. From any thread."""
         hold = self._holds.take(by, why, press)  # before the stop is sent: a motion about to start finds it
-        self._disturb()
+        self.epochs.begin(_stopped(hold.document))
         self._port.halt()
         return hold
 
@@ -216,7 +219,7 @@ class Machine:
     def end(self, why: str) -> None:
         """The service ends: every axis is stopped, and motion is blocked. A second call reports nothing."""
         first, self._ending = not self._ending, self._ending or why
-        self._disturb()
+        self.epochs.begin(why)
         self._port.halt()
         if first and self._user is not None:
             self._tell("end of the service", f"{why} while {self._user} was in progress")
@@ -250,7 +253,7 @@ class Machine:
         """Why motion is blocked although the drives answer; "" if it is allowed."""
         held = self.latched
         if held is not None:
-            return f"stopped by {held.by}: {held.why}"
+            return _stopped(held)
         if self._ending:
             return self._ending
         return self._lease_trouble
@@ -258,37 +261,35 @@ class Machine:
     @property
     def held(self) -> str:
         """Why motion is blocked although the drives answer, or what stopped its present or last user; "" if neither."""
-        return self.forbidden or self._disturbed
+        return self.forbidden or ("" if self._intention is None else self.epochs.since(self._intention))
 
-    def check_may_move(self) -> None:
-        """Raises Conflict while stopped, without lease or not connected.
-
-        For the present user also if this happened meanwhile: a reset by another person does not let the user
-        continue.
+    def check_may_move(self, intention: Intention) -> None:
+        """Raises Conflict while stopped, without lease or not connected; Superseded if the intention is older than one
+        of these, also after its release.
         """
-        reason = self.forbidden if self._user is None else self.held
-        if reason:
+        if reason := self.forbidden:
             raise Conflict(f"the machine may not move: {reason}")
+        self.epochs.check(intention)
         self._check_connected()
 
     @contextmanager
-    def used_by(self, user: str) -> Generator[None]:
+    def used_by(self, user: str, intention: Intention) -> Generator[None]:
         """During the block, only this user connects, acknowledges or moves. Raises Conflict if the machine is in
         use.
         """
         self._check_unused(user)
-        self._user, self._disturbed = user, ""
+        self._user, self._intention = user, intention
         try:
             yield
         finally:
             self._user = None
 
     @asynccontextmanager
-    async def motion(self, envelope: Bounds) -> AsyncGenerator[Motion]:
+    async def motion(self, envelope: Bounds, intention: Intention) -> AsyncGenerator[Motion]:
         """The gate to motion, only for the present user, during the block (see `motion`)."""
         if self._user is None:
             raise Conflict("the machine is not reserved by a campaign: it may not be moved")
-        motion = Motion(self._port, envelope, self.check_may_move, self.lost)
+        motion = Motion(self._port, envelope, partial(self.check_may_move, intention), self.lost)
         try:
             yield motion
         except BaseException as error:
@@ -356,18 +357,13 @@ class Machine:
 
     async def _stop_quietly(self, why: str) -> None:
         self._lease_trouble = why
-        self._disturb()
+        self.epochs.begin(why)
         self._tell("lease", why)
         try:
             await self._port.stop()
         except DriveError as error:
             _log.error("stop_not_confirmed", reason=str(error))
             self.lost(str(error))
-
-    def _disturb(self) -> None:
-        """Its present user may not move it any more, even if motion is allowed again before the user checks."""
-        if self._user is not None:
-            self._disturbed = self.forbidden
 
     def _check_connected(self) -> None:
         if self._trouble:
@@ -376,6 +372,10 @@ class Machine:
     def _check_unused(self, what: str) -> None:
         if self._user is not None:
             raise Conflict(f"{what}: the machine is in use by {self._user}")
+
+
+def _stopped(stop: StopDocument) -> str:
+    return f"stopped by {stop.by}: {stop.why}"
 
 
 async def _wait(within: float, work: "asyncio.Task[None] | None" = None) -> float:

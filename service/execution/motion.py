@@ -1,9 +1,10 @@
 """Access to motion: the only object that enables or moves an axis.
 
 It exists inside `Machine.motion`, for the present user of the machine, and cannot be used after it. An axis is
-energised only after the envelope has accepted the path from the positions of all axes. Lease and latch are checked
-before and after enabling and again before each motion; the axes are disabled after they have moved. If the block
-ends by an error, including cancellation, every axis is brought to standstill without energy, here and nowhere else.
+energised only after the envelope has accepted the path from the positions of all axes. Lease, latch and epoch are
+checked before and after enabling and again before each motion; the axes are disabled after they have moved. If the
+block ends by an error, including cancellation, every axis is brought to standstill without energy, here and nowhere
+else.
 """
 
 import asyncio

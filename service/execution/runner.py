@@ -16,6 +16,7 @@ from service.errors import Conflict, NotFound, SweepidError
 from service.execution.approvals import Approvals
 from service.execution.check_move import CheckMove
 from service.execution.current_activity import CurrentActivity
+from service.execution.epoch import Intention
 from service.execution.machine import Machine
 from service.execution.sign_of_life import SignOfLife
 from service.execution.stop_criterion import confidence_reached
@@ -25,7 +26,7 @@ from service.logs.about import MACHINE
 from service.planning.compiled_plan import CompiledPlan
 from service.store.database import refusal
 from service.store.documents import CampaignDocument, CampaignState, SweepState
-from service.store.store import StaleVersion, Store, SweepMove
+from service.store.store import CampaignMove, StaleVersion, Store, SweepMove
 from service.tasks.run_to_end import run_to_end
 from service.telemetry.spans import TRACING
 
@@ -85,15 +86,15 @@ class Runner:
         return self._executor.under_way
 
     async def start(
-        self, campaign_id: int, if_version: int | None = None, by: str = "", attended: float | None = None
+        self, campaign_id: int, intention: Intention, if_version: int | None = None, attended: float | None = None
     ) -> CampaignDocument:
         """planned -> running. Raises Conflict while another campaign runs, the machine is stopped or does not answer,
-        or the plan is not approved if that is required.
+        or the plan is not approved if that is required; Superseded if the intention is older than a stop.
 
-        `by`: who starts it, if the service knows. `attended`: maximum time between two calls of `sign_of_life`, s;
-        otherwise the axes stop and the campaign is paused. None: not required.
+        `attended`: maximum time between two calls of `sign_of_life`, s; otherwise the axes stop and the campaign is
+        paused. None: not required.
         """
-        return await self._launch(campaign_id, CampaignEvent.START, if_version, by, attended, repeat=False)
+        return await self._launch(campaign_id, CampaignEvent.START, intention, if_version, attended, repeat=False)
 
     async def pause(self, campaign_id: int, if_version: int | None = None) -> CampaignDocument:
         """running -> pausing; paused at the end of the present sweep."""
@@ -106,21 +107,30 @@ class Runner:
     async def resume(
         self,
         campaign_id: int,
+        intention: Intention,
         if_version: int | None = None,
         repeat: bool = False,
-        by: str = "",
         attended: float | None = None,
     ) -> CampaignDocument:
         """paused -> running with the next planned sweep; with `repeat`, failed and interrupted sweeps are planned again
         first.
 
-        Also cancels a requested pause (pausing -> running), with the conditions of the start. Raises Conflict as
-        `start`.
+        Also cancels a requested pause (pausing -> running): `attended` None then keeps the condition of the start.
+        Raises as `start`.
         """
         if self._running == campaign_id:
             async with self._commands:
-                return await asyncio.to_thread(self._store.move_campaign, campaign_id, _take_back_pause, "", if_version)
-        return await self._launch(campaign_id, CampaignEvent.RESUME, if_version, by, attended, repeat)
+                return await run_to_end(self._take_back_pause(campaign_id, intention, if_version, attended))
+        return await self._launch(campaign_id, CampaignEvent.RESUME, intention, if_version, attended, repeat)
+
+    async def _take_back_pause(
+        self, campaign_id: int, intention: Intention, if_version: int | None, attended: float | None
+    ) -> CampaignDocument:
+        move = self._if_wanted(_take_back_pause, intention)
+        campaign = await asyncio.to_thread(self._store.move_campaign, campaign_id, move, "", if_version)
+        if attended is not None and self._running == campaign_id:
+            self._attend(campaign_id, attended)
+        return campaign
 
     def sign_of_life(self, campaign_id: int) -> SignOfLife | None:
         """Record a sign of life; returns the remaining time, s (None: not required). Conflict if it is not running."""
@@ -159,29 +169,39 @@ class Runner:
         while self._task is not None and not self._task.done():
             await asyncio.wait([self._task])
 
-    async def check_free(self) -> None:
+    async def check_free(self, intention: Intention) -> None:
         """Raises Conflict or DriveError if a campaign could not be started now. Connects drives that are not
         connected.
         """
         async with self._commands:
             await self._check_idle()
-            await self._check_machine()
+            await self._check_machine(intention)
 
     async def _check_idle(self) -> None:
         if self._running is not None:
             raise Conflict(f"campaign {self._running} is running")
         await self._tell()
 
-    async def _check_machine(self) -> None:
+    async def _check_machine(self, intention: Intention) -> None:
+        self._machine.epochs.check(intention)  # no drive is connected for a command that is over
         await self._machine.reach()
-        self._machine.check_may_move()
+        self._machine.check_may_move(intention)
+
+    def _if_wanted(self, move: CampaignMove, intention: Intention) -> CampaignMove:
+        """The transition, refused in its transaction if the machine may not move: the database may have waited."""
+
+        def checked(state: CampaignState) -> CampaignState:
+            self._machine.check_may_move(intention)
+            return move(state)
+
+        return checked
 
     async def _launch(
         self,
         campaign_id: int,
         event: CampaignEvent,
+        intention: Intention,
         if_version: int | None,
-        by: str,
         attended: float | None,
         repeat: bool,
     ) -> CampaignDocument:
@@ -190,23 +210,31 @@ class Runner:
             campaign = await asyncio.to_thread(self._store.own_campaign, campaign_id)
             campaign_move(event)(campaign.state)
             compiled = await asyncio.to_thread(self._compile, campaign)
-            await asyncio.to_thread(self._approvals.check, campaign.plan_id, compiled.sha256, by)
-            await self._check_machine()
+            await asyncio.to_thread(self._approvals.check, campaign.plan_id, compiled.sha256, intention.by)
+            await self._check_machine(intention)
             again = sweep_move(SweepEvent.REPEAT)
             campaign = await asyncio.to_thread(
                 self._store.move_campaign,
                 campaign_id,
-                campaign_move(event),
+                self._if_wanted(campaign_move(event), intention),
                 "",
                 if_version,
                 {SweepState.FAILED: again, SweepState.INTERRUPTED: again} if repeat else {},
             )
             self._running = campaign_id
-            self._task = asyncio.create_task(self._run(campaign, compiled), name=f"campaign {campaign_id}")
+            self._task = asyncio.create_task(self._run(campaign, compiled, intention), name=f"campaign {campaign_id}")
             self._task.add_done_callback(self._ended)
             if attended is not None:
-                self._attendance = SignOfLife(attended, partial(self._missed, self._task, campaign_id))
+                self._attend(campaign_id, attended)
             return campaign
+
+    def _attend(self, campaign_id: int, within: float) -> None:
+        """From now on the running campaign requires a sign of life within this time, s."""
+        if self._task is None:
+            return
+        if self._attendance is not None:
+            self._attendance.end()
+        self._attendance = SignOfLife(within, partial(self._missed, self._task, campaign_id))
 
     def _missed(self, task: asyncio.Task[None], campaign_id: int, cause: str) -> None:
         task.cancel(cause)
@@ -225,18 +253,18 @@ class Runner:
         if not task.cancelled() and (error := task.exception()) is not None:
             _log.error("campaign_broke_off", task=task.get_name(), exc_info=error)
 
-    async def _run(self, campaign: CampaignDocument, compiled: CompiledPlan) -> None:
+    async def _run(self, campaign: CampaignDocument, compiled: CompiledPlan, intention: Intention) -> None:
         """The task: runs sweeps until none remains, the confidence is reached, a pause is requested, or an error
         occurs.
         """
         with MACHINE.campaign(campaign.id), TRACING.span("campaign", campaign=campaign.id):
-            await self._measure(campaign, compiled)
+            await self._measure(campaign, compiled, intention)
 
-    async def _measure(self, campaign: CampaignDocument, compiled: CompiledPlan) -> None:
+    async def _measure(self, campaign: CampaignDocument, compiled: CompiledPlan, intention: Intention) -> None:
         checked: set[str] = set()  # joints that made their check move since this start or resume
         name = f"campaign {campaign.id}"
         try:
-            with self._machine.used_by(name):
+            with self._machine.used_by(name, intention):
                 await self._executor.store_streams()
                 origin = await asyncio.to_thread(self._origin, campaign, compiled)
                 while await self._next_is_due(campaign.id):
@@ -250,7 +278,7 @@ class Runner:
                         await self._move(campaign.id, CampaignEvent.MEASURED, cause, skip)
                         await self._jobs.settle(campaign.id)
                         return
-                    await self._executor.run(due, compiled, origin, checked, self._jobs.submit)
+                    await self._executor.run(due, compiled, intention, origin, checked, self._jobs.submit)
         except BaseException as error:
             # the executor brought the machine to standstill before it raised the error
             self._unstored = cause_of(self._machine, error)

@@ -18,6 +18,7 @@ from service.campaigns.state_machine import SweepEvent, sweep_move
 from service.errors import SweepidError
 from service.execution.check_move import DURATION, WAY, CheckMove, make
 from service.execution.current_activity import CurrentActivity, travels
+from service.execution.epoch import Intention
 from service.execution.machine import Machine
 from service.execution.motion import Motion
 from service.execution.recording.incoming import BegunSweep, Incoming
@@ -67,6 +68,7 @@ class SweepExecutor:
         self,
         sweeps: Sequence[SweepDocument],
         compiled: CompiledPlan,
+        intention: Intention,
         origin: float,
         checked: set[str],
         recorded: Callable[[SweepDocument], None],
@@ -86,19 +88,20 @@ class SweepExecutor:
         campaign, numbers = sweeps[0].campaign_id, [sweep.number for sweep in sweeps]
         span = TRACING.span("sweep", campaign=campaign, sweep=numbers[0], together=len(numbers))
         with MACHINE.sweeps(campaign, numbers), span:
-            await self._run(sweeps, compiled, origin, checked, recorded)
+            await self._run(sweeps, compiled, intention, origin, checked, recorded)
 
     async def _run(
         self,
         sweeps: Sequence[SweepDocument],
         compiled: CompiledPlan,
+        intention: Intention,
         origin: float,
         checked: set[str],
         recorded: Callable[[SweepDocument], None],
     ) -> None:
         left: list[BegunSweep] = []  # started, and not recorded yet
         try:
-            async with self._machine.motion(compiled.envelope) as motion:
+            async with self._machine.motion(compiled.envelope, intention) as motion:
                 await run_to_end(asyncio.to_thread(self._begin, sweeps, compiled, left))
                 together = tuple(left)
                 commands, pose = [each.command for each in together], together[0].sweep.spec.pose

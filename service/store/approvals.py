@@ -1,5 +1,6 @@
 """Approvals of plans, with the hash of everything that determines their motion, and their validity."""
 
+from collections.abc import Callable
 from datetime import datetime, timedelta
 
 from pydantic import BaseModel, ConfigDict
@@ -37,9 +38,12 @@ class ApprovalStore:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def add(self, plan_id: int, sha256: str, approved_by: str, valid: timedelta) -> ApprovalDocument:
-        """Raises NotFound if the plan does not exist."""
+    def add(
+        self, plan_id: int, sha256: str, approved_by: str, valid: timedelta, wanted: Callable[[], None]
+    ) -> ApprovalDocument:
+        """Raises NotFound if the plan does not exist, and what `wanted` raises."""
         with self._database.write(quiet=True) as session:
+            wanted()
             rows.get(session, t.PlanRow, plan_id, "plan")
             at = t.now()
             row = t.ApprovalRow(

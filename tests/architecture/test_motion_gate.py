@@ -1,12 +1,34 @@
-"""One file of the service gives energy and moves, `service/execution/motion.py`; one other holds the port for it."""
+"""One file of the service gives energy and moves, `service/execution/motion.py`; one other holds the port for it.
+
+Each way to it needs an `Intention`, which is made only where a request arrives. So the list of entries is complete by
+construction: the gate wants the value, nobody else can make one, none is left out by default, and the type checker
+finds who passes none. Who keeps one keeps it with its epoch.
+"""
 
 import ast
+import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 GATE, HOLDER = "execution/motion.py", "execution/machine.py"
+ARRIVAL = "api/dependencies.py"  # makes the intentions
+GUARDED = {
+    HOLDER: {"check_may_move", "used_by", "motion"},
+    "execution/sweep_executor.py": {"run"},
+    "execution/runner.py": {"start", "resume", "check_free"},
+    "diagnosis_loop/experiments.py": {"approve", "permit"},
+}
+ENTRIES = {  # routes of the API that lead to motion; a new one is added here on purpose
+    "start_campaign",
+    "resume_campaign",
+    "approve_plan",  # the first of two steps; it moves nothing
+    "approve_experiment",
+    "add_diagnosis",  # unattended, on a virtual machine
+}
 MOVES = {"enable", "disable", "move_to", "run_sweep", "run_noise"}  # of `drivers.ports.DrivePort`
 
 
@@ -21,6 +43,54 @@ def violations(path: str, source: str) -> Iterator[str]:
         taken = isinstance(node, ast.alias) and node.name == "Motion" and "service.execution.motion import" in source
         if taken and path not in (HOLDER, "execution/sweep_executor.py"):
             yield f"{path}: imports Motion"
+
+
+def made_elsewhere(path: str, source: str) -> Iterator[str]:
+    """Intentions that are not made at the arrival of a request, or that a function does without."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        place = f"{path}:{getattr(node, 'lineno', 0)}"
+        if isinstance(node, ast.Call):
+            called, given = _last(node.func), ast.unparse(node)
+            if called == "Intention" and path != ARRIVAL:
+                yield f"{place}: makes an intention"
+            if called in ("replace", "cast", "setattr", "__setattr__", "copy") and "intention" in given.lower():
+                yield f"{place}: makes an intention of another"
+        if isinstance(node, ast.alias) and node.name == "Intention" and node.asname:
+            yield f"{place}: another name for it"
+        if isinstance(node, ast.ClassDef) and "Intention" in map(_last, node.bases):
+            yield f"{place}: a kind of it"
+        if isinstance(node, ast.Attribute) and node.attr == "Intention":
+            yield f"{place}: it is named by its module"
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            for argument, default in _arguments(node):
+                wanted = "" if argument.annotation is None else ast.unparse(argument.annotation)
+                if "Intention" in wanted and (default is not None or wanted.strip("'\"") not in _REQUIRED):
+                    yield f"{place}: {node.name} does without an intention"
+
+
+_REQUIRED = ("Intention", "IntentionOf")
+
+
+def _last(node: ast.expr) -> str:
+    return node.attr if isinstance(node, ast.Attribute) else getattr(node, "id", "")
+
+
+def _arguments(function: ast.FunctionDef | ast.AsyncFunctionDef) -> Iterator[tuple[ast.arg, ast.expr | None]]:
+    of = function.args
+    positional = [*of.posonlyargs, *of.args]
+    yield from zip(positional, [None] * (len(positional) - len(of.defaults)) + of.defaults, strict=True)
+    yield from zip(of.kwonlyargs, of.kw_defaults, strict=True)
+
+
+def wanting(source: str, annotation: str) -> set[str]:
+    """Functions with a parameter of this annotation."""
+    return {
+        node.name
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and any(each.annotation and ast.unparse(each.annotation) == annotation for each, _ in _arguments(node))
+    }
 
 
 def _of_machine(node: ast.Attribute) -> bool:
@@ -54,3 +124,96 @@ def test_nothing_else_moves(root: Path) -> None:
 def test_a_planted_violation_is_found(source: str) -> None:
     body = source if source.startswith("from") else f"async def f():\n    {source}"
     assert list(violations("execution/runner.py", body))
+
+
+def test_an_intention_is_made_only_where_a_request_arrives(root: Path) -> None:
+    service = root / "service"
+    sources = {path.relative_to(service).as_posix(): path.read_text() for path in sorted(service.rglob("*.py"))}
+    found = [line for path, source in sources.items() if "Intention" in source for line in made_elsewhere(path, source)]
+    assert found == []
+    assert sources[ARRIVAL].count("Intention(") == 1
+    for path, names in GUARDED.items():
+        assert names - wanting(sources[path], "Intention") == set()
+    entries = [wanting(source, "IntentionOf") for path, source in sources.items() if path.startswith("api/")]
+    assert set().union(*entries) == ENTRIES
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "async def heard(epochs, runner):\n    await runner.start(1, Intention(epochs.now))",
+        "async def heard(epochs, runner):\n    await runner.start(1, epoch.Intention(epochs.now))",
+        "async def heard(old, epochs):\n    return replace(old.intention, epoch=epochs.now)",
+        "async def heard(runner):\n    await runner.start(1, cast('Intention', None))",
+        "async def start(self, intention: Intention | None) -> None: ...",
+        "async def start(self, intention: Intention = NOBODYS) -> None: ...",
+        "async def start(self, *, intention: 'Intention' = NOBODYS) -> None: ...",
+        "from service.execution.epoch import Intention as Wanted",
+        "class Always(Intention): ...",
+    ],
+)
+def test_an_intention_that_is_made_up_is_found(source: str) -> None:
+    assert list(made_elsewhere("diagnosis_loop/experiments.py", source))
+
+
+PLANTED = """
+from collections.abc import AsyncIterable
+
+from fastapi import APIRouter
+
+from service.api.dependencies import ApplicationOf, IntentionOf
+from service.diagnosis_loop.experiments import Experiments
+from service.execution.epoch import Epochs
+from service.execution.machine import Machine
+from service.execution.motion import Bounds
+from service.execution.runner import Runner
+
+router = APIRouter()
+
+
+@router.post("/allowed")
+async def allowed(application: ApplicationOf, intention: IntentionOf) -> None:
+    await application.runner.start(1, intention)
+
+
+@router.post("/start")
+async def start(application: ApplicationOf) -> None:
+    await application.runner.start(1)  # planted
+
+
+async def heard(events: AsyncIterable[int], runner: Runner) -> None:
+    async for event in events:
+        await runner.resume(event)  # planted
+
+
+async def alone(experiments: Experiments) -> None:
+    await experiments.approve(1, "joint_1", "nobody", None, None)  # planted
+
+
+async def by_its_epoch(runner: Runner, epochs: Epochs) -> None:
+    await runner.start(1, epochs.now)  # planted
+
+
+async def by_nothing(runner: Runner) -> None:
+    await runner.start(1, None)  # planted
+
+
+async def at_the_gate(machine: Machine, envelope: Bounds) -> None:
+    with machine.used_by("a handler"):  # planted
+        async with machine.motion(envelope):  # planted
+            machine.check_may_move()  # planted
+"""
+
+
+@pytest.mark.slow
+def test_the_type_checker_finds_each_entry_without_an_epoch(root: Path, tmp_path: Path) -> None:
+    planted = tmp_path / "planted.py"
+    planted.write_text(PLANTED)
+    settings = {"include": ["."], "extraPaths": [str(root)], "typeCheckingMode": "strict", "pythonVersion": "3.11"}
+    (tmp_path / "pyrightconfig.json").write_text(json.dumps(settings | {"reportMissingTypeStubs": "none"}))
+    command = [str(Path(sys.executable).with_name("basedpyright")), "-p", str(tmp_path), "--outputjson"]
+    ran = subprocess.run(
+        [*command, "--pythonpath", sys.executable], capture_output=True, text=True, check=False, timeout=300
+    )
+    found = {one["range"]["start"]["line"] for one in json.loads(ran.stdout)["generalDiagnostics"]}
+    assert found == {number for number, line in enumerate(PLANTED.splitlines()) if "# planted" in line}

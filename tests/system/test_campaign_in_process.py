@@ -12,6 +12,7 @@ from drivers.ports import AxisState
 from service.application import Application, open_application
 from service.cli.recordings.identify import identify_bundle
 from service.estimation import estimate_document
+from service.execution.epoch import Intention
 from service.geometry.cell import read_cell
 from service.identification import spectrum
 from service.planning.plan import PlanRequest, build_plan
@@ -119,7 +120,7 @@ async def checked(application: Application, campaign_id: int) -> None:
 async def test_a_campaign_from_plan_to_estimate_and_bundle(application: Application, tmp_path: Path) -> None:
     assert application.machine.connected, application.machine.trouble
     campaign = await campaign_of(application, "drive_side")
-    await application.runner.start(campaign.id)
+    await application.runner.start(campaign.id, Intention(application.machine.epochs.now))
     done = await completed(application, campaign.id)
     assert done.sweeps == {SweepState.IDENTIFIED: 6}
     assert await standing(application)
@@ -159,7 +160,7 @@ async def test_a_campaign_ends_when_the_confidence_wanted_is_reached(application
         under_way = (CampaignState.RUNNING, CampaignState.PAUSING, CampaignState.MEASURED)
         return campaign_now().state not in under_way
 
-    await application.runner.start(campaign.id)
+    await application.runner.start(campaign.id, Intention(application.machine.epochs.now))
     await until(lambda: campaign_now().sweeps[SweepState.PLANNED] <= planned - 4 or ended())
     assert not ended(), campaign_now().cause
     await application.runner.pause(campaign.id)
@@ -167,7 +168,7 @@ async def test_a_campaign_ends_when_the_confidence_wanted_is_reached(application
     assert campaign_now().cause == "paused by request"
     at_rest = planned - campaign_now().sweeps[SweepState.PLANNED]
     await until(lambda: identified() == at_rest)
-    await application.runner.resume(campaign.id)
+    await application.runner.resume(campaign.id, Intention(application.machine.epochs.now))
     await until(ended)
     await checked(application, campaign.id)
     done = application.store.campaign(campaign.id)
@@ -187,10 +188,10 @@ async def test_a_campaign_ends_when_the_confidence_wanted_is_reached(application
 @pytest.mark.parametrize("scenario", ["max100-six"])
 async def test_axes_that_move_at_once_are_identified_together(application: Application, tmp_path: Path) -> None:
     alone = await campaign_of(application, "drive_side", axes=("joint_3",), varied=("joint_5",))
-    await application.runner.start(alone.id)
+    await application.runner.start(alone.id, Intention(application.machine.epochs.now))
     await completed(application, alone.id)
     campaign = await trajectory_of(application, sweeps=alone.id)
-    await application.runner.start(campaign.id)
+    await application.runner.start(campaign.id, Intention(application.machine.epochs.now))
     done = await completed(application, campaign.id)
     assert done.sweeps == {SweepState.IDENTIFIED: 2}
     assert await standing(application)
@@ -217,7 +218,7 @@ async def test_a_fault_on_a_trajectory_is_told_and_not_that_braking_axes_leave_i
 ) -> None:
     campaign = await trajectory_of(application)
     with application.hub.subscribe(campaign.id) as live:
-        await application.runner.start(campaign.id)
+        await application.runner.start(campaign.id, Intention(application.machine.epochs.now))
         async with asyncio.timeout(TIMEOUT):
             async for block in live:
                 if block.time[-1] > 2.0:
@@ -237,7 +238,7 @@ async def test_both_ways_of_measuring_give_the_same_inertia(application: Applica
     documents = {}
     for modes in ("drive_side", "host_streamed"):
         campaign = await campaign_of(application, modes, poses=1)
-        await application.runner.start(campaign.id)
+        await application.runner.start(campaign.id, Intention(application.machine.epochs.now))
         await completed(application, campaign.id)
         documents[modes] = application.store.estimate(campaign.id).document["axes"]
     deviations = []
@@ -257,7 +258,7 @@ async def test_stop_in_a_sweep_leaves_standing_axes_and_a_partial_recording(
 ) -> None:
     campaign = await campaign_of(application, modes)
     with application.hub.subscribe(campaign.id) as live:
-        await application.runner.start(campaign.id)
+        await application.runner.start(campaign.id, Intention(application.machine.epochs.now))
         async with asyncio.timeout(TIMEOUT):
             await anext(live)  # samples flow: the axis moves
         await application.machine.stop("test", "hose caught")

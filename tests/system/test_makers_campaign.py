@@ -19,6 +19,7 @@ import yaml
 
 from drivers.registry import load_profile
 from service.application import open_application
+from service.execution.epoch import Intention
 from service.geometry.cell import read_cell
 from service.planning.plan import PlanRequest, build_plan
 from service.settings import Settings
@@ -71,7 +72,7 @@ async def measured(drive: Path, data: Path, modes: str) -> Inertias:
         request = PlanRequest.model_validate(wanted | {"modes": modes, "move_velocity": 0.5})
         plan = build_plan(robot.build(), request, read_cell(settings.cells_dir / "workshop.yaml"))
         campaign = await application.add_campaign(application.store.add_plan(robot.id, plan.model_dump(mode="json")).id)
-        await application.runner.start(campaign.id)
+        await application.runner.start(campaign.id, Intention(application.machine.epochs.now))
         async with asyncio.timeout(TIMEOUT):
             while application.store.campaign(campaign.id).state in (CampaignState.RUNNING, CampaignState.MEASURED):  # noqa: ASYNC110
                 await asyncio.sleep(0.1)

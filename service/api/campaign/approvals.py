@@ -1,11 +1,12 @@
 """Approvals of plans: with the setting `approval`, a plan moves nothing before an engineer has approved it."""
 
+from functools import partial
 from typing import Annotated
 
 from fastapi import APIRouter, Request
 from pydantic import BaseModel, ConfigDict, StringConstraints
 
-from service.api.dependencies import ApplicationOf, Id
+from service.api.dependencies import ApplicationOf, Id, IntentionOf, who_asks
 from service.api.idempotent import IdempotentRoute
 from service.api.people.audit_trail import audit_trail_of
 from service.people.names import PersonName
@@ -53,20 +54,18 @@ def list_approvals(plan_id: Id, request: Request, application: ApplicationOf) ->
 
 
 @router.post("", status_code=201)
-def approve_plan(plan_id: Id, new: NewApproval, request: Request, application: ApplicationOf) -> ApprovalView:
+def approve_plan(
+    plan_id: Id, new: NewApproval, request: Request, application: ApplicationOf, intention: IntentionOf
+) -> ApprovalView:
     """Approve the motion of the plan, for the time that the setting `approval_valid` gives. Nothing moves.
 
     409 if robot, cell, drives, settings or program have changed since the review.
     """
-    by = who_asks(request, application) or new.approved_by or ""
+    by = intention.by or new.approved_by or ""
     audit_trail_of(request.scope).facts = {"plan": plan_id, "sha256": new.sha256, "by": by}
     sha256 = application.motion_sha256(plan_id)
-    return _view(application.approvals.add(plan_id, new.sha256, sha256, by), sha256)
-
-
-def who_asks(request: Request, application: ApplicationOf) -> str:
-    """The name of the authenticated caller; "" without login."""
-    return audit_trail_of(request.scope).actor if application.settings.login else ""
+    wanted = partial(application.machine.epochs.check, intention)
+    return _view(application.approvals.add(plan_id, new.sha256, sha256, by, wanted), sha256)
 
 
 def _view(approval: ApprovalDocument, sha256: str) -> ApprovalView:

@@ -10,9 +10,8 @@ from fastapi import APIRouter, Request, Response
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
-from service.api.campaign.approvals import who_asks
 from service.api.campaign.progress import Progress, StepView, progress, steps
-from service.api.dependencies import After, ApplicationOf, Id, IfMatch, Limit, Page, set_etag
+from service.api.dependencies import After, ApplicationOf, Id, IfMatch, IntentionOf, Limit, Page, set_etag
 from service.api.idempotent import IdempotentRoute
 from service.api.people.audit_trail import audit_trail_of
 from service.application import Application
@@ -117,12 +116,16 @@ async def start_campaign(
     response: Response,
     application: ApplicationOf,
     version: IfMatch,
+    intention: IntentionOf,
     start: Start | None = None,
 ) -> CampaignView:
-    """Start to move and measure. 409 with the reason, also if the plan needs an approval and has no valid one."""
-    by, within = who_asks(request, application), (start or Start()).within
+    """Start to move and measure. 409 with the reason, also if the plan needs an approval and has no valid one.
+
+    409 `superseded`: a stop, a gap of the host or trouble with the lease came after the request.
+    """
+    within = (start or Start()).within
     audit_trail_of(request.scope).facts = {"attended": within}
-    return await _answer(application, await application.runner.start(campaign_id, version, by, within), response)
+    return await _answer(application, await application.runner.start(campaign_id, intention, version, within), response)
 
 
 @router.post("/{campaign_id}/sign_of_life")
@@ -149,12 +152,16 @@ async def resume_campaign(
     response: Response,
     application: ApplicationOf,
     version: IfMatch,
+    intention: IntentionOf,
     resume: Resume | None = None,
 ) -> CampaignView:
-    """Continue with the next planned sweep. 409 as for a start."""
-    wanted, by = resume or Resume(), who_asks(request, application)
+    """Continue with the next planned sweep. 409 as for a start.
+
+    If the campaign is still pausing, the pause is cancelled; `attended` null then keeps the condition of the start.
+    """
+    wanted = resume or Resume()
     audit_trail_of(request.scope).facts = {"attended": wanted.within}
-    campaign = await application.runner.resume(campaign_id, version, wanted.repeat, by, wanted.within)
+    campaign = await application.runner.resume(campaign_id, intention, version, wanted.repeat, wanted.within)
     return await _answer(application, campaign, response)
 
 

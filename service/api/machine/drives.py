@@ -74,12 +74,13 @@ class CapabilitiesView(BaseModel):
 class DrivesView(BaseModel):
     """The machine. `trouble`: why it is not connected. `capabilities`: known only while it is connected.
 
-    `held`: why nothing may move although it is connected: stops, the host watch, the lease.
+    `held`: why nothing may move although it is connected: stops, the host watch, the lease. `epoch`: as of `GET /stop`.
     """
 
     connected: bool
     trouble: str
     held: str
+    epoch: str
     capabilities: CapabilitiesView | None
     axes: tuple[AxisView, ...]
 
@@ -89,7 +90,7 @@ async def get_drives(application: ApplicationOf) -> DrivesView:
     """State, position, faults and identity of every axis. `trouble` also reports a service without a machine."""
     if application.cell is None:
         why = str(NoMachine())
-        return DrivesView(connected=False, trouble=why, held=why, capabilities=None, axes=())
+        return DrivesView(connected=False, trouble=why, held=why, epoch="", capabilities=None, axes=())
     machine = application.machine
     status: Mapping[str, AxisStatus] = await machine.recent_status() if machine.connected else {}
     identities = {identity.joint: identity for identity in machine.identities}
@@ -97,6 +98,7 @@ async def get_drives(application: ApplicationOf) -> DrivesView:
         connected=machine.connected,
         trouble=machine.trouble,
         held=machine.forbidden,
+        epoch=machine.epochs.now,
         capabilities=_capabilities(machine.capabilities) if machine.connected else None,
         axes=tuple(_axis(joint, status.get(joint), identities.get(joint)) for joint in machine.joints),
     )

@@ -55,10 +55,11 @@ class StopView(BaseModel):
     `stop`: the oldest one that holds it; after a stop the new one; after a release the first released one.
     A stop has a negative id until the database has stored it. This id stays valid for the release. `port`: where the
     stop process listens for ``POST /stop``, null without a stop process. `process_trouble`: why its own connection to
-    the drives is not open.
+    the drives is not open. `epoch`: a stop begins a new one, a release does not (header `Sweepid-Epoch`).
     """
 
     latched: bool
+    epoch: str
     stop: StopDocument | None
     stops: tuple[StopDocument, ...]
     port: int | None
@@ -135,10 +136,11 @@ async def reset_stop(request: Request, reset: Reset, application: ApplicationOf)
 
 def _view(application: Application, spoken_of: StopDocument | None) -> StopView:
     if application.cell is None:
-        return StopView(latched=False, stop=None, stops=(), port=None, process_trouble=str(NoMachine()))
+        return StopView(latched=False, epoch="", stop=None, stops=(), port=None, process_trouble=str(NoMachine()))
     process, stops = application.cell.stop_process, application.machine.stops
     return StopView(
         latched=bool(stops),
+        epoch=application.machine.epochs.now,
         stop=spoken_of,
         stops=stops[:_SHOWN],
         port=None if process is None else process.port,

@@ -1,4 +1,4 @@
-"""The outermost layer: writes to the audit the outcome of each change, and of each request refused for its caller.
+"""Writes to the audit the outcome of each change, and of each request refused for its caller.
 
 A stop waits for no entry. Every other answer waits until its outcome is on disk, or until that is known to be
 impossible (then the log has it, and the entry `request` of a change has no outcome). A request that was refused

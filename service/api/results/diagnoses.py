@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 
 from service.api.campaign.campaigns import CampaignView, view
 from service.api.campaign.plans import PlanView
-from service.api.dependencies import After, ApplicationOf, Id, Limit, Page, set_etag
+from service.api.dependencies import After, ApplicationOf, Id, IntentionOf, Limit, Page, set_etag
 from service.api.idempotent import IdempotentRoute
 from service.diagnosis_loop.starting import Start
 from service.errors import Conflict
@@ -84,7 +84,7 @@ class Figures(BaseModel):
 
 @router.post("", status_code=202)
 async def add_diagnosis(
-    wanted: WantedDiagnosis, request: Request, response: Response, application: ApplicationOf
+    wanted: WantedDiagnosis, request: Request, response: Response, application: ApplicationOf, intention: IntentionOf
 ) -> DiagnosisDocument:
     """Start a diagnosis. It takes seconds per axis; an event reports its end."""
     if wanted.unattended and not application.settings.virtual_machine:
@@ -95,6 +95,8 @@ async def add_diagnosis(
     diagnosis = await application.diagnosing.request(
         wanted.campaigns, wanted.axes, wanted.model, wanted.unattended, wanted.start
     )
+    if wanted.unattended:  # before its first event is heard: no await in between
+        application.experiments.permit(diagnosis.id, intention)
     response.headers["Location"] = str(request.url_for("get_diagnosis", diagnosis_id=diagnosis.id))
     return diagnosis
 
@@ -135,11 +137,16 @@ def plan_experiment(
 
 @router.post("/{diagnosis_id}/experiment", status_code=201)
 async def approve_experiment(
-    diagnosis_id: Id, approval: Approval, request: Request, response: Response, application: ApplicationOf
+    diagnosis_id: Id,
+    approval: Approval,
+    request: Request,
+    response: Response,
+    application: ApplicationOf,
+    intention: IntentionOf,
 ) -> CampaignView:
     """Plan the next experiment of an axis, start to move and measure. When it is completed, the diagnosis continues."""
     campaign = await application.experiments.approve(
-        diagnosis_id, approval.axis, approval.approved_by, approval.test_mass, approval.cell
+        diagnosis_id, approval.axis, approval.approved_by, approval.test_mass, approval.cell, intention
     )
     response.headers["Location"] = str(request.url_for("get_campaign", campaign_id=campaign.id))
     set_etag(response, campaign.version)

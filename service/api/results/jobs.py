@@ -5,8 +5,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.api.campaign.approvals import who_asks
-from service.api.dependencies import After, ApplicationOf, Id, Limit, Page
+from service.api.dependencies import After, ApplicationOf, Id, Limit, Page, who_asks
 from service.api.idempotent import IdempotentRoute
 from service.people.permissions import LOCAL
 from service.store.documents import LARGEST_ID

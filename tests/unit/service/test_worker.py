@@ -37,7 +37,7 @@ async def job(tmp_path: Path, robot: Robot) -> Job:
         return Job(f"job-{number}", robot.description, robot.urdf_text, (sweep,), earlier, {})
 
     async with open_bench(tmp_path, robot, Envelope(robot, Cell(name="empty"))) as bench:
-        await bench.runner.start(bench.campaign.id)
+        await bench.runner.start(bench.campaign.id, bench.intention)
         await bench.runner.finished()
         recordings = [bench.store.recording(1, number) for number in (1, 2)]
         first, second = (

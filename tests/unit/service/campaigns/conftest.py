@@ -13,6 +13,7 @@ from drivers.ports import Sine, SweepCommand, SweepMode
 from service.campaigns.live import LiveHub
 from service.configuration import read_robot
 from service.execution.approvals import Approvals
+from service.execution.epoch import Intention
 from service.execution.machine import Machine
 from service.execution.runner import Runner
 from service.execution.sweep_executor import SweepExecutor
@@ -61,6 +62,11 @@ class Bench:
     """Way and why of the stops that latched nothing."""
     compile_plan: Callable[[CampaignDocument], CompiledPlan]
     """What the runner asks; a test may put another in its place."""
+
+    @property
+    def intention(self) -> Intention:
+        """Of a person who gives a command now."""
+        return Intention(self.machine.epochs.now)
 
 
 @pytest.fixture(scope="session")

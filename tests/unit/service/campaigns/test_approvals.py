@@ -25,6 +25,10 @@ HASH, OTHER = "a" * 64, "b" * 64
 HOURS = timedelta(hours=8)
 
 
+def still() -> None:
+    """Nothing came in between."""
+
+
 class Asked:
     """The bench's runner, as with `approval: true`."""
 
@@ -46,11 +50,11 @@ class Asked:
 async def test_a_start_and_a_resume_want_an_approval_that_holds(bench: Bench) -> None:
     asked, plan = Asked(bench), bench.campaign.plan_id or 0
     with pytest.raises(Conflict, match=rf"plan {plan} requires the approval of an engineer: not approved yet"):
-        await asked.runner.start(bench.campaign.id)
+        await asked.runner.start(bench.campaign.id, bench.intention)
     assert (bench.drive.trace, bench.store.campaign(bench.campaign.id).state) == ([], CampaignState.PLANNED)
 
-    asked.approvals.add(plan, HASH, HASH, "ada")
-    await asked.runner.start(bench.campaign.id)
+    asked.approvals.add(plan, HASH, HASH, "ada", still)
+    await asked.runner.start(bench.campaign.id, bench.intention)
     await until(lambda: bool(bench.drive.trace))
     stop = await bench.machine.stop("berta", "enough")
     await asyncio.wait_for(asked.runner.finished(), TIMEOUT)
@@ -60,12 +64,12 @@ async def test_a_start_and_a_resume_want_an_approval_that_holds(bench: Bench) ->
     with pytest.raises(
         Conflict, match=r"by ada of .* is no longer valid: robot, cell, drives, settings or program have changed"
     ):
-        await asked.runner.resume(bench.campaign.id, repeat=True)
+        await asked.runner.resume(bench.campaign.id, bench.intention, repeat=True)
     assert bench.drive.trace == moved
     assert bench.store.campaign(bench.campaign.id).state is CampaignState.PAUSED
 
     asked.sha256 = HASH
-    await asked.runner.resume(bench.campaign.id, repeat=True)
+    await asked.runner.resume(bench.campaign.id, bench.intention, repeat=True)
     await asyncio.wait_for(asked.runner.finished(), TIMEOUT)
     assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
     await asked.runner.close()
@@ -75,8 +79,8 @@ async def test_a_start_and_a_resume_want_an_approval_that_holds(bench: Bench) ->
 @pytest.mark.slow
 async def test_an_approval_that_expires_meanwhile_ends_no_motion_and_resumes_none(bench: Bench) -> None:
     asked, plan = Asked(bench), bench.campaign.plan_id or 0
-    asked.approvals.add(plan, HASH, HASH, "ada")
-    await asked.runner.start(bench.campaign.id)
+    asked.approvals.add(plan, HASH, HASH, "ada", still)
+    await asked.runner.start(bench.campaign.id, bench.intention)
     await until(lambda: bool(bench.drive.trace))
     with bench.database.write() as session:
         earlier = "UPDATE approval SET at = datetime(at, '-8 hours'), expires_at = datetime(expires_at, '-8 hours')"
@@ -87,12 +91,12 @@ async def test_an_approval_that_expires_meanwhile_ends_no_motion_and_resumes_non
     await bench.machine.reset_stop("berta", [stop.id])
     moved = list(bench.drive.trace)
     with pytest.raises(Conflict, match=rf"plan {plan} requires the approval of an engineer: .* expired at"):
-        await asked.runner.resume(bench.campaign.id, repeat=True)
+        await asked.runner.resume(bench.campaign.id, bench.intention, repeat=True)
     assert bench.drive.trace == moved
     assert bench.store.campaign(bench.campaign.id).state is CampaignState.PAUSED
 
-    asked.approvals.add(plan, HASH, HASH, "ada")
-    await asked.runner.resume(bench.campaign.id, repeat=True)
+    asked.approvals.add(plan, HASH, HASH, "ada", still)
+    await asked.runner.resume(bench.campaign.id, bench.intention, repeat=True)
     await asyncio.wait_for(asked.runner.finished(), TIMEOUT)
     assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
     await asked.runner.close()
@@ -101,13 +105,13 @@ async def test_an_approval_that_expires_meanwhile_ends_no_motion_and_resumes_non
 
 def test_four_eyes_where_the_service_knows_who_starts(bench: Bench) -> None:
     approvals, plan = Asked(bench).approvals, bench.campaign.plan_id or 0
-    approvals.add(plan, HASH, HASH, "ada")
+    approvals.add(plan, HASH, HASH, "ada", still)
     assert approvals.missing(plan, HASH, "ada") == (
         f"plan {plan} is approved by ada alone: another person must approve it, or start it"
     )
     assert approvals.missing(plan, HASH, "berta") == ""
     assert approvals.missing(plan, HASH) == ""  # nobody is asked who he is
-    approvals.add(plan, HASH, HASH, "berta")
+    approvals.add(plan, HASH, HASH, "berta", still)
     assert approvals.missing(plan, HASH, "ada") == ""
 
 
@@ -116,7 +120,7 @@ def test_four_eyes_where_the_service_knows_who_starts(bench: Bench) -> None:
 )
 def test_an_approval_holds_for_its_time(bench: Bench, shifted: str, reason: str) -> None:
     approvals, plan = Asked(bench).approvals, bench.campaign.plan_id or 0
-    approvals.add(plan, HASH, HASH, "ada")
+    approvals.add(plan, HASH, HASH, "ada", still)
     with bench.database.write() as session:
         session.execute(
             text("UPDATE approval SET at = datetime(at, :by), expires_at = datetime(expires_at, :by)"), {"by": shifted}
@@ -127,11 +131,11 @@ def test_an_approval_holds_for_its_time(bench: Bench, shifted: str, reason: str)
 def test_what_nobody_looked_at_is_not_approved(bench: Bench) -> None:
     approvals, plan = Asked(bench).approvals, bench.campaign.plan_id or 0
     with pytest.raises(Conflict, match=f"review it again \\({HASH}\\)"):
-        approvals.add(plan, OTHER, HASH, "ada")
+        approvals.add(plan, OTHER, HASH, "ada", still)
     with pytest.raises(BadInput, match="approved_by"):
-        approvals.add(plan, HASH, HASH, "")
+        approvals.add(plan, HASH, HASH, "", still)
     with pytest.raises(NotFound):
-        approvals.add(plan + 1, HASH, HASH, "ada")
+        approvals.add(plan + 1, HASH, HASH, "ada", still)
     assert approvals.of_plan(plan) == ()
     assert "not approved yet" in approvals.missing(plan, "")
 

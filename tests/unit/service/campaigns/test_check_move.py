@@ -74,7 +74,7 @@ async def run_out(bench: Bench) -> None:
 
 async def test_every_axis_is_checked_once_in_a_run_and_before_it_goes_far(bench: Bench) -> None:
     bench.drive.hold = 2
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     await bench.runner.pause(bench.campaign.id)
     bench.drive.hold = None
@@ -82,7 +82,7 @@ async def test_every_axis_is_checked_once_in_a_run_and_before_it_goes_far(bench:
     await run_out(bench)
     assert moves(bench) == ["move joint_1 0.00872665", "move joint_1 0", "sweep joint_1"]
     bench.drive.trace.clear()
-    await bench.runner.resume(bench.campaign.id)  # a new run: somebody may have worked at the machine
+    await bench.runner.resume(bench.campaign.id, bench.intention)  # a new run: somebody may have worked at the machine
     await run_out(bench)
     assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
     far = [entry for entry in moves(bench) if entry in ("move joint_1 0.4", "move joint_2 0.3", "move joint_3 -0.2")]
@@ -107,7 +107,7 @@ async def test_while_it_goes_a_person_is_told_which_axis_goes_which_way(bench: B
         await move_to(joint, position, velocity)
 
     bench.drive.move_to = watched
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await run_out(bench)
     assert seen[:2] == [("joint_1", pytest.approx(WAY))] * 2  # there and back
     far = moves(bench).index("move joint_1 0.4") - 1  # without the sweep before it
@@ -134,7 +134,7 @@ async def test_an_axis_that_runs_the_wrong_way_is_stopped_early(bench: Bench) ->
             await asyncio.sleep(0.005)
 
     bench.drive.move_to = runaway
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await failed(bench, "CheckMoveFailed: joint_1: moved by -")
     assert bench.drive.position["joint_2"] == bench.drive.position["joint_3"] == 0.0
 
@@ -147,10 +147,10 @@ async def test_a_joint_that_moves_along_stops_the_machine(bench: Bench) -> None:
             await asyncio.sleep(0.005)
 
     bench.drive.move_to = coupled
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await failed(bench, "CheckMoveFailed: joint_3: moved by +")
     # a repeat is refused in the same way: nothing is remembered as checked
-    await bench.runner.resume(bench.campaign.id, repeat=True)
+    await bench.runner.resume(bench.campaign.id, bench.intention, repeat=True)
     await run_out(bench)
     assert "joint_3" in bench.store.sweep(bench.campaign.id, 1).cause
 
@@ -160,7 +160,7 @@ async def test_an_axis_that_does_not_move_is_found(bench: Bench) -> None:
         bench.drive.trace.append(f"move {joint}")
 
     bench.drive.move_to = stuck
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await failed(bench, "target not reached; limit of the deviation")
 
 
@@ -169,7 +169,7 @@ async def test_a_fault_in_the_check_move_is_the_cause(bench: Bench) -> None:
         raise DriveFault(f"{joint}: 0x8611 following error")
 
     bench.drive.move_to = faulty
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await failed(bench, "DriveFault: joint_1: 0x8611 following error")
 
 
@@ -182,7 +182,7 @@ async def test_a_stop_in_the_check_move_is_a_stop(bench: Bench) -> None:
         raise SweepInterrupted(f"{joint}: move was stopped")
 
     bench.drive.move_to = slow
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await asyncio.wait_for(moving.wait(), TIMEOUT)
     await bench.machine.stop("operator", "smoke")
     await run_out(bench)
@@ -198,7 +198,7 @@ async def test_a_check_move_outside_of_the_envelope_moves_nothing(bench: Bench) 
     check_move = envelope.check_move
     envelope.check_move = refuse
     try:
-        await bench.runner.start(bench.campaign.id)
+        await bench.runner.start(bench.campaign.id, bench.intention)
         await run_out(bench)
     finally:
         envelope.check_move = check_move
@@ -214,7 +214,7 @@ async def test_implausible_channels_fail_the_sweep_and_keep_it_partial(bench: Be
         return block
 
     bench.drive.samples = reversed_effort
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await run_out(bench)
     sweep = bench.store.sweep(bench.campaign.id, 1)
     assert sweep.state is SweepState.FAILED
@@ -228,7 +228,7 @@ async def test_a_stop_that_is_not_confirmed_is_told_wherever_a_person_looks(benc
     """In the cause of campaign and sweep, and as the state of the machine: someone has to look at it."""
     bench.drive.fail[1] = DriveFault("joint_1: over-current")
     bench.drive.stop_error = CommunicationLost("node 1 is silent")
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
     told = "the stop is not confirmed: node 1 is silent"
     campaign, sweep = bench.store.campaign(bench.campaign.id), bench.store.sweep(bench.campaign.id, 1)

@@ -28,7 +28,7 @@ def wants_confidence(bench: Bench, reached: list[float | None]) -> None:
 
 async def test_a_campaign_ends_when_enough_is_known(bench: Bench) -> None:
     wants_confidence(bench, [None, 0.8])
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
     campaign = bench.store.campaign(bench.campaign.id)
     why = "confidence of 1 % reached: J is known to 0.8 % over the workspace"
@@ -40,7 +40,7 @@ async def test_a_campaign_ends_when_enough_is_known(bench: Bench) -> None:
 
 async def test_a_campaign_that_does_not_know_enough_runs_to_its_end(bench: Bench) -> None:
     wants_confidence(bench, [None, 1.2, 1.1, 1.01])
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
     campaign = bench.store.campaign(bench.campaign.id)
     assert (campaign.state, campaign.cause) == (CampaignState.COMPLETED, "")

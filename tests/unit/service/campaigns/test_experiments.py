@@ -46,6 +46,7 @@ class Loop:
     ) -> DiagnosisDocument:
         """A diagnosis of joint_1 that proposes an experiment of a kind, with or without its sweeps."""
         diagnosis = self.diagnoses.add(new or self.new)
+        self.experiments.permit(diagnosis.id, self.bench.intention)
         proposal = stored("diagnosis-open")["axes"]["joint_1"]["next_experiment"]
         wanted = None if kind is None else proposal | {"kind": kind} | ({} if sweeps else {"sweeps": []})
         self.diagnoses.add_result(diagnosis.id, "joint_1", verdict, {"verdict": verdict})
@@ -158,9 +159,9 @@ async def test_only_what_was_proposed_is_approved(loop: Loop) -> None:
     nothing, weighing = loop.done(None), loop.done("test_mass")
     waiting = loop.diagnoses.add(loop.new)
     with pytest.raises(Conflict, match="proposes no experiment for joint_1"):
-        await loop.experiments.approve(nothing.id, "joint_1", "Ada", None, "workshop")
+        await loop.experiments.approve(nothing.id, "joint_1", "Ada", None, "workshop", loop.bench.intention)
     with pytest.raises(BadInput, match="give the mass that is mounted"):
-        await loop.experiments.approve(weighing.id, "joint_1", "Ada", None, "workshop")
+        await loop.experiments.approve(weighing.id, "joint_1", "Ada", None, "workshop", loop.bench.intention)
     with pytest.raises(Conflict, match="an experiment requires a diagnosis that is done"):
-        await loop.experiments.approve(waiting.id, "joint_1", "Ada", None, "workshop")
+        await loop.experiments.approve(waiting.id, "joint_1", "Ada", None, "workshop", loop.bench.intention)
     assert [one.experiment for one in loop.diagnoses.diagnoses()] == [None] * 3

@@ -41,7 +41,7 @@ async def test_every_sweep_gives_one_revision_whatever_happens_to_the_worker(
     tmp_path: Path, robot: Robot, envelope: Envelope
 ) -> None:
     async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
-        await bench.runner.start(bench.campaign.id)
+        await bench.runner.start(bench.campaign.id, bench.intention)
         await until(lambda: bench.store.campaign(bench.campaign.id).sweeps.get(SweepState.IDENTIFIED, 0) >= 1)
         os.kill((await worker.processes())[0], signal.SIGKILL)
         await bench.runner.finished()
@@ -65,7 +65,7 @@ async def test_the_newest_accepted_model_enters_new_estimates_and_is_told(
         diagnoses, models = DiagnosisStore(bench.database), ModelStore(bench.database)
         new = NewDiagnosis(robot_id=bench.campaign.robot_id, campaigns=(bench.campaign.id,), axes=("joint_1",))
         accepted = models.add(diagnoses.add(new).id, "Ada", told, None)
-        await bench.runner.start(bench.campaign.id)
+        await bench.runner.start(bench.campaign.id, bench.intention)
         await bench.runner.finished()
         await completed(bench)
         document: Any = bench.store.estimates(bench.campaign.id)[-1].document
@@ -85,7 +85,7 @@ async def test_what_is_recorded_and_not_identified_is_taken_up_by_the_next_proce
     tmp_path: Path, robot: Robot, envelope: Envelope
 ) -> None:
     async with open_bench(tmp_path, robot, envelope) as bench:
-        await bench.runner.start(bench.campaign.id)
+        await bench.runner.start(bench.campaign.id, bench.intention)
         await bench.runner.finished()
         assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
     async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
@@ -107,7 +107,7 @@ async def test_a_job_names_the_spectra_of_earlier_sweeps_and_carries_none(
             return await run(job)
 
         run, worker.run = worker.run, weighed
-        await bench.runner.start(bench.campaign.id)
+        await bench.runner.start(bench.campaign.id, bench.intention)
         await completed(bench)
         (first, *_) = bench.store.spectra(bench.campaign.id)
     assert len(weights) == len(POSES)
@@ -120,7 +120,7 @@ async def test_a_job_waits_while_the_database_is_locked(
     """For longer than a transaction waits for its turn. Who asks is told, and nothing is done twice."""
     monkeypatch.setattr("service.store.engines.sqlite.BUSY_TIMEOUT", 0.05)
     async with open_bench(tmp_path, robot, envelope) as bench:
-        await bench.runner.start(bench.campaign.id)
+        await bench.runner.start(bench.campaign.id, bench.intention)
         await bench.runner.finished()
     async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
         await worker.processes()
@@ -140,7 +140,7 @@ async def test_spectra_from_before_there_were_files_are_moved_into_files(
     tmp_path: Path, robot: Robot, envelope: Envelope
 ) -> None:
     async with open_worker(None) as worker, open_bench(tmp_path, robot, envelope, worker) as bench:
-        await bench.runner.start(bench.campaign.id)
+        await bench.runner.start(bench.campaign.id, bench.intention)
         await completed(bench)
         records = bench.store.spectra(bench.campaign.id)
         documents = [read_spectrum(bench.files.spectrum(record)) for record in records]
@@ -159,7 +159,7 @@ async def test_a_sweep_whose_file_was_changed_fails_and_the_others_go_on(
     tmp_path: Path, robot: Robot, envelope: Envelope
 ) -> None:
     async with open_bench(tmp_path, robot, envelope) as bench:
-        await bench.runner.start(bench.campaign.id)
+        await bench.runner.start(bench.campaign.id, bench.intention)
         await bench.runner.finished()
         path = bench.files.path(bench.store.recording(bench.campaign.id, 2))
         path.write_bytes(path.read_bytes()[:-1])

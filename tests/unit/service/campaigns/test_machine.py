@@ -23,7 +23,7 @@ async def test_who_loses_the_lease_stops_and_moves_no_more(bench: Bench) -> None
     mine, other = MachineLease(bench.database, LEASE_TIME), MachineLease(bench.database, LEASE_TIME)
     mine.acquire()
     bench.drive.hold = 2
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     await asyncio.to_thread(other.acquire)  # this service was silent: nobody renewed
     await asyncio.wait_for(bench.machine.keep_lease(mine, LEASE_TIME), TIMEOUT)
@@ -80,7 +80,7 @@ async def test_a_watch_over_the_lease_that_breaks_off_stops_the_machine(bench: B
     assert "stop" in bench.drive.trace
     assert "unforeseen" in bench.machine.held
     with pytest.raises(Conflict, match="may not move"):
-        bench.machine.check_may_move()
+        bench.machine.check_may_move(bench.intention)
 
 
 async def test_a_release_frees_neither_a_stop_under_way_nor_one_of_another(bench: Bench) -> None:
@@ -137,7 +137,7 @@ async def test_a_stop_that_reached_no_drive_is_no_confirmed_one(bench: Bench) ->
 async def test_a_cabinet_that_was_switched_off_and_on_meanwhile_is_connected_before_it_moves(bench: Bench) -> None:
     await bench.machine.connect()
     bench.drive.silent = True
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
     assert [entry for entry in bench.drive.trace if entry != "standstill"][:5] == [
         "close", "connect", "close", "connect", "enable joint_1"

@@ -57,7 +57,7 @@ async def test_a_campaign_between_two_motions_does_not_go_on_when_the_stop_is_re
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     between = BetweenMotions(monkeypatch)
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await until(between.reached.is_set)
     stop = await bench.machine.stop("ada", "hand in the cell")
     moved = list(bench.drive.trace)
@@ -71,7 +71,7 @@ async def test_a_campaign_between_two_motions_does_not_go_on_when_the_stop_is_re
     second = bench.store.sweep(bench.campaign.id, 2)
     assert (second.state, second.cause) == (SweepState.INTERRUPTED, "stopped by ada: hand in the cell")
 
-    await bench.runner.resume(bench.campaign.id, repeat=True)  # a person's word, and it goes on
+    await bench.runner.resume(bench.campaign.id, bench.intention, repeat=True)  # a person's word, and it goes on
     await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
     assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
 
@@ -82,7 +82,7 @@ async def test_a_campaign_between_two_motions_does_not_go_on_when_the_database_a
     between, lease = BetweenMotions(monkeypatch), Ailing(bench.database, LEASE_TIME)
     lease.acquire()
     keeper = asyncio.create_task(bench.machine.keep_lease(lease, LEASE_TIME))
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await until(between.reached.is_set)
     lease.well = False
     await until(lambda: bench.machine.held != "")
@@ -95,7 +95,7 @@ async def test_a_campaign_between_two_motions_does_not_go_on_when_the_database_a
     campaign = bench.store.campaign(bench.campaign.id)
     assert campaign.state is CampaignState.PAUSED
     assert "could not be renewed" in campaign.cause
-    bench.machine.check_may_move()  # for the next that a person starts
+    bench.machine.check_may_move(bench.intention)  # for the next that a person starts
     keeper.cancel()
     await asyncio.wait([keeper])
 
@@ -111,7 +111,7 @@ async def test_who_lost_the_lease_leaves_the_bus_and_does_not_come_back(bench: B
     with pytest.raises(Conflict, match="connect: another service has taken the machine"):
         await bench.machine.connect()
     with pytest.raises(Conflict, match="another service has taken the machine"):
-        await bench.runner.start(bench.campaign.id)
+        await bench.runner.start(bench.campaign.id, bench.intention)
     assert bench.drive.trace[-1] == "close"
 
 
@@ -126,11 +126,11 @@ async def test_a_stop_that_the_database_does_not_take_is_seen_and_reset_all_the_
     assert held is not None
     assert (held.by, held.why, held.reset_by) == ("ada", "smoke", None)
     with pytest.raises(Conflict, match="stopped by ada: smoke"):
-        bench.machine.check_may_move()
+        bench.machine.check_may_move(bench.intention)
     (reset,) = await bench.machine.reset_stop("berta", [held.id])
     assert (reset.by, reset.reset_by) == ("ada", "berta")
     assert bench.machine.latched is None
-    bench.machine.check_may_move()
+    bench.machine.check_may_move(bench.intention)
     with pytest.raises(NotFound, match=f"stop {held.id}"):
         await bench.machine.reset_stop("berta", [held.id])
 
@@ -200,7 +200,7 @@ async def test_a_stop_that_comes_while_another_is_being_reset_holds(
     go.set()
     await first
     with pytest.raises(Conflict, match="stopped by berta: fire"):
-        bench.machine.check_may_move()
+        bench.machine.check_may_move(bench.intention)
     await second
     assert bench.machine.latched is not None
     assert bench.machine.latched.by == "berta"

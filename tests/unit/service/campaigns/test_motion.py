@@ -23,14 +23,17 @@ async def connected(bench: Bench) -> Bench:
 
 async def test_nobody_moves_a_machine_that_nobody_uses(connected: Bench, envelope: Envelope) -> None:
     with pytest.raises(Conflict, match="the machine is not reserved"):
-        async with connected.machine.motion(envelope):
+        async with connected.machine.motion(envelope, connected.intention):
             pass
     assert connected.drive.trace == []
 
 
 async def test_an_axis_has_energy_while_it_moves_and_no_longer(connected: Bench, envelope: Envelope) -> None:
-    with connected.machine.used_by("a test"):
-        async with connected.machine.motion(envelope) as motion, motion.moving("joint_1", HOME, 0.1, 0.05) as go:
+    with connected.machine.used_by("a test", connected.intention):
+        async with (
+            connected.machine.motion(envelope, connected.intention) as motion,
+            motion.moving("joint_1", HOME, 0.1, 0.05) as go,
+        ):
             await go(0.05)
             await go(0.1)
     assert connected.drive.trace == ["enable joint_1", "move joint_1 0.05", "move joint_1 0.1", "disable joint_1"]
@@ -38,42 +41,57 @@ async def test_an_axis_has_energy_while_it_moves_and_no_longer(connected: Bench,
 
 async def test_only_the_way_that_was_checked(connected: Bench, envelope: Envelope) -> None:
     with (
-        connected.machine.used_by("a test"),
+        connected.machine.used_by("a test", connected.intention),
         pytest.raises(Conflict, match=r"target 0\.2 is outside the checked range 0 to 0\.1"),
     ):
-        async with connected.machine.motion(envelope) as motion, motion.moving("joint_1", HOME, 0.1, 0.05) as go:
+        async with (
+            connected.machine.motion(envelope, connected.intention) as motion,
+            motion.moving("joint_1", HOME, 0.1, 0.05) as go,
+        ):
             await go(0.2)
     assert connected.drive.trace == ["enable joint_1", "stop"]
     assert connected.drive.energised == set()
 
 
 async def test_what_the_envelope_forbids_gets_no_energy(connected: Bench, envelope: Envelope) -> None:
-    with connected.machine.used_by("a test"):
+    with connected.machine.used_by("a test", connected.intention):
         with pytest.raises(EnvelopeViolation, match="joint_1: target"):
-            async with connected.machine.motion(envelope) as motion, motion.moving("joint_1", HOME, 99.0, 0.05):
+            async with (
+                connected.machine.motion(envelope, connected.intention) as motion,
+                motion.moving("joint_1", HOME, 99.0, 0.05),
+            ):
                 pass
         far = command(connected.store.sweeps(connected.campaign.id)[0])
         with pytest.raises(EnvelopeViolation):
-            async with connected.machine.motion(envelope) as motion, motion.sweeping([far], (1.0, *HOME[1:])):
+            async with (
+                connected.machine.motion(envelope, connected.intention) as motion,
+                motion.sweeping([far], (1.0, *HOME[1:])),
+            ):
                 pass
     assert "enable joint_1" not in connected.drive.trace
 
 
 async def test_a_stop_is_asked_for_before_each_motion(connected: Bench, envelope: Envelope) -> None:
     async def move() -> None:
-        async with connected.machine.motion(envelope) as motion, motion.moving("joint_1", HOME, 0.1, 0.05) as go:
+        async with (
+            connected.machine.motion(envelope, connected.intention) as motion,
+            motion.moving("joint_1", HOME, 0.1, 0.05) as go,
+        ):
             await go(0.05)
             await connected.machine.stop("a person", "look")
             await go(0.1)
 
-    with connected.machine.used_by("a test"), pytest.raises(Conflict, match="stopped by a person: look"):
+    with (
+        connected.machine.used_by("a test", connected.intention),
+        pytest.raises(Conflict, match="stopped by a person: look"),
+    ):
         await move()
     assert connected.drive.trace == ["enable joint_1", "move joint_1 0.05", "stop", "stop"]
 
 
 async def test_it_is_of_no_use_after_its_block(connected: Bench, envelope: Envelope) -> None:
-    with connected.machine.used_by("a test"):
-        async with connected.machine.motion(envelope) as motion:
+    with connected.machine.used_by("a test", connected.intention):
+        async with connected.machine.motion(envelope, connected.intention) as motion:
             pass
         with pytest.raises(Conflict, match="the permission to move has ended"):
             async with motion.moving("joint_1", HOME, 0.1, 0.05):
@@ -90,11 +108,14 @@ async def test_whatever_ends_it_leaves_every_axis_without_energy(
     connected.drive.stop_error = StopNotConfirmed([], {"joint_1": "mute"})
 
     async def move() -> None:
-        async with connected.machine.motion(envelope) as motion, motion.moving("joint_1", HOME, 0.1, 0.05):
+        async with (
+            connected.machine.motion(envelope, connected.intention) as motion,
+            motion.moving("joint_1", HOME, 0.1, 0.05),
+        ):
             assert connected.drive.energised == {"joint_1"}
             raise error
 
-    with connected.machine.used_by("a test"), pytest.raises(type(error)) as raised:
+    with connected.machine.used_by("a test", connected.intention), pytest.raises(type(error)) as raised:
         await move()
     assert raised.value is error
     assert connected.drive.trace[-1] == "stop"
@@ -116,8 +137,11 @@ async def test_cancelled_while_it_is_brought_down_it_comes_down_all_the_same(
     monkeypatch.setattr(connected.drive, "stop", slow)
 
     async def move() -> None:
-        with connected.machine.used_by("a test"):
-            async with connected.machine.motion(envelope) as motion, motion.moving("joint_1", HOME, 0.1, 0.05):
+        with connected.machine.used_by("a test", connected.intention):
+            async with (
+                connected.machine.motion(envelope, connected.intention) as motion,
+                motion.moving("joint_1", HOME, 0.1, 0.05),
+            ):
                 raise LookupError
 
     moving = asyncio.create_task(move())

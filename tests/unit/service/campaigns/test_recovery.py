@@ -40,7 +40,7 @@ async def main(folder, what):
         else:
             resource.setrlimit(resource.RLIMIT_FSIZE, (2**21, 2**21))
             conftest.RATE = 20_000.0
-        await bench.runner.start(bench.campaign.id)
+        await bench.runner.start(bench.campaign.id, bench.intention)
         if what == "hold":
             await bench.drive.holding.wait()
             (stream,) = bench.files.streams().values()
@@ -87,7 +87,7 @@ async def test_after_a_kill_nothing_moves_and_the_samples_so_far_are_kept(
         before = bench.store.last_event_id()
         recover(bench.store, bench.files)
         assert bench.store.last_event_id() == before
-        await bench.runner.resume(campaign.id, repeat=True)
+        await bench.runner.resume(campaign.id, bench.intention, repeat=True)
         await bench.runner.finished()
         assert bench.store.campaign(campaign.id).sweeps == {SweepState.RECORDED: len(POSES)}
 
@@ -113,7 +113,7 @@ def test_a_full_disk_stops_the_drives_and_fails_the_sweep(tmp_path: Path) -> Non
 
 async def test_a_stream_whose_recording_is_stored_goes(tmp_path: Path, robot: Robot, envelope: Envelope) -> None:
     async with open_bench(tmp_path, robot, envelope) as bench:
-        await bench.runner.start(bench.campaign.id)
+        await bench.runner.start(bench.campaign.id, bench.intention)
         await bench.runner.finished()
         # killed between the commit and the removal of the stream
         recorder = Recorder(bench.files.stream(Run(bench.campaign.id, 2, 1)), command(bench.store.sweep(1, 2)))
@@ -157,7 +157,7 @@ async def test_a_database_from_a_backup_measures_on_and_loses_no_recording(
         ):
             source.backup(to)
             backup = to.serialize()
-        await bench.runner.start(1)
+        await bench.runner.start(1, bench.intention)
         await bench.runner.finished()
         measured = [bench.files.path(bench.store.recording(1, sweep.number)) for sweep in bench.store.sweeps(1)]
         recorder = Recorder(bench.files.stream(Run(1, 2, 1)), command(bench.store.sweep(1, 2)))
@@ -167,7 +167,7 @@ async def test_a_database_from_a_backup_measures_on_and_loses_no_recording(
     before = {path: path.read_bytes() for path in measured}
     async with open_bench(tmp_path, robot, envelope) as bench:
         recover(bench.store, bench.files)
-        await bench.runner.start(1)
+        await bench.runner.start(1, bench.intention)
         await bench.runner.finished()
         assert bench.store.campaign(1).sweeps == {SweepState.RECORDED: len(POSES)}
         assert {sweep.attempt for sweep in bench.store.sweeps(1)} == {2}

@@ -39,7 +39,7 @@ async def faulted(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Bench:
     """A campaign in its first sweep, of which the next block is a fault of the drive."""
     monkeypatch.setattr(runner_module, "RETRY", 0.05)
     bench.drive.hold, bench.drive.fail[3] = 2, DriveFault("joint_1: over-current")
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     bench.drive.hold = None
     return bench
@@ -78,7 +78,7 @@ async def test_what_a_database_refuses_is_stored_as_soon_as_it_takes_it(
     assert (recording.state, recording.samples) == (RecordingState.PARTIAL, 750)
     assert faulted.files.streams() == {}
     faulted.drive.fail.clear()
-    await faulted.runner.resume(1, repeat=True)
+    await faulted.runner.resume(1, faulted.intention, repeat=True)
     await ran_out(faulted)
     assert faulted.store.campaign(1).sweeps == {SweepState.RECORDED: 4}
 
@@ -110,15 +110,16 @@ async def test_an_abort_that_was_refused_can_be_said_again(faulted: Bench) -> No
 @pytest.mark.parametrize("command", ["start", "pause"])
 async def test_the_next_command_stores_what_was_refused(faulted: Bench, command: str) -> None:
     await aborted_in_vain(faulted)
+    given = (1,) if command == "pause" else (1, faulted.intention)
     with pytest.raises(Conflict, match="is not possible in state paused"):
-        await getattr(faulted.runner, command)(1)
+        await getattr(faulted.runner, command)(*given)
     assert faulted.store.campaign(1).sweeps == {SweepState.INTERRUPTED: 1, SweepState.PLANNED: 3}
 
 
 async def test_a_campaign_whose_abort_was_refused_can_be_resumed(faulted: Bench) -> None:
     await aborted_in_vain(faulted)
     faulted.drive.fail.clear()
-    await faulted.runner.resume(1, repeat=True)
+    await faulted.runner.resume(1, faulted.intention, repeat=True)
     await ran_out(faulted)
     assert faulted.store.campaign(1).sweeps == {SweepState.RECORDED: 4}
 
@@ -140,7 +141,7 @@ async def test_an_abort_while_the_end_of_a_sweep_is_stored_loses_no_result(bench
         return end(*args, **kwargs)
 
     bench.store.end_sweep = slow
-    await bench.runner.start(1)
+    await bench.runner.start(1, bench.intention)
     await until(inside.is_set)
     aborting = asyncio.create_task(bench.runner.abort(1, "enough"))
     await until_cancelled(1)
@@ -185,7 +186,7 @@ async def test_samples_are_watched_while_the_disk_stalls(bench: Bench, disk: Dis
         return block
 
     bench.drive.samples = jolt
-    await bench.runner.start(1)
+    await bench.runner.start(1, bench.intention)
     await until(disk.stalled.is_set)
     await until(lambda: "stop" in bench.drive.trace)
     assert bench.drive.energised == set()
@@ -200,7 +201,7 @@ async def test_samples_are_watched_while_the_disk_stalls(bench: Bench, disk: Dis
 
 async def test_a_gap_ends_the_sweep_while_the_disk_stalls(bench: Bench, disk: Disk) -> None:
     bench.drive.skip, bench.drive.hold = 600, 4  # the drive has more samples, and waits with them
-    await bench.runner.start(1)
+    await bench.runner.start(1, bench.intention)
     await until(lambda: "stop" in bench.drive.trace)
     disk.go.set()
     await ran_out(bench)
@@ -210,7 +211,7 @@ async def test_a_gap_ends_the_sweep_while_the_disk_stalls(bench: Bench, disk: Di
 
 async def test_an_abort_while_the_disk_stalls_stops_the_drives_first(bench: Bench, disk: Disk) -> None:
     bench.drive.hold = 3
-    await bench.runner.start(1)
+    await bench.runner.start(1, bench.intention)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     await until(disk.stalled.is_set)
     aborting = asyncio.create_task(bench.runner.abort(1, "enough"))
@@ -233,7 +234,7 @@ async def test_a_disk_that_refuses_late_fails_the_sweep_at_standstill(
         sync(file)
 
     monkeypatch.setattr("service.store.files.stream.os.fsync", refuse)
-    await bench.runner.start(1)
+    await bench.runner.start(1, bench.intention)
     await ran_out(bench)
     assert bench.drive.trace[-1] == "stop"
     assert (bench.store.sweep(1, 1).state, bench.store.campaign(1).state) == (SweepState.FAILED, CampaignState.PAUSED)

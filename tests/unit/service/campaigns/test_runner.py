@@ -31,7 +31,7 @@ def state(bench: Bench) -> CampaignState:
 
 
 async def test_a_campaign_runs_to_its_end(bench: Bench) -> None:
-    started = await bench.runner.start(bench.campaign.id)
+    started = await bench.runner.start(bench.campaign.id, bench.intention)
     assert (started.state, bench.runner.running) == (CampaignState.RUNNING, bench.campaign.id)
     await run_out(bench)
     assert state(bench) is CampaignState.MEASURED
@@ -52,7 +52,7 @@ async def test_a_campaign_runs_to_its_end(bench: Bench) -> None:
 
 
 async def test_one_axis_has_energy_at_a_time_and_only_to_move(bench: Bench) -> None:
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await run_out(bench)
     # the check move comes first; each sweep starts where the last one ended: joint_1 goes back to its pose first
     assert [entry for entry in bench.drive.trace if entry != "standstill"][1:14] == [
@@ -84,7 +84,7 @@ async def test_one_axis_has_energy_at_a_time_and_only_to_move(bench: Bench) -> N
 
 async def test_a_drive_fault_stops_the_machine_and_waits_for_a_person(bench: Bench) -> None:
     bench.drive.fail[3] = DriveFault("joint_1: 0x2310 over-current")
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await run_out(bench)
     campaign = bench.store.campaign(bench.campaign.id)
     assert (campaign.state, campaign.cause) == (CampaignState.PAUSED, "DriveFault: joint_1: 0x2310 over-current")
@@ -97,10 +97,10 @@ async def test_a_drive_fault_stops_the_machine_and_waits_for_a_person(bench: Ben
 
 async def test_a_failed_sweep_is_repeated_only_on_command(bench: Bench) -> None:
     bench.drive.fail[3] = DriveFault("over-current")
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await run_out(bench)
     bench.drive.fail.clear()
-    await bench.runner.resume(bench.campaign.id)
+    await bench.runner.resume(bench.campaign.id, bench.intention)
     await run_out(bench)
     assert [s.state for s in bench.store.sweeps(bench.campaign.id)] == [SweepState.FAILED, *[SweepState.RECORDED] * 3]
 
@@ -114,12 +114,12 @@ async def test_what_the_disk_refused_is_stored_when_the_campaign_goes_on(
     bench.drive.fail[3] = DriveFault("over-current")
     with monkeypatch.context() as read_only:
         read_only.setattr("service.store.files.recordings.write_columns", refuse)
-        await bench.runner.start(bench.campaign.id)
+        await bench.runner.start(bench.campaign.id, bench.intention)
         await run_out(bench)
     assert "partial recording not written: [Errno 30] Read-only file system" in bench.store.sweep(1, 1).cause
     assert list(bench.files.streams()) == [Run(1, 1, 1)]
     bench.drive.fail.clear()
-    await bench.runner.resume(bench.campaign.id)
+    await bench.runner.resume(bench.campaign.id, bench.intention)
     await run_out(bench)
     partial = bench.store.recording(bench.campaign.id, 1)
     assert (partial.state, partial.samples) == (RecordingState.PARTIAL, 750)
@@ -129,10 +129,10 @@ async def test_what_the_disk_refused_is_stored_when_the_campaign_goes_on(
 
 async def test_repeat_measures_failed_sweeps_once_more(bench: Bench) -> None:
     bench.drive.fail[3] = DriveFault("over-current")
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await run_out(bench)
     bench.drive.fail.clear()
-    await bench.runner.resume(bench.campaign.id, repeat=True)
+    await bench.runner.resume(bench.campaign.id, bench.intention, repeat=True)
     await run_out(bench)
     assert bench.store.campaign(bench.campaign.id).sweeps == {SweepState.RECORDED: 4}
     again = bench.store.recording(bench.campaign.id, 1)
@@ -141,7 +141,7 @@ async def test_repeat_measures_failed_sweeps_once_more(bench: Bench) -> None:
 
 async def test_a_lost_sample_fails_the_sweep(bench: Bench) -> None:
     bench.drive.skip = 600
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await run_out(bench)
     sweep = bench.store.sweep(bench.campaign.id, 1)
     assert sweep.state is SweepState.FAILED
@@ -168,7 +168,7 @@ async def test_samples_outside_of_the_envelope_stop_the_machine_and_are_kept(ben
         return block
 
     bench.drive.samples = jolt
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await run_out(bench)
     sweep = bench.store.sweep(bench.campaign.id, 1)
     assert sweep.state is SweepState.FAILED
@@ -186,7 +186,7 @@ async def test_a_command_outside_of_the_envelope_moves_nothing(bench: Bench) -> 
         return dataclasses.replace(compiled, commands=commands)
 
     bench.compile_plan = fast
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await run_out(bench)
     assert bench.drive.trace == ["close", "connect", "stop"]
     assert "velocity limit 9 rad/s is above the limit" in bench.store.sweep(bench.campaign.id, 1).cause
@@ -199,7 +199,7 @@ async def test_an_axis_that_is_not_where_it_should_be_is_found(bench: Bench) -> 
         await move_to(joint, position * 0.9, velocity)
 
     bench.drive.move_to = short
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await run_out(bench)
     sweep = bench.store.sweep(bench.campaign.id, 2)
     assert sweep.state is SweepState.FAILED
@@ -208,7 +208,7 @@ async def test_an_axis_that_is_not_where_it_should_be_is_found(bench: Bench) -> 
 
 async def test_an_axis_that_slips_during_another_ones_sweep_spoils_no_result(bench: Bench) -> None:
     bench.drive.hold = 2
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     bench.drive.position["joint_2"] += 0.01
     bench.drive.hold = None
@@ -222,7 +222,7 @@ async def test_an_axis_that_slips_during_another_ones_sweep_spoils_no_result(ben
 
 async def test_stop_reaches_the_drives_first_and_holds_the_machine(bench: Bench) -> None:
     bench.drive.hold = 2
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     told_before = bench.store.last_event_id()
     stop = await bench.machine.stop("operator", "hose caught")
@@ -235,10 +235,10 @@ async def test_stop_reaches_the_drives_first_and_holds_the_machine(bench: Bench)
     assert [held.why for held in bench.machine.stops] == ["hose caught"]
     assert "stop" in [event.kind.value for event in bench.store.events(told_before)]
     with pytest.raises(Conflict, match="may not move: stopped by operator: hose caught"):
-        await bench.runner.resume(bench.campaign.id)
+        await bench.runner.resume(bench.campaign.id, bench.intention)
     bench.drive.hold = None
     await bench.machine.reset_stop("operator", [stop.id])
-    await bench.runner.resume(bench.campaign.id, repeat=True)
+    await bench.runner.resume(bench.campaign.id, bench.intention, repeat=True)
     await run_out(bench)
     assert state(bench) is CampaignState.MEASURED
 
@@ -255,7 +255,7 @@ async def test_a_stop_while_a_drive_is_being_enabled_leaves_no_energy(
         await stopping
 
     monkeypatch.setattr(bench.drive, "enable", slow)
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await run_out(bench)
     assert not any(entry.startswith(("sweep", "move")) for entry in bench.drive.trace)
     assert bench.store.sweep(bench.campaign.id, 1).state is SweepState.INTERRUPTED
@@ -268,12 +268,12 @@ async def test_a_stop_that_the_drives_do_not_confirm_is_latched_all_the_same(ben
         await bench.machine.stop("operator", "smoke")
     assert bench.machine.latched is not None
     with pytest.raises(Conflict):
-        bench.machine.check_may_move()
+        bench.machine.check_may_move(bench.intention)
 
 
 async def test_pause_holds_after_the_present_sweep(bench: Bench) -> None:
     bench.drive.hold = 2
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     assert (await bench.runner.pause(bench.campaign.id)).state is CampaignState.PAUSING
     bench.drive.go.set()
@@ -285,10 +285,10 @@ async def test_pause_holds_after_the_present_sweep(bench: Bench) -> None:
 
 async def test_a_pause_can_be_taken_back(bench: Bench) -> None:
     bench.drive.hold = 2
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     await bench.runner.pause(bench.campaign.id)
-    assert (await bench.runner.resume(bench.campaign.id)).state is CampaignState.RUNNING
+    assert (await bench.runner.resume(bench.campaign.id, bench.intention)).state is CampaignState.RUNNING
     bench.drive.go.set()
     await run_out(bench)
     assert state(bench) is CampaignState.MEASURED
@@ -296,7 +296,7 @@ async def test_a_pause_can_be_taken_back(bench: Bench) -> None:
 
 async def test_a_resume_that_meets_the_pause_leaves_no_campaign_running_that_nothing_runs(bench: Bench) -> None:
     bench.drive.hold = 2
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     await bench.runner.pause(bench.campaign.id)
     campaign, asked, go = bench.store.own_campaign, threading.Event(), threading.Event()
@@ -310,7 +310,7 @@ async def test_a_resume_that_meets_the_pause_leaves_no_campaign_running_that_not
     bench.store.own_campaign = slow
     refused = asyncio.create_task(bench.runner.abort(bench.campaign.id, "by an old page", if_version=1))
     await until(asked.is_set)
-    resuming = asyncio.create_task(bench.runner.resume(bench.campaign.id))
+    resuming = asyncio.create_task(bench.runner.resume(bench.campaign.id, bench.intention))
     await asyncio.sleep(0)  # it waits for its turn, behind that command, while the campaign comes to its pause
     bench.drive.hold = None
     bench.drive.go.set()
@@ -321,14 +321,14 @@ async def test_a_resume_that_meets_the_pause_leaves_no_campaign_running_that_not
     with pytest.raises(Conflict, match="resume it again"):
         await resuming
     assert state(bench) is CampaignState.PAUSED
-    await bench.runner.resume(bench.campaign.id)
+    await bench.runner.resume(bench.campaign.id, bench.intention)
     await run_out(bench)
     assert state(bench) is CampaignState.MEASURED
 
 
 async def test_abort_stops_the_sweep_and_skips_the_rest(bench: Bench) -> None:
     bench.drive.hold = 2
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     with pytest.raises(StaleVersion):
         await bench.runner.abort(bench.campaign.id, "enough", if_version=1)
@@ -352,7 +352,7 @@ async def test_an_abort_in_the_moment_in_which_a_sweep_begins_leaves_none_runnin
         return begin(*arguments)
 
     monkeypatch.setattr(bench.store, "begin_sweep", slow)
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await until(begins.is_set)
     aborting = asyncio.create_task(bench.runner.abort(bench.campaign.id, "enough"))
     await until_cancelled(bench.campaign.id)
@@ -364,10 +364,10 @@ async def test_an_abort_in_the_moment_in_which_a_sweep_begins_leaves_none_runnin
 
 async def test_a_second_start_is_refused_while_one_runs(bench: Bench) -> None:
     bench.drive.hold = 0
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     with pytest.raises(Conflict, match="campaign 1 is running"):
-        await bench.runner.start(bench.campaign.id)
+        await bench.runner.start(bench.campaign.id, bench.intention)
     with pytest.raises(Conflict, match="in use by campaign 1"):
         await bench.machine.connect()
     with pytest.raises(Conflict, match="in use by campaign 1"):
@@ -378,11 +378,11 @@ async def test_a_second_start_is_refused_while_one_runs(bench: Bench) -> None:
 
 async def test_a_lost_connection_has_to_be_made_again(bench: Bench) -> None:
     bench.drive.fail[1] = CommunicationLost("bus-off")
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await run_out(bench)
     assert (bench.machine.connected, bench.machine.trouble) == (False, "bus-off")
     bench.drive.fail.clear()
-    await bench.runner.resume(bench.campaign.id, repeat=True)
+    await bench.runner.resume(bench.campaign.id, bench.intention, repeat=True)
     await run_out(bench)
     assert bench.drive.trace.count("connect") == 2
     assert state(bench) is CampaignState.MEASURED
@@ -390,7 +390,7 @@ async def test_a_lost_connection_has_to_be_made_again(bench: Bench) -> None:
 
 async def test_subscribers_see_the_running_sweep(bench: Bench) -> None:
     with bench.hub.subscribe(bench.campaign.id) as queue:
-        await bench.runner.start(bench.campaign.id)
+        await bench.runner.start(bench.campaign.id, bench.intention)
         await run_out(bench)
         bench.hub.close()
         finite = {(block.number, bool(np.isfinite(block.effort).all())) async for block in queue}

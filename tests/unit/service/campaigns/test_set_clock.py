@@ -19,7 +19,7 @@ SET_BY = (timedelta(hours=-1), timedelta(hours=1))
 
 async def pause_in_the_second_sweep(bench: Bench) -> None:
     bench.drive.hold = 2
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     await bench.runner.pause(bench.campaign.id)
     bench.drive.hold = None
@@ -38,7 +38,7 @@ def set_clock(bench: Bench, by: timedelta) -> None:
 
 async def go_on(bench: Bench) -> list[float]:
     """When the sweeps began."""
-    await bench.runner.resume(bench.campaign.id)
+    await bench.runner.resume(bench.campaign.id, bench.intention)
     await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
     await until(lambda: bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED)
     return [sweep.spec.started_at for sweep in bench.store.sweeps(bench.campaign.id)]

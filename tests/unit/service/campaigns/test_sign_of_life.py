@@ -15,7 +15,7 @@ SOON, LATE = 0.05, 3600.0  # s
 
 async def test_without_a_sign_of_life_it_is_paused_at_standstill(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     between = BetweenMotions(monkeypatch)
-    await bench.runner.start(bench.campaign.id, attended=LATE)
+    await bench.runner.start(bench.campaign.id, bench.intention, attended=LATE)
     await until(between.reached.is_set)
     attendance = bench.runner.attendance
     assert attendance is not None
@@ -32,7 +32,7 @@ async def test_without_a_sign_of_life_it_is_paused_at_standstill(bench: Bench, m
     assert bench.drive.trace[-1] == "stop"
     assert bench.told == [(f"campaign {campaign.id}", campaign.cause)]
 
-    await bench.runner.resume(bench.campaign.id, repeat=True)
+    await bench.runner.resume(bench.campaign.id, bench.intention, repeat=True)
     await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
     assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
 
@@ -40,7 +40,7 @@ async def test_without_a_sign_of_life_it_is_paused_at_standstill(bench: Bench, m
 async def test_with_signs_of_life_it_is_measured(bench: Bench) -> None:
     with pytest.raises(Conflict, match="is not running"):
         bench.runner.sign_of_life(bench.campaign.id)
-    await bench.runner.start(bench.campaign.id, attended=LATE)
+    await bench.runner.start(bench.campaign.id, bench.intention, attended=LATE)
     attendance = bench.runner.sign_of_life(bench.campaign.id)
     assert attendance is not None
     assert attendance.left <= attendance.within == LATE
@@ -50,8 +50,30 @@ async def test_with_signs_of_life_it_is_measured(bench: Bench) -> None:
     assert bench.runner.attendance is None
 
 
+@pytest.mark.parametrize(("first", "second", "kept"), [(None, 60.0, 60.0), (LATE, None, LATE), (LATE, 60.0, 60.0)])
+async def test_a_pause_that_is_taken_back_keeps_the_sign_of_life_or_takes_that_of_the_resume(
+    bench: Bench, first: float | None, second: float | None, kept: float
+) -> None:
+    bench.drive.hold = 2
+    await bench.runner.start(bench.campaign.id, bench.intention, attended=first)
+    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
+    await bench.runner.pause(bench.campaign.id)
+    resumed = await bench.runner.resume(bench.campaign.id, bench.intention, attended=second)
+    assert resumed.state is CampaignState.RUNNING
+    attendance = bench.runner.attendance
+    assert attendance is not None
+    assert attendance.within == kept
+    attendance.within = SOON
+    attendance.renew()
+    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)  # the sweep is held for ever: nothing else ends it
+    campaign = bench.store.campaign(bench.campaign.id)
+    assert campaign.state is CampaignState.PAUSED
+    assert campaign.cause.startswith("no sign of life within 0.05 s")
+    assert bench.drive.energised == set()
+
+
 async def test_who_wants_none_waits_for_none(bench: Bench) -> None:
-    await bench.runner.start(bench.campaign.id)
+    await bench.runner.start(bench.campaign.id, bench.intention)
     assert bench.runner.sign_of_life(bench.campaign.id) is None
     await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
     assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED

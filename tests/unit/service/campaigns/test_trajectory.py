@@ -191,7 +191,7 @@ async def test_axes_of_a_trajectory_are_energised_and_recorded_together(
     bench: Bench, campaign: tuple[Runner, CampaignDocument]
 ) -> None:
     runner, planned = campaign
-    await runner.start(planned.id)
+    await runner.start(planned.id, bench.intention)
     await asyncio.wait_for(runner.finished(), TIMEOUT)
     assert bench.store.campaign(planned.id).state is CampaignState.MEASURED
     assert [entry for entry in bench.drive.trace if entry != "standstill"][-4:] == [
@@ -213,7 +213,7 @@ async def test_trouble_with_one_axis_fails_all_and_all_are_repeated(
 ) -> None:
     runner, planned = campaign
     bench.drive.fail[3] = DriveFault("joint_2: fault 8611h")
-    await runner.start(planned.id)
+    await runner.start(planned.id, bench.intention)
     await asyncio.wait_for(runner.finished(), TIMEOUT)
     assert bench.drive.energised == set()
     assert bench.store.campaign(planned.id).state is CampaignState.PAUSED
@@ -222,7 +222,7 @@ async def test_trouble_with_one_axis_fails_all_and_all_are_repeated(
         assert bench.store.recording(planned.id, sweep.number).state is RecordingState.PARTIAL
     assert bench.files.streams() == {}
     bench.drive.fail.clear()
-    await runner.resume(planned.id, repeat=True)
+    await runner.resume(planned.id, bench.intention, repeat=True)
     await asyncio.wait_for(runner.finished(), TIMEOUT)
     assert [(sweep.state, sweep.attempt) for sweep in bench.store.sweeps(planned.id)] == [(SweepState.RECORDED, 2)] * 2
 
@@ -230,7 +230,7 @@ async def test_trouble_with_one_axis_fails_all_and_all_are_repeated(
 async def test_a_stop_interrupts_all_axes(bench: Bench, campaign: tuple[Runner, CampaignDocument]) -> None:
     runner, planned = campaign
     bench.drive.hold = 2
-    await runner.start(planned.id)
+    await runner.start(planned.id, bench.intention)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     await bench.machine.stop("anna", "looks wrong")
     await asyncio.wait_for(runner.finished(), TIMEOUT)
@@ -245,7 +245,7 @@ async def test_a_trajectory_of_which_one_axis_was_identified_does_not_block_its_
     runner, planned = campaign
     store, identify, fail = bench.store, sweep_move(SweepEvent.IDENTIFY), sweep_move(SweepEvent.FAIL)
     bench.drive.hold = 2
-    await runner.start(planned.id)
+    await runner.start(planned.id, bench.intention)
     await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
     await runner.pause(planned.id)
     bench.drive.hold = None
@@ -254,7 +254,7 @@ async def test_a_trajectory_of_which_one_axis_was_identified_does_not_block_its_
     store.add_estimate([(store.sweep(planned.id, 1), SPECTRUM)], identify, {})
     store.move_sweep(planned.id, 2, fail, "identification: no")
     before = len(bench.drive.trace)
-    await runner.resume(planned.id, repeat=True)
+    await runner.resume(planned.id, bench.intention, repeat=True)
     await asyncio.wait_for(runner.finished(), TIMEOUT)
     ended = store.campaign(planned.id)
     assert (ended.state, ended.sweeps) == (
@@ -273,7 +273,7 @@ async def test_what_was_recorded_is_identified_also_where_the_end_of_another_axi
     refuse = "NEW.number = 2 AND NEW.state = 'recorded' BEGIN SELECT RAISE(ABORT, 'no'); END"
     with bench.database.write(quiet=True) as session:
         session.execute(text(f"CREATE TRIGGER second BEFORE UPDATE ON sweep WHEN {refuse}"))
-    await runner.start(planned.id)
+    await runner.start(planned.id, bench.intention)
     await asyncio.wait_for(runner.finished(), TIMEOUT)
     assert [sweep.state for sweep in bench.store.sweeps(planned.id)] == [SweepState.RECORDED, SweepState.FAILED]
     assert isinstance(bench.jobs, Taken)

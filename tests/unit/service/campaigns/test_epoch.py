@@ -1,0 +1,282 @@
+"""A stop, a gap of the host or trouble with the lease ends what was wanted before it, whatever it waited for."""
+
+import asyncio
+import threading
+from collections.abc import Awaitable, Callable, Coroutine
+from typing import Any
+
+import pytest
+from sqlalchemy.exc import OperationalError
+
+from service.campaigns.live import EventFeed
+from service.errors import Superseded
+from service.execution.approvals import Approvals
+from service.execution.epoch import Epochs, Intention
+from service.execution.external_stops import watching
+from service.store.approvals import ApprovalStore
+from service.store.documents import CampaignState
+from service.store.guards import MachineLease
+from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
+from tests.unit.service.campaigns.test_approvals import HASH, Asked
+from tests.unit.service.campaigns.test_experiments import Loop, loop  # noqa: F401
+
+pytestmark = pytest.mark.slow
+
+LEASE_TIME = 0.05  # s
+
+
+class Barrier:
+    """Whoever comes here waits until it is open."""
+
+    def __init__(self) -> None:
+        self.reached, self.opened = threading.Event(), threading.Event()
+
+    def blocking(self, work: Callable[..., Any]) -> Callable[..., Any]:
+        def held(*args: Any, **more: Any) -> Any:
+            self.reached.set()
+            assert self.opened.wait(TIMEOUT)
+            return work(*args, **more)
+
+        return held
+
+    def before(self, work: Callable[..., Awaitable[Any]]) -> Callable[..., Awaitable[Any]]:
+        async def held(*args: Any) -> Any:
+            self.reached.set()
+            await until(self.opened.is_set)
+            return await work(*args)
+
+        return held
+
+
+# -- what a command waits for ---------------------------------------------------------------------------------------
+
+
+Wait = Callable[[Bench, Barrier, pytest.MonkeyPatch], None]
+
+
+def for_connect(bench: Bench, barrier: Barrier, patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(bench.drive, "connect", barrier.before(bench.drive.connect))
+
+
+def for_compile(bench: Bench, barrier: Barrier, patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(bench, "compile_plan", barrier.blocking(bench.compile_plan))
+
+
+def for_approvals(bench: Bench, barrier: Barrier, patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(Approvals, "check", barrier.blocking(Approvals.check))
+
+
+def for_database(bench: Bench, barrier: Barrier, patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(bench.store, "move_campaign", barrier.blocking(bench.store.move_campaign))
+
+
+def for_another_command(bench: Bench, barrier: Barrier, patch: pytest.MonkeyPatch) -> None:
+    """Which itself waits for the database."""
+    patch.setattr(bench.store, "own_campaign", barrier.blocking(bench.store.own_campaign))
+    refused = asyncio.create_task(bench.runner.abort(bench.campaign.id, "by an old page", if_version=99))
+    refused.add_done_callback(lambda task: task.exception())
+
+
+def for_sweep_to_begin(bench: Bench, barrier: Barrier, patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(bench.store, "begin_sweep", barrier.blocking(bench.store.begin_sweep))
+
+
+def for_check_move(bench: Bench, barrier: Barrier, patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(bench.store, "add_check_move", barrier.blocking(bench.store.add_check_move))
+
+
+# -- what comes in between ------------------------------------------------------------------------------------------
+
+
+async def stop_and_release(bench: Bench) -> str:
+    stop = await bench.machine.stop("ada", "hand in the cell")
+    await bench.machine.reset_stop("ada", [stop.id])
+    return "stopped by ada: hand in the cell"
+
+
+async def gap_and_release(bench: Bench) -> str:
+    async with watching(bench.machine, lambda _by, _why: None):
+        assert bench.drive.tell is not None
+        await asyncio.to_thread(bench.drive.tell, "the host was suspended for 8.0 s")
+        (stop,) = bench.machine.stops
+    await bench.machine.noted()
+    await bench.machine.reset_stop("ada", [each.id for each in bench.machine.stops])
+    return f"stopped by {stop.by}: the host was suspended for 8.0 s"
+
+
+class Ailing(MachineLease):
+    """The database refuses it until `well`."""
+
+    well = False
+
+    def renew(self) -> None:
+        if not self.well:
+            raise OperationalError("UPDATE", {}, Exception("disk I/O error"))
+
+
+async def lease_trouble(bench: Bench) -> str:
+    lease = Ailing(bench.database, LEASE_TIME)
+    keeper = asyncio.create_task(bench.machine.keep_lease(lease, LEASE_TIME))
+    await until(lambda: bench.machine.forbidden != "")
+    lease.well = True
+    await until(lambda: bench.machine.forbidden == "")
+    keeper.cancel()
+    await asyncio.wait([keeper])
+    return "the machine's lease could not be renewed"
+
+
+# -- who wants to move ----------------------------------------------------------------------------------------------
+
+Command = Callable[[Loop], Coroutine[Any, Any, object]]
+
+
+async def start(bed: Loop) -> object:
+    return await bed.bench.runner.start(bed.bench.campaign.id, bed.bench.intention)
+
+
+async def resume(bed: Loop) -> object:
+    return await bed.bench.runner.resume(bed.bench.store.campaigns()[-1].id, bed.bench.intention, repeat=True)
+
+
+async def experiment(bed: Loop) -> object:
+    (proposed,) = bed.diagnoses.diagnoses()
+    return await bed.experiments.approve(proposed.id, "joint_1", "Ada", None, "workshop", bed.bench.intention)
+
+
+def energy(bench: Bench) -> list[str]:
+    return [entry for entry in bench.drive.trace if entry.startswith("enable")]
+
+
+WAITS = [
+    for_connect,
+    for_compile,
+    for_approvals,
+    for_database,
+    for_another_command,
+    for_sweep_to_begin,
+    for_check_move,
+]
+
+
+@pytest.mark.parametrize("command", [start, resume, experiment])
+@pytest.mark.parametrize("wait", WAITS)
+@pytest.mark.parametrize("between", [stop_and_release, gap_and_release, lease_trouble])
+async def test_nothing_moves_that_was_wanted_before_a_stop(
+    loop: Loop,  # noqa: F811
+    command: Command,
+    wait: Wait,
+    between: Callable[[Bench], Awaitable[str]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench, barrier = loop.bench, Barrier()
+    if command is resume:
+        bench.store.move_campaign(bench.campaign.id, lambda _: CampaignState.PAUSED)
+    if command is experiment:
+        loop.done("reversal", sweeps=True)
+    if wait is not for_connect:
+        await bench.machine.connect()
+    wait(bench, barrier, monkeypatch)
+    waiting = asyncio.create_task(command(loop))
+    await until(barrier.reached.is_set)
+    reason = await between(bench)
+    barrier.opened.set()
+    if wait in (for_sweep_to_begin, for_check_move):  # it was answered before; the campaign ends
+        await waiting
+        await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
+        stopped = bench.store.campaigns()[-1]
+        assert stopped.state is CampaignState.PAUSED
+        assert reason in stopped.cause
+    else:
+        with pytest.raises(Superseded, match=f"after the command was given: {reason}.* give the command again"):
+            await waiting
+        assert bench.runner.running is None
+        assert all(one.state is not CampaignState.RUNNING for one in bench.store.campaigns())
+    assert energy(bench) == []
+
+    bench.drive.hold = 0
+    await (resume if bench.store.campaigns()[-1].state is CampaignState.PAUSED else command)(loop)
+    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
+    assert energy(bench) != []  # it was the epoch, and nothing else
+    await bench.machine.stop("ada", "enough seen")
+    await asyncio.wait_for(bench.runner.finished(), TIMEOUT)
+
+
+@pytest.mark.parametrize("between", [stop_and_release, gap_and_release, lease_trouble])
+async def test_an_approval_that_waits_for_the_database_is_not_stored(
+    bench: Bench, between: Callable[[Bench], Awaitable[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, barrier, plan = Asked(bench), Barrier(), bench.campaign.plan_id or 0
+    intention = bench.intention
+    monkeypatch.setattr(ApprovalStore, "add", barrier.blocking(ApprovalStore.add))
+
+    def approve(given: Intention) -> object:
+        return asked.approvals.add(plan, HASH, HASH, "ada", lambda: bench.machine.epochs.check(given))
+
+    waiting = asyncio.create_task(asyncio.to_thread(approve, intention))
+    await until(barrier.reached.is_set)
+    reason = await between(bench)
+    barrier.opened.set()
+    with pytest.raises(Superseded, match=reason):
+        await waiting
+    assert asked.approvals.of_plan(plan) == ()
+    await asyncio.to_thread(approve, bench.intention)
+    assert len(asked.approvals.of_plan(plan)) == 1
+    asked.close()
+
+
+async def test_a_pause_is_not_taken_back_by_what_was_wanted_before_a_stop(bench: Bench) -> None:
+    bench.drive.hold = 2
+    await bench.runner.start(bench.campaign.id, bench.intention)
+    await asyncio.wait_for(bench.drive.holding.wait(), TIMEOUT)
+    await bench.runner.pause(bench.campaign.id)
+    older = bench.intention
+    bench.machine.epochs.begin("stopped by ada: smoke")
+    with pytest.raises(Superseded, match="stopped by ada: smoke"):
+        await bench.runner.resume(bench.campaign.id, older)
+    assert bench.store.campaign(bench.campaign.id).state is CampaignState.PAUSING
+    await bench.runner.close()
+
+
+async def test_an_unattended_experiment_is_as_old_as_the_request_of_its_diagnosis(loop: Loop) -> None:  # noqa: F811
+    found = loop.done("reversal", sweeps=True)  # as one requested now
+    await loop.bench.machine.connect()
+    reason = await stop_and_release(loop.bench)
+    feed = EventFeed(loop.bench.store, loop.bench.database)
+    following = asyncio.create_task(loop.experiments.follow(feed, 0))  # it is heard only now that it is done
+    await until(lambda: not loop.diagnoses.diagnosis(found.id).unattended)
+    feed.close()
+    await following
+    ended = loop.diagnoses.diagnosis(found.id)
+    assert (ended.unattended, ended.experiment) == (False, None)
+    assert reason in ended.cause
+    assert energy(loop.bench) == []
+
+
+def test_only_the_present_epoch_is_good_and_a_release_begins_none() -> None:
+    epochs, others = Epochs(), Epochs()
+    first = Intention(epochs.now)
+    epochs.check(first)
+    with pytest.raises(Superseded, match="this service was started"):
+        others.check(first)
+    epochs.begin("stopped by ada: smoke")
+    epochs.begin("stopped by berta: fire")
+    second = Intention(epochs.now)
+    epochs.check(second)
+    assert epochs.since(first) == "stopped by ada: smoke"  # the first that came
+    with pytest.raises(Superseded, match="stopped by ada: smoke"):
+        epochs.check(first)
+    for forged in ("", "-", "1", f"{first.epoch}9", first.epoch.replace("-0", "-x"), first.epoch.replace("-0", "-²")):
+        assert epochs.since(Intention(forged)), forged
+
+
+def test_the_epoch_that_a_person_saw_counts_and_none_that_is_to_come() -> None:
+    epochs = Epochs()
+    seen = epochs.now
+    assert epochs.given(None) == epochs.given(seen) == seen
+    to_come = seen.removesuffix("0") + "1"
+    assert epochs.given(to_come) == ""
+    epochs.begin("stopped by ada: smoke")
+    assert epochs.now == to_come
+    assert epochs.given(seen) == seen
+    assert epochs.given("of another service") == ""
+    assert epochs.since(Intention(epochs.given(seen))) == "stopped by ada: smoke"
