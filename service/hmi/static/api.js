@@ -37,9 +37,12 @@ export function protocols() {
   return ["sweepid.live", ...(key ? [`sweepid.key.${key}`] : [])];
 }
 
+let epoch = null; // of the machine's state that the page got last: a command given before a stop is refused after it
+
 // patience: ms, for requests that a page repeats
 export async function call(method, path, body, headers = {}, patience = null) {
   headers = { ...authorization(), ...headers };
+  if (epoch && method !== "GET") headers["Sweepid-Epoch"] = epoch;
   if (body !== undefined) headers["Content-Type"] = "application/json";
   const signal = patience === null ? undefined : AbortSignal.timeout(patience);
   let answer, content;
@@ -50,6 +53,7 @@ export async function call(method, path, body, headers = {}, patience = null) {
     throw new Silent("error.silent", { why: foreign(error.message) });
   }
   if (!answer.ok) throw new (answer.status === 401 ? Unknown : Refused)({ type: content.type, detail: content.detail ?? answer.statusText });
+  epoch = content?.epoch ?? epoch;
   return { content, etag: answer.headers.get("ETag") };
 }
 
