@@ -9,12 +9,12 @@ from fastapi.routing import APIRoute
 from starlette.middleware.cors import CORSMiddleware
 
 from service.api import events, health, robots
-from service.api.arrival import EPOCH, Arrival
 from service.api.campaign import approvals, bundles, campaigns, pictures, plans, sweeps
 from service.api.declared.application import DeclaredApi
 from service.api.gate import BUNDLE_LIMIT, ROBOT_LIMIT, Gate
 from service.api.logged import Logged
 from service.api.machine import drives, live, stop
+from service.api.machine.arrival import EPOCH, Arrival
 from service.api.metrics import route as metrics
 from service.api.people import audit, login, me, oidc
 from service.api.people.access import Access

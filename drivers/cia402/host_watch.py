@@ -26,7 +26,7 @@ def _clock() -> float:
 
 
 class HostWatch:
-    """All methods may be called from any thread."""
+    """All methods but `keep` may be called from any thread."""
 
     def __init__(self, limit: float) -> None:
         """`limit`: time without a sign of life of the host after which the drives stop by themselves, s."""
@@ -34,17 +34,26 @@ class HostWatch:
         """Time between two signs of life, s."""
         self._limit = limit
         self._tell: Callable[[str], None] | None = None
+        self._beating: asyncio.Task[None] | None = None
         self._alive: float | None = None  # last sign of life; None before the first
         self._woke = float("-inf")
         self._reason = ""
         self._lock = threading.Lock()
 
-    async def attend(self) -> None:
-        """Gives the signs of life of the running event loop until cancelled."""
+    def keep(self, wanted: bool) -> None:
+        """On the event loop, which shows life from now on, at once and until it is not wanted any more."""
+        if wanted and self._beating is None:
+            self.alive()
+            self._beating = asyncio.create_task(self._beats(), name="host watch")
+        elif not wanted and self._beating is not None:
+            self._beating.cancel()
+            self._beating = None
+
+    async def _beats(self) -> None:
         try:
             while True:
-                self.alive()
                 await asyncio.sleep(self.beat)
+                self.alive()
         finally:
             with self._lock:
                 self._alive = None  # nobody shows life from now on: that is no gap

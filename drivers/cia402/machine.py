@@ -66,7 +66,6 @@ class Cia402Machine:
         self._reading = asyncio.Lock()  # one status at a time in the thread's queue: a stop must not wait for many
         self._last_run: Run | None = None
         self._watched = False  # by a caller, who is told
-        self._attending: asyncio.Task[None] | None = None
         self._looking: asyncio.Task[None] | None = None
 
     @property
@@ -97,7 +96,7 @@ class Cia402Machine:
         if self._link is not None:
             raise NotReady("already connected")
         self._link = link = await self._fieldbus.open()
-        self._attend()
+        self._fieldbus.watch.keep(True)
         self._looking = asyncio.create_task(look(link, self._reading, self._idle), name="look at the axes")
         return link.identities
 
@@ -131,7 +130,7 @@ class Cia402Machine:
                     self._looking.cancel()
                     await asyncio.gather(self._looking, return_exceptions=True)
                 await link.close()
-                self._attend()
+                self._fieldbus.watch.keep(self._watched)
             finally:
                 self._closing = None
 
@@ -143,20 +142,10 @@ class Cia402Machine:
     def watch(self, tell: Callable[[str], None] | None) -> None:
         self._watched = tell is not None
         self._fieldbus.watch.tell_to(tell)
-        self._attend()
+        self._fieldbus.watch.keep(self._watched or self._link is not None)
 
     def allow(self) -> None:
         self._fieldbus.watch.allow()
-
-    def _attend(self) -> None:
-        """The loop shows life while the machine is watched or connected."""
-        wanted = self._watched or self._link is not None
-        if wanted and self._attending is None:
-            self._fieldbus.watch.alive()  # from this moment, not from the first turn of the task
-            self._attending = asyncio.create_task(self._fieldbus.watch.attend(), name="host watch")
-        elif not wanted and self._attending is not None:
-            self._attending.cancel()
-            self._attending = None
 
     # -- state ---------------------------------------------------------------------------------------------------
 

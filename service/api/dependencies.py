@@ -7,7 +7,7 @@ from fastapi import Depends, Header, Path, Query, Request, Response
 from pydantic import BaseModel
 from starlette.requests import HTTPConnection
 
-from service.api.arrival import EPOCH, epoch_of
+from service.api.machine.arrival import EPOCH, epoch_of
 from service.api.people.audit_trail import audit_trail_of
 from service.application import Application
 from service.errors import BadInput

@@ -12,6 +12,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import DriveError
 from service.campaigns.state_machine import CampaignEvent, SweepEvent, campaign_move, sweep_move
+from service.campaigns.stop_criterion import confidence_reached
 from service.errors import Conflict, NotFound, SweepidError
 from service.execution.approvals import Approvals
 from service.execution.check_move import CheckMove
@@ -19,7 +20,6 @@ from service.execution.current_activity import CurrentActivity
 from service.execution.epoch import Intention
 from service.execution.machine import Machine
 from service.execution.sign_of_life import SignOfLife
-from service.execution.stop_criterion import confidence_reached
 from service.execution.sweep_executor import SweepExecutor, cause_of
 from service.jobs.jobs import Jobs
 from service.logs.about import MACHINE

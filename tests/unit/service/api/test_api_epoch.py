@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import httpx
 import pytest
 
-from service.api.arrival import EPOCH, Arrival
+from service.api.machine.arrival import EPOCH, Arrival
 from service.app import create_app
 from service.client import ServiceClient
 from service.settings import Settings

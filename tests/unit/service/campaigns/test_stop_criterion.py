@@ -1,6 +1,6 @@
 """When a campaign may end before its last sweep."""
 
-from service.execution.stop_criterion import confidence_reached
+from service.campaigns.stop_criterion import confidence_reached
 from service.results.estimate import BaseParameter, Estimate
 from tests.stored.documents import stored
 
