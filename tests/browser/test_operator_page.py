@@ -2,12 +2,13 @@
 
 import math
 
+import httpx
 from playwright.sync_api import Page, Route, expect
 
 from service.client import ServiceClient
 from tests.browser.browsing import load_again
 from tests.programs import needs
-from tests.system.rest_bench import Service, VirtualMachine, add_plan, until
+from tests.system.rest_bench import Service, VirtualMachine, add_plan, release, until
 
 pytestmark = needs("chromium")
 
@@ -32,6 +33,34 @@ def test_stop_and_release(machine: VirtualMachine, service: Service, page: Page)
         expect(page.locator("#held")).to_be_hidden()
         assert machine.stands()
         assert client.campaign(campaign)["state"] == "paused"
+
+
+def test_a_start_from_a_page_that_did_not_show_the_stop_is_refused(
+    machine: VirtualMachine, service: Service, page: Page
+) -> None:
+    with ServiceClient(service.url) as client:
+        campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=1))["id"])
+        start = page.get_by_role("button", name="Start")
+        expect(start).to_be_enabled()
+        before = {
+            name: httpx.get(f"{service.url}/api/v1/{name}", trust_env=False).json() for name in ("stop", "drives")
+        }
+        # what the page shows stays as it is
+        page.route("**/api/v1/stop", lambda route: route.fulfill(json=before["stop"]))
+        page.route("**/api/v1/drives", lambda route: route.fulfill(json=before["drives"]))
+        httpx.post(f"{service.url}/api/v1/stop", params={"by": "Ada", "why": "smoke"}, trust_env=False)
+        release(client)
+        start.click()
+        expect(page.locator("#error")).to_contain_text(
+            "stopped by Ada: smoke. Check the machine, then give the command"
+        )
+        assert machine.stands()
+        assert client.campaign(campaign)["state"] == "planned"
+        page.unroute_all(behavior="wait")
+        load_again(page)
+        start.click()
+        until(lambda: not machine.stands(), "an axis with energy")
+        client.abort(campaign, "enough seen")
 
 
 def test_a_fault_is_shown_and_acknowledged_by_a_person(machine: VirtualMachine, page: Page) -> None:

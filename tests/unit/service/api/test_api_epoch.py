@@ -51,6 +51,14 @@ def test_a_stop_begins_an_epoch_and_its_release_none(http: httpx.Client) -> None
 
 
 @pytest.mark.usefixtures("released")
+def test_the_events_of_a_stop_have_the_present_epoch(http: httpx.Client, url: str) -> None:
+    http.post("/stop", params={"by": "berta"})
+    with ServiceClient(url) as client:
+        stops = (event for event in client.events() if event["kind"] == "stop" and event["data"]["by"] == "berta")
+        assert next(stops)["data"]["epoch"] == epoch(http)
+
+
+@pytest.mark.usefixtures("released")
 def test_what_a_person_wanted_who_did_not_see_the_stop_is_refused(http: httpx.Client, campaign: int) -> None:
     seen = {EPOCH: epoch(http)}
     http.post("/stop", params={"by": "anna", "why": "smoke"})
