@@ -131,7 +131,10 @@ class AxisIdentity:
 
 @dataclass(frozen=True, slots=True)
 class AxisStatus:
-    """One reading of an axis. Position rad (m), velocity rad/s (m/s), effort N m (N)."""
+    """One reading of an axis. Position rad (m), velocity rad/s (m/s), effort N m (N).
+
+    `stands` and `energised` are what the drive reports; an adapter that does not tell them reports no standstill.
+    """
 
     joint: str
     state: AxisState
@@ -139,6 +142,8 @@ class AxisStatus:
     velocity: float
     effort: float
     fault: "Fault | None"
+    stands: bool = False  # its velocity is at most the standstill velocity of the profile
+    energised: bool = True  # False only if the drive reports a state without energy
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +258,7 @@ class SampleBlock:
 class StopSender(Protocol):
     """An independent connection to the same bus that can only stop. Needs no port, no answer and no event loop.
 
-    Blocking. For one thread at a time, except `send` and `insist`, which may be called from any thread.
+    Blocking. For one thread at a time, except `send`, `confirm` and `insist`, which may be called from any thread.
     """
 
     def open(self) -> None:
@@ -269,6 +274,12 @@ class StopSender(Protocol):
 
         Raises CommunicationLost or ConnectionFailed if nothing could be sent. The service may continue to use its
         drives.
+        """
+        ...
+
+    def confirm(self, within: float) -> Mapping[str, str]:
+        """After `send`: wait until every axis reports standstill without energy, at most `within` s. By joint, why that
+        is not confirmed ("": it reports it). Sends nothing that moves or energises. From any thread.
         """
         ...
 

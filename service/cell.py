@@ -8,6 +8,7 @@ from service.diagnosis_loop.experiments import Experiments
 from service.execution.approvals import Approvals
 from service.execution.machine import Machine
 from service.execution.runner import Runner
+from service.execution.statement import Condition
 from service.execution.sweep_executor import SweepExecutor
 from service.jobs.batches import Batches
 from service.jobs.checking import Checking
@@ -41,14 +42,21 @@ class Cell:
     publisher: Publisher | None  # None: neither OPC UA nor MQTT
     stop_process: StopProcess | None
 
+    def _unknown(self) -> str:
+        statement = self.machine.statement
+        unknown = self.machine.connected and statement.state is Condition.UNKNOWN
+        return f"the state of the machine is unknown: {statement.reason}" if unknown else ""
+
     async def troubles(self, files: RecordingFiles, least_free_disk: int) -> tuple[str, ...]:
         """Reasons why no measurement or identification is possible now; "" for each part that works."""
         process = self.stop_process
+        await self.machine.ask()
         return (
             self.lost,
             "" if self.machine.connected else f"machine not connected: {self.machine.trouble or 'not tried yet'}",
+            self._unknown(),
             self.machine.forbidden,
-            process.trouble if process is not None and process.ended else "",
+            "" if process is None else process.failed,
             await asyncio.to_thread(files.disk_trouble, least_free_disk),
             self.runner.unstored,
             *self.jobs.troubles,

@@ -2,13 +2,15 @@
 
 Our own frames are not seen here: python-can and socketcand gateways do not return them. A stop is not reported,
 whoever sends it, especially the stop process, which sends nothing else (`frames.stop`): quick stop by RPDO, the SYNC
-after it, NMT stop.
+after it, NMT stop, and SDO requests that read, by which it confirms the stop (`heard_state`).
 """
 
 from collections.abc import Iterable
 
 from drivers.canopen import frames
+from drivers.canopen.heard_state import UPLOAD
 
+READINGS = 128  # SDO uploads after a stop that belong to it
 _EVERY_NODE = 0  # in an NMT command
 _SAID = {
     frames.RPDO1: "RPDO1 to",
@@ -27,6 +29,7 @@ class ForeignFrames:
         self._nodes, self._host_node = frozenset(nodes), host_node
         self._quick_stops = frozenset(wires.stop_frame(node) for node in self._nodes)
         self._stopping = False  # a quick stop was received and its SYNC was not
+        self._readings = 0  # remaining ones of the last stop
 
     def word(self, identifier: int, data: bytes) -> str:
         """Description of a frame from another host, with the COB-ID; "" if it does not address our drives, or is a
@@ -47,7 +50,10 @@ class ForeignFrames:
         if node not in self._nodes or function not in _SAID:
             return ""
         if (identifier, bytes(data)) in self._quick_stops:
-            self._stopping = True
+            self._stopping, self._readings = True, READINGS
+            return ""
+        if function == frames.SDO_REQUEST and data[:1] == bytes([UPLOAD]) and self._readings:
+            self._readings -= 1
             return ""
         return f"{_SAID[function]} node {node}"
 

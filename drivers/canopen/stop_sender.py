@@ -1,7 +1,8 @@
 """The stop of CANopen drives from a separate process: a second socketcand client or SocketCAN socket, without a
 library.
 
-It sends no heartbeat and no request, so that neither the drives nor the service detect it as a host.
+It sends no heartbeat, so that neither the drives nor the service detect it as a host. How it hears that an axis stands:
+`heard_state`.
 """
 
 import re
@@ -10,15 +11,21 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 
 from drivers.canopen import frames
+from drivers.canopen.heard_state import HeardState
 from drivers.canopen.profile import BusProfile, CanopenProfile
 from drivers.errors import CommunicationLost, ConnectionFailed, NotReady
 
 OPEN_TIMEOUT = 1.0  # s, of one step of opening
-_SOCKETCAND_FRAME = re.compile(rb"< (frame|error) ([0-9A-Fa-f]+) [^<>]*>")
+SEND_TIMEOUT = 0.2  # s; a gateway that takes no more frames is lost
+AGAIN = 0.05  # s until the stop is sent again: its SYNC makes nodes in NMT operational report their state
+ALONE = 0.3  # s without a question of the service to a node, after which the node is asked from here
+ANSWER = 0.05  # s for the answers of nodes that are asked before they are made deaf
+_POLL = 0.005  # s
+_SOCKETCAND_FRAME = re.compile(rb"< (frame|error) ([0-9A-Fa-f]+) [^ <>]+(?: ([0-9A-Fa-f ]*))?>")
 _CAN_FRAME = struct.Struct("=IB3x8s")  # linux/can.h
 _CAN_RAW_ERR_FILTER = 2  # linux/can/raw.h; the socket module lacks this constant
 _ERROR_FLAG, _ERROR_MASK = 0x20000000, 0x1FFFFFFF
@@ -35,7 +42,12 @@ class CanopenStopSender:
         self._bus = bus
         self._wires = profile.device_map.wires
         self._joints = {axis.node: axis.joint for axis in profile.axes}
+        self._states = {axis.node: HeardState(axis, profile.device_map) for axis in profile.axes}
         self._heard: dict[int, float] = {}
+        self._sent = float("inf")  # on the monotonic clock: time of the last stop
+        self._alone = False  # no service has taken the last stop over
+        self._confirming = 0  # number of threads in `confirm`
+        self._receiving = threading.Lock()
         self._off = False  # bus-off was reported and no node was heard since
         self._rest = b""  # of an incomplete line
         self._socket: socket.socket | None = None
@@ -45,30 +57,60 @@ class CanopenStopSender:
         self.close()
         place = f"bus {self._bus.interface} {self._bus.channel}"
         try:
-            self._socket = _socketcand(self._bus) if self._bus.interface == "socketcand" else _socketcan(self._bus)
+            socketcand = self._bus.interface == "socketcand"
+            self._socket = _socketcand(self._bus) if socketcand else _socketcan(self._bus, self._wires)
         except OSError as error:
             raise ConnectionFailed(f"{place} could not be opened for the stop: {error}") from None
         self._rest, self._off = b"", False
         self._heard.clear()
 
     def listen(self, within: float) -> None:
-        bus = self._open()
-        try:
-            if select.select([bus], [], [], within)[0]:
-                data = bus.recv(65536)
-                if not data:
-                    raise OSError("closed by the gateway")
-                self._take(data)
-        except (OSError, ValueError) as error:  # ValueError: closed by another thread
-            raise CommunicationLost(f"bus {self._bus.channel}: {error}") from None
+        with self._receiving:
+            self._receive(within)
 
     def send(self) -> Mapping[str, str]:
-        self._send(deaf=False)
+        self._alone, now = False, time.monotonic()
+        self._send()
+        self._sent = now
         return {joint: self._doubt(node) for node, joint in self._joints.items()}
 
+    def confirm(self, within: float) -> Mapping[str, str]:
+        """Nodes in NMT operational report their state at the SYNC of the stop, which is repeated. The others are heard
+        when they answer the stop sequence of the service; a node that the service does not ask is asked from here.
+        """
+        deadline, since = time.monotonic() + within, self._sent
+        again = time.monotonic() + AGAIN
+        self._confirming += 1
+        try:
+            while any((doubts := self._unconfirmed(since)).values()) and (now := time.monotonic()) < deadline:
+                if now >= again:
+                    again = now + AGAIN
+                    self._send()
+                self._ask(since)
+                if self._receiving.acquire(timeout=_POLL):  # otherwise `listen` receives
+                    try:
+                        self._receive(_POLL)
+                    finally:
+                        self._receiving.release()
+        except CommunicationLost as error:
+            return dict.fromkeys(self._joints.values(), str(error))
+        finally:
+            self._confirming -= 1
+        return doubts
+
     def insist(self) -> None:
-        """As `send`, with NMT stop: the drives then accept neither process data nor SDO."""
-        self._send(deaf=True)
+        """As `send`, with NMT stop: the drives then accept neither process data nor SDO. Nodes that accept no process
+        data already get it only after they had time to answer `confirm`.
+        """
+        self._alone = True
+        listening = [node for node, state in self._states.items() if state.pre_operational]
+        self._send(deaf=[node for node in self._joints if node not in listening])
+        until = time.monotonic() + ANSWER
+        while self._confirming and time.monotonic() < until:
+            if not any(self._states[node].doubt(self._sent) for node in listening):
+                break
+            time.sleep(_POLL)
+        self._send(deaf=self._joints)
 
     def close(self) -> None:
         bus, self._socket = self._socket, None
@@ -82,14 +124,39 @@ class CanopenStopSender:
             raise CommunicationLost(f"bus {self._bus.channel}: not open")
         return self._socket
 
-    def _send(self, *, deaf: bool) -> None:
-        deaf_ones = self._joints if deaf else ()
-        packed = [self._packed(*frame) for frame in frames.stop(self._joints, deaf_ones, wires=self._wires)]
+    def _receive(self, within: float) -> None:
+        bus = self._open()
+        try:
+            if select.select([bus], [], [], within)[0]:
+                data = bus.recv(65536)
+                if not data:
+                    raise OSError("closed by the gateway")
+                self._take(data)
+        except (OSError, ValueError) as error:  # ValueError: closed by another thread
+            raise CommunicationLost(f"bus {self._bus.channel}: {error}") from None
+
+    def _unconfirmed(self, since: float) -> dict[str, str]:
+        return {joint: self._doubt(node) or self._states[node].doubt(since) for node, joint in self._joints.items()}
+
+    def _ask(self, since: float) -> None:
+        """Ask nodes that the service has not asked for a while."""
+        now = time.monotonic()
+        for node, state in self._states.items():
+            quiet = now - max(state.asked_by_service, since)
+            if (self._alone or quiet > ALONE) and state.doubt(since) and (request := state.question(since, now)):
+                self._transmit([(frames.SDO_REQUEST + node, request)])
+
+    def _send(self, *, deaf: Iterable[int] = ()) -> None:
+        self._transmit(frames.stop(self._joints, deaf, wires=self._wires))
+
+    def _transmit(self, wanted: Iterable[tuple[int, bytes]]) -> None:
+        packed = b"".join(self._packed(*frame) for frame in wanted)
+        size = _CAN_FRAME.size if self._bus.interface == "socketcan" else len(packed)
         with self._sending:
             bus = self._open()
             try:
-                for each in packed:
-                    bus.sendall(each)
+                for start in range(0, len(packed), size):
+                    bus.sendall(packed[start : start + size])
             except OSError as error:
                 raise CommunicationLost(f"bus {self._bus.channel}: sending failed: {error}") from None
 
@@ -107,25 +174,33 @@ class CanopenStopSender:
 
     def _take(self, data: bytes) -> None:
         if self._bus.interface == "socketcan":
-            (word,) = struct.unpack_from("=I", data)
-            self._note(word & _ERROR_MASK, error=bool(word & _ERROR_FLAG))
+            word, length, content = _CAN_FRAME.unpack(data[: _CAN_FRAME.size])
+            self._note(word & _ERROR_MASK, content[:length], error=bool(word & _ERROR_FLAG))
             return
         data = self._rest + data
-        for kind, identifier in _SOCKETCAND_FRAME.findall(data):
+        for kind, identifier, content in _SOCKETCAND_FRAME.findall(data):
             if kind == b"error" or len(identifier) <= 3:  # no 29 bits
-                self._note(int(identifier, 16), error=kind == b"error")
+                with suppress(ValueError):  # an odd number of digits
+                    self._note(int(identifier, 16), bytes.fromhex(content.decode()), error=kind == b"error")
         self._rest = data[data.rfind(b"<") :][-256:] if data.rfind(b">") < data.rfind(b"<") else b""
 
-    def _note(self, identifier: int, *, error: bool) -> None:
+    def _note(self, identifier: int, data: bytes, *, error: bool) -> None:
         if error:
             self._off = self._off or bool(identifier & frames.ERROR_BUS_OFF)
             return
-        node = identifier & 0x7F
-        if (
-            identifier & ~0x7F in (frames.HEARTBEAT, frames.tpdo_id(self._wires.state), frames.SDO_RESPONSE)
-            and node in self._joints
-        ):
-            self._heard[node] = time.monotonic()
+        now, function, node = time.monotonic(), identifier & ~0x7F, identifier & 0x7F
+        state = self._states.get(node)
+        if state is None:
+            return
+        if function == frames.SDO_REQUEST:  # of the service: we do not receive what we send
+            state.requested(data, now)
+            return
+        if function == frames.SDO_RESPONSE:
+            state.answered(data, now)
+        elif (event := frames.decode(identifier, data, wires=self._wires)) is not None:
+            state.note(event, now)
+        if function in (frames.HEARTBEAT, frames.tpdo_id(self._wires.state), frames.SDO_RESPONSE):
+            self._heard[node] = now
             self._off = False
 
 
@@ -144,22 +219,24 @@ def _socketcand(profile: BusProfile) -> socket.socket:
                 got += more
             if not got.startswith(answer.encode()):
                 raise OSError(f"the gateway answered {got[:80]!r}")
+        client.settimeout(SEND_TIMEOUT)
     except BaseException:
         client.close()
         raise
     return client
 
 
-def _socketcan(profile: BusProfile) -> socket.socket:
-    """A raw socket that receives heartbeats and error frames of the controller. Raises OSError."""
+def _socketcan(profile: BusProfile, wires: frames.Wires) -> socket.socket:
+    """A raw socket that receives what nodes report, and error frames of the controller. Raises OSError."""
     if not hasattr(socket, "AF_CAN"):
         raise OSError("this computer has no SocketCAN")
     bus = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     try:
-        heartbeats = struct.pack("=II", frames.HEARTBEAT, 0x780)
-        bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, heartbeats)
+        heard = (frames.HEARTBEAT, frames.tpdo_id(wires.state), frames.SDO_REQUEST, frames.SDO_RESPONSE)
+        filters = b"".join(struct.pack("=II", function, 0x780) for function in heard)
+        bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
         bus.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, frames.ERROR_BUS_OFF)
-        bus.settimeout(OPEN_TIMEOUT)
+        bus.settimeout(SEND_TIMEOUT)
         bus.bind((profile.channel,))
     except BaseException:
         with suppress(OSError):

@@ -91,7 +91,9 @@ class Axis:
         except CommunicationLost:
             return AxisStatus(self.profile.joint, AxisState.UNKNOWN, math.nan, math.nan, math.nan, self.fault)
         state = AxisState.FAULT if self.fault else states.operator_view(reading.state)
-        return AxisStatus(self.profile.joint, state, reading.position, reading.velocity, reading.effort, self.fault)
+        moving = (reading.position, reading.velocity, reading.effort)
+        energised = reading.state not in states.WITHOUT_ENERGY
+        return AxisStatus(self.profile.joint, state, *moving, self.fault, self.stands(reading), energised)
 
     def latch_fault(self, state: State) -> Fault | None:
         """Store a fault that the drive reports until it is acknowledged here, even if the drive clears it."""

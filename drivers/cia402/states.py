@@ -67,6 +67,7 @@ STEPS: dict[tuple[State, Wish], int] = {
 }
 
 ENERGISED = frozenset({State.SWITCHED_ON, State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION})
+WITHOUT_ENERGY = frozenset(State) - ENERGISED - {State.UNKNOWN}
 
 _OPERATOR_VIEW = {
     State.NOT_READY: AxisState.DISABLED,

@@ -37,6 +37,7 @@ async def _stop_sequence(thread: DriveThread, axis: Axis) -> None:
         logger.error("stop sequence, next stage: %s", error)
         await _quick_stop(thread, axis)
     await thread.run(axis.disable)
+    await _confirm_rest(thread, axis)
 
 
 async def _quick_stop(thread: DriveThread, axis: Axis) -> None:
@@ -59,6 +60,22 @@ async def _come_to_rest(thread: DriveThread, axis: Axis) -> None:
             await _stands(thread, axis, profile.velocity_limit / profile.quick_stop_deceleration + MARGIN)
     elif reading.state in states.ENERGISED:
         await thread.run(axis.slow_down)  # a sweep's first instants look like standstill
+
+
+async def _confirm_rest(thread: DriveThread, axis: Axis) -> None:
+    """WrongConfiguration if the axis still turns without energy, e.g. under its weight or with an open brake."""
+    profile = axis.profile
+    deadline = time.monotonic() + profile.velocity_limit / profile.quick_stop_deceleration + MARGIN
+    while True:
+        reading = await thread.run(axis.read)
+        if axis.stands(reading) and reading.state in states.WITHOUT_ENERGY:
+            return
+        if time.monotonic() > deadline:
+            raise WrongConfiguration(
+                f"{axis.place}: is '{reading.state.value}' and turns at {reading.velocity:.4g} {profile.unit}/s, "
+                f"standstill is at most {profile.standstill_velocity:.4g} {profile.unit}/s"
+            )
+        await asyncio.sleep(POLL)
 
 
 async def _stands(thread: DriveThread, axis: Axis, within: float) -> bool:

@@ -84,6 +84,7 @@ class Problem(BaseModel):
     detail: str
     instance: str
     errors: tuple[FieldProblem, ...] = ()
+    sent: tuple[str, ...] | None = None  # for a stop: the axes to which it was sent
     confirmed: tuple[str, ...] | None = None  # for a stop: the axes at standstill
     unconfirmed: dict[str, str] | None = None  # for a stop: the reason for each axis without confirmation
 

@@ -8,14 +8,9 @@ import asyncio
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 
-import structlog
-
-from drivers.errors import DriveError
 from service.execution.machine import Hold, Machine
 from service.stop_process.handle import StopProcess
 from service.tasks.background import Background
-
-_log = structlog.get_logger(__name__)
 
 WATCH = "host watch"  # source of a stop that is not from a person
 
@@ -26,14 +21,15 @@ async def listening(
 ) -> AsyncGenerator[None]:
     """Receive from the stop process during the block, and handle the stops from before it.
 
-    `report` is called with source, reason and address of each stop after the machine is held; it does not wait.
+    `report` is called with source, reason and address of each new stop after the machine is held; it does not wait.
     """
     async with _holding(machine) as hold:
 
         def word(by: str, why: str, press: str, address: str) -> None:
-            hold(by, why, press)
+            taken = hold(by, why, press, f"{address} {by}")
             process.taken_over()
-            report(by, why, address)
+            if not taken.repeated:
+                report(by, why, address)
 
         process.attach(word)
         try:
@@ -50,7 +46,7 @@ async def watching(machine: Machine, report: Callable[[str, str], None]) -> Asyn
     async with _holding(machine) as hold:
 
         def found(why: str) -> None:
-            hold(WATCH, f"{why}; check the machine, release this stop and resume", "")
+            hold(WATCH, f"{why}; check the machine, release this stop and resume", "", "")
             report(WATCH, why)
 
         machine.watch(found)
@@ -61,26 +57,20 @@ async def watching(machine: Machine, report: Callable[[str, str], None]) -> Asyn
 
 
 @asynccontextmanager
-async def _holding(machine: Machine) -> AsyncGenerator[Callable[[str, str, str], None]]:
-    """A function that holds the machine, with source, reason and press; may be called from any thread."""
+async def _holding(machine: Machine) -> AsyncGenerator[Callable[[str, str, str, str], Hold]]:
+    """A function that holds the machine (arguments of `Machine.seize`); may be called from any thread."""
     loop, confirming = asyncio.get_running_loop(), Background()
 
     def follow(hold: Hold) -> None:
-        confirming.begin("confirm a stop", _confirm(machine, hold))
+        confirming.begin("confirm a stop", machine.confirm_logged(hold))
 
-    def hold_at_once(by: str, why: str, press: str) -> None:
-        loop.call_soon_threadsafe(follow, machine.seize(by, why, press))
+    def hold_at_once(by: str, why: str, press: str, source: str) -> Hold:
+        hold = machine.seize(by, why, press, source)
+        loop.call_soon_threadsafe(follow, hold)
+        return hold
 
     try:
         yield hold_at_once
     finally:
         await asyncio.sleep(0)  # run the pending callbacks
         await confirming.settle()
-
-
-async def _confirm(machine: Machine, hold: Hold) -> None:
-    """Errors are reported to the service's own stop request, if there is one; here they are logged."""
-    try:
-        await machine.confirm(hold)
-    except DriveError as error:
-        _log.error("stop_not_confirmed", by=hold.document.by, reason=str(error))

@@ -3,6 +3,8 @@
 import asyncio
 import itertools
 import secrets
+import threading
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -26,6 +28,8 @@ Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 AGAIN = 1.0  # s until storing a stop is tried again
+MERGED = 2.0  # s after a stop in which a repetition from the same source is the same stop
+MOST = 100  # stops in force, after which another one repeats the newest of them
 _MOST_NAMES = 1000
 _NAMES = 2**30
 
@@ -36,6 +40,9 @@ class Hold:
 
     document: StopDocument
     press: str  # id of a button press that is received by two ways
+    source: str = ""
+    last: float = 0.0  # time of its last repetition, s on the monotonic clock
+    repeated: bool = False
     under_way: int = 0  # number of callers that wait for confirmation by the drives
 
 
@@ -49,6 +56,7 @@ class LatchedStops:
         # not from -1: an id of the previous run of the service must not match a new stop
         self._names = itertools.count(-1 - secrets.randbelow(_NAMES), -1)
         self._ids: dict[int, int] = {}  # by the negative id reported first; newest last
+        self._taking = threading.Lock()
         self._writing = asyncio.Lock()  # store and memory change in the same order
         self._noting: asyncio.Task[None] | None = None
         self._ending = asyncio.Event()
@@ -58,18 +66,30 @@ class LatchedStops:
         """Documents of every stop that holds the machine, oldest first."""
         return tuple(hold.document for hold in tuple(self._holds))
 
-    def take(self, by: str, why: str, press: str) -> Hold:
-        """A new stop, or the existing one of the same press. It is displayed and stored: keys are masked."""
-        hold = next((each for each in tuple(self._holds) if press and each.press == press), None)
-        if hold is None:
-            at = datetime.now(UTC)
-            document = StopDocument(
-                id=next(self._names), by=masked(by), why=masked(why), at=at, reset_by=None, reset_at=None
-            )
-            hold = Hold(document, press)
-            self._holds.append(hold)
-        hold.under_way += 1
-        return hold
+    def take(self, by: str, why: str, press: str, source: str = "") -> Hold:
+        """A new stop, or the existing one of the same press, or of the same `source` a moment ago ("": of none).
+
+        It is displayed and stored: keys are masked.
+        """
+        now = time.monotonic()
+        with self._taking:
+            holds = tuple(self._holds)
+            hold = next((each for each in holds if press and each.press == press), None)
+            hold = hold or next((each for each in holds if source == each.source and now - each.last < MERGED), None)
+            if hold is None and len(holds) >= MOST:
+                hold = holds[-1]
+            if hold is None:
+                at = datetime.now(UTC)
+                document = StopDocument(
+                    id=next(self._names), by=masked(by), why=masked(why), at=at, reset_by=None, reset_at=None
+                )
+                hold = Hold(document, press, source or str(document.id))
+                self._holds.append(hold)
+            else:
+                hold.repeated = True
+            hold.last = now
+            hold.under_way += 1
+            return hold
 
     def note(self) -> None:
         """Store pending stops in the database in the background; does not wait."""

@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator, Callable, Generator, Mapping, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager, suppress
 from functools import partial
 
@@ -26,14 +26,20 @@ from service.errors import Conflict
 from service.execution.epoch import Epochs, Intention
 from service.execution.latched_stops import Hold, LatchedStops, apart
 from service.execution.motion import Bounds, Motion
+from service.execution.statement import Condition, Reports, Statement
+from service.execution.stop_sequences import StopSequences
 from service.store.database import refusal
 from service.store.documents import StopDocument
 from service.store.guards import LeaseLost, MachineLease, StopLatch
+from service.tasks.background import Background
 from service.tasks.run_to_end import run_to_end
 
 _log = structlog.get_logger(__name__)
 
 RECENT = 0.25  # s
+ASKING = 0.5  # s that a statement waits for the answers of the drives
+CONFIRMED_WITHIN = 1.0  # s that a stop waits for its confirmation
+HALTED = 0.02  # s after a stop in which its repetition sends nothing: a flood must not fill the bus
 
 
 class Machine:
@@ -62,6 +68,11 @@ class Machine:
         self._intention: Intention | None = None  # of the present or last user
         self._identities: tuple[AxisIdentity, ...] = ()
         self._trouble = "not connected yet"
+        self._reports = Reports(port.joints)
+        self._sequences = StopSequences(port)
+        self._halted = float("-inf")  # time of the last stop that was sent, s on the monotonic clock
+        self._background = Background()
+        self._refreshing: asyncio.Event | None = None  # set when the drives have answered
         self._connecting = asyncio.Lock()
         self._asking = asyncio.Lock()
         self._recent: tuple[float, Mapping[str, AxisStatus]] | None = None
@@ -128,14 +139,15 @@ class Machine:
             self._check_unused("connect")
             if self._lease_over:
                 raise Conflict(f"connect: {self._lease_trouble}")
-            self._trouble = "connecting"
+            self.lost("connecting")
             try:
                 await self._port.close()
                 self._identities = await self._port.connect()
             except DriveError as error:
-                self._trouble = str(error)
+                self.lost(str(error))
                 raise
             self._trouble, self._recent = "", None
+            self._reports.connected()
             return self._identities
 
     async def reach(self) -> None:
@@ -152,15 +164,55 @@ class Machine:
     def lost(self, why: str) -> None:
         """The connection was lost; no motion until a person connects again."""
         self._trouble, self._recent = why, None
+        self._reports.lost(f"not connected: {why}")
+
+    @property
+    def statement(self) -> Statement:
+        """What is known of the state of the machine now; asks no drive. From any thread."""
+        return self._reports.statement
+
+    @property
+    def answers(self) -> bool:
+        """Whether it is connected and every drive answers."""
+        return not self.silence
+
+    @property
+    def silence(self) -> str:
+        """Why it is not connected or a drive does not answer; "" if all answer."""
+        statement = self.statement
+        return self._trouble or (statement.reason if statement.state is Condition.UNKNOWN else "")
+
+    async def ask(self) -> Statement:
+        """The statement after the drives were asked; they are read once for any number of callers, within `ASKING` s.
+
+        Never raises.
+        """
+        if self.connected:
+            if self._refreshing is None:
+                self._refreshing = asyncio.Event()
+                self._background.begin("ask the drives", self._refresh(self._refreshing))
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._refreshing.wait(), ASKING)
+        return self.statement
+
+    async def _refresh(self, done: asyncio.Event) -> None:
+        try:
+            with suppress(DriveError, Conflict):  # the statement tells it
+                await self.recent_status()
+        finally:
+            self._refreshing = None
+            done.set()
 
     async def status(self) -> Mapping[str, AxisStatus]:
         """The state of every axis. Raises Conflict while not connected."""
         self._check_connected()
+        asked = time.monotonic()
         try:
             status = await self._port.status()
         except CommunicationLost as error:
             self.lost(str(error))
             raise
+        self._reports.note(status, asked)
         if self._user is None and all(axis.state is AxisState.UNKNOWN for axis in status.values()):
             self.lost("no drive answers")
         return status
@@ -185,27 +237,42 @@ class Machine:
         await self._port.acknowledge(joint)
         self._recent = None
 
-    async def stop(self, by: str, why: str, press: str = "") -> StopDocument:
+    async def stop(
+        self, by: str, why: str, press: str = "", source: str = "", within: float = CONFIRMED_WITHIN
+    ) -> StopDocument:
         """Stop every axis first, then latch: no motion until a person releases it. May be called at any time.
 
-        StopNotConfirmed names the axes that did not confirm standstill; the machine is latched in any case. The
-        database stores it meanwhile or later (`noted`); a stop that is not stored does not survive a restart.
+        StopNotConfirmed after at most `within` s names the axes that did not confirm standstill; the stop sequence goes
+        on, and its outcome is logged. The machine is latched in any case. The database stores it meanwhile or later
+        (`noted`); a stop that is not stored does not survive a restart.
         """
         self._order_stop()
-        return await self.confirm(self.seize(by, why, press))
+        hold = self.seize(by, why, press, source)
+        confirming = asyncio.create_task(self.confirm(hold), name="confirm a stop")
+        await asyncio.wait([confirming], timeout=within)
+        if confirming.done():
+            return confirming.result()
+        self._background.begin("confirm a stop", self._logged(hold, confirming))
+        raise StopNotConfirmed((), dict.fromkeys(self.joints, f"did not confirm it within {within:g} s"))
 
-    def seize(self, by: str, why: str, press: str = "") -> Hold:
-        """Block motion and send the stop to every axis; `confirm` must follow. From any thread."""
-        hold = self._holds.take(by, why, press)  # before the stop is sent: a motion about to start finds it
+    def seize(self, by: str, why: str, press: str = "", source: str = "") -> Hold:
+        """Block motion and send the stop to every axis; `confirm` must follow. From any thread.
+
+        A repetition by the same press, or from the same `source` a moment ago, is the same stop.
+        """
+        hold = self._holds.take(by, why, press, source)  # before it is sent: a motion about to start finds it
         self.epochs.begin(_stopped(hold.document))
-        self._port.halt()
+        now = time.monotonic()
+        if not hold.repeated or now - self._halted > HALTED:
+            self._port.halt()
+            self._halted = now
         return hold
 
     async def confirm(self, hold: Hold) -> StopDocument:
         """Run the stop sequence to confirmed standstill, while the database stores the stop. Errors as `stop`."""
         self._holds.note()
         try:
-            confirmed = await self._port.stop()
+            confirmed = await self._sequences.confirmed()
         finally:
             hold.under_way -= 1
             self._recent = None
@@ -215,6 +282,16 @@ class Machine:
         if left:
             raise StopNotConfirmed(confirmed, left)
         return hold.document
+
+    async def confirm_logged(self, hold: Hold) -> None:
+        """As `confirm`, for a stop whose caller does not wait: its errors are logged."""
+        await self._logged(hold, self.confirm(hold))
+
+    async def _logged(self, hold: Hold, confirming: Awaitable[StopDocument]) -> None:
+        try:
+            await confirming
+        except DriveError as error:
+            _log.error("stop_not_confirmed", by=hold.document.by, reason=str(error))
 
     def end(self, why: str) -> None:
         """The service ends: every axis is stopped, and motion is blocked. A second call reports nothing."""
@@ -246,6 +323,8 @@ class Machine:
 
     async def close(self) -> None:
         """End of the service: entries that the database refuses now are lost."""
+        await self._sequences.close()
+        await self._background.settle()
         await self._holds.close()
 
     @property
@@ -289,7 +368,8 @@ class Machine:
         """The gate to motion, only for the present user, during the block (see `motion`)."""
         if self._user is None:
             raise Conflict("the machine is not reserved by a campaign: it may not be moved")
-        motion = Motion(self._port, envelope, partial(self.check_may_move, intention), self.lost)
+        permitted = partial(self.check_may_move, intention)
+        motion = Motion(self._port, envelope, permitted, self.lost, self._reports)
         try:
             yield motion
         except BaseException as error:
@@ -297,6 +377,8 @@ class Machine:
             raise
         else:
             await motion.end(None)
+        finally:
+            self._reports.gave_energy_up(self.joints)
 
     async def keep_lease(self, lease: MachineLease, lease_time: float) -> None:
         """Renew the lease until another service has it. While it cannot be renewed (database blocked), the machine

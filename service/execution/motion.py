@@ -15,6 +15,7 @@ from typing import Protocol
 from drivers.errors import CommunicationLost, DriveError
 from drivers.ports import DrivePort, NoiseCommand, SampleBlock, SweepCommand
 from service.errors import Conflict
+from service.execution.statement import Reports
 
 Command = SweepCommand | NoiseCommand
 Go = Callable[[float], Coroutine[object, object, None]]
@@ -39,9 +40,15 @@ class Motion:
     """
 
     def __init__(
-        self, port: DrivePort, envelope: Bounds, check: Callable[[], None], lost: Callable[[str], None]
+        self,
+        port: DrivePort,
+        envelope: Bounds,
+        check: Callable[[], None],
+        lost: Callable[[str], None],
+        reports: Reports,
     ) -> None:
         self._port, self._envelope, self._check, self._lost = port, envelope, check, lost
+        self._reports = reports
         self._open = True
 
     @asynccontextmanager
@@ -105,11 +112,13 @@ class Motion:
     async def _energised(self, *joints: str) -> AsyncGenerator[None]:
         """After an error `end` disables the axes, with the stop sequence."""
         self._may_move()
+        self._reports.gets_energy(joints)
         await self._port.enable(*joints)
         self._may_move()  # a stop may have come while the drives were being enabled
         yield
         for joint in joints:
             await self._port.disable(joint)
+        self._reports.gave_energy_up(joints)
 
     def _blocks(self, commands: Sequence[Command]) -> AsyncGenerator[SampleBlock, None]:
         (first, *_) = commands

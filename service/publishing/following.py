@@ -37,7 +37,7 @@ _OF_CAMPAIGNS = (EventKind.CAMPAIGN, EventKind.SWEEP, EventKind.CHECK_MOVE, Even
 
 
 class Following:
-    """One machine; only the store is queried, not the drives."""
+    """One machine; the drives are asked at each look (`Machine.ask`)."""
 
     def __init__(self, store: Store, machine: Machine, runner: Runner, name: str, publisher: Publisher) -> None:
         self._store, self._machine, self._runner = store, machine, runner
@@ -50,6 +50,7 @@ class Following:
     async def look(self) -> None:
         """Publish changes, until cancelled."""
         while True:
+            await self._machine.ask()
             self._tell()
             await asyncio.sleep(LOOK)
 
@@ -135,11 +136,12 @@ class Following:
         machine = self._machine
         return MachineState(
             name=self._name,
-            connected=machine.connected,
-            may_move=machine.connected and not machine.forbidden,
+            connected=machine.answers,
+            may_move=machine.answers and not machine.forbidden,
+            state=machine.statement.state.value,
             stopped=bool(stops),
             stops=tuple(Held(id=stop.id, by=stop.by, why=stop.why, at=stop.at) for stop in stops),
-            reason=machine.trouble or machine.forbidden,
+            reason=machine.silence or machine.forbidden,
         )
 
     def _progress(self) -> CampaignProgress | None:

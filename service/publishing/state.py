@@ -24,11 +24,14 @@ class Held(_Part):
 
 
 class MachineState(_Part):
-    """`reason`: why it may not move, or is not connected; else empty."""
+    """`state`: `moves`, `unknown`, `energised` or `stands` (`service.execution.statement`). `reason`: why it may not
+    move, or does not answer; else empty.
+    """
 
     name: str
     connected: bool
     may_move: bool
+    state: Literal["moves", "unknown", "energised", "stands"]
     stopped: bool
     stops: tuple[Held, ...]
     reason: str

@@ -1,8 +1,11 @@
-"""The connection of the stop process to the bus, kept open by a thread, and the stop over it."""
+"""The connection of the stop process to the bus, kept open by a thread, the stop over it, and its confirmation."""
 
 import logging
+import queue
 import threading
+import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,45 +16,69 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 TAKE_OVER = 0.1  # s in which the service must take over a stop before this process insists
+MERGED = 0.02  # s after a stop in which another one sends no frames: a flood must not fill the bus
 _AGAIN = 1.0  # s between attempts to open the bus
-_OPENING = 1.0  # s that a stop waits for the bus to be reopened
+_PAUSE = 0.01  # s between attempts to confirm a stop
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The joints whose drives got the stop, with a possible obstacle ("": none); or the reason if none got it."""
+    """By joint why the stop may not have arrived, or is not confirmed ("": it is); the reason if none was sent."""
 
     joints: Mapping[str, str] = field(default_factory=dict[str, str])
     trouble: str = ""
 
     @property
-    def told(self) -> tuple[str, ...]:
-        """The joints whose drives receive the stop."""
+    def good(self) -> tuple[str, ...]:
+        """The joints without an obstacle."""
         return tuple(joint for joint, doubt in self.joints.items() if not doubt)
 
 
+@dataclass(frozen=True)
+class _Wish:
+    until: float  # s on the monotonic clock
+    done: Callable[[Outcome], None]
+
+
 class Bus:
-    """`stop` may be called from any thread."""
+    """`stop` and `confirm` may be called from any thread; neither waits for the drives."""
 
     def __init__(self, profile: Path, tell: Callable[[str], None]) -> None:
         """Opens the bus of the drive profile in the background; `tell` is called at each change of `trouble`."""
         self.trouble = "not connected yet"
         self._profile, self._tell = profile, tell
         self._sender: StopSender | None = None
+        self._joints: tuple[str, ...] = ()
         self._open, self._wanted, self._closing = threading.Event(), threading.Event(), threading.Event()
+        self._owed = False  # a stop that is sent when the bus is open again
         self._sending = threading.Lock()
+        self._sent_at = float("-inf")
+        self._last = Outcome(trouble=self.trouble)
         self._count = self._taken_over = 0
+        self._wishes: queue.SimpleQueue[_Wish] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._keep, name="stop-bus", daemon=True)
         self._thread.start()
+        threading.Thread(target=self._follow, name="stop-confirm", daemon=True).start()
 
     def stop(self) -> Outcome:
-        """Send the stop for every axis; it is on the bus at return. Insists unless `taken_over` is called."""
+        """Send the stop for every axis; it is on the bus at return. Insists unless `taken_over` is called.
+
+        If the bus is not open, the stop is sent as soon as it is.
+        """
         with self._sending:
-            self._count += 1
-            insisting = threading.Timer(TAKE_OVER, self._insist_after, [self._count])
-            insisting.daemon = True
-            insisting.start()
-            return self._send()
+            if time.monotonic() - self._sent_at > MERGED:
+                self._count += 1
+                insisting = threading.Timer(TAKE_OVER, self._insist_after, [self._count])
+                insisting.daemon = True
+                insisting.start()
+                self._send()
+            return self._last
+
+    def confirm(self, within: float, done: Callable[[Outcome], None]) -> None:
+        """After `stop`: `done` is called in another thread when every axis stands without energy, or after `within`
+        s.
+        """
+        self._wishes.put(_Wish(time.monotonic() + within, done))
 
     def taken_over(self) -> None:
         """The service handles the stops sent so far."""
@@ -74,21 +101,51 @@ class Bus:
         if self._taken_over < count:
             self.insist()
 
-    def _send(self) -> Outcome:
-        for attempt in range(2):
-            sender = self._sender
-            try:
-                if sender is not None:
-                    return Outcome(sender.send())
-            except Exception as error:  # noqa: BLE001 - an answer in any case
-                self._note(str(error))
-            if attempt == 0:
-                if not self._thread.is_alive():  # a bus that only one process can open
-                    break
-                self._open.clear()
-                self._wanted.set()
-                self._open.wait(_OPENING)
-        return Outcome(trouble=self.trouble or "not sent")
+    def _send(self) -> None:
+        """Called with the lock held."""
+        sender = self._sender
+        try:
+            if sender is not None and self._open.is_set():
+                self._last = Outcome(sender.send())
+                self._sent_at, self._owed = time.monotonic(), False
+                return
+        except Exception as error:  # noqa: BLE001 - an answer in any case
+            self._note(str(error))
+        self._open.clear()
+        self._owed = True
+        self._wanted.set()
+        trouble = self.trouble or "not sent"
+        self._last = Outcome(dict.fromkeys(self._joints, trouble), trouble)
+
+    def _follow(self) -> None:
+        pending: list[_Wish] = []
+        while True:
+            if not pending:
+                pending.append(self._wishes.get())
+            with suppress(queue.Empty):
+                while True:
+                    pending.append(self._wishes.get_nowait())
+            outcome = self._confirmed(min(wish.until for wish in pending))
+            certain = len(outcome.good) == len(outcome.joints) > 0 or not self._thread.is_alive()
+            now = time.monotonic()
+            over = [wish for wish in pending if certain or wish.until <= now]
+            pending = [wish for wish in pending if wish not in over]
+            for wish in over:
+                wish.done(outcome)
+            if pending:
+                time.sleep(_PAUSE)
+
+    def _confirmed(self, until: float) -> Outcome:
+        if self._thread.is_alive():  # otherwise only one process can open the bus
+            self._open.wait(max(0.0, until - time.monotonic()))
+        sender = self._sender
+        if sender is None or not self._open.is_set():
+            trouble = self.trouble or "not connected"
+            return Outcome(dict.fromkeys(self._joints, trouble), trouble)
+        try:
+            return Outcome(sender.confirm(max(0.0, until - time.monotonic())))
+        except Exception as error:  # noqa: BLE001 - an answer in any case
+            return Outcome(dict.fromkeys(self._joints, str(error)))
 
     def _keep(self) -> None:
         # imported here, because the process listens before these are loaded
@@ -97,20 +154,24 @@ class Bus:
 
         try:
             _, port = open_profile(self._profile)
+            self._joints = port.joints
             sender = port.stop_sender()
         except DriveError as error:  # also a medium with one owner: the service's own way is the only one
             self._note(str(error))
-            self._open.set()
             return
         while not self._closing.is_set():
             try:
                 sender.open()
-                self._sender = sender
-                self._note("")
-                self._open.set()
+                with self._sending:
+                    self._sender = sender
+                    self._open.set()
+                    self._note("")
+                    if self._owed:
+                        self._send()
                 while not self._closing.is_set():
                     sender.listen(0.2)
             except DriveError as error:
+                self._open.clear()
                 self._note(str(error))
             self._wanted.wait(_AGAIN)
             self._wanted.clear()

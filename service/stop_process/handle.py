@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -19,6 +20,8 @@ from service.stop_process import END, ORDER, TAKEN_OVER
 _log = structlog.get_logger(__name__)
 
 _AGAIN = 1.0  # s until the process is restarted after its end
+HUNG = 2.0  # s without a sign of life, which comes every `listener.BEAT`
+_MOST_EARLY = 100  # stops kept until somebody listens; each of them holds the machine
 
 Word = Callable[[str, str, str, str], None]
 
@@ -34,13 +37,14 @@ class StopProcess:
     """
 
     def __init__(self, drive: Path, host: str, port: int, tls: tuple[Path, Path] | None = None) -> None:
-        self.port, self.trouble = port, "not started yet"
+        self.port = port
+        self._trouble = "not started yet"
+        self._alive = time.monotonic()  # of the last sign of life
         self._drive, self._host = drive, host
         self._tls = [str(path) for path in tls or ()]
         self._reading, self._writing = os.pipe()  # one pipe for all processes: signals are always written to it
         os.set_blocking(self._writing, False)
-        self.ended = False
-        """Whether it does not run, and is being restarted."""
+        self._ended = ""
         self._closing = threading.Event()
         self._word: Word | None = None
         self._early: list[tuple[str, str, str, str]] = []  # stops before a listener was attached
@@ -76,6 +80,23 @@ class StopProcess:
         if sys.platform != "win32":
             signal.set_wakeup_fd(self._writing, warn_on_full_buffer=False)
             self._watching = True
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    @property
+    def failed(self) -> str:
+        """Why it cannot stop anything now: it has ended and is being restarted, or it hangs; "" if it works."""
+        silent = time.monotonic() - self._alive
+        if self._ended or silent <= HUNG:
+            return self._ended
+        return f"the stop process has not answered for {silent:.0f} s, limit {HUNG:g} s: restart the service"
+
+    @property
+    def trouble(self) -> str:
+        """As `failed`, or why its connection to the drives is not open."""
+        return self.failed or self._trouble
 
     def order(self) -> None:
         """Request the stop on the bus. From any thread; does not wait."""
@@ -115,7 +136,8 @@ class StopProcess:
             if process.stdout:
                 process.stdout.close()
             raise StopNotStarted(str(first.get("error", "the stop process did not start; see the log")))
-        self.port, self.trouble, self.ended = int(first["port"]), "not connected yet", False
+        self.port, self._trouble, self._ended = int(first["port"]), "not connected yet", ""
+        self._alive = time.monotonic()
         return process
 
     def _follow(self) -> None:
@@ -127,7 +149,7 @@ class StopProcess:
                 self._process.stdout.close()
             if self._closing.is_set():
                 return
-            self.trouble, self.ended = f"the stop process ended (code {code})", True
+            self._ended = f"the stop process ended (code {code})"
             _log.error("stop_process_ended", code=code)
             while not self._closing.wait(_AGAIN):
                 with suppress(StopNotStarted):
@@ -137,15 +159,16 @@ class StopProcess:
                 return
 
     def _take(self, message: dict[str, Any]) -> None:
+        self._alive = time.monotonic()
         if "trouble" in message:
-            self.trouble = str(message["trouble"])
-            _log.info("stop_process", trouble=self.trouble)
+            self._trouble = str(message["trouble"])
+            _log.info("stop_process", trouble=self._trouble)
         if "stop" in message:
             stop = message["stop"]
             word = (str(stop["by"]), str(stop["why"]), str(stop["press"]), str(stop["address"]))
             with self._attaching:
                 if self._word is None:
-                    self._early.append(word)
+                    self._early = [*self._early, word][:_MOST_EARLY]
                 else:
                     self._word(*word)
 

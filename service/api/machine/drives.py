@@ -10,9 +10,11 @@ from pydantic import BaseModel
 from drivers.ports import AxisIdentity, AxisState, AxisStatus, Capabilities, SweepMode
 from service.api.dependencies import ApplicationOf
 from service.api.idempotent import IdempotentRoute
+from service.api.machine.statement import StatementView
 from service.api.problem import Problem
 from service.errors import NotFound
 from service.execution.machine import Machine
+from service.execution.statement import NO_MACHINE
 from service.store.rows import NoMachine
 
 router = APIRouter(prefix="/drives", tags=["drives"], route_class=IdempotentRoute)
@@ -72,9 +74,10 @@ class CapabilitiesView(BaseModel):
 
 
 class DrivesView(BaseModel):
-    """The machine. `trouble`: why it is not connected. `capabilities`: known only while it is connected.
+    """The machine. `connected`: its bus is open and every drive answers. `trouble`: why not.
 
     `held`: why nothing may move although it is connected: stops, the host watch, the lease. `epoch`: as of `GET /stop`.
+    `capabilities`: known while its bus is open. `statement`: the state of the machine.
     """
 
     connected: bool
@@ -83,6 +86,7 @@ class DrivesView(BaseModel):
     epoch: str
     capabilities: CapabilitiesView | None
     axes: tuple[AxisView, ...]
+    statement: StatementView
 
 
 @router.get("")
@@ -90,17 +94,19 @@ async def get_drives(application: ApplicationOf) -> DrivesView:
     """State, position, faults and identity of every axis. `trouble` also reports a service without a machine."""
     if application.cell is None:
         why = str(NoMachine())
-        return DrivesView(connected=False, trouble=why, held=why, epoch="", capabilities=None, axes=())
+        view = StatementView.of(NO_MACHINE)
+        return DrivesView(connected=False, trouble=why, held=why, epoch="", capabilities=None, axes=(), statement=view)
     machine = application.machine
     status: Mapping[str, AxisStatus] = await machine.recent_status() if machine.connected else {}
     identities = {identity.joint: identity for identity in machine.identities}
     return DrivesView(
-        connected=machine.connected,
-        trouble=machine.trouble,
+        connected=machine.answers,
+        trouble=machine.silence,
         held=machine.forbidden,
         epoch=machine.epochs.now,
         capabilities=_capabilities(machine.capabilities) if machine.connected else None,
         axes=tuple(_axis(joint, status.get(joint), identities.get(joint)) for joint in machine.joints),
+        statement=StatementView.of(machine.statement),
     )
 
 

@@ -7,15 +7,18 @@ from http import HTTPStatus
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from drivers.errors import StopNotConfirmed
 from service.api.dependencies import ApplicationOf
+from service.api.machine.statement import StatementView
 from service.api.people.audit_trail import audit_trail_of
 from service.api.problem import Problem, problem_response
 from service.application import Application
+from service.execution.statement import NO_MACHINE
 from service.people.keys import masked
 from service.people.names import PersonName
+from service.stop_process.answers import LONGEST_WAIT, not_confirmed, waiting_time
 from service.store.documents import LARGEST_ID, StopDocument
 from service.store.rows import NoMachine
 
@@ -26,8 +29,9 @@ _UNCONFIRMED = Problem(
     type="urn:sweepid:problem:stop-not-confirmed",
     title="Service Unavailable",
     status=503,
-    detail="stop not confirmed: joint_2: node 2 does not answer",
+    detail="stop sent, not confirmed within 1 s: joint_2: node 2 does not answer; use the emergency stop",
     instance="/api/v1/stop",
+    sent=("joint_1", "joint_2"),
     confirmed=("joint_1",),
     unconfirmed={"joint_2": "node 2 does not answer"},
 )
@@ -55,7 +59,8 @@ class StopView(BaseModel):
     `stop`: the oldest one that holds it; after a stop the new one; after a release the first released one.
     A stop has a negative id until the database has stored it. This id stays valid for the release. `port`: where the
     stop process listens for ``POST /stop``, null without a stop process. `process_trouble`: why its own connection to
-    the drives is not open. `epoch`: a stop begins a new one, a release does not (header `Sweepid-Epoch`).
+    the drives is not open, or that it hangs. `epoch`: a stop begins a new one, a release does not (header
+    `Sweepid-Epoch`). `statement`: the state of the machine.
     """
 
     latched: bool
@@ -64,12 +69,18 @@ class StopView(BaseModel):
     stops: tuple[StopDocument, ...]
     port: int | None
     process_trouble: str
+    statement: StatementView
 
 
 class Stopped(StopView):
-    """`confirmed`: the axes that confirmed standstill without energy. The answer is 503 if an axis is missing."""
+    """`sent`: the axes to which the stop was sent. `confirmed`: those that report standstill without energy.
 
+    200: all of them; 202, only with `wait=0`: none yet; otherwise 503, with the reason by axis in `unconfirmed`.
+    """
+
+    sent: tuple[str, ...]
     confirmed: tuple[str, ...]
+    unconfirmed: dict[str, str]
 
 
 class Reset(BaseModel):
@@ -84,23 +95,32 @@ class Reset(BaseModel):
 
 @router.get("")
 async def get_stop(application: ApplicationOf) -> StopView:
+    if application.cell is not None:
+        await application.machine.ask()
     return _view(application, None if application.cell is None else application.machine.latched)
 
 
 @router.post("", response_model=Stopped, responses=_NOT_CONFIRMED)
 async def stop(
     request: Request,
+    response: Response,
     application: ApplicationOf,
     by: Annotated[str, Query(description="who stops; default: the client's address")] = "",
     why: Annotated[str, Query()] = "",
     press: Annotated[
         str, Query(description="same value as at the port of the stop process: both requests are then one stop")
     ] = "",
+    wait: Annotated[
+        float,
+        BeforeValidator(waiting_time),  # a stop is not refused for a bad value
+        Query(ge=0, le=LONGEST_WAIT, description="s to wait for the confirmation; 0: answer 202 as soon as it is sent"),
+    ] = LONGEST_WAIT,
 ) -> Stopped | Response:
     """Stop every axis now and hold the machine. A body is not required and is not read.
 
-    503 lists the axes that did not confirm standstill; the machine is held in this case too. A service without a
-    machine stops nothing and answers 503 (`no-machine`).
+    Sent is not stopped: 503, after at most 1 s, lists the axes that did not confirm standstill; the machine is held and
+    the stop sequence goes on in this case too. A service without a machine stops nothing and answers 503
+    (`no-machine`).
     """
     client = "unknown" if request.client is None else request.client.host
     by, why = by[:100] or client, why[:500] or "stop requested"
@@ -108,18 +128,24 @@ async def stop(
     if application.cell is None:
         # no database query for its machines: a stop must not wait
         return problem_response(request, HTTPStatus.SERVICE_UNAVAILABLE, "no-machine", _NOTHING_STOPPED)
+    machine = application.machine
+    sent = machine.joints if machine.connected else ()
     try:
-        held = await application.machine.stop(by, why, press[:100])
+        held = await machine.stop(by, why, press[:100], f"{client} {by}", wait)
     except StopNotConfirmed as error:
-        additional = {"confirmed": error.confirmed, "unconfirmed": error.unconfirmed}
+        if not wait and sent:
+            response.status_code = HTTPStatus.ACCEPTED
+            held = next(iter(reversed(machine.stops)), None)
+            return Stopped(**_view(application, held).model_dump(), sent=sent, confirmed=(), unconfirmed={})
         return problem_response(
             request,
             HTTPStatus.SERVICE_UNAVAILABLE,
             "stop-not-confirmed",
-            f"stop not confirmed: {error}",
-            additional=additional,
+            not_confirmed(bool(sent), wait, error.unconfirmed),
+            additional={"sent": sent, "confirmed": error.confirmed, "unconfirmed": error.unconfirmed},
         )
-    return Stopped(**_view(application, held).model_dump(), confirmed=application.machine.joints)
+    view = _view(application, held).model_dump()
+    return Stopped(**view, sent=machine.joints, confirmed=machine.joints, unconfirmed={})
 
 
 @router.post("/reset", responses=_NOT_RELEASED)
@@ -136,7 +162,10 @@ async def reset_stop(request: Request, reset: Reset, application: ApplicationOf)
 
 def _view(application: Application, spoken_of: StopDocument | None) -> StopView:
     if application.cell is None:
-        return StopView(latched=False, epoch="", stop=None, stops=(), port=None, process_trouble=str(NoMachine()))
+        trouble, statement = str(NoMachine()), StatementView.of(NO_MACHINE)
+        return StopView(
+            latched=False, epoch="", stop=None, stops=(), port=None, process_trouble=trouble, statement=statement
+        )
     process, stops = application.cell.stop_process, application.machine.stops
     return StopView(
         latched=bool(stops),
@@ -145,4 +174,5 @@ def _view(application: Application, spoken_of: StopDocument | None) -> StopView:
         stops=stops[:_SHOWN],
         port=None if process is None else process.port,
         process_trouble="no stop process" if process is None else process.trouble,
+        statement=StatementView.of(application.machine.statement),
     )

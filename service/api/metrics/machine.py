@@ -6,11 +6,13 @@ from prometheus_client.core import Metric
 
 from service.api.metrics.figure import Figure
 from service.application import Application
+from service.execution.statement import Condition
 
 _MACHINE = ("machine",)
 
 CONNECTED = Figure("sweepid_machine_connected", "1 while the drives answer", _MACHINE)
 MAY_MOVE = Figure("sweepid_machine_may_move", "1 while nothing forbids a campaign to move the machine", _MACHINE)
+STATE = Figure("sweepid_machine_state", "1 for the state that the drives report", (*_MACHINE, "state"))
 LATCHED = Figure("sweepid_stop_latched", "1 while a stop holds the machine", _MACHINE)
 STOPS = Figure("sweepid_stops_held", "stops that a person has not released yet", _MACHINE)
 RUNNING = Figure("sweepid_campaign_running", "1 while a campaign owns the machine", _MACHINE)
@@ -46,6 +48,7 @@ TRAFFIC = (FRAMES, ON_THE_WIRE, RATE)  # only while a CAN bus is open
 FIGURES = (
     CONNECTED,
     MAY_MOVE,
+    STATE,
     LATCHED,
     STOPS,
     RUNNING,
@@ -59,12 +62,14 @@ FIGURES = (
 
 
 def machine(application: Application) -> Iterator[Metric]:
-    """Metrics from the process only, not from drives or database. Empty without a machine."""
+    """Metrics from the process only, not from the database; the drives were asked before. Empty without a machine."""
     if application.cell is None:
         return
     machine, name = application.machine, (application.settings.machine_name,)
-    yield CONNECTED.by({name: machine.connected})
-    yield MAY_MOVE.by({name: machine.connected and not machine.forbidden})
+    answers, state = machine.answers, machine.statement.state
+    yield CONNECTED.by({name: answers})
+    yield MAY_MOVE.by({name: answers and not machine.forbidden})
+    yield STATE.by({(*name, each.value): each is state for each in Condition})
     yield LATCHED.by({name: machine.latched is not None})
     yield STOPS.by({name: len(machine.stops)})
     yield RUNNING.by({name: application.runner.running is not None})

@@ -1,5 +1,6 @@
 """`GET /metrics`."""
 
+import asyncio
 from collections.abc import Iterator
 
 import structlog
@@ -40,8 +41,14 @@ class ApplicationCollector(Collector):
 
 
 @router.get("/metrics", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
-def get_metrics(application: ApplicationOf) -> Response:
+async def get_metrics(application: ApplicationOf) -> Response:
     """Prometheus text format. Each scrape has its own registry: no state is global in the process."""
+    if application.cell is not None:
+        await application.machine.ask()
+    return await asyncio.to_thread(_scrape, application)
+
+
+def _scrape(application: Application) -> Response:
     registry = CollectorRegistry(auto_describe=False)
     registry.register(ApplicationCollector(application))
     return Response(generate_latest(registry), media_type=CONTENT_TYPE_LATEST)

@@ -69,6 +69,8 @@ class FormulaDrive:
                 0.0,
                 0.0,
                 None,
+                stands=not self.silent,
+                energised=joint in self.energised,
             )
             for joint in self.joints
         }

@@ -6,10 +6,13 @@ import time
 
 import pytest
 from sqlalchemy.exc import TimeoutError as PoolTimeout
+from structlog.testing import capture_logs
 
 from drivers.errors import StopNotConfirmed
 from drivers.ports import AxisState
 from service.errors import Conflict, NotFound
+from service.execution.latched_stops import MOST
+from service.execution.machine import HALTED
 from service.store.documents import CampaignState, SweepState
 from service.store.guards import MachineLease
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until
@@ -121,6 +124,48 @@ async def test_one_press_that_comes_by_two_ways_is_one_stop(bench: Bench) -> Non
     assert len(bench.machine.stops) == 1
     await bench.machine.stop("anna", "smoke", "press 2")
     assert len(bench.machine.stops) == 2
+
+
+async def test_a_flood_of_stops_is_one_stop_of_its_source_and_delays_nobody(bench: Bench) -> None:
+    halts: list[float] = []
+    bench.drive.halt = lambda: halts.append(time.monotonic())
+    begun = time.monotonic()
+    flood = [bench.machine.seize("nobody", "flood", f"press {k}", "10.0.0.7 nobody") for k in range(1000)]
+    confirming = [asyncio.create_task(bench.machine.confirm_logged(hold)) for hold in flood]
+    stop = await bench.machine.stop("anna", "smoke", source="10.0.0.8 anna")
+    assert [each.by for each in bench.machine.stops] == ["nobody", "anna"]
+    await asyncio.gather(*confirming)
+    assert bench.drive.trace.count("stop") <= 3  # the drives go through few stop sequences
+    assert len(halts) <= (time.monotonic() - begun) / HALTED + 2
+    await bench.machine.reset_stop("anna", [each.id for each in bench.machine.stops])
+    assert stop.by == "anna"
+    again = await bench.machine.stop("nobody", "flood", source="10.0.0.7 nobody")  # released: it is a new stop
+    assert [each.id for each in bench.machine.stops] == [again.id]
+
+
+async def test_a_flood_from_everywhere_keeps_a_bounded_number_of_stops(bench: Bench) -> None:
+    for number in range(3 * MOST):
+        hold = bench.machine.seize(f"nobody {number}", "flood", "", f"10.0.0.7 nobody {number}")
+        hold.under_way -= 1
+    assert len(bench.machine.stops) == MOST
+    assert bench.machine.held.startswith("stopped by nobody 0")
+
+
+async def test_a_stop_is_answered_in_time_whatever_the_drives_do_and_its_outcome_is_logged(bench: Bench) -> None:
+    go = asyncio.Event()
+
+    async def slow() -> tuple[str, ...]:
+        await go.wait()
+        raise StopNotConfirmed((), {"joint_1": "is silent"})
+
+    bench.drive.stop = slow
+    with capture_logs() as logs:
+        with pytest.raises(StopNotConfirmed, match=r"joint_1: did not confirm it within 0\.05 s"):
+            await bench.machine.stop("anna", "smoke", within=0.05)
+        assert bench.machine.held == "stopped by anna: smoke"
+        go.set()
+        await bench.machine.close()
+    assert [log["reason"] for log in logs if log["event"] == "stop_not_confirmed"] == ["joint_1: is silent"]
 
 
 async def test_a_stop_that_reached_no_drive_is_no_confirmed_one(bench: Bench) -> None:

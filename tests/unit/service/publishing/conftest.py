@@ -28,7 +28,9 @@ def links(root: Path) -> dict[str, dict[str, float]]:
 @pytest.fixture
 def state(links: dict[str, dict[str, float]]) -> State:
     return State(
-        machine=MachineState(name="cell 7", connected=True, may_move=True, stopped=False, stops=(), reason=""),
+        machine=MachineState(
+            name="cell 7", connected=True, may_move=True, state="stands", stopped=False, stops=(), reason=""
+        ),
         campaign=CampaignProgress(
             id=3, state=CampaignState.RUNNING, cause="", done=1, total=4, sweeps=(2,), axes=("joint_1",)
         ),

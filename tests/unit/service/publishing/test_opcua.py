@@ -56,6 +56,7 @@ async def test_a_foreign_client_reads_machine_campaign_estimate_and_loads(
     names = {
         "Machine.Name": "cell 7",
         "Machine.MayMove": True,
+        "Machine.State": "stands",
         "Campaign.State": "running",
         "Campaign.SweepsDone": 1,
         "Campaign.CurrentAxes": ["joint_1"],

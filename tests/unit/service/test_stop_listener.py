@@ -1,0 +1,150 @@
+"""The port of the stop process: the frames first, an answer when it is known, and every other connection meanwhile."""
+
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+
+import httpx
+import pytest
+
+from service.stop_process.answers import Answer, Request, answer_to, waiting_time
+from service.stop_process.bus import Outcome
+from service.stop_process.listener import MOST_CONNECTIONS, Answered, Listener
+from service.stop_process.telling import MOST, Telling
+
+PATIENCE = 10.0  # s
+
+
+class Pressed:
+    """Stops that arrive, and how they are answered later."""
+
+    def __init__(self) -> None:
+        self.stops: list[tuple[Request, Answered]] = []
+        self.arrived = threading.Semaphore(0)
+
+    def __call__(self, wanted: Request, answered: Answered) -> None:
+        self.stops.append((wanted, answered))
+        self.arrived.release()
+
+
+class Ended(BaseException):
+    """Ends the thread of a listener."""
+
+
+@pytest.fixture
+def pressed() -> Pressed:
+    return Pressed()
+
+
+@pytest.fixture
+def port(pressed: Pressed) -> Iterator[int]:
+    ending = threading.Event()
+
+    def alive() -> None:
+        if ending.is_set():
+            raise Ended
+
+    def status() -> Answer:
+        return 200, {"trouble": ""}
+
+    listener = Listener("127.0.0.1", 0, pressed, status, alive=alive)
+
+    def serve() -> None:
+        with suppress(Ended):
+            listener.serve()
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    yield listener.port
+    ending.set()
+    thread.join(PATIENCE)
+    listener.close()
+
+
+def asked(port: int, line: bytes = b"POST /stop?by=Ada HTTP/1.1\r\n\r\n") -> socket.socket:
+    client = socket.create_connection(("127.0.0.1", port), timeout=PATIENCE)
+    client.sendall(line)
+    return client
+
+
+def told(client: socket.socket) -> bytes:
+    with client:
+        return b"".join(iter(lambda: client.recv(65536), b""))
+
+
+def test_it_serves_others_while_a_stop_waits_for_its_confirmation(pressed: Pressed, port: int) -> None:
+    first = asked(port)
+    assert pressed.arrived.acquire(timeout=PATIENCE)
+    second = asked(port)
+    assert pressed.arrived.acquire(timeout=PATIENCE)
+    assert httpx.get(f"http://127.0.0.1:{port}/stop", timeout=PATIENCE, trust_env=False).json() == {"trouble": ""}
+    for number, (_, answered) in enumerate(reversed(pressed.stops)):
+        answered((200, {"number": number}))
+    assert b'{"number": 1}' in told(first)
+    assert b'{"number": 0}' in told(second)
+
+
+def test_a_client_that_has_ended_its_half_gets_its_answer(pressed: Pressed, port: int) -> None:
+    client = asked(port)
+    assert pressed.arrived.acquire(timeout=PATIENCE)
+    client.shutdown(socket.SHUT_WR)
+    pressed.stops[0][1]((200, {"confirmed": []}))
+    assert b'{"confirmed": []}' in told(client)
+
+
+def test_more_stops_than_connections_are_all_executed_and_the_oldest_is_told_at_once(
+    pressed: Pressed, port: int
+) -> None:
+    with ExitStack() as stack:
+        clients = [stack.enter_context(asked(port)) for _ in range(MOST_CONNECTIONS + 1)]
+        for _ in clients:
+            assert pressed.arrived.acquire(timeout=PATIENCE)
+        assert b"too many stops at once: sent, not confirmed" in told(clients[0])
+
+
+def test_a_service_that_does_not_read_blocks_nothing_and_costs_bounded_memory() -> None:
+    reading, writing = os.pipe()
+    try:
+        telling = Telling(writing)
+        for number in range(10_000):
+            telling.tell({"stop": {"by": f"somebody {number}", "why": "x" * 500, "press": "", "address": "::1"}})
+        assert len(telling._waiting) <= MOST  # the memory is what is tested
+        while telling._waiting:
+            assert os.read(reading, 1 << 16).startswith(b'{"stop"')
+            telling.flush()
+    finally:
+        os.close(reading)
+        os.close(writing)
+
+
+@pytest.mark.parametrize(
+    ("word", "wait"), [("", 1.0), ("0", 0.0), ("0.5", 0.5), ("7", 1.0), ("-1", 0.0), ("soon", 1.0), ("nan", 1.0)]
+)
+def test_a_stop_is_not_refused_for_a_bad_waiting_time(word: str, wait: float) -> None:
+    assert waiting_time(word) == wait
+
+
+SENT = Outcome({"joint_1": "", "joint_2": ""})
+ANSWERS: dict[str, tuple[Outcome, Outcome | None, int, str]] = {
+    "confirmed": (SENT, SENT, 200, ""),
+    "not waited for": (SENT, None, 202, ""),
+    "one moves": (
+        SENT,
+        Outcome({"joint_1": "turns", "joint_2": ""}),
+        503,
+        "stop sent, not confirmed within 1 s: joint_1: turns; use the emergency stop",
+    ),
+    "nobody known": (Outcome(trouble="x"), Outcome(trouble="x"), 503, "stop not sent: stop process: x; use"),
+    "nothing sent": (Outcome({"joint_1": "x"}, "x"), Outcome({"joint_1": "x"}, "x"), 503, "stop not sent: joint_1: x"),
+    "nothing sent, not waited for": (Outcome({"joint_1": "x"}, "x"), None, 503, "stop not sent: joint_1: x; use"),
+}
+
+
+@pytest.mark.parametrize("case", ANSWERS)
+def test_the_answer_says_what_was_sent_and_what_is_confirmed(case: str) -> None:
+    sent, confirmed, status, detail = ANSWERS[case]
+    found = answer_to(Request("Ada", "smoke", "", "::1"), sent, confirmed)
+    assert found[0] == status
+    assert str(found[1].get("detail", "")).startswith(detail)
