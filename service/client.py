@@ -6,6 +6,7 @@ import ssl
 import time
 import uuid
 from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
@@ -19,7 +20,7 @@ HOST_WATCH = "host watch"  # `by` of a stop that no person pressed
 
 _TIMEOUT = httpx.Timeout(30.0, connect=5.0)
 _LONG_TIMEOUT = httpx.Timeout(600.0, connect=5.0)  # planning many poses, large bundles
-_STOP_TIMEOUT = httpx.Timeout(3.0)
+_STOP_TIMEOUT = httpx.Timeout(2.0)  # a stop is answered within 1.2 s
 _BAD_INPUT = 422  # HTTP status
 _OPEN = ("waiting", "running")
 _SILENCE = 40.0  # s; an idle event stream carries a comment every 15 s
@@ -252,17 +253,26 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         return self._post(f"/drives/{joint}/acknowledge")
 
     def stop(self, by: str, why: str) -> Json:
-        """Uses the stop process first, if `start` or `resume` has read its address, because the service may be busy.
+        """Both ways at once, if `start` or `resume` has read the address of the stop process: the service may be busy.
 
-        ServiceProblem (503) names the axes that did not confirm standstill.
+        ServiceProblem names the axes that did not confirm standstill to either; it comes within `_STOP_TIMEOUT`.
         """
         words = {"by": by, "why": why, "press": str(uuid.uuid4())}
-        if self._stop_url:
-            with suppress(httpx.TransportError):
-                httpx.post(self._stop_url, params=words, timeout=_STOP_TIMEOUT, trust_env=False, verify=self._tls)
-        response = self._send("POST", "/stop", params=words)
-        _check(response)
-        return cast("Json", response.json())
+        with ThreadPoolExecutor(1, thread_name_prefix="stop") as beside:
+            other = beside.submit(self._stop_beside, words) if self._stop_url else None
+            try:
+                return cast("Json", _check(self._send("POST", "/stop", params=words, timeout=_STOP_TIMEOUT)).json())
+            except (ServiceProblem, ServiceUnreachable):
+                answer = None if other is None else other.result()
+                if answer is None:
+                    raise
+                return cast("Json", _check(answer).json())
+
+    def _stop_beside(self, words: dict[str, str]) -> httpx.Response | None:
+        """The answer of the stop process, or None."""
+        with suppress(httpx.TransportError):
+            return httpx.post(self._stop_url, params=words, timeout=_STOP_TIMEOUT, trust_env=False, verify=self._tls)
+        return None
 
     def stops(self) -> list[Json]:
         """The stops that hold the machine, oldest first."""

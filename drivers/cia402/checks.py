@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from drivers.cia402.profile import AxisProfile
 from drivers.cia402.waveform import travel
-from drivers.errors import LimitExceeded
+from drivers.errors import LimitExceeded, distinct
 from drivers.ports import NoiseCommand, SweepCommand, SweepMode
 
 MAX_SINES = 16  # of the measuring function
@@ -26,12 +26,20 @@ class Envelope:
         """The limit that this reading exceeds, with value, limit and unit; None if there is none."""
         low, high = self.window
         if not low <= position <= high:
-            return f"position {position:.5g} {self.unit} is outside {low:.5g} to {high:.5g} {self.unit}"
+            here, lowest, highest = distinct(position, low, high)
+            return f"position {here} {self.unit} is outside {lowest} to {highest} {self.unit}"
         if not abs(velocity) <= self.velocity_limit:
-            return f"velocity {velocity:.4g} {self.unit}/s is beyond {self.velocity_limit:.4g} {self.unit}/s"
+            speed, limit = _beyond(velocity, self.velocity_limit)
+            return f"velocity {speed} {self.unit}/s is beyond {limit} {self.unit}/s"
         if not abs(effort) <= self.effort_limit:
-            return f"effort {effort:.4g} {self.effort_unit} is beyond {self.effort_limit:.4g} {self.effort_unit}"
+            strength, limit = _beyond(effort, self.effort_limit)
+            return f"effort {strength} {self.effort_unit} is beyond {limit} {self.effort_unit}"
         return None
+
+
+def _beyond(value: float, limit: float) -> tuple[str, str]:
+    size, most = distinct(abs(value), limit, digits=4)
+    return f"-{size}" if value < 0 else size, most
 
 
 def move_envelope(axis: AxisProfile) -> Envelope:
@@ -52,8 +60,9 @@ def check_move(axis: AxisProfile, position: float, velocity: float) -> None:
     """Raises LimitExceeded if a positioning move is outside the limits of the profile."""
     low, high = axis.position_limits
     if not low <= position <= high:
+        target, lowest, highest = distinct(position, low, high)
         raise LimitExceeded(
-            f"{axis.joint}: target position {position:.5g} {axis.unit} is outside {low:.5g} to {high:.5g} {axis.unit}"
+            f"{axis.joint}: target position {target} {axis.unit} is outside {lowest} to {highest} {axis.unit}"
         )
     _at_most(axis, "velocity", velocity, axis.velocity_limit, f"{axis.unit}/s")
 
@@ -82,19 +91,22 @@ def check_sweep(axis: AxisProfile, command: SweepCommand, start: float, sync_per
     rate = 1 / sync_period if command.mode is SweepMode.HOST_STREAMED else command.sample_rate
     highest = max((sine.frequency for sine in command.sines), default=0.0)
     if not highest < rate / 2:
-        raise LimitExceeded(f"{axis.joint}: {highest:.4g} Hz is not below half the sample rate of {rate:.4g} Hz")
+        found, _ = distinct(highest, rate / 2, digits=4)
+        raise LimitExceeded(f"{axis.joint}: {found} Hz is not below half the sample rate of {rate:.4g} Hz")
     low, high = command.position_window
     down, up = travel(command)
     for what, value in (("start", start), ("lowest position", start + down), ("highest position", start + up)):
         if not (low <= value <= high):
+            place, lowest, highest = distinct(value, low, high)
             raise LimitExceeded(
-                f"{axis.joint}: {what} {value:.5g} {axis.unit} of the sweep is outside its window "
-                f"{low:.5g} to {high:.5g} {axis.unit}"
+                f"{axis.joint}: {what} {place} {axis.unit} of the sweep is outside its window "
+                f"{lowest} to {highest} {axis.unit}"
             )
-    if low < axis.position_limits[0] or high > axis.position_limits[1]:
+    least, most = axis.position_limits
+    if low < least or high > most:
+        (from_, lowest), (to, highest) = distinct(low, least), distinct(high, most)
         raise LimitExceeded(
-            f"{axis.joint}: window {low:.5g} to {high:.5g} {axis.unit} is outside "
-            f"{axis.position_limits[0]:.5g} to {axis.position_limits[1]:.5g} {axis.unit}"
+            f"{axis.joint}: window {from_} to {to} {axis.unit} is outside {lowest} to {highest} {axis.unit}"
         )
 
 
@@ -131,4 +143,5 @@ def check_noise(axis: AxisProfile, command: NoiseCommand, start: float) -> None:
 
 def _at_most(axis: AxisProfile, what: str, value: float, limit: float, unit: str) -> None:
     if not 0 < value <= limit:
-        raise LimitExceeded(f"{axis.joint}: {what} {value:.4g} {unit} must be above 0 and at most {limit:.4g} {unit}")
+        shown, most = distinct(value, limit, digits=4)
+        raise LimitExceeded(f"{axis.joint}: {what} {shown} {unit} must be above 0 and at most {most} {unit}")

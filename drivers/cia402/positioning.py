@@ -10,7 +10,7 @@ from drivers.cia402 import checks, states
 from drivers.cia402.axis import Axis, Reading
 from drivers.cia402.states import State
 from drivers.cia402.thread import DriveThread
-from drivers.errors import DriveError, EnvelopeLeft, NotReady, SweepInterrupted
+from drivers.errors import DriveError, EnvelopeLeft, NotReady, SweepInterrupted, distinct
 
 POLL = 0.01  # s
 MARGIN = 5.0  # s for at least `LEAST` of the travel that a start from standstill makes in it
@@ -64,9 +64,11 @@ async def move(
         if now - arrived >= ARRIVAL_TIME:
             return
         if waited > MARGIN:
+            here, target = distinct(reading.position, position)
+            reached = "" if reading.statusword & states.TARGET_REACHED else ", target not reported as reached"
             raise DriveError(
-                f"{axis.place}: at {reading.position:.5g} {profile.unit} instead of {position:.5g} {profile.unit}, "
-                f"no nearer for {MARGIN} s, at {reading.velocity:.2g} {profile.unit}/s"
+                f"{axis.place}: at {here} {profile.unit} instead of {target} {profile.unit}, "
+                f"no nearer for {MARGIN} s, at {reading.velocity:.2g} {profile.unit}/s{reached}"
             )
         await asyncio.sleep(POLL)
 

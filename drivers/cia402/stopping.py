@@ -8,7 +8,7 @@ from contextlib import suppress
 from drivers.cia402 import states
 from drivers.cia402.axis import Axis
 from drivers.cia402.thread import DriveThread
-from drivers.errors import DriveError, WrongConfiguration
+from drivers.errors import DriveError, WrongConfiguration, distinct
 
 logger = logging.getLogger(__name__)
 
@@ -71,9 +71,10 @@ async def _confirm_rest(thread: DriveThread, axis: Axis) -> None:
         if axis.stands(reading) and reading.state in states.WITHOUT_ENERGY:
             return
         if time.monotonic() > deadline:
+            speed, limit = distinct(abs(reading.velocity), profile.standstill_velocity, digits=4)
             raise WrongConfiguration(
-                f"{axis.place}: is '{reading.state.value}' and turns at {reading.velocity:.4g} {profile.unit}/s, "
-                f"standstill is at most {profile.standstill_velocity:.4g} {profile.unit}/s"
+                f"{axis.place}: is '{reading.state.value}' and turns at {speed} {profile.unit}/s, "
+                f"standstill is at most {limit} {profile.unit}/s"
             )
         await asyncio.sleep(POLL)
 

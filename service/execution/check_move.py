@@ -12,7 +12,7 @@ import math
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 
-from drivers.errors import CommunicationLost
+from drivers.errors import CommunicationLost, distinct
 from drivers.ports import AxisState, AxisStatus
 from service.errors import SweepidError
 from service.execution.motion import Go
@@ -53,28 +53,32 @@ class CheckMove:
             moved, unit = axis.position - self.start[joint], self.units[joint]
             limit = ASTRAY * WAY[unit]
             if joint != self.joint and not abs(moved) <= limit:
+                way, most = distinct(abs(moved), limit, digits=2)
                 raise CheckMoveFailed(
-                    f"{joint}: moved by {moved:+.3g} {unit} in the check move of {self.joint}, limit {limit:.2g} {unit}"
+                    f"{joint}: moved by {'-' if moved < 0 else '+'}{way} {unit} in the check move of {self.joint}, "
+                    f"limit {most} {unit}"
                 )
         forward = self._moved(status) * math.copysign(1.0, self.way)
         if not forward >= -ASTRAY * abs(self.way):
-            raise self._failed(status, f"wrong direction; limit {-ASTRAY * self.way:+.2g}")
+            raise self._failed(status, "wrong direction; limit", -ASTRAY * self.way)
         if not forward <= (1 + MISSED) * abs(self.way):
-            raise self._failed(status, f"limit {(1 + MISSED) * self.way:+.3g}")
+            raise self._failed(status, "limit", (1 + MISSED) * self.way)
 
     def check_end(self, status: Mapping[str, AxisStatus]) -> None:
         """CheckMoveFailed unless the axis is also at its target."""
         self.check_under_way(status)
-        if not abs(self._moved(status) - self.way) <= MISSED * abs(self.way):
-            raise self._failed(status, f"target not reached; limit of the deviation {MISSED * abs(self.way):.2g}")
+        if not abs(self._moved(status) - self.way) <= MISSED * abs(self.way):  # too far is told above
+            raise self._failed(status, "target not reached; limit", (1 - MISSED) * self.way)
 
     def _moved(self, status: Mapping[str, AxisStatus]) -> float:
         return status[self.joint].position - self.start[self.joint]
 
-    def _failed(self, status: Mapping[str, AxisStatus], why: str) -> CheckMoveFailed:
-        joint, unit, moved = self.joint, self.units[self.joint], self._moved(status)
+    def _failed(self, status: Mapping[str, AxisStatus], why: str, limit: float) -> CheckMoveFailed:
+        joint, unit = self.joint, self.units[self.joint]
+        shown = distinct(self._moved(status), limit, digits=3)
+        moved, most = (each if each.startswith("-") else f"+{each}" for each in shown)
         return CheckMoveFailed(
-            f"{joint}: moved by {moved:+.3g} {unit} in its check move of {self.way:+.3g} {unit}: {why} {unit}"
+            f"{joint}: moved by {moved} {unit} in its check move of {self.way:+.3g} {unit}: {why} {most} {unit}"
         )
 
 

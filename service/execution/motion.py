@@ -12,7 +12,7 @@ from collections.abc import AsyncGenerator, Callable, Coroutine, Sequence
 from contextlib import aclosing, asynccontextmanager
 from typing import Protocol
 
-from drivers.errors import CommunicationLost, DriveError
+from drivers.errors import CommunicationLost, DriveError, distinct
 from drivers.ports import DrivePort, NoiseCommand, SampleBlock, SweepCommand
 from service.errors import Conflict
 from service.execution.statement import Reports
@@ -62,7 +62,8 @@ class Motion:
 
         async def go(to: float) -> None:
             if not low - ROUNDING <= to <= high + ROUNDING:
-                raise Conflict(f"{joint}: target {to:.6g} is outside the checked range {low:.6g} to {high:.6g}")
+                shown, lowest, highest = distinct(to, low, high, digits=6)
+                raise Conflict(f"{joint}: target {shown} is outside the checked range {lowest} to {highest}")
             self._may_move()
             await self._port.move_to(joint, to, velocity)
 

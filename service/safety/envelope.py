@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from drivers.errors import distinct
 from drivers.ports import NoiseCommand, SampleBlock, Sine, SweepCommand
 from service.errors import EnvelopeViolation
 from service.geometry.cell import Cell
@@ -348,14 +349,14 @@ def _noise_numbers(command: Command) -> tuple[tuple[str, float], ...]:
 
 def _at_most(joint: str, quantity: str, value: float, limit: float, unit: str) -> None:
     if not value <= limit:
-        raise EnvelopeViolation(f"{joint}: {quantity} {value:.4g} {unit} is above the limit {limit:.4g} {unit}")
+        shown, most = distinct(value, limit, digits=4)
+        raise EnvelopeViolation(f"{joint}: {quantity} {shown} {unit} is above the limit {most} {unit}")
 
 
 def _within(joint: str, quantity: str, value: float, limits: tuple[float, float], unit: str) -> None:
     if not limits[0] <= value <= limits[1]:
-        raise EnvelopeViolation(
-            f"{joint}: {quantity} {value:.5g} {unit} is outside {limits[0]:.5g} to {limits[1]:.5g} {unit}"
-        )
+        shown, low, high = distinct(value, *limits)
+        raise EnvelopeViolation(f"{joint}: {quantity} {shown} {unit} is outside {low} to {high} {unit}")
 
 
 def _all_within(joint: str, quantity: str, values: Array, low: float, high: float, unit: str) -> None:

@@ -4,10 +4,12 @@ import math
 from dataclasses import replace
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from drivers.cia402.checks import Envelope, check_move, check_sweep
 from drivers.cia402.profile import AxisProfile, IdentityProfile
-from drivers.errors import LimitExceeded
+from drivers.errors import LimitExceeded, distinct
 from drivers.ports import Sine, SweepCommand, SweepMode
 
 ENVELOPE = Envelope(0.1, 200.0, (-1.0, 1.0), "rad", "N m")
@@ -97,3 +99,15 @@ def test_sweeps_that_are_refused(change: dict[str, object], start: float, messag
 def test_more_sines_than_the_drive_takes_can_be_streamed() -> None:
     many = replace(SWEEP, mode=SweepMode.HOST_STREAMED, sines=(Sine(1.0, 0.001, 0.0),) * 17)
     check_sweep(AXIS, many, 0.0, 0.004)
+
+
+@given(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6))
+def test_a_value_is_told_from_a_limit_that_it_differs_from(value: float, limit: float) -> None:
+    shown, most = distinct(value, limit)
+    assert (shown == most) == (value == limit) or {value, limit} == {0.0, -0.0}
+    assert float(shown) == pytest.approx(value, rel=1e-4)
+
+
+def test_an_axis_just_short_of_its_target_is_told_by_how_much() -> None:
+    assert distinct(-0.53232, -0.53232 + 4e-8) == ("-0.53232", "-0.53231996")
+    assert distinct(0.5, 0.25, 0.75) == ("0.5", "0.25", "0.75")

@@ -168,15 +168,31 @@ async def test_a_refused_rung_does_not_keep_the_drive_from_the_next(refused: str
     await port.connect()
     await port.enable("joint_1")
     servo.velocity, servo.before = 0.5, refuse
-    if refused == "statusword":  # nothing confirms it then
-        with pytest.raises(StopNotConfirmed, match="joint_1: statusword refused"):
-            await port.stop()
-    else:
+    missing = "statusword" if refused == "statusword" else "motion"  # what would confirm it
+    with pytest.raises(StopNotConfirmed, match=f"joint_1: {missing} refused"):
         await port.stop()
-    assert bool(servo.unheard) is (refused == "statusword")
+    assert servo.unheard
     assert servo.told[-1] == 0
     assert not servo.energised
     servo.before = lambda _: None
+    await port.close()
+
+
+async def test_an_axis_that_turns_without_energy_is_not_confirmed() -> None:
+    servo = Servo("joint_1")
+    port, _ = machine(servo)
+    await port.connect()
+    control = servo.control
+
+    def turning(controlword: int) -> None:  # under its weight, with its brake open
+        control(controlword)
+        servo.velocity = 0.5
+
+    servo.control, servo.velocity = turning, 0.5
+    with pytest.raises(StopNotConfirmed, match=r"turns at 0\.5 rad/s, standstill is at most 0\.001 rad/s"):
+        await port.stop()
+    servo.control = control
+    assert await port.stop() == ("joint_1",)
     await port.close()
 
 

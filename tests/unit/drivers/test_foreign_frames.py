@@ -7,7 +7,9 @@ import pytest
 
 from drivers.canopen import frames
 from drivers.canopen.bus import Bus
-from drivers.canopen.foreign_frames import ForeignFrames
+from drivers.canopen.foreign_frames import READINGS, ForeignFrames
+from drivers.canopen.heard_state import upload_request
+from drivers.canopen.objects import STATUSWORD
 from drivers.canopen.profile import BusProfile
 from drivers.cia402 import states
 from tests.unit.drivers.test_bus import eventually
@@ -52,6 +54,18 @@ def test_the_stop_of_the_stop_process_is_none_and_excuses_one_sync() -> None:
     for frame in (*frames.stop(NODES, ()), *frames.stop(NODES, NODES)):
         assert strangers.word(*frame) == ""
     assert strangers.word(frames.SYNC, b"") != ""
+
+
+def test_the_questions_that_confirm_a_stop_are_none_and_are_counted() -> None:
+    strangers, reading = ForeignFrames(NODES, HOST), (frames.SDO_REQUEST + 1, upload_request(STATUSWORD))
+    assert strangers.word(*reading) != ""  # without a stop
+    for frame in frames.stop(NODES, ()):
+        strangers.word(*frame)
+    assert [strangers.word(*reading) for _ in range(READINGS)] == [""] * READINGS
+    assert strangers.word(*reading) != ""
+    for frame in frames.stop(NODES, ()):
+        strangers.word(*frame)
+    assert strangers.word(frames.SDO_REQUEST + 1, b"\x2b" + bytes(7)) != ""  # it writes
 
 
 @pytest.mark.parametrize("what", TRESPASSES)
