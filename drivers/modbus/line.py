@@ -11,22 +11,18 @@ request is made until the stops are written. For `STOP_TIME` after that a silent
 """
 
 import logging
-import select
-import socket
 import struct
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from typing import Any, NoReturn, Protocol, cast
+from typing import NoReturn, Protocol
 
-import serial
-from pymodbus.client import ModbusSerialClient, ModbusTcpClient
-from pymodbus.exceptions import ConnectionException, ModbusException
+from pymodbus.exceptions import ModbusException
 from pymodbus.pdu import ModbusPDU
 
 from drivers.cia402.thread import StopFirst
 from drivers.errors import CommunicationLost, ConnectionFailed, WrongConfiguration
+from drivers.modbus.client import Client, make_client, refusal
 from drivers.modbus.profile import RtuLine, TcpLine
 
 logger = logging.getLogger(__name__)
@@ -58,27 +54,6 @@ class Clock(Protocol):
     def sleep(self, seconds: float, /) -> None: ...
 
 
-class Client(Protocol):
-    """A Modbus client with pymodbus' names, and its errors. It awaits an answer as long as `Line.left` is above 0."""
-
-    garbled: bool
-    """Bytes of an answer have come since this was set to False."""
-
-    def connect(self) -> bool: ...
-
-    def close(self) -> None: ...
-
-    def wake(self) -> None:
-        """`Line.left` has changed. From any thread."""
-        ...
-
-    def read_holding_registers(self, address: int, *, count: int, device_id: int) -> ModbusPDU: ...
-
-    def write_registers(
-        self, address: int, values: list[int], *, device_id: int, no_response_expected: bool = False
-    ) -> ModbusPDU: ...
-
-
 class Line:
     """An open line. For one thread, except `hurry`."""
 
@@ -86,12 +61,12 @@ class Line:
         self,
         profile: TcpLine | RtuLine,
         clock: Clock = time,
-        make: "Callable[[TcpLine | RtuLine, Line], Client] | None" = None,
+        make: Callable[[TcpLine | RtuLine, Callable[[], float]], Client] = make_client,
     ) -> None:
-        """`make` returns the client of the line."""
+        """`make` returns the client; it gets for how long it awaits the answer to the running request, s."""
         self._profile = profile
         self._clock = clock
-        self._client = (make or _client)(profile, self)
+        self._client = make(profile, lambda: self.left)
         self._closed = True
         self._quiet_from = 0.0
         self._sent = 0.0  # the running request
@@ -115,7 +90,7 @@ class Line:
             self._closed = True
             place = f"Modbus {self._profile.transport} {self._profile.place}"
             raise ConnectionFailed(
-                f"{place} could not be opened: {_refusal(self._profile)}; check power, cable and address"
+                f"{place} could not be opened: {refusal(self._profile)}; check power, cable and address"
             )
 
     def close(self) -> None:
@@ -280,130 +255,3 @@ class Line:
         if self._profile.transport == "tcp":  # the rest of an answer must not be read by the next request
             self._client.close()
         raise CommunicationLost(reason)
-
-
-def _refusal(profile: TcpLine | RtuLine) -> str:
-    """Why there is no connection: pymodbus only logs it. Tried afterwards, because a drive may accept a single
-    client.
-    """
-    try:
-        if isinstance(profile, TcpLine):
-            socket.create_connection((profile.host, profile.port), profile.timeout).close()
-        else:
-            serial.Serial(profile.device).close()
-    except OSError as error:
-        return error.strerror or str(error)
-    return "the log has the reason"
-
-
-def _client(profile: TcpLine | RtuLine, line: Line) -> Client:
-    if isinstance(profile, TcpLine):
-        return TcpClient(line, profile.host, port=profile.port, timeout=profile.timeout, retries=0)
-    return SerialClient(
-        line,
-        profile.device,
-        baudrate=profile.baudrate,
-        parity=profile.parity,
-        stopbits=profile.stopbits,
-        timeout=profile.timeout,
-        retries=0,
-    )
-
-
-class _Waiting:
-    """Waits for bytes as long as a line awaits an answer. pymodbus waits by the wall clock, and nothing shortens it."""
-
-    def __init__(self, line: Line) -> None:
-        self._line = line
-        self._pair: tuple[socket.socket, socket.socket] | None = None
-
-    def open(self) -> None:
-        if self._pair is None:
-            self._pair = socket.socketpair()
-            self._pair[1].setblocking(False)
-
-    def close(self) -> None:
-        pair, self._pair = self._pair, None
-        for end in pair or ():
-            end.close()
-
-    def wake(self) -> None:
-        """The line awaits the answer for a shorter time. From any thread."""
-        pair = self._pair
-        if pair is not None:
-            with suppress(OSError):  # full: it wakes anyway; closed this moment: nobody waits
-                pair[1].send(b"\0")
-
-    def wait(self, port: Any) -> bool:
-        """Whether there are bytes in time."""
-        while self._pair is not None and (left := self._line.left) > 0:
-            ready = select.select([port, self._pair[0]], [], [], left)[0]
-            if self._pair[0] in ready:
-                self._pair[0].recv(4096)
-            if port in ready:
-                return True
-        return False
-
-
-class TcpClient(ModbusTcpClient):
-    """pymodbus' client with the waiting of this module. `garbled`: bytes of an answer have come."""
-
-    def __init__(self, line: Line, host: str, **others: Any) -> None:
-        super().__init__(host, **others)
-        self.garbled = False
-        self._waiting = _Waiting(line)
-        self.wake = self._waiting.wake
-
-    def connect(self) -> bool:
-        self._waiting.open()
-        return bool(super().connect())
-
-    def close(self) -> None:
-        self._waiting.close()
-        super().close()
-
-    def recv(self, size: int | None) -> bytes:
-        """The received bytes; empty if none came in time. Raises ConnectionException."""
-        if self.socket is None:
-            raise ConnectionException(str(self))
-        if not self._waiting.wait(self.socket):
-            return b""
-        self.garbled = True
-        data = self.socket.recv(size or 4096)
-        if not data:
-            self.close()
-            raise ConnectionException(f"{self}: closed by the drives")
-        return data
-
-
-class SerialClient(ModbusSerialClient):
-    """As `TcpClient`."""
-
-    def __init__(self, line: Line, port: str, **others: Any) -> None:
-        super().__init__(port, **others)
-        self.garbled = False
-        self._waiting = _Waiting(line)
-        self.wake = self._waiting.wake
-
-    def connect(self) -> bool:
-        self._waiting.open()
-        return super().connect()
-
-    def close(self) -> None:
-        self._waiting.close()
-        super().close()
-
-    def recv(self, size: int | None) -> bytes:
-        """As `TcpClient.recv`."""
-        port = cast(Any, self.socket)
-        if port is None:
-            raise ConnectionException(str(self))
-        try:
-            if not self._waiting.wait(port):
-                return b""
-            self.garbled = True
-            return bytes(port.read(size or max(1, port.in_waiting)))
-        except OSError as error:
-            with suppress(OSError):
-                self.close()
-            raise ConnectionException(f"{self}: {error}") from None

@@ -9,7 +9,7 @@ from pymodbus.exceptions import ModbusIOException
 from pymodbus.pdu import ExceptionResponse, ModbusPDU
 from pymodbus.pdu.register_message import ReadHoldingRegistersResponse, WriteMultipleRegistersResponse
 
-from drivers.modbus.line import Client, Line
+from drivers.modbus.client import Client
 from drivers.modbus.profile import RtuLine, TcpLine
 from tests.unit.drivers.modbus_bank import Bank, Request
 
@@ -55,16 +55,16 @@ class Wire:
     silent: Collection[int] = ()
     log: list[tuple[float, Request]] = field(default_factory=list)
 
-    def __call__(self, _: TcpLine | RtuLine, line: Line) -> Client:
-        return MemoryClient(self, line)
+    def __call__(self, _: TcpLine | RtuLine, left: Callable[[], float]) -> Client:
+        return MemoryClient(self, left)
 
 
 @dataclass
 class MemoryClient:
-    """See `drivers.modbus.line.Client`."""
+    """See `drivers.modbus.client.Client`."""
 
     wire: Wire
-    line: Line
+    left: Callable[[], float]
     garbled: bool = False
 
     def connect(self) -> bool:
@@ -74,7 +74,7 @@ class MemoryClient:
         """Nothing is open."""
 
     def wake(self) -> None:
-        """The clock looks at the line itself."""
+        """The clock looks itself."""
 
     def read_holding_registers(self, address: int, *, count: int, device_id: int) -> ModbusPDU:
         return self._ask(Request(device_id, 3, address, count, []))
@@ -89,7 +89,7 @@ class MemoryClient:
         wire.log.append((clock.now, request))
         pdu = wire.bank.answer(request)
         if awaited and request.unit in wire.silent:
-            while (left := self.line.left) > 0:
+            while (left := self.left()) > 0:
                 clock.step(clock.now + left)
             raise ModbusIOException("no answer")
         if awaited:
