@@ -89,10 +89,6 @@ class ModbusStopSender:
             return {joint: doubt and why for joint, doubt in doubts.items()}
         return doubts
 
-    def confirm(self, within: float) -> Mapping[str, str]:
-        """Nothing is heard here: the units answer only the service."""
-        return dict.fromkeys(self._joints.values(), "cannot be heard here")
-
     def insist(self) -> None:
         self.send()
 

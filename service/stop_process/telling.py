@@ -17,7 +17,7 @@ class Telling:
         """`pipe`: descriptor, made non-blocking."""
         os.set_blocking(pipe, False)
         self._pipe = pipe
-        self._waiting: deque[bytes] = deque()
+        self.waiting: deque[bytes] = deque()
         self._lock = threading.Lock()
 
     def tell(self, message: dict[str, object]) -> None:
@@ -26,13 +26,13 @@ class Telling:
         if len(line) > _LONGEST:
             raise ValueError(f"a message of {len(line)} bytes, at most {_LONGEST}")
         with self._lock:
-            if line not in self._waiting and len(self._waiting) < MOST:
-                self._waiting.append(line)
+            if line not in self.waiting and len(self.waiting) < MOST:
+                self.waiting.append(line)
         self.flush()
 
     def flush(self) -> None:
         """Send what waits, as far as the service reads. An ended service is noticed by the input of this process."""
         with self._lock, suppress(OSError):  # BlockingIOError: it does not read; BrokenPipeError: it has ended
-            while self._waiting:
-                os.write(self._pipe, self._waiting[0])
-                self._waiting.popleft()
+            while self.waiting:
+                os.write(self._pipe, self.waiting[0])
+                self.waiting.popleft()

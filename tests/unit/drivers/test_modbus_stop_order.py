@@ -59,7 +59,7 @@ class Machine:
         can = capabilities(self.axes.values())
         heart = cast("asyncio.Task[None]", None)  # the test is the only one that asks
         self.connection = ModbusConnection(
-            self.thread, self.line, heart, self.devices, self.axes, identities, can, watch, control
+            self.thread, self.line, heart, self.devices, self.axes, identities, can, control
         )
         self.devices[MOVING - 1].allow_motion()
         self.controlword = registers.signals["controlword"].address

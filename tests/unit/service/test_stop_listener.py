@@ -110,8 +110,8 @@ def test_a_service_that_does_not_read_blocks_nothing_and_costs_bounded_memory() 
         telling = Telling(writing)
         for number in range(10_000):
             telling.tell({"stop": {"by": f"somebody {number}", "why": "x" * 500, "press": "", "address": "::1"}})
-        assert len(telling._waiting) <= MOST  # the memory is what is tested
-        while telling._waiting:
+        assert len(telling.waiting) <= MOST  # the memory is what is tested
+        while telling.waiting:
             assert os.read(reading, 1 << 16).startswith(b'{"stop"')
             telling.flush()
     finally:
@@ -122,7 +122,7 @@ def test_a_service_that_does_not_read_blocks_nothing_and_costs_bounded_memory() 
 @pytest.mark.parametrize(
     ("word", "wait"), [("", 1.0), ("0", 0.0), ("0.5", 0.5), ("7", 1.0), ("-1", 0.0), ("soon", 1.0), ("nan", 1.0)]
 )
-def test_a_stop_is_not_refused_for_a_bad_waiting_time(word: str, wait: float) -> None:
+def test_a_stop_is_not_refused_for_a_badwaiting_time(word: str, wait: float) -> None:
     assert waiting_time(word) == wait
 
 

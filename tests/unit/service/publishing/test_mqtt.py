@@ -151,9 +151,7 @@ async def test_the_last_will_tells_of_a_publisher_that_was_killed(tmp_path: Path
                 (process,) = [
                     each for each in psutil.Process().children() if "service.publishing.process" in each.cmdline()
                 ]
-                process.send_signal(
-                    signal.SIGSTOP
-                )  # it hangs: a call that waited would never end
+                process.send_signal(signal.SIGSTOP)  # it hangs: a call that waited would never end
                 for number in range(5 * NOTICES):
                     publisher.notice(notice(number))
                 process.kill()

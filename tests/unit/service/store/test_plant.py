@@ -132,7 +132,7 @@ def test_an_approval_holds_for_its_machine(
 ) -> None:
     plan = started(cells[0], robot, specs[0]).plan_id or 0
     approvals = [ApprovalStore(cell) for cell in cells]
-    given = approvals[0].add(plan, "0" * 64, "anna", timedelta(hours=8))
+    given = approvals[0].add(plan, "0" * 64, "anna", timedelta(hours=8), lambda: None)
     assert [one.id for one in approvals[0].of_plan(plan)] == [given.id]
     assert approvals[1].of_plan(plan) == ()
 
