@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import httpx
 
-from service.errors import BadInput, SweepidError
+from service.errors import BadInput, ServiceProblem, ServiceUnreachable
 
 Json = dict[str, Any]
 HOST_WATCH = "host watch"  # `by` of a stop that no person pressed
@@ -25,19 +25,6 @@ _BAD_INPUT = 422  # HTTP status
 _OPEN = ("waiting", "running")
 _SILENCE = 40.0  # s; an idle event stream carries a comment every 15 s
 _RECONNECT_FOR, _RECONNECT_PAUSE = 20.0, 0.5  # s
-
-
-class ServiceUnreachable(SweepidError):
-    """No service answers at the address: it is not started, or the address is wrong."""
-
-
-class ServiceProblem(SweepidError):
-    """The service rejected the request or failed; `status` and `detail` are those of its problem document."""
-
-    def __init__(self, status: int, detail: str) -> None:
-        super().__init__(detail)
-        self.status = status
-        self.detail = detail
 
 
 class ServiceClient(AbstractContextManager["ServiceClient"]):
@@ -263,16 +250,13 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
             try:
                 return cast("Json", _check(self._send("POST", "/stop", params=words, timeout=_STOP_TIMEOUT)).json())
             except (ServiceProblem, ServiceUnreachable):
-                answer = None if other is None else other.result()
-                if answer is None:
+                if other is None or (answer := other.result()) is None:
                     raise
                 return cast("Json", _check(answer).json())
 
     def _stop_beside(self, words: dict[str, str]) -> httpx.Response | None:
-        """The answer of the stop process, or None."""
         with suppress(httpx.TransportError):
             return httpx.post(self._stop_url, params=words, timeout=_STOP_TIMEOUT, trust_env=False, verify=self._tls)
-        return None
 
     def stops(self) -> list[Json]:
         """The stops that hold the machine, oldest first."""

@@ -36,3 +36,16 @@ class NotNow(SweepidError):
 
 class EnvelopeViolation(SweepidError):
     """A motion would leave the safety envelope; nothing moved, or the machine was stopped."""
+
+
+class ServiceUnreachable(SweepidError):
+    """No service answers at the address: it is not started, or the address is wrong."""
+
+
+class ServiceProblem(SweepidError):
+    """The service rejected the request or failed; `status` and `detail` are those of its problem document."""
+
+    def __init__(self, status: int, detail: str) -> None:
+        super().__init__(detail)
+        self.status = status
+        self.detail = detail

@@ -2,12 +2,11 @@
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Mapping, Sequence
+from collections.abc import AsyncGenerator, Callable, Generator, Mapping, Sequence
 from contextlib import asynccontextmanager, contextmanager, suppress
 from functools import partial
 
 import structlog
-from sqlalchemy.exc import SQLAlchemyError
 
 from drivers.errors import CommunicationLost, DriveError, StopNotConfirmed
 from drivers.ports import (
@@ -24,22 +23,19 @@ from drivers.ports import (
 )
 from service.errors import Conflict
 from service.execution.epoch import Epochs, Intention
-from service.execution.latched_stops import Hold, LatchedStops, apart
 from service.execution.motion import Bounds, Motion
+from service.execution.state.asking import Asking
+from service.execution.state.latched_stops import Hold, LatchedStops
+from service.execution.state.lease_renewal import renew
+from service.execution.state.stop_sequences import CONFIRMED_WITHIN, StopSequences
 from service.execution.statement import Condition, Reports, Statement
-from service.execution.stop_sequences import StopSequences
-from service.store.database import refusal
 from service.store.documents import StopDocument
 from service.store.guards import LeaseLost, MachineLease, StopLatch
-from service.tasks.background import Background
 from service.tasks.run_to_end import run_to_end
 
 _log = structlog.get_logger(__name__)
 
 RECENT = 0.25  # s
-ASKING = 0.5  # s that a statement waits for the answers of the drives
-CONFIRMED_WITHIN = 1.0  # s that a stop waits for its confirmation
-HALTED = 0.02  # s after a stop in which its repetition sends nothing: a flood must not fill the bus
 
 
 class Machine:
@@ -70,9 +66,7 @@ class Machine:
         self._trouble = "not connected yet"
         self._reports = Reports(port.joints)
         self._sequences = StopSequences(port)
-        self._halted = float("-inf")  # time of the last stop that was sent, s on the monotonic clock
-        self._background = Background()
-        self._refreshing: asyncio.Event | None = None  # set when the drives have answered
+        self._asked = Asking(self.recent_status)
         self._connecting = asyncio.Lock()
         self._asking = asyncio.Lock()
         self._recent: tuple[float, Mapping[str, AxisStatus]] | None = None
@@ -183,25 +177,10 @@ class Machine:
         return self._trouble or (statement.reason if statement.state is Condition.UNKNOWN else "")
 
     async def ask(self) -> Statement:
-        """The statement after the drives were asked; they are read once for any number of callers, within `ASKING` s.
-
-        Never raises.
-        """
+        """The statement after the drives were asked (`Asking.ask`). Never raises."""
         if self.connected:
-            if self._refreshing is None:
-                self._refreshing = asyncio.Event()
-                self._background.begin("ask the drives", self._refresh(self._refreshing))
-            with suppress(TimeoutError):
-                await asyncio.wait_for(self._refreshing.wait(), ASKING)
+            await self._asked.ask()
         return self.statement
-
-    async def _refresh(self, done: asyncio.Event) -> None:
-        try:
-            with suppress(DriveError, Conflict):  # the statement tells it
-                await self.recent_status()
-        finally:
-            self._refreshing = None
-            done.set()
 
     async def status(self) -> Mapping[str, AxisStatus]:
         """The state of every axis. Raises Conflict while not connected."""
@@ -248,12 +227,7 @@ class Machine:
         """
         self._order_stop()
         hold = self.seize(by, why, press, source)
-        confirming = asyncio.create_task(self.confirm(hold), name="confirm a stop")
-        await asyncio.wait([confirming], timeout=within)
-        if confirming.done():
-            return confirming.result()
-        self._background.begin("confirm a stop", self._logged(hold, confirming))
-        raise StopNotConfirmed((), dict.fromkeys(self.joints, f"did not confirm it within {within:g} s"))
+        return await self._sequences.within(hold, self.confirm(hold), within)
 
     def seize(self, by: str, why: str, press: str = "", source: str = "") -> Hold:
         """Block motion and send the stop to every axis; `confirm` must follow. From any thread.
@@ -262,10 +236,7 @@ class Machine:
         """
         hold = self._holds.take(by, why, press, source)  # before it is sent: a motion about to start finds it
         self.epochs.begin(_stopped(hold.document))
-        now = time.monotonic()
-        if not hold.repeated or now - self._halted > HALTED:
-            self._port.halt()
-            self._halted = now
+        self._sequences.halt(hold)
         return hold
 
     async def confirm(self, hold: Hold) -> StopDocument:
@@ -285,13 +256,7 @@ class Machine:
 
     async def confirm_logged(self, hold: Hold) -> None:
         """As `confirm`, for a stop whose caller does not wait: its errors are logged."""
-        await self._logged(hold, self.confirm(hold))
-
-    async def _logged(self, hold: Hold, confirming: Awaitable[StopDocument]) -> None:
-        try:
-            await confirming
-        except DriveError as error:
-            _log.error("stop_not_confirmed", by=hold.document.by, reason=str(error))
+        await self._sequences.logged(hold, self.confirm(hold))
 
     def end(self, why: str) -> None:
         """The service ends: every axis is stopped, and motion is blocked. A second call reports nothing."""
@@ -324,7 +289,7 @@ class Machine:
     async def close(self) -> None:
         """End of the service: entries that the database refuses now are lost."""
         await self._sequences.close()
-        await self._background.settle()
+        await self._asked.close()
         await self._holds.close()
 
     @property
@@ -387,7 +352,7 @@ class Machine:
         It also stands, until a restart, if this task ends by an unexpected error.
         """
         try:
-            await self._keep_lease(lease, lease_time)
+            await renew(lease, lease_time, self._renewed, self._stop_quietly)
         except LeaseLost as error:
             _log.error("lease_lost")
             await self._let_go(f"{error}; restart this service")
@@ -396,38 +361,8 @@ class Machine:
             await self._let_go(f"renewal of the machine lease has ended: {error!r}; restart this service")
             raise
 
-    async def _keep_lease(self, lease: MachineLease, lease_time: float) -> None:
-        renewed, late = time.monotonic(), 0.0  # late: s since then by which this computer was delayed
-        while True:
-            late += await _wait(lease_time / 5)
-            begun = time.monotonic()
-            # one attempt at a time, however long it takes: waiting threads must not accumulate
-            attempt = asyncio.create_task(apart(lease.renew), name="renew lease")
-            try:
-                while True:
-                    late += await _wait(lease_time / 5, attempt)
-                    if attempt.done():
-                        break
-                    await self._check_renewed(renewed, lease_time, late)
-            finally:
-                await asyncio.wait([attempt])
-            try:
-                attempt.result()
-            except SQLAlchemyError as error:  # also a full pool or a broken file: it must not end this task
-                _log.warning("lease_not_renewed", reason=refusal(error))
-                await self._check_renewed(renewed, lease_time, late)
-            else:
-                renewed, late = begun, 0.0
-                self._lease_trouble = ""
-
-    async def _check_renewed(self, renewed: float, lease_time: float, late: float) -> None:
-        """Stop the machine, whatever the cause, because another service may take it; `late` distinguishes the cause."""
-        passed = time.monotonic() - renewed
-        if passed > lease_time / 2 and not self._lease_trouble:
-            why = f"this computer was delayed by {late:.1f} s" if late > passed / 2 else "the database does not answer"
-            reason = f"the machine's lease could not be renewed: {why}"
-            _log.error("lease_not_renewed", reason=reason)
-            await self._stop_quietly(reason)
+    def _renewed(self) -> None:
+        self._lease_trouble = ""
 
     async def _let_go(self, why: str) -> None:
         """Stop and leave the bus permanently: our heartbeat would hide the loss of the host from the drives."""
@@ -458,13 +393,3 @@ class Machine:
 
 def _stopped(stop: StopDocument) -> str:
     return f"stopped by {stop.by}: {stop.why}"
-
-
-async def _wait(within: float, work: "asyncio.Task[None] | None" = None) -> float:
-    """Wait `within` s, or until `work` is done; returns by how many s this computer was delayed."""
-    due = time.monotonic() + within
-    if work is None:
-        await asyncio.sleep(within)
-    else:
-        await asyncio.wait([work], timeout=within)
-    return max(0.0, time.monotonic() - due)

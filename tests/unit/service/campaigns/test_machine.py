@@ -11,8 +11,8 @@ from structlog.testing import capture_logs
 from drivers.errors import StopNotConfirmed
 from drivers.ports import AxisState
 from service.errors import Conflict, NotFound
-from service.execution.latched_stops import MOST
-from service.execution.machine import HALTED
+from service.execution.state.latched_stops import MOST
+from service.execution.state.stop_sequences import HALTED
 from service.store.documents import CampaignState, SweepState
 from service.store.guards import MachineLease
 from tests.unit.service.campaigns.conftest import TIMEOUT, Bench, until

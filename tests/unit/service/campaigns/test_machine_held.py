@@ -138,7 +138,7 @@ async def test_a_stop_that_the_database_does_not_take_is_seen_and_reset_all_the_
 async def test_what_the_database_did_not_take_is_noted_once_it_does(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("service.execution.latched_stops.AGAIN", 0.02)
+    monkeypatch.setattr("service.execution.state.latched_stops.AGAIN", 0.02)
     await bench.machine.connect()
     with bench.database.write() as session:
         session.execute(text("CREATE TRIGGER refuse BEFORE INSERT ON stop BEGIN SELECT RAISE(FAIL, 'full'); END"))
