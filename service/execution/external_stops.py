@@ -28,7 +28,8 @@ async def listening(
         def word(by: str, why: str, press: str, address: str) -> None:
             taken = hold(by, why, press, f"{address} {by}")
             process.taken_over()
-            if not taken.repeated:
+            if not taken.reported:
+                taken.reported = True
                 report(by, why, address)
 
         process.attach(word)

@@ -43,6 +43,7 @@ class Hold:
     source: str = ""
     last: float = 0.0  # time of its last repetition, s on the monotonic clock
     repeated: bool = False
+    reported: bool = False  # to the audit, by the port of the stop process
     under_way: int = 0  # number of callers that wait for confirmation by the drives
 
 
@@ -75,7 +76,8 @@ class LatchedStops:
         with self._taking:
             holds = tuple(self._holds)
             hold = next((each for each in holds if press and each.press == press), None)
-            hold = hold or next((each for each in holds if source == each.source and now - each.last < MERGED), None)
+            if hold is None and source:
+                hold = next((each for each in holds if each.source == source and now - each.last < MERGED), None)
             if hold is None and len(holds) >= MOST:
                 hold = holds[-1]
             if hold is None:
