@@ -11,6 +11,7 @@ from drivers.ports import AxisState, AxisStatus
 from service.execution.statement import STALE, Condition, Reports
 
 JOINTS = ("joint_1", "joint_2")
+TICK = 1e-3  # s between two events: neither happens at the same time as the other
 SILENT = AxisStatus("", AxisState.UNKNOWN, math.nan, math.nan, math.nan, None)
 
 
@@ -30,7 +31,7 @@ class Truth:
         self.past.append((self.now, self.axes))
 
     def at(self, time: float) -> dict[str, tuple[bool, bool]]:
-        return next(axes for since, axes in reversed(self.past) if since <= time + 1e-12)
+        return next(axes for since, axes in reversed(self.past) if since <= time + TICK / 10)
 
 
 def status(joint: str, moves: bool, energised: bool) -> AxisStatus:
@@ -56,6 +57,7 @@ def test_it_is_never_better_than_the_truth(events: list[tuple]) -> None:
     reports = Reports(JOINTS, lambda: truth.now)
     enabled: set[str] = set()
     for event in events:
+        truth.now += TICK
         match event:
             case ("time", passed):
                 truth.now += passed
