@@ -9,11 +9,11 @@ from fastapi.routing import APIRoute
 from starlette.middleware.cors import CORSMiddleware
 
 from service.api import events, health, robots
-from service.api.campaign import approvals, bundles, campaigns, pictures, plans, sweeps
+from service.api.campaign import ahead, approvals, bundles, campaigns, pictures, plans, sweeps
 from service.api.declared.application import DeclaredApi
 from service.api.gate import BUNDLE_LIMIT, ROBOT_LIMIT, Gate
 from service.api.logged import Logged
-from service.api.machine import drives, live, stop
+from service.api.machine import drives, live, machines, stop
 from service.api.machine.arrival import EPOCH, Arrival
 from service.api.metrics import route as metrics
 from service.api.people import audit, login, me, oidc
@@ -38,6 +38,7 @@ _ROUTERS = (
     pictures.router,
     approvals.router,
     campaigns.router,
+    ahead.router,
     sweeps.router,
     estimates.router,
     reports.router,
@@ -50,6 +51,7 @@ _ROUTERS = (
     events.router,
     live.router,
     drives.router,
+    machines.router,
     stop.router,
     audit.router,
     me.router,

@@ -1,7 +1,7 @@
 """The composition root: builds store, machine, runner, worker and hub from the settings, and owns their lifetimes."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -17,6 +17,7 @@ from drivers.registry import open_profile
 from service.campaigns.estimate_quality import Quality, quality_of
 from service.campaigns.fleet_history import FleetHistory
 from service.campaigns.live import EventFeed, LiveHub
+from service.campaigns.plan_subject import PlanSubject, plan_subject
 from service.campaigns.planned_time import PlannedTime, planned_times
 from service.cell import Cell, WithCell
 from service.configuration import read_robot
@@ -42,12 +43,13 @@ from service.jobs.reporting import Reporting, of_fleet
 from service.people.audit_chain import Entry
 from service.people.keys import masked
 from service.planning.compiled_plan import compile_plan, plan_of, planned_sweeps
+from service.planning.machine_setup import MachineSetup, machine_setup
 from service.planning.motion_hash import machine_sha256, motion_sha256
 from service.publishing.following import Following
 from service.publishing.publisher import Publisher
 from service.publishing.state import Configuration
 from service.report import Form, NoPdf
-from service.safety.robot_and_machine import DriveAxis, DriveProfile
+from service.safety.robot_and_machine import DriveProfile
 from service.settings import Settings
 from service.stop_process.handle import StopProcess
 from service.store.approvals import ApprovalStore
@@ -56,7 +58,7 @@ from service.store.database import Database, open_database
 from service.store.diagnosis.diagnoses import DiagnosisStore
 from service.store.diagnosis.model_revisions import ModelStore
 from service.store.diagnosis_documents import ModelDocument
-from service.store.documents import CampaignDocument
+from service.store.documents import CampaignDocument, RobotDocument
 from service.store.files.bundle import write_bundle
 from service.store.files.data_folder import claim_folder
 from service.store.files.exchange import campaign_bundle, import_campaign
@@ -120,6 +122,17 @@ class Application(WithCell):
         return times
 
     @cached_property
+    def subjects(self) -> Callable[[int], PlanSubject]:
+        """Robot, cell and machine by plan number, as `planned_times`. Blocks."""
+
+        @lru_cache(maxsize=256)
+        def subject(plan_id: int) -> PlanSubject:
+            plan = self.store.plan(plan_id)
+            return plan_subject(plan.robot_id, plan.document)
+
+        return subject
+
+    @cached_property
     def qualities(self) -> Callable[[], dict[str, Quality]]:
         """Quality of the latest estimate of each robot, by name; revisions never change, so each is read once. Blocks.
 
@@ -159,7 +172,7 @@ class Application(WithCell):
         """Hash of all data that determine the motion of a plan now (see `motion_hash`); blocks."""
         plan = self.store.plan(plan_id)
         cell = read_cell(self.settings.cells_dir / f"{plan_of(plan).request.cell}.yaml")
-        return motion_sha256(plan, self.store.robot(plan.robot_id), cell, self.settings, self.own.machine_sha256)
+        return motion_sha256(plan, self.store.robot(plan.robot_id), cell, self.settings, self.own.setup.sha256)
 
     async def import_bundle(self, source: Path, limits: Limits = LIMITS) -> CampaignDocument:
         """A campaign of the sweeps of a bundle (folder or zip), to be identified. BadInput: nothing is stored.
@@ -212,9 +225,8 @@ class Application(WithCell):
         return accept_model(self.store, self.diagnoses, self.models, diagnosis_id, axes, accepted_by)
 
 
-def _add_robots(store: Store, folder: Path) -> None:
-    for path in sorted(folder.glob("*.yaml")):
-        store.add_robot(read_robot(path))
+def _add_robots(store: Store, folder: Path) -> dict[str, RobotDocument]:
+    return {path.stem: store.add_robot(read_robot(path)) for path in sorted(folder.glob("*.yaml"))}
 
 
 def _made(written: Written) -> str | bytes:
@@ -254,7 +266,7 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
             transfers = Transfers()
             stack.push_async_callback(transfers.close)
         files = RecordingFiles(settings.data_dir, address, None if transfers is None else transfers.fetch)
-        owned, keeping = None, Background()
+        owned, setup, keeping = None, None, Background()
         if port is not None:
             owned = await _own_machine(
                 stack, settings, database, partial(Machine, port), port.close, stop_process, audit, keeping
@@ -264,7 +276,8 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
                 for number in await asyncio.to_thread(recover, store, files):
                     tell_own_stop(audit, f"campaign {number}", "the previous service process ended without a shutdown")
             keys.release_unanswered()
-            await asyncio.to_thread(_add_robots, store, settings.robots_dir)  # the host watch has begun
+            robots = await asyncio.to_thread(_add_robots, store, settings.robots_dir)  # the host watch has begun
+            setup = _setup(settings, profile, owned.machine.joints, robots)
         else:
             stack.push_async_callback(keeping.close)
 
@@ -279,12 +292,24 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
             *(api_keys, users, sessions, ExternalUsers(database)),
             *(FleetHistory(FleetStore(database)), PlantStore(database), BatchStore(database), None),
         )
-        if owned is not None and profile is not None:
-            axes = DriveProfile.model_validate(profile).of(owned.machine.joints)
-            sha256 = machine_sha256(profile, settings.drive.parent)
-            cell = await _open_cell(stack, application, database, owned, axes, sha256, transfers, stop_process)
+        if owned is not None and setup is not None:
+            if not owned.lost:
+                application.plant.configure(None if setup.robot is None else setup.robot.id, setup.cell)
+            cell = await _open_cell(stack, application, database, owned, setup, transfers, stop_process)
             application = replace(application, cell=cell)
         yield application
+
+
+def _setup(
+    settings: Settings, profile: object, joints: Sequence[str], robots: Mapping[str, RobotDocument]
+) -> MachineSetup:
+    axes = DriveProfile.model_validate(profile).of(joints)
+    setup = machine_setup(settings, axes, machine_sha256(profile, settings.drive.parent), robots)
+    robot = None if setup.robot is None else setup.robot.name
+    _log.info("machine_setup", machine=setup.name, robot=robot, cell=setup.cell)
+    for reason in setup.missing:
+        _log.warning("machine_setup_missing", reason=reason)
+    return setup
 
 
 class _Owned(NamedTuple):
@@ -330,8 +355,7 @@ async def _open_cell(
     app: Application,
     database: Database,
     owned: _Owned,
-    axes: tuple[DriveAxis, ...],
-    sha256: str,
+    setup: MachineSetup,
     transfers: Transfers | None,
     stop_process: StopProcess | None,
 ) -> Cell:
@@ -342,12 +366,12 @@ async def _open_cell(
     executor = SweepExecutor(store, files, machine, app.hub)
     stack.callback(executor.close)
     approvals = Approvals(ApprovalStore(database), settings.approval, timedelta(hours=settings.approval_valid))
-    runner = Runner(store, machine, executor, jobs, partial(compile_plan, store, settings, axes, sha256), approvals)
+    runner = Runner(store, machine, executor, jobs, partial(compile_plan, store, settings, setup), approvals)
     stack.push_async_callback(runner.close)
 
     diagnosing = Diagnosing(store, app.diagnoses, app.models, files, worker)
     stack.push_async_callback(diagnosing.close)
-    experiments = Experiments(settings, store, app.diagnoses, runner, diagnosing, axes)
+    experiments = Experiments(settings, store, app.diagnoses, runner, diagnosing, setup)
     stack.push_async_callback(experiments.close)
     last_event = await asyncio.to_thread(store.last_event_id)
     await diagnosing.recover()
@@ -382,7 +406,7 @@ async def _open_cell(
     except DriveError as error:
         _log.warning("machine_not_connected", reason=str(error))
     return Cell(
-        *(axes, sha256, owned.lost, machine, jobs, executor, runner, approvals),
+        *(setup, owned.lost, machine, jobs, executor, runner, approvals),
         *(diagnosing, experiments, checking, batches, moving, publisher, stop_process),
     )
 

@@ -14,8 +14,8 @@ from service.jobs.batches import Batches
 from service.jobs.checking import Checking
 from service.jobs.jobs import Jobs
 from service.jobs.recording_uploads import RecordingUploads
+from service.planning.machine_setup import MachineSetup
 from service.publishing.publisher import Publisher
-from service.safety.robot_and_machine import DriveAxis
 from service.stop_process.handle import StopProcess
 from service.store.files.recordings import RecordingFiles
 from service.store.rows import NoMachine
@@ -25,8 +25,7 @@ from service.store.rows import NoMachine
 class Cell:
     """The machine of a service, and the parts that move it or compute from its recordings."""
 
-    drive_axes: tuple[DriveAxis, ...]  # as in the profile
-    machine_sha256: str  # of the drive profile with its files, as used
+    setup: MachineSetup
     lost: str
     """Reason why nothing may be stored: the database does not belong to the data folder; empty if it does."""
     machine: Machine

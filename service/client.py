@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
+from urllib.parse import urlencode
 
 import httpx
 
@@ -67,9 +68,24 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
         """Names of the cells of the service."""
         return list(self._get("/cells")["names"])
 
-    def add_plan(self, request: Json, *, elsewhere: bool = False) -> Json:
-        """`elsewhere`: for another machine than that of the service."""
-        return self._post(f"/plans{'?elsewhere=true' * elsewhere}", request, timeout=_LONG_TIMEOUT)
+    def machines(self) -> Json:
+        """The machines of the plant (`items`), with robot and cell; `here`: that of this service."""
+        return self._get("/machines")
+
+    def add_plan(
+        self,
+        request: Json,
+        *,
+        elsewhere: bool = False,
+        confirm_robot: str | None = None,
+        confirm_cell: str | None = None,
+    ) -> Json:
+        """`elsewhere`: for another machine than that of the service. `confirm_robot`, `confirm_cell`: as typed by a
+        person, names that are not the machine's.
+        """
+        typed = {"confirm_robot": confirm_robot, "confirm_cell": confirm_cell}
+        query = {name: value for name, value in typed.items() if value} | ({"elsewhere": "true"} if elsewhere else {})
+        return self._post(f"/plans{f'?{urlencode(query)}' if query else ''}", request, timeout=_LONG_TIMEOUT)
 
     def plan(self, plan_id: int) -> Json:
         return self._get(f"/plans/{plan_id}")
@@ -93,13 +109,19 @@ class ServiceClient(AbstractContextManager["ServiceClient"]):
     def campaign(self, campaign_id: int) -> Json:
         return self._get(f"/campaigns/{campaign_id}")
 
-    def start(self, campaign_id: int, attended: float | None = None) -> Json:
+    def ahead(self, campaign_id: int, repeat: bool = False) -> Json:
+        """What a start or resume will move now: robot, cell, machine, approach, range of each axis."""
+        return self._get(f"/campaigns/{campaign_id}/ahead{'?repeat=true' * repeat}")
+
+    def start(self, campaign_id: int, attended: float | None = None, seen: Json | None = None) -> Json:
         """Connects the drives first if necessary. Reads the address of the stop before, while the service answers.
 
-        `attended`: s between two calls of `sign_of_life`; after a longer time the campaign is paused.
+        `attended`: s between two calls of `sign_of_life`; after a longer time the campaign is paused. `seen`: `range`
+        of `ahead` that was shown; refused if an axis has left it.
         """
         self._find_stop()
-        return self._post(f"/campaigns/{campaign_id}/start", _attended(attended), timeout=_LONG_TIMEOUT)
+        wanted = _attended(attended) | ({} if seen is None else {"seen": seen})
+        return self._post(f"/campaigns/{campaign_id}/start", wanted, timeout=_LONG_TIMEOUT)
 
     def sign_of_life(self, campaign_id: int) -> Json | None:
         """Send a sign of life; None if the campaign requires none."""

@@ -20,6 +20,7 @@ from starlette.routing import Match
 
 from drivers.errors import CommunicationLost, ConnectionFailed, DriveError, NotReady
 from service.errors import BadInput, Conflict, EnvelopeViolation, NotFound, NotNow, SweepidError
+from service.planning.machine_setup import NeedsConfirmation
 from service.report import NoPdf
 from service.store.people.audit import AuditUnreadable
 from service.store.people.writer import NotAudited
@@ -86,6 +87,7 @@ class Problem(BaseModel):
     errors: tuple[FieldProblem, ...] = ()
     sent: tuple[str, ...] | None = None  # for a stop: the axes to which it was sent
     confirmed: tuple[str, ...] | None = None  # for a stop: the axes at standstill
+    confirm: dict[str, str] | None = None  # for a plan of another robot or cell: what a person has to type
     unconfirmed: dict[str, str] | None = None  # for a stop: the reason for each axis without confirmation
 
 
@@ -126,7 +128,8 @@ def _on_known_error(request: Request, error: Exception) -> Response:
     status = next((status for kind, status in _STATUS if isinstance(error, kind)), HTTPStatus.INTERNAL_SERVER_ERROR)
     errors = (FieldProblem(pointer=error.place, reason=error.reason),) if isinstance(error, BadInput) else ()
     headers = AGAIN if isinstance(error, NotNow | NotAudited) else None
-    return problem_response(request, status, _kebab(type(error).__name__), str(error), errors, headers)
+    additional = {"confirm": error.confirm} if isinstance(error, NeedsConfirmation) else None
+    return problem_response(request, status, _kebab(type(error).__name__), str(error), errors, headers, additional)
 
 
 def _on_refused(request: Request, error: Exception) -> Response:

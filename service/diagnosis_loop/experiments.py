@@ -5,7 +5,8 @@ experiments (`unattended`): at most `ROUNDS` per axis, never with a test mass, a
 """
 
 import asyncio
-from collections.abc import Sequence
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import cast
 
 import structlog
@@ -19,11 +20,12 @@ from service.errors import BadInput, Conflict, SweepidError
 from service.execution.epoch import Intention
 from service.execution.runner import Runner
 from service.geometry.cell import read_cell
-from service.planning.compiled_plan import plan_of
+from service.planning.ahead import Range
 from service.planning.diagnosis.documents import ExperimentPlan, ExperimentRequest
 from service.planning.diagnosis.plan import build_experiment_plan
+from service.planning.machine_setup import MachineSetup
 from service.results.experiment import Experiment
-from service.safety.robot_and_machine import DriveAxis, on_machine
+from service.safety.robot_and_machine import on_machine
 from service.settings import Settings
 from service.store.diagnosis.diagnoses import DiagnosisStore, check_free
 from service.store.diagnosis_documents import (
@@ -56,10 +58,10 @@ class Experiments:
         diagnoses: DiagnosisStore,
         runner: Runner,
         diagnosing: Diagnosing,
-        axes: Sequence[DriveAxis],
+        setup: MachineSetup,
     ) -> None:
-        """`axes`: of the machine that runs the experiments."""
-        self._axes = axes
+        """`setup`: of the machine that runs the experiments."""
+        self._setup = setup
         self._settings, self._store, self._diagnoses = settings, store, diagnoses
         self._runner, self._diagnosing = runner, diagnosing
         self._approving = asyncio.Lock()
@@ -67,19 +69,28 @@ class Experiments:
         self._heard_events = Background()
 
     def plan(
-        self, diagnosis_id: int, axis: str, cell: str | None, test_mass: BoltedMass | None = None
+        self,
+        diagnosis_id: int,
+        axis: str,
+        cell: str | None,
+        typed: Mapping[str, str | None],
+        by: str,
+        test_mass: BoltedMass | None = None,
     ) -> ExperimentPlan:
         """The plan of the next experiment of an axis (blocking). Conflict if there is none; BadInput if it cannot run.
 
-        `cell`: None means that of the newest evidence. `test_mass`: its weight adds effort.
+        `cell`: None means that of the machine. `typed`, `by`: as in `MachineSetup.confirmed`. `test_mass`: its weight
+        adds effort.
         """
         diagnosis = self._diagnoses.diagnosis(diagnosis_id)
         experiment = proposed(diagnosis, axis)
         designed = [DesignedSweep(sweep.spec, sweep.ramp, sweep.settle) for sweep in experiment.sweeps]
-        name = cell or self._cell(diagnosis)
+        origin, name = self._store.robot(diagnosis.robot_id), self._setup.own_cell(cell)
+        made_for = self._setup.confirmed(origin, name, typed, by)
         request = ExperimentRequest(robot_id=diagnosis.robot_id, cell=name, test_mass=test_mass)
-        robot = on_machine(self._store.robot(diagnosis.robot_id).build(), self._axes)
-        return build_experiment_plan(robot, request, designed, read_cell(self._settings.cells_dir / f"{name}.yaml"))
+        robot = on_machine(origin.build(), self._setup.axes)
+        plan = build_experiment_plan(robot, request, designed, read_cell(self._settings.cells_dir / f"{name}.yaml"))
+        return plan.model_copy(update={"made_for": made_for})
 
     def permit(self, diagnosis_id: int, intention: Intention) -> None:
         """The experiments of an unattended diagnosis and of those that follow from it are wanted."""
@@ -93,10 +104,13 @@ class Experiments:
         test_mass: BoltedMass | None,
         cell: str | None,
         intention: Intention,
+        typed: Mapping[str, str | None] = MappingProxyType({}),
+        seen: Mapping[str, Range] | None = None,
     ) -> CampaignDocument:
         """Plan the next experiment of an axis, and start its campaign. The diagnosis continues when that is completed.
 
         With the setting `approval` the campaign stays planned: its plan needs a separate approval, and then a start.
+        `typed` as in `MachineSetup.confirmed`, `seen` as in `Runner.start`.
 
         `intention`: of the approval; it is that of the start.
 
@@ -115,7 +129,7 @@ class Experiments:
                     "the experiment is without a test mass: remove the mass from the machine and from the request",
                 )
             await self._runner.check_free(intention)
-            plan = await asyncio.to_thread(self.plan, diagnosis_id, axis, cell, test_mass)
+            plan = await asyncio.to_thread(self.plan, diagnosis_id, axis, cell, typed, approved_by, test_mass)
             campaign = await asyncio.to_thread(
                 self._diagnoses.approve,
                 diagnosis_id,
@@ -128,7 +142,7 @@ class Experiments:
         if self._settings.approval:  # a user starts the campaign after the approval of the plan
             return campaign
         try:
-            return await self._runner.start(campaign.id, intention)
+            return await self._runner.start(campaign.id, intention, seen=seen)
         except (SweepidError, DriveError) as error:
             await self._runner.abort(campaign.id, f"could not be started: {error}")
             raise
@@ -237,13 +251,6 @@ class Experiments:
             count += before.experiment is not None and before.experiment.axis == axis
             parent = before.parent
         return count
-
-    def _cell(self, diagnosis: DiagnosisEntry) -> str:
-        for number in reversed(diagnosis.campaigns):
-            plan_id = self._store.campaign(number).plan_id
-            if plan_id is not None:
-                return plan_of(self._store.plan(plan_id)).request.cell
-        raise BadInput("cell", "none of the campaigns was planned by this service: give the cell of the machine")
 
 
 def proposed(diagnosis: DiagnosisDocument, axis: str) -> Experiment:

@@ -23,6 +23,7 @@ from service.execution.sign_of_life import SignOfLife
 from service.execution.sweep_executor import SweepExecutor, cause_of
 from service.jobs.jobs import Jobs
 from service.logs.about import MACHINE
+from service.planning.ahead import Range, check_seen, positions_of
 from service.planning.compiled_plan import CompiledPlan
 from service.store.database import refusal
 from service.store.documents import CampaignDocument, CampaignState, SweepState
@@ -86,15 +87,21 @@ class Runner:
         return self._executor.under_way
 
     async def start(
-        self, campaign_id: int, intention: Intention, if_version: int | None = None, attended: float | None = None
+        self,
+        campaign_id: int,
+        intention: Intention,
+        if_version: int | None = None,
+        attended: float | None = None,
+        seen: Mapping[str, Range] | None = None,
     ) -> CampaignDocument:
         """planned -> running. Raises Conflict while another campaign runs, the machine is stopped or does not answer,
         or the plan is not approved if that is required; Superseded if the intention is older than a stop.
 
         `attended`: maximum time between two calls of `sign_of_life`, s; otherwise the axes stop and the campaign is
-        paused. None: not required.
+        paused. None: not required. `seen`: ranges of the axes, rad (m), that were shown before; Conflict if an axis has
+        left them (`ahead`). None: none were shown.
         """
-        return await self._launch(campaign_id, CampaignEvent.START, intention, if_version, attended, repeat=False)
+        return await self._launch(campaign_id, CampaignEvent.START, intention, if_version, attended, seen, repeat=False)
 
     async def pause(self, campaign_id: int, if_version: int | None = None) -> CampaignDocument:
         """running -> pausing; paused at the end of the present sweep."""
@@ -111,6 +118,7 @@ class Runner:
         if_version: int | None = None,
         repeat: bool = False,
         attended: float | None = None,
+        seen: Mapping[str, Range] | None = None,
     ) -> CampaignDocument:
         """paused -> running with the next planned sweep; with `repeat`, failed and interrupted sweeps are planned again
         first.
@@ -121,7 +129,7 @@ class Runner:
         if self._running == campaign_id:
             async with self._commands:
                 return await run_to_end(self._take_back_pause(campaign_id, intention, if_version, attended))
-        return await self._launch(campaign_id, CampaignEvent.RESUME, intention, if_version, attended, repeat)
+        return await self._launch(campaign_id, CampaignEvent.RESUME, intention, if_version, attended, seen, repeat)
 
     async def _take_back_pause(
         self, campaign_id: int, intention: Intention, if_version: int | None, attended: float | None
@@ -203,6 +211,7 @@ class Runner:
         intention: Intention,
         if_version: int | None,
         attended: float | None,
+        seen: Mapping[str, Range] | None,
         repeat: bool,
     ) -> CampaignDocument:
         async with self._commands:
@@ -212,6 +221,8 @@ class Runner:
             compiled = await asyncio.to_thread(self._compile, campaign)
             await asyncio.to_thread(self._approvals.check, campaign.plan_id, compiled.sha256, intention.by)
             await self._check_machine(intention)
+            if seen is not None:
+                await self._check_seen(seen, compiled, campaign_id, repeat)
             again = sweep_move(SweepEvent.REPEAT)
             campaign = await asyncio.to_thread(
                 self._store.move_campaign,
@@ -235,6 +246,14 @@ class Runner:
         if self._attendance is not None:
             self._attendance.end()
         self._attendance = SignOfLife(within, partial(self._missed, self._task, campaign_id))
+
+    async def _check_seen(
+        self, seen: Mapping[str, Range], compiled: CompiledPlan, campaign_id: int, repeat: bool
+    ) -> None:
+        due = compiled.due(await asyncio.to_thread(self._store.sweeps, campaign_id), repeat)
+        if due:
+            positions = positions_of(await self._machine.status())
+            await asyncio.to_thread(check_seen, seen, compiled, due[0].spec.pose, positions)
 
     def _missed(self, task: asyncio.Task[None], campaign_id: int, cause: str) -> None:
         task.cancel(cause)

@@ -11,8 +11,8 @@ from typing import ParamSpec, TypeVar
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from drivers.errors import CommunicationLost, SweepInterrupted
-from drivers.ports import AxisState, AxisStatus
+from drivers.errors import SweepInterrupted
+from drivers.ports import AxisStatus
 from service.campaigns.live import LiveHub
 from service.campaigns.state_machine import SweepEvent, sweep_move
 from service.errors import SweepidError
@@ -25,6 +25,7 @@ from service.execution.recording.incoming import BegunSweep, Incoming
 from service.execution.recording.recorder import finish
 from service.execution.recording.recovery import break_off, end_runs, store_streams
 from service.logs.about import MACHINE, in_executor
+from service.planning.ahead import positions_of
 from service.planning.compiled_plan import CompiledPlan
 from service.recording import SweepSpec
 from service.results.identified.manifest import Facts
@@ -282,13 +283,8 @@ class SweepExecutor:
 
 
 def _pose_of(status: Mapping[str, AxisStatus], sweep: SweepDocument, compiled: CompiledPlan) -> tuple[float, ...]:
-    for joint, axis in status.items():
-        if axis.state is AxisState.UNKNOWN:
-            raise CommunicationLost(f"{joint}: its drive does not answer")
-    return tuple(
-        status[joint].position if joint in status else planned
-        for joint, planned in zip(compiled.joints, sweep.spec.pose, strict=True)
-    )
+    positions = positions_of(status)
+    return tuple(positions.get(joint, planned) for joint, planned in zip(compiled.joints, sweep.spec.pose, strict=True))
 
 
 def cause_of(machine: Machine, error: BaseException) -> str:

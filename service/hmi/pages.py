@@ -39,6 +39,7 @@ _SCRIPTS = (
     "refresh",
     "results",
     "stream",
+    "subject",
     "verdicts",
     "wayout",
     "words",

@@ -7,6 +7,7 @@ from service.errors import Conflict
 from service.geometry.cell import read_cell
 from service.planning.analysis.documents import AnalysisPlan
 from service.planning.diagnosis.documents import DiagnosisPlan, ExperimentPlan
+from service.planning.machine_setup import MachineSetup
 from service.planning.motion_hash import motion_sha256
 from service.planning.plan import PlanDocument
 from service.planning.trajectories.documents import TrajectoryPlan
@@ -42,17 +43,23 @@ class CompiledPlan:
     base_parameters: int = 0  # number that the plan measures
     sha256: str = ""  # of all data that determine motion (`motion_hash`); "": unknown, cannot be approved
 
-    def due(self, sweeps: Sequence[SweepDocument]) -> list[SweepDocument]:
+    def due(self, sweeps: Sequence[SweepDocument], repeat: bool = False) -> list[SweepDocument]:
         """The next planned sweep with the others of its trajectory; empty if none is left.
 
-        A trajectory with one measured sweep is skipped: it can only be repeated as a whole.
+        A trajectory with one measured sweep is skipped: it can only be repeated as a whole. `repeat`: failed and
+        interrupted sweeps count as planned.
         """
-        planned = {sweep.number for sweep in sweeps if sweep.state is SweepState.PLANNED}
+        planned = {sweep.number for sweep in sweeps if is_due(sweep.state, repeat)}
         for sweep in sweeps:
             numbers = next((numbers for numbers in self.trajectories if sweep.number in numbers), (sweep.number,))
             if planned.issuperset(numbers):
                 return [each for each in sweeps if each.number in numbers]
         return []
+
+
+def is_due(state: SweepState, repeat: bool) -> bool:
+    """Whether a start runs a sweep in this state; with `repeat`, failed and interrupted ones too."""
+    return state is SweepState.PLANNED or (repeat and state in (SweepState.FAILED, SweepState.INTERRUPTED))
 
 
 def plan_of(record: PlanRecord) -> Plan:
@@ -81,26 +88,35 @@ def _moved(plan: Plan) -> set[str]:
     return {name for sweep in plan.sweeps for name in (sweep.spec.axis, *(leg.joint for leg in sweep.legs))}
 
 
-def compile_plan(
-    store: Store, settings: Settings, axes: Sequence[DriveAxis], machine: str, campaign: CampaignDocument
-) -> CompiledPlan:
-    """The compiled plan of a campaign; BadInput for a bad cell file. `machine`: the hash of the drive profile.
-
-    Conflict for a campaign without plan, and for one that is for another robot than the machine of the `axes`.
-    """
+def compile_plan(store: Store, settings: Settings, machine: MachineSetup, campaign: CampaignDocument) -> CompiledPlan:
+    """The compiled plan of a campaign; errors as `compile_record`. Conflict for a campaign without plan."""
     if campaign.plan_id is None:
         raise Conflict(f"campaign {campaign.id} was imported and cannot be run")
-    record, origin = store.plan(campaign.plan_id), store.robot(campaign.robot_id)
+    return compile_record(store, settings, machine, store.plan(campaign.plan_id), f"campaign {campaign.id}")
+
+
+def compile_record(
+    store: Store, settings: Settings, machine: MachineSetup, record: PlanRecord, what: str
+) -> CompiledPlan:
+    """The compiled plan for this machine; BadInput for a bad cell file. `what`: the name in an error.
+
+    Conflict if its robot does not match the drives, or if robot or cell is not the machine's and nobody confirmed it.
+    """
+    origin = store.robot(record.robot_id)
     plan, robot = plan_of(record), origin.build()
-    other = other_machine(robot, campaign.robot_id, settings, axes, _moved(plan))
+    other = other_machine(robot, record.robot_id, settings, machine.axes, _moved(plan))
     if other:
-        raise Conflict(f"campaign {campaign.id} is for another machine: {other}")
+        raise Conflict(f"{what} is for another machine: {other}")
+    try:
+        machine.check(origin, plan.request.cell, plan.made_for)
+    except Conflict as differs:
+        raise Conflict(f"{what}: {differs}") from None
     cell = read_cell(settings.cells_dir / f"{plan.request.cell}.yaml")
     return CompiledPlan(
         joints=robot.joints,
         commands={number: sweep.command() for number, sweep in enumerate(plan.sweeps, 1)},
         envelope=Envelope(
-            on_machine(robot, axes),
+            on_machine(robot, machine.axes),
             cell,
             plan.limits if isinstance(plan, DiagnosisPlan | ExperimentPlan) else None,
             plan.request.known_mass if isinstance(plan, ExperimentPlan) else None,
@@ -110,5 +126,5 @@ def compile_plan(
         trajectories=plan.at_once if isinstance(plan, TrajectoryPlan) else (),
         confidence=plan.request.confidence if isinstance(plan, PlanDocument) else None,
         base_parameters=len(plan.base_parameters) if isinstance(plan, PlanDocument) else 0,
-        sha256=motion_sha256(record, origin, cell, settings, machine),
+        sha256=motion_sha256(record, origin, cell, settings, machine.sha256),
     )

@@ -18,17 +18,31 @@ SAMPLE_RATE = 250.0  # Hz, default of a request
 LARGEST_CHOICE = 1000  # poses
 USUAL_CHOICE = 24  # poses, without a budget
 BUDGETS = ("poses", "duration", "confidence")
+CELL_NAME = r"^([A-Za-z0-9][A-Za-z0-9_-]*)?$"
+
+
+class MadeFor(BaseModel):
+    """The machine for which a plan was made.
+
+    `confirmed`: names of a robot or cell that is not the machine's, which a person typed; `by`: that person, if known.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    machine: str
+    confirmed: dict[str, str] = {}  # by "robot" and "cell"
+    by: str = ""
 
 
 class PlanRequest(BaseModel):
-    """What to measure. `robot_id` is the service's number of the robot, `cell` the name of a cell's file.
+    """What to measure. `robot_id` is the service's number of the robot, `cell` the name of a cell's file; empty: the
+    cell of the machine.
 
     One of `poses`, `duration` and `confidence` is the budget; 24 poses if none is named.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     robot_id: int = Field(ge=1, le=LARGEST_ID)
-    cell: str = Field(default="workshop", pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
+    cell: str = Field(default="", pattern=CELL_NAME)
     axes: tuple[str, ...] = Field(min_length=1)  # joints to measure
     varied: tuple[str, ...] = Field(min_length=1)  # joints whose positions form the grid
     step: float = Field(default=5.0, ge=0.5, le=90.0)  # deg (prismatic: cm) between grid positions
@@ -164,6 +178,7 @@ class PlanDocument(BaseModel):
     candidates: int  # poses of the grid
     measurable: int  # collision-free, with room for every sweep
     duration: float  # s
+    made_for: MadeFor | None = None  # None: for any other machine, or from an older version
 
     @field_validator("request", mode="before")
     @classmethod

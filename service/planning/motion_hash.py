@@ -13,13 +13,16 @@ from service.store.documents import PlanRecord, RobotDocument
 
 
 def motion_sha256(plan: PlanRecord, robot: RobotDocument, cell: Cell, settings: Settings, machine: str) -> str:
-    """SHA-256 of plan, robot, cell, tolerance, program and `machine` (see `machine_sha256`), hexadecimal."""
+    """SHA-256 of plan, robot, cell, tolerance, program, name of the machine and `machine` (see `machine_sha256`),
+    hexadecimal.
+    """
     content = {
         "plan": plan.document,
         "robot": robot.sha256,
         "cell": cell.model_dump(mode="json"),
         "pose_tolerance": settings.pose_tolerance,
         "machine": machine,
+        "machine_name": settings.machine_name,
         "program": version("sweepid"),
     }
     return _sha256(content)

@@ -22,6 +22,7 @@ _THIS_COMPUTER = (ip_network("127.0.0.1"), ip_network("::1"))
 HostName = Annotated[str, StringConstraints(to_lower=True, pattern=r"^([A-Za-z0-9_.-]+|[0-9A-Fa-f:.]+)$")]
 
 
+FileName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")]  # without its ending
 MachineName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]{0,63}$")]
 Origin = Annotated[str, StringConstraints(to_lower=True, pattern=r"^https?://[^/\s*]+$")]
 
@@ -45,6 +46,8 @@ class Settings(BaseSettings):
     machine_name: MachineName = "machine"  # of the cell's machine; unique in a shared database
     no_machine: bool = False  # True: own no machine, only show the plant; no drive, no lease, no change
     drive: Path = Path("config/drives/virtual-max100.yaml")  # profile of the machine
+    robot: FileName | None = None  # of `robots_dir`: the robot of the machine; None: the only one that fits the drives
+    cell: FileName | None = None  # of `cells_dir`: the cell of the machine; None: the only one that fits the robot
     robots_dir: Path = Path("config/robots")
     cells_dir: Path = Path("config/cells")
     host: str = "127.0.0.1"

@@ -65,6 +65,8 @@ class MachineRow(Base):
     __tablename__ = "machine"
     id: Mapped[int] = mapped_column(primary_key=True)
     name: Mapped[str] = mapped_column(String(64), unique=True)
+    robot_id: Mapped[int | None]  # robot and cell as its service has them configured; None: not configured
+    cell: Mapped[str | None]
     created_at: Mapped[datetime] = mapped_column(default=now)
 
 

@@ -68,7 +68,15 @@ async def campaign_of(application: Application, modes: str, **changes: object) -
     """Two poses, three axes."""
     robot = next(robot for robot in application.store.robots() if robot.name == "max100-class")
     request = PlanRequest.model_validate(
-        {"robot_id": robot.id, "axes": AXES, "varied": AXES[1:], "step": 30.0, "poses": 2, "modes": modes}
+        {
+            "robot_id": robot.id,
+            "cell": "workshop",
+            "axes": AXES,
+            "varied": AXES[1:],
+            "step": 30.0,
+            "poses": 2,
+            "modes": modes,
+        }
         | {"move_velocity": 0.5}
         | changes
     )
@@ -82,7 +90,14 @@ async def trajectory_of(application: Application, **changes: object) -> Campaign
     """One trajectory of two axes."""
     robot = next(robot for robot in application.store.robots() if robot.name == "max100-class")
     request = TrajectoryRequest.model_validate(
-        {"kind": "trajectory", "robot_id": robot.id, "axes": ("joint_3", "joint_5"), "trajectories": 1, "period": 2.0}
+        {
+            "kind": "trajectory",
+            "robot_id": robot.id,
+            "cell": "workshop",
+            "axes": ("joint_3", "joint_5"),
+            "trajectories": 1,
+            "period": 2.0,
+        }
         | {"harmonics": 3, "move_velocity": 0.5}
         | changes
     )

@@ -68,7 +68,14 @@ async def measured(drive: Path, data: Path, modes: str) -> Inertias:
     async with open_application(settings) as application:
         assert application.machine.connected, application.machine.trouble
         robot = next(robot for robot in application.store.robots() if robot.name == "max100-class")
-        wanted = {"robot_id": robot.id, "axes": AXES, "varied": AXES[1:], "step": 30.0, "poses": POSES}
+        wanted = {
+            "robot_id": robot.id,
+            "cell": "workshop",
+            "axes": AXES,
+            "varied": AXES[1:],
+            "step": 30.0,
+            "poses": POSES,
+        }
         request = PlanRequest.model_validate(wanted | {"modes": modes, "move_velocity": 0.5})
         plan = build_plan(robot.build(), request, read_cell(settings.cells_dir / "workshop.yaml"))
         campaign = await application.add_campaign(application.store.add_plan(robot.id, plan.model_dump(mode="json")).id)

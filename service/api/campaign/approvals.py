@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, StringConstraints
 from service.api.dependencies import ApplicationOf, Id, IntentionOf, who_asks
 from service.api.idempotent import IdempotentRoute
 from service.api.people.audit_trail import audit_trail_of
+from service.campaigns.plan_subject import PlanSubject
 from service.people.names import PersonName
 from service.store.approvals import ApprovalDocument
 from service.store.tables import now
@@ -37,6 +38,7 @@ class PlanApprovals(BaseModel):
     """
 
     needed: bool
+    subject: PlanSubject
     sha256: str
     missing: str
     items: tuple[ApprovalView, ...]
@@ -47,6 +49,7 @@ def list_approvals(plan_id: Id, request: Request, application: ApplicationOf) ->
     sha256, by = application.motion_sha256(plan_id), who_asks(request, application)
     return PlanApprovals(
         needed=application.approvals.needed,
+        subject=application.subjects(plan_id),
         sha256=sha256,
         missing=application.approvals.missing(plan_id, sha256, by),
         items=tuple(_view(each, sha256) for each in application.approvals.of_plan(plan_id)),
@@ -62,7 +65,12 @@ def approve_plan(
     409 if robot, cell, drives, settings or program have changed since the review.
     """
     by = intention.by or new.approved_by or ""
-    audit_trail_of(request.scope).facts = {"plan": plan_id, "sha256": new.sha256, "by": by}
+    audit_trail_of(request.scope).facts = {
+        "plan": plan_id,
+        "subject": application.subjects(plan_id).sentence,
+        "sha256": new.sha256,
+        "by": by,
+    }
     sha256 = application.motion_sha256(plan_id)
     wanted = partial(application.machine.epochs.check, intention)
     return _view(application.approvals.add(plan_id, new.sha256, sha256, by, wanted), sha256)

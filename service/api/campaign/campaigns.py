@@ -13,11 +13,13 @@ from starlette.concurrency import run_in_threadpool
 from service.api.campaign.progress import Progress, StepView, progress, steps
 from service.api.dependencies import After, ApplicationOf, Id, IfMatch, IntentionOf, Limit, Page, set_etag
 from service.api.idempotent import IdempotentRoute
-from service.api.people.audit_trail import audit_trail_of
+from service.api.people.audit_trail import Fact, audit_trail_of
 from service.application import Application
+from service.campaigns.plan_subject import PlanSubject
 from service.execution.check_move import CheckMove
 from service.execution.sign_of_life import SignOfLife
 from service.people.keys import masked
+from service.planning.ahead import Range
 from service.results.check import DataCheck
 from service.store.documents import LARGEST_ID, CampaignDocument, SweepDocument, SweepState, SweepStatus
 
@@ -37,10 +39,13 @@ class Attended(BaseModel):
 
 
 class Start(BaseModel):
-    """`attended`: null if no sign of life is required."""
+    """`attended`: null if no sign of life is required. `seen`: `range` of GET ahead that was shown to the person; null:
+    none was shown.
+    """
 
     model_config = ConfigDict(extra="forbid")
     attended: Attended | None = None
+    seen: dict[str, Range] | None = Field(default=None, max_length=100)
 
     @property
     def within(self) -> float | None:
@@ -76,11 +81,12 @@ class AttendedView(BaseModel):
 class CampaignView(CampaignDocument):
     """A campaign with its progress, the present motion (`motion`, with the next steps of this sweep) and the findings.
 
-    `check_move`: the check move that runs now.
+    `subject`: robot, cell and machine of its plan; null for an imported one. `check_move`: the one that runs now.
     `attended`: only while the campaign runs and requires a sign of life.
     `data_check`: as `sweepid check --json` gives it; null until the campaign is over and was checked.
     """
 
+    subject: PlanSubject | None
     progress: Progress
     motion: tuple[StepView, ...]
     check_move: CheckMoveView | None
@@ -119,13 +125,15 @@ async def start_campaign(
     intention: IntentionOf,
     start: Start | None = None,
 ) -> CampaignView:
-    """Start to move and measure. 409 with the reason, also if the plan needs an approval and has no valid one.
+    """Start to move and measure. 409 with the reason, also if the plan needs an approval and has no valid one, if its
+    robot or cell is not the machine's and nobody confirmed it, or if an axis has left what was `seen`.
 
     409 `superseded`: a stop, a gap of the host or trouble with the lease came after the request.
     """
-    within = (start or Start()).within
-    audit_trail_of(request.scope).facts = {"attended": within}
-    return await _answer(application, await application.runner.start(campaign_id, intention, version, within), response)
+    wanted = start or Start()
+    audit_trail_of(request.scope).facts = await _facts(application, campaign_id, wanted)
+    campaign = await application.runner.start(campaign_id, intention, version, wanted.within, wanted.seen)
+    return await _answer(application, campaign, response)
 
 
 @router.post("/{campaign_id}/sign_of_life")
@@ -160,8 +168,10 @@ async def resume_campaign(
     If the campaign is still pausing, the pause is cancelled; `attended` null then keeps the condition of the start.
     """
     wanted = resume or Resume()
-    audit_trail_of(request.scope).facts = {"attended": wanted.within}
-    campaign = await application.runner.resume(campaign_id, intention, version, wanted.repeat, wanted.within)
+    audit_trail_of(request.scope).facts = await _facts(application, campaign_id, wanted)
+    campaign = await application.runner.resume(
+        campaign_id, intention, version, wanted.repeat, wanted.within, wanted.seen
+    )
     return await _answer(application, campaign, response)
 
 
@@ -178,18 +188,30 @@ def view(application: Application, campaign: CampaignDocument) -> CampaignView:
     """The campaign with its progress. Reads the store."""
     checked = application.checks.document(campaign.id)
     times = () if campaign.plan_id is None else application.planned_times(campaign.plan_id)
+    subject = None if campaign.plan_id is None else application.subjects(campaign.plan_id)
     statuses = application.store.sweep_statuses(campaign.id)
     current = _current(application, campaign.id, statuses)
     runner = None if application.cell is None or application.runner.running != campaign.id else application.runner
     under_way, check_move = (None, None) if runner is None else (runner.under_way, runner.check_move)
     return CampaignView(
         **campaign.model_dump(),
+        subject=subject,
         progress=progress(campaign.state, statuses, times, under_way, current=current),
         motion=steps(under_way, check_move),
         check_move=_check_move(check_move),
         attended=None if runner is None else _attended(runner.attendance),
         data_check=None if checked is None else DataCheck.read(checked, f"data check of campaign {campaign.id}"),
     )
+
+
+async def _facts(application: Application, campaign_id: int, start: Start) -> dict[str, Fact]:
+    """What the audit has of a start."""
+    campaign = await run_in_threadpool(application.store.campaign, campaign_id)
+    facts: dict[str, Fact] = {"attended": start.within}
+    if campaign.plan_id is None:
+        return facts
+    subject = await run_in_threadpool(application.subjects, campaign.plan_id)
+    return facts | {"plan": campaign.plan_id, "subject": subject.sentence}
 
 
 def _current(application: Application, campaign_id: int, statuses: Sequence[SweepStatus]) -> SweepDocument | None:

@@ -6,8 +6,9 @@ from typing import Annotated, cast
 from fastapi import APIRouter, Request, Response
 from pydantic import Discriminator, JsonValue, Tag, computed_field
 
+from service.api.campaign.confirmation import Typed
 from service.api.campaign.progress import expected_time
-from service.api.dependencies import After, ApplicationOf, Id, Limit, Page
+from service.api.dependencies import After, ApplicationOf, Id, Limit, Page, who_asks
 from service.api.idempotent import IdempotentRoute
 from service.api.problem import TAG
 from service.application import Application
@@ -64,7 +65,12 @@ router = APIRouter(prefix="/plans", tags=["plans"], route_class=IdempotentRoute)
 
 @router.post("", status_code=201, response_model=PlanView)
 def add_plan(
-    wanted: Wanted, request: Request, response: Response, application: ApplicationOf, elsewhere: bool = False
+    wanted: Wanted,
+    request: Request,
+    response: Response,
+    application: ApplicationOf,
+    typed: Typed,
+    elsewhere: bool = False,
 ) -> PlanRecord:
     """Choose poses and excitation, and store the plan. This takes seconds to minutes; nothing moves.
 
@@ -74,20 +80,22 @@ def add_plan(
 
     The robot must match the drives of this service: gear ratios, rated efforts, limits. `elsewhere`: the plan is for
     another machine (part programs of a CNC); a campaign of it cannot be started here.
+
+    409 `needs-confirmation` if robot or cell is not the machine's: `confirm` says which names a person has to type.
     """
-    robot = application.store.robot(wanted.robot_id).build()
-    other = (
-        ""
-        if elsewhere
-        else other_machine(robot, wanted.robot_id, application.settings, application.own.drive_axes, _moved(wanted))
-    )
+    setup, origin = application.own.setup, application.store.robot(wanted.robot_id)
+    robot = origin.build()
+    other = "" if elsewhere else other_machine(robot, wanted.robot_id, application.settings, setup.axes, _moved(wanted))
     if other:
         raise BadInput("robot_id", f"belongs to another machine: {other}")
+    wanted = wanted.model_copy(update={"cell": setup.own_cell(wanted.cell)})
+    made_for = None
     if not elsewhere:
-        narrower = narrowed(robot, application.own.drive_axes)
+        made_for = setup.confirmed(origin, wanted.cell, typed, who_asks(request, application))
+        narrower = narrowed(robot, setup.axes)
         if narrower:
             logger.info("the plan keeps narrower limits of drive profile %s: %s", application.settings.drive, narrower)
-        robot = on_machine(robot, application.own.drive_axes)
+        robot = on_machine(robot, setup.axes)
     cell = read_cell(application.settings.cells_dir / f"{wanted.cell}.yaml")
     if isinstance(wanted, AnalysisRequest):
         document = build_analysis_plan(robot, _with_excitation(wanted, application), cell)
@@ -100,6 +108,7 @@ def add_plan(
     else:
         analysed: Analyses = {} if wanted.analysis is None else latest_analysis(application.store, wanted.analysis)
         document = build_plan(robot, wanted, cell, analyses_from(analysed))
+    document = document.model_copy(update={"made_for": made_for})
     plan = application.store.add_plan(wanted.robot_id, document.model_dump(mode="json"))
     response.headers["Location"] = str(request.url_for("get_plan", plan_id=plan.id))
     return plan

@@ -11,13 +11,15 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 from starlette.concurrency import run_in_threadpool
 
 from service.api.campaign.campaigns import CampaignView, view
+from service.api.campaign.confirmation import Typed
 from service.api.campaign.plans import PlanView
-from service.api.dependencies import After, ApplicationOf, Id, IntentionOf, Limit, Page, set_etag
+from service.api.dependencies import After, ApplicationOf, Id, IntentionOf, Limit, Page, set_etag, who_asks
 from service.api.idempotent import IdempotentRoute
 from service.diagnosis_loop.starting import Start
 from service.errors import Conflict
 from service.people.names import PersonName
-from service.planning.diagnosis.documents import CELL_NAME
+from service.planning.ahead import Range
+from service.planning.documents import CELL_NAME
 from service.report.diagnosis import diagnosis_figures
 from service.store.diagnosis_documents import BoltedMass, DiagnosisDocument, DiagnosisEntry, ModelDocument
 from service.store.documents import LARGEST_ID, PlanRecord
@@ -49,16 +51,19 @@ class WantedDiagnosis(_Body):
 
 
 class PlanOfExperiment(_Body):
-    """`cell` null: the cell of the plan of the newest evidence."""
+    """`cell` null: the cell of the machine."""
 
     axis: str
     cell: CellName | None = None
 
 
 class Approval(PlanOfExperiment):
-    """The person who checked the machine, and the mounted mass if the experiment requires one."""
+    """The person who checked the machine, `range` of GET ahead that was shown (`seen`), and the mounted mass if the
+    experiment requires one.
+    """
 
     approved_by: PersonName
+    seen: dict[str, Range] | None = Field(default=None, max_length=100)
     test_mass: BoltedMass | None = None
 
 
@@ -126,10 +131,16 @@ def get_diagnosis_figures(diagnosis_id: Id, application: ApplicationOf) -> Figur
 
 @router.post("/{diagnosis_id}/plan", status_code=201, response_model=PlanView)
 def plan_experiment(
-    diagnosis_id: Id, wanted: PlanOfExperiment, request: Request, response: Response, application: ApplicationOf
+    diagnosis_id: Id,
+    wanted: PlanOfExperiment,
+    request: Request,
+    response: Response,
+    application: ApplicationOf,
+    typed: Typed,
 ) -> PlanRecord:
-    """Store the plan of an axis's next experiment, for review. Nothing moves."""
-    plan = application.experiments.plan(diagnosis_id, wanted.axis, wanted.cell)
+    """Store the plan of an axis's next experiment, for review. Nothing moves. 409 `needs-confirmation` as a plan."""
+    by = who_asks(request, application)
+    plan = application.experiments.plan(diagnosis_id, wanted.axis, wanted.cell, typed, by)
     record = application.store.add_plan(plan.request.robot_id, plan.model_dump(mode="json"))
     response.headers["Location"] = str(request.url_for("get_plan", plan_id=record.id))
     return record
@@ -143,10 +154,18 @@ async def approve_experiment(
     response: Response,
     application: ApplicationOf,
     intention: IntentionOf,
+    typed: Typed,
 ) -> CampaignView:
     """Plan the next experiment of an axis, start to move and measure. When it is completed, the diagnosis continues."""
     campaign = await application.experiments.approve(
-        diagnosis_id, approval.axis, approval.approved_by, approval.test_mass, approval.cell, intention
+        diagnosis_id,
+        approval.axis,
+        approval.approved_by,
+        approval.test_mass,
+        approval.cell,
+        intention,
+        typed,
+        approval.seen,
     )
     response.headers["Location"] = str(request.url_for("get_campaign", campaign_id=campaign.id))
     set_etag(response, campaign.version)

@@ -2,13 +2,14 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 from pydantic import BaseModel, ConfigDict
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from service.campaigns.plan_subject import PlanSubject
 from service.cli.address import DEFAULT_URL, Url
 from service.cli.termination_signals import TerminationSignals
 from service.client import Json, ServiceClient
@@ -38,13 +39,28 @@ def measure(
         campaign_id = int(client.add_campaign(plan_number(plan))["id"])
         with TerminationSignals() as signals:
             try:
-                client.start(campaign_id)
+                client.start(campaign_id, seen=tell_motion(client, campaign_id))
                 watch(client, campaign_id)
             except BaseException:  # also what a terminal that is gone made of it
                 if not signals.by:
                     raise
                 raise _stopped(client, campaign_id, signals.by, url) from None
     sys.stdout.write(f"{campaign_id}\n")
+
+
+def tell_motion(client: ServiceClient, campaign_id: int) -> Json:
+    """Print what the start will move, from where the axes stand; returns the ranges. Connects the drives for it."""
+    if not client.drives()["connected"]:
+        client.connect()
+    ahead = client.ahead(campaign_id)
+    if ahead["refused"]:
+        raise NotCompleted(ahead["refused"])
+    told = [PlanSubject.model_validate(ahead["subject"]).sentence]
+    moves = ", ".join(f"{leg['joint']} to {leg['target']:.4g}" for leg in ahead["approach"])
+    told.append(f"approach not known: {ahead['trouble']}" if ahead["trouble"] else f"approach: {moves or 'none'}")
+    told += [f"{joint} between {low:.4g} and {high:.4g} rad (m)" for joint, (low, high) in ahead["range"].items()]
+    sys.stderr.write("".join(f"{line}\n" for line in told))
+    return cast("Json", ahead["range"])
 
 
 def _stopped(client: ServiceClient, campaign_id: int, why: str, url: str) -> NotCompleted:

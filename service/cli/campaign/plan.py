@@ -10,9 +10,9 @@ from typing import Annotated
 import typer
 
 from service.cli.address import DEFAULT_URL, Url
+from service.cli.campaign.planned import ConfirmCell, ConfirmRobot, robot_number, subject_of
 from service.cli.progress_indicator import waiting
 from service.client import Json, ServiceClient
-from service.configuration import read_robot
 from service.errors import BadInput
 from service.identification.design.pose_selection import Criterion
 
@@ -26,9 +26,14 @@ class Modes(Enum):
 
 
 def plan(
-    robot: Annotated[Path, typer.Argument(help="Side file of the robot, e.g. config/robots/max100-class.yaml.")],
     axes: Annotated[str, typer.Option(help="Joints to measure, separated by commas.")],
     varied: Annotated[str, typer.Option(help="Joints whose positions make the grid of poses, separated by commas.")],
+    robot: Annotated[
+        Path | None,
+        typer.Argument(
+            help="Side file of the robot, e.g. config/robots/max100-class.yaml; default: that of the machine."
+        ),
+    ] = None,
     poses: Annotated[int | None, typer.Option(min=1, help="Budget: how many poses to choose (usually 24).")] = None,
     duration: Annotated[float | None, typer.Option(help="Budget: s for the whole campaign.")] = None,
     confidence: Annotated[
@@ -44,7 +49,9 @@ def plan(
         ),
     ] = None,
     step: Annotated[float | None, typer.Option(help="deg (cm) between grid positions.")] = None,
-    cell: Annotated[str | None, typer.Option(help="Name of the cell around the robot.")] = None,
+    cell: Annotated[
+        str | None, typer.Option(help="Name of the cell around the robot; default: that of the machine.")
+    ] = None,
     modes: Annotated[Modes | None, typer.Option(help="Who generates the motion; the last: one sweep an axis.")] = None,
     lines: Annotated[str | None, typer.Option(help="Frequencies of the sines, whole Hz, separated by commas.")] = None,
     sample_rate: Annotated[float | None, typer.Option(help="Hz.")] = None,
@@ -76,6 +83,8 @@ def plan(
             help="For a machine other than that of the service: the plan is not compared with its drives.",
         ),
     ] = False,
+    confirm_robot: ConfirmRobot = None,
+    confirm_cell: ConfirmCell = None,
     out: Annotated[Path | None, typer.Option(help="Write the plan to this file as well.")] = None,
     url: Url = DEFAULT_URL,
 ) -> None:
@@ -87,7 +96,6 @@ def plan(
             raise BadInput(name, f"{number} is not a finite number")
     if initial_analysis and diagnosis:
         raise BadInput("--diagnosis", "cannot be combined with --initial-analysis: give one of them")
-    known = read_robot(robot)
     options: Json = {
         "poses": poses,
         "duration": duration,
@@ -108,9 +116,15 @@ def plan(
     request: Json = {name: value for name, value in options.items() if value is not None}
     request |= {"axes": _names(axes), "varied": _names(varied)}
     with ServiceClient(url) as client:
-        stored = client.add_robot(known.description.model_dump(mode="json"), known.urdf_text)
+        number = robot_number(client, robot)
         with waiting("planning: poses, sweeps and collision-free paths are computed"):
-            planned = client.add_plan(request | {"robot_id": stored["id"]}, elsewhere=elsewhere)
+            planned = client.add_plan(
+                request | {"robot_id": number},
+                elsewhere=elsewhere,
+                confirm_robot=confirm_robot,
+                confirm_cell=confirm_cell,
+            )
+    sys.stderr.write(f"{subject_of(planned)}\n")
     _tell(planned["document"], planned["expected_time"])
     if out is not None:
         _write(out, planned)

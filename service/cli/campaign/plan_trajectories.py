@@ -7,14 +7,19 @@ from typing import Annotated
 import typer
 
 from service.cli.address import DEFAULT_URL, Url
+from service.cli.campaign.planned import ConfirmCell, ConfirmRobot, robot_number, subject_of
 from service.cli.progress_indicator import waiting
 from service.client import Json, ServiceClient
-from service.configuration import read_robot
 
 
 def plan_trajectories(
-    robot: Annotated[Path, typer.Argument(help="Side file of the robot, e.g. config/robots/max100-class.yaml.")],
     axes: Annotated[str, typer.Option(help="Joints to move at once, separated by commas; the others stand at home.")],
+    robot: Annotated[
+        Path | None,
+        typer.Argument(
+            help="Side file of the robot, e.g. config/robots/max100-class.yaml; default: that of the machine."
+        ),
+    ] = None,
     trajectories: Annotated[int | None, typer.Option(help="How many (usually 3).")] = None,
     period: Annotated[float | None, typer.Option(help="s, of the fundamental (usually 10).")] = None,
     harmonics: Annotated[int | None, typer.Option(help="How many of the fundamental (usually 5).")] = None,
@@ -26,11 +31,14 @@ def plan_trajectories(
     sweeps: Annotated[
         int | None, typer.Option(help="Campaign whose sweeps are combined with the trajectories.")
     ] = None,
-    cell: Annotated[str | None, typer.Option(help="Name of the cell around the robot.")] = None,
+    cell: Annotated[
+        str | None, typer.Option(help="Name of the cell around the robot; default: that of the machine.")
+    ] = None,
+    confirm_robot: ConfirmRobot = None,
+    confirm_cell: ConfirmCell = None,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Plan exciting trajectories. Nothing moves. Prints the number of the plan."""
-    known = read_robot(robot)
     options: Json = {
         "trajectories": trajectories,
         "period": period,
@@ -44,9 +52,12 @@ def plan_trajectories(
     request: Json = {name: value for name, value in options.items() if value is not None}
     request |= {"kind": "trajectory", "axes": [name.strip() for name in axes.split(",") if name.strip()]}
     with ServiceClient(url) as client:
-        stored = client.add_robot(known.description.model_dump(mode="json"), known.urdf_text)
+        number = robot_number(client, robot)
         with waiting("planning: trajectories and collision-free paths are computed"):
-            planned = client.add_plan(request | {"robot_id": stored["id"]})
+            planned = client.add_plan(
+                request | {"robot_id": number}, confirm_robot=confirm_robot, confirm_cell=confirm_cell
+            )
+    sys.stderr.write(f"{subject_of(planned)}\n")
     document = planned["document"]
     conditions = ", ".join(f"{condition:.0f}" for condition in document["condition"])
     sys.stderr.write(f"condition numbers {conditions}; {planned['expected_time'] / 60:.0f} min\n")

@@ -24,6 +24,7 @@ let campaign = null; // the displayed campaign
 let etag = "";
 let plan = null; // its plan {id, document}; null for an imported campaign
 let units = null; // of its robot; without a campaign, of the robot of the drives
+let seen = null; // ranges of the axes that the page shows for a start; null: none
 let sought = false; // whether that robot was requested
 let shownRevision = "";
 
@@ -103,11 +104,13 @@ async function showOrdered() {
   await showApproval(plan, left, seconds);
   nowCommands();
   byId("ordered").hidden = !left.length;
+  const ahead = left.length ? await get(`/campaigns/${id}/ahead?repeat=${again}`) : null;
   tell("takes", left.length ? text("campaign.takes", { time: duration(seconds) }) : "");
-  const shown = `${plan?.id}/${command}/${left.length}/${language()}/${machine?.drives.connected}`;
+  const shown = `${plan?.id}/${command}/${left.length}/${language()}/${machine?.drives.connected}/${JSON.stringify([ahead?.range, ahead?.trouble])}`;
+  seen = ahead?.range ?? null;
   if (!left.length || byId("motion").dataset.shown === shown) return;
   tell("ordered-title", text(command));
-  showMotion(byId("motion"), { ...plan.document, sweeps: left, duration: seconds }, units, machine?.drives);
+  showMotion(byId("motion"), { ...plan.document, sweeps: left, duration: seconds }, units, machine?.drives, ahead);
   byId("motion").dataset.shown = shown;
 }
 
@@ -190,7 +193,7 @@ watchCommands(
   (name) => command(() => call(
     "POST",
     `/campaigns/${campaign.id}/${name}`,
-    name === "resume" ? { repeat: byId("repeat").checked } : undefined,
+    { start: { seen }, resume: { repeat: byId("repeat").checked, seen } }[name],
     { "If-Match": etag },
   )),
   () => text("abort.question", { id: campaign.id, left: campaign.progress.total - campaign.progress.done }),

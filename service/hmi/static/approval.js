@@ -2,6 +2,7 @@
 
 import { call, get, Refused } from "./api.js";
 import { byId, duration, tell } from "./elements.js";
+import { subjectParts } from "./subject.js";
 import { foreign, text, told } from "./words.js";
 
 let present = null; // {plan, needed, missing, sha256} of the displayed plan, or null
@@ -24,7 +25,7 @@ export async function showApproval(plan, left, seconds) {
   if (byId("approve").hidden) return;
   tell("approve-why", unapproved());
   const axes = [...new Set(left.map((sweep) => sweep.spec.axis))].join(", ");
-  tell("approve-it", text("approval.approve", { axes, count: left.length, time: duration(seconds) }));
+  tell("approve-it", text("approval.approve", { axes, count: left.length, time: duration(seconds), subject: subjectParts(present.subject).join("") }));
 }
 
 // run(work) executes it and shows the result

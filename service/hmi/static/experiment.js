@@ -3,12 +3,15 @@
 import { call, get } from "./api.js";
 import { byId, duration, link, tell } from "./elements.js";
 import { posesOf, showMotion, swing, topSpeed, travel, unitsOf } from "./motion.js";
+import { askNames, machineHere, typedNames } from "./subject.js";
 import { foreign, parts, text, Told, word } from "./words.js";
 
 const MM = 1e-3;
 
-let asked = null; // {diagnosis, joint, kind, cell} of the panel
+let asked = null; // {diagnosis, joint, kind, cell, names, seen} of the panel; names: the typed ones, as a query
 let units = null; // of its robot
+let robot = null; // {id, name}
+let machine = null; // of this service
 
 export function clearExperiment() {
   byId("experiment").hidden = true;
@@ -23,8 +26,10 @@ export async function showExperiment(diagnosis, joint, experiment, campaign, aft
     return;
   }
   const same = asked?.diagnosis === diagnosis.id && asked.joint === joint;
-  asked = { diagnosis: diagnosis.id, joint, kind: experiment.kind, cell: same ? asked.cell : null };
-  units = await unitsOf(diagnosis.robot_id);
+  asked = { ...(same ? asked : { cell: null, names: "", seen: null }), diagnosis: diagnosis.id, joint, kind: experiment.kind };
+  [units, machine] = await Promise.all([unitsOf(diagnosis.robot_id), machineHere()]);
+  robot = { id: diagnosis.robot_id, name: units.robot };
+  showConfirm();
   if (!same) byId("prepared").hidden = true;
   byId("experiment").hidden = false;
   tell("experiment-text", parts("experiment.told", {
@@ -46,7 +51,10 @@ function approved({ axis, approved_by }, campaign, after) {
   return told;
 }
 
+const showConfirm = () => askNames(machine, robot, byId("cell").value || machine.cell);
+
 export function watchExperiment(submit) {
+  byId("cell").addEventListener("change", () => machine && showConfirm());
   byId("prepare").addEventListener("submit", submit(prepare));
   byId("approve").addEventListener("submit", submit(approve));
 }
@@ -54,18 +62,21 @@ export function watchExperiment(submit) {
 async function prepare() {
   const { diagnosis, joint, kind } = asked;
   asked.cell = byId("cell").value || null;
-  const plan = (await call("POST", `/diagnoses/${diagnosis}/plan`, { axis: joint, cell: asked.cell })).content.document;
-  showMotion(byId("motion"), plan, units, await get("/drives"));
+  asked.names = typedNames();
+  const { id, document: plan } = (await call("POST", `/diagnoses/${diagnosis}/plan${asked.names}`, { axis: joint, cell: asked.cell })).content;
+  const ahead = await get(`/plans/${id}/ahead`);
+  asked.seen = ahead.range;
+  showMotion(byId("motion"), plan, units, await get("/drives"), ahead);
   byId("mass").hidden = kind !== "test_mass";
   for (const input of byId("mass").querySelectorAll("input")) input.required = kind === "test_mass";
   byId("prepared").hidden = false;
 }
 
 async function approve() {
-  const { diagnosis, joint, kind, cell } = asked;
-  const approval = { axis: joint, cell, approved_by: byId("approved-by").value, test_mass: kind === "test_mass" ? mass() : null };
+  const { diagnosis, joint, kind, cell, names, seen } = asked;
+  const approval = { axis: joint, cell, seen, approved_by: byId("approved-by").value, test_mass: kind === "test_mass" ? mass() : null };
   byId("prepared").hidden = true; // one approval allows one motion
-  await call("POST", `/diagnoses/${diagnosis}/experiment`, approval);
+  await call("POST", `/diagnoses/${diagnosis}/experiment${names}`, approval);
 }
 
 function mass() {

@@ -2,7 +2,8 @@
 
 import { all, get } from "./api.js";
 import { duration, element, minus, row } from "./elements.js";
-import { figures, foreign, parts, text, word } from "./words.js";
+import { subjectParts } from "./subject.js";
+import { figures, foreign, moment, parts, text, word } from "./words.js";
 
 const COLUMNS = [["pose"], ["axis"], ["block"], ["sweeps", "number"], ["from", "number"], ["goes", "number"], ["speed", "number"], ["time", "number"]];
 
@@ -10,7 +11,7 @@ const BUS_LIMIT = 70; // percent: the drivers refuse a higher load
 
 const known = new Map(); // by robot
 
-// {joints, length}: names in the order of a pose, and a function that formats positions (rad, m) for an operator
+// {robot, joints, length}: its name, names in the order of a pose, and a function that formats positions (rad, m) for an operator
 export async function unitsOf(robot) {
   if (!known.has(robot)) known.set(robot, await read(robot));
   return known.get(robot);
@@ -36,7 +37,7 @@ async function read(robot) {
     const shown = figures(value * factor, 3);
     return minus(`${signed && value > 0 ? "+" : ""}${shown}${unit}`);
   };
-  return { joints: description.axes.map((axis) => axis.joint), length, scale, prismatic };
+  return { robot: description.name, joints: description.axes.map((axis) => axis.joint), length, scale, prismatic };
 }
 
 // the present and next motion as text: "joint_2 travels to -40 deg, then joint_3 sweeps, 12 s"
@@ -49,13 +50,27 @@ export function inWords(steps, { length }) {
   }).reduce((first, next) => text("motion.then", { first, next }));
 }
 
-// drives: as in the API; null if not known
-export function showMotion(place, plan, units, drives = null) {
+// drives, ahead: as in the API; null if not known
+export function showMotion(place, plan, units, drives = null, ahead = null) {
   const list = element("ul");
-  list.append(...ways(plan, units).concat(text("motion.check-moves"), bus(plan, drives)).map((way) => element("li", way)));
+  list.append(...ways(plan, units, ahead?.range).concat(text("motion.check-moves"), bus(plan, drives)).map((way) => element("li", way)));
   const scroll = element("div", undefined, "scroll");
   scroll.append(table(plan.sweeps, units));
-  place.replaceChildren(element("p", size(plan)), list, scroll);
+  const before = ahead ? [element("p", subjectParts(ahead.subject), "subject"), element("p", approach(ahead, units), "approach")] : [];
+  place.replaceChildren(...before, element("p", size(plan)), list, scroll);
+}
+
+// from where the axes stand to the first pose
+function approach({ trouble, at, positions, approach: legs }, { length }) {
+  if (trouble) return parts("motion.approach-unknown", { why: foreign(trouble) });
+  if (!legs.length) return text("motion.approach-none", { at: moment(at) });
+  const here = { ...positions };
+  const moves = legs.map(({ joint, target }) => {
+    const from = here[joint];
+    here[joint] = target;
+    return text("motion.approach-leg", { joint, from: length(joint, from), to: length(joint, target) });
+  });
+  return text("motion.approach", { at: moment(at), moves: moves.join(", ") });
 }
 
 // -- one sweep, from standstill to standstill; the sines oscillate about the constant velocity
@@ -97,15 +112,17 @@ function bus({ sweeps }, drives) {
   return text("bus.load", { percent: Math.round(100 * load), limit: BUS_LIMIT, rate: drives.capabilities.bus_bitrate / 1000, count: axes });
 }
 
-// a sweep is stopped at its window: this is the largest motion of an axis
-function ways({ sweeps, request }, { joints, length }) {
+// a sweep is stopped at its window: this is the largest motion of an axis; range: as told by the service, with the approach
+function ways({ sweeps, request }, { joints, length }, range = {}) {
   const legs = sweeps.flatMap((sweep) => sweep.legs);
   return joints.flatMap((joint) => {
     const own = sweeps.filter((sweep) => sweep.spec.axis === joint);
     const targets = legs.filter((leg) => leg.joint === joint).map((leg) => leg.target);
-    const reached = [...targets, ...own.flatMap((sweep) => sweep.position_window)];
+    const [least, most] = range[joint] ?? [0, 0];
+    const approached = least !== most;
+    const reached = [...targets, ...own.flatMap((sweep) => sweep.position_window), ...(approached ? [least, most] : [])];
     if (!reached.length) return [];
-    const speed = Math.max(targets.length ? request.move_velocity : 0, ...own.map(topSpeed));
+    const speed = Math.max(targets.length || approached ? request.move_velocity : 0, ...own.map(topSpeed));
     const when = !own.length ? "motion.between-poses" : targets.length ? "motion.in-sweeps-and-between" : "motion.in-sweeps";
     return text("motion.way", {
       joint, low: length(joint, Math.min(...reached)), high: length(joint, Math.max(...reached)),

@@ -9,12 +9,14 @@ import { showMoving } from "./moving.js";
 import { showGrid, showPicture } from "./picture.js";
 import { refresher } from "./refresh.js";
 import { events } from "./stream.js";
+import { askNames, machineHere, typedNames } from "./subject.js";
 import { language, text, Told } from "./words.js";
 
 const USUAL = { poses: "24", confidence: text("plan.usual-confidence"), duration: "60" };
 const MINUTE = 60; // s
 
 let robots = [];
+let machine = null; // of this service, with its robot and cell
 let paused; // the paused campaign
 let plan = null; // {id, robot_id, document}
 let units = null;
@@ -23,15 +25,26 @@ let grid = null;
 // -- the request
 
 async function showRobots() {
-  const [campaigns, diagnoses, known, cells] = await Promise.all([all("/campaigns"), all("/diagnoses"), all("/robots"), get("/cells")]);
+  const [campaigns, diagnoses, known, cells, here] = await Promise.all([all("/campaigns"), all("/diagnoses"), all("/robots"), get("/cells"), machineHere()]);
   paused = held(campaigns);
   await showMoving(campaigns, diagnoses);
   choices(byId("cell"), cells.names.map((name) => [name, name]));
   const changed = known.length !== robots.length;
   robots = known;
   choices(byId("robot"), robots.map((one) => [one.id, `${one.name} (${one.id})`]).reverse());
+  if (!machine) {
+    byId("robot").value = here.robot_id ?? ""; // without a robot or cell of the machine a person chooses one
+    byId("cell").value = here.cell ?? "";
+  }
+  machine = here;
+  showConfirm();
   if (changed) await showJoints();
   if (plan) await showPlan();
+}
+
+function showConfirm() {
+  const robot = robots.find((one) => String(one.id) === byId("robot").value);
+  if (machine) askNames(machine, robot, byId("cell").value);
 }
 
 async function showJoints() {
@@ -67,7 +80,7 @@ async function makePlan() {
   const amount = given("amount") * (budget === "duration" ? MINUTE : 1);
   const request = { robot_id: Number(byId("robot").value), cell: byId("cell").value, axes: chosen("axes-measured"), varied: chosen("axes-varied"), step: given("step") };
   if (!request.axes.length || !request.varied.length) throw new Told("plan.no-axes");
-  const made = await call("POST", "/plans", { ...request, [budget]: amount });
+  const made = await call("POST", `/plans${typedNames()}`, { ...request, [budget]: amount });
   plan = made.content;
   byId("taken").replaceChildren();
   units = await unitsOf(plan.robot_id);
@@ -88,7 +101,7 @@ async function showPlan() {
   tell("promise", confidence === null ? openPromise(content) : text("plan.promise", { percent: Number(confidence.toPrecision(2)) }));
   const shown = `${id}/${language()}`;
   if (byId("motion").dataset.shown === shown) return;
-  showMotion(byId("motion"), { ...content, duration: plan.expected_time }, units, await get("/drives"));
+  showMotion(byId("motion"), { ...content, duration: plan.expected_time }, units, await get("/drives"), await get(`/plans/${id}/ahead`));
   byId("motion").dataset.shown = shown;
   showGrid(grid, units);
   await showArm();
@@ -137,7 +150,11 @@ const busy = (button, run) => async (event) => {
 byId("request").querySelector("button").id = "make";
 byId("request").addEventListener("submit", busy("make", makePlan));
 byId("take").addEventListener("click", busy("take", take));
-byId("robot").addEventListener("change", () => showJoints().catch(complain));
+byId("robot").addEventListener("change", () => {
+  showConfirm();
+  showJoints().catch(complain);
+});
+byId("cell").addEventListener("change", showConfirm);
 byId("budget").addEventListener("change", () => (byId("amount").value = USUAL[byId("budget").value]));
 byId("sweep").addEventListener("change", () => {
   showLegs();

@@ -6,7 +6,16 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.ports import NoiseCommand, SweepMode
 from service.identification.design.noise_excitation import HIGHEST
-from service.planning.documents import MOVE_VELOCITY, SAMPLE_RATE, DroppedPose, PlannedLeg, PlannedSweep, PlanRequest
+from service.planning.documents import (
+    CELL_NAME,
+    MOVE_VELOCITY,
+    SAMPLE_RATE,
+    DroppedPose,
+    MadeFor,
+    PlannedLeg,
+    PlannedSweep,
+    PlanRequest,
+)
 from service.recording import SweepSpec
 from service.store.documents import LARGEST_ID
 
@@ -17,7 +26,7 @@ class AnalysisRequest(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     kind: Literal["analysis"]
     robot_id: int = Field(ge=1, le=LARGEST_ID)
-    cell: str = Field(default="workshop", pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
+    cell: str = Field(default="", pattern=CELL_NAME)
     axes: tuple[str, ...] = Field(min_length=1)
     varied: tuple[str, ...] = Field(min_length=1)
     step: float = Field(default=10.0, ge=0.5, le=90.0)  # deg (prismatic: cm)
@@ -90,3 +99,4 @@ class AnalysisPlan(BaseModel):
     candidates: int  # poses of the grid
     measurable: int  # collision-free, with room for every run
     duration: float  # s
+    made_for: MadeFor | None = None  # as in a plan of sweeps

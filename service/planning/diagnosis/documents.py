@@ -9,7 +9,15 @@ from drivers.ports import SweepMode
 from service.diagnosis.sensitivity.design import BLOCKS, FAST, SLOW, WIDE, WIDE_LINES
 from service.errors import BadInput
 from service.identification.estimates.torque_gain import KnownMass
-from service.planning.documents import MOVE_VELOCITY, SAMPLE_RATE, DroppedPose, PlannedSweep, PlanRequest
+from service.planning.documents import (
+    CELL_NAME,
+    MOVE_VELOCITY,
+    SAMPLE_RATE,
+    DroppedPose,
+    MadeFor,
+    PlannedSweep,
+    PlanRequest,
+)
 from service.robot import Robot
 from service.safety.envelope import Limits
 from service.store.diagnosis_documents import BoltedMass
@@ -18,8 +26,6 @@ from service.store.documents import LARGEST_ID
 TRAVEL_MARGIN = 1.05  # of a block's travel: the sines oscillate around the offset motion
 PEAK_VELOCITY = 0.15  # rad/s (m/s), instantaneous: the fast blocks are three times as fast as other sweeps
 
-CELL_NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]*$"
-
 
 class DiagnosisRequest(BaseModel):
     """What to measure for a diagnosis; `varied`, `step` and `cell` as in a plan of sweeps. `poses`: for each axis."""
@@ -27,7 +33,7 @@ class DiagnosisRequest(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     kind: Literal["diagnosis"]
     robot_id: int = Field(ge=1, le=LARGEST_ID)
-    cell: str = Field(default="workshop", pattern=CELL_NAME)
+    cell: str = Field(default="", pattern=CELL_NAME)
     axes: tuple[str, ...] = Field(min_length=1)
     varied: tuple[str, ...] = Field(min_length=1)
     step: float = Field(default=10.0, ge=0.5, le=90.0)  # deg (prismatic: cm)
@@ -66,7 +72,7 @@ class ExperimentRequest(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     kind: Literal["experiment"] = "experiment"
     robot_id: int = Field(ge=1, le=LARGEST_ID)
-    cell: str = Field(default="workshop", pattern=CELL_NAME)
+    cell: str = Field(default="", pattern=CELL_NAME)
     modes: Literal["drive_side", "host_streamed"] = "drive_side"
     move_velocity: float = Field(default=MOVE_VELOCITY, ge=1e-5, le=100.0)  # rad/s (m/s)
     test_mass: BoltedMass | None = None
@@ -89,6 +95,7 @@ class _DesignedPlan(BaseModel):
     sweeps: tuple[PlannedSweep, ...]
     dropped: tuple[DroppedPose, ...]  # the reason names the omitted blocks of the pose
     duration: float  # s
+    made_for: MadeFor | None = None  # as in a plan of sweeps
 
     @property
     def limits(self) -> Limits:

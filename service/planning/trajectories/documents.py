@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from service.planning.documents import MOVE_VELOCITY, PlannedSweep
+from service.planning.documents import CELL_NAME, MOVE_VELOCITY, MadeFor, PlannedSweep
 from service.store.documents import LARGEST_ID
 
 
@@ -14,7 +14,7 @@ class TrajectoryRequest(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     kind: Literal["trajectory"]
     robot_id: int = Field(ge=1, le=LARGEST_ID)
-    cell: str = Field(default="workshop", pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$")
+    cell: str = Field(default="", pattern=CELL_NAME)
     axes: tuple[str, ...] = Field(min_length=2)
     trajectories: int = Field(default=3, ge=1, le=20)
     period: float = Field(default=10.0, ge=2.0, le=60.0)  # s, of the fundamental
@@ -41,6 +41,7 @@ class TrajectoryPlan(BaseModel):
     sweeps: tuple[PlannedSweep, ...]
     condition: tuple[float, ...]
     duration: float  # s
+    made_for: MadeFor | None = None  # as in a plan of sweeps
 
     @property
     def at_once(self) -> tuple[tuple[int, ...], ...]:

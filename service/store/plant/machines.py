@@ -1,22 +1,51 @@
 """The machines of a plant, and their state in the database."""
 
+from pydantic import BaseModel, ConfigDict
 from sqlalchemy import func, select
 
+from service.store import rows
 from service.store import tables as t
 from service.store.database import Database
 from service.store.documents import CampaignState
 
 
+class MachineDocument(BaseModel):
+    """A machine of the plant, with robot and cell as its service has them configured; null: not configured.
+
+    `here`: it is the machine of this service. `robot`: the robot's name.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+    name: str
+    here: bool
+    robot_id: int | None
+    robot: str | None
+    cell: str | None
+
+
 class PlantStore:
-    """Reads only; every method is one transaction and blocks."""
+    """Every method is one transaction and blocks."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def machines(self) -> tuple[str, ...]:
-        """Names, in the order in which they were added."""
+    def machines(self) -> tuple[MachineDocument, ...]:
+        """In the order in which they were added."""
+        machine, robot = t.MachineRow, t.RobotRow
+        query = select(machine.id, machine.name, machine.robot_id, robot.name, machine.cell)
+        query = query.outerjoin(robot, robot.id == machine.robot_id).order_by(machine.id)
         with self._database.read() as session:
-            return tuple(session.scalars(select(t.MachineRow.name).order_by(t.MachineRow.id)))
+            own = rows.owned(session)
+            return tuple(
+                MachineDocument(name=name, here=own is not None and own.id == key, robot_id=number, robot=of, cell=cell)
+                for key, name, number, of, cell in session.execute(query)
+            )
+
+    def configure(self, robot_id: int | None, cell: str | None) -> None:
+        """Store robot and cell of this service's machine, if they have changed. Raises NoMachine."""
+        with self._database.write(quiet=True) as session:
+            row = rows.get(session, t.MachineRow, rows.own(session), "machine")
+            row.robot_id, row.cell = robot_id, cell
 
     def campaigns(self) -> dict[tuple[str, CampaignState], int]:
         """Number of campaigns by machine and state; states without campaigns are omitted."""

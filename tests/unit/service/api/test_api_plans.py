@@ -86,7 +86,8 @@ def test_a_mesh_that_the_service_does_not_have_is_told(http: httpx.Client) -> No
     description = known.description.model_dump(mode="json")
     robot = http.post("/robots", json={"description": description, "urdf_text": text})
     assert robot.status_code == 201, robot.text
-    answer = http.post("/plans", json=AXES | {"robot_id": robot.json()["id"], "poses": 2})
+    typed = {"confirm_robot": known.name}  # a changed description is another robot
+    answer = http.post("/plans", params=typed, json=AXES | {"robot_id": robot.json()["id"], "poses": 2})
     assert answer.status_code == 422, answer.text
     assert "link link_4: mesh package://arm/meshes/forearm.stl: its shape is not in the URDF" in answer.json()["detail"]
 

@@ -12,6 +12,7 @@ from service.diagnosis_loop.diagnosing import Diagnosing
 from service.diagnosis_loop.experiments import ROUNDS, Experiments
 from service.errors import BadInput, Conflict
 from service.planning.diagnosis.documents import PEAK_VELOCITY
+from service.planning.machine_setup import MachineSetup
 from service.robot import Robot
 from service.safety.envelope import Envelope
 from service.safety.robot_and_machine import DriveAxis
@@ -39,7 +40,8 @@ class Loop:
     def of(self, *axes: DriveAxis) -> Experiments:
         """Experiments of a machine with these axes."""
         bench = self.bench
-        return Experiments(Settings(), bench.store, self.diagnoses, bench.runner, self.diagnosing, axes)
+        setup = MachineSetup("machine", axes, robot=bench.store.robot(self.new.robot_id), cell="workshop")
+        return Experiments(Settings(), bench.store, self.diagnoses, bench.runner, self.diagnosing, setup)
 
     def done(
         self, kind: str | None, new: NewDiagnosis | None = None, verdict: str = "ambiguous", *, sweeps: bool = False
@@ -72,7 +74,8 @@ async def loop(tmp_path: Path, robot: Robot, envelope: Envelope) -> AsyncIterato
         diagnoses = DiagnosisStore(bench.database)
         nobody = DaskWorkers(Cluster("tcp://127.0.0.1:1"))
         diagnosing = Diagnosing(bench.store, diagnoses, ModelStore(bench.database), bench.files, nobody)
-        experiments = Experiments(Settings(), bench.store, diagnoses, bench.runner, diagnosing, ())
+        setup = MachineSetup("machine", robot=bench.store.robot(bench.campaign.robot_id), cell="workshop")
+        experiments = Experiments(Settings(), bench.store, diagnoses, bench.runner, diagnosing, setup)
         new = NewDiagnosis(
             robot_id=bench.campaign.robot_id, campaigns=(bench.campaign.id,), axes=("joint_1",), unattended=True
         )
@@ -86,7 +89,7 @@ def test_an_experiment_keeps_the_lower_limits_of_the_drive(loop: Loop, robot: Ro
     effort = robot.chain.joints[0].effort
     lower = DriveAxis(joint="joint_1", velocity_limit=0.14, effort_limit=0.75 * effort)
     for axes, limits in (((), (PEAK_VELOCITY, effort)), ((lower,), (0.14, 0.75 * effort))):
-        plan = loop.of(*axes).plan(proposed.id, "joint_1", "workshop")
+        plan = loop.of(*axes).plan(proposed.id, "joint_1", None, {}, "Ada")
         assert {(sweep.velocity_limit, sweep.effort_limit) for sweep in plan.sweeps} == {limits}
 
 

@@ -12,6 +12,7 @@ from service.configuration import read_robot
 from service.errors import Conflict
 from service.geometry.cell import read_cell
 from service.planning.compiled_plan import compile_plan, planned_sweeps
+from service.planning.machine_setup import MachineSetup
 from service.planning.plan import PlanRequest, build_plan
 from service.robot import Robot, build_robot
 from service.safety.envelope import EnvelopeViolation
@@ -121,21 +122,28 @@ def planned(tmp_path: Path, robot: Robot) -> Iterator[tuple[Store, Settings, Cam
     with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
         store = Store(database)
         robot_id = store.add_robot(other).id
-        request = PlanRequest(robot_id=robot_id, axes=("joint_2",), varied=("joint_3",), step=30.0, poses=1)
+        request = PlanRequest(
+            robot_id=robot_id, axes=("joint_2",), varied=("joint_3",), step=30.0, poses=1, cell="workshop"
+        )
         document = build_plan(other, request, read_cell(CONFIG / "cells/workshop.yaml"))
         plan = store.add_plan(robot_id, document.model_dump(mode="json"))
         yield store, settings, store.add_campaign(plan.id, planned_sweeps(plan))
+
+
+def setup(store: Store, axes: tuple[DriveAxis, ...]) -> MachineSetup:
+    """A machine of these drives, with the stored robot in the workshop."""
+    return MachineSetup("machine", axes, robot=store.robots()[0], cell="workshop")
 
 
 def test_a_campaign_for_another_machine_has_no_course(planned: tuple[Store, Settings, CampaignDocument]) -> None:
     """`compile_plan` is asked at every start and resume."""
     store, settings, campaign = planned
     with pytest.raises(Conflict) as refusal:
-        compile_plan(store, settings, axes_of(PROFILES[0]), "", campaign)
+        compile_plan(store, settings, setup(store, axes_of(PROFILES[0])), campaign)
     said = str(refusal.value)
     assert said.startswith(f"campaign {campaign.id} is for another machine: joint_6 gear ratio: robot max100-class")
     assert f"has 60, drive profile {PROFILES[0]} has 101" in said
-    assert "joint_1" in compile_plan(store, settings, axes_of(PROFILES[0])[:3], "", campaign).joints
+    assert "joint_1" in compile_plan(store, settings, setup(store, axes_of(PROFILES[0])[:3]), campaign).joints
 
 
 def lowered(axes: tuple[DriveAxis, ...]) -> tuple[DriveAxis, ...]:
@@ -180,11 +188,13 @@ def test_a_plan_for_weaker_drives_keeps_their_limits(tmp_path: Path, robot: Robo
     with open_database(f"sqlite:///{tmp_path / 'sweepid.sqlite'}") as database:
         store = Store(database)
         robot_id = store.add_robot(robot).id
-        request = PlanRequest(robot_id=robot_id, axes=("joint_2",), varied=("joint_3",), step=30.0, poses=1)
+        request = PlanRequest(
+            robot_id=robot_id, axes=("joint_2",), varied=("joint_3",), step=30.0, poses=1, cell="workshop"
+        )
         for machine, allowed in ((on_machine(robot, axes), True), (robot, False)):
             plan = store.add_plan(robot_id, build_plan(machine, request, cell).model_dump(mode="json"))
             campaign = store.add_campaign(plan.id, planned_sweeps(plan))
-            compiled = compile_plan(store, settings, axes, "", campaign)
+            compiled = compile_plan(store, settings, setup(store, axes), campaign)
             (sweep,), (command,) = planned_sweeps(plan), compiled.commands.values()
             with nullcontext() if allowed else pytest.raises(EnvelopeViolation, match=r"joint_2: .* limit"):
                 compiled.envelope.check_sweep(command, sweep.spec.pose)

@@ -34,7 +34,12 @@ def control(robot: Robot) -> Control:
 @pytest.fixture(scope="session")
 def plan(robot: Robot, cell: Cell) -> PlanDocument:
     request = PlanRequest(
-        robot_id=1, axes=("joint_1", "joint_2", "joint_3"), varied=("joint_2", "joint_3"), step=30, poses=3
+        robot_id=1,
+        cell="workshop",
+        axes=("joint_1", "joint_2", "joint_3"),
+        varied=("joint_2", "joint_3"),
+        step=30,
+        poses=3,
     )
     return build_plan(robot, request, cell)
 

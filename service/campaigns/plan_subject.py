@@ -1,0 +1,63 @@
+"""Robot, cell and machine of a stored plan, for everything that names a plan."""
+
+from collections.abc import Mapping
+
+from pydantic import BaseModel, ConfigDict
+
+
+class PlanSubject(BaseModel):
+    """`robot`, `cell`: their names. `machine`: the one for which the plan was made; empty: any other, or unknown.
+
+    `confirmed`: names of a robot or cell that is not the machine's, which a person typed, by "robot" and "cell";
+    `confirmed_by`: that person, if known.
+    """
+
+    model_config = ConfigDict(frozen=True)
+    robot_id: int
+    robot: str
+    cell: str
+    machine: str
+    confirmed: dict[str, str]
+    confirmed_by: str
+
+    @property
+    def sentence(self) -> str:
+        """All of it in one line, for a person."""
+        typed = " and ".join(f"{what} {name}" for what, name in self.confirmed.items())
+        by = f" by {self.confirmed_by}" if self.confirmed_by else ""
+        return (
+            f"robot {self.robot} (number {self.robot_id}) in cell {self.cell}, machine {self.machine or 'not recorded'}"
+            + (f"; NOT the machine's, confirmed{by}: {typed}" if typed else "")
+        )
+
+
+class _MadeFor(BaseModel):
+    machine: str = ""
+    confirmed: dict[str, str] = {}
+    by: str = ""
+
+
+class _Request(BaseModel):
+    cell: str = ""
+
+
+class _Document(BaseModel):
+    """Common part of the document of any stored plan, of every version."""
+
+    robot: str = ""
+    request: _Request = _Request()
+    made_for: _MadeFor | None = None
+
+
+def plan_subject(robot_id: int, document: Mapping[str, object]) -> PlanSubject:
+    """`document`: of a stored plan of any kind."""
+    found = _Document.model_validate(document)
+    made_for = found.made_for or _MadeFor()
+    return PlanSubject(
+        robot_id=robot_id,
+        robot=found.robot,
+        cell=found.request.cell,
+        machine=made_for.machine,
+        confirmed=made_for.confirmed,
+        confirmed_by=made_for.by,
+    )

@@ -1,0 +1,35 @@
+"""Robot, cell and machine of a plan, for the commands that plan."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.campaigns.plan_subject import plan_subject
+from service.client import Json, ServiceClient
+from service.configuration import read_robot
+from service.errors import BadInput
+
+ConfirmRobot = Annotated[
+    str | None, typer.Option(help="Type the name of the robot, if it is another one than the machine's.")
+]
+ConfirmCell = Annotated[
+    str | None, typer.Option(help="Type the name of the cell, if it is another one than the machine's.")
+]
+
+
+def robot_number(client: ServiceClient, side_file: Path | None) -> int:
+    """The service's number of the robot of a side file, or of its machine. BadInput if that is not configured."""
+    if side_file is not None:
+        known = read_robot(side_file)
+        return int(client.add_robot(known.description.model_dump(mode="json"), known.urdf_text)["id"])
+    machines = client.machines()
+    here = next((one for one in machines["items"] if one["here"]), None)
+    if here is None or here["robot_id"] is None:
+        raise BadInput("ROBOT", f"name its file: {'; '.join(machines['missing']) or 'the service has no machine'}")
+    return int(here["robot_id"])
+
+
+def subject_of(planned: Json) -> str:
+    """Robot, cell and machine of a plan of the service, in one line."""
+    return plan_subject(planned["robot_id"], planned["document"]).sentence

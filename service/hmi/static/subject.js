@@ -1,0 +1,45 @@
+// Robot, cell and machine of a plan; names of a robot or cell that is not the machine's are typed by a person.
+
+import { get } from "./api.js";
+import { byId, tell } from "./elements.js";
+import { foreign, parts, text } from "./words.js";
+
+let asked = null; // {machine, missing, robot, cell}: what was chosen, with the machine of this service
+
+// {name, robot_id, robot, cell, missing}; without a machine, all are null
+export async function machineHere() {
+  const { items, missing } = await get("/machines");
+  return { name: null, robot_id: null, robot: null, cell: null, ...items.find((one) => one.here), missing };
+}
+
+// robot: {id, name}; cell: its name
+export function askNames(machine, robot, cell) {
+  const others = { robot: robot && robot.id !== machine.robot_id, cell: cell && cell !== machine.cell };
+  byId("confirm").hidden = !others.robot && !others.cell;
+  const own = machine.robot && machine.cell ? parts("confirm.own", { robot: machine.robot, cell: machine.cell }) : machine.missing.map(foreign);
+  if (!byId("confirm").hidden) tell("confirm-why", parts("confirm.why", { machine: machine.name ?? "", own }));
+  for (const [what, name, key] of [["robot", robot?.name, "confirm.robot"], ["cell", cell, "confirm.cell"]]) {
+    const input = byId(`confirm-${what}`);
+    byId(`confirm-${what}-choice`).hidden = !others[what];
+    if (asked?.[what] !== name) input.value = "";
+    tell(`confirm-${what}-text`, text(key, { name: name ?? "" }));
+  }
+  asked = { robot: robot?.name, cell };
+}
+
+// of the request: the service compares the names
+export function typedNames() {
+  const query = new URLSearchParams();
+  for (const what of ["robot", "cell"]) {
+    const input = byId(`confirm-${what}`);
+    if (!byId(`confirm-${what}-choice`).hidden && input.value) query.set(`confirm_${what}`, input.value.trim());
+  }
+  return query.size ? `?${query}` : "";
+}
+
+// subject: as in the API
+export function subjectParts({ robot, robot_id: number, cell, machine, confirmed, confirmed_by: by }) {
+  const told = parts("subject.told", { robot, number, cell, machine: machine || text("subject.unknown") });
+  const names = Object.values(confirmed).join(", ");
+  return names ? [...told, " ", ...parts(by ? "subject.confirmed-by" : "subject.confirmed", { names, by })] : told;
+}
