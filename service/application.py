@@ -1,7 +1,7 @@
 """The composition root: builds store, machine, runner, worker and hub from the settings, and owns their lifetimes."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping, Sequence
+from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -34,7 +34,6 @@ from service.execution.runner import Runner
 from service.execution.sweep_executor import SweepExecutor
 from service.fleet.document import Fleet
 from service.fleet.survey import Rules
-from service.geometry.cell import read_cell
 from service.jobs.batches import Batches
 from service.jobs.checking import Checking
 from service.jobs.jobs import Jobs
@@ -42,14 +41,12 @@ from service.jobs.recording_uploads import RecordingUploads
 from service.jobs.reporting import Reporting, of_fleet
 from service.people.audit_chain import Entry
 from service.people.keys import masked
-from service.planning.compiled_plan import compile_plan, plan_of, planned_sweeps
+from service.planning.compiled_plan import compile_plan, planned_sweeps
 from service.planning.machine_setup import MachineSetup, machine_setup
-from service.planning.motion_hash import machine_sha256, motion_sha256
 from service.publishing.following import Following
 from service.publishing.publisher import Publisher
 from service.publishing.state import Configuration
 from service.report import Form, NoPdf
-from service.safety.robot_and_machine import DriveProfile
 from service.settings import Settings
 from service.stop_process.handle import StopProcess
 from service.store.approvals import ApprovalStore
@@ -168,12 +165,6 @@ class Application(WithCell):
         plan = await asyncio.to_thread(self.store.plan, plan_id)
         return await asyncio.to_thread(self.store.add_campaign, plan_id, planned_sweeps(plan))
 
-    def motion_sha256(self, plan_id: int) -> str:
-        """Hash of all data that determine the motion of a plan now (see `motion_hash`); blocks."""
-        plan = self.store.plan(plan_id)
-        cell = read_cell(self.settings.cells_dir / f"{plan_of(plan).request.cell}.yaml")
-        return motion_sha256(plan, self.store.robot(plan.robot_id), cell, self.settings, self.own.setup.sha256)
-
     async def import_bundle(self, source: Path, limits: Limits = LIMITS) -> CampaignDocument:
         """A campaign of the sweeps of a bundle (folder or zip), to be identified. BadInput: nothing is stored.
 
@@ -277,7 +268,7 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
                     tell_own_stop(audit, f"campaign {number}", "the previous service process ended without a shutdown")
             keys.release_unanswered()
             robots = await asyncio.to_thread(_add_robots, store, settings.robots_dir)  # the host watch has begun
-            setup = _setup(settings, profile, owned.machine.joints, robots)
+            setup = machine_setup(settings, profile, owned.machine.joints, robots)
         else:
             stack.push_async_callback(keeping.close)
 
@@ -298,18 +289,6 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
             cell = await _open_cell(stack, application, database, owned, setup, transfers, stop_process)
             application = replace(application, cell=cell)
         yield application
-
-
-def _setup(
-    settings: Settings, profile: object, joints: Sequence[str], robots: Mapping[str, RobotDocument]
-) -> MachineSetup:
-    axes = DriveProfile.model_validate(profile).of(joints)
-    setup = machine_setup(settings, axes, machine_sha256(profile, settings.drive.parent), robots)
-    robot = None if setup.robot is None else setup.robot.name
-    _log.info("machine_setup", machine=setup.name, robot=robot, cell=setup.cell)
-    for reason in setup.missing:
-        _log.warning("machine_setup_missing", reason=reason)
-    return setup
 
 
 class _Owned(NamedTuple):

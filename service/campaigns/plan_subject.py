@@ -1,7 +1,5 @@
 """Robot, cell and machine of a stored plan, for everything that names a plan."""
 
-from collections.abc import Mapping
-
 from pydantic import BaseModel, ConfigDict
 
 
@@ -23,12 +21,15 @@ class PlanSubject(BaseModel):
     @property
     def sentence(self) -> str:
         """All of it in one line, for a person."""
-        typed = " and ".join(f"{what} {name}" for what, name in self.confirmed.items())
+        machine = self.machine or "not recorded"
+        return f"robot {self.robot} (number {self.robot_id}) in cell {self.cell}, machine {machine}{self.typed}"
+
+    @property
+    def typed(self) -> str:
+        """End of a sentence that says what is not the machine's; empty if all is."""
+        names = " and ".join(f"{what} {name}" for what, name in self.confirmed.items())
         by = f" by {self.confirmed_by}" if self.confirmed_by else ""
-        return (
-            f"robot {self.robot} (number {self.robot_id}) in cell {self.cell}, machine {self.machine or 'not recorded'}"
-            + (f"; NOT the machine's, confirmed{by}: {typed}" if typed else "")
-        )
+        return f"; NOT the machine's, confirmed{by}: {names}" if names else ""
 
 
 class _MadeFor(BaseModel):
@@ -49,7 +50,7 @@ class _Document(BaseModel):
     made_for: _MadeFor | None = None
 
 
-def plan_subject(robot_id: int, document: Mapping[str, object]) -> PlanSubject:
+def plan_subject(robot_id: int, document: object) -> PlanSubject:
     """`document`: of a stored plan of any kind."""
     found = _Document.model_validate(document)
     made_for = found.made_for or _MadeFor()

@@ -10,6 +10,8 @@ from service.demo.processes import Ready, drive_profile, running
 from service.robot import Robot
 
 PROFILE = Path("config/drives/virtual-max100.yaml")
+ROBOT = Path("config/robots/max100-class.yaml")
+CELL = Path("config/cells/workshop.yaml")
 SPEED_FACTOR = "20"  # of the virtual machine's moves and drive-side sweeps
 
 
@@ -29,6 +31,7 @@ def virtual_cell(folder: Path, robot: Robot, scenario: Path, *options: str) -> G
     with running(drive, folder / "drive.log") as drives:
         profile = drive_profile(PROFILE, drives.port, folder / "drives.yaml")
         serve = ("serve", "--port", "0", "--data-dir", str(folder / "data"), "--drive", str(profile))
+        serve += ("--robot", ROBOT.stem, "--cell", CELL.stem)
         with running(serve, folder / "serve.log") as service, ServiceClient(service.url) as client:
             stored = client.add_robot(robot.description.model_dump(mode="json"), robot.urdf_text)
             yield VirtualCell(drives, client, int(stored["id"]))

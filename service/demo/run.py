@@ -11,7 +11,7 @@ import numpy as np
 from service.benefit import Benefit, benefit, benefit_section
 from service.client import Json
 from service.configuration import read_robot
-from service.demo.cell import PROFILE, virtual_cell
+from service.demo.cell import CELL, PROFILE, ROBOT, virtual_cell
 from service.demo.hidden import SCENARIO as HIDING
 from service.demo.hidden import Found, find_hidden
 from service.demo.operator import Operator
@@ -26,8 +26,6 @@ from service.results.estimate import Estimate
 from service.store.files.bundle import Bundle, read_bundle
 
 SCENARIO = Path("config/scenarios/max100-full.yaml")
-ROBOT = Path("config/robots/max100-class.yaml")
-CELL = Path("config/cells/workshop.yaml")
 
 REQUEST: Json = {
     "cell": CELL.stem,

@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pydantic import BaseModel, ConfigDict
 
 from service.campaigns.linked_campaign import campaign_beside
+from service.campaigns.plan_subject import plan_subject
 from service.errors import Conflict, NotFound
 from service.fleet.document import Fleet
 from service.identification.motion.trajectory_record import runs_at_once
@@ -83,6 +84,7 @@ class Reporting:
                 ("robot", f"{robot.name}, number {robot.id} of this service"),
                 ("robot document", f"SHA-256 {robot.sha256}"),
                 ("model", _model(found)),
+                ("cell and machine", self._place(campaign)),
                 ("campaign", _campaign(campaign)),
                 ("ordered by", _ordered(campaign, None if approved is None else approved.approved_by)),
                 ("measured", _measured(campaign)),
@@ -136,6 +138,14 @@ class Reporting:
             ),
             form=form,
         )
+
+    def _place(self, campaign: CampaignDocument) -> str:
+        """Cell of the plan, and the machine that ran it."""
+        if campaign.plan_id is None:
+            return f"cell not recorded (imported); machine {campaign.machine}"
+        plan = self.store.plan(campaign.plan_id)
+        subject = plan_subject(plan.robot_id, plan.document)
+        return f"cell {subject.cell or 'not recorded'}, machine {campaign.machine}{subject.typed}"
 
     def _estimate(self, campaign: CampaignDocument) -> EstimateDocument:
         try:

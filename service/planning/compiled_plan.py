@@ -83,6 +83,13 @@ def other_machine(
     return differences(robot, place, axes, f"drive profile {settings.drive}", moved)
 
 
+def present_motion_sha256(store: Store, settings: Settings, machine: MachineSetup, plan_id: int) -> str:
+    """Hash of all data that determine the motion of a plan now (see `motion_hash`); blocks."""
+    plan = store.plan(plan_id)
+    cell = read_cell(settings.cells_dir / f"{plan_of(plan).request.cell}.yaml")
+    return motion_sha256(plan, store.robot(plan.robot_id), cell, settings, machine.sha256)
+
+
 def _moved(plan: Plan) -> set[str]:
     """Joints that the sweeps of the plan or the legs to them move."""
     return {name for sweep in plan.sweeps for name in (sweep.spec.axis, *(leg.joint for leg in sweep.legs))}

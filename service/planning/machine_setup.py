@@ -8,12 +8,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import structlog
+
 from service.errors import BadInput, Conflict
 from service.geometry.cell import read_cell
 from service.planning.documents import MadeFor
-from service.safety.robot_and_machine import DriveAxis
+from service.planning.motion_hash import machine_sha256
+from service.safety.robot_and_machine import DriveAxis, DriveProfile
 from service.settings import Settings
 from service.store.documents import RobotDocument
+
+_log = structlog.get_logger(__name__)
 
 
 class NeedsConfirmation(Conflict):
@@ -92,12 +97,14 @@ def _same(one: RobotDocument, other: RobotDocument) -> bool:
 
 
 def machine_setup(
-    settings: Settings, axes: Sequence[DriveAxis], sha256: str, robots: Mapping[str, RobotDocument]
+    settings: Settings, profile: object, joints: Sequence[str], robots: Mapping[str, RobotDocument]
 ) -> MachineSetup:
-    """The setup by settings and files. `robots`: those of `robots_dir`, by file name without ending. Blocks.
+    """The setup by settings and files, also in the log. Blocks. `joints`: of the machine. `robots`: those of
+    `robots_dir`, by file name without ending.
 
     BadInput if a setting names a file that does not exist or, for the cell, cannot be read.
     """
+    axes = DriveProfile.model_validate(profile).of(joints)
     missing: list[str] = []
     fitting = sorted(stem for stem, robot in robots.items() if _fits(robot, axes))
     stem = settings.robot
@@ -118,7 +125,11 @@ def machine_setup(
             (cell,) = cells
         else:
             missing.append(_choose("cell", settings.cells_dir, cells))
-    return MachineSetup(settings.machine_name, tuple(axes), sha256, robot, cell, tuple(missing))
+    name, sha256 = settings.machine_name, machine_sha256(profile, settings.drive.parent)
+    _log.info("machine_setup", machine=name, robot=None if robot is None else named(robot), cell=cell)
+    for reason in missing:
+        _log.warning("machine_setup_missing", reason=reason)
+    return MachineSetup(name, axes, sha256, robot, cell, tuple(missing))
 
 
 def _fits(robot: RobotDocument, axes: Sequence[DriveAxis]) -> bool:

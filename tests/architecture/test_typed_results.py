@@ -8,7 +8,7 @@ import pytest
 
 EDGES = {
     "api": "the wire: what comes as JSON and goes as JSON",
-    "client.py": "the wire, from the other side",
+    "client": "the wire, from the other side",
     "data_check": "makes its document; held by the digest of the second plant's score",
     "diagnosis": "makes its documents; held by the same digest",
     "export/recordings": "files, by libraries without types",

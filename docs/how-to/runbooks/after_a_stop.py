@@ -146,11 +146,11 @@ def left(book: Runbook, campaign: Json) -> list[Json]:
 def resumed(book: Runbook, campaign: Json) -> Exit:
     """The last step: resume the campaign, and repeat its failed and interrupted sweeps."""
     client, number = book.client, campaign["id"]
-    tell_resume(book, campaign)
+    seen = tell_resume(book, campaign)
     step = Step(f"resume campaign {number}", "resume", "moves as printed above", lambda: None)
     if not confirmed(book, step):
         return Exit.STOPPED
-    campaign = book.watched(number, lambda: client.resume(number, repeat=True))
+    campaign = book.watched(number, lambda: client.resume(number, repeat=True, seen=seen))
     if campaign["state"] != "completed":
         return book.not_completed(campaign)
     request = client.plan(campaign["plan_id"])["document"]["request"]
@@ -158,11 +158,14 @@ def resumed(book: Runbook, campaign: Json) -> Exit:
     return Exit.DONE if wanted is None else confidence(book, campaign, request["axes"], wanted)
 
 
-def tell_resume(book: Runbook, campaign: Json) -> None:
+def tell_resume(book: Runbook, campaign: Json) -> Json | None:
+    """Print what a resume moves. Returns the ranges of the axes; None if no sweep is left."""
     sweeps = left(book, campaign)
     book.step(f"resume of campaign {campaign['id']}", f"{len(sweeps)} sweeps left; these axes move")
     if sweeps:
         book.tell_moves(book.identify_machine(book.client.robot(campaign["robot_id"])), sweeps)
+        return book.tell_ahead(book.client.ahead(campaign["id"], repeat=True))
+    return None
 
 
 if __name__ == "__main__":

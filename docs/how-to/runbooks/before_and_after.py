@@ -68,7 +68,7 @@ def first(book: Runbook) -> Exit:
     document = book.robot_named(given.robot)
     robot = book.identify_machine(document)
     request = {"robot_id": document["id"], "cell": book.cell(), "axes": given.axes, "varied": given.varied}
-    campaign = book.measured(robot, book.client.add_plan(request | {"step": given.step, "poses": given.poses}))
+    campaign = book.measured(robot, book.planned(request | {"step": given.step, "poses": given.poses}))
     if campaign is None:
         return Exit.DONE
     if campaign["state"] != "completed":

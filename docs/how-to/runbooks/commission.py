@@ -45,7 +45,7 @@ def commission(book: Runbook) -> Exit:
     book.identify_machine(client.robot(stored["id"]))
     axes = given.axes or list(robot.joints)
     request = {"robot_id": stored["id"], "cell": given.cell.stem, "axes": axes, "varied": given.varied}
-    plan = client.add_plan(request | {"poses": given.poses, "step": given.step})
+    plan = book.planned(request | {"poses": given.poses, "step": given.step})
     book.step("first plan", "robot file and drives agree, and collision-free paths were found", plan=plan["id"])
     campaign = book.measured(robot, plan)
     if campaign is None:

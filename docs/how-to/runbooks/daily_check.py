@@ -39,7 +39,7 @@ def check(book: Runbook) -> Exit:
     axes = book.given.axes or list(estimate["axes"])
     book.step("reference", f"campaign {reference['id']} of {reference['created_at'][:10]}", campaign=reference["id"])
     once = {"axes": axes, "poses": book.given.poses, "realisations": 1, "warm_up": 0.0}
-    campaign = book.measured(robot, book.client.add_plan(request_of(plan) | once))
+    campaign = book.measured(robot, book.planned(request_of(plan) | once))
     if campaign is None:
         return Exit.DONE
     if campaign["state"] != "completed":

@@ -46,7 +46,7 @@ def diagnose(book: Runbook) -> Exit:
             return Exit.DONE
     else:
         wanted = {"kind": "diagnosis", "robot_id": document["id"], "cell": book.cell(), "axes": [given.axis]}
-        plan = client.add_plan(wanted | {"varied": given.varied, "poses": given.poses})
+        plan = book.planned(wanted | {"varied": given.varied, "poses": given.poses})
         campaign = book.measured(robot, plan)
         if campaign is None:
             return Exit.DONE
@@ -100,13 +100,13 @@ def measured(book: Runbook, robot: Robot, number: int, experiment: Json) -> Exit
     if experiment["kind"] == "test_mass":
         book.step("test mass", "mount a known mass and approve it: docs/how-to/diagnose-a-machine.md")
         return Exit.AMBER
-    plan = client.plan_experiment(number, axis, book.given.cell)
+    plan = client.plan_experiment(number, axis, book.given.cell, **book.typed)
     book.tell_moves(robot, plan["document"]["sweeps"])
     if not book.agreed("Is the cell clear, may the machine move?", "yes"):
         book.step("next experiment", "declined")
         return Exit.STOPPED
     book.moving = True
-    campaign = client.approve_experiment(number, axis, book.given.by, cell=book.given.cell)
+    campaign = client.approve_experiment(number, axis, book.given.by, cell=book.given.cell, **book.typed)
     if campaign["state"] == "planned":
         book.moving = False
         book.step(f"campaign {campaign['id']}", "needs the approval of its plan and a start by a person; "

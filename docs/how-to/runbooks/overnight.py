@@ -24,11 +24,11 @@ def main() -> int:
 
 
 def overnight(book: Runbook) -> Exit:
-    given, client = book.given, book.client
+    given = book.given
     document = book.robot_named(given.robot)
     robot = book.identify_machine(document)
     request = {"robot_id": document["id"], "cell": book.cell(), "axes": given.axes, "varied": given.varied}
-    plan = client.add_plan(request | {"step": given.step, "confidence": given.confidence})
+    plan = book.planned(request | {"step": given.step, "confidence": given.confidence})
     campaign = book.measured(robot, plan)
     if campaign is None:
         return Exit.DONE

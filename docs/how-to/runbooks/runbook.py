@@ -19,6 +19,7 @@ from typing import Any
 
 from moves import Move, moves, robot_of
 
+from service.campaigns.plan_subject import PlanSubject
 from service.cli.termination_signals import TerminationSignals
 from service.client import HOST_WATCH, Json, ServiceClient
 from service.errors import BadInput, SweepidError
@@ -28,7 +29,7 @@ OVER = ("completed", "paused", "aborted")
 TOLD = ("recorded", "failed", "interrupted")  # states of a sweep that make a step
 BY_REQUEST = "paused by request"  # cause of a pause that a person requested, as the service gives it
 AMBER, RED = 2.0, 4.0  # standard deviations
-CELL_HELP = "cell in which the robot stands; default: the one with the robot's name, or the only one"
+CELL_HELP = "cell in which the robot stands; default: that of the machine"
 
 
 class Exit(IntEnum):
@@ -60,21 +61,6 @@ def worst(codes: Sequence[Exit]) -> Exit:
     return next((code for code in (Exit.FAILED, Exit.AMBER) if code in codes), Exit.DONE)
 
 
-def chosen_cell(asked: str | None, cells: Sequence[str], robot: str) -> str:
-    """The requested cell, else the one with the robot's name, else the only one. BadInput if it is not unique.
-
-    Paths are checked for collisions with the obstacles of the cell: a wrong cell must never be assumed.
-    """
-    known = ", ".join(cells) or "none"
-    if asked is not None and asked not in cells:
-        raise BadInput("--cell", f"the service has no cell {asked}; it has: {known}")
-    if asked is not None or robot in cells:
-        return asked or robot
-    if len(cells) != 1:
-        raise BadInput("--cell", f"name the cell in which {robot} stands; the service has: {known}")
-    return cells[0]
-
-
 def parser_of(text: str) -> ArgumentParser:
     """The common arguments of all runbooks."""
     parser = ArgumentParser(description=text.partition("\n")[0])
@@ -83,6 +69,8 @@ def parser_of(text: str) -> ArgumentParser:
     parser.add_argument("--protocol", type=Path, help="file to write; default: name and time, here")
     parser.add_argument("--dry-run", action="store_true", help="print what would move, and move nothing")
     parser.add_argument("--yes", action="store_true", help="answer every question with yes: only for virtual machines")
+    for what in ("robot", "cell"):
+        parser.add_argument(f"--confirm-{what}", help=f"type the name of the {what}, if it is not the machine's")
     return parser
 
 
@@ -133,17 +121,28 @@ class Runbook:
         return robot_of(robot)
 
     def robot_named(self, name: str) -> Json:
-        """The newest robot with this name. BadInput if there is none."""
+        """The robot of the machine, or the newest one with this name. BadInput if there is none."""
+        own = [one["robot_id"] for one in self.client.machines()["items"] if one["here"]]
         found = [robot for robot in self.client.robots() if robot["name"] == name]
+        found.sort(key=lambda robot: robot["id"] in own)
         if not found:
             raise BadInput(
                 "robot", f"{self.given.url} has no robot {name}: store it first, for example with commission.py"
             )
         return self.client.robot(found[-1]["id"])
 
+    @property
+    def typed(self) -> dict[str, str | None]:
+        """Names that the person typed, of a robot or cell that is not the machine's."""
+        return {"confirm_robot": self.given.confirm_robot, "confirm_cell": self.given.confirm_cell}
+
+    def planned(self, request: Json) -> Json:
+        """A plan for the machine."""
+        return self.client.add_plan(request, **self.typed)
+
     def cell(self) -> str:
-        """The cell of `--cell`, or the robot's cell by `chosen_cell`."""
-        return chosen_cell(self.given.cell, self.client.cells(), self.given.robot)
+        """The cell of `--cell`; empty: that of the machine."""
+        return self.given.cell or ""
 
     def agreed(self, question: str, word: str) -> bool:
         """Whether the person typed `word`. The answer is no if there is no input."""
@@ -169,6 +168,13 @@ class Runbook:
         for move in moves(robot, sweeps, stands):
             self.step(f"{indent}{move.joint}", told(move), motion=move.document())
 
+    def tell_ahead(self, ahead: Json) -> Json:
+        """Print robot, cell, machine and approach. Returns the ranges of the axes, for the start."""
+        self.step("plan of", PlanSubject.model_validate(ahead["subject"]).sentence)
+        legs = ", ".join(f"{leg['joint']} to {leg['target']:.4g}" for leg in ahead["approach"])
+        self.step("approach", f"not known: {ahead['trouble']}" if ahead["trouble"] else legs or "none", ahead=ahead)
+        return ahead["range"]
+
     def measured(self, robot: Robot, plan: Json) -> Json | None:
         """Print a plan and run it. Returns the ended campaign; None in a dry run. KeyboardInterrupt if declined."""
         document = plan["document"]
@@ -181,13 +187,16 @@ class Runbook:
         )
         for dropped in document["dropped"]:
             self.step("left out", dropped["reason"])
+        if not self.given.dry_run and not self.client.drives()["connected"]:
+            self.client.connect()
         self.tell_moves(robot, document["sweeps"])
+        seen = self.tell_ahead(self.client.plan_ahead(plan["id"]))
         if self.given.dry_run:
             return None
         if not self.agreed("Is the cell clear, may the machine move?", "yes"):
             raise KeyboardInterrupt
         campaign = int(self.client.add_campaign(plan["id"])["id"])
-        return self.watched(campaign, lambda: self.client.start(campaign))
+        return self.watched(campaign, lambda: self.client.start(campaign, seen=seen))
 
     def watched(self, campaign_id: int, begin: Callable[[], object]) -> Json:
         """Start or resume a campaign and report its sweeps. Returns the campaign when it is over or paused."""

@@ -9,8 +9,10 @@ from pydantic import BaseModel, ConfigDict, StringConstraints
 from service.api.dependencies import ApplicationOf, Id, IntentionOf, who_asks
 from service.api.idempotent import IdempotentRoute
 from service.api.people.audit_trail import audit_trail_of
+from service.application import Application
 from service.campaigns.plan_subject import PlanSubject
 from service.people.names import PersonName
+from service.planning.compiled_plan import present_motion_sha256
 from service.store.approvals import ApprovalDocument
 from service.store.tables import now
 
@@ -46,7 +48,7 @@ class PlanApprovals(BaseModel):
 
 @router.get("")
 def list_approvals(plan_id: Id, request: Request, application: ApplicationOf) -> PlanApprovals:
-    sha256, by = application.motion_sha256(plan_id), who_asks(request, application)
+    sha256, by = _sha256(application, plan_id), who_asks(request, application)
     return PlanApprovals(
         needed=application.approvals.needed,
         subject=application.subjects(plan_id),
@@ -71,9 +73,13 @@ def approve_plan(
         "sha256": new.sha256,
         "by": by,
     }
-    sha256 = application.motion_sha256(plan_id)
+    sha256 = _sha256(application, plan_id)
     wanted = partial(application.machine.epochs.check, intention)
     return _view(application.approvals.add(plan_id, new.sha256, sha256, by, wanted), sha256)
+
+
+def _sha256(application: Application, plan_id: int) -> str:
+    return present_motion_sha256(application.store, application.settings, application.own.setup, plan_id)
 
 
 def _view(approval: ApprovalDocument, sha256: str) -> ApprovalView:

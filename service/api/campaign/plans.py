@@ -89,6 +89,7 @@ def add_plan(
     if other:
         raise BadInput("robot_id", f"belongs to another machine: {other}")
     wanted = wanted.model_copy(update={"cell": setup.own_cell(wanted.cell)})
+    cell = read_cell(application.settings.cells_dir / f"{wanted.cell}.yaml")
     made_for = None
     if not elsewhere:
         made_for = setup.confirmed(origin, wanted.cell, typed, who_asks(request, application))
@@ -96,7 +97,6 @@ def add_plan(
         if narrower:
             logger.info("the plan keeps narrower limits of drive profile %s: %s", application.settings.drive, narrower)
         robot = on_machine(robot, setup.axes)
-    cell = read_cell(application.settings.cells_dir / f"{wanted.cell}.yaml")
     if isinstance(wanted, AnalysisRequest):
         document = build_analysis_plan(robot, _with_excitation(wanted, application), cell)
     elif isinstance(wanted, TrajectoryRequest):

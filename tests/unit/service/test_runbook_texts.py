@@ -100,7 +100,8 @@ def test_a_red_axis_tells_the_next_command(runbook: Any, monkeypatch: pytest.Mon
     colours = {"turn": exits.DONE, "elbow": exits.FAILED}
     steps: list[tuple[str, str]] = []
     book = SimpleNamespace(
-        client=SimpleNamespace(plan=lambda _: plan, robot=lambda _: {}, add_plan=lambda _: plan),
+        client=SimpleNamespace(plan=lambda _: plan, robot=lambda _: {}),
+        planned=lambda _: plan,
         given=SimpleNamespace(robot="railpal", axes=[], poses=1),
         identify_machine=lambda _: None,
         measured=lambda *_: {"id": 8, "state": "completed"},

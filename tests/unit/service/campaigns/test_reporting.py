@@ -55,6 +55,7 @@ async def test_origin_drives_and_one_sweep_come_from_what_was_recorded(bench: Be
     assert job.report.check is None
     origin = dict(job.report.origin)
     assert origin["robot"] == "max100-class, number 1 of this service"
+    assert origin["cell and machine"] == "cell not recorded, machine machine"
     assert origin["ordered by"] == "not recorded"
     assert origin["newest diagnosis"].startswith("number 2, of campaign 1, 20")
     assert origin["recordings"].startswith("4, SHA-256 ")
