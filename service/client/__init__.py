@@ -1,7 +1,9 @@
 """A small client of the service's REST API, for the command line and the demo. Blocking; one connection pool."""
 
+import json
+import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, suppress
 from pathlib import Path
@@ -19,6 +21,7 @@ HOST_WATCH = "host watch"  # `by` of a stop that no person pressed
 
 _STOP_TIMEOUT = httpx.Timeout(2.0)  # a stop is answered within 1.2 s
 _OPEN = ("waiting", "running")
+_RECONNECT_FOR, _RECONNECT_PAUSE = 20.0, 0.5  # s
 
 
 class ServiceClient(Connection, AbstractContextManager["ServiceClient"]):
@@ -327,6 +330,30 @@ class ServiceClient(Connection, AbstractContextManager["ServiceClient"]):
                         file.write(chunk)
         except httpx.TransportError as error:
             raise self._unreachable(error) from None
+
+    # -- events
+    def events(self, campaign_id: int | None = None, after: int = 0) -> Iterator[Json]:
+        """Events of a campaign (None: all) with an id above `after`, then new ones, without end.
+
+        A lost connection is reopened after the last event received; `ServiceUnreachable` after 20 s without one.
+        """
+        lost: float | None = None  # time of the loss of the connection
+        while True:
+            reason = "the event stream ended"
+            try:
+                with self._stream(campaign_id, after) as lines:
+                    for line in lines:
+                        lost = None
+                        if line.startswith("data:"):
+                            event = cast("Json", json.loads(line[5:]))
+                            after = int(event["id"])
+                            yield event
+            except httpx.TransportError as error:
+                reason = str(error)
+            lost = time.monotonic() if lost is None else lost
+            if time.monotonic() - lost > _RECONNECT_FOR:
+                raise ServiceUnreachable(f"{self._url}: {reason}")
+            time.sleep(_RECONNECT_PAUSE)
 
 
 def _of_type(name: str | None) -> str:

@@ -1,9 +1,7 @@
-"""The connection of the client to a service: requests, errors and the event stream. Blocking."""
+"""The connection of the client to a service: requests and errors. Blocking."""
 
-import json
 import os
 import ssl
-import time
 import uuid
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
@@ -19,7 +17,6 @@ LONG_TIMEOUT = httpx.Timeout(600.0, connect=5.0)  # planning many poses, large b
 _TIMEOUT = httpx.Timeout(30.0, connect=5.0)
 _BAD_INPUT = 422  # HTTP status
 _SILENCE = 40.0  # s; an idle event stream carries a comment every 15 s
-_RECONNECT_FOR, _RECONNECT_PAUSE = 20.0, 0.5  # s
 
 
 class Connection:
@@ -41,30 +38,6 @@ class Connection:
 
     def __exit__(self, *_: object) -> None:
         self._http.close()
-
-    # -- events
-    def events(self, campaign_id: int | None = None, after: int = 0) -> Iterator[Json]:
-        """Events of a campaign (None: all) with an id above `after`, then new ones, without end.
-
-        A lost connection is reopened after the last event received; `ServiceUnreachable` after 20 s without one.
-        """
-        lost: float | None = None  # time of the loss of the connection
-        while True:
-            reason = "the event stream ended"
-            try:
-                with self._stream(campaign_id, after) as lines:
-                    for line in lines:
-                        lost = None
-                        if line.startswith("data:"):
-                            event = cast("Json", json.loads(line[5:]))
-                            after = int(event["id"])
-                            yield event
-            except httpx.TransportError as error:
-                reason = str(error)
-            lost = time.monotonic() if lost is None else lost
-            if time.monotonic() - lost > _RECONNECT_FOR:
-                raise ServiceUnreachable(f"{self._url}: {reason}")
-            time.sleep(_RECONNECT_PAUSE)
 
     @contextmanager
     def _stream(self, campaign_id: int | None, after: int) -> Generator[Iterator[str]]:

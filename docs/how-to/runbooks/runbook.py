@@ -138,7 +138,8 @@ class Runbook:
 
     def planned(self, request: Json) -> Json:
         """A plan for the machine."""
-        return self.client.add_plan(request, **self.typed)
+        robot, cell = self.given.confirm_robot, self.given.confirm_cell
+        return self.client.add_plan(request, confirm_robot=robot, confirm_cell=cell)
 
     def cell(self) -> str:
         """The cell of `--cell`; empty: that of the machine."""

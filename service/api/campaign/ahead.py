@@ -54,7 +54,7 @@ class Ahead(BaseModel):
 async def get_campaign_ahead(campaign_id: Id, application: ApplicationOf, repeat: bool = False) -> Ahead:
     """Of the planned sweeps; with `repeat` also of the failed and interrupted ones. Computed now; nothing moves.
 
-    409 for an imported campaign, and for one without such sweeps.
+    409 for an imported campaign, for one without such sweeps, and while a campaign runs.
     """
     stand = await _stand(application)
     return await run_in_threadpool(_of_campaign, application, campaign_id, repeat, stand)
@@ -62,14 +62,17 @@ async def get_campaign_ahead(campaign_id: Id, application: ApplicationOf, repeat
 
 @router.get("/plans/{plan_id}/ahead")
 async def get_plan_ahead(plan_id: Id, application: ApplicationOf) -> Ahead:
-    """Of all sweeps of a plan. Computed now; nothing moves."""
+    """Of all sweeps of a plan. Computed now; nothing moves. 409 while a campaign runs."""
     stand = await _stand(application)
     return await run_in_threadpool(_of_plan, application, plan_id, stand)
 
 
 async def _stand(application: Application) -> _Stand:
+    """Conflict while a campaign runs: the axes move, and the computation would delay its set-points."""
     if application.cell is None:
         return _Stand({}, "this service has no machine", None)
+    if application.runner.running is not None:
+        raise Conflict(f"campaign {application.runner.running} is running: the approach is known when it has ended")
     if not application.machine.connected:
         return _Stand({}, f"the drives are not connected: {application.machine.trouble}", None)
     try:

@@ -16,6 +16,7 @@ import { showMoving } from "./moving.js";
 import { plot } from "./plots.js";
 import { refresher } from "./refresh.js";
 import { events } from "./stream.js";
+import { aheadOf } from "./subject.js";
 import { language, text, word } from "./words.js";
 
 let campaigns = [];
@@ -104,7 +105,7 @@ async function showOrdered() {
   await showApproval(plan, left, seconds);
   nowCommands();
   byId("ordered").hidden = !left.length;
-  const ahead = left.length ? await get(`/campaigns/${id}/ahead?repeat=${again}`) : null;
+  const ahead = left.length && !owner(campaigns) ? await aheadOf(`/campaigns/${id}/ahead?repeat=${again}`) : null;
   tell("takes", left.length ? text("campaign.takes", { time: duration(seconds) }) : "");
   const shown = `${plan?.id}/${command}/${left.length}/${language()}/${machine?.drives.connected}/${JSON.stringify([ahead?.range, ahead?.trouble])}`;
   seen = ahead?.range ?? null;

@@ -3,7 +3,7 @@
 import { call, get } from "./api.js";
 import { byId, duration, link, tell } from "./elements.js";
 import { posesOf, showMotion, swing, topSpeed, travel, unitsOf } from "./motion.js";
-import { askNames, machineHere, typedNames } from "./subject.js";
+import { aheadOf, askNames, machineHere, typedNames } from "./subject.js";
 import { foreign, parts, text, Told, word } from "./words.js";
 
 const MM = 1e-3;
@@ -64,8 +64,8 @@ async function prepare() {
   asked.cell = byId("cell").value || null;
   asked.names = typedNames();
   const { id, document: plan } = (await call("POST", `/diagnoses/${diagnosis}/plan${asked.names}`, { axis: joint, cell: asked.cell })).content;
-  const ahead = await get(`/plans/${id}/ahead`);
-  asked.seen = ahead.range;
+  const ahead = await aheadOf(`/plans/${id}/ahead`);
+  asked.seen = ahead?.range ?? null;
   showMotion(byId("motion"), plan, units, await get("/drives"), ahead);
   byId("mass").hidden = kind !== "test_mass";
   for (const input of byId("mass").querySelectorAll("input")) input.required = kind === "test_mass";

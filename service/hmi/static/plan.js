@@ -9,7 +9,7 @@ import { showMoving } from "./moving.js";
 import { showGrid, showPicture } from "./picture.js";
 import { refresher } from "./refresh.js";
 import { events } from "./stream.js";
-import { askNames, machineHere, typedNames } from "./subject.js";
+import { aheadOf, askNames, machineHere, typedNames } from "./subject.js";
 import { language, text, Told } from "./words.js";
 
 const USUAL = { poses: "24", confidence: text("plan.usual-confidence"), duration: "60" };
@@ -101,7 +101,7 @@ async function showPlan() {
   tell("promise", confidence === null ? openPromise(content) : text("plan.promise", { percent: Number(confidence.toPrecision(2)) }));
   const shown = `${id}/${language()}`;
   if (byId("motion").dataset.shown === shown) return;
-  showMotion(byId("motion"), { ...content, duration: plan.expected_time }, units, await get("/drives"), await get(`/plans/${id}/ahead`));
+  showMotion(byId("motion"), { ...content, duration: plan.expected_time }, units, await get("/drives"), await aheadOf(`/plans/${id}/ahead`));
   byId("motion").dataset.shown = shown;
   showGrid(grid, units);
   await showArm();

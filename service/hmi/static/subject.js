@@ -1,6 +1,6 @@
 // Robot, cell and machine of a plan; names of a robot or cell that is not the machine's are typed by a person.
 
-import { get } from "./api.js";
+import { get, Refused } from "./api.js";
 import { byId, tell } from "./elements.js";
 import { foreign, parts, text } from "./words.js";
 
@@ -10,6 +10,14 @@ let asked = null; // {machine, missing, robot, cell}: what was chosen, with the 
 export async function machineHere() {
   const { items, missing } = await get("/machines");
   return { name: null, robot_id: null, robot: null, cell: null, ...items.find((one) => one.here), missing };
+}
+
+// of /plans/N/ahead, /campaigns/N/ahead; null while a campaign runs
+export async function aheadOf(path) {
+  return await get(path).catch((error) => {
+    if (!(error instanceof Refused)) throw error;
+    return null;
+  });
 }
 
 // robot: {id, name}; cell: its name

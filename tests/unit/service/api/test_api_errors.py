@@ -210,4 +210,4 @@ def test_a_urdf_that_names_a_mesh_makes_no_plan_and_opens_no_file(http: httpx.Cl
     added = http.post("/robots", json=new)
     assert added.status_code == 201, added.text
     plan = {"robot_id": added.json()["id"], "axes": ["joint_1"], "varied": ["joint_2"], "poses": 1}
-    assert "mesh" in str(problem(http.post("/plans", json=plan), 422)["detail"])
+    assert "mesh" in str(problem(http.post("/plans", params={"confirm_robot": robot.name}, json=plan), 422)["detail"])

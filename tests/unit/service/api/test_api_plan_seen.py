@@ -51,6 +51,8 @@ def opened(tmp_path: Path, drive: FormulaDrive, monkeypatch: pytest.MonkeyPatch)
             transport = httpx.ASGITransport(app=app)
             async with HTTP(transport=transport, base_url="http://127.0.0.1/api/v1", timeout=60) as http:
                 yield http
+                drive.go.set()
+                await app.state.application.runner.finished()
 
     return open_service
 
@@ -205,3 +207,15 @@ async def test_without_drives_the_approach_is_not_known(opened: Opened, drive: F
         refused = await http.post(f"/campaigns/{campaign}/start", json=seen)
         assert refused.status_code == 409
         assert "joint_3 would move from -2.2038 to 0.0000 rad, which was not shown" in refused.json()["detail"]
+
+
+async def test_while_a_campaign_runs_no_approach_is_computed(opened: Opened, drive: FormulaDrive) -> None:
+    async with opened() as http:
+        plan = (await planned(http)).json()["id"]
+        first, second = [await campaign_of(http, plan) for _ in range(2)]
+        drive.hold = 0
+        seen = {"seen": (await ahead_of(http, first))["range"]}
+        assert (await http.post(f"/campaigns/{first}/start", json=seen)).status_code == 200
+        for path in (f"/campaigns/{second}/ahead", f"/plans/{plan}/ahead"):
+            answer = await http.get(path)
+            assert (answer.status_code, f"campaign {first} is running" in answer.json()["detail"]) == (409, True)

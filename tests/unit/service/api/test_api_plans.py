@@ -105,6 +105,15 @@ def test_the_command_tells_what_the_plan_promises(url: str, http: httpx.Client) 
     assert f"not better than CAD for {', '.join(document['undetermined'])}. Plan" in done.stderr
 
 
+def test_the_command_plans_for_the_machine_and_names_it(url: str, http: httpx.Client) -> None:
+    done = sweepid("plan", "--axes", "joint_2", "--varied", "joint_3", "--step", "30", "--poses", "1", "--url", url)
+    assert done.returncode == 0, done.stderr
+    plan = http.get(f"/plans/{done.stdout.strip()}").json()
+    told = f"robot max100-class (number {plan['robot_id']}) in cell workshop, machine machine\n"
+    assert done.stderr.startswith(told)
+    assert plan["document"]["made_for"] == {"machine": "machine", "confirmed": {}, "by": ""}
+
+
 def test_the_command_refuses_two_budgets(url: str) -> None:
     done = command(url, "--poses", "2", "--confidence", "1")
     assert (done.returncode, done.stdout) == (2, "")

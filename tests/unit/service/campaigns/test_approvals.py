@@ -157,9 +157,10 @@ def test_all_that_decides_what_moves_is_in_the_hash(bench: Bench, tmp_path: Path
         motion_sha256(plan.model_copy(update={"document": {"poses": 1}}), robot, cell, settings, machine),
         motion_sha256(plan, robot, cell.model_copy(update={"boxes": (box,)}), settings, machine),
         motion_sha256(plan, robot, cell, settings.model_copy(update={"pose_tolerance": 0.1}), machine),
+        motion_sha256(plan, robot, cell, settings.model_copy(update={"machine_name": "cell 2"}), machine),
         motion_sha256(plan, robot, cell, settings, machine_sha256(profile, ROOT / "config" / "drives")),
     }
     (tmp_path / "a.eds").write_text("2")  # a file that the profile names
     hashes.add(motion_sha256(plan, robot, cell, settings, machine_sha256(small, tmp_path)))
-    assert len(hashes) == 7
+    assert len(hashes) == 8
     assert motion_sha256(plan, robot, cell, settings, machine) in hashes
