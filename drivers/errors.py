@@ -34,6 +34,10 @@ class EnvelopeLeft(DriveError):
     """A moving axis exceeded its position window, speed, effort or time limit. It was stopped and disabled."""
 
 
+class TargetNotReached(DriveError):
+    """An axis was not at rest at the target of its move in time: it is blocked, or too slow for its profile."""
+
+
 class NotReady(DriveError):
     """The state of the drive does not allow the command, e.g. a sweep on an axis that is not enabled."""
 

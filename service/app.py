@@ -84,7 +84,7 @@ def create_app(settings: Settings, hosts: Sequence[str] = (), stop_process: Stop
         api.include_router(router)
     app.include_router(api)
     app.include_router(metrics.router)
-    add_pages(app, None if stop_process is None else stop_process.port)
+    add_pages(app, None if stop_process is None else stop_process.port, settings.behind_proxy)
     install_problem_handlers(app)
     limits = {f"{PREFIX}{bundles.BUNDLES}": BUNDLE_LIMIT, f"{PREFIX}{robots.router.prefix}": ROBOT_LIMIT}
     guesses = Guesses(settings.wrong_keys)

@@ -10,7 +10,7 @@ from drivers.cia402 import checks, states
 from drivers.cia402.axis import Axis, Reading
 from drivers.cia402.states import State
 from drivers.cia402.thread import DriveThread
-from drivers.errors import DriveError, EnvelopeLeft, NotReady, SweepInterrupted, distinct
+from drivers.errors import EnvelopeLeft, NotReady, SweepInterrupted, TargetNotReached
 
 POLL = 0.01  # s
 MARGIN = 5.0  # s for at least `LEAST` of the travel that a start from standstill makes in it
@@ -64,11 +64,11 @@ async def move(
         if now - arrived >= ARRIVAL_TIME:
             return
         if waited > MARGIN:
-            here, target = distinct(reading.position, position)
             reached = "" if reading.statusword & states.TARGET_REACHED else ", target not reported as reached"
-            raise DriveError(
-                f"{axis.place}: at {here} {profile.unit} instead of {target} {profile.unit}, "
-                f"no nearer for {MARGIN} s, at {reading.velocity:.2g} {profile.unit}/s{reached}"
+            raise TargetNotReached(
+                f"{axis.place}: {reading.position - position:+.2g} {profile.unit} from its target "
+                f"{position:.5g} {profile.unit}, no nearer for {MARGIN} s, "
+                f"at {reading.velocity:.2g} {profile.unit}/s{reached}"
             )
         await asyncio.sleep(POLL)
 

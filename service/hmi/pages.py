@@ -21,10 +21,12 @@ _SCRIPTS = (
     "diagnosis",
     "drawing",
     "elements",
+    "events",
     "experiment",
     "figures",
     "findings",
     "fleet",
+    "following",
     "intent",
     "live",
     "login",
@@ -38,6 +40,8 @@ _SCRIPTS = (
     "record",
     "refresh",
     "results",
+    "statement",
+    "stop",
     "stream",
     "subject",
     "verdicts",
@@ -52,12 +56,13 @@ _PAGES = {
     "/fleet": "fleet.html",
 }
 _DEAD = "<!-- dead -->"  # what a page says whose scripts did not load: in each language, as none was chosen
+_PROXIED = 'data-proxied=""'  # of STOP: the address of the stop process at a proxy, relative to the pages
 _HEAD = "  <!-- head -->\n"  # of every page: who looks at any of them can stop the machine
 _STATIC = Path(__file__).parent / "static"
 _TEXTS = Path(__file__).parent / "texts"
 # nothing is loaded from elsewhere, no inline script runs; plotly writes style attributes
 _POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; "
+    "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; worker-src 'self'; "
     "base-uri 'none'; form-action 'self'; frame-ancestors 'none'; connect-src 'self'"
 )
 _HEADERS = {
@@ -67,8 +72,11 @@ _HEADERS = {
 }
 
 
-def add_pages(app: FastAPI, stop_port: int | None) -> None:
-    """The pages and the files that they load. They may speak to this service and to the stop's port."""
+def add_pages(app: FastAPI, stop_port: int | None, behind_proxy: bool = False) -> None:
+    """The pages and the files that they load. They may speak to this service and to the stop's port.
+
+    `behind_proxy`: they also send a stop to `stop` at their own origin, which the proxy forwards to that port.
+    """
     stop = "" if stop_port is None else f" http://*:{stop_port} https://*:{stop_port}"
     headers = _HEADERS | {"Content-Security-Policy": f"{_POLICY}{stop}"}
     plotly = Path(str(files("plotly").joinpath("package_data", "plotly.min.js")))
@@ -82,6 +90,8 @@ def add_pages(app: FastAPI, stop_port: int | None) -> None:
     words = texts()
     dead = " ".join(f'<span lang="{tag}">{escape(own["head.dead"])}</span>' for tag, own in words.items())
     head = (_STATIC / "head.html").read_text("utf-8").replace(_DEAD, dead)
+    if behind_proxy and stop_port is not None:
+        head = head.replace(_PROXIED, 'data-proxied="stop"')
     for url, name in _PAGES.items():
         app.add_api_route(url, _page(url, name, head, headers), response_class=HTMLResponse, include_in_schema=False)
     app.add_api_route("/texts.js", _texts(words, headers), response_class=Response, include_in_schema=False)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from playwright.sync_api import Page, expect, sync_playwright
+from playwright.sync_api import BrowserContext, Page, expect, sync_playwright
 
 from tests.programs import path_of
 
@@ -31,6 +31,23 @@ def browsing(url: str, any_certificate: bool = False, locale: str = "en-US") -> 
         except Exception as error:
             error.add_note(f"the page did not get: {missing}; its errors: {errors}")
             raise
+        browser.close()
+        assert errors == []
+
+
+@contextmanager
+def window(locale: str = "en-US", script: str = "") -> Iterator[BrowserContext]:
+    """Its pages share their connections, as those of one browser do. `script` runs before those of each page."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=QUIET)
+        context = browser.new_context(locale=locale)
+        context.set_default_timeout(PATIENCE)
+        expect.set_options(timeout=PATIENCE)
+        errors: list[str] = []
+        context.on("weberror", lambda error: errors.append(str(error.error)))
+        if script:
+            context.add_init_script(script)
+        yield context
         browser.close()
         assert errors == []
 

@@ -18,7 +18,7 @@ pytestmark = needs("chromium")
 
 
 def test_the_operators_page(machine: VirtualMachine, service: Service, page: Page) -> None:
-    expect(page.locator("#machine")).to_have_text("machine connected")
+    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
     assert both_schemes(page) == []
     with ServiceClient(service.url) as client:
         campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=2))["id"])

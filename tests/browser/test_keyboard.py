@@ -30,7 +30,7 @@ def press(page: Page, name: str, key: str = "Enter") -> None:
 
 
 def test_from_the_plan_to_the_end_without_a_pointer(service: Service, machine: VirtualMachine, page: Page) -> None:
-    expect(page.locator("#machine")).to_have_text("machine connected")
+    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
     page.keyboard.press("Tab")
     assert page.evaluate("document.activeElement.textContent").startswith("STOP")  # first in the order
 

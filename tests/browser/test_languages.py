@@ -32,7 +32,7 @@ def look(page: Page) -> None:
 def test_german_from_standstill_to_a_stop_and_its_release(
     machine: VirtualMachine, service: Service, page: Page
 ) -> None:
-    expect(page.locator("#machine")).to_have_text("Maschine verbunden")
+    expect(page.locator("#machine")).to_have_text("alle Achsen stehen ohne Energie")
     expect(page.locator("html")).to_have_attribute("lang", "de")
     expect(page.locator("#axes td.number").first).to_have_text("0,00\u00b0")  # before any campaign
     look(page)
@@ -97,7 +97,7 @@ def test_the_language_changes_while_a_campaign_runs_and_is_remembered(
 
 def test_a_language_that_there_is_not_is_english(service: Service) -> None:
     with browsing(service.url, locale="fr-FR") as page:
-        expect(page.locator("#machine")).to_have_text("machine connected")
+        expect(page.locator("#machine")).to_have_text("all axes stand without energy")
         expect(page.locator("#language")).to_have_value("en")
 
 

@@ -64,7 +64,7 @@ def test_a_start_from_a_page_that_did_not_show_the_stop_is_refused(
 
 
 def test_a_fault_is_shown_and_acknowledged_by_a_person(machine: VirtualMachine, page: Page) -> None:
-    expect(page.locator("#machine")).to_have_text("machine connected")
+    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
     assert machine.order("fault", joint="joint_2", code=0x2310)["ok"]
     expect(page.locator("#axes")).to_contain_text("2310h")
     page.get_by_role("button", name="I looked: acknowledge").click()
@@ -73,7 +73,7 @@ def test_a_fault_is_shown_and_acknowledged_by_a_person(machine: VirtualMachine, 
 
 
 def test_an_emergency_stop_is_called_one_and_acknowledged_on_all_axes(machine: VirtualMachine, page: Page) -> None:
-    expect(page.locator("#machine")).to_have_text("machine connected")
+    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
     expect(page.locator("#acknowledge-all")).to_be_hidden()
     assert machine.order("emergency_stop", on=True)["ok"]
     expect(page.locator("#machine")).to_have_text("EMERGENCY STOP")
@@ -81,7 +81,7 @@ def test_an_emergency_stop_is_called_one_and_acknowledged_on_all_axes(machine: V
     assert machine.order("emergency_stop", on=False)["ok"]
     page.get_by_role("button", name="acknowledge all axes").click()
     expect(page.locator("#axes")).not_to_contain_text("9000h")
-    expect(page.locator("#machine")).to_have_text("machine connected")
+    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
     assert machine.stands()
 
 

@@ -56,7 +56,7 @@ def seconds(told: str) -> float:
 
 def test_nothing_is_green_in_trouble_and_the_way_out_stands_there(machine: VirtualMachine, page: Page) -> None:
     way_out = page.locator("#way-out li")
-    expect(page.locator("#machine")).to_have_text("machine connected")
+    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
     expect(page.locator("#intent")).to_have_class("still")
     assert green(page)  # so that the looking is known to find it
     expect(way_out).to_have_count(0)
@@ -66,7 +66,7 @@ def test_nothing_is_green_in_trouble_and_the_way_out_stands_there(machine: Virtu
     assert green(page) == []
     expect(way_out).to_contain_text(["Check joint_2", "Acknowledge"])
     page.get_by_role("button", name="I looked: acknowledge").click()
-    expect(page.locator("#machine")).to_have_text("machine connected")
+    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
 
     assert machine.order("emergency_stop", on=True)["ok"]
     expect(page.locator("#machine")).to_have_text("EMERGENCY STOP")
@@ -74,7 +74,7 @@ def test_nothing_is_green_in_trouble_and_the_way_out_stands_there(machine: Virtu
     expect(way_out).to_contain_text(["Check the machine", "Unlock the machine's own emergency stop", "Acknowledge"])
     assert machine.order("emergency_stop", on=False)["ok"]
     page.get_by_role("button", name="acknowledge all axes").click()
-    expect(page.locator("#machine")).to_have_text("machine connected")
+    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
 
     page.get_by_role("button", name="STOP").click()
     expect(page.locator("#machine")).to_have_text("stopped")
@@ -89,7 +89,7 @@ def test_nothing_is_green_in_trouble_and_the_way_out_stands_there(machine: Virtu
 
 @pytest.mark.parametrize("how", ["the network is lost", "the service hangs"])
 def test_without_the_service_all_is_dimmed_and_after_its_return_nothing_of_it_is_left(page: Page, how: str) -> None:
-    expect(page.locator("#machine")).to_have_text("machine connected")
+    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
     if how == "the network is lost":
         page.context.set_offline(True)
     else:
@@ -104,7 +104,7 @@ def test_without_the_service_all_is_dimmed_and_after_its_return_nothing_of_it_is
     else:
         page.unroute_all(behavior="ignoreErrors")
     expect(page.locator("#silence")).to_be_hidden()
-    expect(page.locator("#machine")).to_have_text("machine connected")
+    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
     expect(page.locator("#error")).to_be_hidden()
     assert page.locator("main").evaluate("main => !main.inert && getComputedStyle(main).opacity === '1'")
 
@@ -152,7 +152,7 @@ def test_the_campaign_that_matters_is_shown_first(service: Service, page: Page) 
 
 
 def test_stop_is_first_by_keyboard_and_abort_asks(machine: VirtualMachine, service: Service, page: Page) -> None:
-    expect(page.locator("#machine")).to_have_text("machine connected")
+    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
     page.keyboard.press("Tab")
     expect(page.locator("#stop")).to_be_focused()
     with ServiceClient(service.url) as client:
@@ -178,7 +178,7 @@ def test_it_can_be_read_and_hit_in_every_state_and_width(
     service: Service, machine: VirtualMachine, page: Page, scheme: str
 ) -> None:
     page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
-    expect(page.locator("#machine")).to_have_text("machine connected")
+    expect(page.locator("#machine")).to_have_text("all axes stand without energy")
     look(page)
     with ServiceClient(service.url) as client:
         campaign = int(client.add_campaign(add_plan(client, axes=["joint_1"], poses=2))["id"])

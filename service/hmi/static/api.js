@@ -5,8 +5,11 @@ import { foreign, knows, parts, Told } from "./words.js";
 const API = "api/v1";
 const KEY = "sweepid-key"; // stored for this browser tab only
 
+// The types in the comments of these scripts (`Api.NAME`) are those of the OpenAPI document; a test checks them.
+
 // problem: as in RFC 9457; its kind is shown in the language of the page, its detail unchanged
 export class Refused extends Error {
+  /** @param {{type?: string, detail: string}} problem */
   constructor({ type = "", detail }) {
     super(detail);
     const kind = `problem.${type.split(":").at(-1)}`;
@@ -24,8 +27,10 @@ export const address = (path) => `${API}${path}`;
 
 export const keep = (key) => sessionStorage.setItem(KEY, key);
 export const forget = () => sessionStorage.removeItem(KEY);
+/** @param {string} key @returns {Record<string, string>} */
 export const bearer = (key) => ({ Authorization: `Bearer ${key}` });
 
+/** @returns {Record<string, string>} */
 export function authorization() {
   const key = sessionStorage.getItem(KEY);
   return key ? bearer(key) : {};
@@ -37,34 +42,58 @@ export function protocols() {
   return ["sweepid.live", ...(key ? [`sweepid.key.${key}`] : [])];
 }
 
+/** @type {string | null} */
 let epoch = null; // of the machine's state that the page got last: a command given before a stop is refused after it
 
-// patience: ms, for requests that a page repeats
+/**
+ * patience: ms, for requests that a page repeats
+ * @template {string} M
+ * @template {string} P
+ * @param {M} method
+ * @param {P} path
+ * @param {object} [body]
+ * @param {Record<string, string>} [headers]
+ * @param {number | null} [patience]
+ * @returns {Promise<{content: Api.Answer<M, P>, etag: string}>}
+ */
 export async function call(method, path, body, headers = {}, patience = null) {
   headers = { ...authorization(), ...headers };
   if (epoch && method !== "GET") headers["Sweepid-Epoch"] = epoch;
   if (body !== undefined) headers["Content-Type"] = "application/json";
   const signal = patience === null ? undefined : AbortSignal.timeout(patience);
-  let answer, content;
+  let answer;
+  let content = /** @type {Partial<Api.Problem>} */ ({});
   try {
     answer = await fetch(address(path), { method, headers, body: body && JSON.stringify(body), signal });
     content = await answer.json();
   } catch (error) {
-    throw new Silent("error.silent", { why: foreign(error.message) });
+    throw new Silent("error.silent", { why: foreign(/** @type {Error} */ (error).message) });
   }
   if (!answer.ok) throw new (answer.status === 401 ? Unknown : Refused)({ type: content.type, detail: content.detail ?? answer.statusText });
-  epoch = content?.epoch ?? epoch;
-  return { content, etag: answer.headers.get("ETag") };
+  epoch = /** @type {{epoch?: string}} */ (content)?.epoch ?? epoch;
+  return /** @type {any} */ ({ content, etag: answer.headers.get("ETag") });
 }
 
+/**
+ * @template {string} P
+ * @param {P} path
+ * @param {number | null} [patience]
+ */
 export const get = async (path, patience = null) => (await call("GET", path, undefined, {}, patience)).content;
 
+/**
+ * @template {string} P
+ * @param {P} path
+ * @returns {Promise<Api.Items<P>>}
+ */
 export async function all(path) {
-  let items = [];
-  let page = { next: 0 };
-  while (page.next !== null) {
-    page = await get(`${path}${path.includes("?") ? "&" : "?"}limit=200&after=${page.next}`);
+  let items = /** @type {object[]} */ ([]);
+  let next = 0;
+  while (next !== null) {
+    /** @type {{items: object[], next: number}} */
+    const page = (await call("GET", /** @type {string} */ (`${path}${path.includes("?") ? "&" : "?"}limit=200&after=${next}`))).content;
     items = items.concat(page.items);
+    next = page.next;
   }
-  return items;
+  return /** @type {any} */ (items);
 }

@@ -4,7 +4,7 @@ import { address, all, call, get, Refused } from "./api.js";
 import { showApproval, watchApproval } from "./approval.js";
 import { showAxes, watchAxes } from "./axes.js";
 import { showCommands, watchCommands } from "./commands.js";
-import { causeParts } from "./causes.js";
+import { byFault, causeWithDetails } from "./causes.js";
 import { clear } from "./drawing.js";
 import { byId, choices, complain, duration, element, number, row, tell } from "./elements.js";
 import { findingParts } from "./findings.js";
@@ -19,11 +19,16 @@ import { events } from "./stream.js";
 import { aheadOf } from "./subject.js";
 import { language, text, word } from "./words.js";
 
+/** @type {Api.CampaignDocument[]} */
 let campaigns = [];
+/** @type {Machine | null} */
 let machine = null; // {drives, stop} of the last answer
+/** @type {Api.CampaignView | null} */
 let campaign = null; // the displayed campaign
 let etag = "";
+/** @type {Plan | null} */
 let plan = null; // its plan {id, document}; null for an imported campaign
+/** @type {Units | null} */
 let units = null; // of its robot; without a campaign, of the robot of the drives
 let seen = null; // ranges of the axes that the page shows for a start; null: none
 let sought = false; // whether that robot was requested
@@ -59,10 +64,10 @@ async function showCampaign() {
   [campaign, etag, plan, units] = [answer.content, answer.etag, planned, known];
   if (machine) showAxes(machine.drives, units);
   showProgress();
-  tell("cause", causeParts(campaign.cause));
+  tell("cause", causeWithDetails(campaign.cause));
   showDataCheck(campaign.data_check);
   tell("campaign-state", word("campaign-state", campaign.state));
-  byId("campaign-state").className = `badge ${campaign.state}`;
+  byId("campaign-state").className = `badge ${campaign.state}${byFault(campaign.cause) ? " broken" : ""}`;
   byId("repeat-choice").hidden = campaign.state !== "paused";
   nowCommands();
   await showOrdered();
@@ -80,11 +85,13 @@ function showProgress() {
 
 const nowCommands = () => showCommands(campaign, machine, owner(campaigns));
 
+/** @param {Api.DataCheck | null} check */
 function showDataCheck(check) {
   byId("data-check").replaceChildren(...(check ? findingParts(check.findings) : []));
   if (check && !check.findings.length) byId("data-check").append(element("p", text("campaign.data-sound"), "quiet"));
 }
 
+/** @param {Api.CampaignDocument} campaign @returns {Promise<Plan | null>} */
 async function planOf({ plan_id }) {
   if (plan_id === null) return null;
   if (plan?.id === plan_id) return plan;
@@ -115,6 +122,7 @@ async function showOrdered() {
   byId("motion").dataset.shown = shown;
 }
 
+/** @param {() => Promise<unknown>} run */
 async function command(run) {
   await Promise.resolve().then(run).then(() => complain(null), complain);
   await refresh();
@@ -122,6 +130,7 @@ async function command(run) {
 
 // -- estimate
 
+/** @param {string} id */
 async function showEstimate(id) {
   let estimate;
   try {
@@ -153,6 +162,7 @@ async function showEstimate(id) {
   byId("axis").onchange = () => drawChart(found);
 }
 
+/** @param {Api.Estimate | null} found */
 function drawChart(found) {
   const inertia = found?.axes[byId("axis").value]?.inertia;
   if (!inertia) {

@@ -5,20 +5,24 @@ import { byId, duration, tell } from "./elements.js";
 import { subjectParts } from "./subject.js";
 import { foreign, text, told } from "./words.js";
 
+/** @type {{plan: number, needed: boolean, missing: string | Error, sha256?: string} | null} */
 let present = null; // {plan, needed, missing, sha256} of the displayed plan, or null
 
 // why this person may not start the displayed campaign, as parts; empty if allowed
 export const unapproved = () => (present?.needed && present.missing ? why(present.missing) : "");
 
+/** @param {string | Error} missing */
 const why = (missing) => (missing instanceof Error ? told(missing) : [foreign(missing)]);
 
 // an unreadable cell also prevents the start of a plan
+/** @param {Error} error */
 function whyNone(error) {
   if (!(error instanceof Refused)) throw error;
   return { needed: true, missing: error };
 }
 
 // plan: {id, document} or null; left: the sweeps that a start will run; seconds: their duration
+/** @param {Plan | null} plan @param {Sweep[]} left @param {number} seconds */
 export async function showApproval(plan, left, seconds) {
   present = plan && left.length ? { plan: plan.id, ...(await get(`/plans/${plan.id}/approvals`).catch(whyNone)) } : null;
   byId("approve").hidden = unapproved() === "" || !present.sha256;
@@ -29,6 +33,7 @@ export async function showApproval(plan, left, seconds) {
 }
 
 // run(work) executes it and shows the result
+/** @param {(run: () => Promise<unknown>) => void} run */
 export function watchApproval(run) {
   byId("approve").addEventListener("submit", (event) => {
     event.preventDefault();

@@ -5,6 +5,7 @@ import { byId, tell } from "./elements.js";
 import { mayNot } from "./login.js";
 import { text, word } from "./words.js";
 
+/** @type {Record<string, string[]>} */
 const FITS = {
   start: ["planned"],
   pause: ["running"],
@@ -14,6 +15,7 @@ const FITS = {
 const NAMES = Object.keys(FITS);
 
 // campaign: displayed, or null; machine: {drives, stop}, null: not known; owner: the running campaign, or undefined
+/** @param {Api.CampaignView | null} campaign @param {Machine | null} machine @param {Api.CampaignDocument} [owner] */
 export function showCommands(campaign, machine, owner) {
   for (const name of NAMES) {
     const reason = whyNot(name, campaign, machine, owner);
@@ -24,6 +26,7 @@ export function showCommands(campaign, machine, owner) {
 }
 
 // text or parts; empty if the command is possible
+/** @param {string} name @param {Api.CampaignView | null} campaign @param {Machine | null} machine @param {Api.CampaignDocument} [owner] @returns {Content} */
 function whyNot(name, campaign, machine, owner) {
   const forbidden = mayNot(`POST /campaigns/{campaign_id}/${name}`);
   if (forbidden) return forbidden;
@@ -39,6 +42,7 @@ function whyNot(name, campaign, machine, owner) {
   return faulty.length ? text("why.fault", { axes: faulty.join(", ") }) : "";
 }
 
+/** @param {string} name @param {Api.CampaignView} campaign */
 function ofState(name, { state }) {
   if (["measured", "completed", "aborted"].includes(state)) return text("why.over", { state: word("campaign-state", state) });
   if (name === "pause") return state === "pausing" ? text("why.pausing") : text("why.nothing-runs");
@@ -52,6 +56,7 @@ function ask(asked) {
 }
 
 // run(name) executes the command
+/** @param {(name: string) => void} run @param {() => string} question */
 export function watchCommands(run, question) {
   for (const name of ["start", "pause", "resume"]) byId(name).addEventListener("click", () => run(name));
   byId("abort").addEventListener("click", () => {

@@ -1,7 +1,7 @@
 // The diagnosis page: differences of model and measurement, missing effects, the next experiment.
 
 import { address, all, call, get } from "./api.js";
-import { causeParts } from "./causes.js";
+import { causeWithDetails } from "./causes.js";
 import { byId, choices, complain, element, link, minus, number, row, tell } from "./elements.js";
 import { clearExperiment, showExperiment, watchExperiment } from "./experiment.js";
 import { drawFigures } from "./figures.js";
@@ -18,12 +18,15 @@ const FINISHED = ["measured", "completed"];
 const OPEN = ["waiting", "running"];
 const NOTHING = 1e-6; // share of a standard deviation: rounding
 
+/** @type {Api.DiagnosisDocument | null} */
 let shown = null; // the displayed diagnosis, with its document when it is done
+/** @type {Api.CampaignDocument | undefined} */
 let paused; // the paused campaign
 let drawn = ""; // diagnosis and axis of the displayed figures
 
 // -- the list, and a new one
 
+/** @returns {Promise<[Api.CampaignDocument[], Api.DiagnosisEntry[]]>} */
 async function showLists() {
   const [campaigns, diagnoses] = await Promise.all([all("/campaigns"), all("/diagnoses")]);
   paused = held(campaigns);
@@ -35,6 +38,7 @@ async function showLists() {
   return [campaigns, diagnoses];
 }
 
+/** @param {Api.DiagnosisEntry} one */
 function listed(one) {
   const line = row([
     [one.here ? "" : one.machine, "", link(one.id, `#${one.id}`)],
@@ -46,15 +50,17 @@ function listed(one) {
   return line;
 }
 
+/** @param {{state: string}} diagnosis */
 const stateOf = (diagnosis) => word("diagnosis-state", diagnosis.state);
 
+/** @param {Api.CampaignDocument[]} campaigns */
 function showEvidence(campaigns) {
   const chosen = evidence();
   const boxes = campaigns.map((one) => {
     const box = element("input");
     box.type = "checkbox";
-    box.value = one.id;
-    box.dataset.robot = one.robot_id;
+    box.value = String(one.id);
+    box.dataset.robot = String(one.robot_id);
     box.checked = chosen.some((other) => Number(other.value) === one.id);
     const label = element("label");
     const sweeps = Object.values(one.sweeps).reduce((sum, count) => sum + count, 0);
@@ -65,7 +71,8 @@ function showEvidence(campaigns) {
   if (!boxes.length) byId("evidence").append(element("p", text("diagnosis.no-campaign"), "quiet"));
 }
 
-const evidence = () => [...byId("evidence").querySelectorAll(":checked")];
+/** @returns {HTMLInputElement[]} */
+const evidence = () => [...byId("evidence").querySelectorAll(/** @type {"input"} */ (":checked"))];
 
 async function showModels() {
   const robot = evidence()[0]?.dataset.robot;
@@ -82,6 +89,7 @@ async function start() {
 
 // -- the displayed diagnosis
 
+/** @param {[Api.CampaignDocument[], Api.DiagnosisEntry[]]} lists */
 async function showDiagnosis([campaigns, diagnoses]) {
   const id = location.hash.slice(1);
   byId("shown").hidden = !id;
@@ -92,7 +100,7 @@ async function showDiagnosis([campaigns, diagnoses]) {
   tell("shown-state", stateOf(shown));
   byId("shown-state").className = `badge ${shown.state}`;
   byId("shown-about").replaceChildren(...about(after));
-  tell("shown-cause", causeParts(shown.cause));
+  tell("shown-cause", causeWithDetails(shown.cause));
   const done = shown.state === "done";
   byId("report").hidden = !done;
   byId("report").href = address(`/diagnoses/${shown.id}/report.html`);
@@ -102,9 +110,12 @@ async function showDiagnosis([campaigns, diagnoses]) {
   await showAxis(campaign, after);
 }
 
+/** @param {number} id */
 const diagnosisLink = (id) => link(text("about.diagnosis", { id }), `#${id}`);
 
+/** @param {Api.DiagnosisEntry} [after] @returns {Part[]} */
 function about(after) {
+  /** @type {Part[][]} */
   const told = [[text("about.from", { campaigns: shown.campaigns.join(", ") })]];
   if (shown.model) told.push([text("about.model", { id: shown.model })]);
   if (shown.estimate) told.push([text("about.estimate", { id: shown.estimate.campaign_id, revision: shown.estimate.revision })]);
@@ -117,6 +128,7 @@ function about(after) {
   return joined(told, ", ");
 }
 
+/** @param {Api.CampaignDocument} [campaign] @param {Api.DiagnosisEntry} [after] */
 async function showAxis(campaign, after) {
   const joint = byId("axis").value;
   const axis = shown.state === "done" ? shown.document.axes[joint] : null;
@@ -128,7 +140,7 @@ async function showAxis(campaign, after) {
   }
   tell("verdict", verdictParts(joint, axis));
   byId("verdict").className = `verdict ${axis.verdict}`;
-  const unfinished = (axis.unfinished ?? []).map((one) => ({ severity: "warning", ...one }));
+  const unfinished = (axis.unfinished ?? []).map((one) => ({ severity: /** @type {const} */ ("warning"), ...one }));
   byId("data").replaceChildren(...findingParts([...(axis.data ?? []), ...unfinished]));
   byId("effects").replaceChildren(...axis.effects.flatMap(effectParts));
   if (axis.verdict === "ambiguous") byId("effects").prepend(element("p", text("diagnosis.simplest")));
@@ -145,8 +157,10 @@ async function showAxis(campaign, after) {
   drawFigures(byId("pictures"), figures.axes[joint], axis);
 }
 
+/** @param {string} effect */
 const effectName = (effect) => word("effect", effect);
 
+/** @param {Api.Effect} effect */
 function effectParts(effect) {
   const heading = element("h3", effectName(effect.effect));
   const sentence = element("p", [foreign(effect.sentence), " "]);
@@ -158,17 +172,20 @@ function effectParts(effect) {
   return [heading, sentence, table];
 }
 
+/** @param {Api.Effect[]} part */
 function showPart(part) {
   byId("part").replaceChildren(...part.flatMap(effectParts));
   if (part.length) byId("part").prepend(element("p", text("diagnosis.in-part")));
 }
 
 // values that changed by more than their standard deviation are highlighted
+/** @param {Api.AxisDiagnosis} axis */
 function showRigidModel(axis) {
   const parameters = axis.rigid_model ?? [];
   byId("rigid-model").hidden = !parameters.length;
   tell("rigid-before", (axis.started_from ?? "cad") === "cad" ? "CAD" : text("diagnosis.estimate"));
   byId("rigid-parameters").replaceChildren(...parameters.map((one) => {
+    /** @param {number | null} value */
     const shown = (value) => number(value !== null && Math.abs(value) < NOTHING * one.std ? 0 : value);
     const name = /^\w+$/.test(one.name) ? word("parameter", one.name) : one.name;
     const line = row([
@@ -182,6 +199,7 @@ function showRigidModel(axis) {
 
 // -- acceptance into the model
 
+/** @param {Api.AxisDiagnosis} axis */
 async function showAcceptance(axis) {
   const named = axis.verdict === "named" ? axis.effects.map((effect) => effectName(effect.effect)) : [];
   const changed = [...new Set((axis.changes ?? []).map((change) => text("accept.changed", { effect: effectName(change.effect) })))];
@@ -207,7 +225,8 @@ async function accept() {
 const refresh = refresher(async () => showDiagnosis(await showLists()));
 
 // the button of a form is disabled while its request runs
-const submit = (run) => async (event) => {
+/** @param {() => Promise<void>} run */
+const submit = (run) => async (/** @type {SubmitEvent & {submitter: HTMLButtonElement}} */ event) => {
   event.preventDefault();
   event.submitter.disabled = true;
   try {

@@ -6,6 +6,7 @@ import { Told } from "./words.js";
 const QUIET = { displayModeBar: false, responsive: true };
 
 const wanted = new Map(); // content by element: while Plotly is loading, only the last content is kept
+/** @type {Promise<typeof Plotly> | null} */
 let coming = null;
 
 function plotly() {
@@ -24,6 +25,7 @@ function plotly() {
 }
 
 // place: an element or its id
+/** @param {string | HTMLElement} place @param {object[]} traces @param {object} layout */
 export function draw(place, traces, layout) {
   const mine = [traces, layout];
   wanted.set(place, mine);
@@ -32,6 +34,7 @@ export function draw(place, traces, layout) {
   }).catch(complain);
 }
 
+/** @param {string | Element} place */
 export function clear(place) {
   wanted.delete(place);
   const there = typeof place === "string" ? document.getElementById(place) : place;

@@ -5,23 +5,28 @@ import { decimal, figures, told } from "./words.js";
 
 export const EMPTY = "\u2013";
 const MINUS = "\u2212";
-export const byId = (id) => document.getElementById(id);
+/** @type {(id: string) => Control} */
+export const byId = (id) => /** @type {any} */ (document.getElementById(id));
 
+/** @type {Error | null} */
 let complaint = null; // the displayed error
 
+/** @template {keyof HTMLElementTagNameMap} T @param {T} tag @param {Content} [content] @param {string} [kind] @returns {HTMLElementTagNameMap[T]} */
 export function element(tag, content, kind) {
   const made = document.createElement(tag);
-  if (content !== undefined) made.append(...[content].flat());
+  if (content !== undefined) made.append(...(/** @type {Part[]} */ ([content].flat())));
   if (kind) made.className = kind;
   return made;
 }
 
+/** @param {Content} content @param {string} href */
 export function link(content, href) {
   const made = element("a", content);
   made.href = href;
   return made;
 }
 
+/** @param {any[][]} cells */
 export function row(cells) {
   const tr = element("tr");
   for (const [content, kind, control] of cells) {
@@ -37,12 +42,14 @@ export const number = (value, unit = "") => (value === null || value === undefin
 // three significant digits
 export const figure = (value) => (value === null || value === undefined ? EMPTY : figures(value, 3));
 
+/** @param {number | null} value @param {number} digits */
 export function fixed(value, digits) {
   if (value === null) return EMPTY;
   const shown = Math.abs(value) < 0.5 * 10 ** -digits ? 0 : value;
   return decimal(shown, { minimumFractionDigits: digits, maximumFractionDigits: digits });
 }
 
+/** @param {string} told */
 export const minus = (told) => told.replace("-", MINUS);
 
 export function duration(seconds) {
@@ -51,18 +58,21 @@ export function duration(seconds) {
   return minutes ? `${minutes} min ${whole % 60} s` : `${whole} s`;
 }
 
+/** @param {HTMLSelectElement | Control} select @param {any[][]} entries */
 export function choices(select, entries) {
   const chosen = select.value;
-  select.replaceChildren(...entries.map(([value, name]) => new Option(name, value)));
+  select.replaceChildren(...entries.map(([value, name]) => new Option(String(name), value)));
   if (entries.some(([value]) => String(value) === chosen)) select.value = chosen;
 }
 
 // unchanged content is not written again: a screen reader reads changes only
+/** @param {string} id @param {Content} content */
 export function tell(id, content) {
   const made = element("p", content);
   if (byId(id).innerHTML !== made.innerHTML) byId(id).replaceChildren(...made.childNodes);
 }
 
+/** @param {Error | null} error */
 export function complain(error) {
   if (error instanceof Unknown) return; // the head of the page asks for the login
   complaint = error;

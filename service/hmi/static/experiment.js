@@ -8,7 +8,9 @@ import { foreign, parts, text, Told, word } from "./words.js";
 
 const MM = 1e-3;
 
-let asked = null; // {diagnosis, joint, kind, cell, names, seen} of the panel; names: the typed ones, as a query
+/** @type {{diagnosis: number, joint: string, kind: string, cell: string | null, names: string, seen: Record<string, unknown> | null} | null} */
+let asked = null; // of the panel; names: the typed ones, as a query
+/** @type {Units | null} */
 let units = null; // of its robot
 let robot = null; // {id, name}
 let machine = null; // of this service
@@ -20,6 +22,7 @@ export function clearExperiment() {
 }
 
 // campaign: that of the last approved experiment; after: the diagnosis that continued with it, or undefined
+/** @param {Api.DiagnosisDocument} diagnosis @param {string} joint @param {Api.Experiment | null} experiment @param {Api.CampaignDocument} [campaign] @param {Api.DiagnosisEntry} [after] */
 export async function showExperiment(diagnosis, joint, experiment, campaign, after) {
   if (!experiment) {
     clearExperiment();
@@ -42,6 +45,7 @@ export async function showExperiment(diagnosis, joint, experiment, campaign, aft
   byId("experiment-done").replaceChildren(...(campaign ? approved(diagnosis.experiment, campaign, after) : []));
 }
 
+/** @param {Api.ExperimentDocument} experiment @param {Api.CampaignDocument} campaign @param {Api.DiagnosisEntry} [after] */
 function approved({ axis, approved_by }, campaign, after) {
   const told = parts("experiment.approved", {
     by: approved_by, axis, campaign: link(text("experiment.campaign", { id: campaign.id }), `./#campaign-${campaign.id}`),
@@ -53,6 +57,7 @@ function approved({ axis, approved_by }, campaign, after) {
 
 const showConfirm = () => askNames(machine, robot, byId("cell").value || machine.cell);
 
+/** @param {(run: () => Promise<void>) => (event: Event) => void} submit */
 export function watchExperiment(submit) {
   byId("cell").addEventListener("change", () => machine && showConfirm());
   byId("prepare").addEventListener("submit", submit(prepare));
@@ -93,6 +98,7 @@ function mass() {
 }
 
 // before the plan exists
+/** @param {string} joint @param {Api.ExperimentSweep[]} sweeps */
 function wayInWords(joint, sweeps) {
   if (!sweeps.length) return "";
   const { length } = units;

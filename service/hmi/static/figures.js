@@ -6,6 +6,7 @@ import { foreign, knows, separators, text } from "./words.js";
 
 const GRID = "rgba(128,128,128,.25)";
 
+/** @param {HTMLElement} place @param {Record<string, Api.PlotlyFigure>} figures @param {Api.AxisDiagnosis} axis */
 export function drawFigures(place, figures, axis) {
   for (const old of place.querySelectorAll(".figure")) clear(old);
   place.replaceChildren();
@@ -25,11 +26,13 @@ export function drawFigures(place, figures, axis) {
 }
 
 // sentences without the findings of the data check, which are displayed above
+/** @param {Api.AxisDiagnosis} axis */
 function sentencesOf(axis) {
   const told = new Set((axis.data ?? []).map((finding) => finding.sentence));
   return axis.sentences.filter((sentence) => !told.has(sentence));
 }
 
+/** @param {Record<string, any>} layout */
 function inColours(layout) {
   const ink = getComputedStyle(document.body).color;
   const axes = Object.entries(layout).filter(([key]) => /^[xy]axis\d*$/.test(key));

@@ -3,8 +3,9 @@
 import { element } from "./elements.js";
 import { foreign, word } from "./words.js";
 
+/** @param {Pick<Api.Finding, "severity" | "sentence" | "action">[]} findings */
 export function findingParts(findings) {
-  const ordered = findings.toSorted((one, other) => (other.severity === "wrong") - (one.severity === "wrong"));
+  const ordered = findings.toSorted((one, other) => Number(other.severity === "wrong") - Number(one.severity === "wrong"));
   return ordered.map((finding) => {
     const line = element("p", undefined, `finding ${finding.severity}`);
     line.append(element("b", `${word("severity", finding.severity)}: `), foreign(`${finding.sentence} ${finding.action}`));

@@ -14,9 +14,12 @@ import { moment, text } from "./words.js";
 
 const DAY = 86_400_000; // ms
 
+/** @type {Api.CampaignDocument[]} */
 let campaigns = [];
+/** @type {Api.FleetType[]} */
 let types = [];
 
+/** @param {Api.FleetRobot} robot */
 const label = (robot) => robot.serial ?? `${robot.machine} (${text("fleet.without-serial")})`;
 const shownType = () => types.find((one) => one.name === byId("type").value);
 
@@ -54,6 +57,7 @@ function showAxis() {
   showChanges(axis, robots);
 }
 
+/** @param {string} axis @param {Api.FleetRobot[]} robots */
 function showChart(axis, robots) {
   if (!robots.length) return clear("chart");
   plot("chart", robots.map((robot, k) => ({
@@ -64,14 +68,18 @@ function showChart(axis, robots) {
 }
 
 // axis of whole days, in the same format for each language; a single campaign is in the middle
+/** @param {number[]} times */
 function days(times) {
   const [first, last] = [Math.min(...times), Math.max(...times)];
   const room = Math.max(DAY, 0.03 * (last - first));
   return { type: "date", tickformat: "%Y-%m-%d", range: [first - room, last + room], ...(last - first < 6 * DAY ? { dtick: DAY } : {}) };
 }
 
+/** @param {string} axis @param {Api.FleetRobot[]} robots */
 function showChanges(axis, robots) {
+  /** @param {number} value */
   const percent = (value) => (value > 0 ? `+${fixed(value, 2)}` : fixed(value, 2));
+  /** @param {Api.FleetDifference} one */
   const outlier = (one) => text(!one.outlier ? "fleet.no" : one.by_gain ? "fleet.by-gain" : "fleet.yes");
   table("changes", [["fleet.robot"], ["fleet.change", "number"], ["fleet.std", "number"], ["fleet.kind"], ["fleet.statistic", "number"], ["fleet.alarm"], ["fleet.others", "number"], ["fleet.outlier"]],
     robots.map((robot) => {

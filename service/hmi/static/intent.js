@@ -3,19 +3,23 @@
 import { causeParts } from "./causes.js";
 import { byId, duration, element, link } from "./elements.js";
 import { inWords } from "./motion.js";
-import { foreign, joined, parts, text, word } from "./words.js";
+import { reasonOf } from "./statement.js";
+import { joined, parts, text, word } from "./words.js";
 
 const OPEN = ["waiting", "running"];
 const MOVING = ["running", "pausing"];
 
+/** @type {Part[] | null} */
 let doubt = null; // parts before the orders; empty if all drives report their state; null: not requested yet
 let sound = false; // no problem of the machine is known
+/** @type {Part[]} */
 let orders = []; // current orders, as parts of a paragraph
 let moving = false; // an order causes motion
 let waits = false; // a campaign waits for a person
 
 // campaigns and diagnoses: the lists; running: the campaign that owns the machine, with its progress, or undefined;
 // units: of its robot
+/** @param {Api.CampaignDocument[]} campaigns @param {Api.DiagnosisEntry[]} diagnoses @param {Api.CampaignView | undefined} running @param {Units | null} units */
 export function showIntent(campaigns, diagnoses, running, units) {
   orders = running ? ofCampaign(running, diagnoses, units) : atRest(campaigns, diagnoses);
   moving = Boolean(running) || diagnoses.some(alone);
@@ -23,13 +27,12 @@ export function showIntent(campaigns, diagnoses, running, units) {
   draw();
 }
 
-// no drives: no answer of the service, which is shown elsewhere; troubles: of the machine
-export function showDoubt(drives, troubles) {
-  const silent = drives?.axes.filter((axis) => axis.state === "unknown").map((axis) => axis.joint);
-  sound = Boolean(drives) && !troubles.length && !silent.length;
-  if (!drives) doubt = null;
-  else if (drives.connected && !silent.length) doubt = [];
-  else doubt = parts("intent.unknown", { cause: drives.trouble ? foreign(drives.trouble) : text("intent.no-word", { axes: silent.join(", ") }) });
+// statement: of the machine's state; null: none, which is shown elsewhere. well: no trouble of the machine is known
+/** @param {Api.Statement | null} statement @param {boolean} well */
+export function showDoubt(statement, well) {
+  sound = well && statement !== null && statement.state !== "unknown";
+  if (statement === null) doubt = null;
+  else doubt = statement.state === "unknown" ? parts("intent.unknown", { cause: reasonOf(statement) }) : [];
   document.body.classList.toggle("sound", sound);
   draw();
 }
@@ -52,22 +55,29 @@ function kind() {
 export const noCampaign = () => parts("campaign.none", { page: link(text("head.plan"), "plan") });
 
 // with the name of its machine if it belongs to another cell
+/** @param {Api.CampaignDocument} one */
 export const campaignName = (one) => [`${one.id} (${word("campaign-state", one.state)})`, ...(one.here ? [] : [one.machine])].join(" \u00b7 ");
 
 // of this service's machine: other cells can have campaigns in the same database
+/** @param {Api.CampaignDocument[]} campaigns */
 export const owner = (campaigns) => campaigns.find((one) => one.here && MOVING.includes(one.state));
 
+/** @param {Api.CampaignDocument[]} campaigns */
 export const held = (campaigns) => campaigns.findLast((one) => one.here && one.state === "paused");
 
 // the most important one: the present motion, a waiting campaign, the next one, or the last one
+/** @param {Api.CampaignDocument[]} campaigns */
 export const first = (campaigns) =>
   owner(campaigns) ?? held(campaigns) ?? campaigns.find((one) => one.here && one.state === "planned") ?? campaigns.at(-1);
 
+/** @param {Api.DiagnosisEntry} one */
 const alone = (one) => one.here && one.unattended && OPEN.includes(one.state);
 
+/** @param {Api.CampaignView} campaign @param {Api.DiagnosisEntry[]} diagnoses @param {Units} units */
 function ofCampaign(campaign, diagnoses, units) {
   const { done, total, remaining } = campaign.progress;
   const steps = campaign.motion.length ? `: ${inWords(campaign.motion, units)}` : "";
+  /** @type {(Part | Part[])[]} */
   const sentences = [parts(campaign.state === "pausing" ? "intent.pausing" : "intent.runs", {
     campaign: campaignLink(campaign.id), number: Math.min(done + 1, total), total, steps,
   })];
@@ -78,6 +88,7 @@ function ofCampaign(campaign, diagnoses, units) {
   return joined(sentences, " ");
 }
 
+/** @param {Api.CampaignDocument[]} campaigns @param {Api.DiagnosisEntry[]} diagnoses */
 function atRest(campaigns, diagnoses) {
   const working = diagnoses.find(alone);
   if (working) return [text("intent.alone", { id: working.id })];
@@ -86,4 +97,5 @@ function atRest(campaigns, diagnoses) {
   return [text("intent.rest")];
 }
 
+/** @param {number} id */
 const campaignLink = (id) => link(text("intent.campaign", { id }), `./#campaign-${id}`);

@@ -10,16 +10,20 @@ const SHOWN = 20; // s
 const PAUSE = 250; // ms between two redraws, at any data rate
 const OVER = 1500; // ms without a block: the sweep has ended
 
+/** @type {WebSocket | null} */
 let socket = null;
+/** @type {number | null} */
 let campaign = null; // id
 let samples = []; // [time, effort, velocity]
 let joint = "";
 let waiting = false;
 let heard = 0; // ms, time of the last block
+/** @type {Units | null} */
 let units = null; // of the moving robot
 let si = false; // rad and m instead of deg and mm
 
 // moving: the campaign that moves, or undefined
+/** @param {Api.CampaignDocument | undefined} moving @param {boolean} inSi */
 export function showLive(moving, inSi) {
   const id = moving?.id ?? null;
   si = inSi;
@@ -35,6 +39,7 @@ export function showLive(moving, inSi) {
   if (id !== null) open(id, moving.robot_id);
 }
 
+/** @param {number} id @param {number} robot */
 function open(id, robot) {
   units = null;
   unitsOf(robot).then((found) => (units = found), () => {}); // without units nothing is drawn
@@ -48,6 +53,7 @@ function open(id, robot) {
   };
 }
 
+/** @param {{joint: string, time: number[], effort: number[], velocity: number[]}} block as in docs/reference/http-api.md */
 function take(block) {
   const last = samples.at(-1)?.[0];
   if (block.joint !== joint || block.time[0] < last) samples = [];
@@ -69,6 +75,7 @@ function draw() {
   const effort = linear ? "N" : "N m";
   const speed = `${unit.trim()}/s`;
   const x = samples.map(([time]) => time - samples[0][0]);
+  /** @param {string} name @param {number[]} y @param {string} yaxis @param {string} color */
   const line = (name, y, yaxis, color) => ({ type: "scatter", mode: "lines", name, x, y, yaxis, line: { color, width: 1.5 } });
   plot("live-chart", [
     line(`${text(linear ? "live.force" : "live.effort")}, ${effort}`, samples.map((one) => one[1]), "y", "#2f7ef0"),

@@ -6,11 +6,14 @@ import { byId, complain, element, tell } from "./elements.js";
 import { cameBack, leaveForOidc, showOidc } from "./oidc.js";
 import { text, told, word } from "./words.js";
 
+/** @type {Api.Me | null} */
 let me = null; // {login, name, role, session, refused}; null: not known yet
 const NOTHING_GIVEN = "not authenticated"; // prefix of the answer to a request without credentials: no user error
 
+/** @type {(Error & {parts?: () => Part[]}) | null} */
 let refusal = null; // why no user is logged in
 
+/** @type {(value?: unknown) => void} */
 let known;
 export const identified = new Promise((done) => (known = done));
 
@@ -28,7 +31,7 @@ export async function identify(patience) {
     throw error;
   }
   byId("me").hidden = !me.login;
-  if (me.login) for (const input of document.querySelectorAll("[autocomplete=name]")) input.value ||= me.name;
+  if (me.login) for (const input of /** @type {NodeListOf<HTMLInputElement>} */ (document.querySelectorAll("[autocomplete=name]"))) input.value ||= me.name;
   showRights();
   known();
 }
@@ -39,7 +42,7 @@ export function showRights() {
   if (!me) return;
   tell("me-who", `${me.name}, ${word("role", me.role)}`);
   for (const old of document.querySelectorAll("small.needs")) old.remove();
-  for (const button of document.querySelectorAll("[data-needs]")) {
+  for (const button of /** @type {NodeListOf<HTMLButtonElement>} */ (document.querySelectorAll("[data-needs]"))) {
     const reason = mayNot(button.dataset.needs);
     if (!reason) continue;
     button.disabled = true;
@@ -51,6 +54,7 @@ export function showRights() {
 export const presser = () => (me?.login ? `${me.name} (${PAGE})` : PAGE);
 
 // why this user may not; empty if allowed. command: method and path as in the API
+/** @param {string} command */
 export function mayNot(command) {
   const needed = me?.refused[command];
   return needed ? text("why.role", { needed: word("role", needed), role: word("role", me.role) }) : "";
@@ -58,6 +62,7 @@ export function mayNot(command) {
 
 const tellWhy = () => tell("login-why", told(refusal));
 
+/** @param {Error} error */
 export function askWho(error) {
   if (refusal) return;
   refusal = error;
@@ -68,6 +73,7 @@ export function askWho(error) {
   showOidc().catch(complain);
 }
 
+/** @param {SubmitEvent} event */
 async function logIn(event) {
   event.preventDefault();
   const [name, password, key] = ["user", "password", "key"].map((id) => byId(id).value);
@@ -95,6 +101,7 @@ async function logOut() {
 }
 
 // a link does not send the key: its target is fetched and saved
+/** @param {HTMLAnchorElement} link */
 async function save(link) {
   const answer = await fetch(link.href, { headers: authorization() });
   if (!answer.ok) throw new Refused(await answer.json());
@@ -111,7 +118,7 @@ export function watchLogin() {
   byId("oidc").addEventListener("click", leaveForOidc);
   byId("log-out").addEventListener("click", logOut);
   document.addEventListener("click", (click) => {
-    const link = click.target.closest("a");
+    const link = /** @type {Element} */ (click.target).closest("a");
     if (!me?.login || me.session || !link?.pathname.includes("/api/v1/")) return;
     click.preventDefault();
     save(link).catch(complain);

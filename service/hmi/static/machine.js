@@ -1,51 +1,75 @@
 // The head of every page: state of the machine, stop, release, instructions after a stop, present motion.
 
-import { call, get, Refused, Unknown } from "./api.js";
-import { PRESSED, stopParts } from "./causes.js";
+import { call, get, Refused, Silent, Unknown } from "./api.js";
+import { byFault, stopParts } from "./causes.js";
 import { byId, complain, complainAgain, tell } from "./elements.js";
 import { showDoubt } from "./intent.js";
-import { askWho, identify, presser, showRights, watchLogin } from "./login.js";
+import { askWho, identify, showRights, watchLogin } from "./login.js";
 import { keepMoving } from "./moving.js";
+import { statementOf, stated } from "./statement.js";
+import { settleStop, showStop, stop } from "./stop.js";
 import { showWayOut } from "./wayout.js";
-import { foreign, joined, parts, text, Told, told, watchLanguage } from "./words.js";
+import { foreign, joined, parts, text, told, watchLanguage } from "./words.js";
 
 const PATIENCE = 5000; // ms until the service counts as not answering
 const STOP_KEY = "F8";
+const LOOKS = { moves: "warn", energised: "warn", stands: "good", unknown: "bad" };
 
 let stopPort = null; // port of the stop process, which works while the service is busy
+/** @type {number[]} */
 let shown = []; // the displayed stops; only these are released, not later ones
 
-// {drives, stop}; null: state of the machine not known. `silent`: the service does not answer
-async function ask() {
-  const state = byId("machine");
+// {drives, stop, statement}; null: state of the machine not known. Only GET /stop tells whether the service is silent: it
+// needs neither login nor database nor drives, and is not late because a plan is computed or an axis answers slowly
+/** @param {Api.CampaignDocument} [paused] @returns {Promise<Machine | null>} */
+async function ask(paused) {
+  let answers = false;
   try {
-    const stop = await get("/stop", PATIENCE); // needs no login
+    const stop = await get("/stop", PATIENCE);
+    answers = true;
     stopPort = stop.port;
+    showSilence(false);
+    showHeld(stop);
     await identify(PATIENCE);
     const drives = await get("/drives", PATIENCE);
-    shown = stop.stops.map(({ id }) => id);
-    byId("held").hidden = !stop.latched;
-    if (stop.latched) tell("held-by", joined(stop.stops.map(({ by, why }) => stopParts(by, why)), "; "));
-    const troubles = inTrouble(drives, stop);
-    tell("machine", troubles.length ? joined(troubles, ", ") : text("machine.connected"));
-    state.className = `state ${troubles.length ? "bad" : "good"}`;
-    byId("connect").hidden = drives.connected;
-    showDoubt(drives, troubles);
-    showSilence(false);
-    return { drives, stop };
+    const statement = statementOf(drives);
+    showState(drives, stop, statement, paused);
+    return { drives, stop, statement };
   } catch (error) {
-    const answers = error instanceof Refused;
     const nobody = error instanceof Unknown;
     if (nobody) askWho(error);
-    tell("machine", nobody ? text("machine.nobody") : answers ? told(error) : text("machine.silent"));
-    state.className = nobody ? "state" : "state bad";
-    showDoubt(null, []);
-    showSilence(!answers);
+    if (!answers) showSilence(!(error instanceof Refused));
+    tell("machine", nobody ? text("machine.nobody") : error instanceof Silent ? text(answers ? "machine.late" : "machine.silent") : told(error));
+    tell("stated", "");
+    byId("machine").className = nobody ? "state" : "state bad";
+    showDoubt(null, false);
     return null;
   }
 }
 
+/** @param {Api.StopView} stop */
+function showHeld(stop) {
+  shown = stop.stops.map(({ id }) => id);
+  byId("held").hidden = !stop.latched;
+  if (stop.latched) tell("held-by", joined(stop.stops.map(({ by, why }) => stopParts(by, why)), "; "));
+  settleStop(stop.latched);
+}
+
+// first what is wrong, then the state of the axes; green only if nothing is wrong and every axis reports that it stands
+/** @param {Api.DrivesView} drives @param {Api.StopView} stop @param {Api.Statement} statement @param {Api.CampaignDocument} [paused] */
+function showState(drives, stop, statement, paused) {
+  const broken = paused && byFault(paused.cause);
+  const troubles = inTrouble(drives, stop);
+  if (broken && !troubles.length) troubles.push(text("machine.broken", { id: paused.id }));
+  tell("machine", troubles.length ? joined(troubles, ", ") : stated(statement));
+  tell("stated", troubles.length && drives.connected ? stated(statement) : "");
+  byId("machine").className = `state ${troubles.length ? "bad" : LOOKS[statement.state]}`;
+  byId("connect").hidden = drives.connected;
+  showDoubt(statement, !troubles.length);
+}
+
 // old values are grey and disabled because they may be out of date. STOP stays enabled
+/** @param {boolean} silent */
 function showSilence(silent) {
   byId("silence").hidden = !silent;
   document.body.classList.toggle("silent", silent);
@@ -56,8 +80,10 @@ function showSilence(silent) {
 const silent = () => document.body.classList.contains("silent");
 
 // as parts
+/** @param {Api.DrivesView} drives @param {Api.StopView} stop */
 export function inTrouble(drives, stop) {
   const faulty = drives.axes.filter((axis) => axis.fault);
+  /** @type {(Part | Part[])[]} */
   const troubles = [];
   if (faulty.some((axis) => axis.fault.emergency_stop)) troubles.push(text("machine.emergency"));
   else if (faulty.length) troubles.push(text("machine.fault", { axes: faulty.map((axis) => axis.joint).join(", ") }));
@@ -66,40 +92,23 @@ export function inTrouble(drives, stop) {
   return troubles;
 }
 
-// to both ports at the same time; only the answer of the service confirms the standstill of the axes
-async function stop() {
-  const press = `${Date.now()}-${Math.random()}`;
-  const words = `/stop?by=${encodeURIComponent(presser())}&why=${encodeURIComponent(PRESSED)}&press=${press}`;
-  const beside = stopPort ? fetch(`${location.protocol}//${location.hostname}:${stopPort}${words}`, { method: "POST" }) : Promise.reject();
-  const slow = setTimeout(async () => {
-    const sent = await beside.then(({ ok }) => ok, () => false);
-    complain(new Told(sent ? "stop.sent" : "stop.not-yet"));
-  }, 2000);
-  beside.catch(() => {}); // the result of the service is shown below
-  try {
-    await call("POST", words);
-    complain(null);
-  } catch (error) {
-    complain(new Told("stop.not-confirmed", { why: error }));
-  } finally {
-    clearTimeout(slow);
-  }
-}
-
 // once a second `show` gets {drives, stop} and the moving campaign; `refresh` updates the rest of the page;
 // `paused` returns the waiting campaign
+/** @param {() => Promise<void>} refresh @param {() => Api.CampaignDocument | undefined} paused @param {(machine: Machine, moving?: Api.CampaignView) => void} [show] */
 export function watchMachine(refresh, paused, show = () => {}) {
+  /** @type {Machine | null} */
   let machine = null;
   const now = async () => {
     const before = silent();
-    machine = await ask();
+    machine = await ask(paused());
     if (machine === null) return;
-    showWayOut(machine.drives, machine.stop, paused());
+    showWayOut(machine, paused());
     show(machine);
     if (!before) return;
     complain(null); // old errors are removed; the state is shown again
     await refresh();
   };
+  /** @param {() => Promise<unknown>} run */
   const command = async (run) => {
     try {
       await run();
@@ -110,7 +119,7 @@ export function watchMachine(refresh, paused, show = () => {}) {
     await Promise.all([now(), refresh()]);
   };
   const press = async () => {
-    await stop();
+    await stop(stopPort);
     await now();
   };
   watchLogin();
@@ -141,6 +150,7 @@ export function watchMachine(refresh, paused, show = () => {}) {
   watchLanguage(() => {
     showRights();
     complainAgain();
+    showStop();
     Promise.all([now(), refresh()]);
   });
   document.addEventListener("visibilitychange", () => document.hidden || now());

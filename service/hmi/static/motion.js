@@ -9,15 +9,18 @@ const COLUMNS = [["pose"], ["axis"], ["block"], ["sweeps", "number"], ["from", "
 
 const BUS_LIMIT = 70; // percent: the drivers refuse a higher load
 
+/** @type {Map<number, Units>} */
 const known = new Map(); // by robot
 
 // {robot, joints, length}: its name, names in the order of a pose, and a function that formats positions (rad, m) for an operator
+/** @param {number} robot @returns {Promise<Units>} */
 export async function unitsOf(robot) {
   if (!known.has(robot)) known.set(robot, await read(robot));
   return known.get(robot);
 }
 
 // units of the robot with the joints of the drives, if no campaign names the robot; null: no such robot
+/** @param {Api.DrivesView} drives */
 export async function unitsOfMachine({ axes }) {
   const joints = axes.map((axis) => axis.joint).join();
   for (const { id } of (await all("/robots")).toReversed()) {
@@ -27,12 +30,14 @@ export async function unitsOfMachine({ axes }) {
   return null;
 }
 
+/** @param {number} robot @returns {Promise<Units>} */
 async function read(robot) {
   const { description, urdf_text } = await get(`/robots/${robot}`);
   const urdf = new DOMParser().parseFromString(urdf_text, "application/xml");
   const prismatic = new Set([...urdf.querySelectorAll('joint[type="prismatic"]')].map((joint) => joint.getAttribute("name")));
-  const scale = (joint) => (prismatic.has(joint) ? [1e3, " mm"] : [180 / Math.PI, "\u00b0"]);
-  const length = (joint, value, signed = false) => {
+  /** @returns {[number, string]} */
+  const scale = (/** @type {string} */ joint) => (prismatic.has(joint) ? [1e3, " mm"] : [180 / Math.PI, "\u00b0"]);
+  const length = (/** @type {string} */ joint, /** @type {number} */ value, signed = false) => {
     const [factor, unit] = scale(joint);
     const shown = figures(value * factor, 3);
     return minus(`${signed && value > 0 ? "+" : ""}${shown}${unit}`);
@@ -41,6 +46,7 @@ async function read(robot) {
 }
 
 // the present and next motion as text: "joint_2 travels to -40 deg, then joint_3 sweeps, 12 s"
+/** @param {Api.StepView[]} steps @param {Units} units */
 export function inWords(steps, { length }) {
   return steps.map(({ kind, axes, target, seconds }) => {
     const [axis] = axes;
@@ -51,6 +57,7 @@ export function inWords(steps, { length }) {
 }
 
 // drives, ahead: as in the API; null if not known
+/** @param {HTMLElement} place @param {Planned} plan @param {Units} units @param {Api.DrivesView | null} [drives] @param {Api.AheadView | null} [ahead] */
 export function showMotion(place, plan, units, drives = null, ahead = null) {
   const list = element("ul");
   list.append(...ways(plan, units, ahead?.range).concat(text("motion.check-moves"), bus(plan, drives)).map((way) => element("li", way)));
@@ -75,24 +82,29 @@ function approach({ trouble, at, positions, approach: legs }, { length }) {
 
 // -- one sweep, from standstill to standstill; the sines oscillate about the constant velocity
 
+/** @param {Swept} sweep */
 export function travel({ spec, ramp, settle }) {
   return spec.offset_velocity * (ramp + settle + (spec.period ?? 0) * (spec.periods ?? 0));
 }
 
+/** @param {Swept} sweep */
 export function swing({ spec }) {
   return spec.sines.reduce((sum, sine) => sum + sine.amplitude / (2 * Math.PI * sine.frequency), 0);
 }
 
 // noise has no set-point: the velocity limit applies
+/** @param {Swept & {velocity_limit: number}} sweep */
 export function topSpeed({ spec, velocity_limit }) {
   if (spec.excitation === "noise") return velocity_limit;
   return Math.abs(spec.offset_velocity) + spec.sines.reduce((sum, sine) => sum + sine.amplitude, 0);
 }
 
+/** @param {Swept[]} sweeps */
 export const posesOf = (sweeps) => new Set(sweeps.map((sweep) => sweep.spec.pose.join())).size;
 
 // -- all sweeps
 
+/** @param {Planned} plan */
 function size(plan) {
   const axes = [...new Set(plan.sweeps.map((sweep) => sweep.spec.axis))].join(", ");
   const sweeps = text("motion.count-sweeps", { count: plan.sweeps.length });
@@ -102,8 +114,9 @@ function size(plan) {
 }
 
 // bus load, if the host streams the set-points; sweeps of one block in one pose move their axes at the same time
+/** @param {Planned} plan @param {Api.DrivesView | null} drives */
 function bus({ sweeps }, drives) {
-  const streamed = sweeps.filter((sweep) => sweep.mode === "host_streamed");
+  const streamed = sweeps.filter((sweep) => "mode" in sweep && sweep.mode === "host_streamed");
   if (!streamed.length) return text("bus.drives");
   const together = Map.groupBy(streamed, ({ spec }) => `${spec.started_at}/${spec.block}/${spec.pose}`);
   const axes = Math.max(...[...together.values()].map((group) => new Set(group.map(({ spec }) => spec.axis)).size));
@@ -113,6 +126,7 @@ function bus({ sweeps }, drives) {
 }
 
 // a sweep is stopped at its window: this is the largest motion of an axis; range: as told by the service, with the approach
+/** @param {Planned} plan @param {Units} units @param {Api.AheadView["range"]} [range] */
 function ways({ sweeps, request }, { joints, length }, range = {}) {
   const legs = sweeps.flatMap((sweep) => sweep.legs);
   return joints.flatMap((joint) => {
@@ -131,6 +145,7 @@ function ways({ sweeps, request }, { joints, length }, range = {}) {
   });
 }
 
+/** @param {Sweep[]} sweeps @param {Units} units */
 function table(sweeps, units) {
   const head = element("tr");
   head.append(...COLUMNS.map(([title, kind]) => element("th", text(`column.${title}`), kind)));
@@ -141,7 +156,9 @@ function table(sweeps, units) {
   return made;
 }
 
+/** @param {Sweep[]} sweeps */
 function grouped(sweeps) {
+  /** @type {Sweep[][]} */
   const groups = [];
   for (const sweep of sweeps) {
     const last = groups.at(-1);
@@ -151,8 +168,10 @@ function grouped(sweeps) {
   return groups;
 }
 
+/** @param {Sweep} sweep */
 const kindOf = ({ spec }) => [spec.axis, spec.block, ...spec.pose].join();
 
+/** @param {Sweep[]} sweeps @param {Units} units */
 function line(sweeps, { joints, length }) {
   const [first] = sweeps;
   const { spec } = first;

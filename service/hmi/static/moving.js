@@ -10,10 +10,12 @@ import { text } from "./words.js";
 const STATES = ["running", "pausing"];
 const PATIENCE = 5000; // ms
 
+/** @type {[Api.CampaignDocument[], Api.DiagnosisEntry[]]} */
 let lists = [[], []]; // campaigns and diagnoses of the last answer
 let owner = null; // id
 
 // from the lists: the campaign with its progress, or undefined
+/** @param {Api.CampaignDocument[]} campaigns @param {Api.DiagnosisEntry[]} diagnoses */
 export async function showMoving(campaigns, diagnoses) {
   lists = [campaigns, diagnoses];
   const found = campaigns.find((one) => STATES.includes(one.state));
@@ -22,6 +24,7 @@ export async function showMoving(campaigns, diagnoses) {
 }
 
 // again, while the machine moves; `ended` is called when the motion has ended
+/** @param {() => Promise<void>} ended */
 export async function keepMoving(ended) {
   const before = owner;
   const campaign = await draw();
@@ -42,12 +45,14 @@ async function draw() {
 }
 
 // a visible page sends the sign of life of its user; without it, the axes stop
+/** @param {Api.CampaignView} campaign */
 function showLife({ id, attended }) {
   if (!attended || document.hidden || mayNot("POST /campaigns/{campaign_id}/sign_of_life")) return;
   if (attended.left_s > (2 / 3) * attended.within_s) return;
   call("POST", `/campaigns/${id}/sign_of_life`, undefined, {}, PATIENCE).catch(() => {}); // the state shows the result
 }
 
+/** @param {Api.CheckMoveView | null} move */
 function showCheckMove(move) {
   byId("check-move").hidden = !move;
   if (!move) return;

@@ -15,11 +15,16 @@ import { language, text, Told } from "./words.js";
 const USUAL = { poses: "24", confidence: text("plan.usual-confidence"), duration: "60" };
 const MINUTE = 60; // s
 
+/** @type {Api.RobotEntry[]} */
 let robots = [];
 let machine = null; // of this service, with its robot and cell
+/** @type {Api.CampaignDocument | undefined} */
 let paused; // the paused campaign
+/** @type {(Api.PlanView & {document: Api.PlanDocument}) | null} */
 let plan = null; // {id, robot_id, document}
+/** @type {Units | null} */
 let units = null;
+/** @type {Api.PoseGrid | null} */
 let grid = null;
 
 // -- the request
@@ -51,7 +56,7 @@ async function showJoints() {
   const id = byId("robot").value;
   if (!id) return;
   const joints = (await get(`/robots/${id}`)).description.axes.map((axis) => axis.joint);
-  for (const [id, first] of [["axes-measured", 0], ["axes-varied", 1]]) {
+  for (const [id, first] of /** @type {[string, number][]} */ ([["axes-measured", 0], ["axes-varied", 1]])) {
     byId(id).replaceChildren(byId(id).firstElementChild, ...joints.map((joint, k) => box(joint, k >= first && k < 3)));
   }
 }
@@ -66,7 +71,7 @@ function box(joint, checked) {
   return label;
 }
 
-const chosen = (id) => [...byId(id).querySelectorAll(":checked")].map((one) => one.value);
+const chosen = (/** @type {string} */ id) => [...byId(id).querySelectorAll(/** @type {"input"} */ (":checked"))].map((one) => one.value);
 
 // comma or point, depending on the keyboard
 function given(id) {
@@ -81,12 +86,12 @@ async function makePlan() {
   const request = { robot_id: Number(byId("robot").value), cell: byId("cell").value, axes: chosen("axes-measured"), varied: chosen("axes-varied"), step: given("step") };
   if (!request.axes.length || !request.varied.length) throw new Told("plan.no-axes");
   const made = await call("POST", `/plans${typedNames()}`, { ...request, [budget]: amount });
-  plan = made.content;
+  plan = /** @type {typeof plan} */ (made.content);
   byId("taken").replaceChildren();
   units = await unitsOf(plan.robot_id);
   grid = await get(`/plans/${plan.id}/grid`);
   choices(byId("sweep"), plan.document.sweeps.map((sweep, k) => [k + 1, `${k + 1}: ${sweep.spec.axis}`]));
-  byId("sweep").value = 1;
+  byId("sweep").value = "1";
   showLegs();
   await showPlan();
 }
@@ -108,6 +113,7 @@ async function showPlan() {
 }
 
 // plans of older versions do not name the parameters
+/** @param {Api.PlanDocument} document */
 function openPromise({ undetermined = [], enough_poses: poses = null }) {
   if (undetermined.length === 0) return text("plan.open");
   return `${text("plan.undetermined", { parameters: undetermined.join(", ") })} ${poses === null ? text("plan.more") : text("plan.enough", { poses })}`;
@@ -118,7 +124,7 @@ const sweepOf = () => plan.document.sweeps[Number(byId("sweep").value) - 1];
 function showLegs() {
   const legs = sweepOf().legs.map((leg, k) => [k + 1, `${k + 1}: ${leg.joint}`]);
   choices(byId("leg"), [[0, text("plan.before")], ...legs]);
-  byId("leg").value = legs.length;
+  byId("leg").value = String(legs.length);
 }
 
 async function showArm() {
@@ -138,7 +144,7 @@ async function take() {
 
 const refresh = refresher(showRobots);
 
-const busy = (button, run) => async (event) => {
+const busy = (/** @type {string} */ button, /** @type {() => Promise<void>} */ run) => async (/** @type {Event} */ event) => {
   event.preventDefault();
   byId(button).disabled = true;
   tell("working", button === "make" ? text("plan.working") : "");

@@ -8,6 +8,7 @@ import { knows, moment, parts, text, word } from "./words.js";
 
 const API = "/api/v1";
 
+/** @param {string} id @param {[string, string?][]} heads @param {HTMLTableRowElement[]} lines */
 export function table(id, heads, lines) {
   const head = element("tr");
   head.append(...heads.map(([key, kind]) => element("th", text(key), kind)));
@@ -16,11 +17,12 @@ export function table(id, heads, lines) {
   byId(id).createTBody().append(...(lines.length ? lines : [row([[text("results.nothing"), "quiet"]])]));
 }
 
+/** @param {number} robot */
 export async function showModels(robot) {
   const models = await all(`/models?robot=${robot}`);
   table("models", [["results.revision"], ["results.diagnosis"], ["results.accepted-by"], ["results.when"], ["results.effects"]], models.toReversed().map((one) => row([
-    [one.revision], [one.diagnosis_id], [one.accepted_by], [moment(one.created_at)],
-    [Object.entries(one.document.effects).map(([joint, effects]) => `${joint}: ${effects.map((effect) => word("effect", effect.effect)).join(", ")}`).join("; "), "words"],
+    [one.revision], [one.diagnosis_id], [one.accepted_by], [moment(one.at)],
+    [Object.entries(one.document.axes).map(([joint, { effects }]) => `${joint}: ${effects.map((effect) => word("effect", effect.effect)).join(", ")}`).join("; "), "words"],
   ])));
 }
 
@@ -28,7 +30,7 @@ export async function showAudit() {
   const why = mayNot("GET /audit");
   byId("audit-why").textContent = why;
   if (why) return table("audit", [["results.when"]], []);
-  const entries = (await get("/audit?newest=true&limit=200")).items.map((one) => one.entry);
+  const entries = (await get("/audit?newest=true&limit=200")).items.map((one) => /** @type {Record<string, string>} */ (one.entry));
   const done = entries.filter((one) => one.event !== "request").toReversed();
   table("audit", [["results.when"], ["results.who"], ["results.what"], ["results.outcome"]], done.map((one) => row([
     [moment(one.at)], [whose(one.by ?? one.actor)], [whatOf(one), "words"], [outcomeOf(one)],
@@ -36,6 +38,7 @@ export async function showAudit() {
 }
 
 // the action of an audit entry, as text if the page has a translation
+/** @param {Record<string, string>} entry */
 function whatOf({ method, path, route, event }) {
   const code = route ? [method, route.replace(API, "")].join(" ") : event;
   const key = `done.${code}`;
@@ -43,7 +46,8 @@ function whatOf({ method, path, route, event }) {
   return parts(key, { id: path?.match(/\/(\d+)(\/|$)/)?.[1], joint: path?.split("/").at(-2) });
 }
 
+/** @param {Record<string, string>} entry */
 function outcomeOf({ status, why }) {
   if (status === undefined) return why === PRESSED ? text("stop.button") : why ?? "";
-  return status < 400 ? text("results.done") : text("results.refused", { status });
+  return Number(status) < 400 ? text("results.done") : text("results.refused", { status });
 }

@@ -17,8 +17,11 @@ import { language, text, word } from "./words.js";
 const EARLIER = 5; // number of earlier campaigns
 const BLUE = "#2f7ef0";
 
+/** @type {Api.CampaignDocument[]} */
 let campaigns = [];
+/** @type {Api.Estimate | null} */
 let found = null; // the estimate's document
+/** @type {Units | null} */
 let units = null; // of the campaign's robot
 let shown = "";
 
@@ -54,6 +57,7 @@ async function showCampaign() {
   await showModels(campaign.robot_id);
 }
 
+/** @param {number} id @returns {Promise<Api.EstimateDocument | null>} */
 async function latest(id) {
   try {
     return await get(`/campaigns/${id}/estimates/latest`);
@@ -63,6 +67,7 @@ async function latest(id) {
   }
 }
 
+/** @param {Api.CampaignView} campaign @param {Api.EstimateDocument | null} estimate */
 function showDownloads({ id, progress }, estimate) {
   const files = [];
   if (progress.done) files.push(["results.bundle", "bundle"]);
@@ -72,6 +77,7 @@ function showDownloads({ id, progress }, estimate) {
 }
 
 function showTable() {
+  /** @param {number | null} value */
   const percent = (value) => (value === null ? EMPTY : `${fixed(value, 2)} %`);
   table("table", [["axis"], ["results.sweeps", "number"], ["results.cad-measured", "number"], ["results.identified-measured", "number"], ["results.cad-identified", "number"], ["results.confidence", "number"]],
     Object.entries(found?.axes ?? {}).map(([joint, { inertia, rmse_percent: rmse, confidence_percent: confidence }]) => row([
@@ -80,12 +86,14 @@ function showTable() {
     ])));
 }
 
+/** @param {number} id */
 async function showConvergence(id) {
   const { wanted, revisions } = await get(`/campaigns/${id}/estimates/convergence`);
   tell("wanted", wanted === null ? text("results.all-sweeps") : text("results.wanted", { percent: wanted }));
   if (!revisions.length) return clear("convergence");
   const x = revisions.map((one) => one.sweep);
   const joints = Object.keys(revisions[0].percent);
+  /** @type {Record<string, any>[]} */
   const lines = joints.map((joint, k) => ({ type: "scatter", mode: "lines+markers", name: joint, x, y: revisions.map((one) => one.percent[joint]), marker: { symbol: k } }));
   const known = lines.flatMap((one) => one.y).filter((value) => value !== null);
   const far = Math.max(...known) / Math.min(...known);
@@ -99,14 +107,19 @@ function showSweeps() {
   showResponse();
 }
 
+/** @param {string} joint */
 const linear = (joint) => units.prismatic.has(joint);
+/** @param {string} joint */
 const inertiaUnit = (joint) => text(linear(joint) ? "results.unit-linear" : "results.unit");
 
 // all values end at the second figure of the standard deviation
+/** @param {Api.SweepInertia} sweep */
 function inertiaOf({ value, std, reference, identified }) {
   const last = std > 0 ? Math.min(1 - Math.floor(Math.log10(Number(std.toPrecision(2)))), 12) : 3;
   const step = 10 ** -Math.min(0, last); // above 1 for a deviation of 100 or more
+  /** @param {number} one */
   const rounded = (one) => (step > 1 ? Math.round(one / step) * step : one);
+  /** @param {number | null} one */
   const shown = (one) => fixed(typeof one === "number" ? rounded(one) : null, Math.max(0, last));
   return { value: shown(value), std: shown(std), cad: shown(reference), model: shown(identified) };
 }
@@ -131,8 +144,10 @@ function showResponse() {
 }
 
 // medians over the measured poses; other poses give other medians
+/** @param {Api.CampaignView} campaign */
 async function showEarlier({ id, robot_id }) {
   const others = campaigns.filter((one) => one.robot_id === robot_id && one.id !== id).slice(-EARLIER).reverse();
+  /** @type {[number, Api.Estimate][]} */
   const known = [];
   for (const one of others) {
     const estimate = await latest(one.id);
@@ -144,6 +159,7 @@ async function showEarlier({ id, robot_id }) {
   ]))));
 }
 
+/** @param {number[]} values */
 function median(values) {
   const sorted = values.toSorted((one, other) => one - other);
   return sorted.length ? (sorted[(sorted.length - 1) >> 1] + sorted[sorted.length >> 1]) / 2 : null;
@@ -166,4 +182,4 @@ for (const kind of ["open", "campaign", "estimate", "diagnosis", "stop"]) {
   stream.addEventListener(kind, refresh);
   stream.addEventListener(kind, record);
 }
-watchMachine(async () => Promise.all([refresh(), record()]), () => held(campaigns));
+watchMachine(async () => void (await Promise.all([refresh(), record()])), () => held(campaigns));

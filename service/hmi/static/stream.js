@@ -1,47 +1,46 @@
-// The events of the service. EventSource cannot be used because it cannot send a key.
+// The events of the service, over one connection for all pages of this browser (events.js).
 
-import { address, authorization } from "./api.js";
+import { authorization } from "./api.js";
+import { follow } from "./following.js";
 import { identified } from "./login.js";
 
-const PAUSE = 1000; // ms until a lost stream is opened again
+const NAME = "sweepid-events";
 
 // dispatches "open" at each connection, and each event by its kind
 export function events() {
   const told = new EventTarget();
-  follow(told);
+  identified.then(() => join((kind) => told.dispatchEvent(new Event(kind))));
   return told;
 }
 
-async function follow(told) {
-  await identified;
-  let last = {}; // header with the id of the last event
-  for (;;) {
-    try {
-      const answer = await fetch(address("/events"), { headers: { ...authorization(), ...last } });
-      if (answer.status === 401) return; // the head of the page asks for the login and reloads the page
-      if (answer.ok) {
-        told.dispatchEvent(new Event("open"));
-        for await (const line of lines(answer.body)) {
-          const [, name, value] = line.match(/^(id|event): ?(.*)$/) ?? [];
-          if (name === "id") last = { "Last-Event-ID": value };
-          if (name === "event") told.dispatchEvent(new Event(value));
-        }
-      }
-    } catch {
-      // the head of the page shows that the service does not answer
-    }
-    await new Promise((done) => setTimeout(done, PAUSE));
-  }
+/** @param {(kind: string) => void} tell */
+function join(tell) {
+  if (!globalThis.SharedWorker) return lead(tell);
+  const worker = new SharedWorker("events.js", { type: "module", name: NAME });
+  const enter = () => worker.port.postMessage(authorization());
+  worker.onerror = () => lead(tell); // this browser has no shared workers of modules
+  worker.port.onmessage = ({ data }) => tell(data);
+  addEventListener("pagehide", () => worker.port.postMessage(null));
+  addEventListener("pageshow", ({ persisted }) => persisted && enter());
+  enter();
 }
 
-async function* lines(body) {
-  const reader = body.pipeThrough(new TextDecoderStream()).getReader();
-  let rest = "";
-  for (;;) {
-    const { value, done } = await reader.read();
-    if (done) return;
-    const found = (rest + value).split(/\r?\n/);
-    rest = found.pop();
-    yield* found;
-  }
+// without shared workers the page that gets the lock has the connection, with its own key, and tells the others the kinds
+// of events. The next page gets the lock when it is closed or when its login has ended
+/** @param {(kind: string) => void} tell */
+function lead(tell) {
+  if (!navigator.locks) return keep(tell); // not a secure context: each page has its own
+  const channel = new BroadcastChannel(NAME);
+  channel.onmessage = ({ data }) => tell(data);
+  tell("open"); // events were possibly missed
+  navigator.locks.request(NAME, () => keep((kind) => {
+    tell(kind);
+    channel.postMessage(kind);
+  }));
+}
+
+/** @param {(kind: string) => void} tell */
+async function keep(tell) {
+  const never = new AbortController().signal;
+  while (await follow(authorization(), never, tell));
 }

@@ -1,29 +1,37 @@
 // Instructions for the operator to leave a state without motion: step by step, in the required order.
 
+import { axisOf, byFault, causeParts } from "./causes.js";
 import { byId, element } from "./elements.js";
-import { text } from "./words.js";
+import { jointsThat } from "./statement.js";
+import { parts, text } from "./words.js";
 
-// of the machine, and the paused campaign, if any
-export function showWayOut(drives, stop, paused) {
-  const steps = ofMachine(drives, stop);
+// machine: as of `watchMachine`; paused: the paused campaign, if any
+/** @param {Machine} machine @param {Api.CampaignDocument} [paused] */
+export function showWayOut({ drives, stop, statement }, paused) {
+  const steps = ofMachine(drives, stop, statement);
+  const broken = paused && byFault(paused.cause);
+  if (!steps.length && broken) steps.push(parts("way.look-cause", { axes: axisOf(paused.cause) ?? text("cause.machine"), cause: causeParts(paused.cause) }));
   if (steps.length && paused) steps.push(text("way.resume", { id: paused.id }));
+  const made = steps.map((step) => element("li", step));
   const list = byId("way-out-steps");
-  const same = [...list.children].map((one) => one.textContent).join() === steps.join();
-  if (!same) list.replaceChildren(...steps.map((step) => element("li", step)));
+  const same = [...list.children].map((one) => one.textContent).join() === made.map((one) => one.textContent).join();
+  if (!same) list.replaceChildren(...made);
   byId("way-out").hidden = !steps.length;
 }
 
+/** @param {Api.AxisView[]} axes */
 const namesOf = (axes) => axes.map((axis) => axis.joint).join(", ");
 
-function ofMachine(drives, stop) {
-  const unknown = drives.axes.filter((axis) => axis.state === "unknown").map((axis) => axis.joint);
+/** @param {Api.DrivesView} drives @param {Api.StopView} stop @param {Api.Statement} statement @returns {Content[]} */
+function ofMachine(drives, stop, statement) {
+  const unknown = jointsThat(statement, "unknown");
   const faulty = drives.axes.filter((axis) => axis.fault);
   const emergency = faulty.some((axis) => axis.fault.emergency_stop);
   const steps = [];
-  if (!drives.connected || unknown.length) {
+  if (!drives.connected || statement.state === "unknown") {
     steps.push(
       text("way.look-lost"),
-      unknown.length && drives.connected ? text("way.power-of", { axes: unknown.join(", ") }) : text("way.power"),
+      drives.connected && unknown.length ? text("way.power-of", { axes: unknown.join(", ") }) : text("way.power"),
     );
     if (!drives.connected) steps.push(text("way.connect"));
   } else if (faulty.length || stop.latched) {

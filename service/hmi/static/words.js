@@ -36,15 +36,19 @@ function keep(chosen) {
 
 // -- texts
 
+/** @type {(key: string, values: Values) => string} */
 const template = (key, { count }) =>
   TEXTS[now][key] ?? TEXTS[now][`${key}.${new Intl.PluralRules(now).select(count ?? 0)}`] ?? key;
 
 // strings and nodes; values: strings, numbers, nodes, errors, and lists of them
+/** @type {(key: string, values?: Values) => Part[]} */
 export const parts = (key, values = {}) =>
   template(key, values).split(/\{(\w+)\}/).flatMap((piece, k) => (k % 2 ? shown(values[piece]) : piece)).filter((piece) => piece !== "");
 
+/** @type {(key: string, values?: Values) => string} */
 export const text = (key, values) => parts(key, values).join("");
 
+/** @param {any} value @returns {any} */
 function shown(value) {
   if (Array.isArray(value)) return value.flatMap(shown);
   if (value instanceof Error) return told(value);
@@ -52,12 +56,15 @@ function shown(value) {
   return typeof value === "number" ? decimal(value) : value;
 }
 
+/** @param {string} name */
 export const plain = (name) => name.replaceAll("_", " ").replace("coulomb", "Coulomb").replace("stribeck", "Stribeck");
 
 // text for a code of the service; an unknown code is shown unchanged
+/** @type {(family: string, code: string) => string} */
 export const word = (family, code) => TEXTS[now][`${family}.${code}`] ?? numbered(family, code) ?? plain(code);
 
 // sine_24, sine_9.27: the text of the code, and its number
+/** @param {string} family @param {string} code */
 function numbered(family, code) {
   const [, stem, number] = code.match(/^(.+)_([\d.]+)$/) ?? [];
   const known = TEXTS[now][`${family}.${stem}`];
@@ -74,6 +81,7 @@ export function foreign(sentence) {
   return made;
 }
 
+/** @type {(list: (Part | Part[])[], between: string) => Part[]} */
 export const joined = (list, between) => list.flatMap((one, k) => (k ? [between, one] : [one]).flat());
 
 // -- errors
@@ -86,6 +94,7 @@ export class Told extends Error {
   }
 }
 
+/** @type {(error: Error & {parts?: () => Part[]}) => Part[]} */
 export const told = (error) => error.parts?.() ?? [foreign(error.message)];
 
 // -- numbers and dates
@@ -93,14 +102,21 @@ export const told = (error) => error.parts?.() ?? [foreign(error.message)];
 // locale of the user's country, if the browser has one for the language of the page: en-GB, de-CH
 const locale = () => navigator.languages.find((tag) => tag.split("-")[0] === now) ?? now;
 
+/** @param {number} value @param {Intl.NumberFormatOptions} [form] */
 export const decimal = (value, form = {}) => new Intl.NumberFormat(locale(), { useGrouping: false, maximumFractionDigits: 20, ...form }).format(value);
 
+/** @param {number} value @param {number} count */
 export function figures(value, count) {
   const rounded = Number(value.toPrecision(count));
   if (rounded === 0 || Math.abs(rounded) >= TINY) return decimal(rounded, { maximumSignificantDigits: count });
   const [mantissa, exponent] = rounded.toExponential().split("e");
   return `${decimal(Number(mantissa))}e${exponent}`;
 }
+
+// angles and lengths of a sentence of the service, in degrees and mm as everywhere on the page
+/** @param {string} sentence */
+export const inPageUnits = (sentence) => sentence.replace(/(-?\d+(?:\.\d+)?(?:e[-+]?\d+)?) (rad|m)\b/g, (_, value, unit) =>
+  (unit === "rad" ? `${figures((Number(value) * 180) / Math.PI, 4)}\u00b0` : `${figures(Number(value) * 1e3, 4)} mm`));
 
 // a time of the service, in the format of the user's country and time zone
 export const moment = (at) => new Intl.DateTimeFormat(locale(), { dateStyle: "medium", timeStyle: "medium" }).format(new Date(at));
@@ -115,15 +131,16 @@ export function separators() {
 
 function translate() {
   document.documentElement.lang = now;
-  for (const one of document.querySelectorAll("[data-text]")) one.textContent = text(one.dataset.text);
+  for (const one of /** @type {NodeListOf<HTMLElement>} */ (document.querySelectorAll("[data-text]"))) one.textContent = text(one.dataset.text);
   for (const name of ATTRIBUTES) {
     for (const one of document.querySelectorAll(`[data-${name}]`)) one.setAttribute(name, text(one.getAttribute(`data-${name}`)));
   }
 }
 
 // `changed` draws the parts that scripts wrote again
+/** @param {() => void} changed */
 export function watchLanguage(changed) {
-  const select = document.getElementById("language");
+  const select = /** @type {HTMLSelectElement} */ (document.getElementById("language"));
   for (const [tag, texts] of Object.entries(TEXTS)) {
     const option = new Option(texts["language.name"], tag);
     option.lang = tag;

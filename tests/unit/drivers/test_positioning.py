@@ -82,7 +82,7 @@ async def test_a_drive_that_is_slow_and_comes_nearer_arrives() -> None:
 
 async def test_a_drive_that_comes_no_nearer_is_told_with_its_place() -> None:
     drive = Drive("joint_1")
-    with pytest.raises(DriveError, match=r"at 0\.05 rad instead of 0\.1 rad, no nearer for 5\.0 s"):
+    with pytest.raises(DriveError, match=r"-0\.05 rad from its target 0\.1 rad, no nearer for 5\.0 s"):
         await moved(drive, [0.01, 0.03, 0.05])
     assert drive.time < 5.0 + 2 * MARGIN
 

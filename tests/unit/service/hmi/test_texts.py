@@ -12,6 +12,8 @@ from service.data_check.finding import Severity
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.experiments import FULL_DESIGN, MORE_POSES, TEST_MASS, WARM_UP
 from service.diagnosis.sensitivity.design import BLOCKS
+from service.execution import check_move
+from service.execution.recording import plausibility
 from service.hmi.pages import texts
 from service.people.permissions import PERMISSIONS, Role
 from service.results.diagnosis import Verdict
@@ -27,6 +29,8 @@ STEMS = {PLURAL.sub("", key) for key in KEYS}
 FAMILIES = {
     "campaign-state": {state.value for state in CampaignState},
     "axis-state": {state.value for state in AxisState},
+    "statement": {"moves", "energised", "stands", "unknown"},
+    "statement-of": {"moves", "energised", "unknown"},
     "diagnosis-state": {state.value for state in DiagnosisState},
     "verdict": set(get_args(Verdict)),
     "verdict-told": {*get_args(Verdict), "wrong-data"},
@@ -39,7 +43,7 @@ FAMILIES = {
     "figure": {"map", "gap_by_pose", "example", "evidence", "parameters"},
 }
 OPEN_FAMILIES = ("cause", "done", "parameter", "problem")  # what has no word there is shown as the service has it
-KINDS = {name for module in (drive_errors, errors) for name in vars(module)}
+KINDS = {name for module in (drive_errors, errors, check_move, plausibility) for name in vars(module)}
 # of a script that are no words: what the service stores of a stop, classes, units, names and routes
 NO_WORDS = {
     "api.js": {"Bearer"},
@@ -52,7 +56,8 @@ NO_WORDS = {
     "results.js": {"badge"},
     "machine.js": {"state", "state bad"},
     "login.js": {"not authenticated"},
-    "words.js": {"Coulomb", "Stribeck"},
+    "stop.js": {"banner"},
+    "words.js": {"Coulomb", "Stribeck", "mm"},
 }
 
 

@@ -1,0 +1,149 @@
+"""The head of a page shows the service's statement; a pause by a fault says what happened and the way on."""
+
+import pytest
+from playwright.sync_api import BrowserContext, Page, expect
+
+from tests.browser.browsing import WITHOUT_BROWSER, window
+from tests.browser.looking import cut, faint, green, settled, small, too_wide
+from tests.browser.scripted import JOINTS, Json, Scripted, axis, campaign, drives, scripted, statement
+from tests.system.rest_bench import until
+
+pytestmark = WITHOUT_BROWSER
+RAW = "joint_2 (node 2): +2.6e-05 rad from its target -0.53232 rad after 6.0 s, at 0.0012 rad/s"
+SILENCE = "The service does not answer. Assume that the machine moves: use the emergency stop."
+MODEL: Json = {
+    "id": 1, "robot_id": 1, "revision": 1, "parent": None, "diagnosis_id": 4, "accepted_by": "Ada",
+    "at": "2026-03-02T12:00:00Z",
+    "document": {"axes": {"joint_1": {"effects": [{"effect": "coulomb_friction"}], "fit": {}}}},
+}  # fmt: skip
+
+
+def opened(context: BrowserContext, service: Scripted, path: str = "") -> Page:
+    page = context.new_page()
+    page.goto(f"{service.url}/{path}", wait_until="commit")
+    return page
+
+
+@pytest.mark.parametrize(
+    ("stated", "shown", "is_green"),
+    [
+        (statement(), "all axes stand without energy", True),
+        (statement("energised", joint_1="energised"), "with energy: joint_1", True),
+        (statement("moves", joint_1="moves", joint_2="moves"), "the machine moves", True),
+        (statement("unknown", joint_2="unknown"), "state not known: joint_2", False),
+        (statement("unknown", "no report for 2.1 s"), "the state of the axes is not known", False),
+    ],
+)
+def test_the_state_that_is_shown_is_the_statement(stated: Json, shown: str, is_green: bool) -> None:
+    with scripted(answers={"drives": drives(statement=stated)}) as service, window() as context:
+        page = opened(context, service)
+        expect(page.locator("#machine")).to_have_text(shown)
+        if not is_green:
+            assert green(page) == []
+            expect(page.locator("#intent")).to_contain_text("The state of the axes is not known.")
+            expect(page.locator("#way-out")).to_contain_text("an axis may still move")
+        else:
+            assert ("machine" in green(page)) == (stated["state"] == "stands")
+        assert (faint(page), small(page)) == ([], [])
+
+
+def test_without_a_statement_it_is_what_the_axes_report() -> None:
+    """Of a service before it made one."""
+    without = drives()
+    del without["statement"]
+    with scripted(answers={"drives": without}) as service, window() as context:
+        page = opened(context, service)
+        expect(page.locator("#machine")).to_have_text("all axes stand without energy")
+        service.answers["drives"] = without | {"axes": [axis("joint_1"), axis("joint_2", state="enabled")]}
+        expect(page.locator("#machine")).to_have_text("with energy: joint_2")
+        service.answers["drives"] = without | {"axes": [axis("joint_1"), axis("joint_2", state="unknown")]}
+        expect(page.locator("#machine")).to_have_text("state not known: joint_2")
+
+
+@pytest.mark.parametrize(
+    ("locale", "pill", "what", "way", "details"),
+    [
+        (
+            "en-US", "campaign 1 is interrupted", "joint_2: did not come to rest at its target in time",
+            ["Check joint_2", "Resume campaign 1"], "from its target -30.5° after",
+        ),
+        (
+            "de-DE", "Messreihe 1 ist unterbrochen", "joint_2: nicht rechtzeitig am Ziel zum Stillstand gekommen",
+            ["joint_2 prüfen", "Messreihe 1 fortsetzen"], "from its target -30,5° after",
+        ),
+    ],
+)  # fmt: skip
+def test_a_pause_by_a_fault(locale: str, pill: str, what: str, way: list[str], details: str) -> None:
+    paused = campaign(cause=f"TargetNotReached: {RAW}")
+    answers: dict[str, Json] = {"campaigns": {"items": [paused], "next": None}, "campaigns/1": paused}
+    with scripted(answers=answers) as service, window(locale) as context:
+        page = opened(context, service)
+        expect(page.locator("#machine")).to_have_text(pill)
+        expect(page.locator("#stated")).to_have_text(
+            "alle Achsen stehen ohne Energie" if locale == "de-DE" else "all axes stand without energy"
+        )
+        expect(page.locator("#intent")).to_contain_text(what)
+        expect(page.locator("#intent")).not_to_contain_text("rad")
+        expect(page.locator("#way-out li")).to_contain_text(way)
+        cause = page.locator("#cause")
+        expect(cause).to_contain_text(what)
+        expect(cause.locator("summary + *")).to_be_hidden()
+        cause.locator("summary").click()
+        expect(cause.locator("summary + *")).to_contain_text(details)
+        expect(cause).not_to_contain_text("rad")
+        badge = page.locator("#campaign-state").evaluate("one => getComputedStyle(one).backgroundColor")
+        assert badge in ("rgb(185, 14, 42)", "rgb(255, 138, 149)")
+        assert green(page) == []
+        for width in (768, 1920):
+            page.set_viewport_size({"width": width, "height": 1000})
+            settled(page)
+            assert (faint(page), small(page), cut(page), too_wide(page)) == ([], [], [], False), width
+
+
+@pytest.mark.parametrize(
+    ("cause", "what"),
+    [
+        ("DriveFault: joint_1: fault 2310h", "joint_1: the drive reports a fault"),
+        ("KeyError: 'x'", "machine: an error ended the motion"),
+        ("no sign of life within 2 s, which the start of this run requires", "no sign of life within 2 s"),
+        ("stopped by operator page: stop button", "stopped by operator page: stop button"),
+    ],
+)
+def test_what_happened_is_told_in_the_words_of_the_page(cause: str, what: str) -> None:
+    paused = campaign(cause=cause)
+    answers: dict[str, Json] = {"campaigns": {"items": [paused], "next": None}, "campaigns/1": paused}
+    with scripted(answers=answers) as service, window() as context:
+        expect(opened(context, service).locator("#intent")).to_contain_text(f"is paused ({what})")
+
+
+def test_drives_that_are_late_are_no_silence_of_the_service() -> None:
+    """A busy service: what it says of the stop needs neither login nor database nor drives."""
+    with scripted() as service, window() as context:
+        page = opened(context, service)
+        expect(page.locator("#machine")).to_have_text("all axes stand without energy")
+        service.frozen.add("drives")
+        expect(page.locator("#machine")).to_contain_text("does not report the axes in time")
+        assert green(page) == []
+        expect(page.locator("#silence")).to_be_hidden()
+        service.frozen.add("stop")
+        expect(page.locator("#silence")).to_have_text(SILENCE)
+
+
+def test_the_results_show_the_revisions_of_the_model() -> None:
+    done = campaign(state="completed")
+    answers: dict[str, Json] = {
+        "campaigns": {"items": [done], "next": None}, "campaigns/1": done, "models": {"items": [MODEL], "next": None},
+        "campaigns/1/estimates/convergence": {"wanted": None, "revisions": []},
+    }  # fmt: skip
+    with scripted(answers=answers) as service, window("en-GB") as context:
+        page = opened(context, service, "results")
+        expect(page.locator("#models")).to_contain_text("joint_1: Coulomb friction")
+        expect(page.locator("#models")).to_contain_text("2 Mar 2026")
+        expect(page.locator("#error")).to_be_hidden()
+
+
+def test_the_joints_are_those_of_the_service() -> None:
+    with scripted() as service, window() as context:
+        page = opened(context, service)
+        expect(page.locator("#axes tr td:first-child")).to_have_text([*JOINTS])
+        until(lambda: service.streams == 1, "the events")
