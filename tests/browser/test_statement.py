@@ -147,3 +147,35 @@ def test_the_joints_are_those_of_the_service() -> None:
         page = opened(context, service)
         expect(page.locator("#axes tr td:first-child")).to_have_text([*JOINTS])
         until(lambda: service.streams == 1, "the events")
+
+
+def test_an_answer_that_came_while_the_page_drew_is_not_late() -> None:
+    """A plan with its chart keeps a page of a busy computer from everything else for longer than its patience."""
+    with scripted() as service, window() as context:
+        page = opened(context, service)
+        silent = page.evaluate(
+            """async () => {
+              const { get } = await import("./api.js");
+              const answer = get("/stop", 300).then(() => false, () => true);
+              await new Promise((sent) => setTimeout(sent, 0));
+              const began = performance.now();
+              while (performance.now() - began < 500);
+              return answer;
+            }"""
+        )
+        assert not silent
+
+
+def test_a_plan_that_is_computed_beside_five_pages_is_no_silence() -> None:
+    """It holds one connection of the browser; five for events left none for what the pages ask."""
+    with scripted() as service, window() as context:
+        pages = [opened(context, service, path) for path in ("plan", "", "results", "diagnosis", "fleet")]
+        for page in pages:
+            expect(page.locator("#machine")).to_have_text("all axes stand without energy")
+        service.frozen.add("plans")
+        pages[0].evaluate("void fetch('api/v1/plans', { method: 'POST' })")
+        until(lambda: service.requests["plans"] == 1, "the plan is computed")
+        before = service.requests["stop"]
+        until(lambda: service.requests["stop"] > before + 3, "the pages ask on")
+        for page in pages:
+            expect(page.locator("#silence")).to_be_hidden()

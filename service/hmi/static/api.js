@@ -3,6 +3,7 @@
 import { foreign, knows, parts, Told } from "./words.js";
 
 const API = "api/v1";
+const TURN = 50; // ms for an answer that arrived while the page drew a plan: it is not late
 const KEY = "sweepid-key"; // stored for this browser tab only
 
 // The types in the comments of these scripts (`Api.NAME`) are those of the OpenAPI document; a test checks them.
@@ -60,14 +61,17 @@ export async function call(method, path, body, headers = {}, patience = null) {
   headers = { ...authorization(), ...headers };
   if (epoch && method !== "GET") headers["Sweepid-Epoch"] = epoch;
   if (body !== undefined) headers["Content-Type"] = "application/json";
-  const signal = patience === null ? undefined : AbortSignal.timeout(patience);
+  const late = new AbortController();
+  const timer = patience === null ? null : setTimeout(() => setTimeout(() => late.abort(), TURN), patience);
   let answer;
   let content = /** @type {Partial<Api.Problem>} */ ({});
   try {
-    answer = await fetch(address(path), { method, headers, body: body && JSON.stringify(body), signal });
+    answer = await fetch(address(path), { method, headers, body: body && JSON.stringify(body), signal: late.signal });
     content = await answer.json();
   } catch (error) {
     throw new Silent("error.silent", { why: foreign(/** @type {Error} */ (error).message) });
+  } finally {
+    clearTimeout(timer);
   }
   if (!answer.ok) throw new (answer.status === 401 ? Unknown : Refused)({ type: content.type, detail: content.detail ?? answer.statusText });
   epoch = /** @type {{epoch?: string}} */ (content)?.epoch ?? epoch;
