@@ -133,7 +133,8 @@ class Scripted:
         if request.url.path in self.frozen:
             await self._ending.wait()
         status, content = self.stop
-        return JSONResponse(content, status, headers={"Access-Control-Allow-Origin": "*"})
+        kind = "application/json" if status < 400 else "application/problem+json"
+        return JSONResponse(content, status, {"Access-Control-Allow-Origin": "*"}, kind)
 
     async def _answer(self, request: Request) -> Response:
         self._loop = asyncio.get_running_loop()

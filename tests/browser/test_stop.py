@@ -14,6 +14,11 @@ SAID = 1_500  # ms: 1 s, and what this computer needs to draw
 NOT_LEFT = "STOP DID NOT LEAVE THIS BROWSER: use the emergency stop."
 LATE = "STOP SENT, NOT CONFIRMED WITHIN 1 s: use the emergency stop."
 CONFIRMED = "STOP confirmed: all axes stand without energy."
+UNCONFIRMED: Json = {
+    "type": "urn:sweepid:problem:stop-not-confirmed", "title": "Service Unavailable", "status": 503,
+    "detail": "stop sent, not confirmed within 1 s: joint_2: does not answer; use the emergency stop",
+    "sent": [*JOINTS], "confirmed": ["joint_1"], "unconfirmed": {"joint_2": "does not answer"},
+}  # fmt: skip
 
 
 def opened(context: BrowserContext, service: Scripted, path: str = "") -> Page:
@@ -103,13 +108,8 @@ def test_a_service_that_hangs_has_the_stop_and_did_not_confirm_it() -> None:
     ],
 )
 def test_the_axes_that_did_not_confirm_are_named(locale: str, words: str) -> None:
-    unconfirmed: Json = {
-        "type": "urn:sweepid:problem:stop-not-confirmed", "title": "Service Unavailable", "status": 503,
-        "detail": "stop sent, not confirmed within 1 s: joint_2: does not answer; use the emergency stop",
-        "sent": [*JOINTS], "confirmed": ["joint_1"], "unconfirmed": {"joint_2": "does not answer"},
-    }  # fmt: skip
     with scripted("open") as service, window(locale) as context:
-        service.stop = (503, unconfirmed)
+        service.stop = (503, UNCONFIRMED)
         page = context.new_page()
         page.goto(service.url, wait_until="commit")
         expect(page.locator("#axes tr")).to_have_count(2)
@@ -142,13 +142,21 @@ def test_what_was_said_of_a_stop_goes_with_its_release() -> None:
         expect(page.locator("#stop-told")).to_be_hidden()
 
 
-def test_a_page_without_scripts_stops_and_shows_the_answer() -> None:
+@pytest.mark.parametrize(
+    ("answer", "shown"),
+    [
+        ((200, {"confirmed": [*JOINTS]}), '"confirmed"'),
+        ((503, UNCONFIRMED), "not confirmed within 1 s: joint_2: does not"),
+    ],
+)
+def test_a_page_without_scripts_stops_and_shows_the_answer(answer: tuple[int, Json], shown: str) -> None:
     with scripted() as service, window() as context:
+        service.stop = answer
         page = context.new_page()
         page.route("**/*.js", lambda route: route.abort())
         page.goto(service.url, wait_until="commit")
         page.get_by_role("button", name="STOP").click()
-        expect(page.locator("body")).to_contain_text("confirmed")
+        expect(page.locator("body")).to_contain_text(shown)
         assert [query["by"] for _, query in service.stops] == ["operator page"]
 
 
