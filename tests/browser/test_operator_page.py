@@ -95,7 +95,8 @@ def test_a_lost_machine_is_never_called_at_rest(machine: VirtualMachine, service
     expect(intent).to_have_class("moving")
     machine.power_off()
     expect(intent).to_contain_text("The state of the axes is not known. Look at the machine. Cause: ")
-    expect(intent).to_contain_text("Campaign 1 is paused (CommunicationLost: ")
+    expect(intent).to_contain_text("Campaign 1 is paused (")
+    expect(intent).to_contain_text("the drive does not answer")
     expect(intent).to_have_class("unknown")
     expect(page.locator("#axes tr", has_text="unknown")).to_have_count(6)
 
