@@ -14,7 +14,7 @@ def benefit_section(page: Page, found: Benefit) -> None:
     """The section; only the reasons if no axis can be compared."""
     page.add("<h2>What you gain</h2>")
     if found.axes:
-        page.add(f'<div class="card none"><p class="verdict">{escape(sentence(found))}</p></div>')
+        page.add(f'<div class="card"><p class="verdict">{escape(sentence(found))}</p></div>')
         page.add(
             "<p>Judged in poses that took no part in the estimate. Left: what a torque feed-forward with either model "
             "leaves to the position controller, of the torque that the sines of a sweep take. Right: the smallest "

@@ -18,7 +18,7 @@ from service.diagnosis.effects.patch import Patch
 from service.diagnosis.experiments import TEST_MASS, NextExperiment, next_experiment
 from service.diagnosis.fit.calibration import Weighed, corrected, is_decided, is_wrong, weighed_gain
 from service.diagnosis.fit.equations import Equations, Term, applies, equations, grouped, held_back
-from service.diagnosis.fit.gap import Gap, gap, noise, residual
+from service.diagnosis.fit.gap import Gap, gap, noise, noise_floor, residual
 from service.diagnosis.fit.parameters import Parameter
 from service.diagnosis.fit.search import CurrentModel
 from service.diagnosis.fit.select import Selection, allowed_by_physics, select, settled, with_groups
@@ -31,7 +31,7 @@ from service.diagnosis.model.held_out_check import Fit, Fitted, HeldOutCheck, ch
 from service.diagnosis.model.rigid_model import RigidParameter, rigid_model
 from service.diagnosis.rows.periods import in_periods
 from service.diagnosis.rows.signals import SHORTEST, finite_samples, sticking_within, tracks
-from service.diagnosis.sensitivity.visibility import untestable
+from service.diagnosis.sensitivity.visibility import Hidden, untestable
 from service.diagnosis.start import source_of
 from service.diagnosis.unfinished import Unfinished, unfinished
 from service.diagnosis.verdict import Verdict, at_floor, judge, of_one_record, share, tie_sets, without
@@ -103,6 +103,7 @@ class AxisDiagnosis:
     unexplained: float  # part of the repeatable excess
     next_experiment: NextExperiment | None
     untestable: tuple[str, ...]
+    biasing: tuple[str, ...]  # those untestable effects that would change the estimate unseen
     data: tuple[Finding, ...]  # findings of the data check
     unfinished: tuple[Unfinished, ...]  # searches that used up their steps
 
@@ -207,6 +208,7 @@ def _diagnosed(
         data=(*data, *found.said),
         unfinished=unfinished(joint, selection, by_mass),
         untestable=(*hidden, *(name for name in CATALOGUE if name not in known and not applies(selection.given, name))),
+        biasing=_biasing(hidden),
     )
 
 
@@ -220,7 +222,7 @@ class _Explained:
     part: tuple[Fitted, ...]
     modelled: tuple[str, ...]
     applying: tuple[str, ...]
-    hidden: dict[str, tuple[str, ...]]
+    hidden: dict[str, Hidden]
     unseen: int | None
     said: tuple[Finding, ...] = ()
 
@@ -274,7 +276,7 @@ def _tried(
     testable = [name for name in applying if name not in hidden]
     named = with_groups(selection, groups)
     selection = settled(named, modelled)
-    verdict, shown, part = _shown(selection, sweeps, modelled, testable, twin=twin)
+    verdict, shown, part = _shown(selection, sweeps, modelled, testable, _biasing(hidden), twin=twin)
     if unseen is not None and verdict is not Verdict.UNKNOWN and not shown.rolled_back:
         # of the held-out pose: the prediction of a model that was not fitted to it
         after, held = residual(named.given, named.chosen.terms), motion.pose_index == unseen
@@ -284,8 +286,18 @@ def _tried(
     return _Explained(selection, verdict, shown, part, tuple(modelled), tuple(applying), hidden, unseen)
 
 
+def _biasing(hidden: Mapping[str, Hidden]) -> tuple[str, ...]:
+    return tuple(name for name, one in hidden.items() if one.biases)
+
+
 def _shown(
-    selection: Selection, sweeps: Sequence[Sweep], known: Sequence[str], testable: Sequence[str], *, twin: bool
+    selection: Selection,
+    sweeps: Sequence[Sweep],
+    known: Sequence[str],
+    testable: Sequence[str],
+    biasing: Sequence[str],
+    *,
+    twin: bool,
 ) -> tuple[Verdict, HeldOutCheck, tuple[Fitted, ...]]:
     """The verdict after the test on held-out sweeps, and the effects that explain only a part of the gap.
 
@@ -299,7 +311,8 @@ def _shown(
     loose = unrepeated(given, shown.after)
     moved_otherwise = loose is not None and loose.is_physical and not of_one_record(given)
     quiet = at_floor(left, shown.after) and not moved_otherwise
-    verdict = judge(left, known, testable, at_floor=quiet)
+    conclusive = noise_floor(given, shown.after, range(len(shown.after))) is not None and not biasing
+    verdict = judge(left, known, testable, at_floor=quiet, conclusive=conclusive)
     if shown.rolled_back and len(left.chosen.terms) == len(fixed):
         verdict = Verdict.UNKNOWN
     if verdict is not Verdict.UNKNOWN:

@@ -9,6 +9,8 @@ from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.parameters import Parameter
 from service.diagnosis.model.revision import model_of
 from service.diagnosis.summary import summary
+from service.results.diagnosis import AxisDiagnosis as StoredDiagnosis
+from service.results.diagnosis import standing_of
 from service.robot import Robot
 
 if TYPE_CHECKING:  # the service composes documents of axes that its worker has diagnosed
@@ -86,12 +88,14 @@ def axis_document(one: "AxisDiagnosis") -> dict[str, Any]:
         "unexplained": one.unexplained,
         "next_experiment": None if one.next_experiment is None else _experiment(one.next_experiment),
         "untestable": list(one.untestable),
+        "biasing": list(one.biasing),
         "data": [asdict(finding) for finding in one.data],
         "visible_in": {effect: list(CATALOGUE[effect].visible_in) for effect in one.untestable},
     }
     if one.unfinished:
         document["unfinished"] = [asdict(search) for search in one.unfinished]
-    return document | {"summary": summary(one.joint, document)}
+    document["summary"] = summary(one.joint, document)
+    return document | {"standing": standing_of(StoredDiagnosis.model_validate(document))}
 
 
 def _in_units(text: str, effort: str) -> str:

@@ -5,7 +5,7 @@ of the difference of their torques that the rigid model cannot fit, in units of 
 simplified, a difference counts less if it is a small part of the predicted torques.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -27,6 +27,7 @@ from service.diagnosis.sensitivity.design import (
     warm_up,
 )
 from service.diagnosis.sensitivity.predicted_sweeps import PredictedSweeps, predict_sweeps
+from service.diagnosis.sensitivity.visibility import Hidden
 from service.diagnosis.summary import in_words
 from service.diagnosis.verdict import Verdict
 from service.errors import BadInput
@@ -82,17 +83,23 @@ def next_experiment(
     selection: Selection,
     verdict: Verdict,
     rivals: Sequence[str],
-    hidden: dict[str, tuple[str, ...]],
+    hidden: Mapping[str, Hidden],
     sweeps: Sequence[Sweep],
 ) -> NextExperiment | None:
-    """None if nothing is undecided. `hidden`: what the `sweeps` cannot show, and the blocks that would show it."""
+    """None if nothing is undecided. `hidden`: what the `sweeps` cannot show."""
     campaign = _Campaign(selection, tuple(sweeps))
     if verdict in (Verdict.NONE, Verdict.UNTESTABLE):
-        unseen = [name for name, blocks in hidden.items() if blocks]
-        blocks = [block for block in campaign.open if any(block in hidden[name] for name in unseen)]
-        return (
-            campaign.missing(blocks, f"These sweeps cannot show {in_words(unseen)}; those would.") if unseen else None
-        )
+        unseen = [name for name, one in hidden.items() if one.blocks]
+        blocks = [block for block in campaign.open if any(block in hidden[name].blocks for name in unseen)]
+        if unseen:
+            return campaign.missing(blocks, f"These sweeps cannot show {in_words(unseen)}; those would.")
+        if weighty := [name for name, one in hidden.items() if one.biases]:
+            return campaign.poses(f"No other sweep of these poses shows {in_words(weighty)}: other poses may.")
+        if not campaign.repeated:
+            return campaign.missing(
+                campaign.open or REVISITED, "Nothing was repeated, so noise is not known; those are."
+            )
+        return None
     if verdict is Verdict.UNKNOWN:
         if campaign.open:
             return campaign.missing(campaign.open, "The sweeps that are missing show what these cannot.")
@@ -120,6 +127,11 @@ class _Campaign:
     def open(self) -> list[str]:
         """Blocks that were not run yet."""
         return [block for block in BLOCKS if block not in measured_blocks(self.selection.given.tracks.specs)]
+
+    @property
+    def repeated(self) -> bool:
+        """Whether sweeps were repeated, so that there is a noise floor."""
+        return any(len(group.pieces) > 1 for group in self.selection.given.groups)
 
     def best(self, rivals: Sequence[str]) -> NextExperiment | None:
         """The proposal with the best separation per second; None if none is likely to separate the rivals."""

@@ -65,7 +65,13 @@ def _unknown(axis: Mapping[str, Any]) -> str:
 
 
 def _untestable(axis: Mapping[str, Any]) -> str:
-    return "these sweeps cannot show what may be missing: measure what is proposed next."
+    reasons = [] if _has_floor(axis["gap"]) else ["no sweep was repeated, so there is no noise floor to compare with"]
+    if axis.get("biasing"):
+        reasons.append(f"they cannot show {in_words(axis['biasing'])}, which would change the estimate unseen")
+    why = f" ({'; '.join(reasons)})" if reasons else ""
+    advice = ": measure what is proposed next" if axis["next_experiment"] else ""
+    changed = f" But {_changed(axis)}." if axis.get("changes") else ""
+    return f"these sweeps cannot show whether something is missing{why}{advice}.{changed}"
 
 
 def _changed(axis: Mapping[str, Any]) -> str:
@@ -107,6 +113,10 @@ def judged_on(gap: Mapping[str, Any]) -> str:
 def _rms(axis: Mapping[str, Any], when: str) -> str:
     gap = axis["gap"]
     return f"{gap[f'{when}_rms']:.3g} {axis['unit']} ({gap[f'{when}_percent']:.3g} % of the effort)"
+
+
+def _has_floor(gap: Mapping[str, Any]) -> bool:
+    return gap["noise_floor_rms"] is not None or any(one["noise_floor_rms"] is not None for one in gap["by_pose"])
 
 
 def _floor(axis: Mapping[str, Any], text: str) -> str:

@@ -29,11 +29,17 @@ class Verdict(Enum):
     NAMED = "named"
     AMBIGUOUS = "ambiguous"  # several explanations are equally good
     UNKNOWN = "unknown"  # there is a gap that the catalogue does not explain
-    UNTESTABLE = "untestable"  # no effect is visible in the sweeps
+    UNTESTABLE = "untestable"  # nothing is found, and the sweeps cannot show that nothing is missing
 
 
-def judge(selection: Selection, known: Sequence[str], candidates: Sequence[str], *, at_floor: bool) -> Verdict:
-    """The verdict. `at_floor`: whether the residual is only noise; otherwise an effect is missing or wrong."""
+def judge(
+    selection: Selection, known: Sequence[str], candidates: Sequence[str], *, at_floor: bool, conclusive: bool
+) -> Verdict:
+    """The verdict. `at_floor`: whether the residual is only noise; otherwise an effect is missing or wrong.
+
+    `conclusive`: whether there is a noise floor and no effect of weight is untestable. Otherwise a residual in which
+    nothing is found does not show that nothing is missing.
+    """
     chosen = selection.chosen
     added = [name for name in chosen.names if name not in known]
     doubtful = is_partial(selection.given.tracks.specs) and _doubtful(selection, added)
@@ -42,7 +48,7 @@ def judge(selection: Selection, known: Sequence[str], candidates: Sequence[str],
     if not at_floor:
         return Verdict.UNKNOWN
     if not added:
-        return Verdict.NONE if candidates else Verdict.UNTESTABLE
+        return Verdict.NONE if candidates and conclusive else Verdict.UNTESTABLE
     rivals = any(tie_sets(selection, known, candidates).values())
     return Verdict.AMBIGUOUS if doubtful or rivals else Verdict.NAMED
 

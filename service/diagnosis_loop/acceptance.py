@@ -74,6 +74,6 @@ def _refusal(axis: AxisDiagnosis) -> str:
     rolled_back = axis.rolled_back
     if not [effect for effect in axis.effects if effect.effect not in rolled_back] and rolled_back:
         return f"{', '.join(rolled_back)} did not improve held-out sweeps and was rolled back"
-    if axis.verdict != "named" and not (axis.verdict == "none" and axis.changes):
+    if axis.verdict != "named" and not (axis.verdict in ("none", "untestable") and axis.changes):
         return f"the verdict is {axis.verdict}, not named"
     return ""

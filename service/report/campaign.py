@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from html import escape
 
 from service.report.content import CampaignReport, Content
-from service.report.diagnosis import diagnosis_section, findings
+from service.report.diagnosis import diagnosis_section, findings, not_looked_at
 from service.report.html import Page
 from service.report.page import analysis_section, estimate_sections, parameters_section
 from service.report.verdict import CONFIRMED, CONTRADICTED, OPEN, verdict
@@ -13,7 +13,7 @@ from service.results.check import DataCheck
 from service.results.combination import Combination
 from service.results.estimate import Estimate, Suspect
 
-_LOOK = {CONFIRMED: "none", OPEN: "ambiguous", CONTRADICTED: "unknown"}  # CSS class of the card; the word is on it
+_LOOK = {CONFIRMED: "settled", OPEN: "open", CONTRADICTED: "unexplained"}  # CSS class of the card; the word is on it
 
 
 def campaign_page(report: CampaignReport, joints: Sequence[str], estimate: Estimate, content: Content | None) -> Page:
@@ -24,6 +24,7 @@ def campaign_page(report: CampaignReport, joints: Sequence[str], estimate: Estim
         f'<div class="card {_LOOK[found.standing]}"><p class="verdict"><b>{found.standing}.</b> '
         f"{escape(found.sentence)}</p></div>"
     )
+    page.add(*_not_looked_at(report, estimate))
     _origin(page, report)
     page.first_page_ends()
     if content is not None:
@@ -38,6 +39,16 @@ def campaign_page(report: CampaignReport, joints: Sequence[str], estimate: Estim
     if report.diagnosis is not None:
         diagnosis_section(page, report.diagnosis[1])
     return page
+
+
+def _not_looked_at(report: CampaignReport, estimate: Estimate) -> list[str]:
+    axes = {} if report.diagnosis is None else report.diagnosis[1].axes
+    undiagnosed = [joint for joint in estimate.axes if joint not in axes]
+    if not undiagnosed:
+        return not_looked_at(axes)
+    lines = not_looked_at(axes) or ["<h3>What was not looked at</h3>", "<ul>", "</ul>"]
+    joints = escape(", ".join(undiagnosed))
+    return [*lines[:-1], f"<li>{joints}: no diagnosis, so no effect was looked for</li>", lines[-1]]
 
 
 def _origin(page: Page, report: CampaignReport) -> None:

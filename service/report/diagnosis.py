@@ -8,7 +8,7 @@ from service.report import gap_figures as drawn
 from service.report.drawing import Figure
 from service.report.html import Page
 from service.results.check import Finding
-from service.results.diagnosis import AxisDiagnosis, Diagnosis, Gap, RigidParameter
+from service.results.diagnosis import AxisDiagnosis, Diagnosis, Gap, RigidParameter, standing_of
 from service.results.effect import AxisFit, Effect, PoseInertia, Value
 
 _BUILDERS = {
@@ -50,11 +50,23 @@ def diagnosis_page(document: Diagnosis, title: str, subtitle: str = "", origin: 
     page = Page(title, subtitle)
     if origin:
         page.add(*(f"<p><b>{escape(axis.summary)}</b></p>" for axis in document.axes.values()))
+        page.add(*not_looked_at(document.axes))
         page.origin(origin)
     for joint, axis in document.axes.items():
         page.add(f"<h2>{escape(joint)}</h2>")
         _axis(page, joint, axis)
     return page
+
+
+def not_looked_at(axes: Mapping[str, AxisDiagnosis]) -> list[str]:
+    """What the sweeps of the diagnosed axes cannot show, for the first page of a report."""
+    lines: list[str] = []
+    for joint, axis in axes.items():
+        parts = [] if axis.has_noise_floor else ["no sweep was repeated, so there is no noise floor"]
+        parts += [f"not visible: {', '.join(map(plain, axis.untestable))}"] if axis.untestable else []
+        parts += [f"of these, would change the estimate: {', '.join(map(plain, axis.biasing))}"] if axis.biasing else []
+        lines += [f"<li>{escape(joint)}: {escape('; '.join(parts))}</li>"] if parts else []
+    return ["<h3>What was not looked at</h3>", "<ul>", *lines, "</ul>"] if lines else []
 
 
 def diagnosis_section(page: Page, document: Diagnosis) -> None:
@@ -72,7 +84,7 @@ def diagnosis_section(page: Page, document: Diagnosis) -> None:
 
 def _axis(page: Page, joint: str, axis: AxisDiagnosis) -> None:
     figures = figures_of(axis)
-    page.add(f'<div class="card {escape(axis.verdict)}"><p class="verdict">{escape(axis.summary)}</p></div>')
+    page.add(f'<div class="card {standing_of(axis)}"><p class="verdict">{escape(axis.summary)}</p></div>')
     reported = {finding.sentence for finding in axis.data}
     if reported:
         page.add("<h3>Check of the data</h3>")

@@ -23,9 +23,9 @@ p { margin: 6px 0 12px; color: #334155; max-width: 78ch; }
 p.lead { color: #475569; margin-bottom: 24px; }
 p.verdict { font-size: 17px; color: #0f172a; margin: 0; }
 .card { background: white; border: 1px solid #e2e8f0; border-radius: 10px; padding: 14px 18px; margin: 14px 0; }
-.card.named, .card.none { border-left: 6px solid #15803d; }
-.card.ambiguous, .card.untestable { border-left: 6px solid #b45309; }
-.card.unknown { border-left: 6px solid #be123c; }
+.card.settled { border-left: 6px solid #15803d; }
+.card.open { border-left: 6px solid #b45309; }
+.card.unexplained { border-left: 6px solid #be123c; }
 .facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(170px, 1fr)); gap: 12px; margin: 20px 0; }
 .facts div { background: white; border: 1px solid #e2e8f0; border-radius: 10px; padding: 12px 16px; }
 .facts b { display: block; font-size: 24px; font-weight: 600; line-height: 1.3; }

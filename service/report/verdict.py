@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from service.identification.model.certainty import UNSURE, share_of_value
 from service.report.diagnosis import plain
 from service.results.check import DataCheck
-from service.results.diagnosis import Diagnosis
+from service.results.diagnosis import Diagnosis, standing_of
 from service.results.estimate import Estimate
 
 CONFIRMED, OPEN, CONTRADICTED = "Confirmed", "Not confirmed", "Contradicted"
@@ -97,7 +97,7 @@ def _diagnosis(estimate: Estimate, diagnosis: tuple[int, Diagnosis] | None) -> t
             against.append(f"the model of {joint} lacks an effect that is not named yet")
         elif axis.verdict == "unknown":
             against.append(f"{joint} has a gap that no known effect explains")
-        elif axis.verdict == "untestable":
+        elif standing_of(axis) == "open":
             untold.append(joint)
     if against:
         return CONTRADICTED, f"but diagnosis {number} contradicts it: {', '.join(against)}"

@@ -11,6 +11,7 @@ from service.results.experiment import Experiment
 from service.results.part import Document, Part
 
 Verdict = Literal["none", "named", "ambiguous", "unknown", "untestable"]
+Standing = Literal["settled", "open", "unexplained"]
 
 
 class Change(Part):
@@ -94,7 +95,8 @@ class AxisDiagnosis(Document):
 
     `effects`: named (or, if undecided, the simplest explanation so far). `known`: in the model. `part`: those that
     explain a part; the rest is unknown. `where`: the map of the gap. `data`: findings of the data check. `unfinished`:
-    searches that used up their steps, only if there are any.
+    searches that used up their steps, only if there are any. `biasing`: the `untestable` effects that would change the
+    estimate by more than its standard deviation. `standing`: see `standing_of`. Both are missing in older documents.
     """
 
     verdict: Verdict
@@ -117,15 +119,34 @@ class AxisDiagnosis(Document):
     unexplained: float | None = None
     next_experiment: Experiment | None
     untestable: tuple[str, ...]
+    biasing: tuple[str, ...] = ()
+    standing: Standing | None = None
     data: tuple[Finding, ...] = ()
     unfinished: tuple[Unfinished, ...] = ()
     visible_in: dict[str, tuple[str, ...]] = Field(default={})
     summary: str
 
     @property
+    def has_noise_floor(self) -> bool:
+        """Whether sweeps were repeated: without, nothing shows that the residual is noise."""
+        return self.gap.noise_floor_rms is not None or any(p.noise_floor_rms is not None for p in self.gap.by_pose)
+
+    @property
     def explained(self) -> bool:
         """Whether there are residuals "after": effects that were not in the model."""
         return bool(self.effects)
+
+
+def standing_of(axis: AxisDiagnosis) -> Standing:
+    """What the verdict of an axis is worth: the only source of a colour and of *Confirmed*.
+
+    `settled`: a gap that is none or named, judged by a noise floor, and no effect of weight is untestable.
+    `unexplained`: a gap that no effect explains. Everything else is `open`, also `none` in an older document.
+    """
+    if axis.verdict == "unknown":
+        return "unexplained"
+    shown = axis.verdict in ("none", "named") and axis.has_noise_floor and not axis.biasing
+    return "settled" if shown else "open"
 
 
 class DiagnosedModel(Part):

@@ -1,6 +1,7 @@
 """Visibility of an effect in the existing sweeps: together with other effects, and at all."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,18 @@ Array = NDArray[np.float64]
 
 TESTABLE = 25.0  # chi-squared that an effect of `TYPICAL` size must cause to be testable
 TYPICAL = 0.01  # of the rated effort
+BIASED = 1.0  # chi-squared of an unseen effect that the rigid model takes: its change in standard deviations, squared
+
+
+@dataclass(frozen=True, slots=True)
+class Hidden:
+    """An effect that is not visible in the sweeps. `blocks`: those not yet run in which it would be visible.
+
+    `biases`: whether it has weight: at `TYPICAL` size it would change the estimate by more than its standard deviation.
+    """
+
+    blocks: tuple[str, ...]
+    biases: bool
 
 
 def grid(given: Equations, name: str) -> list[tuple[float, ...]]:
@@ -54,20 +67,27 @@ def shows_beside(given: Equations, terms: Sequence[Term], term: Term) -> bool:
     return False
 
 
-def untestable(given: Equations, names: Sequence[str], sweeps: Sequence[Sweep]) -> dict[str, tuple[str, ...]]:
-    """Effects that are not visible in these sweeps, with the blocks not yet run in which they would be visible.
+def untestable(given: Equations, names: Sequence[str], sweeps: Sequence[Sweep]) -> dict[str, Hidden]:
+    """Effects that are not visible in these sweeps.
 
-    The assumed size of an effect is `TYPICAL` of the rated effort in the sweeps of a full design.
+    The assumed size of an effect is `TYPICAL` of the rated effort in the sweeps of a full design. Its whitened column y
+    is split by the least squares of the rigid model, X with information A = X'X + prior. What the model cannot take
+    (y'y - v'Av, v = A^-1 X'y) makes the effect visible. What it takes, v'Av, is the change v of the estimate in units
+    of its covariance A^-1: above `BIASED`, some combination of its parameters changes by more than its standard
+    deviation (Cauchy-Schwarz). Frequent effects of every gear, such as Coulomb friction, therefore need no list: where
+    an axis turns, their columns are large, so they are either visible or of weight. Play on a flank that gravity never
+    lets go has no column in these sweeps, and no weight for them.
     """
     ahead = _missing(given, sweeps)
-    result: dict[str, tuple[str, ...]] = {}
+    result: dict[str, Hidden] = {}
     for name in names:
         if CATALOGUE[name].by_load:
             continue
         shown = [_shown(given, ahead, Term(name, shape)) for shape in grid(given, name)]
-        if max(here for here, _ in shown) < TESTABLE:
-            blocks = {block for _, there in shown for block, square in there.items() if square >= TESTABLE}
-            result[name] = tuple(block for block in BLOCKS if block in blocks)
+        if max(here for here, _, _ in shown) < TESTABLE:
+            blocks = {block for _, _, there in shown for block, square in there.items() if square >= TESTABLE}
+            biases = max(taken for _, taken, _ in shown) > BIASED
+            result[name] = Hidden(tuple(block for block in BLOCKS if block in blocks), biases)
     return result
 
 
@@ -92,19 +112,24 @@ def once(given: Equations, blocks: Sequence[str], poses: Array) -> tuple[Designe
     )  # fmt: skip
 
 
-def _shown(given: Equations, ahead: PredictedSweeps | None, term: Term) -> tuple[float, dict[str, float]]:
-    """Chi-squared of an effect's essential column in the existing sweeps, and in each block not yet run."""
+def _shown(given: Equations, ahead: PredictedSweeps | None, term: Term) -> tuple[float, float, dict[str, float]]:
+    """Chi-squared of an effect's essential column that the rigid model cannot take and that it takes, in the existing
+    sweeps; and of the first in each block not yet run.
+    """
     essential = CATALOGUE[term.effect].essential
     size = TYPICAL * given.tracks.robot.axis(given.tracks.joint).rated_effort
     here = given.columns(term)[essential]
     column = here if ahead is None else ahead.given.columns(term)[essential]
     peak = float(np.abs(column).max())
     if peak == 0:
-        return 0.0, {}
+        return 0.0, 0.0, {}
     blocks: dict[str, float] = {}
     if ahead is not None:
         rows = given.whitening(ahead.tracks.rows(column))[ahead.measured :] * size / peak
         for number, spec in enumerate(ahead.tracks.specs[ahead.measured :]):
             square = ahead.beyond_rigid(rows, [number])
             blocks[spec.block] = max(square, blocks.get(spec.block, 0.0))
-    return left(given, (), given.column(term, essential))[1] * (size / peak) ** 2, blocks
+    gathered = given.column(term, essential)
+    visible, scale = left(given, (), gathered)[1], (size / peak) ** 2
+    taken = float(np.sum(given.pairs.crossed(gathered, gathered))) - visible
+    return visible * scale, taken * scale, blocks

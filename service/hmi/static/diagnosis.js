@@ -139,14 +139,14 @@ async function showAxis(campaign, after) {
     return;
   }
   tell("verdict", verdictParts(joint, axis));
-  byId("verdict").className = `verdict ${axis.verdict}`;
+  byId("verdict").className = `verdict ${axis.standing ?? "open"}`;
   const unfinished = (axis.unfinished ?? []).map((one) => ({ severity: /** @type {const} */ ("warning"), ...one }));
   byId("data").replaceChildren(...findingParts([...(axis.data ?? []), ...unfinished]));
   byId("effects").replaceChildren(...axis.effects.flatMap(effectParts));
   if (axis.verdict === "ambiguous") byId("effects").prepend(element("p", text("diagnosis.simplest")));
   showPart(axis.part ?? []);
   showRigidModel(axis);
-  tell("untestable", axis.untestable.length ? text("diagnosis.untestable", { effects: axis.untestable.map(effectName).join(", ") }) : "");
+  byId("untestable").textContent = notLookedAt(axis).join(" ");
   await showExperiment(shown, joint, axis.next_experiment, campaign, after);
   await showAcceptance(axis);
   const wanted = `${shown.id}/${joint}/${language()}`;
@@ -156,6 +156,19 @@ async function showAxis(campaign, after) {
   byId("pictures").hidden = false;
   drawFigures(byId("pictures"), figures.axes[joint], axis);
 }
+
+/** @param {Api.AxisDiagnosis} axis */
+function notLookedAt(axis) {
+  const names = (/** @type {string[]} */ effects) => ({ effects: effects.map(effectName).join(", ") });
+  return [
+    hasNoiseFloor(axis.gap) ? "" : text("diagnosis.no-noise-floor"),
+    axis.untestable.length ? text("diagnosis.untestable", names(axis.untestable)) : "",
+    axis.biasing?.length ? text("diagnosis.biasing", names(axis.biasing)) : "",
+  ];
+}
+
+/** @param {Api.AxisDiagnosis["gap"]} gap */
+const hasNoiseFloor = (gap) => [gap, ...gap.by_pose].some((one) => one.noise_floor_rms !== null);
 
 /** @param {string} effect */
 const effectName = (effect) => word("effect", effect);
@@ -203,7 +216,7 @@ function showRigidModel(axis) {
 async function showAcceptance(axis) {
   const named = axis.verdict === "named" ? axis.effects.map((effect) => effectName(effect.effect)) : [];
   const changed = [...new Set((axis.changes ?? []).map((change) => text("accept.changed", { effect: effectName(change.effect) })))];
-  const acceptable = named.length > 0 || (axis.verdict === "none" && changed.length > 0);
+  const acceptable = named.length > 0 || (["none", "untestable"].includes(axis.verdict) && changed.length > 0);
   byId("acceptance").hidden = !acceptable;
   if (!acceptable) return;
   const models = (await all(`/models?robot=${shown.robot_id}`)).filter((one) => one.diagnosis_id === shown.id);

@@ -24,12 +24,12 @@ p { margin: 4pt 0 6pt; orphans: 3; widows: 3; }
 p.lead { color: #475569; font-size: 10.5pt; }
 p.verdict { font-size: 11.5pt; margin: 0; }
 .card { margin: 6pt 0; }
-.card.named, .card.none, .card.ambiguous, .card.untestable, .card.unknown {
+.card.settled, .card.open, .card.unexplained {
   border: 1px solid #94a3b8; border-left-width: 5px; padding: 7pt 9pt;
 }
-.card.named, .card.none { border-left-color: #15803d; }
-.card.ambiguous, .card.untestable { border-left-color: #b45309; }
-.card.unknown { border-left-color: #be123c; }
+.card.settled { border-left-color: #15803d; }
+.card.open { border-left-color: #b45309; }
+.card.unexplained { border-left-color: #be123c; }
 .facts { margin: 8pt 0; }
 .facts div { display: inline-block; width: 31%; margin: 0 1.5% 6pt 0; vertical-align: top; }
 .facts b { display: block; font-size: 13pt; }

@@ -10,6 +10,7 @@ from service.diagnosis.fit.equations import Term
 from service.diagnosis.fit.select import select
 from service.diagnosis.rows.signals import Tracks
 from service.diagnosis.sensitivity.design import BLOCKS, full_design, machine_time, paper_design
+from service.diagnosis.sensitivity.visibility import Hidden
 from service.diagnosis.verdict import Verdict, tie_set
 from service.identification.estimates.torque_gain import KnownMass
 from tests.numeric.campaign import max100
@@ -24,7 +25,7 @@ def asked(
     hidden: Mapping[Term, Sequence[float]],
     rivals: Sequence[str],
     verdict: Verdict = Verdict.AMBIGUOUS,
-    unseen: dict[str, tuple[str, ...]] | None = None,
+    unseen: dict[str, Hidden] | None = None,
     poses: np.ndarray = POSES,
     noise: float = 0.001,
     load: Callable[[Tracks], np.ndarray] | None = None,
@@ -125,12 +126,17 @@ def test_unknown_asks_for_the_missing_blocks_then_for_other_poses() -> None:
 
 
 def test_nothing_found_asks_for_what_shows_the_unseen() -> None:
-    unseen = {"measurement_delay": ("wide",), "backlash": ()}
+    unseen = {"measurement_delay": Hidden(("wide",), False), "backlash": Hidden((), False)}
     wanted = asked(FORWARD, {}, ["coulomb_friction"], Verdict.NONE, unseen)
     assert wanted is not None
     assert (wanted.kind, wanted.blocks) == ("wide", ("wide",))
     assert "measurement delay" in wanted.reason
-    assert asked(FORWARD, {}, ["coulomb_friction"], Verdict.NONE, {"backlash": ()}) is None
+    assert asked(FORWARD, {}, ["coulomb_friction"], Verdict.NONE, {"backlash": Hidden((), False)}) is None
+    weighty = {"hose_spring": Hidden((), True)}
+    wanted = asked(BLOCKS, {}, ["coulomb_friction"], Verdict.UNTESTABLE, weighty)
+    assert wanted is not None
+    assert (wanted.kind, wanted.blocks) == ("more_poses", BLOCKS)
+    assert "hose spring" in wanted.reason
     assert asked(FORWARD, COULOMB, ["coulomb_friction"], Verdict.NAMED) is None
 
 

@@ -16,7 +16,9 @@ from tests.unit.service.diagnosis.following import RATE, following
 
 pytestmark = pytest.mark.slow
 
-POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
+POSES = np.array(
+    [[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0], [0.0, 0.1, -0.4, 0, 0, 0]]
+)  # two do not show a hose
 BLOCKS = ("forward_slow", "backward_slow", "forward_fast")
 
 

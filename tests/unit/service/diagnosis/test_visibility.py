@@ -6,7 +6,7 @@ import pytest
 from service.diagnosis.effects import CATALOGUE
 from service.diagnosis.fit.equations import applies
 from service.diagnosis.sensitivity.design import BLOCKS, full_design, paper_design
-from service.diagnosis.sensitivity.visibility import untestable
+from service.diagnosis.sensitivity.visibility import Hidden, untestable
 from tests.numeric.campaign import max100
 from tests.unit.service.diagnosis.following import RATE, equations_of, following, known_to
 
@@ -16,10 +16,12 @@ POSES = np.array([[0.0, -0.8, 0.3, 0, 0, 0], [0.0, 0.9, 0.9, 0, 0, 0]])
 
 
 def unseen(joint: str, blocks: tuple[str, ...], *names: str, noise: float = 0.005) -> dict[str, tuple[str, ...]]:
+    """The blocks that would show them."""
     robot = max100()
     designed = full_design(robot, joint, POSES, blocks=blocks, sample_rate=RATE, revisit=False)
     sweeps = following(robot, joint, designed, noise=noise)
-    return untestable(equations_of(robot, joint, sweeps), names, sweeps)
+    found = untestable(equations_of(robot, joint, sweeps), names, sweeps)
+    return {name: one.blocks for name, one in found.items()}
 
 
 def test_slow_sweeps_cannot_show_what_needs_high_frequencies() -> None:
@@ -49,7 +51,7 @@ def test_the_full_design_shows_all() -> None:
     assert untestable(given, names, sweeps) == {}
 
 
-def of_the_paper(name: str, part: float) -> dict[str, tuple[str, ...]]:
+def of_the_paper(name: str, part: float) -> dict[str, Hidden]:
     """Whether sweeps of one direction show an effect where CAD may be off by a part, one sigma."""
     robot = known_to(part)
     sweeps = following(robot, "joint_2", paper_design(robot, "joint_2", POSES, sample_rate=RATE), noise=0.002)
@@ -59,8 +61,14 @@ def of_the_paper(name: str, part: float) -> dict[str, tuple[str, ...]]:
 @pytest.mark.parametrize("name", ["coulomb_friction", "effort_offset"])
 def test_one_direction_shows_what_is_constant_as_far_as_gravity_is_known(name: str) -> None:
     """A hundredth of the rated effort is a hundredth of gravity, too: within a wide prior they are the same."""
-    assert of_the_paper(name, 0.3)[name][0] == "backward_slow"
+    assert of_the_paper(name, 0.3)[name].blocks[0] == "backward_slow"
     assert of_the_paper(name, 1e-6) == {}
+
+
+def test_an_effect_that_the_estimate_takes_unseen_has_weight() -> None:
+    """Gravity takes a constant torque of one direction. Play that gravity never lets go moves nothing."""
+    assert of_the_paper("coulomb_friction", 0.3)["coulomb_friction"].biases
+    assert not of_the_paper("backlash", 0.3)["backlash"].biases
 
 
 def test_one_direction_shows_ripples_whatever_gravity_is() -> None:

@@ -98,6 +98,49 @@ def test_what_is_not_known_is_not_confirmed(
     assert words in told.sentence
 
 
+def without_floor(axis: dict[str, Any]) -> dict[str, Any]:
+    gap = axis["gap"]
+    poses = [one | {"noise_floor_rms": None} for one in gap["by_pose"]]
+    return axis | {"gap": gap | {"noise_floor_rms": None, "by_pose": poses}}
+
+
+@pytest.mark.parametrize(
+    ("axis", "words"),
+    [
+        (without_floor(axis_document((), verdict="none")), "no sweep was repeated, so there is no noise floor"),
+        (without_floor(axis_document((), verdict="untestable")), "no sweep was repeated, so there is no noise floor"),
+        (axis_document((), verdict="none", untestable=["backlash"], biasing=["backlash"]), "not visible: backlash"),
+        (
+            without_floor(axis_document()),
+            "no sweep was repeated, so there is no noise floor",
+        ),  # named, and in the model
+    ],
+    ids=["none of an older version", "untestable", "an effect of weight", "named"],
+)
+def test_nothing_is_confirmed_or_green_without_noise_floor_or_with_an_unseen_effect_of_weight(
+    axis: dict[str, Any], words: str
+) -> None:
+    found = 7, documents.diagnosis(joint_1=axis, joint_2=axis)
+    used = {"parameters": {}, "how": "", "used": True}
+    named = [one["effect"] for one in axis["effects"]]
+    taken = [{"axis": joint, "effect": name, **used} for joint in ("joint_1", "joint_2") for name in named]
+    document = estimate(effects=taken)
+    assert verdict(document, SOUND, found).standing == OPEN
+    page = campaign_page(
+        CampaignReport(title="t", subtitle="s", origin=(), drives=(), check=SOUND, diagnosis=found, test_mass=None),
+        (), document, None,
+    ).html()  # fmt: skip
+    assert "card open" in page
+    assert "card settled" not in page
+    assert words in page.split("<h3>Drives</h3>")[0]
+
+
+def test_an_axis_without_diagnosis_is_told_on_the_first_page() -> None:
+    report = CampaignReport(title="t", subtitle="s", origin=(), drives=(), check=SOUND, diagnosis=None, test_mass=None)
+    page = campaign_page(report, (), estimate(), None).html()
+    assert "joint_1, joint_2: no diagnosis, so no effect was looked for" in page.split("<h3>Drives</h3>")[0]
+
+
 def test_a_test_mass_is_told() -> None:
     assert "a test mass of 20 kg was mounted" in verdict(estimate(), SOUND, diagnosis("none"), 20.0).sentence
 

@@ -209,7 +209,7 @@ def test_the_page_tells_what_to_measure_next() -> None:
     [
         ("none", "the model is right as far as these sweeps can tell"),
         ("unknown", "no effect of the catalogue explains it. The model stays as it was."),
-        ("untestable", "these sweeps cannot show what may be missing"),
+        ("untestable", "these sweeps cannot show whether something is missing"),
     ],
 )
 def test_verdicts_in_words(verdict: str, words: str) -> None:
