@@ -9,6 +9,7 @@ from service.backup.examined import Examined, SqliteFile, Unreadable
 from service.backup.examined_store import Finding, is_recording, objects_wrong
 from service.backup.making import check_owner, machine_of
 from service.errors import BadInput
+from service.settings import AUDIT_HEADS
 from service.settings.object_store import StoreAddress
 from service.store.files.data_folder import FILE as OWNER
 from service.store.files.recordings import RecordingFiles, file_sha256
@@ -110,7 +111,7 @@ def _nobodys(path: Path, database: Path | None, data_dir: Path, named: Contents)
         parts = (database.name + end for end in ("", "-wal", "-shm", "-journal"))
         if path.parent.resolve() == database.parent.resolve() and path.name in parts:
             return False
-    if within.as_posix() in (OWNER, *named.files):
+    if within.as_posix() in (OWNER, AUDIT_HEADS, *named.files):
         return False
     under_way = path.suffix == ".arrows" or within.parts[0] == "transfer"
     return not (named.held_by and under_way)

@@ -21,7 +21,8 @@ _TRIGGERS = (
     "WHERE tgrelid = 'audit'::regclass AND left(tgname, 9) = 'audit_no_' AND tgenabled = 'O'"
 )
 _FAILURES = "SELECT coalesce(checksum_failures, 0) FROM pg_stat_database WHERE datname = current_database()"
-_WANTED_TRIGGERS = 3
+_WANTED_TRIGGERS = 4
+_FOURTH_WITH = "steady_time"  # table of the schema that added the last of them
 
 Result = TypeVar("Result")
 
@@ -123,7 +124,8 @@ def _wrong(connection: Connection) -> Iterator[tuple[str, str]]:
     if failures := connection.exec_driver_sql(_FAILURES).scalar():
         yield f"the server found {failures} pages whose checksum is wrong", "check the disk and restore a dump"
     tables = inspect(connection).get_table_names()
-    if "audit" in tables and connection.exec_driver_sql(_TRIGGERS).scalar_one() != _WANTED_TRIGGERS:
+    wanted = _WANTED_TRIGGERS - (_FOURTH_WITH not in tables)
+    if "audit" in tables and connection.exec_driver_sql(_TRIGGERS).scalar_one() != wanted:
         yield (
             "the triggers that protect the audit against changes are missing or disabled",
             "run `sweepid audit verify`, then restore a dump if needed",

@@ -1,13 +1,13 @@
 """The audit as a chain: the SHA-256 of an entry covers the previous SHA-256 and its own canonical JSON. Pure.
 
-A changed, removed or inserted entry breaks the chain at this position. Removed entries at the end are not detected by
-the chain alone; a head (number and hash) that was stored elsewhere detects them.
+A changed, removed or inserted entry breaks the chain at this position. Removed entries at the end, and a chain that was
+made anew, are not detected by the chain alone; heads (number and hash) that were stored elsewhere detect them.
 """
 
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from service.errors import BadInput, SweepidError
 from service.people.keys import masked
@@ -39,29 +39,43 @@ def sha256(previous: str, entry: str) -> str:
     return hashlib.sha256(f"{previous}\n{entry}".encode()).hexdigest()
 
 
-def verify(links: Iterable[Link], expected: Head | None = None) -> Head:
+def verify(links: Iterable[Link], expected: Sequence[Head] = ()) -> Head:
     """The head of a valid chain, (0, FIRST) for an empty one. AuditBroken if an entry does not match.
 
-    `expected`: a head that was stored elsewhere; the chain must contain it.
+    `expected`: heads that were stored elsewhere; the chain must contain each.
     """
     number, previous = 0, FIRST
+    wanted: dict[int, set[str]] = {}
+    for at, value in expected:
+        wanted.setdefault(at, set()).add(value)
     for number_here, entry, hash_here in links:
         if number_here != number + 1:
             raise AuditBroken(number + 1, f"is missing; {number_here} follows {number}")
         number = number_here
         if sha256(previous, entry) != hash_here:
             raise AuditBroken(number, "its hash does not match its content and the entry before it")
-        if expected is not None and expected[0] == number and expected[1] != hash_here:
-            raise AuditBroken(number, f"its hash is {hash_here}, not {expected[1]}")
+        if other := wanted.get(number, set()) - {hash_here}:
+            raise AuditBroken(number, f"its hash is {hash_here}, not {min(other)}")
         previous = hash_here
-    if expected is not None and expected[0] > number:
-        raise AuditBroken(number + 1, f"is missing; the audit continued to {expected[0]}")
+    if wanted and max(wanted) > number:
+        raise AuditBroken(number + 1, f"is missing; the audit continued to {max(wanted)}")
     return number, previous
+
+
+_HEAD = re.compile(r"(?<![0-9a-f:])([0-9]{1,10}):([0-9a-f]{64})(?![0-9a-f])", re.ASCII)
 
 
 def read_head(text: str) -> Head:
     """Reads ``NUMBER:SHA256``, as the command `verify` prints it."""
-    if re.fullmatch(r"[0-9]{1,10}:[0-9a-f]{64}", text) is None:
-        raise BadInput("--head", f"{text!r} is not NUMBER:SHA256")
-    number, _, value = text.partition(":")
-    return int(number), value
+    found = _HEAD.fullmatch(text)
+    if found is None:
+        raise BadInput("--head", f"{text!r} is neither NUMBER:SHA256 nor a file with such heads")
+    return int(found[1]), found[2]
+
+
+def heads_in(text: str, place: str) -> tuple[Head, ...]:
+    """All heads in a text, for example in a file of heads or a log. BadInput if there is none."""
+    heads = tuple((int(one[1]), one[2]) for one in _HEAD.finditer(text))
+    if not heads:
+        raise BadInput(place, "contains no NUMBER:SHA256")
+    return heads

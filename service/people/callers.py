@@ -28,6 +28,10 @@ class Caller(Protocol):
 class Callers(Protocol):
     """A store of callers."""
 
+    def now(self) -> datetime:
+        """The time by which these callers expire; it never runs backward."""
+        ...
+
     def find(self, key: str) -> Caller | None:
         """Blocks. `key`: as sent by the caller; also finds callers that are no longer accepted."""
         ...

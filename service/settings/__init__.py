@@ -16,6 +16,7 @@ from service.settings.publishing import Mqtt, OpcUa
 from service.settings.telemetry import Telemetry
 from service.settings.workers import Cluster, cluster_at
 
+AUDIT_HEADS = "audit-heads.txt"  # default name, in the data directory
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _THIS_COMPUTER = (ip_network("127.0.0.1"), ip_network("::1"))
 
@@ -56,6 +57,7 @@ class Settings(BaseSettings):
     wrong_keys: int = Field(default=10, ge=1, le=10000)  # limit per address and minute
     session_idle: float = Field(default=8 * 3600.0, ge=60)  # s without a request; then a person must log in again
     session_longest: float = Field(default=24 * 3600.0, ge=60)  # s after the login, also with requests
+    audit_heads: Path | None = None  # file for the heads of the audit, best elsewhere; None: in the data directory
     oidc: IdentityProvider | None = None  # OpenID Connect provider, in addition to the passwords here
     tls_certificate: Path | None = None  # PEM with its chain; for service and stop process
     tls_key: Path | None = None  # PEM, without a password
@@ -202,6 +204,11 @@ class Settings(BaseSettings):
     def url(self) -> str:
         """The database's SQLAlchemy URL."""
         return self.database_url or f"sqlite:///{self.data_dir.absolute() / 'sweepid.sqlite'}"
+
+    @property
+    def audit_heads_file(self) -> Path:
+        """File to which the heads of the audit are added."""
+        return self.audit_heads or self.data_dir / AUDIT_HEADS
 
     @classmethod
     def settings_customise_sources(

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 from alembic import command
@@ -20,6 +21,7 @@ from service.errors import BadInput
 from service.store import tables as t
 from service.store.engines.address import kind_of
 from service.store.engines.kind import BUSY_TIMEOUT, PATIENCE, WRITE, Kind
+from service.store.steady_clock import SteadyClock
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 MACHINE = "machine"  # default name of a machine
@@ -49,11 +51,15 @@ class Database:
     `machine`: written rows belong to it; None if the service owns none: then nothing of a machine can be written.
     """
 
-    def __init__(self, engine: Engine, kind: Kind, machine: OwnMachine | None) -> None:
-        self._reading, self._kind, self.machine = engine, kind, machine
+    def __init__(self, engine: Engine, kind: Kind, machine: OwnMachine | None, clock: SteadyClock) -> None:
+        self._reading, self._kind, self.machine, self.clock = engine, kind, machine, clock
         self._writing = engine.execution_options(**{WRITE: True})
         self._listeners: list[Callable[[], None]] = []
         self.address = engine.url.render_as_string(hide_password=True)
+
+    def now(self, session: Session) -> datetime:
+        """The time of sessions and keys: not before that in the database."""
+        return self.clock.now(session.scalar(select(t.SteadyTimeRow.at)))
 
     @contextmanager
     def read(self) -> Generator[Session]:
@@ -127,14 +133,18 @@ class Database:
 
 @contextmanager
 def open_database(
-    url: str, password_file: Path | None = None, machine: str | None = MACHINE, migrated: bool = True
+    url: str,
+    password_file: Path | None = None,
+    machine: str | None = MACHINE,
+    migrated: bool = True,
+    clock: SteadyClock | None = None,
 ) -> Generator[Database]:
     """The database at `url`, migrated to the newest schema; closed at the end of the block. Raises BadInput,
     NotReached.
 
     `password_file`: password of a server's user, if it is not in libpq's PGPASSFILE and one is needed. `machine`:
     name of the owned machine, added if it is new; None: none. `migrated`: False does not change the schema, and
-    raises BadInput if it differs from that of this version.
+    raises BadInput if it differs from that of this version. `clock`: None: that of this computer.
     """
     kind = kind_of(url, password_file)
     engine = kind.engine()
@@ -144,7 +154,7 @@ def open_database(
             migrate(engine)
         else:
             _check_schema(engine)
-        yield Database(engine, kind, None if machine is None else _named(engine, machine))
+        yield Database(engine, kind, None if machine is None else _named(engine, machine), clock or SteadyClock())
     finally:
         engine.dispose()
 

@@ -374,6 +374,14 @@ class SessionRow(Base):
     ended_at: Mapped[datetime | None]
 
 
+class SteadyTimeRow(Base):
+    """One row: the latest time of sessions and keys, see `service.store.steady_clock`."""
+
+    __tablename__ = "steady_time"
+    id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    at: Mapped[datetime]
+
+
 class AuditRow(Base):
     """Append-only, enforced by a trigger. `entry` is canonical JSON; `sha256`: see `service.people.audit_chain`."""
 

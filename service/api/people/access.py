@@ -24,7 +24,6 @@ from service.people.permissions import LOCAL, LOGINS, PERMISSIONS, STOP, Permiss
 from service.people.rate_limit import Guesses
 from service.people.scopes import lacking
 from service.store.people.writer import NotAudited
-from service.store.tables import now
 
 _ANYBODY = "anybody"
 _POLICY = 1008  # close code of WebSockets: policy violation
@@ -73,9 +72,10 @@ class Access:
                 "programs send a key, as Authorization: Bearer KEY"
             )
             raise Refused(HTTPStatus.FORBIDDEN, "foreign-request", detail)
-        found = await self._find(scope["app"].state.application, given, trail)
+        application: Application = scope["app"].state.application
+        found = await self._find(application, given, trail)
         trail.actor, trail.role, trail.scopes = found.name, found.role, found.scopes
-        if trouble := found.trouble(now()):
+        if trouble := found.trouble(application.api_keys.now()):
             raise unauthorized(trouble)
         if needed := lacking(found.role, found.scopes, trail.route):
             limited = "" if found.scopes is None else f", limited to {', '.join(found.scopes)}"

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from service.cli.documents import write_file
-from service.cli.people.open_database import Config, DataDir, opened
-from service.people.audit_chain import read_head, verify
+from service.cli.people.open_database import Config, DataDir, audit_heads_file, opened
+from service.people.audit_chain import heads_in, read_head, verify
 from service.store.people.audit import AuditStore
 
 audit = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Who asked the service for what.")
@@ -18,15 +18,29 @@ audit = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Who asked
 @audit.command("verify")
 def verify_audit(
     head: Annotated[
-        str | None, typer.Option(metavar="NUMBER:SHA256", help="Output of an earlier run that was stored elsewhere.")
+        str | None,
+        typer.Option(
+            metavar="NUMBER:SHA256|FILE",
+            help="Output of an earlier run, or a file with heads (or a log). Default: the file of the service.",
+        ),
     ] = None,
     config: Config = None,
     data_dir: DataDir = None,
 ) -> None:
-    """Does each entry fit the one before it? Prints the head as NUMBER:SHA256, or the first that does not fit."""
-    expected = None if head is None else read_head(head)
+    """Does each entry fit the one before it, and are all known heads in the chain? Prints the head as NUMBER:SHA256, or
+    the first entry that does not fit.
+    """
+    file = Path(head) if head is not None else audit_heads_file(config, data_dir)
+    if file.is_file():
+        expected = heads_in(file.read_text("utf-8", errors="replace"), str(file))
+    elif head is not None:
+        expected = (read_head(head),)
+    else:
+        expected = ()
     with opened(config, data_dir) as database:
         number, value = verify(AuditStore(database).links(), expected)
+    if not expected:
+        sys.stderr.write(f"no head is known ({file} does not exist): an end that was cut off would not be noticed\n")
     sys.stdout.write(f"{number}:{value}\n")
 
 

@@ -15,7 +15,6 @@ from service.people.permissions import Role
 from service.people.scopes import SCOPES
 from service.store.people.keys import KeyDocument, KeyStore
 from service.store.people.users import UserDocument, UserStore
-from service.store.tables import now
 
 people = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Users and keys for the setting `login: true`.")
 
@@ -59,8 +58,9 @@ def list_people(config: Config = None, data_dir: DataDir = None) -> None:
     with opened(config, data_dir) as database:
         for user in UserStore(database).all():
             _tell("user", user, user.role, user.trouble)
-        for key in KeyStore(database).all():
-            _tell("key", key, key.role, key.trouble(now()))
+        keys = KeyStore(database)
+        for key in keys.all():
+            _tell("key", key, key.role, key.trouble(keys.now()))
 
 
 def _tell(kind: str, of: UserDocument | KeyDocument, role: Role, trouble: str) -> None:

@@ -10,7 +10,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from service.errors import SweepidError
-from service.people.audit_chain import FIRST, Entry, Link, canonical, sha256
+from service.people.audit_chain import FIRST, Entry, Head, Link, canonical, sha256
 from service.store import rows
 from service.store import tables as t
 from service.store.database import Database
@@ -56,6 +56,15 @@ class AuditStore:
         except SQLAlchemyError as error:
             raise _unreadable(error) from error
         return self.documents(max(0, last - limit), limit)
+
+    def head(self) -> Head:
+        """Number and hash of the last entry; (0, FIRST) if there is none."""
+        try:
+            with self._database.read() as session:
+                last = session.scalar(select(t.AuditRow).order_by(t.AuditRow.number.desc()).limit(1))
+                return (0, FIRST) if last is None else (last.number, last.sha256)
+        except SQLAlchemyError as error:
+            raise _unreadable(error) from error
 
     def links(self) -> Iterator[Link]:
         """The whole chain, in batches."""

@@ -16,6 +16,7 @@ from service.store import tables as t
 from service.store.database import Database
 from service.store.people.audit import append
 from service.store.people.names import check_free
+from service.store.people.time import keep
 
 
 class KeyDocument(BaseModel):
@@ -50,12 +51,18 @@ class KeyStore:
         key = new_key()
         with self._database.write(quiet=True) as session:
             check_free(session, name)
-            made = t.now()
+            keep(session, self._database)
+            made = self._database.now(session)
             limited = None if scopes is None else list(scopes)
             expires = made + valid
             session.add(
                 row := t.ApiKeyRow(
-                    name=name, role=role.word, scopes=limited, sha256=key_sha256(key), expires_at=expires
+                    name=name,
+                    role=role.word,
+                    scopes=limited,
+                    sha256=key_sha256(key),
+                    created_at=made,
+                    expires_at=expires,
                 )
             )
             added: dict[str, Fact] = {"event": "key added", "key": name, "key_role": role.word}
@@ -76,7 +83,12 @@ class KeyStore:
 
     def all(self) -> tuple[KeyDocument, ...]:
         with self._database.read() as session:
+            self._database.now(session)  # what the database keeps counts for `now`
             return tuple(_document(row) for row in session.scalars(select(t.ApiKeyRow).order_by(t.ApiKeyRow.id)))
+
+    def now(self) -> datetime:
+        """The time by which keys expire."""
+        return self._database.clock.now()
 
     def find(self, key: str) -> KeyDocument | None:
         """The key with this secret, including revoked and expired ones."""
@@ -85,6 +97,7 @@ class KeyStore:
             return None
         with self._database.read() as session:
             row = session.scalar(select(t.ApiKeyRow).where(t.ApiKeyRow.sha256 == value))
+            self._database.now(session)
             return None if row is None else _document(row)
 
 

@@ -12,6 +12,7 @@ from service.people.permissions import Role
 from service.store import tables as t
 from service.store.database import Database
 from service.store.people.audit import append
+from service.store.people.time import keep
 from service.store.people.users import UserDocument, user_document
 
 _SEEN_EVERY = timedelta(minutes=1)  # a page sends a request per second; not every request writes
@@ -52,14 +53,20 @@ class SessionStore:
 
     def open(self, user: UserDocument, entry: Entry) -> tuple[SessionDocument, str]:
         """The new session, and the secret of its cookie, which is not stored. Removes sessions that ended long ago."""
-        token, address, at = new_key(), str(entry["address"])[:100], t.now()
+        token, address = new_key(), str(entry["address"])[:100]
         with self._database.write(quiet=True) as session:
+            keep(session, self._database)
+            at = self._database.now(session)
             session.execute(delete(t.SessionRow).where(t.SessionRow.created_at < at - self._longest))
             row = t.SessionRow(user_id=user.id, sha256=key_sha256(token), address=address, created_at=at, seen_at=at)
             session.add(row)
             session.flush()
             append(session, [{**entry, "event": "logged in", "session": row.id}])
             return self._document(row, session.get_one(t.UserRow, user.id)), token
+
+    def now(self) -> datetime:
+        """The time by which sessions expire."""
+        return self._database.clock.now()
 
     def find(self, key: str) -> SessionDocument | None:
         """The session with this secret, including ended ones. A request resets its idle time."""
@@ -69,11 +76,12 @@ class SessionStore:
         of_it = select(t.SessionRow, t.UserRow).join(t.UserRow).where(t.SessionRow.sha256 == value)
         with self._database.read() as session:
             documents = [self._document(row, user) for row, user in session.execute(of_it)]
+            at = self._database.now(session)
         document = next(iter(documents), None)
-        at = t.now()
         if document is not None and not document.trouble(at) and at - document.seen_at >= _SEEN_EVERY:
             with self._database.write(quiet=True) as session:
                 session.execute(update(t.SessionRow).where(t.SessionRow.id == document.id).values(seen_at=at))
+                keep(session, self._database)
         return document
 
     def end(self, session_id: int, entry: Entry) -> SessionDocument:
@@ -93,7 +101,7 @@ class SessionStore:
         every = select(t.SessionRow, t.UserRow).join(t.UserRow).order_by(t.SessionRow.id)
         with self._database.read() as session:
             documents = [self._document(row, user) for row, user in session.execute(every)]
-        at = t.now()
+            at = self._database.now(session)
         return tuple(document for document in documents if not document.trouble(at))
 
     def _document(self, row: t.SessionRow, user: t.UserRow) -> SessionDocument:

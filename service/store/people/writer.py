@@ -1,5 +1,8 @@
 """Writes the audit in a separate thread: a caller can wait without blocking the event loop or a thread.
 
+Once a minute, and at the end, it also stores what must survive a restart or a change of the database (`each_minute`):
+the time of sessions and keys, and the head of the audit.
+
 One writer and one transaction for all waiting entries: a flood of requests is not a flood of transactions. A stop is
 executed whether or not the database accepts its entry; the entry is kept and written later. The user of the key that
 came with a stop is looked up here, because the stop itself does not wait for the database.
@@ -7,6 +10,8 @@ came with a stop is looked up here, because the stop itself does not wait for th
 
 import queue
 import threading
+import time
+from collections.abc import Callable
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, field
 from types import TracebackType
@@ -18,13 +23,14 @@ from sqlalchemy.exc import SQLAlchemyError
 from service.errors import SweepidError
 from service.people.audit_chain import Entry
 from service.people.callers import Callers
-from service.store.people.audit import AuditStore
+from service.store.people.audit import AuditStore, AuditUnreadable
 from service.store.tables import now
 
 _log = structlog.get_logger(__name__)
 
 _MOST_WAITING = 2000
 _AT_ONCE = 100
+_MINUTE = 60.0  # s
 _AGAIN = 1.0  # s until a refused entry is written again
 
 
@@ -45,10 +51,12 @@ class _Item:
 class AuditWriter:
     """Used as a context manager."""
 
-    def __init__(self, store: AuditStore, *callers: Callers) -> None:
-        """`callers`: where the user of a key is looked up."""
+    def __init__(self, store: AuditStore, *callers: Callers, each_minute: Callable[[bool], None] | None = None) -> None:
+        """`callers`: where the user of a key is looked up. `each_minute`: called in the thread of the writer, with
+        whether it is the last time; may raise SQLAlchemyError, AuditUnreadable.
+        """
         self.store = store
-        self._callers = callers
+        self._callers, self._each_minute = callers, each_minute
         self._waiting: queue.Queue[_Item | None] = queue.Queue()
         self._refused: list[_Item] = []  # kept entries that the database refused, oldest first
         self._thread = threading.Thread(target=self._write, name="audit", daemon=True)
@@ -91,18 +99,29 @@ class AuditWriter:
         return item.future
 
     def _write(self) -> None:
-        ended = False
+        ended, due = False, time.monotonic()
         while not ended:
-            items, ended = self._next()
+            items, ended = self._next(max(0.0, due - time.monotonic()))
             self._append([*self._refused, *(item for item in items if item.future.set_running_or_notify_cancel())])
+            if ended or time.monotonic() >= due:
+                self._keep(ended)
+                due = time.monotonic() + _MINUTE
         for item in self._refused:
             self._give_up(item, "the service ended before the database stored the entry")
 
-    def _next(self) -> tuple[list[_Item], bool]:
-        """Waiting entries, and whether the end is reached. Empty after a while if refused entries wait."""
+    def _keep(self, ended: bool) -> None:
+        if self._each_minute is None:
+            return
+        try:
+            self._each_minute(ended)
+        except (SQLAlchemyError, AuditUnreadable) as error:
+            _log.warning("time_or_head_not_stored", reason=str(error).partition("\n")[0])
+
+    def _next(self, within: float) -> tuple[list[_Item], bool]:
+        """Waiting entries, and whether the end is reached. Empty after `within` s, earlier if refused entries wait."""
         items: list[_Item] = []
         try:
-            found = self._waiting.get(timeout=_AGAIN if self._refused else None)
+            found = self._waiting.get(timeout=min(within, _AGAIN) if self._refused else within)
         except queue.Empty:
             return items, False
         while found is not None:
@@ -136,6 +155,6 @@ class AuditWriter:
     def _named(self, entry: Entry, key: str) -> Entry:
         for callers in self._callers if key else ():
             found = callers.find(key)
-            if found is not None and not found.trouble(now()):
+            if found is not None and not found.trouble(callers.now()):
                 return {**entry, "actor": found.name, "role": found.role.word}
         return entry

@@ -3,7 +3,7 @@
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -14,10 +14,11 @@ from structlog.testing import capture_logs
 from service.cli.people.audit import export_audit
 from service.cli.people.people import add_key, list_people
 from service.errors import BadInput, Conflict
-from service.people.audit_chain import FIRST, AuditBroken, canonical, read_head, sha256, verify
+from service.people.audit_chain import FIRST, AuditBroken, canonical, heads_in, read_head, sha256, verify
 from service.people.permissions import LOCAL
 from service.store.database import Database, open_database
 from service.store.people.audit import AuditStore
+from service.store.people.audit_heads import AuditHeads
 from service.store.people.keys import KeyStore
 from service.store.people.writer import AuditWriter, NotAudited
 from tests.unit.service.api.conftest import serving
@@ -51,7 +52,19 @@ def test_a_chain_by_hand() -> None:
     assert verify([]) == (0, FIRST)
 
 
-@pytest.mark.parametrize("statement", ["UPDATE audit SET entry = '{}'", "DELETE FROM audit WHERE number = 5"])
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE audit SET entry = '{}'",
+        "DELETE FROM audit WHERE number = 5",
+        "INSERT OR REPLACE INTO audit VALUES (3, '{}', 'abc')",
+        "REPLACE INTO audit VALUES (5, '{}', 'abc')",
+        "UPDATE OR REPLACE audit SET number = 4 WHERE number = 5",
+        "INSERT INTO audit VALUES (5, '{}', 'abc') ON CONFLICT(number) DO UPDATE SET entry = excluded.entry",
+        "INSERT INTO audit VALUES (7, '{}', 'abc')",
+        "INSERT INTO audit VALUES (0, '{}', 'abc')",
+    ],
+)
 def test_entries_are_only_added(own: Database, statement: str) -> None:
     with pytest.raises(IntegrityError, match="only ever added to"), own.write() as session:
         session.execute(text(statement))
@@ -74,7 +87,7 @@ def test_a_tampered_entry_is_found(own: Database, statement: str, number: int, r
     head = verify(store.links())
     tamper(own, statement)
     with pytest.raises(AuditBroken, match=rf"^audit entry {number}: {reason}") as broken:
-        verify(store.links(), head)
+        verify(store.links(), (head,))
     assert broken.value.number == number
 
 
@@ -85,13 +98,86 @@ def test_a_chain_that_was_made_anew_is_not_the_one_that_was_kept(own: Database) 
     store.append(ENTRIES)
     assert verify(store.links())[0] == 5
     with pytest.raises(AuditBroken, match=r"^audit entry 5: its hash is "):
-        verify(store.links(), head)
+        verify(store.links(), (head,))
 
 
 @pytest.mark.parametrize("head", ["", "5", "5:abc", f"x:{FIRST}", f"1:{FIRST}0"])
 def test_what_is_no_head_is_refused(head: str) -> None:
     with pytest.raises(BadInput, match="--head"):
         read_head(head)
+
+
+def rechained(database: Database, number: int) -> None:
+    """Replace an entry and all hashes after it, as somebody who can write to the file may do."""
+    links, previous = list(AuditStore(database).links()), FIRST
+    with database.write() as session:
+        for trigger in ("audit_no_update", "audit_no_delete", "audit_no_replace"):
+            session.execute(text(f"DROP TRIGGER {trigger}"))
+        for at, entry, _ in links:
+            entry = entry.replace("p", "q") if at == number else entry
+            previous = sha256(previous, entry)
+            row = {"number": at, "entry": entry, "sha256": previous}
+            session.execute(text("INSERT OR REPLACE INTO audit VALUES (:number, :entry, :sha256)"), row)
+
+
+def checked(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return command("audit", "verify", "--data-dir", str(folder), *arguments)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda own: rechained(own, 2), "audit entry 5: its hash is "),
+        (lambda own: tamper(own, "DELETE FROM audit WHERE number > 3"), "audit entry 4: is missing"),
+        (lambda own: tamper(own, "DELETE FROM audit"), "audit entry 1: is missing"),
+    ],
+    ids=["replaced", "cut off", "emptied"],
+)
+def test_a_chain_that_fits_in_itself_is_not_trusted(
+    own: Database, tmp_path: Path, change: Callable[[Database], None], told: str
+) -> None:
+    """By the file of the service, by the same file elsewhere, by a log, by one head."""
+    elsewhere = tmp_path / "elsewhere" / "service.log"
+    elsewhere.parent.mkdir()
+    AuditHeads(AuditStore(own), tmp_path / "audit-heads.txt").note(at_end=True)
+    number, value = AuditStore(own).head()
+    elsewhere.write_text(json.dumps({"event": "audit_head", "head": f"{number}:{value}"}))
+    assert checked(tmp_path).stdout == f"{number}:{value}\n"
+    change(own)
+    verify(AuditStore(own).links())  # fits
+    for given in ((), ("--head", str(elsewhere)), ("--head", f"{number}:{value}")):
+        found = checked(tmp_path, *given)
+        assert (found.returncode, found.stdout) == (1, "")
+        assert told in found.stderr
+
+
+def test_without_a_head_it_is_told_that_a_cut_is_not_noticed(own: Database, tmp_path: Path) -> None:
+    found = checked(tmp_path)
+    assert found.returncode == 0
+    assert "an end that was cut off would not be noticed" in found.stderr
+    assert checked(tmp_path, "--head", str(tmp_path / "sweepid.sqlite")).returncode == 2
+
+
+def test_heads_are_noted_at_intervals_and_at_the_end(own: Database, tmp_path: Path) -> None:
+    file, at = tmp_path / "heads", [0.0]
+    heads = AuditHeads(AuditStore(own), file, lambda: at[0])
+    with capture_logs() as logs:
+        heads.note()
+        AuditStore(own).append(ENTRIES)
+        heads.note()  # too early
+        at[0] = 600.0
+        heads.note()
+        heads.note(at_end=True)  # nothing new
+        AuditStore(own).append(ENTRIES)
+        heads.note(at_end=True)
+    lines = file.read_text().splitlines()
+    assert [line.partition(":")[0] for line in lines] == ["5", "10", "15"]
+    assert [log["head"] for log in logs if log["event"] == "audit_head"] == lines
+    assert verify(AuditStore(own).links(), heads_in(file.read_text(), "heads"))[0] == 15
+    AuditStore(own).append(ENTRIES)
+    with capture_logs() as logs:
+        AuditHeads(AuditStore(own), tmp_path / "not there" / "heads").note(at_end=True)
+    assert [log["event"] for log in logs] == ["audit_head", "audit_head_not_written"]
 
 
 def test_the_writer_tells_what_it_could_not_write(own: Database) -> None:
@@ -187,6 +273,9 @@ def test_without_a_login_it_is_local(tmp_path: Path, profile: Path) -> None:
     with open_database(f"sqlite:///{tmp_path / 'data' / 'sweepid.sqlite'}") as database:
         links = list(AuditStore(database).links())
     assert verify(links)[0] == 5
+    heads = heads_in((tmp_path / "data" / "audit-heads.txt").read_text(), "heads")
+    assert verify(links, heads) == heads[-1]  # the last one at the end of the service
+    assert f'"{heads[-1][0]}:{heads[-1][1]}"' in (tmp_path / "service.log").read_text()
     by_the_stop_process = json.loads(links[3][1])
     assert {name: by_the_stop_process[name] for name in ("event", "way", "by", "actor", "address")} == {
         **{"event": "stop", "way": "stop process", "by": "anna"},
