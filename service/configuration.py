@@ -9,7 +9,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from service.errors import BadInput
-from service.robot import Robot, RobotDescription, build_robot
+from service.robot import Robot, RobotDescription, robot_from_outside
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -91,7 +91,7 @@ def read_robot(path: Path) -> Robot:
     """A robot from its side file (``config/robots/*.yaml``) and the URDF in it, relative to the side file."""
     description = read_yaml(path, RobotDescription)
     urdf = path.parent / description.urdf
-    return build_robot(description, read_text(urdf), str(path))
+    return robot_from_outside(description, read_text(urdf), str(path))
 
 
 def read_text(path: Path, largest: int = LARGEST_TEXT) -> str:

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
+from service.physical_bounds import MOST_FREQUENCY, MOST_TIME, MOST_VELOCITY, Position, Velocity
+
 Array = NDArray[np.float64]
 
 _PRINTABLE = r"^[^\x00-\x1f\x7f-\x9f]*$"
@@ -40,9 +42,9 @@ class Sine(BaseModel):
     """``amplitude * sin(2 pi frequency (t - measure_from) + phase)``; Hz, rad/s (m/s), rad."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-    frequency: float = Field(gt=0)
-    amplitude: float = Field(ge=0)
-    phase: float = 0.0
+    frequency: float = Field(gt=0, le=MOST_FREQUENCY)
+    amplitude: float = Field(ge=0, le=MOST_VELOCITY)
+    phase: Position = 0.0
 
 
 class SweepSpec(BaseModel):
@@ -51,16 +53,16 @@ class SweepSpec(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     id: Name
     axis: Name
-    pose: tuple[float, ...]
-    offset_velocity: float
+    pose: tuple[Position, ...]
+    offset_velocity: Velocity
     excitation: Literal["multisine", "noise", "trajectory", "standstill"] = "multisine"
     sines: tuple[Sine, ...] = ()
-    period: float | None = Field(default=None, gt=0)
+    period: float | None = Field(default=None, gt=0, le=MOST_TIME)
     periods: int | None = Field(default=None, ge=1, le=10**9)  # a file may contain any integer; a float must hold it
-    measure_from: float = Field(default=0.0, ge=0)
-    sample_rate: float = Field(gt=0)
-    started_at: float = 0.0
-    repeat: int = Field(default=0, ge=0)
+    measure_from: float = Field(default=0.0, ge=0, le=MOST_TIME)
+    sample_rate: float = Field(gt=0, le=MOST_FREQUENCY)
+    started_at: float = Field(default=0.0, ge=-MOST_TIME, le=MOST_TIME)
+    repeat: int = Field(default=0, ge=0, le=10**9)
     block: Label = ""
 
     @property

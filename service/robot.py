@@ -18,14 +18,15 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, field_validator
 
 from service.errors import BadInput
+from service.physical_bounds import MOST_EFFORT, MOST_GRAVITY, MOST_INERTIA, MOST_RATIO, MOST_VISCOUS, check_urdf
 from service.recording import Name
-from service.urdf import LARGEST, Chain, read_chain
+from service.urdf import Chain, read_chain
 
 Array = NDArray[np.float64]
 
 INERTIAL_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-_LEAST_RATIO, _LARGEST_RATIO = 1e-6, 1e9
-Gravity = Annotated[float, Field(ge=-1e5, le=1e5)]
+_LEAST_RATIO, _LARGEST_RATIO = 1e-6, MOST_RATIO
+Gravity = Annotated[float, Field(ge=-MOST_GRAVITY, le=MOST_GRAVITY)]
 Marking = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1, max_length=100)]
 
 
@@ -39,9 +40,9 @@ class Axis(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     joint: Name
     gear_ratio: float  # motor revolutions per joint revolution; prismatic: rad per m; signed
-    motor_inertia: float | None = Field(default=None, ge=0, le=LARGEST)  # kg m^2 on the motor side
-    rated_effort: float = Field(ge=1e-9, le=LARGEST)  # N m (N)
-    viscous_friction: float | None = Field(default=None, ge=0, le=LARGEST)  # N m s/rad (N s/m)
+    motor_inertia: float | None = Field(default=None, ge=0, le=MOST_INERTIA)  # kg m^2 on the motor side
+    rated_effort: float = Field(ge=1e-9, le=MOST_EFFORT)  # N m (N)
+    viscous_friction: float | None = Field(default=None, ge=0, le=MOST_VISCOUS)  # N m s/rad (N s/m)
     cogging_orders: tuple[float, ...] = ()  # periods per motor revolution
     transmission_orders: tuple[float, ...] = ()
 
@@ -164,6 +165,16 @@ def build_robot(description: RobotDescription, urdf_text: str, place: str = "rob
             f"{place}.axes",
             f"joints {list(robot.joints)} differ from the URDF's moving joints {list(moving)}",
         )
+    return robot
+
+
+def robot_from_outside(description: RobotDescription, urdf_text: str, place: str = "robot") -> Robot:
+    """As `build_robot`, for a robot that a person or a program gives: BadInput also if it is physically impossible.
+
+    An estimate may put such values on a single link: there only the base parameters have a meaning.
+    """
+    robot = build_robot(description, urdf_text, place)
+    check_urdf(urdf_text, robot.chain, f"{place} URDF")
     return robot
 
 

@@ -16,7 +16,7 @@ COLUMNS = ("time", "effort", "velocity", "position", "velocity_setpoint", "tempe
 def recorded(*, rate: float, axis: str, number: int) -> Sweep:
     """One second of noise."""
     rng = np.random.default_rng(number)
-    noise = {name: rng.normal(size=int(rate)) * 10.0 ** rng.integers(-9, 9) for name in COLUMNS[1:]}
+    noise = {name: rng.normal(size=int(rate)) * 10.0 ** rng.integers(-9, 4) for name in COLUMNS[1:]}
     spec = SweepSpec(
         id=f"{axis} no. {number}",
         axis=axis,

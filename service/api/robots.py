@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.api.dependencies import After, ApplicationOf, Id, Limit, Page
 from service.api.idempotent import IdempotentRoute
-from service.robot import RobotDescription, build_robot
+from service.robot import RobotDescription, robot_from_outside
 from service.store.documents import RobotDocument
 
 router = APIRouter(prefix="/robots", tags=["robots"], route_class=IdempotentRoute)
@@ -33,7 +33,7 @@ class RobotEntry(BaseModel):
 @router.post("", status_code=201)
 def add_robot(robot: NewRobot, application: ApplicationOf) -> RobotDocument:
     """Store a robot. The same description and URDF give the same robot."""
-    return application.store.add_robot(build_robot(robot.description, robot.urdf_text))
+    return application.store.add_robot(robot_from_outside(robot.description, robot.urdf_text))
 
 
 @router.get("")

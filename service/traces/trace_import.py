@@ -27,7 +27,7 @@ from service.errors import BadInput
 from service.identification.design.excitation import Excitation
 from service.identification.design.sweep_path import way
 from service.recording import Recording, Sweep, SweepSpec
-from service.robot import Axis, Robot, RobotDescription, build_robot
+from service.robot import Axis, Robot, RobotDescription, robot_from_outside
 from service.store.files.columns import check_samples
 from service.traces.alignment import check_follows, motion_start
 from service.traces.mapping import CncAxis, FromPosition, Mapping, SingleAxis, TraceSweep
@@ -189,4 +189,4 @@ def _single_axis_robot(axis: SingleAxis, place: str) -> Robot:
         description = RobotDescription(name=axis.name, urdf="robot.urdf", axes=(drive,), prior=axis.prior)
     except ValidationError as error:
         raise bad_field(f"{place} robot", error) from None
-    return build_robot(description, urdf, f"{place} robot")
+    return robot_from_outside(description, urdf, f"{place} robot")

@@ -18,8 +18,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from service.configuration import bad_field, read_text
 from service.errors import BadInput
 from service.recording import Sweep, SweepSpec
-from service.robot import Robot, RobotDescription, build_robot
-from service.store.files.columns import check_samples, columns_of, read_columns, write_columns
+from service.robot import Robot, RobotDescription, robot_from_outside
+from service.store.files.columns import check_possible, check_samples, columns_of, read_columns, write_columns
 
 FORMAT = "sweepid-bundle/1"
 MOST_NUMBERS = 250_000_000  # all sweeps of a bundle are in memory together
@@ -53,7 +53,7 @@ def read_bundle(directory: Path) -> Bundle:
         raise bad_field(str(place), error) from None
     description = document.robot
     urdf = _inside(directory, description.urdf, f"{place} robot.urdf")
-    robot = build_robot(description, read_text(urdf), f"{place} robot")
+    robot = robot_from_outside(description, read_text(urdf), f"{place} robot")
     specs = [SweepSpec.model_validate(entry.model_dump(exclude={"file"})) for entry in document.sweeps]
     check_specs(robot, specs, str(place))
     sweeps: list[Sweep] = []
@@ -65,6 +65,7 @@ def read_bundle(directory: Path) -> Bundle:
         numbers += sum(column.size for column in columns_of(sweep.recording).values())
         if numbers > MOST_NUMBERS:
             raise BadInput(str(place), f"its sweeps contain more than {MOST_NUMBERS} numbers in total")
+        check_possible(sweep.recording, here)
         check_clock(sweep, here)
         sweeps.append(sweep)
     return Bundle(robot, tuple(sweeps))
@@ -81,6 +82,7 @@ def write_bundle(
     check_specs(robot, [sweep.spec for sweep in sweeps], str(directory))
     for sweep in sweeps:
         check_samples(sweep.recording, f"{directory} sweep {sweep.spec.id}")
+        check_possible(sweep.recording, f"{directory} sweep {sweep.spec.id}")
         check_clock(sweep, f"{directory} sweep {sweep.spec.id}")
     directory.parent.mkdir(parents=True, exist_ok=True)
     partial = directory.parent / f".{directory.name}.{uuid4().hex}.partial"

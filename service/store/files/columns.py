@@ -14,6 +14,7 @@ import pyarrow.parquet as pa_parquet
 from numpy.typing import NDArray
 
 from service.errors import BadInput
+from service.physical_bounds import most_of_column
 from service.recording import OPTIONAL_COLUMNS, REQUIRED_COLUMNS, Recording
 
 Array = NDArray[np.float64]
@@ -86,6 +87,15 @@ def check_samples(recording: Recording, place: str) -> None:
         raise BadInput(place, f"time does not increase at row {row + 1}: {after} s after {before} s")
     if abs(recording.time[0]) >= steps[0]:
         raise BadInput(place, f"time starts at {recording.time[0]} s; it must start at 0")
+
+
+def check_possible(recording: Recording, place: str) -> None:
+    """Raises BadInput for a sample that is beyond any machine."""
+    for name, column in columns_of(recording).items():
+        beyond = np.flatnonzero(np.abs(column) > most_of_column(name))
+        if beyond.size:
+            value, row = column[beyond[0]], beyond[0] + 1
+            raise BadInput(place, f"column {name!r} is {value:g} in row {row}; limit {most_of_column(name):g}")
 
 
 def read_table(

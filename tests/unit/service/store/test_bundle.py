@@ -81,7 +81,7 @@ def same(one: Bundle, other: Bundle) -> None:
             np.testing.assert_array_equal(getattr(ours.recording, field.name), getattr(theirs.recording, field.name))
 
 
-numbers = st.floats(-1e6, 1e6)
+numbers = st.floats(-1e4, 1e4)
 PRINTABLE = st.characters(codec="utf-8", exclude_categories=["Cc"])
 
 
@@ -190,8 +190,8 @@ FILE = "0002.parquet sweep 0002"
         (first({"sample_rate": 0}), "bundle.json sweeps.1.sample_rate", "greater than 0"),
         (first({"sample_rate": 99.0}), FILE, "sample_rate is 99 Hz, but time runs at 100 Hz"),
         (first({"sample_rate": 1000.0}), FILE, "gap in time: 0.01 s follows 0 s"),
-        (first({"sample_rate": 1e308}), SWEEP, "2 periods of 1.0 s are not whole samples at 1e+308 Hz"),
-        (first({"sample_rate": 1e308, "sines": []}), FILE, "gap in time"),
+        (first({"sample_rate": 1e308}), "bundle.json sweeps.1.sample_rate", "less than or equal to 1000000"),
+        (first({"sample_rate": 1e6, "sines": []}), FILE, "gap in time"),
         (first({"periods": 3}), FILE, "measured window 0.5 to 3.5 s lies outside of the record of 2.5 s"),
         (first({"measure_from": 0.52}), FILE, "measured window 0.52 to 2.52 s"),
         (first({"periods": None}), SWEEP, "period is 1.0 but periods is None"),
