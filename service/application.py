@@ -66,11 +66,11 @@ from service.store.guards import MachineLease, StopLatch
 from service.store.objects.moves import MoveStore
 from service.store.objects.object_store import check_usable
 from service.store.people.audit import AuditStore
-from service.store.people.audit_heads import AuditHeads
+from service.store.people.audit_heads import keeping_time_and_head
 from service.store.people.external import ExternalUsers
 from service.store.people.keys import KeyStore
 from service.store.people.sessions import SessionStore
-from service.store.people.time import begin_time, keep_time
+from service.store.people.time import begin_time
 from service.store.people.users import UserStore
 from service.store.people.writer import AuditWriter
 from service.store.plant.batches import BatchStore
@@ -251,13 +251,7 @@ async def open_application(settings: Settings, stop_process: StopProcess | None 
         await asyncio.to_thread(begin_time, database)
         api_keys = KeyStore(database)
         users, sessions = UserStore(database), SessionStore(database, settings.session_idle, settings.session_longest)
-        entries = AuditStore(database)
-        heads = AuditHeads(entries, settings.audit_heads_file)
-
-        def each_minute(ended: bool) -> None:
-            keep_time(database)
-            heads.note(at_end=ended)
-
+        entries, each_minute = AuditStore(database), keeping_time_and_head(database, settings.audit_heads_file)
         audit = stack.enter_context(AuditWriter(entries, api_keys, sessions, each_minute=each_minute))
         store, keys = Store(database), IdempotencyKeys(database)
         address = settings.recordings_store

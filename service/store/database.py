@@ -18,10 +18,10 @@ from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from service.errors import BadInput
+from service.people.steady_clock import SteadyClock
 from service.store import tables as t
 from service.store.engines.address import kind_of
 from service.store.engines.kind import BUSY_TIMEOUT, PATIENCE, WRITE, Kind
-from service.store.steady_clock import SteadyClock
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 MACHINE = "machine"  # default name of a machine

@@ -375,7 +375,7 @@ class SessionRow(Base):
 
 
 class SteadyTimeRow(Base):
-    """One row: the latest time of sessions and keys, see `service.store.steady_clock`."""
+    """One row: the latest time of sessions and keys, see `service.people.steady_clock`."""
 
     __tablename__ = "steady_time"
     id: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)

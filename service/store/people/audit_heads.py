@@ -10,7 +10,9 @@ from pathlib import Path
 import structlog
 
 from service.people.audit_chain import FIRST, Head
+from service.store.database import Database
 from service.store.people.audit import AuditStore
+from service.store.people.time import keep_time
 
 _log = structlog.get_logger(__name__)
 
@@ -46,3 +48,14 @@ class AuditHeads:
                 os.fsync(file.fileno())
         except OSError as error:
             _log.error("audit_head_not_written", file=str(self._file), head=line, reason=error.strerror or str(error))
+
+
+def keeping_time_and_head(database: Database, heads_file: Path) -> Callable[[bool], None]:
+    """What a service does each minute, and at its end (True): stores the time of sessions and keys, notes the head."""
+    heads = AuditHeads(AuditStore(database), heads_file)
+
+    def each_minute(ended: bool) -> None:
+        keep_time(database)
+        heads.note(at_end=ended)
+
+    return each_minute

@@ -4,10 +4,10 @@ import structlog
 from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
+from service.people.steady_clock import SET_BACK
 from service.store import tables as t
 from service.store.database import Database
 from service.store.people.audit import append
-from service.store.steady_clock import SET_BACK
 
 _log = structlog.get_logger(__name__)
 

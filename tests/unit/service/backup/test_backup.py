@@ -107,7 +107,8 @@ def test_an_older_schema_is_backed_up_as_it_is(data: Path, tmp_path: Path) -> No
     with closing(sqlite3.connect(data / "sweepid.sqlite")) as old:
         old.executescript(
             "DROP TABLE approval; DROP TABLE user_session; DROP TABLE user_account;"
-            "DROP TABLE audit; DROP TABLE api_key; DROP TABLE spectrum_file; DROP TABLE identity; DROP TABLE steady_time;"
+            "DROP TABLE audit; DROP TABLE api_key; DROP TABLE spectrum_file; DROP TABLE identity;"
+            "DROP TABLE steady_time;"
             "DROP TABLE machine; DROP INDEX ix_campaign_machine_id; ALTER TABLE campaign DROP COLUMN machine_id;"
             "ALTER TABLE diagnosis DROP COLUMN machine_id; ALTER TABLE event DROP COLUMN machine_id;"
             "ALTER TABLE stop DROP COLUMN machine_id; DROP INDEX ix_robot_name_serial;"

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from service.people.permissions import Role
+from service.people.steady_clock import SteadyClock
 from service.store.database import Database, open_database
 from service.store.people.audit import AuditStore
 from service.store.people.keys import KeyStore
 from service.store.people.sessions import SessionStore
 from service.store.people.time import begin_time, keep_time
 from service.store.people.users import UserDocument, UserStore
-from service.store.steady_clock import SteadyClock
 
 pytestmark = pytest.mark.slow
 
