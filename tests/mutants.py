@@ -14,7 +14,7 @@ import random
 import resource
 from collections import Counter
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
@@ -70,7 +70,8 @@ def mutants(file: str, tree: ast.AST) -> Iterator[tuple[dict[str, Any], Callable
                     seen[function, code] += 1
                     key = {"file": file, "function": function, "code": code, "nth": seen[function, code]}
                     put = [*value[:place], error, *value[place + 1 :]] if isinstance(value, list) else error
-                    yield key | {"line": child.lineno, "error": ast.unparse(error)}, lambda: setattr(node, field, put)  # noqa: B023
+                    shown = {"line": getattr(child, "lineno", 0), "error": ast.unparse(error)}
+                    yield key | shown, partial(setattr, node, field, put)
                 yield from walk(child, f"{function}.{child.name}" if isinstance(child, NAMED) else function)
 
     return walk(tree, "")

@@ -8,7 +8,8 @@ from tests.tiers import LONG, PARTS, SHORT, Name, name_of, named_by, part_of, pa
 
 
 def functions_of(path: Path) -> set[str]:
-    return {node.name for node in ast.walk(ast.parse(path.read_text("utf-8"))) if hasattr(node, "name")}
+    nodes = ast.walk(ast.parse(path.read_text("utf-8")))
+    return {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)}
 
 
 def test_what_is_promised_is_of_the_first_tier(root: Path) -> None:
