@@ -24,6 +24,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 settings.register_profile("sweepid", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("sweepid")
 
+pytest_plugins = ("tests.virtual_time.plugin",)
+
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("service", "drivers", "simulator")
 PATIENCE = 30.0  # s that a thread or task may take to end after its test: a failing test alone waits for so long

@@ -1,0 +1,318 @@
+"""A CAN bus in memory, and the virtual cabinet on it. A frame takes what the seed draws; nothing is polled.
+
+Hosts reach it as "socketcan": by python-can (the service) and by a raw socket (the stop process), see `install`.
+"""
+
+import errno
+import queue
+import socket as real_socket
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import can
+import can.interface
+
+import drivers.canopen.stop_sender
+from simulator.canopen.cabinet import Cabinet
+from simulator.canopen.node import Frame
+from simulator.machine import Machine
+from tests.virtual_time import primitives
+from tests.virtual_time.primitives import SimpleQueue
+
+WIRE = 120e-6  # s that a frame takes on the wire at 1 Mbit/s
+LATE = 2e-3  # s by which a frame may reach a program later than that; drawn on a logarithmic scale
+_LEAST_STEP = 20e-6  # s between two times at which the cabinet looks at its timers
+_CHUNK = 100  # cycles of the plant in one call while nothing can look at it
+_CAREFUL = 10
+_STALE = 8  # cycles by which the plant may lag behind a look at it; in real time it lags by 4 to 16
+ANSWER = 1e-3  # s that a drive takes to answer a request (SDO)
+_BUS_OFF, _SDO_ANSWER, _HEARTBEAT = 0x40, 0x580, 0x700
+_ERROR_FLAG = 0x20000000  # linux/can.h
+_CAN_FRAME = struct.Struct("=IB3x8s")  # linux/can.h
+
+
+class EventDrivenCabinet(Cabinet):
+    """The cabinet of the simulator, whose plant runs to the next event in one call: a frame, a timer, an order.
+
+    On real time the plant runs in chunks of a few cycles, because somebody may look at it at any time. Here every look
+    is an event, before which the plant is advanced to this moment, but for less than `_STALE` cycles.
+    """
+
+    _plant_time: float | None = None
+
+    def run(self, now: float) -> None:
+        pace, _ = self._pace()
+        if pace == 0.0 or self._plant_time is None:
+            self._plant_time = now
+        else:
+            cycle = self._machine.cycle / pace
+            while (cycles := min(int((now - self._plant_time) / cycle + 1e-6), self._chunk())) >= _STALE:
+                self._plant_time += cycles * cycle
+                self.advance(cycles)
+                if self._pace()[0] != pace:
+                    self._plant_time = now
+                    break
+        for node in self.nodes.values():
+            node.run(now)
+        self.switch()
+
+    def due(self, now: float) -> float:
+        pace, _ = self._pace()
+        chunk = float("inf")
+        if pace > 0.0:
+            chunk = (now if self._plant_time is None else self._plant_time) + self._chunk() * self._machine.cycle / pace
+        return max(min(chunk, *(node.due(now) for node in self.nodes.values())) - now, 0.0)
+
+    def _chunk(self) -> int:
+        """A move, a ramp and the rest after them end by what the plant does: only then in small steps."""
+        axes = [axis for _, axis in self._axes if axis.energised]
+        careful = any(axis.settling or (axis.moving and not axis.measuring.driving) for axis in axes)
+        return _CAREFUL if careful else _CHUNK
+
+
+class Wire:
+    """The bus, the cabinet on it, and its hosts. Frames from one sender reach each receiver in their order."""
+
+    def __init__(self, channel: str, machine: Machine, eds: Path, speed_factor: float) -> None:
+        self.channel = channel
+        self.gone = False
+        """The gateway to the bus, or the interface, is not there: what is open fails, nothing can be opened."""
+        self.lost: Callable[[int, bytes], bool] = lambda _identifier, _data: False
+        """Which frames reach nobody."""
+        self.hosts: list[Host] = []
+        self._world = primitives.world
+        self._off = self._closed = False
+        self._planned: float | None = None
+        self._reaches_cabinet = 0.0
+        self.cabinet = EventDrivenCabinet(machine, eds, speed_factor, self._sent_by_cabinet)
+        self.cabinet.boot()
+        self._plan()
+
+    # -- what may go wrong
+
+    def switch_off(self, *, off: bool) -> None:
+        """Bus-off: an error frame, then nothing passes in either direction until it is switched on."""
+        if off and not self._off:
+            self._to_hosts(_BUS_OFF, bytes(8), error=True)
+        self._off = off
+
+    def cut(self) -> None:
+        """The gateway is gone, until `mend`."""
+        self.gone = True
+        for host in self.hosts:
+            host.inbox.put_nowait(None)
+
+    def mend(self) -> None:
+        self.gone = False
+        for host in [*self.hosts]:
+            host.close()
+
+    def look(self) -> None:
+        """The plant as it is at this moment; call `acted` if anything was changed."""
+        self.cabinet.run(self._world.now)
+
+    def acted(self) -> None:
+        self.cabinet.run(self._world.now)
+        self._plan()
+
+    def close(self) -> None:
+        """Power off."""
+        self._closed = True
+
+    # -- frames
+
+    def send(self, identifier: int, data: bytes, sender: "Host") -> None:
+        """A host sends a frame. OSError if the interface is gone."""
+        if self.gone or sender not in self.hosts:
+            raise OSError(errno.ENETDOWN, "the interface is down")
+        self._world.trace(f"> {identifier:03x} {data.hex()}")
+        if self._off or self.lost(identifier, data):
+            return
+        for host in self.hosts:
+            if host is not sender:
+                host.hear(identifier, data, self._delay())
+        frame = Frame(identifier, data)
+        self._reaches_cabinet = max(self._reaches_cabinet, self._world.now + self._delay())
+        self._world.at(self._reaches_cabinet, lambda: self._arrives(frame))
+        self._world.point()
+
+    def _arrives(self, frame: Frame) -> None:
+        if not self._closed and not self._off:
+            now = self._world.now
+            self.cabinet.run(now)
+            self.cabinet.receive(frame, now)
+            self.cabinet.run(now)
+            self._plan()
+
+    def _sent_by_cabinet(self, frame: Frame) -> None:
+        if not self._off and not self.gone and not self.lost(frame.id, frame.data):
+            self._to_hosts(frame.id, frame.data)
+
+    def _to_hosts(self, identifier: int, data: bytes, error: bool = False) -> None:
+        self._world.trace(f"< {identifier:03x} {data.hex()}")
+        for host in self.hosts:
+            host.hear(identifier, data, self._delay() + ANSWER * (identifier & ~0x7F == _SDO_ANSWER), error)
+
+    def _delay(self) -> float:
+        chance = self._world.random
+        if not self._world.seed or chance.random() < 0.5:
+            return WIRE
+        return WIRE + LATE * 10 ** (-3 * chance.random())
+
+    def _plan(self) -> None:
+        """Look at the cabinet again when its timers are due."""
+        now = self._world.now
+        due = self.cabinet.due(now)
+        if self._closed or due == float("inf"):
+            self._planned = None
+            return
+        when = now + max(due, _LEAST_STEP)
+        if self._planned is None or self._planned <= now or when < self._planned - _LEAST_STEP / 2:
+            self._planned = when
+            self._world.at(when, lambda: self._tick(when))
+
+    def _tick(self, when: float) -> None:
+        if when == self._planned and not self._closed:
+            self._planned = None
+            self.cabinet.run(self._world.now)
+            self._plan()
+
+
+class Host:
+    """One connection of a program to the bus; it closes with its process."""
+
+    def __init__(self, wire: Wire, only: int | None = None) -> None:
+        """`only`: a filter of the kernel for data frames, an identifier without its node."""
+        self.only = only
+        self.inbox = SimpleQueue()  # (identifier, data, whether it is an error frame), or None: the interface is gone
+        self._wire = wire
+        self._last = 0.0
+        wire.hosts.append(self)
+        primitives.world.current.process.at_end.append(self.close)
+
+    def hear(self, identifier: int, data: bytes, delay: float, error: bool = False) -> None:
+        if self.only is not None and identifier & ~0x7F != self.only and not error:
+            return
+        self._last = max(self._last, primitives.world.now + delay)
+        primitives.world.at(self._last, lambda: self.inbox.put_nowait((identifier, data, error)))
+
+    def send(self, identifier: int, data: bytes) -> None:
+        self._wire.send(identifier, data, self)
+
+    def close(self) -> None:
+        if self in self._wire.hosts:
+            self._wire.hosts.remove(self)
+
+
+WIRES: dict[str, Wire] = {}
+
+
+def _wire(channel: str) -> Wire:
+    wire = WIRES.get(channel)
+    if wire is None or wire.gone:
+        raise OSError(errno.ENODEV, f"no interface {channel}")
+    return wire
+
+
+class VirtualCan(can.BusABC):
+    """python-can's view of the bus."""
+
+    def __init__(self, channel: Any, **_: object) -> None:
+        self._host = Host(_wire(channel))
+        self.channel_info = f"virtual time {channel}"
+        super().__init__(channel=channel)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        try:
+            self._host.send(msg.arbitration_id, bytes(msg.data))
+        except OSError as error:
+            raise can.CanOperationError(str(error)) from None
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        try:
+            heard = self._host.inbox.get(timeout=timeout)
+        except queue.Empty:
+            return None
+        if heard is None:
+            raise can.CanOperationError("the interface is down")
+        identifier, data, error = heard
+        return can.Message(
+            arbitration_id=identifier,
+            data=data,
+            is_extended_id=False,
+            is_error_frame=error,
+            timestamp=primitives.wall(),
+        )
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        return self.recv(timeout), True
+
+    def shutdown(self) -> None:
+        self._host.close()
+        super().shutdown()
+
+
+class RawSocket:
+    """What the stop process opens: a CAN_RAW socket that receives heartbeats and error frames."""
+
+    def __init__(self, *_: object) -> None:
+        self._host: Host | None = None
+
+    def setsockopt(self, *_: object) -> None:
+        pass
+
+    def settimeout(self, _: float) -> None:
+        pass
+
+    def bind(self, address: tuple[str]) -> None:
+        self._host = Host(_wire(address[0]), _HEARTBEAT)
+
+    def sendall(self, data: bytes) -> None:
+        identifier, length, content = _CAN_FRAME.unpack(data)
+        self.host.send(identifier, content[:length])
+
+    def recv(self, _: int) -> bytes:
+        heard = self.host.inbox.get()
+        if heard is None:
+            raise OSError(errno.ENETDOWN, "the interface is down")
+        identifier, data, error = heard
+        return _CAN_FRAME.pack(identifier | _ERROR_FLAG * error, len(data), data)
+
+    def wait(self, timeout: float) -> bool:
+        """Whether a frame can be received."""
+        try:
+            heard = self.host.inbox.get(timeout=timeout)
+        except queue.Empty:
+            return False
+        self.host.inbox.give_back(heard)
+        return True
+
+    @property
+    def host(self) -> Host:
+        if self._host is None:
+            raise ValueError("not bound, or closed")
+        return self._host
+
+    def close(self) -> None:
+        if self._host is not None:
+            self._host.close()
+            self._host = None
+
+
+def _select(read: list[RawSocket], _write: object, _error: object, timeout: float) -> tuple[list[RawSocket], ...]:
+    (only,) = read
+    return ([only] if only.wait(timeout) else []), [], []
+
+
+def install() -> None:
+    """For this process: "socketcan" is a bus of `WIRES`."""
+    backends: dict[str, tuple[str, str]] = vars(can.interface)["BACKENDS"]
+    backends["socketcan"] = (__name__, VirtualCan.__name__)
+    sender: Any = drivers.canopen.stop_sender
+    names = {name: getattr(real_socket, name) for name in dir(real_socket) if name.isupper()}
+    missing = {"AF_CAN": 29, "CAN_RAW": 1, "SOL_CAN_RAW": 101, "CAN_RAW_FILTER": 1}  # where the platform has no CAN
+    sender.socket = SimpleNamespace(**missing | names, socket=RawSocket, create_connection=None)
+    sender.select = SimpleNamespace(select=_select)

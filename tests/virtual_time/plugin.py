@@ -1,0 +1,80 @@
+"""pytest: the fixtures `clock`, `machine` and `service`, and the option `--seed` (docs/explanation/virtual-time.md).
+
+A test that asks for one of them runs in a copy of the pytest process, which lives in virtual time; the others run in
+the original, in real time.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from _pytest.runner import runtestprotocol
+
+from tests.virtual_time import primitives, world
+from tests.virtual_time.clock import Clock
+from tests.virtual_time.machine import VirtualMachine
+from tests.virtual_time.service import VirtualService
+
+_COPY = pytest.StashKey[bool]()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--seed", type=int, default=0, help="the interleaving of tests in virtual time; 0: in order")
+
+
+def in_virtual_time(item: pytest.Item) -> bool:
+    return "clock" in getattr(item, "fixturenames", ())
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
+    """In a copy; what it reports is reported here."""
+    if not in_virtual_time(item):
+        return None
+    config = item.config
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+
+    def run() -> list[dict[str, object]]:
+        seed = int(config.getoption("seed"))  # pyright: ignore[reportArgumentType]
+        scheduler = world.enter(seed)
+        reports = runtestprotocol(item, log=False, nextitem=item.parent)  # pyright: ignore[reportArgumentType]
+        for report in reports:
+            report.user_properties += [("seed", seed), ("interleaving", scheduler.digest.hexdigest())]
+            if report.failed:
+                again = f"{item.nodeid} --seed {scheduler.seed}"
+                last = "\n".join(scheduler.history)
+                report.sections.append(("virtual time", f"again: {again}\nlast switches and frames:\n{last}"))
+        return [config.hook.pytest_report_to_serializable(config=config, report=report) for report in reports]
+
+    try:
+        reports = [
+            config.hook.pytest_report_from_serializable(config=config, data=data) for data in world.in_a_copy(run)
+        ]
+    except world.CopyFailed as failed:
+        reports = [pytest.TestReport(item.nodeid, item.location, {}, "failed", str(failed), "call")]
+    for report in reports:
+        item.ihook.pytest_runtest_logreport(report=report)
+    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True
+
+
+@pytest.fixture
+def clock() -> Clock:
+    """The virtual time in which this test runs."""
+    return Clock(primitives.world)
+
+
+@pytest.fixture
+def machine(clock: Clock, tmp_path: Path) -> VirtualMachine:
+    """The virtual machine of the house, its power on."""
+    del clock
+    return VirtualMachine(tmp_path)
+
+
+@pytest.fixture
+def service(machine: VirtualMachine, clock: Clock, tmp_path: Path) -> Iterator[VirtualService]:
+    """A service that owns the machine, ready."""
+    service = VirtualService(tmp_path, machine, clock)
+    service.start()
+    yield service
+    service.close()

@@ -1,0 +1,51 @@
+"""The service in virtual time: a campaign from start to estimate, a stop by the stop process, a kill."""
+
+import pytest
+
+from tests.system.rest_bench import add_plan, release
+from tests.virtual_time.clock import Clock
+from tests.virtual_time.machine import VirtualMachine
+from tests.virtual_time.service import VirtualService
+
+
+def campaign(service: VirtualService, modes: str = "drive_side") -> int:
+    """Of two axes in one pose; its number."""
+    wanted = {"axes": ["joint_1", "joint_2"], "varied": ["joint_2", "joint_3"], "step": 30.0, "poses": 1}
+    return int(service.client.add_campaign(add_plan(service.client, modes=modes, move_velocity=0.5, **wanted))["id"])
+
+
+@pytest.mark.parametrize("modes", ["drive_side", "host_streamed"])
+def test_a_campaign_is_measured_and_identified(
+    service: VirtualService, machine: VirtualMachine, clock: Clock, modes: str
+) -> None:
+    number = campaign(service, modes)
+    service.client.start(number)
+    clock.wait_until(lambda: service.client.campaign(number)["state"] == "completed", "completed", 600.0, 1.0)
+    assert service.client.campaign(number)["sweeps"] == {"identified": 2}
+    assert machine.stands()
+
+
+def test_the_stop_process_stops_what_moves(service: VirtualService, machine: VirtualMachine, clock: Clock) -> None:
+    service.client.start(campaign(service))
+    clock.wait_until(lambda: abs(machine.axes()["joint_1"]["velocity"]) > 0.01, "moves")
+    status, answer = service.press_stop().get()
+    assert (status, answer["doubtful"]) == (200, {})
+    assert clock.wait_until(machine.stands, "stands") < 1.0
+    clock.wait_until(lambda: service.client.stops(), "latched")
+    release(service.client)
+
+
+def test_a_killed_service_leaves_a_machine_that_stands_and_a_campaign_that_a_person_resumes(
+    service: VirtualService, machine: VirtualMachine, clock: Clock
+) -> None:
+    number = campaign(service)
+    service.client.start(number)
+    clock.wait_until(lambda: abs(machine.axes()["joint_1"]["velocity"]) > 0.01, "moves")
+    service.kill()
+    assert clock.wait_until(machine.stands, "stands") < 1.0
+    service.start()
+    assert service.client.campaign(number)["state"] == "paused"
+    clock.sleep(10.0)
+    assert machine.stands()
+    service.client.resume(number, repeat=True)
+    clock.wait_until(lambda: service.client.campaign(number)["state"] == "completed", "completed", 600.0, 1.0)
