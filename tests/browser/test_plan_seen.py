@@ -7,11 +7,11 @@ import pytest
 from playwright.sync_api import expect
 
 from service.client import ServiceClient
-from tests.browser.browsing import WITHOUT_BROWSER, browsing
+from tests.browser.browsing import browsing
 from tests.browser.conftest import connected
 from tests.system.rest_bench import CONFIG, VirtualMachine, serving, until
 
-pytestmark = [pytest.mark.slow, WITHOUT_BROWSER]
+pytestmark = [pytest.mark.slow]
 
 
 def test_the_machines_cell_is_preselected_and_another_is_typed(tmp_path: Path, machine: VirtualMachine) -> None:

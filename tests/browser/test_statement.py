@@ -3,12 +3,13 @@
 import pytest
 from playwright.sync_api import BrowserContext, Page, expect
 
-from tests.browser.browsing import WITHOUT_BROWSER, window
+from tests.browser.browsing import window
 from tests.browser.looking import cut, faint, green, settled, small, too_wide
 from tests.browser.scripted import JOINTS, Json, Scripted, axis, campaign, drives, scripted, statement
+from tests.programs import needs
 from tests.system.rest_bench import until
 
-pytestmark = WITHOUT_BROWSER
+pytestmark = needs("chromium")
 RAW = "joint_2 (node 2): +2.6e-05 rad from its target -0.53232 rad after 6.0 s, at 0.0012 rad/s"
 SILENCE = "The service does not answer. Assume that the machine moves: use the emergency stop."
 MODEL: Json = {

@@ -3,12 +3,13 @@
 import pytest
 from playwright.sync_api import BrowserContext, Page, expect
 
-from tests.browser.browsing import WITHOUT_BROWSER, window
+from tests.browser.browsing import window
 from tests.browser.looking import faint, green
 from tests.browser.scripted import JOINTS, Json, Scripted, campaign, scripted
+from tests.programs import needs
 from tests.system.rest_bench import until
 
-pytestmark = WITHOUT_BROWSER
+pytestmark = needs("chromium")
 PAGES = ("", "plan", "results", "diagnosis", "fleet", "")
 SAID = 1_500  # ms: 1 s, and what this computer needs to draw
 NOT_LEFT = "STOP DID NOT LEAVE THIS BROWSER: use the emergency stop."
