@@ -24,7 +24,7 @@ MUTANTS ?=  # more words for the mutants, as: make mutants MUTANTS="--each 5 --r
 
 SEED ?=  # of an order that test-random printed, to have it again
 
-.PHONY: demo venv docs test $(TESTS) test-long test-fast test-random test-drives test-compose fuzz soak bench mutants check format lock sbom audit openapi clean
+.PHONY: demo venv docs test $(TESTS) test-long test-fast test-random test-drives test-compose fuzz soak bench mutants explore check format lock sbom audit openapi clean
 .PHONY: check-style check-types check-tests-types check-arrows check-habits
 
 demo: $(READY)  ## measure, identify and report a virtual robot
@@ -68,6 +68,9 @@ test-compose: $(READY)  ## start docker-compose.yml for real and measure in it; 
 
 soak: $(READY)  ## everything that goes wrong, 20 times each at random moments of real campaigns, on each bus; hours
 	for way in canopen canopen-streamed modbus; do $(BIN)/python -m tests.soak $$way $(SOAK) || exit 1; done
+
+explore: $(READY)  ## interleavings in virtual time, 500 times as many as in make test; failing seeds are stored; hours
+	$(BIN)/python -m pytest --explore 500 tests/virtual_time
 
 bench: $(READY)  ## what it costs, beside what else could do the same: docs/reference/benchmarks.md; a quarter of an hour
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.benchmarks.bench $(BENCH)

@@ -36,8 +36,8 @@ def main() -> None:
     except OSError as error:
         telling.tell({"error": f"cannot listen at {host}:{port} for the stop: {error.strerror or error}"})
         raise SystemExit(1) from None
+    telling.tell({"port": listener.port, "pid": os.getpid()})  # the service reads this first: the bus has no news yet
     bus = Bus(Path(profile), lambda trouble: telling.tell({"trouble": trouble[:1000]}))
-    telling.tell({"port": listener.port, "pid": os.getpid()})
     threading.Thread(target=_obey, args=[bus], name="stop-orders", daemon=True).start()
     listener.serve()
 

@@ -43,6 +43,17 @@ class EventDrivenCabinet(Cabinet):
 
     _plant_time: float | None = None
 
+    def __init__(self, machine: Machine, eds: Path, speed_factor: float, send: Callable[[Frame], None]) -> None:
+        self.energy: list[tuple[float, str, bool]] = []
+        """When an axis got energy or lost it: the truth that a test judges by."""
+        super().__init__(machine, eds, speed_factor, send)
+
+    def switch(self) -> None:
+        before = {info.joint for info, _ in self._axes if self._machine.energised(info.joint)}
+        super().switch()
+        after = {info.joint for info, _ in self._axes if self._machine.energised(info.joint)}
+        self.energy += [(primitives.world.now, joint, joint in after) for joint in sorted(before ^ after)]
+
     def run(self, now: float) -> None:
         pace, _ = self._pace()
         if pace == 0.0 or self._plant_time is None:

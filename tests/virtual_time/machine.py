@@ -34,6 +34,8 @@ class VirtualMachine:
         content["bus"] = {name: value for name, value in content["bus"].items() if name not in ("host", "port")}
         content["bus"] |= line | bus
         content["eds"] = str(EDS)
+        self.host_timeout = float(content["bus"]["host_timeout"])
+        """s of silence of their host after which the drives stop by themselves."""
         self.profile = folder / "profile.yaml"
         self.profile.write_text(yaml.safe_dump(content), "utf-8")
 

@@ -6,12 +6,14 @@ the original, in real time.
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from _pytest.runner import runtestprotocol
 
 from tests.virtual_time import primitives, world
 from tests.virtual_time.clock import Clock
+from tests.virtual_time.explore import Explorer
 from tests.virtual_time.machine import VirtualMachine
 from tests.virtual_time.service import VirtualService
 
@@ -20,6 +22,7 @@ _COPY = pytest.StashKey[bool]()
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--seed", type=int, default=0, help="the interleaving of tests in virtual time; 0: in order")
+    parser.addoption("--explore", type=float, default=1.0, help="so many times as many seeds; failing ones are stored")
 
 
 def in_virtual_time(item: pytest.Item) -> bool:
@@ -36,7 +39,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
 
     def run() -> list[dict[str, object]]:
         seed = int(config.getoption("seed"))  # pyright: ignore[reportArgumentType]
-        scheduler = world.enter(seed)
+        scheduler = world.enter(0 if "explore" in item.fixturenames else seed)  # pyright: ignore[reportAttributeAccessIssue]
         reports = runtestprotocol(item, log=False, nextitem=item.parent)  # pyright: ignore[reportArgumentType]
         for report in reports:
             report.user_properties += [("seed", seed), ("interleaving", scheduler.digest.hexdigest())]
@@ -62,6 +65,13 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
 def clock() -> Clock:
     """The virtual time in which this test runs."""
     return Clock(primitives.world)
+
+
+@pytest.fixture
+def explore(clock: Clock, request: pytest.FixtureRequest) -> Explorer:
+    """Many interleavings of a test, from a snapshot."""
+    config: Any = request.config
+    return Explorer(request.node.nodeid, int(config.getoption("seed")), float(config.getoption("explore")))
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ over these.
 """
 
 import asyncio
+import itertools
 import queue
 import selectors
 import threading
@@ -259,7 +260,29 @@ def join(self: threading.Thread, timeout: float | None = None) -> None:
         world.wait(f"the end of {thread}", None if timeout is None else world.now + max(0.0, timeout))
 
 
+def ordinal(self: threading.Thread) -> int:
+    """A hash by which a set of threads has the same order in each run: an address has not."""
+    return self.__dict__.setdefault("_ordinal", next(_ordinals))
+
+
+_ordinals = itertools.count(1)
+
+
 # -- the event loop
+
+
+class NumberedTask(asyncio.Task[Any]):
+    """Sets of tasks have the same order in each run."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        self._ordinal = next(_ordinals)
+        super().__init__(*args, **kwargs)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+    def __hash__(self) -> int:
+        return self._ordinal
 
 
 class Events(selectors.BaseSelector):
@@ -304,6 +327,7 @@ class Loop(asyncio.SelectorEventLoop):
     def __init__(self, selector: selectors.BaseSelector | None = None) -> None:
         self._events = Events()
         super().__init__(self._events)
+        self.set_task_factory(lambda loop, coro, **more: NumberedTask(coro, loop=loop, **more))
 
     def _make_self_pipe(self) -> None:
         pass

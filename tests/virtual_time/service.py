@@ -8,7 +8,7 @@ import json
 import shutil
 import sqlite3
 import threading
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from concurrent.futures import Future
 from contextlib import asynccontextmanager, contextmanager, suppress
 from pathlib import Path
@@ -18,7 +18,7 @@ from urllib.parse import parse_qs
 import httpx
 import structlog
 from fastapi import FastAPI
-from sqlalchemy import Connection
+from sqlalchemy import Connection, Engine, create_engine
 from sqlalchemy.exc import OperationalError
 
 import service.application
@@ -38,6 +38,7 @@ from tests.virtual_time.scheduler import Process
 
 HOST, PORT = "127.0.0.1", 8642
 JOB = 0.2  # s that a job of the worker takes
+_ENGINES: list[Engine] = []
 _BUSY = 0.01  # s after which a writer tries again
 
 
@@ -106,13 +107,36 @@ class VirtualService:
     @contextmanager
     def blocked_database(self) -> Iterator[None]:
         """Another program writes to the database during the block and does not end."""
-        with sqlite3.connect(self.data / "sweepid.db", isolation_level=None) as other:
-            other.execute("BEGIN IMMEDIATE")
-            try:
-                yield
-            finally:
-                other.execute("ROLLBACK")
-                other.close()
+        other = sqlite3.connect(self.data / "sweepid.sqlite", timeout=0.0, isolation_level=None)
+        while not other.in_transaction:
+            with suppress(sqlite3.OperationalError):  # the service writes
+                other.execute("BEGIN IMMEDIATE")
+                break
+            self._clock.sleep(_BUSY)
+        try:
+            yield
+        finally:
+            other.execute("ROLLBACK")
+            other.close()
+
+    def snapshot(self) -> Callable[[], None]:
+        """Before copies of this process are made: what puts the files back as they are now, for each copy.
+
+        The database is closed meanwhile: no connection may come along into a copy.
+        """
+        for engine in _ENGINES:
+            while engine.pool.checkedout():  # pyright: ignore[reportAttributeAccessIssue]
+                self._clock.sleep(0.01)
+            engine.dispose()
+        pristine = self.data.with_name("data.snapshot")
+        shutil.copytree(self.data, pristine)
+
+        def restore() -> None:
+            for left in (self.data, *self.data.parent.glob("data.killed-*")):
+                shutil.rmtree(left)
+            shutil.copytree(pristine, self.data)
+
+        return restore
 
     # -- requests
 
@@ -180,6 +204,14 @@ class VirtualService:
             end_streams(app)
             await ending
             self._loop = None
+
+
+def add_campaign(service: VirtualService, poses: int = 1, modes: str = "drive_side") -> int:
+    """A campaign of two axes; its number. Nothing moves yet."""
+    (robot,) = (each for each in service.client.robots() if each["name"] == "max100-class")
+    wanted = {"axes": ["joint_1", "joint_2"], "varied": ["joint_2", "joint_3"], "step": 30.0, "poses": poses}
+    plan = service.client.add_plan({"robot_id": robot["id"], "move_velocity": 0.5, "modes": modes} | wanted)
+    return int(service.client.add_campaign(plan["id"])["id"])
 
 
 async def _call(app: FastAPI, request: httpx.Request, body: bytes, answer: "Future[httpx.Response]") -> httpx.Response:
@@ -265,6 +297,12 @@ def _install(service_of_tests: VirtualService) -> None:
     application.open_worker = _open_worker
     sqlite: Any = service.store.engines.sqlite
     sqlite._begin = _begin
+
+    def remembered(*args: Any, **more: Any) -> Engine:
+        _ENGINES.append(create_engine(*args, **more))
+        return _ENGINES[-1]
+
+    sqlite.create_engine = remembered
 
     def handle_request(self: httpx.HTTPTransport, request: httpx.Request) -> httpx.Response:
         del self

@@ -2,23 +2,17 @@
 
 import pytest
 
-from tests.system.rest_bench import add_plan, release
+from tests.system.rest_bench import release
 from tests.virtual_time.clock import Clock
 from tests.virtual_time.machine import VirtualMachine
-from tests.virtual_time.service import VirtualService
-
-
-def campaign(service: VirtualService, modes: str = "drive_side") -> int:
-    """Of two axes in one pose; its number."""
-    wanted = {"axes": ["joint_1", "joint_2"], "varied": ["joint_2", "joint_3"], "step": 30.0, "poses": 1}
-    return int(service.client.add_campaign(add_plan(service.client, modes=modes, move_velocity=0.5, **wanted))["id"])
+from tests.virtual_time.service import VirtualService, add_campaign
 
 
 @pytest.mark.parametrize("modes", ["drive_side", "host_streamed"])
 def test_a_campaign_is_measured_and_identified(
     service: VirtualService, machine: VirtualMachine, clock: Clock, modes: str
 ) -> None:
-    number = campaign(service, modes)
+    number = add_campaign(service, modes=modes)
     service.client.start(number)
     clock.wait_until(lambda: service.client.campaign(number)["state"] == "completed", "completed", 600.0, 1.0)
     assert service.client.campaign(number)["sweeps"] == {"identified": 2}
@@ -26,7 +20,7 @@ def test_a_campaign_is_measured_and_identified(
 
 
 def test_the_stop_process_stops_what_moves(service: VirtualService, machine: VirtualMachine, clock: Clock) -> None:
-    service.client.start(campaign(service))
+    service.client.start(add_campaign(service))
     clock.wait_until(lambda: abs(machine.axes()["joint_1"]["velocity"]) > 0.01, "moves")
     status, answer = service.press_stop().get()
     assert (status, answer["doubtful"]) == (200, {})
@@ -38,7 +32,7 @@ def test_the_stop_process_stops_what_moves(service: VirtualService, machine: Vir
 def test_a_killed_service_leaves_a_machine_that_stands_and_a_campaign_that_a_person_resumes(
     service: VirtualService, machine: VirtualMachine, clock: Clock
 ) -> None:
-    number = campaign(service)
+    number = add_campaign(service)
     service.client.start(number)
     clock.wait_until(lambda: abs(machine.axes()["joint_1"]["velocity"]) > 0.01, "moves")
     service.kill()

@@ -83,6 +83,7 @@ def enter(seed: int) -> Scheduler:
     threading.Thread.start = primitives.start
     threading.Thread.join = primitives.join
     threading.Thread.is_alive = primitives.is_alive
+    threading.Thread.__hash__ = primitives.ordinal
     policy: Any = type(asyncio.get_event_loop_policy())
     policy._loop_factory = primitives.Loop
     return scheduler

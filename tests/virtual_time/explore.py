@@ -1,0 +1,171 @@
+"""Many interleavings from one snapshot: what was set up once is copied (fork) for each seed.
+
+At the moment of `Explorer.run` the whole simulated world (threads, clock, plant, service) is the snapshot. Each copy
+gets a seed, does `step` and tells how it went; the original does not go on meanwhile. A seed that failed under
+`make explore` is stored in `seeds/<test>.json` and runs first from then on, for ever.
+"""
+
+import asyncio
+import faulthandler
+import inspect
+import json
+import os
+import pickle
+import signal
+import time
+import traceback
+from collections.abc import Awaitable, Callable, Coroutine, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tests.virtual_time import primitives, world
+
+SEEDS = Path(__file__).parent / "seeds"
+LONGEST = 60.0  # s of processor time that one interleaving may take
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How one interleaving went. `error`: "" or the traceback; `cpu` in s of processor time, `virtual` in s."""
+
+    seed: int
+    error: str
+    digest: str
+    cpu: float
+    virtual: float
+    told: object = None
+
+
+@dataclass
+class Exploration:
+    """All outcomes, stored seeds first."""
+
+    outcomes: list[Outcome] = field(default_factory=list[Outcome])
+
+    @property
+    def failed(self) -> list[Outcome]:
+        return [outcome for outcome in self.outcomes if outcome.error]
+
+    @property
+    def cpu(self) -> float:
+        return sum(outcome.cpu for outcome in self.outcomes)
+
+    def check(self, again: str) -> None:
+        """AssertionError with the first failure and all failing seeds; `again`: how to repeat one."""
+        if not self.failed:
+            return
+        seeds = " ".join(str(outcome.seed) for outcome in self.failed)
+        first = self.failed[0]
+        raise AssertionError(
+            f"{len(self.failed)} of {len(self.outcomes)} interleavings failed, seeds {seeds}\n"
+            f"again: {again} --seed {first.seed}\n{first.error}"
+        )
+
+
+Step = Callable[[int], object | Awaitable[object]]
+
+
+class Explorer:
+    """The fixture `explore`: `await explore.run(step, 100)`, or `explore.run_now(step, 100)` without an event loop."""
+
+    def __init__(self, test: str, only: int, factor: float) -> None:
+        """`test`: its node id. `only`: one seed, 0: all. `factor`: how many times as many seeds as the test asks for;
+        with more than 1, failures are stored.
+        """
+        self._test, self._only, self._factor = test, only, factor
+        name = test.rpartition("/")[2].replace(".py::", ".").replace("/", "-")
+        self._stored = SEEDS / f"{name}.json"
+
+    @property
+    def stored(self) -> list[int]:
+        """Seeds that failed once."""
+        return json.loads(self._stored.read_text()) if self._stored.exists() else []
+
+    async def run(
+        self, step: Step, seeds: int, budget: float = float("inf"), restore: Callable[[], None] | None = None
+    ) -> Exploration:
+        """`step` for seeds 1 to `seeds`, until the copies have taken `budget` s of processor time. AssertionError if
+        one fails. `restore` is called before each copy: puts back what lies outside of memory.
+        """
+        new = range(1, max(1, round(seeds * self._factor)) + 1)
+        wanted = [self._only] if self._only else [*self.stored, *(seed for seed in new if seed not in self.stored)]
+        found = await explored(step, wanted, budget * self._factor, restore)
+        if self._factor > 1 and found.failed:
+            SEEDS.mkdir(exist_ok=True)
+            every = sorted({*self.stored, *(outcome.seed for outcome in found.failed)})
+            self._stored.write_text(json.dumps(every) + "\n")
+        found.check(f"python -m pytest {self._test}")
+        return found
+
+    def run_now(
+        self, step: Step, seeds: int, budget: float = float("inf"), restore: Callable[[], None] | None = None
+    ) -> Exploration:
+        """As `run`, with a `step` that is no coroutine."""
+        return at_once(self.run(step, seeds, budget, restore))
+
+
+def at_once(work: Coroutine[object, None, Exploration]) -> Exploration:
+    """The result of a coroutine that awaits nothing."""
+    try:
+        work.send(None)
+    except StopIteration as result:
+        return result.value
+    raise AssertionError("it awaits something: use `run`")
+
+
+async def explored(
+    step: Step,
+    seeds: Iterable[int],
+    budget: float = float("inf"),
+    restore: Callable[[], None] | None = None,
+    enough: Callable[[Outcome], bool] = lambda _: False,
+) -> Exploration:
+    """`step` in a copy for each seed, one after the other; ends early with the outcome that is `enough`."""
+    found = Exploration()
+    loop = asyncio._get_running_loop()
+    for seed in seeds:
+        if found.cpu > budget:
+            break
+        if restore is not None:
+            restore()
+        ours, theirs = os.pipe()
+        faulthandler.cancel_dump_traceback_later()  # its thread does not come along into the copy
+        child = os.fork()
+        faulthandler.dump_traceback_later(4 * world.LONGEST if child else world.LONGEST, exit=True, file=2)
+        if child:
+            os.close(theirs)
+            found.outcomes.append(_outcome_of(child, ours, seed))
+            if enough(found.outcomes[-1]):
+                break
+            continue
+        try:
+            os.close(ours)
+            asyncio._set_running_loop(loop)
+            signal.setitimer(signal.ITIMER_PROF, LONGEST)  # its default action ends the copy
+            began, virtual = time.process_time(), primitives.world.now
+            primitives.world.seed_with(seed)
+            error, told = "", None
+            try:
+                told = step(seed)
+                if inspect.isawaitable(told):
+                    told = await told
+            except BaseException:  # noqa: BLE001 - told to the original
+                last = "\n".join(primitives.world.history)
+                error = f"{traceback.format_exc()}\nlast switches and frames:\n{last}"
+            cpu, virtual = time.process_time() - began, primitives.world.now - virtual
+            outcome = Outcome(seed, error, primitives.world.digest.hexdigest(), cpu, virtual, told)
+            with os.fdopen(theirs, "wb") as pipe:
+                pipe.write(pickle.dumps(outcome))
+        finally:
+            os._exit(0)
+    return found
+
+
+def _outcome_of(child: int, pipe: int, seed: int) -> Outcome:
+    """What a copy tells, once it has ended."""
+    with os.fdopen(pipe, "rb") as reading:
+        data = reading.read()
+    _, status = os.waitpid(child, 0)
+    if data:
+        return pickle.loads(data)
+    return Outcome(seed, f"the copy died: {os.waitstatus_to_exitcode(status)}", "", 0.0, 0.0)

@@ -1,0 +1,77 @@
+"""One seed, one interleaving; another seed, another one; real time and real primitives outside."""
+
+import queue
+import threading
+import time
+
+import pytest
+
+from tests.virtual_time.clock import Clock
+from tests.virtual_time.explore import Explorer, at_once, explored
+from tests.virtual_time.machine import VirtualMachine
+from tests.virtual_time.scheduler import Deadlock
+from tests.virtual_time.service import VirtualService, add_campaign
+
+
+def test_real_primitives_outside_of_virtual_time() -> None:
+    """This test asks for no clock, whatever ran before it in this process."""
+    assert time.monotonic.__module__ == "time"
+    assert type(threading.Lock()).__module__ == "_thread"
+    assert queue.SimpleQueue.__module__ == "_queue"
+    assert threading.Thread.start.__module__ == "threading"
+
+
+def test_the_same_seed_gives_the_same_switches_and_frames(
+    service: VirtualService, machine: VirtualMachine, clock: Clock
+) -> None:
+    number = add_campaign(service)
+    restore = service.snapshot()
+
+    def step(_seed: int) -> tuple[float, int, int]:
+        service.client.start(number)
+        clock.sleep(12.0)
+        return clock.now, clock.scheduler.switches, len(machine.wire.cabinet.energy)
+
+    seeds = [0, 1, 2, 3]
+    one, other = (at_once(explored(step, seeds, restore=restore)) for _ in range(2))
+    assert not one.failed, one.failed[0].error
+    assert [(each.digest, each.told) for each in one.outcomes] == [(each.digest, each.told) for each in other.outcomes]
+    assert len({each.digest for each in one.outcomes}) == len(seeds)
+
+
+def test_who_waits_for_ever_is_told(clock: Clock) -> None:
+    del clock
+    empty: queue.SimpleQueue[int] = queue.SimpleQueue()
+    held = threading.Lock()
+    held.acquire()
+    threading.Thread(target=held.acquire, name="unlucky", daemon=True).start()
+    with pytest.raises(Deadlock) as stuck:
+        empty.get()
+    assert "test/unlucky: waits for a lock" in str(stuck.value)
+    assert "test/main: waits for an item of a queue, at tests/virtual_time/test_determinism.py" in str(stuck.value)
+
+
+def test_a_race_is_found_by_its_seeds(clock: Clock, explore: Explorer) -> None:
+    """Two threads read, look at the clock and write: in order it is right, in some interleavings it is not."""
+
+    def step(_seed: int) -> int:
+        counted = 0
+
+        def add() -> None:
+            nonlocal counted
+            before = counted
+            time.monotonic()
+            counted = before + 1
+
+        both = [threading.Thread(target=add, name=name, daemon=True) for name in "ab"]
+        for each in both:
+            each.start()
+        for each in both:
+            each.join()
+        return counted
+
+    del explore
+    found = at_once(explored(step, range(200)))
+    assert found.outcomes[0].told == 2
+    assert {outcome.told for outcome in found.outcomes} == {1, 2}
+    assert clock.seed == 0
