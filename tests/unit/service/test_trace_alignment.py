@@ -95,7 +95,6 @@ def test_what_does_not_match_is_refused_with_its_reason(signal: np.ndarray, reas
     [
         (SWEEP, 1e308, r"pose reaches 1e\+308 rad \(m\), limit 1e\+06"),
         (replace(SWEEP, offset_velocity=1e308), 0.0, "path reaches .*, limit"),
-        (replace(SWEEP, sines=(Sine(frequency=2.0, amplitude=1e308),)), 0.0, "path reaches .*, limit"),
         (replace(SWEEP, ramp=1e16), 0.0, "is shorter than the sweep of"),
         (replace(SWEEP, settle=float("inf")), 0.0, "is shorter than the sweep of"),
         (replace(SWEEP, period=1e300, periods=10**9), 0.0, "is shorter than the sweep of"),

@@ -144,7 +144,6 @@ def test_no_absurd_number_of_a_urdf_passes(value: str) -> None:
         ('<mass value="5"/>', '<mass value="-5"/>', "link push mass value"),
         ('<mass value="1"/>', '<mass value="-1"/>', "link tool mass value"),  # fixed to a link of 5 kg
         ('ixx="1" iyy="1.2"', 'ixx="-1" iyy="1.2"', "link turn"),
-        ('ixx="1" iyy="1.2"', 'ixx="10" iyy="1.2"', "link turn"),  # the triangle inequality
         ('velocity="1"', 'velocity="-1"', "joint j1 limit velocity"),
         ('radius="0.1"', 'radius="-0.1"', "link turn cylinder radius"),
         ('ixy="0.01"', 'ixy="5"', "link turn"),  # not positive definite
