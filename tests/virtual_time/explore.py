@@ -146,9 +146,8 @@ async def explored(
             primitives.world.seed_with(seed)
             error, told = "", None
             try:
-                told = step(seed)
-                if inspect.isawaitable(told):
-                    told = await told
+                doing = step(seed)
+                told = await doing if inspect.isawaitable(doing) else doing
             except BaseException:  # noqa: BLE001 - told to the original
                 last = "\n".join(primitives.world.history)
                 error = f"{traceback.format_exc()}\nlast switches and frames:\n{last}"

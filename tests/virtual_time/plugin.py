@@ -30,7 +30,7 @@ def in_virtual_time(item: pytest.Item) -> bool:
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
     """In a copy; what it reports is reported here."""
     if not in_virtual_time(item):
         return None
@@ -57,6 +57,10 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
         reports = [pytest.TestReport(item.nodeid, item.location, {}, "failed", str(failed), "call")]
     for report in reports:
         item.ihook.pytest_runtest_logreport(report=report)
+    session: Any = item.session
+    session._setupstate.teardown_exact(
+        nextitem
+    )  # what earlier tests in real time share with this one, and no later one
     item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
     return True
 
