@@ -4,7 +4,9 @@ import asyncio
 from collections import deque
 from collections.abc import AsyncIterable, Awaitable, Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass
+from pathlib import Path
 
 from drivers.errors import SweepInterrupted
 from drivers.ports import SampleBlock, SweepCommand
@@ -49,6 +51,7 @@ class Incoming:
         self._by_joint = {each.command.joint: each for each in together}
         self._came = {joint: Gapless() for joint in self._by_joint}
         self._recorders: dict[str, Recorder] = {}
+        self._streams = ExitStack()  # of the disk's thread alone: an opening may end after its waiter was cancelled
         self._writes: deque[Future[None]] = deque()
         self._off_path: EnvelopeViolation | None = None  # how an axis left its path in a trajectory
 
@@ -61,7 +64,7 @@ class Incoming:
         """Create a stream for each sweep. Raises OSError."""
         for joint, each in self._by_joint.items():
             stream = files.stream(each.run)
-            self._recorders[joint] = await in_executor(self._disk, Recorder, stream, each.command)
+            self._recorders[joint] = await in_executor(self._disk, self._open, stream, each.command)
 
     async def take(self, blocks: AsyncIterable[SampleBlock]) -> None:
         """Take all blocks, to the end of the sweep.
@@ -86,8 +89,12 @@ class Incoming:
 
     def close(self) -> None:
         """Close the streams. Does not wait for the disk: after an error the axes have priority."""
-        for recorder in self._recorders.values():
-            self._disk.submit(recorder.close)
+        self._disk.submit(self._streams.close)
+
+    def _open(self, stream: Path, command: Command) -> Recorder:
+        recorder = Recorder(stream, command)
+        self._streams.callback(recorder.close)
+        return recorder
 
     async def _take(self, block: SampleBlock) -> None:
         each = self._by_joint.get(block.joint, self._together[0])

@@ -1,5 +1,6 @@
 """The stream on the disk: complete, torn, with gaps."""
 
+import asyncio
 import dataclasses
 import hashlib
 import json
@@ -7,13 +8,19 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
+import psutil
 import pytest
 
 from drivers.ports import ChannelTiming, SampleBlock, Sine, SweepCommand, SweepMode
+from service.execution.recording import incoming
+from service.execution.recording.incoming import BegunSweep, Incoming
 from service.execution.recording.plausibility import ImplausibleChannels
 from service.execution.recording.recorder import (
     Recorder,
@@ -162,6 +169,33 @@ def test_a_gap_ends_the_sweep_and_keeps_what_came_before(files: RecordingFiles, 
     new = salvage(files, RUN, {})
     assert new is not None
     assert (new.state, new.samples) == (RecordingState.PARTIAL, 100)
+
+
+async def test_a_stream_that_was_being_opened_when_the_sweep_was_cancelled_is_closed(
+    files: RecordingFiles, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened, go_on = threading.Event(), threading.Event()
+    kept: list[Recorder] = []  # not closed by the garbage collection
+
+    class SlowRecorder(Recorder):
+        def __init__(self, path: Path, command: SweepCommand) -> None:
+            super().__init__(path, command)
+            kept.append(self)
+            opened.set()
+            assert go_on.wait(60)
+
+    monkeypatch.setattr(incoming, "Recorder", SlowRecorder)
+    nothing = cast("Any", None)
+    with ThreadPoolExecutor(1) as disk:
+        recording = Incoming([BegunSweep(nothing, RUN, COMMAND, {})], nothing, nothing, nothing, disk)
+        opening = asyncio.create_task(recording.open(files))
+        assert await asyncio.to_thread(opened.wait, 60)
+        opening.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await opening  # which does not wait for the disk
+        recording.close()
+        go_on.set()
+    assert [file.path for file in psutil.Process().open_files() if file.path == str(files.stream(RUN))] == []
 
 
 def test_the_first_sample_may_not_be_missing(files: RecordingFiles) -> None:
