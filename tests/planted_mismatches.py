@@ -217,7 +217,7 @@ CASES = [
     Case("gear ratio of shaft to motor", {"gear"}, holds(0x6091, 2, 2), kinds=WITH_GEAR),
     Case("gear too high", {"velocity-limit", "position-limits"}, change=axis(gear_ratio=342.0)),
     Case("gear too low", {"effort-limit"}, change=axis(gear_ratio=17.1), kinds=OWN_ONLY),
-    Case("gear too low", {"effort-limit", "velocity-unit"}, change=axis(gear_ratio=1.71), kinds=EPOS4_ONLY),
+    Case("gear too low", {"effort-limit"}, change=axis(gear_ratio=1.71), kinds=EPOS4_ONLY),
     # limits
     Case("position limits wider than the drive's", {"position-limits"}, change=axis(position_limits=[-3.5, 2.9])),
     Case("velocity limit above the drive's", {"velocity-limit"}, change=roomy(axis(velocity_limit=2.5))),

@@ -1,17 +1,17 @@
 """The objects that the adapter uses (CiA 301, CiA 402); those of the measuring function are in `measuring.py`."""
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One object with its wire type (struct code, little endian) and its name in messages."""
+    """One object with its wire type (struct code, little endian) and its name in messages, which may differ."""
 
     index: int
     sub: int
     type: str
-    name: str
+    name: str = field(compare=False)
 
     def __str__(self) -> str:
         return f"{self.index:04X}h:{self.sub:02X} {self.name}"

@@ -72,7 +72,7 @@ def _axis(bus: Bus, axis: CanopenAxis, profile: CanopenProfile, ways: dict[str, 
             return
         yield from identity.state(node)
         yield from _looked_at(node)
-        yield from _compared(node.configured(), ways)
+        yield from _compared(node, ways)
     except CommunicationLost as error:
         causes = "power, cable, node number or bit rate; a drive that a stop put into NMT stopped: switch it off and on"
         yield node.row("no-answer", False, f"{error}: {causes}")
@@ -107,8 +107,9 @@ def _looked_at(node: Node) -> Iterator[Row]:
 
 
 def _compared(node: Node, ways: dict[str, str]) -> Iterator[Row]:
-    """What a connection writes. `node` has the units of the configured drive."""
+    """What a connection writes; after the settings on which its units depend, `node` is the configured drive."""
     yield from settings.of_map(node)
+    node = node.configured()
     codec, rows = units.conversions(node)
     yield from rows
     if codec is None:

@@ -90,6 +90,16 @@ def test_sound_drives_of_other_makers_have_none(dictionary: str) -> None:
         assert [row for row in sheet.rows if row.verdict is Verdict.HOST]
 
 
+def test_units_are_those_of_the_drive_once_a_connection_has_written_the_settings_of_its_map() -> None:
+    with cabinet("epos4") as bench:  # in whole rev/min, as it leaves its maker
+        slow = [axis | {"velocity_limit": 0.05} for axis in bench.profile["axes"]]
+        sheet = bench.check(axes=slow)
+    assert sheet.mismatches == ()
+    told = [row.what for row in sheet.rows if row.check == "map-settings" and row.verdict is Verdict.NOTE]
+    assert len(told) == len(slow)
+    assert all("60A9h" in what for what in told)
+
+
 @pytest.mark.slow
 def test_no_verdict_gets_better_without_a_change_and_no_object_changes(drives: Cabinet) -> None:
     """The commissioner left a speed limit below the profile's."""
