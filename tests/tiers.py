@@ -23,14 +23,25 @@ _PORT_FAULTS = "tests/contract/test_faults.py"
 
 SHORT = (  # stays in the first tier although a line of LONG names it: file[::function][[first parameters]
     # the wiring of each bus and each stack
-    f"{_PORT}::test_connect_leaves_every_axis_disabled",
-    f"{_PORT}::test_identity_is_checked",
-    f"{_PORT}::test_move_arrives_at_standstill",
-    f"{_PORT}::test_stop_from_another_task_and_twice",
-    f"{_PORT}::test_sweep_delivers_consecutive_samples_of_what_was_commanded",
-    f"{_PORT_FAULTS}::test_emergency_stop_in_a_sweep",
-    f"{_PORT_FAULTS}::test_fault_in_a_sweep_delivers_what_there_is_and_waits_for_a_person",
-    "tests/contract/test_independent.py::test_a_streamed_sweep_gives_the_inertia_of_the_plant[node-vcan",
+    *(
+        f"{test}[{bench}"
+        for test in (
+            f"{_PORT}::test_connect_leaves_every_axis_disabled",
+            f"{_PORT}::test_identity_is_checked",
+            f"{_PORT}::test_move_arrives_at_standstill",
+            f"{_PORT}::test_stop_from_another_task_and_twice",
+            f"{_PORT}::test_sweep_delivers_consecutive_samples_of_what_was_commanded",
+            f"{_PORT_FAULTS}::test_emergency_stop_in_a_sweep",
+            f"{_PORT_FAULTS}::test_fault_in_a_sweep_delivers_what_there_is_and_waits_for_a_person",
+        )
+        for bench in ("canopen-virtual", "durand-socketcand", "epos4-virtual", "modbus-rtu", "node-socketcand")
+    ),
+    # that of the kernel's bus, beside tests/vcan
+    f"{_PORT}::test_move_arrives_at_standstill[canopen-vcan",
+    f"{_PORT}::test_stop_from_another_task_and_twice[canopen-vcan-host_streamed",
+    f"{_PORT}::test_sweep_delivers_consecutive_samples_of_what_was_commanded[canopen-vcan",
+    f"{_PORT}::test_sweep_delivers_consecutive_samples_of_what_was_commanded[node-vcan",
+    f"{_PORT_FAULTS}::test_emergency_stop_in_a_sweep[canopen-vcan-host_streamed",
     # a fault at each adapter, through the service
     f"{_TABLE}[CANopen, drive's own sweep-drive fault",
     f"{_TABLE}[CANopen, streamed sweep-emergency stop",
@@ -92,7 +103,14 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
             ("test_faults.py", "node-vcan", 50),
             ("test_canopen.py", "canopen-vcan", 40),
             ("test_noise.py", "canopen-vcan", 40),
-            ("test_independent.py", "node-vcan", 40),
+        )
+    },
+    **{
+        f"tests/contract/test_death.py::{test}": 15
+        for test in (
+            "test_axes_stand_after_the_host_was_killed[node-vcan",
+            "test_connect_restores_the_speed_control_that_a_killed_host_left_soft[canopen-vcan",
+            "test_the_drive_restores_its_speed_control_after_the_host_was_killed_in_a_noise_run[canopen-vcan",
         )
     },
     # faults, through the service at each adapter
@@ -109,6 +127,8 @@ LONG: dict[str, float] = {  # file[::function][[first parameters]: processor tim
     "tests/system/test_attack.py": 30,
     "tests/system/test_backup_while_measuring.py": 22,
     "tests/system/test_cabinet_restart.py": 17,
+    "tests/system/test_campaign_in_process.py::test_both_ways_of_measuring_give_the_same_inertia": 12,
+    "tests/system/test_demo.py::test_interrupted_demo_stops_the_machine_first": 18,
     "tests/system/test_demo_operator.py::test_a_suspended_computer_is_released_and_the_campaign_ends": 9,
     "tests/system/test_diagnosis_campaign.py::test_the_other_blocks_run_and_none_spoils_the_inertia": 8,
     "tests/system/test_diagnosis_loop.py::test_the_loop_runs_alone_on_a_virtual_machine": 12,
