@@ -38,7 +38,7 @@ def axis(joint: str, **changed: object) -> Json:
 
 
 def statement(state: str = "stands", reason: str = "", **axes: str) -> Json:
-    """As in GET /drives: every axis stands but those that are named with their state."""
+    """As in GET /drives and GET /stop: every axis stands but those that are named with their state."""
     of_axes = {joint: STANDS | {"state": axes.get(joint, "stands")} for joint in JOINTS}
     return {"state": state, "age": 0.1, "reason": reason, "axes": of_axes}
 
@@ -92,7 +92,14 @@ class Scripted:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._ending = asyncio.Event()
         for path, answer in {
-            "stop": {"latched": False, "stop": None, "stops": [], "port": None, "process_trouble": ""},
+            "stop": {
+                "latched": False,
+                "stop": None,
+                "stops": [],
+                "port": None,
+                "process_trouble": "",
+                "statement": statement(),
+            },
             "drives": drives(),
             "me": _LOCAL,
             "robots/1": robot(),

@@ -5,7 +5,7 @@ from playwright.sync_api import BrowserContext, Page, expect
 
 from tests.browser.browsing import window
 from tests.browser.looking import cut, faint, green, settled, small, too_wide
-from tests.browser.scripted import JOINTS, Json, Scripted, axis, campaign, drives, scripted, statement
+from tests.browser.scripted import JOINTS, Json, Scripted, campaign, drives, scripted, statement
 from tests.programs import needs
 from tests.system.rest_bench import until
 
@@ -46,19 +46,6 @@ def test_the_state_that_is_shown_is_the_statement(stated: Json, shown: str, is_g
         else:
             assert ("machine" in green(page)) == (stated["state"] == "stands")
         assert (faint(page), small(page)) == ([], [])
-
-
-def test_without_a_statement_it_is_what_the_axes_report() -> None:
-    """Of a service before it made one."""
-    without = drives()
-    del without["statement"]
-    with scripted(answers={"drives": without}) as service, window() as context:
-        page = opened(context, service)
-        expect(page.locator("#machine")).to_have_text("all axes stand without energy")
-        service.answers["drives"] = without | {"axes": [axis("joint_1"), axis("joint_2", state="enabled")]}
-        expect(page.locator("#machine")).to_have_text("with energy: joint_2")
-        service.answers["drives"] = without | {"axes": [axis("joint_1"), axis("joint_2", state="unknown")]}
-        expect(page.locator("#machine")).to_have_text("state not known: joint_2")
 
 
 @pytest.mark.parametrize(
@@ -122,8 +109,13 @@ def test_drives_that_are_late_are_no_silence_of_the_service() -> None:
     with scripted() as service, window() as context:
         page = opened(context, service)
         expect(page.locator("#machine")).to_have_text("all axes stand without energy")
+        stop = service.answers["stop"]
         service.frozen.add("drives")
-        expect(page.locator("#machine")).to_contain_text("does not report the axes in time")
+        expect(page.locator("#machine")).to_have_text("the service is late: the values of the axes are old")
+        for state, told in (("moves", "moves: joint_1"), ("unknown", "state not known: joint_1")):
+            service.answers["stop"] = stop | {"statement": statement(state, joint_1=state)}
+            expect(page.locator("#stated")).to_have_text(told)
+        expect(page.locator("#intent")).to_contain_text("The state of the axes is not known.")
         assert green(page) == []
         expect(page.locator("#silence")).to_be_hidden()
         service.frozen.add("stop")

@@ -29,8 +29,9 @@ interface Control extends HTMLElement {
 type Part = string | Node;
 type Content = Part | number | Content[];
 type Values = Record<string, any>;
-type Units = { joints: string[]; length(joint: string, value: number, signed?: boolean): string; scale(joint: string): [number, string]; prismatic: Set<string> };
-type Machine = { drives: Api.DrivesView; stop: Api.StopView; statement: Api.Statement };
+type Units = { robot: string; joints: string[]; length(joint: string, value: number, signed?: boolean): string; scale(joint: string): [number, string]; prismatic: Set<string> };
+type Machine = { drives: Api.DrivesView; stop: Api.StopView };
+type Here = Omit<Api.MachineDocument, "here"> & { missing: string[] };
 type Plan = { id: number; document: Api.PlanView["document"] };
 type Swept = { spec: Api.SweepSpec; ramp: number; settle: number };
 type View = "side" | "above";

@@ -66,7 +66,8 @@ export async function call(method, path, body, headers = {}, patience = null) {
   let answer;
   let content = /** @type {Partial<Api.Problem>} */ ({});
   try {
-    answer = await fetch(address(path), { method, headers, body: body && JSON.stringify(body), signal: late.signal });
+    // the cache of a browser lets a page wait for the answer to an equal request of another page
+    answer = await fetch(address(path), { method, headers, body: body && JSON.stringify(body), signal: late.signal, cache: "no-store" });
     content = await answer.json();
   } catch (error) {
     throw new Silent("error.silent", { why: foreign(/** @type {Error} */ (error).message) });

@@ -30,6 +30,7 @@ let etag = "";
 let plan = null; // its plan {id, document}; null for an imported campaign
 /** @type {Units | null} */
 let units = null; // of its robot; without a campaign, of the robot of the drives
+/** @type {Api.Ahead["range"] | null} */
 let seen = null; // ranges of the axes that the page shows for a start; null: none
 let sought = false; // whether that robot was requested
 let shownRevision = "";

@@ -5,8 +5,8 @@ import { byId, duration, tell } from "./elements.js";
 import { subjectParts } from "./subject.js";
 import { foreign, text, told } from "./words.js";
 
-/** @type {{plan: number, needed: boolean, missing: string | Error, sha256?: string} | null} */
-let present = null; // {plan, needed, missing, sha256} of the displayed plan, or null
+/** @type {{plan: number, needed: boolean, missing: string | Error, sha256?: string, subject?: Api.PlanSubject} | null} */
+let present = null; // of the displayed plan
 
 // why this person may not start the displayed campaign, as parts; empty if allowed
 export const unapproved = () => (present?.needed && present.missing ? why(present.missing) : "");

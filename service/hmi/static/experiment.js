@@ -8,11 +8,13 @@ import { foreign, parts, text, Told, word } from "./words.js";
 
 const MM = 1e-3;
 
-/** @type {{diagnosis: number, joint: string, kind: string, cell: string | null, names: string, seen: Record<string, unknown> | null} | null} */
+/** @type {{diagnosis: number, joint: string, kind: string, cell: string | null, names: "" | `?${string}`, seen: Api.Ahead["range"] | null} | null} */
 let asked = null; // of the panel; names: the typed ones, as a query
 /** @type {Units | null} */
 let units = null; // of its robot
-let robot = null; // {id, name}
+/** @type {{id: number, name: string} | null} */
+let robot = null;
+/** @type {Here | null} */
 let machine = null; // of this service
 
 export function clearExperiment() {

@@ -13,7 +13,7 @@ let last = {}; // header with the id of the last event
 export async function follow(credential, ended, tell) {
   try {
     const quiet = new AbortController();
-    const answer = await fetch("api/v1/events", { headers: { ...credential, ...last }, signal: AbortSignal.any([ended, quiet.signal]) });
+    const answer = await fetch("api/v1/events", { headers: { ...credential, ...last }, signal: AbortSignal.any([ended, quiet.signal]), cache: "no-store" });
     if (answer.status === 401) return false;
     if (answer.ok) {
       tell("open");

@@ -28,7 +28,7 @@ export function showIntent(campaigns, diagnoses, running, units) {
 }
 
 // statement: of the machine's state; null: none, which is shown elsewhere. well: no trouble of the machine is known
-/** @param {Api.Statement | null} statement @param {boolean} well */
+/** @param {Api.StatementView | null} statement @param {boolean} well */
 export function showDoubt(statement, well) {
   sound = well && statement !== null && statement.state !== "unknown";
   if (statement === null) doubt = null;

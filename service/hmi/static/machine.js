@@ -6,7 +6,7 @@ import { byId, complain, complainAgain, tell } from "./elements.js";
 import { showDoubt } from "./intent.js";
 import { askWho, identify, showRights, watchLogin } from "./login.js";
 import { keepMoving } from "./moving.js";
-import { statementOf, stated } from "./statement.js";
+import { stated } from "./statement.js";
 import { settleStop, showStop, stop } from "./stop.js";
 import { showWayOut } from "./wayout.js";
 import { foreign, joined, parts, text, told, watchLanguage } from "./words.js";
@@ -19,30 +19,29 @@ let stopPort = null; // port of the stop process, which works while the service 
 /** @type {number[]} */
 let shown = []; // the displayed stops; only these are released, not later ones
 
-// {drives, stop, statement}; null: state of the machine not known. Only GET /stop tells whether the service is silent: it
+// null: state of its axes not known. Only GET /stop tells whether the service is silent: it
 // needs neither login nor database nor drives, and is not late because a plan is computed or an axis answers slowly
 /** @param {Api.CampaignDocument} [paused] @returns {Promise<Machine | null>} */
 async function ask(paused) {
-  let answers = false;
+  /** @type {Api.StopView | null} */
+  let stop = null;
   try {
-    const stop = await get("/stop", PATIENCE);
-    answers = true;
+    stop = await get("/stop", PATIENCE);
     stopPort = stop.port;
     showSilence(false);
     showHeld(stop);
     await identify(PATIENCE);
     const drives = await get("/drives", PATIENCE);
-    const statement = statementOf(drives);
-    showState(drives, stop, statement, paused);
-    return { drives, stop, statement };
+    showState(drives, stop, paused);
+    return { drives, stop };
   } catch (error) {
     const nobody = error instanceof Unknown;
     if (nobody) askWho(error);
-    if (!answers) showSilence(!(error instanceof Refused));
-    tell("machine", nobody ? text("machine.nobody") : error instanceof Silent ? text(answers ? "machine.late" : "machine.silent") : told(error));
-    tell("stated", "");
+    if (!stop) showSilence(!(error instanceof Refused));
+    tell("machine", nobody ? text("machine.nobody") : error instanceof Silent ? text(stop ? "machine.late" : "machine.silent") : told(error));
+    tell("stated", stop ? stated(stop.statement) : "");
     byId("machine").className = nobody ? "state" : "state bad";
-    showDoubt(null, false);
+    showDoubt(stop?.statement.state === "unknown" ? stop.statement : null, false);
     return null;
   }
 }
@@ -56,16 +55,16 @@ function showHeld(stop) {
 }
 
 // first what is wrong, then the state of the axes; green only if nothing is wrong and every axis reports that it stands
-/** @param {Api.DrivesView} drives @param {Api.StopView} stop @param {Api.Statement} statement @param {Api.CampaignDocument} [paused] */
-function showState(drives, stop, statement, paused) {
+/** @param {Api.DrivesView} drives @param {Api.StopView} stop @param {Api.CampaignDocument} [paused] */
+function showState(drives, stop, paused) {
   const broken = paused && byFault(paused.cause);
   const troubles = inTrouble(drives, stop);
   if (broken && !troubles.length) troubles.push(text("machine.broken", { id: paused.id }));
-  tell("machine", troubles.length ? joined(troubles, ", ") : stated(statement));
-  tell("stated", troubles.length && drives.connected ? stated(statement) : "");
-  byId("machine").className = `state ${troubles.length ? "bad" : LOOKS[statement.state]}`;
+  tell("machine", troubles.length ? joined(troubles, ", ") : stated(drives.statement));
+  tell("stated", troubles.length && drives.connected ? stated(drives.statement) : "");
+  byId("machine").className = `state ${troubles.length ? "bad" : LOOKS[drives.statement.state]}`;
   byId("connect").hidden = drives.connected;
-  showDoubt(statement, !troubles.length);
+  showDoubt(drives.statement, !troubles.length);
 }
 
 // old values are grey and disabled because they may be out of date. STOP stays enabled

@@ -57,7 +57,7 @@ export function inWords(steps, { length }) {
 }
 
 // drives, ahead: as in the API; null if not known
-/** @param {HTMLElement} place @param {Planned} plan @param {Units} units @param {Api.DrivesView | null} [drives] @param {Api.AheadView | null} [ahead] */
+/** @param {HTMLElement} place @param {Planned} plan @param {Units} units @param {Api.DrivesView | null} [drives] @param {Api.Ahead | null} [ahead] */
 export function showMotion(place, plan, units, drives = null, ahead = null) {
   const list = element("ul");
   list.append(...ways(plan, units, ahead?.range).concat(text("motion.check-moves"), bus(plan, drives)).map((way) => element("li", way)));
@@ -68,6 +68,7 @@ export function showMotion(place, plan, units, drives = null, ahead = null) {
 }
 
 // from where the axes stand to the first pose
+/** @param {Api.Ahead} ahead @param {Units} units @returns {Content} */
 function approach({ trouble, at, positions, approach: legs }, { length }) {
   if (trouble) return parts("motion.approach-unknown", { why: foreign(trouble) });
   if (!legs.length) return text("motion.approach-none", { at: moment(at) });
@@ -126,7 +127,7 @@ function bus({ sweeps }, drives) {
 }
 
 // a sweep is stopped at its window: this is the largest motion of an axis; range: as told by the service, with the approach
-/** @param {Planned} plan @param {Units} units @param {Api.AheadView["range"]} [range] */
+/** @param {Planned} plan @param {Units} units @param {Api.Ahead["range"]} [range] */
 function ways({ sweeps, request }, { joints, length }, range = {}) {
   const legs = sweeps.flatMap((sweep) => sweep.legs);
   return joints.flatMap((joint) => {

@@ -17,6 +17,7 @@ const MINUTE = 60; // s
 
 /** @type {Api.RobotEntry[]} */
 let robots = [];
+/** @type {Here | null} */
 let machine = null; // of this service, with its robot and cell
 /** @type {Api.CampaignDocument | undefined} */
 let paused; // the paused campaign

@@ -4,15 +4,18 @@ import { get, Refused } from "./api.js";
 import { byId, tell } from "./elements.js";
 import { foreign, parts, text } from "./words.js";
 
-let asked = null; // {machine, missing, robot, cell}: what was chosen, with the machine of this service
+/** @type {{robot: string | undefined, cell: string | null} | null} */
+let asked = null; // names that were chosen
 
-// {name, robot_id, robot, cell, missing}; without a machine, all are null
+// without a machine, its names are null
+/** @returns {Promise<Here>} */
 export async function machineHere() {
   const { items, missing } = await get("/machines");
   return { name: null, robot_id: null, robot: null, cell: null, ...items.find((one) => one.here), missing };
 }
 
 // of /plans/N/ahead, /campaigns/N/ahead; null while a campaign runs
+/** @param {`/plans/${number}/ahead` | `/campaigns/${number}/ahead?repeat=${boolean}`} path @returns {Promise<Api.Ahead | null>} */
 export async function aheadOf(path) {
   return await get(path).catch((error) => {
     if (!(error instanceof Refused)) throw error;
@@ -20,7 +23,8 @@ export async function aheadOf(path) {
   });
 }
 
-// robot: {id, name}; cell: its name
+// robot, cell: the chosen ones
+/** @param {Here} machine @param {{id: number, name: string} | undefined} robot @param {string | null} cell */
 export function askNames(machine, robot, cell) {
   const others = { robot: robot && robot.id !== machine.robot_id, cell: cell && cell !== machine.cell };
   byId("confirm").hidden = !others.robot && !others.cell;
@@ -36,6 +40,7 @@ export function askNames(machine, robot, cell) {
 }
 
 // of the request: the service compares the names
+/** @returns {"" | `?${string}`} */
 export function typedNames() {
   const query = new URLSearchParams();
   for (const what of ["robot", "cell"]) {
@@ -45,7 +50,7 @@ export function typedNames() {
   return query.size ? `?${query}` : "";
 }
 
-// subject: as in the API
+/** @param {Api.PlanSubject} subject @returns {Part[]} */
 export function subjectParts({ robot, robot_id: number, cell, machine, confirmed, confirmed_by: by }) {
   const told = parts("subject.told", { robot, number, cell, machine: machine || text("subject.unknown") });
   const names = Object.values(confirmed).join(", ");

@@ -7,8 +7,8 @@ import { parts, text } from "./words.js";
 
 // machine: as of `watchMachine`; paused: the paused campaign, if any
 /** @param {Machine} machine @param {Api.CampaignDocument} [paused] */
-export function showWayOut({ drives, stop, statement }, paused) {
-  const steps = ofMachine(drives, stop, statement);
+export function showWayOut({ drives, stop }, paused) {
+  const steps = ofMachine(drives, stop);
   const broken = paused && byFault(paused.cause);
   if (!steps.length && broken) steps.push(parts("way.look-cause", { axes: axisOf(paused.cause) ?? text("cause.machine"), cause: causeParts(paused.cause) }));
   if (steps.length && paused) steps.push(text("way.resume", { id: paused.id }));
@@ -22,13 +22,13 @@ export function showWayOut({ drives, stop, statement }, paused) {
 /** @param {Api.AxisView[]} axes */
 const namesOf = (axes) => axes.map((axis) => axis.joint).join(", ");
 
-/** @param {Api.DrivesView} drives @param {Api.StopView} stop @param {Api.Statement} statement @returns {Content[]} */
-function ofMachine(drives, stop, statement) {
-  const unknown = jointsThat(statement, "unknown");
+/** @param {Api.DrivesView} drives @param {Api.StopView} stop @returns {Content[]} */
+function ofMachine(drives, stop) {
+  const unknown = jointsThat(drives.statement, "unknown");
   const faulty = drives.axes.filter((axis) => axis.fault);
   const emergency = faulty.some((axis) => axis.fault.emergency_stop);
   const steps = [];
-  if (!drives.connected || statement.state === "unknown") {
+  if (!drives.connected || drives.statement.state === "unknown") {
     steps.push(
       text("way.look-lost"),
       drives.connected && unknown.length ? text("way.power-of", { axes: unknown.join(", ") }) : text("way.power"),

@@ -33,8 +33,9 @@ READ = {
     "plan.js": "expected_time",
     "record.js": "accepted_by",
     "results.js": "confidence_percent",
-    "statement.js": "connected",
+    "statement.js": "reason",
     "stop.js": "unconfirmed",
+    "subject.js": "missing",
     "verdicts.js": "alternatives",
     "wayout.js": "emergency_stop",
 }
