@@ -7,6 +7,8 @@ small. The report is saved as PDF as well.
 
 import argparse
 import io
+import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,7 +20,7 @@ from service.client import Json, ServiceClient
 from tests.browser.browsing import browsing
 from tests.browser.conftest import connected
 from tests.browser.looking import settled
-from tests.system.rest_bench import PATIENT_LEASE, Service, VirtualMachine, serving, until, virtual_machine
+from tests.system.rest_bench import CONFIG, PATIENT_LEASE, Service, VirtualMachine, serving, until, virtual_machine
 
 SIZES = (1280, 768)  # px wide
 HEIGHT = 900  # px
@@ -39,8 +41,12 @@ def main() -> int:
     given = wanted.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory() as work, virtual_machine(Path(work), given.speed_factor) as machine:
+        cells = Path(work) / "cells"
+        cells.mkdir()
+        shutil.copy(CONFIG / "cells" / "workshop.yaml", cells)
+        (cells / "bench.yaml").write_text("name: bench\n", "utf-8")
         with (
-            serving(Path(work), machine.profile, PATIENT_LEASE) as service,
+            serving(Path(work), machine.profile, PATIENT_LEASE, cells_dir=str(cells), cell="workshop") as service,
             browsing(f"{service.url}/plan", locale=given.locale) as page,
         ):
             _pages(page, service, machine, given.poses, camera(page, given.folder, given.for_docs), given.folder)
@@ -60,6 +66,11 @@ def _pages(page: Page, service: Service, machine: VirtualMachine, poses: int, ta
         expect(page.locator("#axes tr")).to_have_count(6)
         take("page-first")
         page.goto(f"{service.url}/plan", wait_until="commit")
+        expect(page.locator("#cell")).to_have_value("workshop")
+        page.locator("#cell").select_option("bench")
+        expect(page.locator("#confirm")).to_be_visible()
+        take("page-plan-other-cell")
+        page.locator("#cell").select_option("workshop")
         _planned(page, poses)
         expect(page.locator("#views svg")).to_have_count(2)
         take("page-plan")
@@ -80,6 +91,15 @@ def _pages(page: Page, service: Service, machine: VirtualMachine, poses: int, ta
         page.locator("#reset-by").fill("Ada")
         page.locator("#held button").click()
         expect(page.locator("#held")).to_be_hidden()
+        page.locator("#resume").click()
+        expect(page.locator("#campaign-state")).to_have_class("badge running")
+        machine.order("fault", joint=AXES[0], code=0x2310)
+        expect(page.locator("#campaign-state")).to_have_class("badge paused broken")
+        take("page-fault")
+        page.get_by_role("button", name=re.compile("acknowledge|quittieren")).first.click()
+        expect(page.locator("td.fault:not(:empty)")).to_have_count(0)
+        take("page-after-fault")
+        expect(page.locator("#resume")).to_be_enabled()
         page.locator("#resume").click()
         until(lambda: _is(client.campaign(campaign), "completed"), "the campaign", 900.0)
         page.goto(f"{service.url}/#campaign-{campaign}", wait_until="commit")

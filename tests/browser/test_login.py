@@ -70,7 +70,8 @@ def test_a_page_that_nobody_is_logged_in_to_stops_the_machine(tmp_path: Path) ->
         browsing(service.url) as page,
     ):
         expect(page.locator("#login")).to_be_visible()
-        expect(page.locator("#machine")).to_have_text("log in to see the machine")
+        expect(page.locator("#machine")).to_have_text("nobody is logged in")
+        expect(page.locator("#stated")).to_have_text("all axes stand without energy")
         expect(page.locator("main")).to_be_hidden()
         assert (faint(page), small(page)) == ([], [])
         engineer.start(int(engineer.add_campaign(add_plan(engineer, axes=["joint_1"], poses=2))["id"]))

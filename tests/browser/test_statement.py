@@ -135,6 +135,16 @@ def test_the_results_show_the_revisions_of_the_model() -> None:
         expect(page.locator("#error")).to_be_hidden()
 
 
+def test_the_audit_says_why_it_stopped_in_the_words_of_the_page() -> None:
+    stopped = {"event": "stop", "at": "2026-03-02T12:00:00Z", "by": "campaign 1", "why": f"TargetNotReached: {RAW}"}
+    audit: Json = {"items": [{"entry": stopped}], "next": None}
+    with scripted(answers={"audit": audit}) as service, window("de-DE") as context:
+        outcome = opened(context, service, "results").locator("#audit tbody td:last-child")
+        expect(outcome).to_contain_text("joint_2: nicht rechtzeitig am Ziel zum Stillstand gekommen")
+        outcome.locator("summary").click()
+        expect(outcome).to_contain_text("from its target -30,5°")
+
+
 def test_the_joints_are_those_of_the_service() -> None:
     with scripted() as service, window() as context:
         page = opened(context, service)

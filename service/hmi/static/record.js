@@ -3,7 +3,7 @@
 import { all, get } from "./api.js";
 import { byId, element, row } from "./elements.js";
 import { mayNot } from "./login.js";
-import { PRESSED, whose } from "./causes.js";
+import { causeWithDetails, PRESSED, whose } from "./causes.js";
 import { knows, moment, parts, text, word } from "./words.js";
 
 const API = "/api/v1";
@@ -33,7 +33,7 @@ export async function showAudit() {
   const entries = (await get("/audit?newest=true&limit=200")).items.map((one) => /** @type {Record<string, string>} */ (one.entry));
   const done = entries.filter((one) => one.event !== "request").toReversed();
   table("audit", [["results.when"], ["results.who"], ["results.what"], ["results.outcome"]], done.map((one) => row([
-    [moment(one.at)], [whose(one.by ?? one.actor)], [whatOf(one), "words"], [outcomeOf(one)],
+    [moment(one.at)], [whose(one.by ?? one.actor)], [whatOf(one), "words"], [outcomeOf(one), "words"],
   ])));
 }
 
@@ -46,8 +46,8 @@ function whatOf({ method, path, route, event }) {
   return parts(key, { id: path?.match(/\/(\d+)(\/|$)/)?.[1], joint: path?.split("/").at(-2) });
 }
 
-/** @param {Record<string, string>} entry */
+/** @param {Record<string, string>} entry @returns {Content} */
 function outcomeOf({ status, why }) {
-  if (status === undefined) return why === PRESSED ? text("stop.button") : why ?? "";
+  if (status === undefined) return why === PRESSED ? text("stop.button") : causeWithDetails(why ?? "");
   return Number(status) < 400 ? text("results.done") : text("results.refused", { status });
 }
