@@ -104,6 +104,7 @@ class ApprovalRow(Base):
     approved_by: Mapped[str]
     at: Mapped[datetime]
     expires_at: Mapped[datetime]
+    last_stop: Mapped[int] = mapped_column(server_default="0")  # id of the machine's last stop before it, 0: none
 
 
 class CampaignRow(Base):

@@ -119,12 +119,14 @@ class LatchedStops:
             for number, hold in named.items():
                 if hold.under_way:
                     raise Conflict(f"stop {number} is not finished yet: {hold.document.by}: {hold.document.why}")
-            unstored = {number: hold.document for number, hold in named.items() if number < 0}
             for number in ids:
-                if number < 0 and number not in unstored:
+                if number < 0 and number not in named:
                     raise NotFound(f"stop {number}")
             try:
-                stored = await apart(self._latch.reset, by, [number for number in ids if number >= 0])
+                for number, hold in named.items():
+                    if number < 0:  # a stop that is not stored would end no approval
+                        await self._store(hold)
+                released = await apart(self._latch.reset, by, [self._ids.get(number, number) for number in ids])
             except SQLAlchemyError as error:
                 raise NotNow(
                     f"not released, because the database cannot be written ({type(error).__name__}): "
@@ -133,8 +135,7 @@ class LatchedStops:
                 ) from error
             for hold in named.values():
                 self._holds.remove(hold)
-        done = {"reset_by": by, "reset_at": datetime.now(UTC)}
-        return (*stored, *(document.model_copy(update=done) for document in unstored.values()))
+        return released
 
     async def _note(self) -> None:
         while (hold := next((each for each in tuple(self._holds) if each.document.id < 0), None)) is not None:
@@ -148,18 +149,22 @@ class LatchedStops:
 
     async def _noted(self, hold: Hold) -> bool:
         async with self._writing:
-            if hold not in self._holds:  # released meanwhile
-                return True
             document = hold.document
+            if hold not in self._holds or document.id >= 0:  # released or stored meanwhile
+                return True
             try:
-                hold.document = await apart(self._latch.latch, document.by, document.why, document.at)
+                await self._store(hold)
             except SQLAlchemyError as error:
                 _log.error("stop_not_noted_yet", by=document.by, why=document.why, reason=refusal(error))
                 return False
-            self._ids[document.id] = hold.document.id
-            if len(self._ids) > _MOST_NAMES:
-                del self._ids[next(iter(self._ids))]
             return True
+
+    async def _store(self, hold: Hold) -> None:
+        document = hold.document
+        hold.document = await apart(self._latch.latch, document.by, document.why, document.at)
+        self._ids[document.id] = hold.document.id
+        if len(self._ids) > _MOST_NAMES:
+            del self._ids[next(iter(self._ids))]
 
 
 async def apart(work: Callable[Arguments, Result], *args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:

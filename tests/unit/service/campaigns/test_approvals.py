@@ -10,7 +10,7 @@ import yaml
 from sqlalchemy import text
 
 from drivers.registry import load_profile
-from service.errors import BadInput, Conflict, NotFound
+from service.errors import BadInput, Conflict, NotFound, NotNow
 from service.execution.approvals import Approvals
 from service.execution.runner import Runner
 from service.execution.sweep_executor import SweepExecutor
@@ -19,6 +19,7 @@ from service.planning.motion_hash import machine_sha256, motion_sha256
 from service.settings import Settings
 from service.store.approvals import ApprovalStore
 from service.store.documents import CampaignState
+from service.store.guards import StopLatch
 from tests.unit.service.campaigns.conftest import ROOT, TIMEOUT, Bench, until
 
 HASH, OTHER = "a" * 64, "b" * 64
@@ -69,6 +70,10 @@ async def test_a_start_and_a_resume_want_an_approval_that_holds(bench: Bench) ->
     assert bench.store.campaign(bench.campaign.id).state is CampaignState.PAUSED
 
     asked.sha256 = HASH
+    with pytest.raises(Conflict, match=rf"plan {plan} requires .* by ada of .* was ended by stop \d+ of the machine"):
+        await asked.runner.resume(bench.campaign.id, bench.intention, repeat=True)
+    assert bench.drive.trace == moved
+    asked.approvals.add(plan, HASH, HASH, "ada", still)
     await asked.runner.resume(bench.campaign.id, bench.intention, repeat=True)
     await asyncio.wait_for(asked.runner.finished(), TIMEOUT)
     assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
@@ -86,9 +91,8 @@ async def test_an_approval_that_expires_meanwhile_ends_no_motion_and_resumes_non
         earlier = "UPDATE approval SET at = datetime(at, '-8 hours'), expires_at = datetime(expires_at, '-8 hours')"
         session.execute(text(earlier))
     assert bench.store.campaign(bench.campaign.id).state is CampaignState.RUNNING
-    stop = await bench.machine.stop("berta", "enough")
+    await asked.runner.pause(bench.campaign.id)
     await asyncio.wait_for(asked.runner.finished(), TIMEOUT)
-    await bench.machine.reset_stop("berta", [stop.id])
     moved = list(bench.drive.trace)
     with pytest.raises(Conflict, match=rf"plan {plan} requires the approval of an engineer: .* expired at"):
         await asked.runner.resume(bench.campaign.id, bench.intention, repeat=True)
@@ -101,6 +105,35 @@ async def test_an_approval_that_expires_meanwhile_ends_no_motion_and_resumes_non
     assert bench.store.campaign(bench.campaign.id).state is CampaignState.MEASURED
     await asked.runner.close()
     asked.close()
+
+
+async def test_a_stop_ends_the_approvals_before_it_and_no_later_one(bench: Bench) -> None:
+    """Whether it is stored, released or repeated meanwhile, and whatever the clock says."""
+    approvals, plan = Asked(bench).approvals, bench.campaign.plan_id or 0
+    first = await bench.machine.stop("berta", "smoke")
+    await bench.machine.noted()
+    approvals.add(plan, HASH, HASH, "ada", still)
+    assert approvals.missing(plan, HASH) == ""
+    await bench.machine.reset_stop("berta", [first.id])
+    assert approvals.missing(plan, HASH) == ""  # a release ends nothing
+    with bench.database.write() as session:
+        session.execute(text("CREATE TRIGGER refuse BEFORE INSERT ON stop BEGIN SELECT RAISE(FAIL, 'full'); END"))
+    second = await bench.machine.stop("berta", "smoke")
+    with pytest.raises(NotNow):
+        await bench.machine.reset_stop("berta", [second.id])  # released and never stored, it would end nothing
+    with bench.database.write() as session:
+        session.execute(text("DROP TRIGGER refuse"))
+    await bench.machine.reset_stop("berta", [second.id])
+    assert bench.machine.held == ""
+    assert "was ended by stop" in approvals.missing(plan, HASH)
+
+    def stopped() -> None:
+        StopLatch(bench.database).latch("berta", "smoke")
+
+    approvals.add(plan, HASH, HASH, "ada", still)
+    assert approvals.missing(plan, HASH) == ""
+    stopped()
+    assert "was ended by stop" in approvals.missing(plan, HASH)
 
 
 def test_four_eyes_where_the_service_knows_who_starts(bench: Bench) -> None:

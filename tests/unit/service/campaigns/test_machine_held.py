@@ -11,7 +11,7 @@ from sqlalchemy.exc import OperationalError
 from structlog.testing import capture_logs
 
 from service.application import tell_own_stop
-from service.errors import Conflict, NotFound
+from service.errors import Conflict, NotFound, NotNow
 from service.execution import sweep_executor
 from service.execution.external_stops import watching
 from service.store.documents import CampaignState, SweepState
@@ -115,7 +115,7 @@ async def test_who_lost_the_lease_leaves_the_bus_and_does_not_come_back(bench: B
     assert bench.drive.trace[-1] == "close"
 
 
-async def test_a_stop_that_the_database_does_not_take_is_seen_and_reset_all_the_same(bench: Bench) -> None:
+async def test_a_stop_that_the_database_does_not_take_is_seen_and_released_once_it_is_stored(bench: Bench) -> None:
     await bench.machine.connect()
     with bench.database.write() as session:
         refuse = "CREATE TRIGGER refuse BEFORE INSERT ON stop BEGIN SELECT RAISE(FAIL, 'database or disk is full'); END"
@@ -127,12 +127,18 @@ async def test_a_stop_that_the_database_does_not_take_is_seen_and_reset_all_the_
     assert (held.by, held.why, held.reset_by) == ("ada", "smoke", None)
     with pytest.raises(Conflict, match="stopped by ada: smoke"):
         bench.machine.check_may_move(bench.intention)
-    (reset,) = await bench.machine.reset_stop("berta", [held.id])
-    assert (reset.by, reset.reset_by) == ("ada", "berta")
-    assert bench.machine.latched is None
-    bench.machine.check_may_move(bench.intention)
-    with pytest.raises(NotFound, match=f"stop {held.id}"):
+    with pytest.raises(NotNow, match="the machine stays stopped"):
         await bench.machine.reset_stop("berta", [held.id])
+    assert bench.machine.latched == held
+    with bench.database.write() as session:
+        session.execute(text("DROP TRIGGER refuse"))
+    for _ in range(2):  # the same request again
+        (reset,) = await bench.machine.reset_stop("berta", [held.id])
+        assert (reset.by, reset.reset_by) == ("ada", "berta")
+        assert bench.machine.latched is None
+        bench.machine.check_may_move(bench.intention)
+    with pytest.raises(NotFound, match=f"stop {held.id - 1}"):
+        await bench.machine.reset_stop("berta", [held.id - 1])
 
 
 async def test_what_the_database_did_not_take_is_noted_once_it_does(
