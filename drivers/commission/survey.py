@@ -23,7 +23,10 @@ def load(path: Path) -> CanopenProfile:
     """BadProfile names the file, the place and the reason; also raised for a profile of another fieldbus."""
     content = load_profile(path)
     if content.get("adapter") != "canopen":
-        raise BadProfile(f"{path}: adapter: {content.get('adapter')!r} is not supported by this check; canopen is")
+        raise BadProfile(
+            f"{path}: adapter: {content.get('adapter')!r} is not supported by this check, only 'canopen' is: check the "
+            "drives by hand, as in docs/how-to/connect-a-modbus-drive.md, section Verify"
+        )
     return parse_profile(content, path.parent)
 
 

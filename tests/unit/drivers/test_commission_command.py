@@ -152,7 +152,7 @@ def test_a_mismatch_is_an_exit_code_and_a_row_of_json(drives: Cabinet, tmp_path:
 
 def test_another_fieldbus_is_refused(tmp_path: Path) -> None:
     error = run("check", DRIVES / "virtual-max100-modbus-tcp.yaml").exception
-    assert "adapter: 'modbus' is not supported by this check; canopen is" in str(error)
+    assert "adapter: 'modbus' is not supported by this check, only 'canopen' is: check the drives by hand" in str(error)
 
 
 # -- turned by hand
