@@ -2,7 +2,7 @@
 
 import os
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -21,8 +21,11 @@ _TRIGGERS = (
     "WHERE tgrelid = 'audit'::regclass AND left(tgname, 9) = 'audit_no_' AND tgenabled = 'O'"
 )
 _FAILURES = "SELECT coalesce(checksum_failures, 0) FROM pg_stat_database WHERE datname = current_database()"
-_WANTED_TRIGGERS = 4
-_FOURTH_WITH = "steady_time"  # table of the schema that added the last of them
+_SQLITE_TRIGGERS = (
+    "SELECT count(*) FROM sqlite_master WHERE type = 'trigger' "
+    "AND tbl_name = 'audit' AND substr(name, 1, 9) = 'audit_no_'"
+)
+_LAST_WITH = "steady_time"  # table of the schema that added the last of them
 
 Result = TypeVar("Result")
 
@@ -59,7 +62,7 @@ class SqliteFile:
         return self._look(contents)
 
     def wrong(self) -> list[tuple[str, str]]:
-        found = [(line, RESTORE) for line in self._look(integrity)]
+        found = [(line, RESTORE) for line in self._look(integrity)] + self._look(_unprotected)
         if not os.access(self.file, os.R_OK | os.W_OK):
             found.insert(0, ("this user cannot read and write it", "put owner and permissions right"))
         return found
@@ -124,9 +127,20 @@ def _wrong(connection: Connection) -> Iterator[tuple[str, str]]:
     if failures := connection.exec_driver_sql(_FAILURES).scalar():
         yield f"the server found {failures} pages whose checksum is wrong", "check the disk and restore a dump"
     tables = inspect(connection).get_table_names()
-    wanted = _WANTED_TRIGGERS - (_FOURTH_WITH not in tables)
-    if "audit" in tables and connection.exec_driver_sql(_TRIGGERS).scalar_one() != wanted:
+    if "audit" in tables:
+        yield from _triggers(connection.exec_driver_sql(_TRIGGERS).scalar_one(), 4, tables)
+
+
+def _unprotected(connection: sqlite3.Connection) -> list[tuple[str, str]]:
+    tables = [name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
+    ((found,),) = connection.execute(_SQLITE_TRIGGERS)
+    return list(_triggers(found, 3, tables)) if "audit" in tables else []
+
+
+def _triggers(found: int, wanted: int, tables: Collection[str]) -> Iterator[tuple[str, str]]:
+    """`wanted`: how many protect the audit in the newest schema."""
+    if found != wanted - (_LAST_WITH not in tables):
         yield (
             "the triggers that protect the audit against changes are missing or disabled",
-            "run `sweepid audit verify`, then restore a dump if needed",
+            "run `sweepid audit verify`, then restore a backup if needed",
         )

@@ -66,6 +66,14 @@ def test_a_whole_folder_has_no_findings_and_is_not_touched(data: Path, findings:
     assert contents(data) == before
 
 
+@pytest.mark.parametrize("trigger", ["audit_no_update", "audit_no_delete", "audit_no_replace"])
+def test_an_audit_without_its_protection_is_found(data: Path, findings: Findings, trigger: str) -> None:
+    with closing(sqlite3.connect(data / "sweepid.sqlite")) as database:
+        database.execute(f"DROP TRIGGER {trigger}")
+    ((_, what),) = findings()
+    assert what == "the triggers that protect the audit against changes are missing or disabled"
+
+
 def test_what_nobody_names_is_found(data: Path, findings: Findings) -> None:
     stream = RecordingFiles(data).stream(Run(2, 1, 1))
     stream.write_bytes(b"samples")

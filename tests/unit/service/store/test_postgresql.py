@@ -129,6 +129,19 @@ def test_no_password_is_told(own: PostgresqlServer, tmp_path: Path) -> None:
         open_database(url, tmp_path / "none").__enter__()
 
 
+def test_no_entry_of_the_audit_is_replaced(postgresql_url: str) -> None:
+    with open_database(postgresql_url) as database:
+        AuditStore(database).append([{"event": "request", "actor": "ada"}] * 2)
+        for number in (1, 2, 4):
+            replace = (
+                f"INSERT INTO audit VALUES ({number}, '{{}}', 'abc') "
+                "ON CONFLICT (number) DO UPDATE SET entry = EXCLUDED.entry, sha256 = EXCLUDED.sha256"
+            )
+            with pytest.raises(IntegrityError, match="only ever added to"), database.write() as session:
+                session.execute(text(replace))
+        assert verify(AuditStore(database).links())[0] == 2
+
+
 def test_what_doctor_finds(own: PostgresqlServer, postgresql_url: str, tmp_path: Path) -> None:
     """The shared server of the tests gives what is stored no time to reach the disk."""
     url = own.new_database()
